@@ -26,16 +26,13 @@ from ruamel.yaml import YAML
 
 import gbid
 from benchmarks.fit_speed import processor
-from gbid.campaign.collect import collect
-from gbid.campaign.run import working
+from gbid.experiment.campaign import collect, working
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.perform import perform
-from gbid.experiment.run.stage import Stage, run_stage
-from gbid.experiment.stages.fit.stage import FIT, fit_tasks
-from gbid.experiment.stages.prefilter.stage import PREFILTER
-from gbid.experiment.stages.rig.stage import RIG
+from gbid.experiment.run import Job, Stage, perform, run_stage
+from gbid.experiment.stages.fit import FIT, fit_tasks
+from gbid.experiment.stages.prefilter import PREFILTER
+from gbid.experiment.stages.rig import RIG
 
 ROOT = Path(__file__).parents[1]
 T = TypeVar("T")

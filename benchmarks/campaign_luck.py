@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import gbid
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 from gbid.lpv import Estimates
 from gbid.rig import RotorBearingTruth, Scatter, scattered
 from gbid.structure import KEY_PARAMETERS

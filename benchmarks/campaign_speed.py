@@ -26,18 +26,14 @@ import numpy as np
 
 import gbid
 from benchmarks.fit_speed import processor
-from gbid.campaign.collect import collect
-from gbid.campaign.run import run_campaign, working
+from gbid.experiment.campaign import collect, run_campaign, working
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.keys import writing_keyed
+from gbid.experiment.fields import writing_keyed
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.outcome import Outcome
-from gbid.experiment.run.perform import perform
-from gbid.experiment.run.reporter import Silent
-from gbid.experiment.stages.fit.stage import fit_arguments
-from gbid.experiment.stages.fit.structures import make_structure
-from gbid.experiment.stages.rig.stage import rig_tasks
+from gbid.experiment.run import Job, Outcome, Silent, perform
+from gbid.experiment.stages.fit import fit_arguments
+from gbid.experiment.stages.rig import rig_tasks
+from gbid.experiment.structures import make_structure
 from gbid.identify import fit
 from gbid.recording import load_recording, save_recording
 

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.answer import Answer
 from benchmarks.case import N_STATES, SAMPLE_TIME, Samples
 from benchmarks.scaling import names, scales, start_state
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 
 _SQUARINGS = 8  # of a matrix whose norm, once balanced, is below 30
 _TERMS = 8

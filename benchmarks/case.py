@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from gbid import Recording, load_model
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 from gbid.structure import PiezoPair, RotorBearing, evaluate
 
 SAMPLE_TIME = 2e-4  # s, the paper's

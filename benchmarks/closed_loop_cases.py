@@ -12,7 +12,7 @@ import numpy as np
 import gbid
 from benchmarks.orbit import about_the_orbit
 from gbid.control import p_controller
-from gbid.control.loop.sampling import sample_controller
+from gbid.control.loop.close import sample_controller
 from gbid.rig import (
     FilmStiffening,
     Machine,

@@ -19,8 +19,8 @@ import numpy as np
 import gbid
 from benchmarks.closed_loop_cases import CASES, CONTROLLER, LoopCase
 from benchmarks.dual_youla import dual_youla
+from gbid.core.arrays import one_blas_thread
 from gbid.structure import KEY_PARAMETERS
-from gbid.threads import one_blas_thread
 
 STORED = Path(__file__).parents[1] / "docs" / "closed-loop.json"
 Found = tuple[Mapping[str, float], Mapping[str, float] | None, bool]
@@ -80,7 +80,7 @@ def measure(case: LoopCase, way: str, recordings: Sequence[gbid.Recording]) -> d
     for recording in recordings:
         try:
             values, std, converged = WAYS[way](recording)
-        except gbid.errors.GbidError:
+        except gbid.core.errors.GbidError:
             converged = False
         if not converged:
             failed += 1

@@ -16,7 +16,7 @@ import numpy as np
 
 import gbid
 from benchmarks.coverage_cases import CASES, OSCILLATORS, Case, Oscillator
-from gbid.threads import one_blas_thread
+from gbid.core.arrays import one_blas_thread
 
 LENGTHS = (1000, 5000, 25_000)
 TARGET = (0.92, 0.97)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 import gbid
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 from gbid.structure import LinearStructure, Parameter, evaluate
 
 SAMPLE_TIME = 0.005

@@ -14,13 +14,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 import gbid
-from gbid.campaign.run import run_campaign, working
+from gbid.core.tables import markdown_table
+from gbid.experiment.campaign import run_campaign, working
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.cycle.stage import made_rows
+from gbid.experiment.run import run_stage
+from gbid.experiment.stages.cycle import made_rows
 from gbid.experiment.stages.registry import STAGES
-from gbid.report.tables.loop_tables import cycle_documents, cycle_summary
-from gbid.tables.markdown import markdown_table
+from gbid.report.control_tables import cycle_documents, cycle_summary
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

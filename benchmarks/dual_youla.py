@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import gbid
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 from gbid.identify.data import Record
 from gbid.identify.predictor import Predictor, build_predictor
 from gbid.identify.start.black_box import black_box

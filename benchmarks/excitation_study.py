@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import gbid
-from gbid.errors import DataError
+from gbid.core.errors import DataError
 from gbid.excite import ExcitationLimits, KnownModel, expected_covariance, recording_length, rig_limits
 from gbid.rig import Machine, Played, Prbs, Scatter, SensorChain, Unbalance, record
 from gbid.structure import KEY_PARAMETERS, Plant, RotorBearing

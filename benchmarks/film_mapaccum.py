@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gbid import Recording
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 
 STEPS = 2
 """Runge-Kutta steps in a sample, as many as gbid takes for the same data."""

@@ -26,11 +26,11 @@ from ruamel.yaml import YAML
 
 import gbid
 from benchmarks.campaign_luck import ENOUGH, luck, luck_at_best
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 from gbid.lpv import Estimates
 from gbid.rig import FilmStiffening, Scatter
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.rotor_bearing import Film
+from gbid.structure.built_in import Film
 
 ROOT = Path(__file__).parents[1]
 STORED = ROOT / "docs" / "film.json"

@@ -11,11 +11,10 @@ import numpy as np
 from benchmarks.case import N_STATES, SAMPLE_TIME, STRUCTURE, Samples
 from gbid.identify.data import gather
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.engine import CompiledEngine, pattern_of
-from gbid.identify.kernel.kernel_pattern import KernelPattern
-from gbid.identify.kernel.sweep import block_sums, powers_of, sweep
+from gbid.identify.kernel.linear import CompiledEngine, KernelPattern, pattern_of
+from gbid.identify.kernel.sums import block_sums, powers_of, sweep
 from gbid.identify.predictor import build_predictor
-from gbid.identify.problem.assembly import automatic_window
+from gbid.identify.problem.assemble import automatic_window
 
 
 @dataclass(frozen=True)

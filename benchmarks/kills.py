@@ -118,7 +118,7 @@ class Case:
 
 def write_experiment(folder: Path, count: int, more: str) -> Path:
     """Write an experiment on files of a mass on a spring, one second or less each."""
-    from gbid.cli.templates import write_example_data
+    from gbid.cli.files import write_example_data
 
     (folder / "data").mkdir(parents=True)
     for i in range(1, count + 1):
@@ -199,7 +199,7 @@ def ended(process: int, seconds: float) -> int | None:
 
 def complete(results: Path) -> dict[str, tuple[str, int, int]]:
     """Return content key, inode and time of each result that is there."""
-    from gbid.experiment.keys import stored_key
+    from gbid.experiment.fields import stored_key
 
     found = {}
     for path in results.rglob("*"):

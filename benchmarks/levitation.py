@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import gbid
-from gbid.cli.example_data import write_held_bearing
-from gbid.share import share_folder
+from gbid.cli.files import write_held_bearing
+from gbid.core.files import share_folder
 from gbid.structure import load_structure
 
 TRUE = {"k_s": 4e4, "k_i": 60.0}

@@ -24,9 +24,9 @@ import numpy as np
 import gbid
 from benchmarks.film_mapaccum import STEPS, fit_with_mapaccum
 from gbid import NonlinearStructure, Parameter, Recording
+from gbid.core.arrays import one_blas_thread
 from gbid.structure import equations_of, nonlinear_model
 from gbid.structure.linear import symbolic_matrices
-from gbid.threads import one_blas_thread
 
 STORED = Path(__file__).parents[1] / "docs" / "nonlinear-speed.json"
 SAMPLE_TIME = 2e-4

@@ -16,6 +16,7 @@ from typing import Any
 
 import gbid
 from benchmarks.fit_speed import processor
+from gbid.core.arrays import one_blas_thread
 from gbid.rig import (
     FilmStiffening,
     FlexibleMode,
@@ -27,7 +28,6 @@ from gbid.rig import (
     Scatter,
     record,
 )
-from gbid.threads import one_blas_thread
 
 _N_RECORDINGS, _DURATION_S, _SETTLE_S = 86, 5.0, 0.5
 _POINTS = [(pressure, speed) for pressure in (3.0, 4.0, 5.0, 6.0, 7.0) for speed in (0.0, 4000.0, 6000.0)]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from benchmarks.case import N_STATES, STRUCTURE, Samples
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 
 
 def names() -> list[str]:

@@ -12,7 +12,7 @@ from scipy.signal import dlsim
 from benchmarks.answer import Answer
 from benchmarks.case import N_STATES, SAMPLE_TIME, Samples, sampled
 from benchmarks.scaling import names, scales, start_state
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 
 
 def continuous(p: Mapping[str, float]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

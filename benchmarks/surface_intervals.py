@@ -15,13 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 import gbid
-from gbid.arrays import FloatArray
-from gbid.lpv.surface_fit.mixed import sandwich, tempered_sandwich, with_scatter
-from gbid.lpv.surface_fit.regression import kron_designs
-from gbid.lpv.surface_fit.terms import Order, chosen_exponents, orthonormal
+from gbid.core.arrays import FloatArray
+from gbid.lpv.estimates import Order, chosen_exponents, orthonormal, sandwich, tempered_sandwich, with_scatter
+from gbid.lpv.regression import kron_designs
 from gbid.rig import RotorBearingTruth, Scatter, scattered
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.scheduling.monomials import monomials
+from gbid.structure.scheduled import monomials
 
 CAMPAIGNS = 200
 POINTS = [(float(p), n) for p in range(3, 8) for n in (0.0, 4000.0, 6000.0)]

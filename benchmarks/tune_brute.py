@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 import gbid
-from gbid.arrays import FloatArray
 from gbid.control import p_controller
+from gbid.core.arrays import FloatArray
 
 COARSE = np.concatenate([[0.0], np.geomspace(3.0, 2000.0, 60)])
 FINE = np.concatenate([[0.0], np.geomspace(0.5, 5000.0, 1500)])

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from benchmarks.known_loops import KnownLoop, delayed_pd, integrators, two_masses, two_masses_canonical
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 
 METHODS = ("CMA-ES", "differential evolution", "Nelder-Mead")
 

@@ -17,7 +17,7 @@ import gbid
 from benchmarks.fit_speed import processor
 from benchmarks.tune_brute import Loops, brute_force
 from benchmarks.tune_others import compare, others_table
-from gbid.threads import one_blas_thread
+from gbid.core.arrays import one_blas_thread
 
 _ONE = [(6.0, 0.0)]
 _CAPS = (None, 2.6)

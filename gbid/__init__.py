@@ -28,9 +28,12 @@ if TYPE_CHECKING:
         sensitivities,
         validate_impact,
     )
-    from gbid.control.assessment.assess import assess
+    from gbid.control.assess import assess
     from gbid.control.tuning.tune import tune
     from gbid.excite import Excitation, ExcitationLimits, KnownModel, design_excitation
+    from gbid.export.matlab import save_mat
+    from gbid.export.ross import from_ross
+    from gbid.export.tables import save_csv
     from gbid.identify import (
         DelayEstimate,
         FitProblem,
@@ -48,13 +51,9 @@ if TYPE_CHECKING:
         save_fit,
     )
     from gbid.identify.fit import fit
-    from gbid.interchange import from_ross, save_csv, save_mat
     from gbid.lpv import LPVFit, LPVModel, fit_lpv, fit_lpv_direct, load_lpv_fit, load_model, lpv_of, save_lpv_fit
-    from gbid.prefilter.align import align_index
-    from gbid.prefilter.compare import compare_runout
-    from gbid.prefilter.identify_runout import identify_runout
-    from gbid.prefilter.online import OnlinePrefilter
-    from gbid.prefilter.prefilter import prefilter
+    from gbid.prefilter.identify_runout import align_index, compare_runout, identify_runout
+    from gbid.prefilter.prefilter import OnlinePrefilter, prefilter
     from gbid.recording import Recording, import_recording, load_recording, save_recording, with_unbalance
     from gbid.structure import (
         ClosedLoop,
@@ -189,7 +188,7 @@ _HOME = {
             "estimate_delay",
         ),
     ),
-    "interchange": ("from_ross", "save_csv", "save_mat"),
+    "export": ("from_ross", "save_csv", "save_mat"),
     "lpv": (
         *("LPVFit", "LPVModel", "fit_lpv", "fit_lpv_direct"),
         *("load_lpv_fit", "load_model", "lpv_of", "save_lpv_fit"),

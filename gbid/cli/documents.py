@@ -2,36 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from gbid.core.tables import Table
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.outcome import Outcome
-from gbid.experiment.stages.crossval.rows import CrossvalRow
-from gbid.experiment.stages.crossval.stage import SUMMARY, crossval_rows
-from gbid.experiment.stages.fit.stage import load_made_fit
-from gbid.experiment.stages.fit.structures import make_structure
-from gbid.experiment.stages.fit.truth import true_model, true_values
-from gbid.experiment.stages.impact.stage import made_impacts
-from gbid.experiment.stages.lpv.stage import made_surfaces
-from gbid.experiment.stages.nominal.stage import nominal_of
-from gbid.experiment.stages.rig.model import rig_model
-from gbid.experiment.stages.static.stage import load_made_static
-from gbid.experiment.stages.tune.stage import made_designs
+from gbid.experiment.machine import rig_model, true_model, true_values
+from gbid.experiment.run import Document, Job, Outcome, Stage, View, outcomes_view
+from gbid.experiment.stages.crossval import SUMMARY, CrossvalRow, crossval_rows
+from gbid.experiment.stages.cycle import made_rows
+from gbid.experiment.stages.fit import load_made_fit
+from gbid.experiment.stages.impact import made_impacts
+from gbid.experiment.stages.loop import made_costs
+from gbid.experiment.stages.lpv import made_surfaces
+from gbid.experiment.stages.nominal import nominal_of
+from gbid.experiment.stages.static import load_made_static
+from gbid.experiment.stages.tune import made_designs
+from gbid.experiment.structures import make_structure
 from gbid.identify import FitTable
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording
-from gbid.report.tables.fit_document import fit_document
-from gbid.report.tables.impact_tables import impact_document
-from gbid.report.tables.lpv_tables import lpv_documents
-from gbid.report.tables.recording_tables import prefilter_rows
-from gbid.report.tables.static_tables import static_document
-from gbid.report.tables.tuning_tables import tuning_documents
-from gbid.report.tables.validation_tables import nominal_document, summary_document
+from gbid.report.control_tables import (
+    cycle_documents,
+    cycle_summary,
+    impact_document,
+    impact_tables,
+    loop_documents,
+    loop_tables,
+    tuning_documents,
+    tuning_tables,
+)
+from gbid.report.fit_tables import (
+    crossval_table,
+    fit_tables,
+    lpv_documents,
+    lpv_table,
+    nominal_document,
+    nominal_table,
+    static_document,
+    static_table,
+    summary_document,
+    validation_table,
+)
+from gbid.report.read import fit_document, prefilter_rows, prefilter_table, recording_table
 from gbid.validate import load_validation_summary
 
 
@@ -178,3 +194,77 @@ def surface_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, A
 def design_documents(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Return documents of the tuned designs; failed ones are left out."""
     return tuning_documents(outcomes, made_designs(outcomes))
+
+
+# ---- Views of the stages that come with gbid; their tables are those of the report.
+
+_ROWS = 60  # of a cross-validation; more are in its CSV file only
+
+
+def view_of(stage: Stage) -> View:
+    """Return the view of a stage; one that has none shows its outcomes."""
+    return stage.view or VIEWS.get(stage.name) or outcomes_view(stage.name, stage.section)
+
+
+def _recordings(job: Job, outcomes: Sequence[Outcome]) -> Document:
+    return {"recordings": recording_documents(job.experiment, outcomes)}
+
+
+def _fit_tables(document: Document) -> list[Table]:
+    return [table for fit in document["fits"] for table in fit_tables(f"{fit['fit']}, {fit['model']}", fit)]
+
+
+def _validation_tables(document: Document) -> Iterable[Table]:
+    """Pairs of each fit, unless they are many, and their summary."""
+    for summary in document["crossval_summary"]:
+        own = [row for row in document["crossval"] if row["fit"] == summary["fit"]]
+        if len(own) <= _ROWS:
+            yield crossval_table(summary["fit"], own)
+        yield validation_table(summary)
+
+
+def _one(key: str, table: Callable[[Any], Table]) -> Callable[[Document], list[Table]]:
+    """Give the table of an entry, none when it is empty."""
+    return lambda document: [table(document[key])] if document[key] else []
+
+
+_OF_RECORDINGS = View(_recordings, _one("recordings", recording_table))
+
+VIEWS: Mapping[str, View] = {
+    "rig": _OF_RECORDINGS,
+    "import": _OF_RECORDINGS,
+    "prefilter": View(
+        lambda _, outcomes: {"prefilter": prefilter_documents(outcomes)}, _one("prefilter", prefilter_table)
+    ),
+    "fit": View(lambda job, outcomes: {"fits": fit_documents(job, outcomes)}, _fit_tables),
+    "loop": View(lambda *_: {}, lambda _: []),  # its designs are shown with the others
+    "loop cost": View(
+        lambda job, _: {"loops": loop_documents(made_costs(job))},
+        lambda document: loop_tables(document["loops"]),
+    ),
+    "static": View(
+        lambda job, outcomes: {"static": static_documents(job, outcomes)},
+        lambda document: map(static_table, document["static"]),
+    ),
+    "crossval": View(validation_documents, _validation_tables),
+    "nominal": View(
+        lambda job, outcomes: {"nominal": nominal_document_of(job, outcomes)}, _one("nominal", nominal_table)
+    ),
+    "lpv": View(
+        lambda job, outcomes: {"lpv": surface_documents(job, outcomes)},
+        lambda document: map(lpv_table, document["lpv"]),
+    ),
+    "tune": View(
+        lambda _, outcomes: {"tuning": design_documents(outcomes)},
+        lambda document: tuning_tables(document["tuning"]),
+    ),
+    "impact": View(
+        lambda job, outcomes: {"impacts": impact_documents(job, outcomes)},
+        lambda document: impact_tables(document["impacts"]),
+    ),
+    "cycle": View(
+        lambda job, _: {"cycle": cycle_documents(made_rows(job))},
+        _one("cycle", cycle_summary),
+    ),
+}
+"""By the name of the stage."""

@@ -15,9 +15,8 @@ from types import FrameType
 
 import typer
 
-from gbid.cli.printing import print_json
-from gbid.cli.telling import tell
-from gbid.errors import GbidError, from_interrupt
+from gbid.cli.printing import print_json, tell
+from gbid.core.errors import GbidError, from_interrupt
 
 INTERRUPTED = 130
 _SOON_S = 0.2

@@ -8,23 +8,11 @@ from typing import Annotated
 import typer
 
 from gbid._version import __version__
-from gbid.cli.batch import batch
-from gbid.cli.check import check
-from gbid.cli.clean import clean
-from gbid.cli.doctor import doctor
-from gbid.cli.explaining import explain
-from gbid.cli.exporting import export
-from gbid.cli.figures import figures
-from gbid.cli.fit import fit
-from gbid.cli.groups import DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
-from gbid.cli.importing import import_recordings
-from gbid.cli.new import new
-from gbid.cli.report import report
-from gbid.cli.reproduce import reproduce
-from gbid.cli.run import run
-from gbid.cli.schema import schema
-from gbid.cli.serving import serve
-from gbid.cli.stage_verbs import STAGE_VERBS, command_of
+from gbid.cli.about import check, doctor, explain, schema
+from gbid.cli.files import clean, export, import_recordings, new
+from gbid.cli.options import DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
+from gbid.cli.results import figures, report, reproduce, serve
+from gbid.cli.verbs import STAGE_VERBS, batch, command_of, fit, run
 
 app = typer.Typer(
     name="gbid",
@@ -125,7 +113,7 @@ app.command(
 
 
 def main() -> None:
-    """Run the command line; the exit codes are those of `gbid.errors`."""
+    """Run the command line; the exit codes are those of `gbid.core.errors`."""
     try:
         app(prog_name="gbid")
     except KeyboardInterrupt:  # outside of a verb: while the command line is read

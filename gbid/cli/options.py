@@ -2,12 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from gbid.cli.completion import complete_experiment
+# ---- Shell completion: YAML files and folders.
+
+
+def files_ending(*endings: str) -> Callable[[str], list[str]]:
+    """Return a function that completes the beginning of a path by folders and files with one of the endings."""
+
+    def complete(incomplete: str) -> list[str]:
+        written, slash, begun = incomplete.rpartition("/")
+        folder = Path(written + slash).expanduser() if slash else Path()
+        try:
+            found = sorted(folder.iterdir())
+        except OSError:
+            return []
+        offered = []
+        for path in found:
+            if path.name.startswith(begun) and (begun.startswith(".") or not path.name.startswith(".")):
+                if path.is_dir():
+                    offered.append(f"{written}{slash}{path.name}/")
+                elif path.suffix in endings:
+                    offered.append(f"{written}{slash}{path.name}")
+        return offered
+
+    return complete
+
+
+complete_experiment = files_ending(".yaml", ".yml")
+complete_source = files_ending(".yaml", ".yml", ".h5")
+
 
 ExperimentPath = Annotated[
     Path,
@@ -39,3 +68,34 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no a
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="A line for each item and each iteration.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+
+# ---- Overview of `gbid --help`: verbs in groups, and examples to copy.
+
+START, DATA, IDENTIFY, CONTROL, REPORT = "Start", "Data", "Identify", "Control", "Report"
+GROUPS = (START, DATA, IDENTIFY, CONTROL, REPORT)
+"""Groups in the order of the work; a verb names its group as `rich_help_panel`."""
+
+
+class GroupedCommands(TyperGroup):
+    """Command group that lists the verbs by group, each with its whole first sentence."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the groups in their order; verbs without group come last."""
+        rows: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
+        for name in self.list_commands(ctx):
+            command = self.get_command(ctx, name)
+            if command is not None and not command.hidden:
+                group = getattr(command, "rich_help_panel", None)
+                group = group if isinstance(group, str) else "Other"
+                rows.setdefault(group, []).append((name, command.get_short_help_str(200)))
+        width = max(len(name) for group in rows.values() for name, _ in group)
+        for group, lines in rows.items():
+            if lines:
+                with formatter.section(group):
+                    formatter.write_dl([(f"{name:{width}}", text) for name, text in lines])
+
+
+def examples(*lines: str) -> str:
+    """Return an epilog with command lines, one per line."""
+    return "\n".join(["\b", "Examples:", *(f"  {line}" for line in lines)])

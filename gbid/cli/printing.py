@@ -4,16 +4,33 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from gbid.cli.telling import tell
+from gbid.core.names import printable
 
 if TYPE_CHECKING:
-    from gbid.tables.table import Table
+    from gbid.core.tables import Table
+
+
+# ---- Lines for people on standard error; what a terminal would act on is shown as its code.
+
+
+def tell(text: str) -> None:
+    """Print lines on standard error.
+
+    Parameters
+    ----------
+    text : str
+        One or several lines.
+    """
+    for line in text.split("\n"):
+        print(printable(line), file=sys.stderr, flush=True)  # noqa: T201
+
 
 _PIPE_WIDTH = 140
 
@@ -33,7 +50,7 @@ def print_tables(*tables: Table) -> None:
     """Print tables, an empty line below each; into a pipe with a width at which no cell is cut."""
     from rich.console import Console
 
-    from gbid.tables.terminal import terminal_table
+    from gbid.core.tables import terminal_table
 
     console = Console(highlight=False)
     if not console.is_terminal:

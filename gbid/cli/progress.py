@@ -2,23 +2,281 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
 
-from gbid.cli.causes import in_short, not_made
-from gbid.cli.live import LiveLine
-from gbid.cli.progress_line import ProgressLine, outcome_line
-from gbid.cli.tally import Tally
-from gbid.cli.telling import tell
-from gbid.experiment.run.outcome import Outcome
-from gbid.experiment.run.reporter import Reporter, Silent
+from gbid.cli.printing import tell
+from gbid.core.names import printable
+from gbid.experiment.run import Outcome, Reporter, Silent
 
 if TYPE_CHECKING:
-    from gbid.control.tuning.search.step import SearchStep
+    from gbid.control.tuning.problem import SearchStep
     from gbid.identify import Progress
+
+
+# ---- Progress of a stage with many items: done, running, failed, time left, worst fit so far.
+
+MANY = 12
+"""Largest number of items for which each has a line of its own in the progress."""
+
+
+NAMED = 10
+"""Largest number of failures of a stage with many items that are printed at once; the end lists all."""
+
+
+class Tally:
+    """Counts of the outcomes of one stage.
+
+    Parameters
+    ----------
+    stage : str
+        Name of the stage.
+    todo, there, failed : int
+        Numbers of items to make, existing, and failed before.
+    """
+
+    def __init__(self, stage: str = "", todo: int = 0, there: int = 0, failed: int = 0) -> None:
+        self.stage, self.todo, self.there, self.before = stage, todo, there, failed
+        self.done = self.failed = self.stuck = 0
+        self._running: set[str] = set()
+        self.worst, self.worst_item = math.inf, ""
+        self._began = time.monotonic()
+
+    @property
+    def many(self) -> bool:
+        """Whether the stage has many items."""
+        return self.todo + self.there + self.before > MANY
+
+    @property
+    def running(self) -> int:
+        """Number of items in progress."""
+        return len(self._running)
+
+    def begin(self, stage: str, item: str) -> None:
+        """Count the start of an item, once also when it starts again."""
+        if stage == self.stage:
+            self._running.add(item)
+
+    def end(self, outcome: Outcome) -> None:
+        """Count the outcome of an item."""
+        if outcome.stage != self.stage:
+            return
+        if outcome.item in self._running:  # existing and failed items and those without input were not started
+            self._running.remove(outcome.item)
+            self.done += 1
+            self.failed += outcome.state == "failed"
+        self.stuck += outcome.state != "failed" and not outcome.converged
+        if outcome.fit_percent < self.worst:
+            self.worst, self.worst_item = outcome.fit_percent, outcome.item
+
+    def is_named(self, outcome: Outcome) -> bool:
+        """Return whether an outcome gets its own line: the first failures of a stage, or all when it has few items."""
+        if not self.many or outcome.stage != self.stage:
+            return True
+        listed = outcome.before or outcome.cause == "input"
+        return outcome.state == "failed" and not listed and self.failed <= NAMED
+
+    def opening(self) -> str:
+        """Return the numbers of items to make, existing, and failed before, as text."""
+        parts = [f"{self.todo} to make"]
+        parts += [f"{self.there} there"] if self.there else []
+        parts += [f"{self.before} failed already"] if self.before else []
+        return f"{self.stage}: {', '.join(parts)}"
+
+    def pace(self) -> str:
+        """Return the rate and the time left as text; empty before the first item is done."""
+        passed = time.monotonic() - self._began
+        if not 0 < self.done < self.todo or passed <= 0:
+            return ""
+        return f"{rate(self.done / passed)}, {_duration(passed / self.done * (self.todo - self.done))} left"
+
+    def text(self) -> str:
+        """Return the state of the stage as text."""
+        parts = [f"{self.stage}: {self.done} of {self.todo} done"]
+        parts += [f"{self.running} running"] if self.running else []
+        parts += [f"{self.failed} failed"] if self.failed else []
+        parts += [f"{self.stuck} not converged"] if self.stuck else []
+        if 0 < self.done < self.todo:
+            parts.append(self.pace())
+        if self.done == self.todo:
+            parts.append(_duration(time.monotonic() - self._began))
+        if math.isfinite(self.worst):
+            parts.append(f"worst fit {self.worst:.1f} % ({self.worst_item})")
+        return ", ".join(parts)
+
+
+def rate(per_second: float) -> str:
+    """Return a number of items in a second or a minute as text."""
+    number, unit = (per_second, "s") if per_second >= 1 else (60 * per_second, "min")
+    return f"{number:.{0 if number >= 10 else 1}f}/{unit}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+# ---- Lines of progress in words: an iteration of a fit, a step of a search, the outcome of an item.
+
+
+class ProgressLine:
+    """Progress of one item; a fit may be tried from several starts or with several windows.
+
+    Parameters
+    ----------
+    label : str
+        Name of the item.
+    """
+
+    def __init__(self, label: str = "") -> None:
+        self.label, self._tries, self._began = label, 0, time.monotonic()
+
+    def of(self, progress: Progress) -> str:
+        """Return iteration, cost and step of the solver as text."""
+        self._tries += progress.iteration == 0
+        which = f", try {self._tries}" if self._tries > 1 else ""
+        step = f", step {progress.sigma:.1g} std" if math.isfinite(progress.sigma) else ""
+        where = f"iteration {progress.iteration}, cost {progress.cost:.5g}, gap {progress.gap:.0e}"
+        return f"{self.label}{which}: {where}{step}"
+
+    def of_search(self, step: SearchStep) -> str:
+        """Return stage, evaluations and best value of a search for gains as text."""
+        excess = f", limits exceeded by {100 * step.violation:.2g} %" if step.violation > 0 else ""
+        passed = time.monotonic() - self._began
+        pace = f" ({rate(step.count / passed)})" if passed > 1 else ""
+        return f"{self.label}: {step.stage}, {step.count} designs{pace}, best {step.value:.5g}{excess}"
+
+
+def outcome_line(outcome: Outcome) -> str:
+    """Return the outcome of an item as text."""
+    took = f" ({outcome.seconds:.1f} s)" if outcome.state == "made" else ""
+    state = "failed before" if outcome.before else outcome.state
+    why = f": {outcome.text}" if outcome.text else ""
+    return f"{outcome.stage} {outcome.item}: {state}{took}{why}"
+
+
+# ---- Line at the bottom of a terminal that is updated: a spinner, a bar, and what is being done.
+
+_BAR = 16  # characters
+
+
+class LiveLine:
+    """Line that is updated on standard error, with finished lines above it. It is a context.
+
+    Parameters
+    ----------
+    console : rich.console.Console, optional
+        Console to write to; by default standard error. rich leaves the colours out where NO_COLOR is set.
+    """
+
+    def __init__(self, console: Any = None) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+        from rich.table import Column
+
+        self._console = console or Console(stderr=True, highlight=False)
+        text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
+        more = TextColumn("{task.fields[more]}", markup=False, table_column=Column(no_wrap=True))
+        columns = (SpinnerColumn(), BarColumn(_BAR), more, text)
+        self._progress = Progress(*columns, console=self._console, transient=True)
+        self._task = self._progress.add_task("", total=None, more="")
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def begin(self, total: int) -> None:
+        """Begin a bar of so many items; without any it only moves."""
+        self._progress.update(self._task, total=total or None, completed=0, description="", more="")
+
+    def show(self, text: str | None, done: int, more: str = "") -> None:
+        """Show a text, None for the one that is there, the number of items done, and a remark beside the bar."""
+        self._progress.update(self._task, completed=done)
+        if text is not None:
+            self._progress.update(self._task, description=printable(text), more=more)
+
+    def say(self, text: str) -> None:
+        """Print a line above."""
+        self._console.print(printable(text), markup=False, soft_wrap=True)
+
+
+# ---- Causes of results that were not made: what failed first, and what is missing because of it.
+
+_LISTED = 10  # largest number of failures that are listed one by one; all are in the JSON document
+_NOUNS = {"rig": "recording", "import": "recording", "prefilter": "recording", "fit": "model", "figure": "figure"}
+
+
+def is_first_cause(outcome: Outcome) -> bool:
+    """Return whether a result failed by itself, not because its input is missing."""
+    return outcome.state == "failed" and outcome.cause != "input"
+
+
+def in_short(failed: Iterable[Outcome]) -> str:
+    """Return which results failed by themselves, such as ``import of 6 recordings failed``; empty without any."""
+    counts = Counter(outcome.stage for outcome in failed if is_first_cause(outcome))
+    return " and ".join(f"{stage} of {counted(stage, count)} failed" for stage, count in counts.items())
+
+
+def counted(stage: str, count: int) -> str:
+    """Return a number of results of a stage in words."""
+    return f"{count} {_NOUNS.get(stage, 'result')}{'s' * (count != 1)}"
+
+
+def not_made(stage: str, count: int, why: str) -> str:
+    """Return the line on the results of a stage whose inputs failed or are missing."""
+    return f"{stage}: {counted(stage, count)} not made: {why}"
+
+
+def causes_in_words(failed: Sequence[Outcome], code_of: int, codes: Mapping[str, int]) -> list[str]:
+    """Return the lines on what failed by itself; the last one is the first failure with the exit code.
+
+    Results whose inputs failed in the same run are left out: the progress has told of them. Where nothing failed by
+    itself, the inputs were missing before, and each stage has a line with the first of its reasons, or
+    with the name of its only result.
+
+    Parameters
+    ----------
+    failed : sequence of Outcome
+        Failed outcomes, in the order of the run.
+    code_of : int
+        Exit code of the command.
+    codes : dict of str to int
+        Exit code by cause; others are bad data.
+    """
+    roots = [outcome for outcome in failed if is_first_cause(outcome)]
+    if not roots:
+        counts = Counter(outcome.stage for outcome in failed)
+        firsts = {outcome.stage: outcome for outcome in reversed(failed)}
+        return [
+            _line(firsts[stage]) if count == 1 else f"error: {not_made(stage, count, firsts[stage].text)}"
+            for stage, count in reversed(counts.items())
+        ]
+    first = next((o for o in roots if codes.get(o.cause) == code_of), roots[0])
+    rest = [outcome for outcome in roots if outcome is not first]
+    lines = [_line(outcome) for outcome in rest[:_LISTED]]
+    if len(rest) > _LISTED:
+        lines.append(f"error: {len(rest) - _LISTED} more failed; `--json` lists all")
+    return [*lines, _line(first)]
+
+
+def _line(outcome: Outcome) -> str:
+    word = "defect" if outcome.cause == "defect" else "error"
+    again = " (failed in an earlier run; use --retry to try again)" if outcome.before else ""
+    return f"{word}: {outcome.stage} {outcome.item}: {outcome.text}{again}"
+
 
 EVERY = 10
 """Iterations between plain lines."""

@@ -2,26 +2,219 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gbid.campaign.run import working
-from gbid.cli.dry_run import print_plan
-from gbid.cli.ending import finish, outcome_rows
-from gbid.cli.manner import Manner
-from gbid.cli.printing import print_json, print_notes, print_tables
-from gbid.cli.progress import reporting
-from gbid.cli.views import view_of
-from gbid.errors import UsageError
-from gbid.experiment.changed_files import changed_files
-from gbid.experiment.experiment import Experiment
+import typer
+
+from gbid.cli.documents import view_of
+from gbid.cli.printing import print_json, print_notes, print_tables, tell
+from gbid.cli.progress import causes_in_words, reporting
+from gbid.core.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
+from gbid.core.tables import Column, Table
+from gbid.experiment.campaign import working
+from gbid.experiment.experiment import Experiment, changed_files
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.outcome import Outcome
-from gbid.experiment.run.stage import Stage, run_stage
+from gbid.experiment.run import Job, Outcome, Stage, Task, run_stage, standing
 from gbid.experiment.stages import registry
+
+# ---- Command that one would sensibly give next, from the sections that an experiment has.
+
+_ORDER: Mapping[str, Callable[[Any], object]] = {
+    "check": lambda _: True,
+    "rig": lambda spec: spec.rig,
+    "import": lambda spec: spec.imported,
+    "static": lambda spec: spec.static,
+    "fit": lambda spec: spec.fits,
+    "crossval": lambda spec: spec.crossval,
+    "lpv": lambda spec: spec.lpv,
+    "excite": lambda spec: spec.excite,
+    "tune": lambda spec: spec.controller,
+    "impact": lambda spec: spec.impacts,
+    "cycle": lambda spec: spec.cycle,
+    "report": lambda _: True,
+    "export": lambda spec: spec.fits or spec.lpv or spec.controller,
+}
+"""Verbs in the order of the work, with what an experiment must have for them."""
+_LIKE = {"batch": "fit", "run": "report", "figures": "cycle", "reproduce": "cycle"}
+
+
+def next_step(experiment: Experiment, verb: str) -> str:
+    """Return the command that follows a verb; empty after the last one.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    verb : str
+        The verb that has just ended well.
+    """
+    path = experiment.file.path
+    if verb == "check":
+        return f"gbid run {path}"
+    if verb == "run" and experiment.spec.cycle is not None and not experiment.spec.cycle.in_run:
+        return f"gbid cycle {path}"
+    verbs = list(_ORDER)
+    for later in verbs[verbs.index(_LIKE.get(verb, verb)) + 1 :]:
+        if _ORDER[later](experiment.spec):
+            target = " --to c" if experiment.spec.controller else " --to matlab"
+            return f"gbid {later} {path}{target if later == 'export' else ''}"
+    return ""
+
+
+# ---- Manner of a verb: how much it says, and whether it does anything.
+
+
+@dataclass(frozen=True)
+class Manner:
+    """Options of a verb that do not change its results.
+
+    Attributes
+    ----------
+    verb : str
+        Name of the verb.
+    as_json : bool
+        Whether the results are printed as one JSON document.
+    quiet, verbose : bool
+        Whether there is no progress and no advice, or a line for each item and iteration.
+    dry_run : bool
+        Whether it only says what would be made.
+    """
+
+    verb: str
+    as_json: bool = False
+    quiet: bool = False
+    verbose: bool = False
+    dry_run: bool = False
+
+    def advice(self, experiment: Experiment) -> str:
+        """Return the command that one would sensibly give next; empty when nothing is to be said."""
+        return "" if self.quiet else next_step(experiment, self.verb)
+
+
+# ---- Exit code of a verb, and its messages about failed items.
+
+_MISSED = 20  # largest number of pairs below the minimum that are listed
+_CODES = {"defect": GbidError.exit_code, "usage": UsageError.exit_code}
+
+
+def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Return outcomes as plain rows."""
+    return [
+        {
+            "stage": o.stage,
+            "item": o.item,
+            "state": o.state,
+            "path": str(o.path),
+            "converged": o.converged,
+            "text": o.text,
+            "cause": o.cause,
+            "failed_before": o.before,
+        }
+        for o in outcomes
+    ]
+
+
+def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] = (), advice: str = "") -> None:
+    """Say on standard error what failed, and end with the exit code: the lowest that applies, or 0.
+
+    The last line is the first cause. Results whose inputs failed in this run have no lines of their own.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+        Outcomes of the verb.
+    validated : sequence of dict
+        Rows of cross-validations as documents.
+    advice : str
+        Command to give next when all went well; empty for none.
+    """
+    failed = [o for o in outcomes if o.state == "failed"]
+    stuck = [o for o in outcomes if o.state != "failed" and not o.converged]
+    missed = [row for row in validated if row["missed"]]
+    code = _exit_code(failed, stuck, missed)
+    for o in stuck:
+        tell(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})")
+    for row in sorted(missed, key=lambda row: row["fit_percent"])[:_MISSED]:
+        tell(
+            f"gbid: error: crossval {row['fit']}: model of {row['model']} on {row['recording']}: "
+            f"{row['output']} {row['fit_percent']:.2f} %, below the minimum of {row['minimum_percent']:g} %; "
+            "look at its figures (`residuals: true`), or lower minimum_percent"
+        )
+    if len(missed) > _MISSED:
+        tell(f"gbid: error: crossval: {len(missed)} pairs below the minimum; the worst are listed")
+    for line in causes_in_words(failed, code, _CODES):
+        tell(f"gbid: {line}")
+    if code:
+        raise typer.Exit(code)
+    if advice:
+        tell(f"next: {advice}")
+
+
+def _exit_code(failed: Sequence[Outcome], stuck: Sequence[Outcome], missed: Sequence[Mapping[str, Any]]) -> int:
+    found = [_CODES.get(o.cause, DataError.exit_code) for o in failed]
+    found += [NotConvergedError.exit_code] * bool(stuck) + [ThresholdError.exit_code] * bool(missed)
+    return min(found, default=0)
+
+
+# ---- What a verb would make, without making it: `--dry-run`.
+
+_COLUMNS = (Column("stage"), Column("to make", format="d"), Column("there", format="d"), Column("failed", format="d"))
+_LATER = "what is to be made is known when the stages before have run"
+
+
+def print_plan(
+    experiment: Experiment, stages: Sequence[Stage], as_json: bool, *, overwrite: bool = False, retry: bool = False
+) -> None:
+    """Print how many results of each stage are to be made, are there, and failed before; nothing is locked or written.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    stages : sequence of Stage
+        Stages of the verb, in their order.
+    as_json : bool
+        Whether it is printed as a JSON document.
+    overwrite, retry : bool
+        Options of the verb.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings exists and must not be replaced.
+    """
+    rows = plan_rows(Job(experiment, overwrite, retry=retry), stages)
+    if as_json:
+        print_json({"experiment": experiment.spec.name, "results": experiment.results, "plan": rows})
+        return
+    unknown = [row["stage"] for row in rows if row["to_make"] is None]
+    notes = [f"results: {experiment.results}", *([f"{', '.join(unknown)}: {_LATER}"] if unknown else [])]
+    table = [[row["stage"], row["to_make"], row["there"], row["failed"]] for row in rows]
+    print_tables(Table("nothing is made: --dry-run", _COLUMNS, table, notes))
+
+
+def plan_rows(job: Job, stages: Sequence[Stage]) -> list[dict[str, Any]]:
+    """Return the counts of each stage that the experiment names; None where earlier stages have to run first."""
+    rows: list[dict[str, Any]] = []
+    pending = False
+    for stage in stages:
+        if not job.experiment.file.data.get(stage.section):
+            continue
+        if pending and not stage.early:
+            rows.append({"stage": stage.name, "to_make": None, "there": None, "failed": None})
+            continue
+        work = stage.tasks(job)
+        known = [standing(job, item) for item in work if isinstance(item, Task)]
+        states = [outcome.state for outcome in known if outcome is not None]
+        missing = known.count(None)
+        failed = states.count("failed") + sum(not isinstance(item, Task) for item in work)
+        rows.append({"stage": stage.name, "to_make": missing, "there": states.count("kept"), "failed": failed})
+        pending = pending or missing > 0
+    return rows
 
 
 @contextmanager
@@ -41,7 +234,7 @@ def opened(
     hint : str
         Further advice when the YAML has none of the sections.
     **options
-        Options of `gbid.campaign.run.working`.
+        Options of `gbid.experiment.campaign.working`.
 
     Raises
     ------

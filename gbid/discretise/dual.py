@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid.arrays import FloatArray
+from gbid.core.arrays import FloatArray
 
 
 class Dual:

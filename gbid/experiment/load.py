@@ -2,20 +2,83 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import importlib
+import inspect
+import re
+import shutil
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
-from gbid.errors import UsageError
-from gbid.experiment.checks import find_experiment_problems
-from gbid.experiment.experiment import Experiment
-from gbid.experiment.problems import ExperimentError, Location, Problem, dotted, in_file_order, schema_text
+from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.names import file_stem, given_path
+from gbid.core.tables import file_size
+from gbid.core.yaml_file import read_yaml
+from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, planned_recordings
+from gbid.experiment.fields import ExperimentError, Found, Location, Problem, dotted, in_file_order, schema_text
+from gbid.experiment.recordings import data_file, mapping_of
 from gbid.experiment.schema import ExperimentFile
-from gbid.naming.paths import file_stem, given_path
-from gbid.yaml_file import read_yaml
+from gbid.experiment.stages import registry
+from gbid.experiment.structures import fit_disturbances, structure_or_none
+from gbid.identify.problem.states import initial_states
+from gbid.recording import ImportMapping
+from gbid.recording.importing import Peek, peek
+from gbid.structure import anatomy
+
+# ---- Checks of an experiment across its sections: each check is a function that yields the problems it finds.
+
+
+def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str]]:
+    """Return the problems that all checks find.
+
+    A check stays silent about values that another check reports as missing.
+
+    Returns
+    -------
+    list of (location, text)
+        Location in the YAML and text of each problem, without duplicates.
+    """
+    found: list[tuple[Location, str]] = []
+    checks = [check for stage in registry.STAGES for check in stage.checks]
+    for check in (has_recordings, names_are_unique, *checks):
+        found += check(experiment)
+    return list(dict.fromkeys(found))
+
+
+def has_recordings(experiment: Experiment) -> Found:
+    """Yield a problem when the experiment has no recordings."""
+    spec = experiment.spec
+    if spec.rig is None and spec.imported is None:
+        yield (), "no recordings: add a rig section (virtual rig) or an import section (files of your own)"
+    elif spec.rig is not None and not (experiment.recordings or spec.impacts or spec.controller):
+        yield ("rig",), "makes no recordings; set recordings of prbs or stationary to at least 1"
+
+
+def names_are_unique(experiment: Experiment) -> Found:
+    """Yield a problem for each recording whose name another recording has already."""
+    planned = list(planned_recordings(experiment.spec, experiment.imports.files))
+    counts = Counter(q.name for q in planned)
+    seen: set[str] = set()
+    rig = experiment.spec.rig
+    points = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points] if rig else []
+    twice: dict[Location, int] = {
+        ("rig", "operating_points", i): points.index(point) for i, point in enumerate(points) if points.index(point) < i
+    }
+    for here, first in twice.items():
+        yield here, f"the same operating point as operating_points[{first}]; delete one of the two"
+    for q in planned:
+        if q.location in twice:
+            continue  # reported above, once for all recordings of the point
+        if counts[q.name] > 1 and q.name in seen:
+            where = (*q.location, "name") if q.imported and "recordings" in q.location else q.location
+            yield where, f"a second recording named {q.name!r}; each needs a name (or operating point) of its own"
+        seen.add(q.name)
 
 
 def load_experiment(path: str | Path, results: str | Path | None = None) -> Experiment:
@@ -89,3 +152,214 @@ def _without(data: Any, locations: Sequence[Location]) -> Any:
 def _touches(location: Location, others: Sequence[Location]) -> bool:
     """Return whether a problem may come from a removed value: at the same key, or at one above or below it."""
     return any(location[: len(other)] == other[: len(location)] for other in others)
+
+
+# ---- JSON schema of the experiment YAML, generated from the models that check it.
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_SEE = re.compile(r"see `(gbid\.[\w.]+)`")
+_UNIT = re.compile(r"_(m|s|rad|hz)$")
+
+
+def experiment_json_schema() -> dict[str, Any]:
+    """Return the JSON schema of the experiment YAML, ready for ``json.dumps``.
+
+    The description of a section is its docstring. When the docstring names the function or class of gbid that takes
+    the keys ("see `gbid.fit`"), the description of a key is that of the argument with the same name.
+
+    Returns
+    -------
+    dict
+        JSON schema, draft 2020-12.
+    """
+    schema = ExperimentFile.model_json_schema(by_alias=True, mode="validation")
+    for section in (schema, *schema.get("$defs", {}).values()):
+        words = section.get("description", "")
+        described = _described_arguments(words)
+        section["title"] = section.get("title", "").removesuffix("Section")
+        section["description"] = _plain(words)
+        for key, value in section.get("properties", {}).items():
+            value.pop("title", None)  # pydantic makes it from the key, which the reader sees already
+            text = described.get(key) or described.get(_UNIT.sub("", key))
+            if text:
+                value.setdefault("description", text)
+    for key, value in schema["properties"].items():
+        schema["properties"][key] = _without_null(value)
+    return {"$schema": DIALECT, **schema, "title": "gbid experiment"}
+
+
+def _without_null(value: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of an optional section without null; the checks refuse an empty section."""
+    kinds = [kind for kind in value.get("anyOf", []) if kind != {"type": "null"}]
+    if len(kinds) != 1 or "$ref" not in kinds[0]:
+        return value
+    return {**kinds[0], **{key: word for key, word in value.items() if key not in ("anyOf", "default")}}
+
+
+def _described_arguments(words: str) -> dict[str, str]:
+    """Return the descriptions of the arguments of the function or class that a docstring names, by argument."""
+    found = _SEE.search(words)
+    if not found:
+        return {}
+    module, _, name = found[1].rpartition(".")
+    text = inspect.getdoc(getattr(importlib.import_module(module), name)) or ""
+    section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", text, re.MULTILINE | re.DOTALL)
+    described: dict[str, str] = {}
+    for heading, body in re.findall(
+        r"^(\S[^\n]*)\n((?:[ \t]+[^\n]*\n?|\n)+)", section[1] if section else "", re.MULTILINE
+    ):
+        for argument in heading.partition(" : ")[0].split(","):
+            described[argument.strip().lstrip("*")] = _plain(body)
+    return described
+
+
+def _plain(words: str) -> str:
+    """Return the text of a docstring without markup, one line per paragraph."""
+    paragraphs = inspect.cleandoc(words).strip().split("\n\n")
+    text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+    return re.sub(r"`+([^`]*)`+", r"\1", text)
+
+
+# ---- Checks of the recordings before a run: readable files, equal sample times, length, disk space.
+
+PER_UNKNOWN = 10
+"""Smallest number of samples per unknown of a fit."""
+_PER_FIT, _PER_FIGURE = 120_000, 400_000  # size of one result in bytes
+_STATED = 1.1  # factor for the names, units and times that files contain beside the samples
+
+
+def peek_recordings(experiment: Experiment) -> tuple[dict[str, Peek], list[tuple[PlannedRecording, GbidError]]]:
+    """Return the length and sample time of each recording.
+
+    Those of the rig follow from its settings. Those of files are read from the head of each file.
+
+    Returns
+    -------
+    dict of str to Peek
+        Length and sample time by name, for the recordings that can be read.
+    list of (PlannedRecording, GbidError)
+        Recordings that cannot be read, each with its error.
+    """
+    found: dict[str, Peek] = {}
+    broken: list[tuple[PlannedRecording, GbidError]] = []
+    rig = experiment.spec.rig
+    for name, planned in experiment.recordings.items():
+        if planned.imported is None:
+            assert rig is not None
+            seconds = rig.duration_s if planned.excited else rig.stationary.duration_s or rig.duration_s
+            found[name] = Peek(round(seconds / rig.sample_time_s), rig.sample_time_s)
+            continue
+        try:
+            mapping = ImportMapping.from_dict(mapping_of(planned.imported))
+            found[name] = peek(data_file(experiment, planned.imported), mapping)
+        except GbidError as error:
+            broken.append((planned, error))
+    return found, broken
+
+
+def sample_times_differ(experiment: Experiment, seen: Mapping[str, Peek]) -> list[str]:
+    """Return a text for each recording of a fit whose sample time differs from that of most recordings of the fit."""
+    texts = []
+    for fit in experiment.spec.fits:
+        known = [q.name for q in experiment.fit_recordings(fit) if q.name in seen]
+        rounded = {name: float(f"{seen[name].sample_time:.4g}") for name in known}
+        if len(set(rounded.values())) < 2:
+            continue
+        usual, count = Counter(rounded.values()).most_common(1)[0]
+        for name in known:
+            if rounded[name] != usual:
+                texts.append(
+                    f"recording {name!r}: sample time {seen[name].sample_time:g} s; {count} of {len(known)} recordings "
+                    f"of fit {fit} have {usual:g} s: correct sample_time_s or its time column, or use another fit"
+                )
+    return texts
+
+
+def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> list[str]:
+    """Return a text for each model whose recordings have too few samples for its unknowns.
+
+    The unknowns are the free parameters, those of trends and hum, and one initial state for each recording.
+    """
+    texts = []
+    for fit, section in experiment.spec.fits.items():
+        structure = structure_or_none(experiment, fit)
+        if structure is None:
+            continue
+        free = [q for q in structure.parameters if q.name not in section.fixed]
+        shared, own = len(free), dict.fromkeys(seen, anatomy(structure).n_states)
+        with suppress(GbidError):  # another check reports it
+            used = [q.name for q in experiment.fit_recordings(fit)]
+            states = initial_states(structure, free, section.initial_state, used)
+            own |= dict(zip(used, np.sum(~states.known, axis=1).tolist(), strict=True))
+        with suppress(UsageError):  # another check reports it
+            shared += len(fit_disturbances(experiment, fit, structure).names)
+        for names in fit_models(experiment, fit).values():
+            known = [name for name in names if name in seen]
+            samples, unknowns = sum(seen[name].n_samples for name in known), shared + sum(own[name] for name in known)
+            if known and samples < PER_UNKNOWN * unknowns:
+                texts.append(
+                    f"recording {', '.join(known)}: {samples} samples for the {unknowns} unknowns of fit {fit}; "
+                    f"at least {PER_UNKNOWN * unknowns} are needed: record longer, or fix some parameters"
+                )
+    return list(dict.fromkeys(texts))
+
+
+def disk_space(experiment: Experiment, seen: Mapping[str, Peek]) -> tuple[int, int]:
+    """Return the estimated size of all results and the free space of their disk.
+
+    Returns
+    -------
+    needed, free : int
+        Sizes [bytes]. Results that exist already are not subtracted.
+    """
+    spec = experiment.spec
+    needed = 0.0
+    for name, planned in experiment.recordings.items():
+        if name in seen:
+            copies = 2 if spec.prefilter is not None and planned.excited else 1
+            channels = 1 + sum(len(channels) for channels in planned.signals.values())
+            needed += _STATED * 8 * copies * channels * seen[name].n_samples
+    needed += sum(_PER_FIT * len(fit_models(experiment, fit)) for fit in spec.fits)
+    needed += sum(_PER_FIGURE * len(fit_models(experiment, fit)) for fit in spec.figures if fit in spec.fits)
+    return int(needed), shutil.disk_usage(_nearest_folder(experiment.results)).free
+
+
+def space_problem(experiment: Experiment, needed: int, free: int) -> str:
+    """Return a text when the results need more space than the disk has, else an empty text."""
+    if needed <= free:
+        return ""
+    return (
+        f"{experiment.results}: the results need about {file_size(needed)}, {file_size(free)} are free; "
+        "make room, or write elsewhere with --results"
+    )
+
+
+def find_data_problems(experiment: Experiment) -> tuple[list[str], int, tuple[int, int]]:
+    """Return the problems of the recordings that show before a run.
+
+    Returns
+    -------
+    problems : list of str
+        One text for each problem.
+    exit_code : int
+        Highest exit code of the problems; 0 when there are none.
+    needed, free : int
+        Sizes [bytes], as `disk_space` returns.
+    """
+    seen, broken = peek_recordings(experiment)
+    texts = [f"{experiment.file.position(planned.location)}: {error}" for planned, error in broken]
+    code = max((error.exit_code for _, error in broken), default=0)
+    space = disk_space(experiment, seen)
+    more: Sequence[str] = [
+        *sample_times_differ(experiment, seen),
+        *recordings_too_short(experiment, seen),
+        *filter(None, [space_problem(experiment, *space)]),
+    ]
+    texts += [f"{experiment.file.path}: {text}" for text in more]
+    return texts, max(code, DataError.exit_code if more else 0), space
+
+
+def _nearest_folder(path: Path) -> Path:
+    """Return the folder itself, or the nearest folder above it that exists."""
+    path = path.absolute()
+    return next(folder for folder in (path, *path.parents) if folder.is_dir())

@@ -6,24 +6,36 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-from gbid.errors import DataError
-from gbid.experiment.experiment import Experiment
-from gbid.experiment.keys import content_key, file_digest
-from gbid.experiment.plan import PlannedRecording
-from gbid.experiment.run.inputs import load_checked
-from gbid.experiment.run.job import Job, Task
-from gbid.experiment.run.outcome import Made
-from gbid.experiment.stages.fit.structures import fit_channels
-from gbid.experiment.stages.importing.plan import data_file, mapping_of
-from gbid.experiment.stages.loop.plan import closed_loop_settings, stationary_at
-from gbid.experiment.stages.rig.model import rig_model
-from gbid.experiment.stages.rig.plan import as_settings, machine_at, record_options, rig_experiment
-from gbid.recording import (
-    ProblemKind,
-    Recording,
-    find_problems,
-)
+from gbid.core.errors import DataError, UsageError
+from gbid.excite import ExcitationLimits, rig_limits
+from gbid.experiment.controllers import closed_loop_settings, stationary_at
+from gbid.experiment.experiment import Experiment, PlannedRecording
+from gbid.experiment.fields import content_key, file_digest
+from gbid.experiment.machine import as_settings, machine_at, record_options, rig_experiment, rig_model
+from gbid.experiment.run import Job, Made, Task, load_checked
+from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
+from gbid.experiment.structures import fit_channels
+from gbid.lpv import load_model
+from gbid.recording import ProblemKind, Recording, find_problems
+
+# ---- File and mapping of an imported recording.
+
+
+def data_file(experiment: Experiment, entry: ImportedSection) -> Path:
+    """Return the path of the file of an imported recording."""
+    assert experiment.spec.imported is not None
+    return experiment.folder / experiment.spec.imported.data_folder / entry.file
+
+
+def mapping_of(entry: ImportedSection) -> dict[str, Any]:
+    """Return an entry as the mapping for `gbid.import_recording`."""
+    mapping = entry.model_dump(exclude={"file", "kind", "remove_mean"}, exclude_none=True)
+    for signal in mapping["signals"].values():
+        del signal["rests_at_limits"]
+    return mapping
+
 
 FOLDER = "recordings"
 
@@ -150,3 +162,64 @@ def recording_task(
     """Return the task that writes one recording."""
     path, key = job.path(FOLDER, planned.name), recording_key(job.experiment, planned)
     return Task(stage, planned.name, path, key, write, (planned.name,))
+
+
+# ---- Plan of an excitation: the limits of a model of a fit.
+
+DISC = "p"
+
+
+def excitation_limits(
+    experiment: Experiment, section: ExciteSection, planned: PlannedRecording, outputs: tuple[str, ...]
+) -> ExcitationLimits:
+    """Return the limits of an excitation; of a recording of the rig those with which its machines do not rub.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    section : ExciteSection
+        Its section of the excitation.
+    planned : PlannedRecording
+        A recording of the fit, whose operating point counts.
+    outputs : tuple of str
+        Outputs of the fit; without the disc among them its motion is not known.
+    """
+    own = section.limits
+    if own.clearance_m is None and planned.imported is None and DISC in outputs:
+        return rig_limits(
+            machine_at(experiment, planned, rig_model(experiment)),
+            conditions=planned.conditions,
+            peaks=own.peaks,
+            radius=own.radius,
+            scatter=record_options(experiment, planned)["scatter"],
+        )
+    return ExcitationLimits(own.peaks, own.radius, own.clearance_m, DISC, own.taken_m)
+
+
+# ---- Actuator parameters of the surfaces.
+
+
+def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, float] | None:
+    """Return the actuator parameters for the surfaces; None when the nominal stage will choose them.
+
+    Raises
+    ------
+    UsageError
+        When the nominal actuators are wanted without a section nominal, or the model is missing or has no actuators.
+    """
+    wanted = section.actuators
+    if wanted is None:
+        return {}
+    if wanted == "nominal":
+        if experiment.spec.nominal is None:
+            raise UsageError("there is no section 'nominal'; add one, or name a model or its file")
+        return None
+    beside = experiment.folder / wanted
+    try:
+        found = load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
+    except UsageError as error:
+        raise UsageError(f"expected nominal, or a model or its file; {error}") from None
+    if not found:
+        raise UsageError(f"model {wanted!r} has no actuators; name another, or write nominal")
+    return dict(found)

@@ -1,24 +1,17 @@
 """Identification: start values, predictor, shooting windows, solver, covariance, result."""
 
-from gbid.identify.curves.bode import Bode, bode
-from gbid.identify.curves.delay_estimate import DelayEstimate, estimate_delay
-from gbid.identify.curves.measured_response import MeasuredResponse, measured_response
-from gbid.identify.curves.pole_zero import PoleZero, pole_zero
-from gbid.identify.curves.time_response import TimeResponse, time_response
-from gbid.identify.curves.uncertain_model import ModelLike, ModelSlopes, UncertainModel
 from gbid.identify.data import select
 from gbid.identify.fit import fit
-from gbid.identify.fit_store import load_fit, save_fit
 from gbid.identify.multistart import Minimum, MultiStart, fit_multistart
-from gbid.identify.nlp.watch import Progress
-from gbid.identify.options import FitOptions
-from gbid.identify.problem.fit_problem import FitProblem, fit_problem
-from gbid.identify.result import FitResult, StartsTried
+from gbid.identify.problem.solve import Progress
+from gbid.identify.request import FitProblem, fit_problem
+from gbid.identify.result import FitOptions, FitResult, StartsTried, load_fit, save_fit
 from gbid.identify.status import FitStatus
-from gbid.identify.table.fit_table import FitTable
-from gbid.identify.table.table_store import load_table, save_table
-from gbid.identify.table.tabulate import TableEntry, tabulate
-from gbid.identify.uncertainty.whiteness import Whiteness, correlation, whiteness_test
+from gbid.identify.table import FitTable, TableEntry, load_table, save_table, tabulate
+from gbid.identify.uncertainty.coloured import Whiteness, correlation, whiteness_test
+from gbid.identify.uncertainty.curves import Bode, PoleZero, TimeResponse, bode, pole_zero, time_response
+from gbid.identify.uncertainty.spectra import DelayEstimate, MeasuredResponse, estimate_delay, measured_response
+from gbid.identify.uncertainty.uncertain_model import ModelLike, ModelSlopes, UncertainModel
 
 __all__ = [
     "Bode",

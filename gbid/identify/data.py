@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gbid.arrays import BoolArray, FloatArray
-from gbid.errors import DataError
+from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.errors import DataError
 from gbid.recording import Recording
 
 
@@ -149,7 +149,7 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
     ------
     DataError
         When there are no recordings, sample times or channels differ, a record is too short, or an output is constant.
-        An input may be constant or zero: see `gbid.identify.problem.undriven`.
+        An input may be constant or zero: see `gbid.identify.problem.states`.
     """
     if not recordings:
         raise DataError("no recordings to fit; give at least one")

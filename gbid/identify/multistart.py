@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from gbid.arrays import BoolArray, FloatArray, is_whole
-from gbid.brief import Brief, Description, brief
-from gbid.errors import DataError, NoValueAtStartError, UsageError
+from gbid.core.arrays import BoolArray, FloatArray, is_whole
+from gbid.core.brief import Brief, Description, brief
+from gbid.core.errors import DataError, NoValueAtStartError, UsageError
+from gbid.core.notes import FitNote
 from gbid.identify.fit import fit
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
-from gbid.notes.fit_notes import FitNote
 from gbid.recording import Recording
 from gbid.structure import AnyStructure, NonlinearStructure
 

@@ -2,25 +2,94 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
-from gbid.arrays import FloatArray
-from gbid.brief import Brief, Description, brief, estimates
-from gbid.errors import UsageError
-from gbid.extras import Pictured
-from gbid.hdf5 import NOT_STORED, Stored
-from gbid.identify.curves.bode import Bode, bode
-from gbid.identify.curves.uncertain_model import ModelSlopes, UncertainModel
-from gbid.identify.options import FitOptions
+from gbid.core import hdf5
+from gbid.core.arrays import FloatArray
+from gbid.core.brief import Brief, Description, brief, estimates
+from gbid.core.errors import UsageError
+from gbid.core.extras import Pictured
+from gbid.core.hdf5 import NOT_STORED, Stored
+from gbid.core.tables import Column, Entry, Table, html_table
+from gbid.discretise import Hold
+from gbid.identify.disturbances import Disturbances, Trend
+from gbid.identify.kernel.linear import RunEngine
+from gbid.identify.predictor import Focus
+from gbid.identify.problem.nlp import Criterion
+from gbid.identify.problem.solve import Stop
+from gbid.identify.robust import RobustLoss
 from gbid.identify.status import FitStatus
+from gbid.identify.uncertainty.coloured import Bootstrap, StdName
+from gbid.identify.uncertainty.curves import Bode, bode
+from gbid.identify.uncertainty.uncertain_model import ModelSlopes, UncertainModel
 from gbid.structure import LinearModel, NonlinearModel
-from gbid.tables.html import html_table
-from gbid.tables.table import Column, Entry, Table
+from gbid.structure.scheduled import Schedule
+
+# ---- Options of a fit, stored with its result.
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Options of a fit, with the choices that it made itself.
+
+    Attributes
+    ----------
+    inputs, outputs : tuple of str
+        Signals or channels, as the caller named them.
+    focus : {"prediction", "simulation"}
+        Focus of the errors.
+    horizon : int
+        Number of steps of the prediction.
+    intersample : tuple of {"zoh", "foh"}
+        Behaviour between samples of each input channel.
+    criterion : {"trace", "det"}
+        Criterion.
+    stop : {"tolerance", "paper"}
+        Stopping rule.
+    initial_state : {"estimated", "zero", "structure", "given"}
+        Initial state of each recording; "given" when it differs between recordings or states.
+    disturbances : Disturbances
+        Trends and hum of the outputs that were estimated along.
+    robust : RobustLoss or None
+        Robust loss; None for squared errors.
+    window : int or None
+        Number of samples in a shooting window; None for one window per recording.
+    engine : {"compiled", "numpy"}
+        Engine of the pass over the samples.
+    bootstrap : Bootstrap or None
+        Bootstrap of the standard deviations; None without one, also in a file of an earlier version.
+    schedule : Schedule or None
+        Terms of the surfaces of a scheduled structure; None for constant parameters.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    focus: Focus
+    horizon: int
+    intersample: tuple[Hold, ...]
+    criterion: Criterion
+    stop: Stop
+    initial_state: Literal["estimated", "zero", "structure", "given"]
+    disturbances: Disturbances
+    robust: RobustLoss | None
+    window: int | None
+    engine: RunEngine
+    bootstrap: Bootstrap | None = None
+    schedule: Schedule | None = None
+
+    @property
+    def std(self) -> StdName:
+        """Standard deviations that were asked for: "bootstrap", or by the whiteness test ("auto")."""
+        return "auto" if self.bootstrap is None else "bootstrap"
+
 
 StdKind = Literal["white", "robust", "bootstrap"]
 
@@ -328,3 +397,97 @@ class FitResult(Brief, Pictured):
         return {
             name: sigma[name] if name in sigma and np.isfinite(value) else value for name, value in self.std.items()
         }
+
+
+# ---- Fit results in HDF5; docs/file-formats.md describes the tree.
+
+
+def _from_schema_1(file: h5py.File) -> None:
+    """Convert options, other starts and status, which were texts in gbid 0.1.0."""
+    options = json.loads(hdf5.read_text(file, "options"))
+    hold = options["intersample"].split()
+    local_names = json.loads(hdf5.read_text(file, "local_names"))
+    own = {full: name for names in local_names.values() for name, full in names.items()}
+    estimated = {own.get(name, name) for name in hdf5.read_texts(file["parameters"], "free")}
+    inputs, outputs = (hdf5.read_texts(file["model"], name) for name in ("input_names", "output_names"))
+    asked = FitOptions(
+        inputs=tuple(options["inputs"].split()),
+        outputs=tuple(options["outputs"].split()),
+        horizon=int(options["horizon"]),
+        intersample=tuple(hold * len(inputs) if len(hold) == 1 else hold),
+        disturbances=_offsets(outputs, all(f"offset_{name}" in estimated for name in outputs)),
+        robust=None,
+        window=None if options["window"] == "one per recording" else int(options["window"]),
+        **{key: options[key] for key in ("focus", "criterion", "stop", "initial_state", "engine")},
+    )
+    hdf5.write_fields(file.create_group("options"), asked)
+    if "starts" in options:
+        seed, converged, agreed = (int(options[f"starts_{key}"]) for key in ("seed", "converged", "agreed"))
+        tried = StartsTried(int(options["starts"]), seed, converged, agreed, float(options["starts_spread"]))
+        hdf5.write_fields(file.create_group("multi_start"), tried)
+    file.attrs["status"] = status_of_text(hdf5.read_text(file, "status"), success=bool(file.attrs["success"])).value
+
+
+def _offsets(outputs: Sequence[str], estimated: bool) -> Disturbances:
+    return Disturbances(tuple(outputs), (Trend(int(estimated)),) * len(outputs))
+
+
+def status_of_text(text: str, *, success: bool) -> FitStatus:
+    """Return the status of a text. Version 0.1.0 added further words; for these it is the nearest status."""
+    if text in list(FitStatus):
+        return FitStatus(text)
+    stem = text.partition(", with the disturbance gain held")[0]
+    if success:
+        return FitStatus.CONVERGED_GAIN_HELD
+    return FitStatus(stem) if stem in list(FitStatus) else FitStatus.SOLVER_FAILED
+
+
+KIND = hdf5.FileKind("fit", "make the fit anew", (_from_schema_1,))
+
+
+def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: str = "") -> None:
+    """Write a fit result to an HDF5 file.
+
+    Parameters
+    ----------
+    result : FitResult
+        The result.
+    path : path
+        The file; missing folders are made.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    key : str
+        Text that identifies settings and data of the fit; stored as attribute ``key``.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set.
+    DataError
+        When the file cannot be written.
+    """
+    hdf5.save(result, path, KIND, overwrite, key=key, success=result.success)
+
+
+def load_fit(path: str | Path) -> FitResult:
+    """Return the fit result in an HDF5 file.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    FitResult
+        The result.
+
+    Raises
+    ------
+    DataError
+        When the file is missing, damaged, incomplete or of another kind.
+    """
+    with hdf5.reading(path, KIND) as file:
+        trusted = hdf5.read_text(file, "trusted")
+        covariance = hdf5.read_dataset(file, f"parameters/covariance_{trusted}")
+        return hdf5.read_fields(file, FitResult, covariance=covariance)

@@ -1,28 +1,30 @@
 """Linear parameter-varying (LPV) models: polynomials over scheduling variables, their fits, and their files."""
 
-from gbid.lpv.basis import EXPONENTS, TERMS, basis, polynomial, regressors
-from gbid.lpv.characteristics import CHARACTERISTICS, Deviation, characteristics
-from gbid.lpv.direct.fit_lpv_direct import fit_lpv_direct
-from gbid.lpv.domain import Domain
-from gbid.lpv.load import load_model, save_model
-from gbid.lpv.machine_data import (
+from gbid.lpv.direct import fit_lpv_direct
+from gbid.lpv.estimates import Estimates, Outlier
+from gbid.lpv.fit import LPVFit, ScheduledFit, fit_lpv, load_lpv_fit, lpv_of, save_lpv_fit
+from gbid.lpv.model import (
+    ACTUATOR_PARAMETERS,
+    CHARACTERISTICS,
+    EXPONENTS,
+    TERMS,
     Correction,
+    Deviation,
+    Domain,
+    LPVModel,
     PiezoController,
     PiezoControllers,
     ProportionalDesign,
     Quantity,
     ReferenceModes,
+    ScheduledModel,
+    basis,
+    characteristics,
+    polynomial,
+    regressors,
 )
-from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
-from gbid.lpv.scheduled_model import ScheduledModel
-from gbid.lpv.surface_fit.estimates import Estimates
-from gbid.lpv.surface_fit.fit_lpv import fit_lpv
-from gbid.lpv.surface_fit.from_schedule import lpv_of
-from gbid.lpv.surface_fit.lpv_fit import LPVFit
-from gbid.lpv.surface_fit.lpv_fit_store import load_lpv_fit, save_lpv_fit
-from gbid.lpv.surface_fit.order import OrderScore
-from gbid.lpv.surface_fit.outliers import Outlier
-from gbid.lpv.surface_fit.scheduled_fit import ScheduledFit
+from gbid.lpv.model_file import load_model, save_model
+from gbid.lpv.regression import OrderScore
 
 __all__ = [
     "ACTUATOR_PARAMETERS",

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from gbid.errors import UsageError
-from gbid.lpv.basis import TERMS
-from gbid.lpv.domain import Domain
-from gbid.lpv.machine_data import (
+from gbid.core.errors import UsageError
+from gbid.core.files import atomic_path, share_folder
+from gbid.core.names import given_path
+from gbid.core.yaml_file import YamlFile, read_yaml, write_yaml
+from gbid.lpv.model import (
+    TERMS,
     Correction,
+    Domain,
     FileTable,
+    LPVModel,
     Number,
     PiezoControllers,
     ProportionalDesign,
     Quantity,
     ReferenceModes,
 )
-from gbid.lpv.model import LPVModel
 from gbid.structure import KEY_PARAMETERS
-from gbid.yaml_file import YamlFile
 
 SCHEMA_VERSION = 1
 SI_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
@@ -189,3 +192,101 @@ def _message(file: YamlFile, problem: Any) -> str:
     if problem["type"] in ("missing", "missing_argument"):
         return f"{file.position(location)}: {name!r} is missing"
     return f"{file.position(location)}: {name} = {problem['input']!r}: {problem['msg']}"
+
+
+# ---- Reading and writing of model files.
+
+
+def load_model(name_or_path: str | Path) -> LPVModel:
+    """Return a model that comes with gbid, or one from a file.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        A name such as ``"theisen2016"``, or the path of a YAML file (with its ending, or with a folder).
+
+    Returns
+    -------
+    LPVModel
+        The model in SI per kg, with the corrections of the file applied.
+
+    Raises
+    ------
+    UsageError
+        When the name is unknown or the file is missing. For a faulty file the text gives line and column of each
+        problem.
+
+    Examples
+    --------
+    >>> model = load_model("theisen2016")
+    >>> [round(frequency, 1) for frequency, damping in model.at(6, 0).modes()]
+    [126.6, 132.1]
+    """
+    path = given_path(name_or_path)
+    if path.suffix not in (".yaml", ".yml") and len(path.parts) <= 1:
+        folder = share_folder("models")
+        path = folder / f"{name_or_path}.yaml"
+        if not path.is_file():
+            names = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
+            raise UsageError(
+                f"no model {str(name_or_path)!r} comes with gbid; there are: {names} (or give a path to a .yaml file)"
+            )
+    return parse(read_yaml(path))
+
+
+def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> None:
+    """Write a model as a YAML file that `load_model` reads back without loss.
+
+    Parameters
+    ----------
+    model : LPVModel
+        The model. Its coefficients are written in SI, with corrections already applied.
+    path : str or path
+        The new file, ending in .yaml.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set, or when it has another ending.
+    DataError
+        When the file cannot be written.
+    """
+    path = given_path(path)
+    if path.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"{path}: a model file ends in .yaml")
+    with atomic_path(path, overwrite) as part:
+        write_model(model, part)
+
+
+def write_model(model: LPVModel, path: Path, comment: str = "") -> None:
+    """Write a model as YAML, with an optional comment as the first line."""
+    write_yaml(_contents(model), path, comment)
+
+
+def _contents(model: LPVModel) -> dict[str, Any]:
+    """Return the contents of a model file, without empty entries."""
+    contents: dict[str, Any] = {
+        "kind": "lpv_model",
+        "schema_version": SCHEMA_VERSION,
+        "name": model.name,
+        "title": model.title,
+        "source": model.source,
+        "domain": asdict(model.domain),
+        "pade_order": model.pade_order,
+        "operating_points": [list(point) for point in model.operating_points],
+        "key_parameters": {
+            "terms": list(TERMS),
+            "unit": dict(SI_UNITS),
+            "scale": dict.fromkeys(SI_UNITS, 1.0),
+            "coefficients": {key: list(values) for key, values in model.coefficients.items()},
+        },
+        "applied_corrections": [asdict(correction) for correction in model.corrections],
+        "actuators": dict(model.actuators),
+        "controller": asdict(model.controller) if model.controller else None,
+        "reference_modes": [asdict(modes) for modes in model.reference_modes],
+        "rig": {name: asdict(quantity) for name, quantity in model.rig.items()},
+        "piezo_controllers": asdict(model.piezo_controllers) if model.piezo_controllers else None,
+    }
+    return {key: value for key, value in contents.items() if value not in (None, "", [], {})}

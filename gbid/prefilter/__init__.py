@@ -4,16 +4,26 @@ import sys
 from types import ModuleType
 from typing import Any
 
-from gbid.prefilter.align import IndexAlignment, align_index
-from gbid.prefilter.compare import RunoutComparison, RunoutTrial, compare_runout
-from gbid.prefilter.identify_runout import identify_runout
-from gbid.prefilter.median import running_median
-from gbid.prefilter.online import OnlinePrefilter
-from gbid.prefilter.prefilter import PrefilterReport, prefilter
-from gbid.prefilter.prefilter_store import load_prefilter, save_prefilter
-from gbid.prefilter.residual import RunoutResidual, runout_residual
-from gbid.prefilter.runout import RunoutMap
-from gbid.prefilter.spikes import Despiked, remove_spikes
+from gbid.prefilter.identify_runout import (
+    IndexAlignment,
+    RunoutComparison,
+    RunoutResidual,
+    RunoutTrial,
+    align_index,
+    compare_runout,
+    identify_runout,
+    runout_residual,
+)
+from gbid.prefilter.prefilter import (
+    Despiked,
+    OnlinePrefilter,
+    PrefilterReport,
+    load_prefilter,
+    prefilter,
+    remove_spikes,
+    save_prefilter,
+)
+from gbid.prefilter.runout import RunoutMap, running_median
 
 __all__ = [
     "Despiked",

@@ -2,22 +2,170 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, NamedTuple
 
+import h5py
 import numpy as np
+import numpy.typing as npt
 
-from gbid.arrays import FloatArray
-from gbid.brief import Brief
-from gbid.errors import DataError
-from gbid.hdf5 import NOT_STORED, Stored
-from gbid.notes.data_notes import DataNote
-from gbid.prefilter.median import running_median
-from gbid.prefilter.runout import RunoutMap
-from gbid.prefilter.shaft import shaft_motion
-from gbid.prefilter.spikes import remove_spikes
+from gbid.core import hdf5
+from gbid.core.arrays import FloatArray, IntArray
+from gbid.core.brief import Brief
+from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5 import NOT_STORED, Stored
+from gbid.core.notes import DataNote
+from gbid.prefilter.runout import RunoutMap, running_median, shaft_motion
 from gbid.recording import Recording
+from gbid.recording.store import KIND as RECORDING
+from gbid.recording.store import write_recording
+
+# ---- Spikes: single wrong samples, found by their neighbours and replaced.
+
+THRESHOLD = 6.0
+"""Robust standard deviations by which a sample must miss the cubic through its neighbours."""
+ONE_SIDED = 4.0
+"""Robust standard deviations by which it must also miss the cubic fitted to seven samples before, and after it."""
+LONGEST_RUN = 3
+"""Most wrong samples in a row that are replaced."""
+_MIDDLE = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6  # cubic through two samples on each side, at the middle
+_BEFORE = np.array([-4.0, 6.0, 4.0, -3.0, -8.0, -4.0, 16.0]) / 7  # cubic fitted to seven samples, at the next one
+_MAD_TO_STD = 1.4826
+_QUANTA = 2.0
+_REACH = 7  # samples at each end that have too few neighbours to be judged
+
+
+class Despiked(NamedTuple):
+    """A signal without spikes, and where they were.
+
+    Attributes
+    ----------
+    values : (n_samples, n_channels) array
+        The signal, wrong samples replaced.
+    samples : tuple of (n_spikes,) integer array
+        Wrong samples of each channel, in order.
+    """
+
+    values: FloatArray
+    samples: tuple[IntArray, ...]
+
+
+class _SpikeLimits(NamedTuple):
+    """Largest errors that a good sample may have in one channel."""
+
+    middle: float
+    side: float
+
+
+def remove_spikes(values: FloatArray, threshold: float = THRESHOLD, measured: FloatArray | None = None) -> Despiked:
+    """Replace samples that their neighbours on both sides contradict.
+
+    A Hampel identifier on the interpolation error. A run of one to three samples is wrong under three conditions:
+
+    - A sample there misses the cubic through its four neighbours by more than `threshold` robust standard deviations
+      (median of magnitudes) of this error, and no neighbour does so when the run is replaced by a cubic.
+    - The first sample of the run does not continue the samples before it (cubic fitted to seven, four
+      standard deviations).
+    - The last sample of the run does not continue the samples after it. Steps and kinks of the signal therefore stay:
+      each of their samples continues one of its sides.
+
+    The error of a smooth signal is of fourth order: a wave of 10 um at 125 Hz, sampled at 5 kHz, has one of 1 nm. The
+    distance from a running median is of second order (0.12 um there), so a limit on it would take crests for spikes.
+
+    Parameters
+    ----------
+    values : (n_samples, n_channels) array
+        The signal. Its first and last seven samples have too few neighbours on one side; they stay as they are.
+    threshold : float
+        In robust standard deviations.
+    measured : (n_samples, n_channels) array, optional
+        The signal as the converter gave it, when something was already subtracted from `values`. Errors of up to two
+        steps of the converter are no spikes.
+
+    Returns
+    -------
+    Despiked
+
+    Notes
+    -----
+    Hampel, F. R. (1974), The influence curve and its role in robust estimation; Pearson, R. K. (2002), Outliers in
+    process modeling and identification, IEEE Trans. Control Syst. Technol. 10, 55-63.
+    """
+    cleaned = np.array(values, dtype=float)
+    steps = [_converter_step(column) for column in (cleaned if measured is None else measured).T]
+    found = [_clean(column, threshold, step) for column, step in zip(cleaned.T, steps, strict=True)]
+    return Despiked(cleaned, tuple(found))
+
+
+def _clean(x: FloatArray, threshold: float, step: float) -> IntArray:
+    """Replace the spikes of one channel in place; return where they were."""
+    spikes: list[int] = []
+    if len(x) > 2 * _REACH:
+        error = np.abs(_interpolation_error(x))
+        sides = np.convolve(x, [1.0, *-_BEFORE[::-1]], mode="valid")
+        limits = _SpikeLimits(
+            max(threshold * _robust_std(error), _QUANTA * step), max(ONE_SIDED * _robust_std(sides), _QUANTA * step)
+        )
+        done = 0
+        for k in np.flatnonzero(error > limits.middle) + 2:
+            if k >= done:
+                start, bridge = _wrong_run(x, int(k), limits)
+                x[start : start + len(bridge)] = bridge
+                spikes += range(start, start + len(bridge))
+                done = start + len(bridge) + 2 if len(bridge) else done
+    return np.array(spikes, dtype=np.int64)
+
+
+def _wrong_run(x: FloatArray, k: int, limits: _SpikeLimits) -> tuple[int, FloatArray]:
+    """Return the start of the shortest wrong run around a suspect sample, and its replacement, empty for none."""
+    for length in range(1, LONGEST_RUN + 1):
+        first, last = max(k - length + 1, _REACH), min(k + LONGEST_RUN, len(x) - _REACH - length + 1)
+        starts = [start for start in range(first, last) if _off_both_sides(x, start, start + length, limits.side)]
+        trials = [(start, *_bridged(x, start, start + length)) for start in starts]
+        if trials:
+            start, bridge, left = min(trials, key=lambda trial: trial[2])
+            if left <= limits.middle:
+                return start, bridge
+    return k, x[:0]
+
+
+def _off_both_sides(x: FloatArray, start: int, stop: int, limit: float) -> bool:
+    """Whether the first sample of a run does not continue what is before, nor the last one what is after."""
+    before = x[start] - _BEFORE @ x[start - _REACH : start]
+    after = x[stop - 1] - _BEFORE[::-1] @ x[stop : stop + _REACH]
+    return bool(min(abs(before), abs(after)) > limit)
+
+
+def _bridged(x: FloatArray, start: int, stop: int) -> tuple[FloatArray, float]:
+    """Return the cubic through two samples on each side of a run, and the largest interpolation error left."""
+    nodes = np.array([start - 2, start - 1, stop, stop + 1])
+    run = np.arange(start, stop)
+    bridge = np.zeros(len(run))
+    for i, node in enumerate(nodes):
+        others = np.delete(nodes, i)
+        bridge += x[node] * np.prod((run[:, None] - others) / (node - others), axis=1)
+    # The run enters the errors of samples up to two away; the neighbours of those reach two further.
+    trial = np.concatenate([x[max(start - 4, 0) : start], bridge, x[stop : stop + 4]])
+    return bridge, float(np.abs(_interpolation_error(trial)).max())
+
+
+def _interpolation_error(x: FloatArray) -> FloatArray:
+    """Distance of each sample, but two at each end, from the cubic through its four neighbours (n - 4,)."""
+    return np.asarray(x[2:-2] - np.convolve(x, _MIDDLE, mode="valid"))
+
+
+def _robust_std(error: FloatArray) -> float:
+    return _MAD_TO_STD * float(np.median(np.abs(error)))
+
+
+def _converter_step(x: FloatArray) -> float:
+    """Smallest step between two different values."""
+    steps = np.diff(np.unique(x))
+    return float(steps.min()) if len(steps) else 0.0
+
 
 _NO_MEAN = ("phi", "force", "pressure_bar", "speed_rpm", "unbalance")  # these have no offset to remove
 
@@ -207,3 +355,280 @@ def _without_runout(
     if not runout_map.needs_angle:
         return np.asarray(p - runout_map.mean)
     return np.asarray(p - runout_map.evaluate(shaft_motion(rec).angle))
+
+
+# ---- Online prefilter for a controller, sample by sample; where no spike is found, equal to the offline filter.
+
+
+class OnlinePrefilter:
+    """Online prefilter: run-out map, constant offset and median, one sample at a time (paper, Sec. 3.5 and conclusion).
+
+    The results are those of `gbid.prefilter` on the whole recording, to the last bit, with three differences that every
+    causal filter has:
+
+    - Spikes stay. To tell a spike from a step of the signal, the offline filter needs later samples: seven to judge a
+      sample, two to replace it. Where the offline filter finds no spike, both filters agree. A controller that must not
+      see spikes takes ``median=3``.
+    - The median of 3 needs the next sample. `step` therefore returns the value of ``median // 2`` samples ago: one
+      sample (0.2 ms) for the median of 3 in the paper, none for ``median=1``. The first ``median // 2`` calls return
+      None. `finish` returns the remaining values.
+    - The mean of a recording is known only at its end. Online it is replaced by a constant `offset`. The default zero
+      makes the mean of the map the zero and equals the offline filter with ``remove_mean=False``. With
+      ``offset=report.offsets["p"]`` of an earlier recording the same mean is removed as from that one.
+
+    Parameters
+    ----------
+    runout_map : RunoutMap or None
+        Map from `gbid.identify_runout` at the present operating point; None removes no run-out.
+    offset : (n_channels,) array, optional
+        Offset that is subtracted after the map [m]; zero by default.
+    median : int
+        Size of the median, odd; 1 for none.
+
+    Raises
+    ------
+    UsageError
+        When `median` is not odd and positive, or when `offset` does not fit the channels of the map.
+
+    Examples
+    --------
+    >>> online = OnlinePrefilter(None, median=3)
+    >>> [online.step([value], None) for value in (0.0, 1.0, 2.0)]
+    [None, array([0.]), array([1.])]
+    >>> online.finish()
+    [array([2.])]
+    """
+
+    def __init__(self, runout_map: RunoutMap | None, *, offset: npt.ArrayLike | None = None, median: int = 1) -> None:
+        if median < 1 or median % 2 == 0:
+            raise UsageError(f"median = {median}; give an odd number of samples, 1 for none")
+        self._map = runout_map
+        self._offset = None if offset is None else np.atleast_1d(np.asarray(offset, dtype=float))
+        if runout_map is not None and self._offset is not None and self._offset.shape != runout_map.mean.shape:
+            raise UsageError(f"offset has shape {self._offset.shape}, the run-out map {runout_map.mean.shape} channels")
+        self._half = median // 2
+        self._window: deque[FloatArray] = deque(maxlen=median)
+        self.start()
+
+    @property
+    def delay(self) -> int:
+        """Delay of the output in samples: half the size of the median, rounded down."""
+        return self._half
+
+    def change_map(self, runout_map: RunoutMap) -> None:
+        """Use another map from the next sample on, as at another operating point; the state is kept.
+
+        Parameters
+        ----------
+        runout_map : RunoutMap
+            The new map, of the same channels.
+
+        Raises
+        ------
+        UsageError
+            When the channels differ.
+        """
+        if self._map is None or self._map.mean.shape != runout_map.mean.shape:
+            raise UsageError("change_map: the new run-out map has other channels than the one before")
+        self._map = runout_map
+
+    def start(self) -> None:
+        """Reset the filter and forget all earlier samples."""
+        self._window.clear()
+        self._count = 0
+
+    def step(self, position: Sequence[float] | FloatArray, angle: float | None) -> FloatArray | None:
+        """Return the filtered position after one more sample.
+
+        Parameters
+        ----------
+        position : (n_channels,) sequence of float
+            Measured disc position [m].
+        angle : float or None
+            Shaft angle [rad], wrapped or not; None is allowed when the map needs no angle.
+
+        Returns
+        -------
+        (n_channels,) array or None
+            The filtered position of `delay` samples ago [m]; None for the first samples.
+
+        Raises
+        ------
+        DataError
+            When a number is not finite, when the channels do not fit the map, or when the angle is missing. The state
+            is not changed, so the caller may leave the sample out and go on.
+        """
+        newest = self._without_runout(np.asarray(position, dtype=float), angle)
+        self._window.append(newest)
+        self._count += 1
+        if self._count <= self._half:
+            return None
+        if self._count <= 2 * self._half:  # the first samples stay as they are, as offline
+            return self._window[self._count - 1 - self._half].copy()
+        return np.asarray(np.sort(np.array(self._window), axis=0)[self._half])
+
+    def finish(self) -> list[FloatArray]:
+        """Return the remaining values and reset the filter; as offline, the median does not change these last samples.
+
+        Returns
+        -------
+        list of (n_channels,) array
+            At most `delay` values, the oldest first [m].
+        """
+        held = min(self._half, self._count)
+        rest = list(self._window)[len(self._window) - held :]
+        self.start()
+        return rest
+
+    def _without_runout(self, position: FloatArray, angle: float | None) -> FloatArray:
+        if position.ndim != 1 or not np.isfinite(position).all():
+            raise DataError(f"position {position} is not one sample of finite numbers; leave the sample out")
+        made, value = self._map, position
+        if made is not None:
+            if position.shape != made.mean.shape:
+                raise DataError(f"position has {len(position)} channels, the run-out map {len(made.mean)}")
+            if not made.needs_angle:
+                value = value - made.mean
+            elif angle is None or not np.isfinite(angle):
+                raise DataError(f"angle = {angle}; the run-out map needs the shaft angle [rad] of each sample")
+            else:
+                value = value - made.evaluate(np.array([float(angle)]))[0]
+        return np.asarray(value if self._offset is None else value - self._offset)
+
+
+# ---- Run-out map and prefilter reports in one HDF5 file; docs/file-formats.md describes the tree.
+
+KIND = hdf5.FileKind("prefilter", "make it again with `gbid run`")
+
+
+@dataclass(frozen=True, eq=False)
+class _Signal:
+    """Entries of a report for one signal."""
+
+    channels: Annotated[tuple[str, ...], Stored(shape="channels")]
+    rms_before: Annotated[FloatArray, Stored("unit", "rms about the mean before the prefilter", "channels")]
+    rms_after: Annotated[FloatArray, Stored("unit", "rms about the mean after the prefilter", "channels")]
+    offset: Annotated[FloatArray, Stored("unit", "mean removed", "channels")]
+
+
+def save_prefilter(
+    path: str | Path,
+    runout_map: RunoutMap | None,
+    reports: Sequence[PrefilterReport] = (),
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a run-out map and the reports of the recordings that it corrected.
+
+    Parameters
+    ----------
+    path : path
+        The new file.
+    runout_map : RunoutMap or None
+        The map.
+    reports : sequence of PrefilterReport
+        The reports.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set.
+    DataError
+        When the file cannot be written.
+    """
+    with hdf5.writing(path, KIND, overwrite) as file:
+        if runout_map is not None:
+            _write_map(file.create_group("runout_map"), runout_map)
+        group = file.create_group("reports")
+        for number, report in enumerate(reports):
+            _write_report(group.create_group(f"{number:04d}"), report)
+
+
+def load_prefilter(path: str | Path) -> tuple[RunoutMap | None, tuple[PrefilterReport, ...]]:
+    """Return the run-out map and the reports in a file of `save_prefilter`.
+
+    Parameters
+    ----------
+    path : str or path
+        The file.
+
+    Returns
+    -------
+    runout_map : RunoutMap or None
+        The map; None when the file has none.
+    reports : tuple of PrefilterReport
+        The reports.
+
+    Raises
+    ------
+    DataError
+        When the file is missing, unreadable, incomplete or of another kind.
+    """
+    with hdf5.reading(path, KIND) as file:
+        runout_map = hdf5.read_fields(file["runout_map"], RunoutMap) if "runout_map" in file else None
+        return runout_map, tuple(_read_report(group) for group in hdf5.read_group(file, "reports").values())
+
+
+def save_prefiltered(filtered: Recording, report: PrefilterReport, path: Path) -> None:
+    """Write a prefiltered recording with its report, as group ``prefilter_report``; an earlier file is replaced."""
+    with hdf5.writing(path, RECORDING, overwrite=True) as file:
+        write_recording(file, filtered)
+        _write_report(file.create_group("prefilter_report"), report)
+
+
+def read_report(path: str | Path) -> PrefilterReport:
+    """Return the report in the file of a prefiltered recording.
+
+    Raises
+    ------
+    DataError
+        When the file is missing, unreadable, incomplete or of another kind.
+    """
+    with hdf5.reading(path, RECORDING) as file:
+        return _read_report(hdf5.read_group(file, "prefilter_report"))
+
+
+def _write_map(group: h5py.Group, made: RunoutMap) -> None:
+    hdf5.write_fields(group, made)
+    hdf5.add_dataset(group, "amplitudes", made.amplitudes(), "m", "amplitudes of the harmonics 1, 2, ...")
+    group.attrs["signal"], axis = ("table", "angles") if made.method == "bins" else ("cosine", "orders")
+    hdf5.add_texts(group, "axes", [axis, "."])
+
+
+def _write_report(group: h5py.Group, report: PrefilterReport) -> None:
+    hdf5.write_fields(group, report)
+    if report.spike_samples:
+        places = np.array([k for samples in report.spike_samples for k in samples], dtype=np.int64)
+        hdf5.add_dataset(group, "spike_samples", places, "1", "numbers of the wrong samples, channel by channel")
+    hdf5.add_texts(group, "signals", report.channels)
+    for name, channels in report.channels.items():
+        signal = _Signal(channels, report.rms_before[name], report.rms_after[name], report.offsets[name])
+        hdf5.write_fields(group.create_group(name), signal, {"unit": report.units[name]})
+
+
+def _read_report(group: h5py.Group) -> PrefilterReport:
+    names = hdf5.read_texts(group, "signals")
+    signals = {name: hdf5.read_fields(hdf5.read_group(group, name), _Signal) for name in names}
+    report = hdf5.read_fields(
+        group,
+        PrefilterReport,
+        channels={name: signal.channels for name, signal in signals.items()},
+        units={name: hdf5.read_text(group[name]["offset"], "units") for name in names},
+        rms_before={name: signal.rms_before for name, signal in signals.items()},
+        rms_after={name: signal.rms_after for name, signal in signals.items()},
+        offsets={name: signal.offset for name, signal in signals.items()},
+    )
+    return replace(report, spike_samples=_spike_samples(group, report.spikes))
+
+
+def _spike_samples(group: h5py.Group, counts: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
+    """Return the sample numbers of the spikes of each channel; gbid 0.1.0 stored their number alone."""
+    if "spike_samples" not in group:
+        return ()
+    places = hdf5.read_dataset(group, "spike_samples")
+    if places.shape != (sum(counts),):
+        raise hdf5.DamagedError(f"{group.name}/spike_samples has shape {places.shape}, expected ({sum(counts)},)")
+    parts = np.split(places, np.cumsum(counts)[:-1])
+    return tuple(tuple(int(k) for k in part) for part in parts)

@@ -1,13 +1,11 @@
 """Recordings: the data type, its HDF5 store, importers and quality checks."""
 
-from gbid.arrays import FloatArray
-from gbid.recording.importers import ImportMapping, SignalMapping, import_recording
-from gbid.recording.quality import find_problems
-from gbid.recording.quality_group import content_digest, find_group_problems
-from gbid.recording.quality_problem import ProblemKind, SignalProblem
-from gbid.recording.recording import Recording
-from gbid.recording.recording_store import load_recording, save_recording
-from gbid.recording.unbalance_signal import with_unbalance
+from gbid.core.arrays import FloatArray
+from gbid.recording.importing import import_recording
+from gbid.recording.mapping import ImportMapping, SignalMapping
+from gbid.recording.quality import ProblemKind, SignalProblem, content_digest, find_group_problems, find_problems
+from gbid.recording.recording import Recording, with_unbalance
+from gbid.recording.store import load_recording, save_recording
 
 __all__ = [
     "FloatArray",

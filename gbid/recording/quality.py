@@ -2,18 +2,544 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+import scipy
+from scipy.special import betaincinv
 
-from gbid.arrays import BoolArray, FloatArray
-from gbid.recording.quality_problem import ProblemKind, SignalProblem
-from gbid.recording.quality_response import find_response_problems
-from gbid.recording.quality_rub import find_rub
-from gbid.recording.quality_speed import find_speed_changes
-from gbid.recording.quality_time import find_clock_problems, find_encoder_faults
+from gbid.core.arrays import BoolArray, FloatArray
 from gbid.recording.recording import Recording
+
+# ---- One quality problem of a recording.
+
+ProblemKind = Literal[
+    "constant", "saturated", "too_few_samples", "swapped", "dead", "rub", "sample_time", "encoder", "duplicate", "speed"
+]
+
+
+@dataclass(frozen=True)
+class SignalProblem:
+    """One quality problem of a recording.
+
+    Attributes
+    ----------
+    signal, channel : str
+        Place of the problem. Both are empty when it concerns the whole recording; `channel` is empty when it concerns
+        all channels.
+    kind : str
+        ``"constant"``, ``"saturated"``, ``"too_few_samples"``, ``"swapped"`` (channels x and y), ``"dead"`` (a sensor
+        that does not respond), ``"rub"`` (the rotor touched the bearing), ``"sample_time"``, ``"encoder"``,
+        ``"duplicate"`` or ``"speed"`` (a run-up).
+    text : str
+        One sentence with the numbers and what to do.
+    """
+
+    signal: str
+    channel: str
+    kind: ProblemKind
+    text: str
+
+
+# ---- Check that the sensors respond to the excitation: dead sensors and swapped channels.
+#
+# No model is used. The frequency response H from all moving inputs to all outputs is estimated from segments of the
+# recording, at the frequencies where the inputs have power. The multiple coherence follows from it: the share of an
+# output that the inputs explain.
+
+SEGMENTS = (10, 20)
+"""Smallest and largest number of segments over which the spectra are averaged."""
+GOOD_SEGMENT, MIN_SEGMENT = 500, 50
+"""Preferred and smallest number of samples in a segment."""
+POWER = 0.9
+"""Share of the input power that lies in the evaluated frequencies."""
+CROSSED = 1.5
+"""Channels are swapped when both cross gains are larger than the direct gains, by this factor in the geometric mean. At
+the 15 operating points of the published machine the cross gains are at most 0.2 of the direct ones."""
+CHANCE = 0.95
+"""Quantile of the coherence of unrelated signals at one frequency; the median of several stays below it."""
+SYNCHRONOUS = 2
+"""Number of harmonics of the shaft angle that are removed first."""
+_MOVES = 1e-3  # of the largest standard deviation of the inputs
+
+
+class _Response(NamedTuple):
+    """Response of the outputs to the inputs, over the band of the inputs."""
+
+    gain: FloatArray  # rms of |H|, weighted by input power, (n_outputs, n_inputs); NaN for inputs that do not move
+    coherence: FloatArray  # median of the multiple coherence, (n_outputs,)
+    chance: float  # coherence of unrelated signals
+
+
+def find_response_problems(rec: Recording) -> Iterator[SignalProblem]:
+    """Return dead sensors of u and p, and swapped channels, in a recording with moving piezos.
+
+    The signal chain is r to u to p. With r, both u and p are checked against it. Without r, p is checked against u, and
+    then it stays open which of the two is swapped. A recording whose inputs do not move has no such problems. Signals
+    with other channels than x and y are not checked.
+    """
+    chain = [name for name in ("r", "u", "p") if name in rec.signals and rec.channels[name] == ("x", "y")]
+    if len(chain) < 2:
+        return
+    source = chain[0]
+    swapped = []
+    for name in chain[1:]:
+        response = _response(rec.signal(source), _without_turning(rec, rec.signal(name)))
+        if response is None:
+            return
+        yield from _dead(rec, source, name, response)
+        if _crossed(response):
+            swapped.append(name)
+    if swapped:
+        yield _swapped(rec, chain, swapped)
+
+
+def _swapped(rec: Recording, chain: list[str], swapped: list[str]) -> SignalProblem:
+    """Return the problem, with the signal whose channels are swapped as far as the other signals show it."""
+    source, followers = chain[0], chain[1:]
+    if swapped != followers:
+        name, which, other = swapped[0], f"signal {swapped[0]!r}", source
+    elif len(followers) > 1:  # all the others are crossed, so the source itself is swapped
+        name, which, other = source, f"signal {source!r}", followers[-1]
+    else:
+        name, which, other = followers[0], f"either {source!r} or {followers[0]!r}", source
+    text = (
+        f"recording {rec.name!r}: {which} has x and y swapped: each channel of {name!r} goes with the other axis of "
+        f"{other!r} more than with its own; exchange the columns in the mapping, or the cables."
+    )
+    return SignalProblem(name, "", "swapped", text)
+
+
+def _dead(rec: Recording, source: str, name: str, response: _Response) -> Iterator[SignalProblem]:
+    for j, channel in enumerate(rec.channels[name]):
+        values = rec.signal(name)[:, j]
+        if values.min() == values.max() or np.isnan(response.gain[0, j]):
+            continue  # constant channels are reported elsewhere; an axis at rest cannot be tested
+        if response.coherence[j] < response.chance:
+            text = (
+                f"recording {rec.name!r}: signal {name!r} channel {channel!r} is dead: it does not respond to "
+                f"{source!r} (coherence {response.coherence[j]:.2f}; unrelated signals reach {response.chance:.2f}); "
+                "check the sensor, its cable and the column of the mapping."
+            )
+            yield SignalProblem(name, channel, "dead", text)
+
+
+def _crossed(response: _Response) -> bool:
+    g = response.gain
+    moving = np.flatnonzero(~np.isnan(g[0]))
+    alive = response.coherence >= response.chance
+    if len(moving) == 2:
+        crossed, direct = np.array([g[0, 1], g[1, 0]]), np.diag(g)
+        return bool(alive.all() and (crossed > direct).all() and crossed.prod() > CROSSED**2 * direct.prod())
+    (j,) = moving
+    return bool(alive[1 - j] and g[1 - j, j] > CROSSED * g[j, j])
+
+
+def _response(inputs: FloatArray, outputs: FloatArray) -> _Response | None:
+    """Return estimated gain and coherence, or None when no input moves or the recording is too short."""
+    n_segments = int(np.clip(len(inputs) // GOOD_SEGMENT, *SEGMENTS))
+    std = inputs.std(axis=0)
+    if len(inputs) < n_segments * MIN_SEGMENT or std.max() == 0:
+        return None
+    moving = np.flatnonzero(std > _MOVES * std.max())
+    u, y = _spectra(inputs[:, moving], n_segments), _spectra(outputs, n_segments)
+    s_uu = np.einsum("kfi,kfj->fij", u, u.conj())
+    s_yu = np.einsum("kfi,kfj->fij", y, u.conj())
+    s_yy = np.sum(np.abs(y) ** 2, axis=0)
+    power = np.einsum("fii->f", s_uu).real
+    order = np.argsort(power)[::-1]
+    band = order[: max(3, int(np.searchsorted(np.cumsum(power[order]), POWER * power.sum())) + 1)]
+    s_uu, s_yu, s_yy = s_uu[band], s_yu[band], s_yy[band]
+    ridge = 1e-9 * power[band].max() * np.eye(len(moving))  # for inputs that are identical signals
+    h = np.linalg.solve((s_uu + ridge).transpose(0, 2, 1), s_yu.transpose(0, 2, 1)).transpose(0, 2, 1)
+    explained = np.einsum("fij,fij->fi", h, s_yu.conj()).real
+    coherence = np.divide(explained, s_yy, out=np.zeros_like(s_yy), where=s_yy > 0)
+    gain = np.full((outputs.shape[1], inputs.shape[1]), np.nan)
+    own_power = np.einsum("fjj->fj", s_uu).real
+    gain[:, moving] = np.sqrt(np.einsum("fij,fj->ij", np.abs(h) ** 2, own_power) / own_power.sum(axis=0))
+    chance = float(betaincinv(len(moving), n_segments - len(moving), CHANCE))
+    return _Response(gain, np.median(coherence, axis=0), chance)
+
+
+def _without_turning(rec: Recording, values: FloatArray) -> FloatArray:
+    """Remove the part that follows the shaft angle; in short recordings it leaks into the band of the excitation."""
+    if "phi" not in rec.signals:
+        return values
+    phi = rec.signal("phi")[:, 0]
+    turned = np.exp(1j * phi)
+    if abs(turned.mean()) > 0.1:  # at rest, or only a few turns
+        return values
+    rest = values - values.mean(axis=0)
+    for order in range(1, SYNCHRONOUS + 1):
+        wave = turned**order
+        rest = rest - 2 * np.outer(wave, wave.conj() @ rest / len(rest)).real
+    return np.asarray(rest)
+
+
+def _spectra(values: FloatArray, n_segments: int) -> FloatArray:
+    """Return Fourier coefficients of Hann-windowed segments without zero frequency, (n_segments, n_frequencies, n)."""
+    length = len(values) // n_segments
+    parts = values[: length * n_segments].reshape(n_segments, length, -1)
+    parts = parts - parts.mean(axis=1, keepdims=True)
+    return np.asarray(np.fft.rfft(parts * np.hanning(length)[None, :, None], axis=1)[:, 1:])
+
+
+# ---- Check for contact of rotor and bearing: sudden changes of velocity far from the centre.
+
+OUTSIDE = 0.7
+"""Impacts are searched beyond this share of the largest radius."""
+SIGMAS = 6.0
+"""Smallest inward change of velocity by an impact, in robust standard deviations."""
+LEAST = 0.25
+"""Smallest inward change of velocity by an impact, over the rms of the velocity."""
+MIN_IMPACTS = 2
+"""Smallest number of impacts. A rotor that rubs bounces; a single jump may be a disturbed sample."""
+OVER_OUTWARD = 1.5
+"""An impact is larger than any outward change by this factor, because a wall cannot push outwards."""
+HALF_WINDOW_S = 2e-3
+"""Half the length of the window when u or r is recorded [s]: a quarter of a period of the modes of the rotor."""
+SHORT_S = 0.6e-3
+"""Half the length of the window without u and r [s]. The effect of the piezos grows with it, that of an impact does
+not."""
+_HARMONICS = 6  # of the shaft angle, for run-out and unbalance
+_LAGS = (-2, 0, 2, 4, 6, 8)  # delays of the piezos in samples
+_EVERY = 3  # every third sample in motion is used for the regression
+_MIN_SAMPLES = 500
+_CHANGE = 0.02  # of speed or pressure, over its largest value
+_PART_S = 0.25  # of a recording in which they change [s]
+_ROUNDS, _TRIM = 3, 4.0  # of the regression; larger residuals (in standard deviations) are left out of the next round
+
+
+def find_rub(rec: Recording) -> Iterator[SignalProblem]:
+    r"""Return impacts of the rotor on the bearing, found in the disc position p.
+
+    On its gas film the disc follows an equation of motion. A wall changes its velocity at once, always inwards and
+    always far from the centre. Differentiation would amplify the noise. Therefore the equation is multiplied by a
+    smooth window :math:`\psi` of 4 ms and integrated (weak form). Integration by parts gives, around each sample,
+
+    .. math:: \int \ddot\psi p = K \int \psi p - D \int \dot\psi p + B \int \psi u_\tau
+              + \int \psi f + \psi(0) \Delta v,
+
+    so noise enters with :math:`\ddot\psi`, 13 times less than with second differences over 1 ms. The left side is
+    regressed on the integrals of p, of u (or r) at several delays, of a cubic film, and on the harmonics of the shaft
+    angle. The residual is projected inwards and evaluated beyond 0.7 of the largest radius. Residuals above six robust
+    standard deviations are impacts, when there are at least two and when no outward residual nearby is almost as large.
+    Single wrong samples are removed before by a median of three. Times with a measured impact force are left out.
+    Where speed or pressure are recorded and change, the equation is another one on the way: each 0.25 s have their own.
+    """
+    known = "u" in rec.signals or "r" in rec.signals
+    half = max(3, round((HALF_WINDOW_S if known else SHORT_S) / rec.sample_time))
+    if "p" not in rec.signals or rec.channels["p"] != ("x", "y") or rec.n_samples < _MIN_SAMPLES + 2 * half:
+        return
+    p = _median_of_three(rec.signal("p"))
+    p = p - p.mean(axis=0)
+    k = np.arange(half - 1, rec.n_samples - half + 1)
+    weighted, basis = _weak_form(rec, p, half)
+    sound = (k >= max(_LAGS) + half) & (k < rec.n_samples - half + min(_LAGS)) & ~_struck(rec, half)[k]
+    k, weighted, basis = k[sound], weighted[sound], basis[sound]
+    if len(k) < _MIN_SAMPLES // 2:
+        return
+    residual, sigma = np.empty_like(weighted), np.empty(len(k))
+    for part in _parts(rec, k):
+        some = _in_motion(weighted[part])[::_EVERY]
+        residual[part], sigma[part] = _robust_residual(weighted[part], basis[part], some)
+    speed = float(np.sqrt(np.mean(np.sum(np.diff(p, axis=0) ** 2, axis=1))))
+    limit = np.maximum(SIGMAS * sigma, LEAST * speed)
+    radius = np.hypot(*p[k].T)
+    far = radius > OUTSIDE * radius.max()
+    inward = -np.sum(p[k[far]] * residual[far], axis=1) / radius[far]
+    at, limit, sigma = k[far], limit[far], sigma[far]
+    outward = inward[_apart(at, at[inward > limit], 2 * half)].min(initial=0.0)
+    hit = at[inward > np.maximum(limit, -OVER_OUTWARD * outward)]
+    impacts = np.split(hit, np.flatnonzero(np.diff(hit) > 2 * half) + 1) if hit.size else []
+    if len(impacts) < MIN_IMPACTS:
+        return
+    reached = np.hypot(*p[hit].T)
+    size = float((inward / np.maximum(sigma, 1e-300)).max())
+    text = (
+        f"recording {rec.name!r}: signal 'p' shows a rub: {len(impacts)} impacts at {reached.min() * 1e6:.1f} to "
+        f"{reached.max() * 1e6:.1f} um from the mean position, the first at {hit[0] * rec.sample_time:.4f} s, push "
+        f"the disc back by up to {size:.0f} standard deviations more than a film does; "
+        "lower the excitation and record again, or cut that part away."
+    )
+    yield SignalProblem("p", "", "rub", text)
+
+
+def _parts(rec: Recording, k: npt.NDArray[np.int_]) -> list[slice]:
+    """Return the parts of the samples that have one equation of motion each."""
+    ways = [rec.signal(name) for name in ("pressure_bar", "speed_rpm") if name in rec.signals]
+    if not any(np.ptp(way) > _CHANGE * np.abs(way).max() for way in ways):
+        return [slice(None)]
+    count = max(1, len(k) // max(_MIN_SAMPLES, round(_PART_S / rec.sample_time)))
+    edges = np.linspace(0, len(k), count + 1).astype(int)
+    return [slice(a, b) for a, b in itertools.pairwise(edges.tolist())]
+
+
+def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, FloatArray]:
+    """Return both sides of the weak form around each sample: the second-derivative side and the regressors."""
+    t = np.arange(1 - half, half) / half
+    window = (1 + np.cos(np.pi * t)) / 2
+    slope, bend = -np.pi / 2 * np.sin(np.pi * t) / half, -(np.pi**2) / 2 * np.cos(np.pi * t) / half**2
+    n = len(p) - 2 * half + 2
+    columns = [np.ones((n, 1)), _correlate(p, window), _correlate(p, slope)]
+    columns.append(_correlate(_film(p), window))
+    source = next((name for name in ("u", "r") if name in rec.signals), None)
+    if source:
+        moved = rec.signal(source)
+        weighted = _correlate(moved - moved.mean(axis=0), window)
+        columns += [np.roll(weighted, lag, axis=0) for lag in _LAGS]  # np.roll wraps at the ends, which are left out
+    if "phi" in rec.signals and np.ptp(rec.signal("phi")) > 0:
+        turned = np.exp(1j * rec.signal("phi")[half - 1 : half - 1 + n, :1])
+        for order in range(1, _HARMONICS + 1):
+            wave = turned**order
+            columns += [wave.real, wave.imag]
+    return _correlate(p, bend), np.hstack(columns)
+
+
+def _robust_residual(weighted: FloatArray, basis: FloatArray, some: npt.NDArray[np.int_]) -> tuple[FloatArray, float]:
+    """Return the residual of a robust regression on some samples, at all samples, and its standard deviation."""
+    for _ in range(_ROUNDS):
+        own, wanted = basis[some], weighted[some]
+        found = _least_squares(own, wanted)
+        left = wanted - own @ found
+        size = np.abs(left - np.median(left, axis=0))
+        sigma = 1.4826 * float(np.median(size, axis=0).max())
+        some = some[(size < _TRIM * sigma).all(axis=1)] if sigma else some
+    return weighted - basis @ found, sigma
+
+
+def _film(p: FloatArray) -> FloatArray:
+    """Return the regressors of a film that stiffens about an unknown centre."""
+    x, y = np.ascontiguousarray(p.T)
+    xx, yy = x * x, y * y  # products: powers of numpy call a function for each sample
+    return np.stack([xx, x * y, yy, x * xx, xx * y, x * yy, y * yy]).T
+
+
+def _apart(at: npt.NDArray[np.int_], hit: npt.NDArray[np.int_], gap: int) -> BoolArray:
+    """Mark the samples with no impact nearby, because an impact changes the motion on both sides of it."""
+    if not hit.size:
+        return np.ones(len(at), dtype=bool)
+    after = np.searchsorted(hit, at)
+    before, behind = hit[np.maximum(after - 1, 0)], hit[np.minimum(after, hit.size - 1)]
+    return np.asarray(np.minimum(np.abs(at - before), np.abs(behind - at)) > gap, dtype=bool)
+
+
+def _correlate(values: FloatArray, window: FloatArray) -> FloatArray:
+    return np.stack([np.correlate(column, window, mode="valid") for column in values.T]).T
+
+
+def _in_motion(weighted: FloatArray) -> npt.NDArray[np.int_]:
+    """Return the samples at which the disc moves; samples at rest would let noise decide the regression."""
+    energy = np.sum(weighted**2, axis=1)
+    return np.flatnonzero(energy > 0.1 * energy.mean())
+
+
+def _least_squares(basis: FloatArray, change: FloatArray) -> FloatArray:
+    """Return the coefficients by normal equations with a small ridge, because columns may be equal or zero."""
+    size = np.sqrt(np.mean(basis**2, axis=0))
+    size[size == 0] = 1.0
+    scaled = basis / size
+    gram = scaled.T @ scaled + 1e-9 * len(basis) * np.eye(basis.shape[1])
+    return np.asarray(np.linalg.solve(gram, scaled.T @ change) / size[:, None])
+
+
+def _struck(rec: Recording, half: int) -> BoolArray:
+    """Mark the samples whose window contains a measured force."""
+    struck = np.zeros(rec.n_samples, dtype=bool)
+    for name in ("f", "force"):
+        if name in rec.signals:
+            size = np.abs(rec.signal(name)).max(axis=1)
+            struck |= size > 0.05 * size.max()
+    return np.asarray(np.convolve(struck, np.ones(2 * half + 5), mode="same") > 0, dtype=bool)
+
+
+def _median_of_three(values: FloatArray) -> FloatArray:
+    a, b, c = values[:-2], values[1:-1], values[2:]
+    middle = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+    return np.concatenate([values[:1], middle, values[-1:]])
+
+
+# ---- Checks of the sample time and of the shaft encoder.
+
+SPEED_TOLERANCE = 0.02
+"""Largest relative difference between the speed of the encoder and the stated speed."""
+SLIP = np.deg2rad(2.0)
+"""Smallest jump of the angle that is reported [rad]."""
+SLIP_SIGMAS = 10.0
+"""Smallest jump that is reported, in robust standard deviations of the angle increments."""
+_SMOOTH = 25  # samples of the running median that gives the present speed
+_TURN = 2 * np.pi
+
+
+def find_encoder_faults(rec: Recording) -> Iterator[SignalProblem]:
+    """Return jumps and stops of the shaft angle phi: lost counts, a lost index, a blocked encoder.
+
+    The increments of the angle from sample to sample, wrapped to half a turn, follow the speed. A single increment
+    far from the median of its neighbours is a jump. A stretch without increments while the rest turns is a stop. At the
+    begin or the end of a recording it is a shaft at rest (`gbid.recording.quality`). The step from a full turn to
+    zero is neither.
+    """
+    increments = turning_increments(rec)
+    if increments is None:
+        return
+    speed = scipy.ndimage.median_filter(increments, size=_SMOOTH, mode="nearest")
+    off = np.abs(increments - speed)
+    sigma = 1.4826 * float(np.median(np.abs(off - np.median(off)))) + float(np.median(off))
+    turning = np.median(np.abs(increments)) > 0
+    stopped = _long_runs(increments == 0, 2 * _SMOOTH) if turning else np.zeros(0, int)
+    if stopped.size:
+        share = stopped.size / len(increments)
+        text = (
+            f"recording {rec.name!r}: signal 'phi' stops: it stays at one angle for {stopped.size} samples "
+            f"({share:.1%}), the first at {stopped[0] * rec.sample_time:.4f} s, while the shaft turns; check the "
+            "encoder, or cut that away."
+        )
+        yield SignalProblem("phi", "phi", "encoder", text)
+    jumps = np.flatnonzero(off > max(SLIP, SLIP_SIGMAS * sigma))
+    jumps = np.setdiff1d(jumps, np.concatenate([stopped, stopped + 1, stopped - 1]))
+    if jumps.size and turning:
+        size = np.rad2deg(increments[jumps[0]] - speed[jumps[0]])
+        text = (
+            f"recording {rec.name!r}: signal 'phi' jumps {jumps.size} times, the first by {size:+.1f} degrees at "
+            f"{jumps[0] * rec.sample_time:.4f} s: the encoder lost counts or its index; check its cable and "
+            "speed limit, or cut those samples away."
+        )
+        yield SignalProblem("phi", "phi", "encoder", text)
+
+
+def find_clock_problems(rec: Recording) -> Iterator[SignalProblem]:
+    """Return a wrong sample time: phi must turn at ``speed_rpm`` within 2 %.
+
+    The data cannot show whether the sample time or the speed is wrong. The text gives the sample time that would fit.
+    For a recording with changing speed see `gbid.recording.quality`.
+    """
+    claimed = rec.conditions.get("speed_rpm")
+    increments = turning_increments(rec)
+    if not claimed or increments is None:
+        return
+    quarter = len(increments) // 4
+    first, last = abs(increments[:quarter].mean()), abs(increments[-quarter:].mean())
+    if abs(first - last) > SPEED_TOLERANCE * max(first, last):
+        return
+    measured = 60 * abs(float(increments.mean())) / _TURN / rec.sample_time
+    if measured > 0 and abs(measured - abs(claimed)) > SPEED_TOLERANCE * abs(claimed):
+        text = (
+            f"recording {rec.name!r}: sample_time_s = {rec.sample_time:g} s cannot be right: phi turns at "
+            f"{measured:.1f} rpm, but speed_rpm = {claimed:g}; a sample time of "
+            f"{rec.sample_time * measured / abs(claimed):.4g} s would fit, or another speed."
+        )
+        yield SignalProblem("", "", "sample_time", text)
+
+
+def turning_increments(rec: Recording) -> FloatArray | None:
+    """Return the angle increments wrapped to half a turn; None without an angle or for a shaft at rest."""
+    if "phi" not in rec.signals or rec.signal("phi").shape[1] != 1 or rec.n_samples < 4 * _SMOOTH:
+        return None
+    steps = np.diff(rec.signal("phi")[:, 0])
+    if not steps.any():
+        return None
+    return np.asarray(np.mod(steps + np.pi, _TURN) - np.pi)
+
+
+def _long_runs(at: FloatArray, least: int) -> FloatArray:
+    """Return the indices of the true entries in runs of at least a given length that touch neither end."""
+    edges = np.flatnonzero(np.diff(at, prepend=False, append=False))
+    pairs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+    runs = [np.arange(a, b) for a, b in pairs if a > 0 and b < len(at)]
+    return np.concatenate(runs) if runs else np.zeros(0, int)
+
+
+# ---- Check of the speed over a recording: a run-up, a coast-down, a speed that changes.
+
+BLOCK = 0.05
+"""Shortest block over which a speed is averaged [s]; it is at least a turn long."""
+
+
+MARGIN = 0.05
+"""Share of a run-up that is cut away in addition, because its end is slow."""
+
+
+@dataclass(frozen=True)
+class SpeedChange:
+    """Change of the speed within a recording.
+
+    Attributes
+    ----------
+    share : float
+        Share of the recording in which the shaft does not turn at the stated speed.
+    low, high : float
+        Lowest and highest speed there [rpm].
+    from_s, to_s : float or None
+        Longest part at the stated speed [s]; None where it begins or ends with the recording.
+    steady : bool
+        Whether there is such a part.
+    """
+
+    share: float
+    low: float
+    high: float
+    from_s: float | None = None
+    to_s: float | None = None
+    steady: bool = True
+
+
+def find_speed_changes(rec: Recording) -> Iterator[SignalProblem]:
+    """Return a problem when phi turns at ``speed_rpm`` in one part of a recording only; see `speed_change`."""
+    change = speed_change(rec)
+    if change is None:
+        return
+    text = (
+        f"recording {rec.name!r}: the speed changes: phi turns at {change.low:.0f} to {change.high:.0f} rpm in "
+        f"{change.share:.0%} of it, but speed_rpm = {rec.conditions['speed_rpm']:g}; "
+    )
+    if change.steady:
+        parts = {"from_s": change.from_s, "to_s": change.to_s}
+        keys = " and ".join(f"{key}: {value:.4g}" for key, value in parts.items() if value is not None)
+        what = "a run-up before it" if change.to_s is None else "a change of speed beside it"
+        text += f"{what}: cut to the part at this speed with {keys} (seconds after its present first sample)."
+    else:
+        text += "correct speed_rpm, or record at a constant speed."
+    yield SignalProblem("", "", "speed", text)
+
+
+def speed_change(rec: Recording) -> SpeedChange | None:
+    """Return where phi does not turn at ``speed_rpm``; None where it does, or is steady at another speed.
+
+    The speed is averaged over blocks of a turn or more. A block is off when it differs from ``speed_rpm`` by more than
+    2 %. A steady other speed is a matter of the sample time, which has a check of its own.
+    """
+    claimed = rec.conditions.get("speed_rpm")
+    increments = turning_increments(rec)
+    if claimed is None or increments is None or any(find_encoder_faults(rec)):
+        return None
+    turn = 60 / abs(claimed) if claimed else 0.0
+    size = max(25, math.ceil(max(BLOCK, turn) / rec.sample_time))
+    count = len(increments) // size
+    if count < 2:
+        return None
+    seconds = size * rec.sample_time
+    speeds = 60 * np.abs(increments[: count * size].reshape(count, size).mean(axis=1)) / (2 * np.pi * rec.sample_time)
+    off = np.abs(speeds - abs(claimed)) > SPEED_TOLERANCE * max(abs(claimed), 60 / seconds)
+    if not off.any() or (off.all() and np.ptp(speeds) <= SPEED_TOLERANCE * speeds.max()):
+        return None
+    change = SpeedChange(float(off.mean()), float(speeds[off].min()), float(speeds[off].max()), steady=False)
+    if off.all():
+        return change
+    edges = np.flatnonzero(np.diff(~off, prepend=False, append=False))
+    first, last = max(zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[1] - run[0])
+    spare = max(seconds, MARGIN * seconds * max(first, count - last))
+    from_s = float(first * seconds + spare) if first else None
+    to_s = float(last * seconds - spare) if last < count else None
+    steady = (to_s or rec.duration) > (from_s or 0.0)
+    return replace(change, from_s=from_s, to_s=to_s, steady=steady)
+
 
 MIN_SAMPLES = 100
 """Smallest number of samples that can be used for identification."""
@@ -38,9 +564,9 @@ def find_problems(
     frequent than the next one; and the channel takes more than 16 distinct values.
 
     Recordings of r, u and p with moving piezos get further checks. u and p must respond to the reference, and each
-    axis more to its own reference than to the other (`gbid.recording.quality_response`). p must not show impacts on the
-    bearing (`gbid.recording.quality_rub`). phi must turn without jumps and at the stated speed
-    (`gbid.recording.quality_time`), which must not change (`gbid.recording.quality_speed`). No check needs a model.
+    axis more to its own reference than to the other (`gbid.recording.quality`). p must not show impacts on the
+    bearing (`gbid.recording.quality`). phi must turn without jumps and at the stated speed
+    (`gbid.recording.quality`), which must not change (`gbid.recording.quality`). No check needs a model.
 
     Parameters
     ----------
@@ -134,3 +660,86 @@ def _in_long_runs(at: BoolArray) -> int:
     edges = np.flatnonzero(np.diff(at, prepend=False, append=False))
     lengths = edges[1::2] - edges[::2]
     return int(lengths[lengths >= MIN_RUN].sum())
+
+
+# ---- Quality checks across recordings: equal content under two names, and a sample time unlike the others.
+
+MAX_LEVELS = 4
+"""A command with at most this number of distinct values is a test signal with held levels (PRBS)."""
+
+
+def content_digest(rec: Recording) -> str:
+    """Return the sha256 of all signals, bit for bit; it does not depend on the name of the recording."""
+    digest = hashlib.sha256()
+    for name in sorted(rec.signals):
+        digest.update(f"{name}{rec.signal(name).shape}".encode())
+        digest.update(np.ascontiguousarray(rec.signal(name)).tobytes())
+    return digest.hexdigest()
+
+
+def find_group_problems(recordings: Iterable[Recording]) -> dict[str, list[SignalProblem]]:
+    """Return the problems that show only when the recordings of one experiment are compared.
+
+    Two recordings with equal samples are duplicates; the second one is reported. When most recordings hold their
+    command r for the same time, a recording that holds it for the same number of samples but another time has a wrong
+    sample time.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        They are read one after the other, so a generator saves memory.
+
+    Returns
+    -------
+    dict of str to list of SignalProblem
+        By name of the recording; only recordings with problems are listed.
+    """
+    first: dict[str, str] = {}
+    holds: dict[str, tuple[int, float]] = {}
+    found: dict[str, list[SignalProblem]] = {}
+    for rec in recordings:
+        digest = content_digest(rec)
+        if digest in first:
+            text = (
+                f"recording {rec.name!r} holds the same samples as {first[digest]!r}; leave one of them out, or "
+                "correct its file."
+            )
+            found.setdefault(rec.name, []).append(SignalProblem("", "", "duplicate", text))
+        first.setdefault(digest, rec.name)
+        hold = _hold(rec)
+        if hold:
+            holds[rec.name] = hold, rec.sample_time
+    for name, text in _odd_clocks(holds):
+        found.setdefault(name, []).append(SignalProblem("", "", "sample_time", text))
+    return found
+
+
+def _hold(rec: Recording) -> int:
+    """Return the smallest number of samples for which a command with few levels is held; 0 without such a command."""
+    if "r" not in rec.signals:
+        return 0
+    shortest = []
+    for column in rec.signal("r").T:
+        changes = np.flatnonzero(np.diff(column))
+        if len(changes) >= 10 and len(np.unique(column)) <= MAX_LEVELS:
+            shortest.append(int(np.gcd.reduce(np.diff(changes))))
+    return min(shortest, default=0)
+
+
+def _odd_clocks(holds: dict[str, tuple[int, float]]) -> list[tuple[str, str]]:
+    """Return recordings whose command is held for the usual number of samples but for another time, with a text."""
+    times = Counter(f"{samples * step:.6g}" for samples, step in holds.values())
+    if not times:
+        return []
+    usual, count = times.most_common(1)[0]
+    samples_of_usual = {samples for samples, step in holds.values() if f"{samples * step:.6g}" == usual}
+    odd = []
+    for name, (samples, step) in holds.items():
+        if count >= 2 and f"{samples * step:.6g}" != usual and samples in samples_of_usual:
+            text = (
+                f"recording {name!r}: sample_time_s = {step:g} s is unlike the others': r is held for {samples} "
+                f"samples as theirs, which is {samples * step:g} s and not {usual} s; a sample time of "
+                f"{float(usual) / samples:.4g} s would fit."
+            )
+            odd.append((name, text))
+    return odd

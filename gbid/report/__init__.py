@@ -10,34 +10,16 @@ from typing import Any
 
 _MODULES = (
     "diagrams",
-    "loop.cycle_rounds",
-    "loop.damping_map",
-    "loop.eigenvalues",
-    "loop.impact_bands",
-    "loop.impact_curves",
-    "loop.magnitudes",
-    "loop.pareto_curves",
-    "loop.robustness_price",
-    "measured.actuator_scatter",
-    "measured.fit_histogram",
-    "measured.piezo_staircases",
-    "measured.recording_panels",
-    "measured.residual_panels",
-    "measured.response",
-    "measured.staircase_map",
-    "model.bode_diagram",
-    "model.campbell_diagram",
-    "model.iso_diagram",
-    "model.orbit_diagram",
-    "model.pole_diagram",
-    "model.response_diagram",
-    "picture_of",
-    "save",
-    "surfaces.over_pressure",
-    "surfaces.surface_panels",
+    "loop_pictures",
+    "impact_pictures",
+    "measured_pictures",
+    "model_pictures",
+    "pictures",
+    "canvas",
+    "surface_pictures",
 )
-"""Modules of `gbid.report.figures` with the public names."""
-_PACKAGES = ("figures", "html", "paper", "reader", "tables")
+"""Modules of `gbid.report` with the public names."""
+_PACKAGES: tuple[str, ...] = ()
 
 __all__ = [
     "ActuatorParameters",
@@ -123,7 +105,7 @@ def __getattr__(name: str) -> Any:
         return import_module(f"gbid.report.{name}")
     if name in __all__:
         for module in _MODULES:
-            found = getattr(import_module(f"gbid.report.figures.{module}"), name, None)
+            found = getattr(import_module(f"gbid.report.{module}"), name, None)
             if found is not None:
                 globals()[name] = found
                 return found

@@ -3,17 +3,286 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import threading
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from math import inf, isfinite
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from gbid.errors import GbidError, UsageError
-from gbid.serve.explored_loop import Explored, explored_loop
-from gbid.serve.live import Live
-from gbid.serve.pages import explorer_page, report_page
+import numpy as np
+from markupsafe import Markup
+
+from gbid.control import controller_at, impact_response, sampled_loop, sensitivities
+from gbid.control.loop.close import smallest_damping
+from gbid.control.loop.norm import largest_singular_values
+from gbid.control.loop.sampled import exact_plant
+from gbid.control.loop.sensitivity import static_amplification
+from gbid.core.arrays import ComplexArray, is_real, oscillatory_modes
+from gbid.core.errors import GbidError, UsageError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run import Job
+from gbid.report.page import environment, page_part, script
+from gbid.report.read import AssessedDesign, Results
+from gbid.report.write import report_key, report_text
+from gbid.structure import LinearModel
+
+# ---- Closed loop of one design for any gains at one operating point: the numbers that the gain explorer draws.
+
+_SHOWN_S = 0.2  # length of the impact response
+_EVERY = 10  # the response has a sample each 0.02 ms; the page draws every tenth
+_FREQUENCIES = 300
+_RANGE = (5.0, 1000.0)  # Hz
+
+
+@dataclass(frozen=True)
+class Explored:
+    """Settings of the explorer.
+
+    Attributes
+    ----------
+    pressure_bar, speed_rpm : float
+        Operating point [bar], [rpm].
+    gains : dict of str to float
+        A value for every parameter of the controller.
+    axis : {"x", "y"}
+        Direction of the impact.
+    sampled : bool
+        Whether poles and sensitivity are those of the sampled loop with exact delays and computation time.
+    """
+
+    pressure_bar: float
+    speed_rpm: float
+    gains: Mapping[str, float]
+    axis: str = "x"
+    sampled: bool = False
+
+
+def explored_loop(design: AssessedDesign, asked: Explored) -> dict[str, Any]:
+    """Return the loop of a design with other gains, as numbers for JSON.
+
+    Parameters
+    ----------
+    design : AssessedDesign
+        Design with plant, structure, sample time and impact.
+    asked : Explored
+        Operating point and gains.
+
+    Returns
+    -------
+    dict
+        stable, damping, peak {value, frequency_hz}, static_amplification, modes [[frequency_hz, damping, decay_per_s]],
+        open_modes, real [1/s], frequency_hz, largest, xx, yy (magnitudes of S_o), time_s, closed_m, open_m (motion
+        along the axis of the impact; null where it is not finite), stack_travel_m. The impact acts on the
+        continuous loop.
+
+    Raises
+    ------
+    UsageError
+        When the axis or a gain is unknown, a gain is not finite, or the point lies outside the domain.
+    """
+    names = [parameter.name for parameter in design.structure.parameters]
+    unknown = [name for name in asked.gains if name not in names]
+    if unknown or asked.axis not in ("x", "y"):
+        raise UsageError(f"explorer: no gain {unknown[0]!r}" if unknown else f"explorer: axis = {asked.axis!r}")
+    gains = {**design.figures.gains, **asked.gains}
+    if not all(isfinite(value) for value in gains.values()):
+        raise UsageError("explorer: give finite gains")
+    point = asked.pressure_bar, asked.speed_rpm
+    plant, controller = design.plant.plant_at(*point), controller_at(design.structure, gains, *point)
+    continuous = sensitivities(plant, controller)
+    if asked.sampled:
+        sampled = sampled_loop(exact_plant(design.plant, *point), controller, design.sample_time, method=design.method)
+        loop, closed, damping = sampled.sensitivities, sampled.closed, sampled.damping
+    else:
+        loop, closed = continuous, continuous.model("plant")
+        damping = smallest_damping(closed)
+    top = min(_RANGE[1], 0.5 / design.sample_time) if asked.sampled else _RANGE[1]
+    frequency = np.geomspace(_RANGE[0], top, _FREQUENCIES)
+    S = loop.response("output", frequency)
+    stable = closed.is_stable()
+    peak = loop.peak("output")
+    place = "xy".index(asked.axis)
+    impact = design.impact.towards(90.0 * place)
+    response = impact_response(plant, controller, impact, duration_s=_SHOWN_S)
+    alone = impact_response(plant, None, impact, duration_s=_SHOWN_S)
+    rates = _rates(closed)
+    return {
+        "stable": stable,
+        "damping": damping,
+        "peak": {"value": _finite(peak.value), "frequency_hz": _finite(peak.frequency_hz)},
+        "static_amplification": _finite(static_amplification(loop) if stable else inf),
+        "modes": _modes(rates),
+        "open_modes": _modes(_rates(plant)),
+        "real": sorted(rates[is_real(rates)].real.tolist()),
+        "frequency_hz": frequency.tolist(),
+        "largest": largest_singular_values(S).tolist(),
+        "xx": np.abs(S[:, 0, 0]).tolist(),
+        "yy": np.abs(S[:, 1, 1]).tolist(),
+        "time_s": alone.time_s[::_EVERY].tolist(),
+        "closed_m": _drawn(response.p, place),
+        "open_m": _drawn(alone.p, place),
+        "stack_travel_m": _finite(response.stack_travel_m),
+    }
+
+
+def _rates(model: LinearModel) -> ComplexArray:
+    """Return the poles in continuous time [rad/s]; of a sampled model those that last for more than a sample."""
+    rates = model.poles()
+    return rates if model.dt is None else rates[-rates.real * model.dt < 1]
+
+
+def _modes(rates: ComplexArray) -> list[list[float]]:
+    """Return frequency [Hz], damping factor and decay rate [1/s] of the oscillatory modes, by frequency."""
+    return [[hz, damping, 2 * np.pi * hz * damping] for hz, damping in oscillatory_modes(rates).tolist()]
+
+
+def _drawn(positions: Any, place: int) -> list[float | None]:
+    return [_finite(float(value)) for value in np.asarray(positions)[::_EVERY, place]]
+
+
+def _finite(value: float) -> float | None:
+    """Return a number for JSON, which has no infinity."""
+    return float(value) if isfinite(value) else None
+
+
+# ---- Present results of an experiment, read anew when they change.
+
+
+class Live:
+    """Pages of one experiment, for several threads of a server.
+
+    Parameters
+    ----------
+    experiment : path
+        The experiment YAML; it is read again with each page.
+    results : path, optional
+        Folder of the results, instead of the one in the YAML.
+
+    Raises
+    ------
+    UsageError
+        When the YAML has problems.
+    """
+
+    def __init__(self, experiment: Path, results: Path | None = None) -> None:
+        self._where = experiment, results
+        self._lock = threading.Lock()  # matplotlib draws in one thread at a time
+        self._page: tuple[str, str] = ("", "")
+        self._designs: tuple[str, dict[str, AssessedDesign]] = ("", {})
+        self.name = self._read().experiment.spec.name
+
+    def _read(self) -> Results:
+        return Results(Job(load_experiment(*self._where)))
+
+    def state(self) -> dict[str, Any]:
+        """Return how far the campaign is: the key of the present results, and counts of results by stage and state."""
+        with self._lock:
+            results = self._read()
+            stages: dict[str, Counter[str]] = {}
+            for standing in results.standings:
+                stages.setdefault(standing.stage, Counter())[standing.state] += 1
+            return {"key": report_key(results), "stages": {stage: dict(count) for stage, count in stages.items()}}
+
+    def page(self) -> str:
+        """Return the report of the present results; drawn anew only when they changed."""
+        with self._lock:
+            results = self._read()
+            key = report_key(results)
+            if self._page[0] != key:
+                self._page = key, report_text(results, key)
+            return self._page[1]
+
+    def designs(self) -> dict[str, AssessedDesign]:
+        """Return the designs by name: the tuned ones and the published controllers.
+
+        Raises
+        ------
+        UsageError
+            When there is no design.
+        """
+        with self._lock:
+            results = self._read()
+            key = report_key(results)
+            if self._designs[0] != key:
+                self._designs = key, {design.name: design for design in results.assessed}
+            if not self._designs[1]:
+                raise UsageError("no controller yet; run `gbid tune` or `gbid run`")
+            return self._designs[1]
+
+    def known_designs(self) -> dict[str, AssessedDesign]:
+        """Return the designs as the explorer last read them: a slider asks often, and reading takes time."""
+        return self._designs[1] or self.designs()
+
+
+# ---- Pages of the server: the report with a line that follows the campaign, and the gain explorer.
+
+_STEPS = 400  # of a slider
+_FOLLOW = "</body>"
+
+
+def report_page(live: Live) -> str:
+    """Return the report with the line that follows the campaign."""
+    added = environment(_own).get_template("follow.html.j2").render(follow=script(_own("follow.js")))
+    return live.page().replace(_FOLLOW, f"{added}\n{_FOLLOW}")
+
+
+def explorer_page(live: Live) -> str:
+    """Return the gain explorer for all designs of the experiment.
+
+    Raises
+    ------
+    UsageError
+        When there is no design.
+    """
+    designs = [_described(design) for design in live.designs().values()]
+    template = environment(_own).get_template("explorer_page.html.j2")
+    return template.render(
+        name=live.name,
+        designs=designs,
+        style=Markup(page_part("style.css")),
+        scripts=[script(page_part("charts.js")), script(_own("explorer_page.js"))],
+    )
+
+
+def _own(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _described(design: AssessedDesign) -> dict[str, Any]:
+    """Return what the page needs to know of a design: ranges of operating point and gains, and values."""
+    pressures, speeds = design.plant.domain.pressure_bar, design.plant.domain.speed_rpm
+    first = design.figures.points[0]
+    controls = [
+        _control("pressure_bar", "Injection pressure", "bar", *pressures, float(first[0])),
+        _control("speed_rpm", "Speed", "rpm", *speeds, float(first[1])),
+    ]
+    for parameter in design.structure.parameters:
+        value = design.figures.gains[parameter.name]
+        room = 3 * max(abs(value), 1e-3)
+        low = parameter.lower if isfinite(parameter.lower) else value - room
+        high = parameter.upper if isfinite(parameter.upper) else value + room
+        controls.append(_control(parameter.name, parameter.name, parameter.unit or "-", low, high, value))
+    return {
+        "name": design.name,
+        "structure": design.structure.name,
+        "cap": design.cap,
+        "sample_time_ms": 1e3 * design.sample_time,
+        "impact": f"{design.impact.peak_n:g} N, {1e3 * design.impact.duration_s:g} ms",
+        "controls": controls,
+    }
+
+
+def _control(name: str, label: str, unit: str, low: float, high: float, value: float) -> dict[str, Any]:
+    step = (high - low) / _STEPS or 1.0
+    return {"name": name, "label": label, "unit": unit, "low": low, "high": high, "step": step, "value": value}
+
 
 HOST = "127.0.0.1"
 _OWN = (

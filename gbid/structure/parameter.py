@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from copy import copy
 from dataclasses import dataclass
+from functools import wraps
 from math import inf, isfinite, isnan
-from typing import Any
+from typing import Any, TypeVar
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -98,3 +101,40 @@ def known_names(parameters: tuple[Parameter, ...], given: Mapping[str, Any], wha
     unknown = [name for name in given if name not in names]
     if unknown:
         raise UsageError(f"{what} names unknown parameters: {', '.join(unknown)}; there are {', '.join(names)}")
+
+
+# ---- Functions of a structure that are called once for all parts of a fit.
+
+_Asked = TypeVar("_Asked")
+_Found = TypeVar("_Found")
+_known: ContextVar[dict[tuple[str, int], tuple[Any, Any]] | None] = ContextVar("known", default=None)
+
+
+@contextmanager
+def asked_once() -> Iterator[None]:
+    """Return a context in which what was asked of a structure is kept: start, predictor and model ask for the same.
+
+    It is that of one fit. Functions of a user may return something else in the next one.
+    """
+    before = _known.set({})
+    try:
+        yield
+    finally:
+        _known.reset(before)
+
+
+def once(function: Callable[[_Asked], _Found]) -> Callable[[_Asked], _Found]:
+    """Return a function of a structure that computes its result once within `asked_once`."""
+
+    @wraps(function)
+    def asked(structure: _Asked) -> _Found:
+        known = _known.get()
+        if known is None:
+            return function(structure)
+        key = function.__qualname__, id(structure)
+        if key not in known:
+            known[key] = structure, function(structure)  # with the structure, so that its id stays its own
+        found: _Found = known[key][1]
+        return found
+
+    return asked

@@ -3,12 +3,182 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
-from gbid.errors import UsageError
-from gbid.structure.any_structure import AnyStructure, anatomy
-from gbid.structure.linear import in_one_line
-from gbid.structure.numeric.linear_model import LinearModel
+import casadi as ca
+import numpy as np
+
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import UsageError
+from gbid.discretise import check_holds, delayed_taps, discretise, squarings_for
+from gbid.structure.built_in import AXES, STIFFENING, RotorBearing, square
+from gbid.structure.linear import Structure, evaluate, in_one_line, symbolic_matrices
+from gbid.structure.models import LinearModel, check_sample_time
+from gbid.structure.nonlinear import (
+    NonlinearModel,
+    NonlinearStructure,
+    first_steps,
+    nonlinear_model,
+    over_a_sample,
+    symbolic_equations,
+)
+from gbid.structure.parameter import Values, known_names
+from gbid.structure.scheduled import ScheduledStructure, coefficient_names
+
+# ---- Rotor bearing whose film stiffens, as a nonlinear structure.
+
+
+def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
+    """Return the equations of a rotor bearing whose film stiffens.
+
+    The linear part is that of `RotorBearing.matrices`, with its delays as filters or exact. The film adds
+    ``s |p|^2 K p`` to the acceleration.
+
+    Parameters
+    ----------
+    bearing : RotorBearing
+        The bearing, with ``film="stiffening"``.
+    """
+    exact = bearing.delay == "exact"
+
+    def dynamics(x: Any, u: Any, p: Values) -> Any:
+        own = bearing.matrices(p)
+        film = p[STIFFENING] * (x[0] ** 2 + x[1] ** 2) * (square(p, "k") @ x[:2])
+        drive = own["B"] + own["B_delayed"] if exact else own["B"]
+        return own["A"] @ x + drive @ u + ca.vertcat(ca.SX(2, 1), film, ca.SX(x.numel() - 4, 1))
+
+    late = [] if exact else [f"late_{axis}{i}" for axis in AXES for i in range(bearing.pade_order)]
+    return NonlinearStructure(
+        bearing.name,
+        bearing.parameters,
+        ["p_x", "p_y", "v_x", "v_y", *late],
+        dynamics,
+        lambda x, _u, _p: x[:2],
+        [f"{signal}.{axis}" for signal in bearing.inputs for axis in AXES],
+        [f"{bearing.outputs[0]}.{axis}" for axis in AXES],
+        intersample=bearing.intersample,
+        disturbance_gain=None if bearing.disturbance_gain == "none" else lambda p: bearing.matrices(p)["K"],
+        delay=(lambda p: bearing.matrices(p)["delay"]) if exact else None,
+    )
+
+
+# ---- What a fit asks of a structure of any kind: sizes, where its parameters act, and its model.
+
+AnyStructure = Structure | NonlinearStructure | ScheduledStructure
+"""Structure of any kind."""
+
+
+class Anatomy(NamedTuple):
+    """Sizes of a structure, and the names of the parameters that act in its parts.
+
+    Attributes
+    ----------
+    n_states, n_inputs : int
+        Numbers of states and inputs.
+    in_equations : frozenset of str
+        Parameters that act through something else than the initial state.
+    in_x0 : tuple of frozenset of str
+        Parameters in the stated initial value of each state; empty when the structure states none.
+    has_gain : bool
+        Whether there is a disturbance gain.
+    gain_only : frozenset of str
+        Parameters on which only the disturbance gain depends.
+    """
+
+    n_states: int
+    n_inputs: int
+    in_equations: frozenset[str]
+    in_x0: tuple[frozenset[str], ...]
+    has_gain: bool
+    gain_only: frozenset[str]
+
+
+def equations_of(structure: AnyStructure) -> AnyStructure:
+    """Return the structure with which a fit computes: that of a bearing whose film stiffens is nonlinear."""
+    nonlinear = isinstance(structure, RotorBearing) and structure.film != "linear"
+    return film_bearing(structure) if nonlinear else structure  # type: ignore[arg-type]  # a bearing, see above
+
+
+def anatomy(
+    structure: AnyStructure, driven: Sequence[int] | None = None, moving: Sequence[int] | None = None
+) -> Anatomy:
+    """Return the anatomy of a structure.
+
+    Parameters
+    ----------
+    structure : Structure, NonlinearStructure or ScheduledStructure
+        The structure.
+    driven, moving : sequence of int, optional
+        Inputs that are not zero, and inputs that move; all by default. A parameter that acts through others alone does
+        not count.
+    """
+    if isinstance(structure, ScheduledStructure):
+        return _of_scheduled(structure, anatomy(structure.base, driven, moving))
+    if isinstance(structure, NonlinearStructure):
+        e = symbolic_equations(structure)
+        n_u = e.u.numel()
+        at = ca.vertcat(*(e.u[i] if driven is None or i in driven else ca.SX(0) for i in range(n_u)))
+        acting = ca.substitute([e.dx, e.y], [e.u], [at]) if n_u else [e.dx, e.y]
+        acting = [*acting, e.delay[list(range(n_u)) if moving is None else list(moving), :]]
+        only = _names([e.K]) - _names([*acting, e.x0])
+        return Anatomy(e.x.numel(), n_u, _names([*acting, e.K]), _by_row(e.x0), e.K.nnz() > 0, only)
+    _, m = symbolic_matrices(structure)
+    every = list(range(m.B.shape[1]))
+    own = every if driven is None else list(driven)
+    parts = [m.A, m.C, m.B[:, own], m.D[:, own], m.B_delayed[:, own], *(m.feedback.law if m.feedback else ())]
+    if m.has_delay:
+        parts.append(m.delay[every if moving is None else list(moving), :])
+    only = _names([m.K]) - _names([*parts, m.x0])
+    has_gain = m.K.nnz() > 0 or m.feedback is not None
+    return Anatomy(m.n_states, len(every), _names([*parts, m.K]), _by_row(m.x0), has_gain, only)
+
+
+def model_of(
+    structure: AnyStructure,
+    values: Mapping[str, float],
+    input_names: tuple[str, ...] = (),
+    output_names: tuple[str, ...] = (),
+    *,
+    steps: int = 1,
+) -> LinearModel | NonlinearModel:
+    """Return the model of a structure for given parameter values; `steps` is for nonlinear ones.
+
+    That of a scheduled structure is its base in the middle of the range, where only the first coefficients count.
+    """
+    if isinstance(structure, ScheduledStructure):
+        first = {key: values[coefficient_names(key, 1)[0]] for key in structure.surfaces}
+        own = {q.name: first[q.name] if q.name in first else values[q.name] for q in structure.base.parameters}
+        return evaluate(structure.base, own, input_names, output_names)
+    if isinstance(structure, NonlinearStructure):
+        return nonlinear_model(structure, values, input_names, output_names, steps=steps)
+    return evaluate(structure, values, input_names, output_names)
+
+
+def _of_scheduled(structure: ScheduledStructure, base: Anatomy) -> Anatomy:
+    """Return the anatomy with the coefficients in place of the parameters that are surfaces."""
+
+    def renamed(names: frozenset[str]) -> frozenset[str]:
+        m = len(structure.exponents)
+        rows = (coefficient_names(name, m) if name in structure.surfaces else [name] for name in names)
+        return frozenset(name for row in rows for name in row)
+
+    return base._replace(
+        in_equations=renamed(base.in_equations),
+        in_x0=tuple(map(renamed, base.in_x0)),
+        gain_only=renamed(base.gain_only),
+    )
+
+
+def _by_row(x0: ca.SX) -> tuple[frozenset[str], ...]:
+    return tuple(_names([row]) for row in ca.vertsplit(x0)) if x0.numel() else ()
+
+
+def _names(parts: Sequence[ca.SX]) -> frozenset[str]:
+    inside = {symbol.name() for part in parts for symbol in ca.symvar(ca.veccat(part))}
+    return frozenset(inside)
+
 
 _REMEDY = "make it a gbid.LinearStructure or gbid.NonlinearStructure"
 
@@ -79,3 +249,186 @@ def load_structure_or_model(reference: str, folder: Path | None = None) -> AnySt
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     return found
+
+
+# ---- Functions of CasADi for a structure: continuous model, discretised model, one-step predictor.
+
+_HEADROOM = 2  # doublings of the matrix exponential beyond those at the given values: for four times faster poles
+
+
+class ModelFunctions(NamedTuple):
+    """Functions of a structure. Their arguments have names: ``f(x=..., u=..., p=...)``; what is left out is zero.
+
+    Attributes
+    ----------
+    continuous : casadi.Function
+        ``(x, u, e, p) -> (dx, y)``: derivatives of the states and outputs, with the prediction error e that the
+        disturbance gain feeds back. With exact delays ``(x, u, u_delayed, e, p)``.
+    discretised : casadi.Function
+        ``(x, u, p) -> (x_next, y)``: the model over one sample. `u` is (n_inputs, lags + 2): its columns are the inputs
+        at the samples k + 1, k, k - 1, ..., k - lags.
+    predictor : casadi.Function
+        ``(x, u, y, p) -> (x_next, yhat)``: the one-step predictor, with the measured outputs `y` at sample k.
+    parameters : tuple of str
+        Names of the entries of `p`.
+    lags : int
+        Number of past samples of the inputs that exact delays need; 0 without such delays.
+    """
+
+    continuous: ca.Function
+    discretised: ca.Function
+    predictor: ca.Function
+    parameters: tuple[str, ...]
+    lags: int
+
+
+def casadi_functions(
+    structure: AnyStructure,
+    sample_time: float,
+    *,
+    values: Mapping[str, float] | None = None,
+    intersample: str | Sequence[str] | None = None,
+    steps: int | None = None,
+) -> ModelFunctions:
+    """Return the functions of CasADi for a structure, linear or nonlinear, with its parameters as an argument.
+
+    Parameters
+    ----------
+    structure : Structure or NonlinearStructure
+        The structure.
+    sample_time : float
+        Time between samples [s].
+    values : dict of str to float, optional
+        Values of parameters near which the discretised functions are accurate; others are the start values. The graph
+        of a matrix exponential has a fixed number of doublings, and that of an exact delay a fixed number of samples.
+    intersample : {"zoh", "foh"} or sequence, optional
+        Inter-sample behaviour of the inputs; by default that of the structure.
+    steps : int, optional
+        Steps of the integrator in a sample, for nonlinear structures. By default those of the structure; for "auto" as
+        many as the fastest pole at `values` needs.
+
+    Returns
+    -------
+    ModelFunctions
+        The functions.
+
+    Raises
+    ------
+    UsageError
+        When a value is missing or unknown, an exact delay is negative, or an option does not fit the structure.
+    """
+    check_sample_time(structure.name, sample_time)
+    known_names(structure.parameters, values or {}, "values")
+    known = {q.name: q.start for q in structure.parameters if q.start is not None} | dict(values or {})
+    hold = structure.intersample if intersample is None else intersample
+    structure = equations_of(structure)
+    if isinstance(structure, ScheduledStructure):
+        raise UsageError(f"{structure.name}: its matrices change on the way; give its base, structure.base")
+    if isinstance(structure, NonlinearStructure):
+        return _of_nonlinear(structure, sample_time, known, hold, steps)
+    if steps is not None:
+        raise UsageError(f"steps = {steps}: structure {structure.name!r} is linear, and discretised exactly")
+    return _of_linear(structure, sample_time, known, hold)
+
+
+def _of_nonlinear(
+    structure: NonlinearStructure,
+    sample_time: float,
+    values: Mapping[str, float],
+    hold: str | Sequence[str],
+    steps: int | None,
+) -> ModelFunctions:
+    own = symbolic_equations(structure)
+    if steps is None:
+        steps = first_steps(structure, _numbers(structure, values), sample_time, own)
+    n_u, holds = own.u.numel(), check_holds(hold, own.u.numel())
+    whole = [0] * n_u  # samples in the delay of each input
+    if own.delayed:
+        delays = ca.Function("d", [own.p], [ca.densify(own.delay)])(_numbers(structure, values))
+        whole = [int(shift) for shift in np.floor(np.array(delays, float).ravel() / sample_time)]
+    early = [own.delay[i] / sample_time - whole[i] if i in own.delayed else None for i in range(n_u)]
+    lags = max((whole[i] + 1 for i in own.delayed), default=0)
+    u, y, e = ca.SX.sym("u", n_u, lags + 2), ca.SX.sym("y", own.y.numel()), ca.SX.sym("e", own.y.numel())
+    derivative, late, point = own.dx + own.K @ e, ca.SX.sym("u_delayed", n_u), [own.x, own.u]
+    if own.delayed:
+        taken = ca.vertcat(*(late[i] if i in own.delayed else own.u[i] for i in range(n_u)))
+        (derivative,), point = ca.substitute([derivative], [own.u], [taken]), [own.x, own.u, late]
+    (output,) = ca.substitute([own.y], [own.u], [u[:, 1]])
+    around = [u[i, whole[i] : whole[i] + 3] if i in own.delayed else ca.horzcat(u[i, :2], 0) for i in range(n_u)]
+
+    def after(error: ca.SX) -> ca.SX:
+        at, under = ca.SX.sym("at", own.x.numel()), ca.SX.sym("under", own.u.numel())  # `error` is that at the sample
+        (there,) = ca.substitute([own.dx], [ca.vertcat(own.x, own.u)], [ca.vertcat(at, under)])
+        f = ca.Function("f", [at, under], [ca.densify(there + own.K @ error)], {"allow_free": True})
+        taps = ca.vertcat(*around) if around else ca.SX(0, 3)
+        return over_a_sample(structure.integrator, f, own.x, taps, holds, early, ca.SX(sample_time), steps)
+
+    return _named(
+        structure,
+        ([*point, e, own.p], [derivative, own.y + e]),
+        ([own.x, u, own.p], [after(ca.SX(own.y.numel(), 1)), output]),
+        ([own.x, u, y, own.p], [after(y - output), output]),
+        lags,
+    )
+
+
+def _of_linear(
+    structure: Structure, sample_time: float, values: Mapping[str, float], hold: str | Sequence[str]
+) -> ModelFunctions:
+    p, m = symbolic_matrices(structure)
+    if m.feedback is not None:
+        raise UsageError(f"structure {structure.name!r}: its controller runs in samples; give the plant alone")
+    n, n_u, n_y = m.A.shape[0], m.B.shape[1], m.C.shape[0]
+    holds = check_holds(hold, n_u)
+    numbers = _numbers(structure, values)
+    A = np.array(ca.Function("A", [p], [ca.densify(m.A)])(numbers), float)
+    delays = np.array(ca.Function("d", [p], [ca.densify(m.delay)])(numbers), float).ravel()
+    squarings = squarings_for([A * sample_time]) + _HEADROOM
+    F, now, following = discretise(m.A, ca.horzcat(m.B, m.K), sample_time, [*holds, *["zoh"] * n_y], squarings)
+    taps = [
+        delayed_taps(m.A, m.B_delayed[:, i], m.delay[i], sample_time, holds[i], near=(float(delays[i]), squarings))
+        for i in range(n_u * m.has_delay)
+    ]
+    lags = max((each.shift + 1 for each in taps), default=0)
+    x, e, y = ca.SX.sym("x", n), ca.SX.sym("e", n_y), ca.SX.sym("y", n_y)
+    held, late, u = ca.SX.sym("u", n_u), ca.SX.sym("u_delayed", n_u), ca.SX.sym("u", n_u, lags + 2)
+    output = m.C @ x + m.D @ u[:, 1]
+    plain = F @ x + now[:, :n_u] @ u[:, 1] + following[:, :n_u] @ u[:, 0]
+    for i, each in enumerate(taps):
+        for j, column in enumerate(each.columns):  # of the samples k - shift + 1, k - shift, k - shift - 1
+            if each.shift + j or holds[i] == "foh":
+                plain += column * u[i, each.shift + j]
+    point, delayed = [x, held], [late] if m.has_delay else []
+    derivative = m.A @ x + m.B @ held + (m.B_delayed @ late if delayed else 0) + m.K @ e
+    return _named(
+        structure,
+        ([*point, *delayed, e, p], [derivative, m.C @ x + m.D @ held + e]),
+        ([x, u, p], [plain, output]),
+        ([x, u, y, p], [plain + now[:, n_u:] @ (y - output), output]),
+        lags,
+    )
+
+
+def _named(
+    structure: AnyStructure, continuous: _Graph, discretised: _Graph, predictor: _Graph, lags: int
+) -> ModelFunctions:
+    delayed = ["u_delayed"] if len(continuous[0]) > 4 else []
+    given = {
+        "continuous": (continuous, ["x", "u", *delayed, "e", "p"], ["dx", "y"]),
+        "discretised": (discretised, ["x", "u", "p"], ["x_next", "y"]),
+        "predictor": (predictor, ["x", "u", "y", "p"], ["x_next", "yhat"]),
+    }
+    continuous_f, discretised_f, predictor_f = (
+        ca.Function(name, arguments, [ca.densify(each) for each in results], names_in, names_out, {"cse": True})
+        for name, ((arguments, results), names_in, names_out) in given.items()
+    )
+    return ModelFunctions(continuous_f, discretised_f, predictor_f, tuple(q.name for q in structure.parameters), lags)
+
+
+_Graph = tuple[list[ca.SX], list[ca.SX]]
+
+
+def _numbers(structure: AnyStructure, values: Mapping[str, float]) -> FloatArray:
+    if missing := [q.name for q in structure.parameters if q.name not in values]:
+        raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}; give them in values")
+    return np.array([float(values[q.name]) for q in structure.parameters])

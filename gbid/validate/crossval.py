@@ -2,23 +2,316 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from gbid.arrays import FloatArray
-from gbid.brief import Brief, Description, brief
-from gbid.errors import DataError
-from gbid.extras import Pictured, data_frame
+from gbid.core.arrays import FloatArray, IntArray
+from gbid.core.brief import Brief, Description, brief
+from gbid.core.errors import DataError, UsageError
+from gbid.core.extras import Pictured, data_frame
+from gbid.core.hdf5 import Stored
 from gbid.identify import FitResult
 from gbid.recording import Recording
-from gbid.recording.argument_order import check_order
-from gbid.validate.any_simulator import AnySimulator, simulator
-from gbid.validate.scores import ValidationScores, join_scores
-from gbid.validate.simulator import Explained
-from gbid.validate.validation_data import Ranges, ValidationData, validation_data
+from gbid.recording.recording import check_order
+from gbid.validate.simulate import AnySimulator, Explained, Ranges, ValidationData, simulator, validation_data
+
+# ---- Scores of many models on many recordings, and their summary (paper, Sec. 3.8, Figs. 9 and 10).
+
+
+@dataclass(frozen=True, eq=False)
+class ValidationScores(Brief):
+    """Scores of n pairs of model and recording with q outputs.
+
+    Attributes
+    ----------
+    models : tuple of str, n
+        Recordings to which each model was fitted, or name of the model.
+    recordings : tuple of str, n
+        Validation recordings.
+    pressure_bar, speed_rpm : (n,) array
+        Operating points of the recordings; nan when unknown.
+    output_names, output_units : tuple of str, q
+        Names and units of the outputs.
+    fit_percent : (n, q) array
+        Fit of the simulation in percent.
+    infinity_norm : (n, q) array
+        Largest deviation of the simulation, in the units of the outputs.
+    """
+
+    models: tuple[str, ...]
+    recordings: tuple[str, ...]
+    pressure_bar: FloatArray
+    speed_rpm: FloatArray
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+    fit_percent: FloatArray
+    infinity_norm: FloatArray
+
+    def _brief(self) -> Description:
+        return brief(
+            self,
+            f"{len(self.models)} pairs of model and recording",
+            models=self.models,
+            output_names=self.output_names,
+            fit_percent=self.fit_percent,
+            infinity_norm=self.infinity_norm,
+        )
+
+    def __len__(self) -> int:
+        return len(self.models)
+
+    def to_frame(self) -> Any:
+        """Return the scores as a data frame, a row for each pair of model and recording.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        columns = {
+            "model": self.models,
+            "recording": self.recordings,
+            "pressure_bar": self.pressure_bar,
+            "speed_rpm": self.speed_rpm,
+        }
+        units = {"pressure_bar": "bar", "speed_rpm": "rpm"}
+        for j, (name, unit) in enumerate(zip(self.output_names, self.output_units, strict=True)):
+            columns |= {
+                f"fit_percent_{name}": self.fit_percent[:, j],
+                f"infinity_norm_{name}": self.infinity_norm[:, j],
+            }
+            units |= {f"fit_percent_{name}": "%", f"infinity_norm_{name}": unit}
+        return data_frame(columns, units=units)
+
+
+@dataclass(frozen=True)
+class WorstPair:
+    """Pair of model and recording with a poor fit of one output.
+
+    Attributes
+    ----------
+    model, recording, output : str
+        Names of the model, the recording and the output.
+    fit_percent : float
+        Fit of the output in percent.
+    infinity_norm : float
+        Largest deviation, in the unit of the output.
+    """
+
+    model: str
+    recording: str
+    output: str
+    fit_percent: Annotated[float, Stored("%", "fit percent")]
+    infinity_norm: Annotated[float, Stored("as the output's", "infinity norm")]
+
+
+@dataclass(frozen=True, eq=False)
+class PointSummary(Brief):
+    """Summary of the pairs of one operating point.
+
+    Attributes
+    ----------
+    pressure_bar, speed_rpm : float
+        Operating point; nan when unknown.
+    n_pairs : int
+        Number of pairs.
+    mean, std : (n_outputs,) array
+        Mean and standard deviation of the fit percent; std is nan for a single pair.
+    infinity_norm : (n_outputs,) array
+        Largest deviation over the pairs, in the units of the outputs.
+    """
+
+    pressure_bar: Annotated[float, Stored("bar", "supply pressure")]
+    speed_rpm: Annotated[float, Stored("rpm", "shaft speed")]
+    n_pairs: Annotated[int, Stored("1", "pairs of the operating point")]
+    mean: Annotated[FloatArray, Stored("%", "mean of the fit percent, points by outputs", "q")]
+    std: Annotated[FloatArray, Stored("%", "standard deviation of the fit percent, points by outputs", "q")]
+    infinity_norm: Annotated[
+        FloatArray, Stored("as attribute output_units", "largest deviation, points by outputs", "q")
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class ValidationSummary(Brief):
+    """Summary of a cross-validation with q outputs and b histogram bins.
+
+    Attributes
+    ----------
+    n_pairs, n_models, n_recordings : int
+        Numbers of pairs, models and recordings.
+    output_names, output_units : tuple of str, q
+        Names and units of the outputs.
+    mean, std : (q,) array
+        Mean and standard deviation (with n - 1) of the fit percent over the pairs; std is nan for a single pair.
+    median, least, greatest : (q,) array
+        Median, smallest and largest fit percent.
+    edges : (q, b + 1) array
+        Edges of the histogram bins [%].
+    counts : (q, b) integer array
+        Number of pairs in each bin, without those in `below`.
+    below : (q,) integer array
+        Number of pairs whose fit lies below the first edge.
+    infinity_norm_mean, infinity_norm_max : (q,) array
+        Largest deviation of each pair: its mean and maximum over the pairs, in the units of the outputs.
+    worst : tuple of WorstPair
+        For each output the pairs with the poorest fit, the poorest first.
+    points : tuple of PointSummary
+        Summaries by operating point of the recordings, by rising pressure, then speed.
+    failed : tuple of str
+        Pairs that could not be validated, with the reason.
+    """
+
+    n_pairs: int
+    n_models: int
+    n_recordings: int
+    output_names: Annotated[tuple[str, ...], Stored(shape="q")]
+    output_units: Annotated[tuple[str, ...], Stored(shape="q")]
+    mean: Annotated[FloatArray, Stored("%", "mean of the fit percent, outputs", "q")]
+    std: Annotated[FloatArray, Stored("%", "standard deviation of the fit percent", "q")]
+    median: Annotated[FloatArray, Stored("%", "median of the fit percent", "q")]
+    least: Annotated[FloatArray, Stored("%", "smallest fit percent", "q")]
+    greatest: Annotated[FloatArray, Stored("%", "largest fit percent", "q")]
+    edges: Annotated[FloatArray, Stored("%", "edges of the histograms, outputs by bins + 1", "q edges")]
+    counts: Annotated[IntArray, Stored("1", "pairs in each bin, outputs by bins", "q bins")]
+    below: Annotated[IntArray, Stored("1", "pairs below the first edge", "q")]
+    infinity_norm_mean: Annotated[
+        FloatArray, Stored("as attribute output_units", "mean of the largest deviations", "q")
+    ]
+    infinity_norm_max: Annotated[FloatArray, Stored("as attribute output_units", "largest deviation of all pairs", "q")]
+    worst: tuple[WorstPair, ...]
+    points: tuple[PointSummary, ...]
+    failed: tuple[str, ...] = ()
+
+    def _brief(self) -> Description:
+        outputs = {
+            name: f"{self.mean[j]:.2f} +- {self.std[j]:.2f} %, {self.least[j]:.2f} to {self.greatest[j]:.2f} %"
+            for j, name in enumerate(self.output_names)
+        }
+        about = f"{self.n_pairs} pairs, {self.n_models} models on {self.n_recordings} recordings"
+        return brief(self, about, **outputs, failed=self.failed)
+
+
+def join_scores(found: Sequence[tuple[str, ValidationData, FloatArray, FloatArray]]) -> ValidationScores:
+    """Return the scores of single pairs joined in one table.
+
+    Parameters
+    ----------
+    found : sequence of (model, data, fit_percent, infinity_norm)
+        At least one.
+    """
+    first = found[0][1]
+    return ValidationScores(
+        tuple(model for model, *_ in found),
+        tuple(data.name for _, data, *_ in found),
+        np.array([data.conditions.get("pressure_bar", np.nan) for _, data, *_ in found]),
+        np.array([data.conditions.get("speed_rpm", np.nan) for _, data, *_ in found]),
+        first.output_names,
+        first.output_units,
+        np.array([fit for _, _, fit, _ in found]).reshape(len(found), -1),
+        np.array([norm for *_, norm in found]).reshape(len(found), -1),
+    )
+
+
+def summarise(
+    scores: ValidationScores, *, bins: int = 20, worst: int = 3, failed: Iterable[str] = ()
+) -> ValidationSummary:
+    """Return the summary of a cross-validation: mean, standard deviation, histogram and poorest pairs of each output.
+
+    The histogram of an output covers its fits, but not more than six robust standard deviations below the median.
+    Otherwise one failed model would put all others into one bin. The fits below the histogram are counted.
+
+    Parameters
+    ----------
+    scores : ValidationScores
+        Scores of all pairs.
+    bins : int
+        Number of bins of each histogram.
+    worst : int
+        Number of poorest pairs to list for each output.
+    failed : iterable of str
+        Pairs that could not be validated, with the reason.
+
+    Returns
+    -------
+    ValidationSummary
+
+    Raises
+    ------
+    DataError
+        When there is no pair.
+    UsageError
+        When `bins` is below one or `worst` is negative.
+    """
+    if not len(scores):
+        raise DataError("no pair of model and recording was validated, so there is nothing to summarise")
+    if bins < 1 or worst < 0:
+        raise UsageError(f"bins = {bins}, worst = {worst}: give at least one bin and no negative number of pairs")
+    fit, norm = scores.fit_percent, scores.infinity_norm
+    edges = np.array([_edges(column, bins) for column in fit.T])
+    counts = np.array([np.histogram(column, edge)[0] for column, edge in zip(fit.T, edges, strict=True)])
+    below = (fit < edges[:, 0]).sum(axis=0)
+    named = [
+        WorstPair(scores.models[i], scores.recordings[i], output, float(fit[i, j]), float(norm[i, j]))
+        for j, output in enumerate(scores.output_names)
+        for i in np.argsort(fit[:, j], kind="stable")[:worst]
+    ]
+    return ValidationSummary(
+        n_pairs=len(scores),
+        n_models=len(set(scores.models)),
+        n_recordings=len(set(scores.recordings)),
+        output_names=scores.output_names,
+        output_units=scores.output_units,
+        mean=fit.mean(axis=0),
+        std=_std(fit),
+        median=np.median(fit, axis=0),
+        least=fit.min(axis=0),
+        greatest=fit.max(axis=0),
+        edges=edges,
+        counts=counts.astype(np.int64),
+        below=below.astype(np.int64),
+        infinity_norm_mean=norm.mean(axis=0),
+        infinity_norm_max=norm.max(axis=0),
+        worst=tuple(named),
+        points=tuple(_points(scores)),
+        failed=tuple(failed),
+    )
+
+
+def _edges(fit: FloatArray, bins: int) -> FloatArray:
+    low, high, median = float(fit.min()), float(fit.max()), float(np.median(fit))
+    reach = 6 * 1.4826 * float(np.median(np.abs(fit - median)))
+    low = max(low, median - reach) if reach > 0 else low
+    if not high - low > 1e-9 * max(1.0, abs(high)):
+        low, high = high - 0.5, high + 0.5
+    return np.linspace(low, high, bins + 1)
+
+
+def _std(fit: FloatArray) -> FloatArray:
+    return np.asarray(fit.std(axis=0, ddof=1)) if len(fit) > 1 else np.full(fit.shape[1], np.nan)
+
+
+def _points(scores: ValidationScores) -> Iterable[PointSummary]:
+    groups: dict[tuple[float, float], list[int]] = {}
+    for i, where in enumerate(zip(scores.pressure_bar, scores.speed_rpm, strict=True)):
+        known = [np.inf if np.isnan(v) else float(v) for v in where]  # nan is not equal to itself
+        groups.setdefault((known[0], known[1]), []).append(i)
+    for _, rows in sorted(groups.items()):
+        fit = scores.fit_percent[rows]
+        yield PointSummary(
+            float(scores.pressure_bar[rows[0]]),
+            float(scores.speed_rpm[rows[0]]),
+            len(rows),
+            fit.mean(axis=0),
+            _std(fit),
+            scores.infinity_norm[rows].max(axis=0),
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,20 +21,15 @@ from experiment_files import gbid, write_spring_data
 from places import SUPPORT
 
 from gbid import load_table
-from gbid.atomic import remove_stale_parts
-from gbid.campaign.engines import Auto, make_engine
-from gbid.campaign.lock import locked
-from gbid.campaign.pool import ATTEMPTS, ProcessPool
-from gbid.campaign.run import run_campaign, working
-from gbid.campaign.shard import Shard, read_shard, tasks_of
-from gbid.errors import NoSpaceError, UsageError
+from gbid.core.errors import NoSpaceError, UsageError
+from gbid.core.files import remove_stale_parts
+from gbid.experiment.campaign import Shard, locked, read_shard, run_campaign, tasks_of, working
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.failures import remembered_failure
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.perform import InTurn, run_tasks
-from gbid.experiment.stages.fit.stage import fit_tasks
-from gbid.experiment.stages.importing.stage import import_tasks
-from gbid.experiment.stages.rig.stage import rig_tasks
+from gbid.experiment.pool import ATTEMPTS, Auto, ProcessPool, make_engine
+from gbid.experiment.run import InTurn, Job, remembered_failure, run_tasks
+from gbid.experiment.stages.fit import fit_tasks
+from gbid.experiment.stages.importing import import_tasks
+from gbid.experiment.stages.rig import rig_tasks
 from gbid.identify import load_fit
 
 PROC = pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs /proc to find the workers")
@@ -266,7 +261,7 @@ def test_a_worker_is_warm_and_has_one_blas_thread(pool, job, tmp_path):
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 def test_no_space_left(springs, fresh, number, monkeypatch, capsys):
-    import gbid.atomic as atomic
+    import gbid.core.files as atomic
 
     written, real = [], os.fsync
 
@@ -481,7 +476,7 @@ def test_two_runners(fresh, capsys):
 
 def test_stale_temporary_files_of_ours_are_removed(tmp_path):
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
-    from gbid.atomic import _host, _prefix
+    from gbid.core.files import _host, _prefix
 
     dead = int(ended.stdout)
     names = {
@@ -504,7 +499,7 @@ def test_stale_temporary_files_of_ours_are_removed(tmp_path):
 
 @PROC
 def test_temporary_files_of_a_process_that_ended_unnoticed_are_stale(tmp_path):
-    code = "import sys; from gbid.atomic import _prefix; print(_prefix('a.h5'), flush=True); sys.stdin.read()"
+    code = "import sys; from gbid.core.files import _prefix; print(_prefix('a.h5'), flush=True); sys.stdin.read()"
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", code], **pipes, text=True) as child:
         part = tmp_path / f"{child.stdout.readline().strip()}x.part"

@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 from campaign_files import write_springs
 
-from gbid.campaign.collect import NAME, NOT_MADE, _entry, collect
+from gbid.experiment.campaign import NAME_COLLECT, NOT_MADE, _entry, collect
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
+from gbid.experiment.run import Job
 from gbid.identify import load_table
 
 
@@ -27,8 +27,8 @@ def test_a_table_of_others_is_left_and_nothing_made_is_said(tmp_path):
     assert all(NOT_MADE in status for status in table.status)
     again, outcomes = collect(job)
     assert {outcome.state for outcome in outcomes} == {"kept"}
-    assert len(again) == len(load_table(job.path("", NAME, ".h5"))) == 2
-    own = job.path("", NAME, ".csv")
+    assert len(again) == len(load_table(job.path("", NAME_COLLECT, ".h5"))) == 2
+    own = job.path("", NAME_COLLECT, ".csv")
     own.write_text("of someone else")
     assert [outcome.state for outcome in collect(job)[1]] == ["kept", "failed"]
     assert own.read_text() == "of someone else"

@@ -17,9 +17,8 @@ from gbid.characterise import (
     save_static,
     static_rows,
 )
-from gbid.characterise.branches import branch_difference, monotone_runs
-from gbid.characterise.plateaus import find_plateaus, steady_means
-from gbid.errors import DataError, UsageError
+from gbid.characterise.plateaus import branch_difference, find_plateaus, monotone_runs, steady_means
+from gbid.core.errors import DataError, UsageError
 from gbid.recording import Recording
 from gbid.rig import PiezoStacks, StackStaircase, Staircase, record
 

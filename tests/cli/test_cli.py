@@ -60,7 +60,7 @@ def test_help_imports_nothing_heavy_and_commands_nothing_they_may_not_need():
         "heavy = ['casadi', 'numpy', 'scipy', 'matplotlib', 'h5py', 'pydantic', 'ruamel', 'rich']\n"
         "found = [name for name in heavy if name in sys.modules]\n"
         "assert not found, found\n"
-        "import gbid.campaign.shipping\n"  # what every command and worker imports
+        "import gbid.experiment.pool\n"  # what every command and worker imports
         "heavy = ['matplotlib', *(f'scipy.{part}' for part in ('optimize', 'signal', 'stats', 'ndimage'))]\n"
         "found = [name for name in heavy if name in sys.modules]\n"
         "assert not found, found\n"
@@ -76,7 +76,7 @@ def test_importing_gbid_is_cheap_and_gives_all_names():
         "assert 'matplotlib' not in sys.modules\n"
         "assert dir(gbid) == sorted({*gbid.__all__, *gbid._PACKAGES})\n"
         "from gbid.prefilter import RunoutMap, prefilter\n"
-        "import gbid.prefilter.prefilter_store\n"
+        "import gbid.prefilter.prefilter\n"
         "try:\n    gbid.prefilter(None)\nexcept AttributeError:\n    pass  # called like the function\n"
         "try:\n    gbid.nothing\nexcept AttributeError as error:\n    assert 'nothing' in str(error)\n"
     )
@@ -202,17 +202,15 @@ def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
     from rich.console import Console
 
     from gbid.cli.documents import crossval_documents, fit_documents, prefilter_documents
+    from gbid.core.tables import terminal_table
     from gbid.experiment.load import load_experiment
-    from gbid.experiment.run.job import Job
-    from gbid.experiment.run.stage import run_stage
-    from gbid.experiment.stages.crossval.stage import CROSSVAL, crossval_rows
-    from gbid.experiment.stages.fit.stage import FIT
-    from gbid.experiment.stages.prefilter.stage import PREFILTER
-    from gbid.experiment.stages.rig.stage import RIG
-    from gbid.report.tables.fit_tables import fit_tables
-    from gbid.report.tables.recording_tables import prefilter_table
-    from gbid.report.tables.validation_tables import crossval_table
-    from gbid.tables.terminal import terminal_table
+    from gbid.experiment.run import Job, run_stage
+    from gbid.experiment.stages.crossval import CROSSVAL, crossval_rows
+    from gbid.experiment.stages.fit import FIT
+    from gbid.experiment.stages.prefilter import PREFILTER
+    from gbid.experiment.stages.rig import RIG
+    from gbid.report.fit_tables import crossval_table, fit_tables
+    from gbid.report.read import prefilter_table
 
     path = write_quick(tmp_path, ("{structure: piezo_pair}", "{structure: plant, offsets: true}"))
     job = Job(load_experiment(path))

@@ -14,12 +14,11 @@ from experiment_files import gbid, write_quick, write_spring
 from places import ROOT
 from scipy.io import loadmat
 
-from gbid.cli.completion import complete_experiment, complete_source
-from gbid.cli.groups import GROUPS
+from gbid.cli.files import Template
 from gbid.cli.main import app
-from gbid.cli.new import Template
-from gbid.experiment.json_schema import experiment_json_schema
-from gbid.yaml_file import read_yaml
+from gbid.cli.options import GROUPS, complete_experiment, complete_source
+from gbid.core.yaml_file import read_yaml
+from gbid.experiment.load import experiment_json_schema
 
 EXPERIMENTS = [p for p in sorted((ROOT / "experiments").rglob("*.yaml")) if "results" not in p.relative_to(ROOT).parts]
 VERBS = [command.name for command in app.registered_commands]

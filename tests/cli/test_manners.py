@@ -18,11 +18,11 @@ import typer
 from experiment_files import gbid, write_spring
 from places import ROOT
 
-from gbid.atomic import atomic_path
 from gbid.cli.guard import guarded
-from gbid.cli.live import LiveLine
 from gbid.cli.main import app
-from gbid.errors import NoSpaceError
+from gbid.cli.progress import LiveLine
+from gbid.core.errors import NoSpaceError
+from gbid.core.files import atomic_path
 
 
 @pytest.fixture(scope="module")
@@ -227,7 +227,7 @@ def test_an_interruption_behind_the_failure_of_a_library_is_one(capsys):
 
 
 def test_doctor_has_a_verdict_on_everything(capsys, monkeypatch, tmp_path):
-    from gbid.compiling.compiler import find_compiler
+    from gbid.core.compiled import find_compiler
 
     assert gbid("doctor", "--json") == 0
     found = {row["what"]: row for row in json.loads(capsys.readouterr().out)["findings"]}

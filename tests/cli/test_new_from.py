@@ -7,11 +7,10 @@ import pytest
 from experiment_files import gbid
 
 from gbid import load_fit
-from gbid.cli import new
-from gbid.experiment.draft.channel_roles import find_roles
-from gbid.experiment.draft.name_reading import read_names
+from gbid.cli import files as new
+from gbid.experiment.draft import find_roles, read_names
 from gbid.experiment.load import load_experiment
-from gbid.recording.importers.file_format import FileChannel
+from gbid.recording.readers import FileChannel
 
 N, DT = 900, 4e-4
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 import typer
 
-from gbid.cli.ending import finish
 from gbid.cli.progress import PlainReporter
-from gbid.experiment.run.outcome import Outcome
+from gbid.cli.stages import finish
+from gbid.experiment.run import Outcome
 
 
 def failed(stage, item, text, cause="data", before=False):

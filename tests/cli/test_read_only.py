@@ -8,7 +8,7 @@ import pytest
 from experiment_files import gbid, write_spring
 from places import ROOT
 
-from gbid.campaign.lock import locked
+from gbid.experiment.campaign import locked
 
 
 @pytest.fixture(scope="module")

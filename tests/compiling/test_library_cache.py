@@ -10,7 +10,9 @@ import pytest
 from compilers import NEEDS_COMPILER, SOURCE, forget_libraries, value_of
 from filelock import FileLock
 
-from gbid.compiling import CompilerMissingError, compiler, library, load_library
+from gbid.core import compiled as compiler
+from gbid.core import compiled as library
+from gbid.core.compiled import CompilerMissingError, load_library
 
 needs_owners = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owners on this system")
 
@@ -124,7 +126,7 @@ def test_interrupting_the_compiler_leaves_nothing_behind(folder, tmp_path):
     """Ctrl-C while it compiles: the compiler ends with the process, and the cache has no file of it."""
     marker = f"sleep 32.{os.getpid()}"
     code = (
-        "import os, signal, threading, gbid.compiling as c\n"
+        "import os, signal, threading, gbid.core.compiled as c\n"
         "threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()\n"
         "try:\n    c.load_library('int x;')\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
     )

@@ -9,8 +9,8 @@ import pytest
 
 import gbid
 from gbid.control import HalfSine, PStructure, scheduled
-from gbid.control.assessment.point_assessment import FIGURES
-from gbid.errors import UsageError
+from gbid.control.assess import FIGURES
+from gbid.core.errors import UsageError
 
 MACHINE = gbid.load_model("theisen2016")
 GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}

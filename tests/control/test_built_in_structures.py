@@ -12,9 +12,10 @@ from gbid.control import MaxDamping, PeakSensitivity, close_loop, controller_at,
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.scheduled import with_schedule
 from gbid.control.controllers.structures import controller_structure
-from gbid.control.tuning.plants.model_loops import checked_models
-from gbid.errors import UsageError
-from gbid.target import ChainOptions, chain_of, write_chain
+from gbid.control.tuning.plants import checked_models
+from gbid.core.errors import UsageError
+from gbid.export.chain import ChainOptions, chain_of
+from gbid.export.chain_c import write_chain
 
 MODEL = gbid.load_model("theisen2016")
 S = 2j * np.pi * np.array([3.0, 40.0, 120.0, 600.0])

@@ -10,12 +10,10 @@ import pytest
 from gain_problems import damping_problem
 
 from benchmarks.known_loops import two_masses_canonical
-from gbid.control.tuning.search.limits import Limits
-from gbid.control.tuning.search.loop_family import families_of
-from gbid.control.tuning.search.nonsmooth.certificate import certify
-from gbid.control.tuning.search.nonsmooth.hull import GradientHull
-from gbid.control.tuning.search.nonsmooth.quasi_newton import ascend
-from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.certificate import GradientHull, certify
+from gbid.control.tuning.local import ascend
+from gbid.control.tuning.loops import families_of
+from gbid.control.tuning.problem import GainProblem, Limits
 
 
 def test_a_smooth_top_is_certified_and_a_slope_is_not() -> None:

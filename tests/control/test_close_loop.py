@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gbid.control import close_loop, p_controller
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
 
 FREQUENCIES = np.array([0.0, 0.03, 0.2, 1.0, 7.0])

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import gbid
 from gbid.cli.main import app
 from gbid.control import BiquadStructure, PStructure, controller_model, sample_controller, scheduled
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 
 GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}
 BIQUAD = dict(

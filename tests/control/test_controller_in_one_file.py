@@ -8,7 +8,7 @@ from experiment_files import QUICK
 import gbid
 from gbid.control.controllers import built_in
 from gbid.control.controllers.built_in import built_in_structures
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.experiment.load import load_experiment
 
 LEAD = '''
@@ -16,7 +16,7 @@ LEAD = '''
 
 from dataclasses import dataclass
 
-from gbid.control.controllers.per_axis import AxisGain, PerAxis
+from gbid.control.controllers.parts import AxisGain, PerAxis
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from gbid.control import (
     p_controller,
     scheduled,
 )
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.lpv import Domain
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure, symbolic_matrices

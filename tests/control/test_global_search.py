@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from gain_problems import damping_problem
 
-from gbid.control.tuning.search.basins.ranking import better
-from gbid.control.tuning.search.global_search import Effort, refine, search
-from gbid.control.tuning.search.nonsmooth.active import Score
-from gbid.control.tuning.search.sqp import optimise_locally
-from gbid.control.tuning.search.starts.spread import spread_points
+from gbid.control.tuning.local import optimise_locally
+from gbid.control.tuning.problem import Score
+from gbid.control.tuning.search import Effort, better, refine, search, spread_points
 
 NEVER_ACTIVE = (("never active", np.zeros(4), 1.0),)
 """A limit: without any, BFGS takes the place of the steps whose weakness some tests show."""

@@ -36,12 +36,11 @@ from gbid.control import (
     static_amplification,
 )
 from gbid.control.controllers.structures import controller_structure
-from gbid.control.tuning.goals.goal import DesignContext, Goal, limits_of
-from gbid.control.tuning.goals.margin_goals import _intervals
-from gbid.control.tuning.plants.plants_of import DesignPlants, plants_of
-from gbid.control.tuning.plants.sampled_loops import Sampling
-from gbid.control.tuning.search.problem import GainProblem
-from gbid.errors import UsageError
+from gbid.control.tuning.goals import DesignContext, Goal, limits_of
+from gbid.control.tuning.plants import DesignPlants, Sampling, plants_of
+from gbid.control.tuning.problem import GainProblem
+from gbid.control.tuning.response_goals import _intervals
+from gbid.core.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
 ONE = [(6.0, 0.0)]

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import gbid
 from gbid.control import HalfSine, close_loop, exact_plant, force_entry, impact_response, p_controller
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.structure import LinearModel, PiezoPair, evaluate
 
 MACHINE = gbid.load_model("theisen2016")

@@ -26,8 +26,8 @@ from gbid.control import (
     scheduled,
     study_impacts,
 )
-from gbid.control.impact.figures_of_merit import _decay
-from gbid.errors import UsageError
+from gbid.control.impact.study import _decay
+from gbid.core.errors import UsageError
 from gbid.rig import Hammer, Impact, Machine, SampledController, SensorChain, Stationary, record
 
 MODEL = gbid.load_model("theisen2016")

@@ -29,7 +29,7 @@ from gbid.control import (
     save_impacts,
     study_impacts,
 )
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.rig import Hammer, Impact, Machine, SampledController, Stationary, record
 from gbid.structure import LinearModel
 

@@ -107,7 +107,7 @@ def test_gains_for_which_a_matrix_is_undefined_are_stepped_back_from(undefined: 
 def test_a_matrix_that_is_nowhere_finite_is_named() -> None:
     g = ca.SX.sym("g")
     A = ca.Function("A", [g], [ca.blockcat([[0, 1], [-1, ca.log(-1 - g**2)]])])
-    with pytest.raises(gbid.errors.UsageError, match="not finite"):
+    with pytest.raises(gbid.core.errors.UsageError, match="not finite"):
         gbid.maximise_damping(A, ["g"], -1, 1)
 
 
@@ -133,8 +133,8 @@ def test_limits_on_responses_of_any_loop() -> None:
 def test_limits_on_responses_need_the_responses() -> None:
     g = ca.SX.sym("g")
     only = ca.Function("A", [g], [ca.blockcat([[0, 1], [-1, -g]])])
-    with pytest.raises(gbid.errors.UsageError, match="A, B, C and D"):
+    with pytest.raises(gbid.core.errors.UsageError, match="A, B, C and D"):
         gbid.maximise_damping(only, ["g"], 0, 1, peak_sensitivity=2.0)
     two = ca.Function("A", [g], [ca.blockcat([[0, 1], [-1, -g]]), ca.DM([0, 1])])
-    with pytest.raises(gbid.errors.UsageError, match="it must give A, or A, B, C, D"):
+    with pytest.raises(gbid.core.errors.UsageError, match="it must give A, or A, B, C, D"):
         gbid.maximise_damping(two, ["g"], 0, 1)

@@ -20,8 +20,8 @@ from gbid.control import (
     static_force_gain,
     static_stiffness_ratio,
 )
-from gbid.control.loop.margins import structured_singular_values
-from gbid.errors import UsageError
+from gbid.control.loop.sensitivity import structured_singular_values
+from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
 
 PLANT = MACHINE.plant_at(6, 0)

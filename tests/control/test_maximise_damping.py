@@ -10,16 +10,13 @@ import pytest
 from scipy.optimize import minimize
 
 import gbid
-from gbid.control.tuning.maximise import check_counts
-from gbid.control.tuning.search.limits import Limits
-from gbid.control.tuning.search.loop_family import families_of, loop_equations
-from gbid.control.tuning.search.nonsmooth.active import merit
-from gbid.control.tuning.search.nonsmooth.cluster import InvariantSubspaces
-from gbid.control.tuning.search.peaks import find_peaks, peak_slopes
-from gbid.control.tuning.search.problem import GainProblem
-from gbid.control.tuning.search.spectrum import Eigensystem
-from gbid.control.tuning.search.sqp import optimise_locally
-from gbid.errors import UsageError
+from gbid.control.tuning.local import optimise_locally
+from gbid.control.tuning.loops import families_of, loop_equations
+from gbid.control.tuning.peaks import find_peaks, peak_slopes
+from gbid.control.tuning.plane import Eigensystem
+from gbid.control.tuning.problem import GainProblem, InvariantSubspaces, Limits, merit
+from gbid.control.tuning.solve import check_counts
+from gbid.core.errors import UsageError
 
 
 def delayed_loop(a: float, tau: float) -> ca.Function:
@@ -154,14 +151,14 @@ def test_bounds_without_a_stabilising_gain_name_the_worst_mode() -> None:
     ],
 )
 def test_wrong_arguments(arguments: tuple[object, ...], message: str) -> None:
-    with pytest.raises(gbid.errors.UsageError, match=message):
+    with pytest.raises(gbid.core.errors.UsageError, match=message):
         gbid.maximise_damping(*arguments)
 
 
 @pytest.mark.parametrize("name", ["seed", "starts", "evaluations"])
 def test_counts_are_whole_numbers(name: str) -> None:
     for value in (-1, 1.5, True):
-        with pytest.raises(gbid.errors.UsageError, match=name):
+        with pytest.raises(gbid.core.errors.UsageError, match=name):
             gbid.maximise_damping(delayed_loop(1, 1), ["g"], 0, 1, **{name: value})
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from gbid.control.tuning.search.steps.quadratic_programme import quadratic_programme
+from gbid.control.tuning.local import quadratic_programme
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -13,10 +13,8 @@ from scipy.stats import binom
 import gbid
 from gbid.control import find_impacts
 from gbid.control.impact.measured import pulse_forcing, pulses_of
-from gbid.control.impact.ringdown.basis import Scale, ring_data
-from gbid.control.impact.ringdown.coloured import autocovariance, sandwich
-from gbid.control.impact.ringdown.separable import RingProblem
-from gbid.errors import DataError, UsageError
+from gbid.control.impact.ringdown import RingProblem, Scale, autocovariance, ring_data, sandwich
+from gbid.core.errors import DataError, UsageError
 
 H = 2e-4
 K = np.array([[-6.4e5, 2.0e4], [-1.5e4, -6.9e5]])

@@ -20,7 +20,7 @@ from gbid.control import (
     sampled_loop,
 )
 from gbid.control.loop.norm import largest_singular_values
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
 
 MACHINE = gbid.load_model("theisen2016")

@@ -7,15 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from gbid.control.tuning.search.kernels.compiled import kernels
-from gbid.control.tuning.search.kernels.nearby_eigenvalues import NearbyEigenvalues
-from gbid.control.tuning.search.loop_family import Derivatives
-from gbid.control.tuning.search.nonsmooth.cluster import InvariantSubspaces, near_sums
-from gbid.control.tuning.search.peaks import find_peaks, peak_slopes
-from gbid.control.tuning.search.spectrum import Eigensystem
+from gbid.control.tuning.loops import Derivatives
+from gbid.control.tuning.peaks import find_peaks, peak_slopes
+from gbid.control.tuning.plane import Eigensystem, NearbyEigenvalues, kernels
+from gbid.control.tuning.problem import InvariantSubspaces, near_sums
 
 _WITH_KERNELS = tuple(
-    f"gbid.control.tuning.search.{module}.kernels"
+    f"gbid.control.tune.{module}.kernels"
     for module in ("peaks", "kernels.nearby_eigenvalues", "kernels.schur_form", "nonsmooth.cluster", "spectrum")
 )
 

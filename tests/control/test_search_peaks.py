@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbid.control.tuning.search.loop_family import Loops
-from gbid.control.tuning.search.peaks import find_peaks, respond
-from gbid.control.tuning.search.spectrum import Eigensystem
+from gbid.control.tuning.loops import Loops
+from gbid.control.tuning.peaks import find_peaks, respond
+from gbid.control.tuning.plane import Eigensystem
 
 BOTH = slice(None)
 

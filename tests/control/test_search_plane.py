@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbid.control.tuning.search.plane import rate_slopes, searched_frequencies, true_frequencies, true_rates
-from gbid.control.tuning.search.spectrum import damping_factors, damping_slopes
+from gbid.control.tuning.plane import (
+    damping_factors,
+    damping_slopes,
+    rate_slopes,
+    searched_frequencies,
+    true_frequencies,
+    true_rates,
+)
 
 T = 2e-4
 

@@ -11,7 +11,7 @@ from loop_cases import MACHINE, PAPER, static
 import gbid
 from gbid.control import exact_plant, p_controller, peak_gain, sensitivity_data
 from gbid.control.loop.norm import largest_singular_values
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
 
 NAMES = ("output", "input", "control", "plant", "complementary")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,9 @@ import gbid
 from benchmarks import tune_speed
 from benchmarks.tune_brute import FINE, Loops, brute_force, survivors
 from gbid.control import HalfSine, controller_at, impact_response, p_controller, scheduled
-from gbid.control.tuning.search.loop_family import loop_equations
-from gbid.control.tuning.travel import travel_limit
-from gbid.errors import UsageError
+from gbid.control.tuning.loops import loop_equations
+from gbid.control.tuning.tune import travel_limit
+from gbid.core.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
 ONE = [(6.0, 0.0)]
@@ -250,7 +251,7 @@ def test_adding_loops_as_they_turn_out_worse_ends_where_all_at_once_do(
     monkeypatch: pytest.MonkeyPatch, cap: float | None
 ) -> None:
     whole = designed("fifteen", cap)
-    monkeypatch.setattr("gbid.control.tuning.over_points._MANY", 5)
+    monkeypatch.setattr(import_module("gbid.control.tuning.solve"), "_MANY", 5)
     added = gbid.tune(MODEL, peak_sensitivity=cap)
     assert added.value == pytest.approx(whole.value, abs=1e-7)
     assert added.verified_on == whole.verified_on

@@ -19,9 +19,9 @@ from gbid.control import (
     smallest_damping,
     tune_robust,
 )
-from gbid.control.tuning.plants.uncertainty import _root
-from gbid.control.tuning.robust.plant_draws import lower_bound
-from gbid.errors import UsageError
+from gbid.control.tuning.plants import _root
+from gbid.control.tuning.robust import lower_bound
+from gbid.core.errors import UsageError
 from gbid.lpv import TERMS
 from gbid.structure import KEY_PARAMETERS
 

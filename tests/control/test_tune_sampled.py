@@ -13,8 +13,8 @@ import pytest
 
 import gbid
 from gbid.control import controller_model, exact_plant, p_controller, sampled_loop, smallest_damping
-from gbid.control.tuning.search.loop_delay import delayed_outputs, loop_delay, smallest_sampled_damping
-from gbid.errors import UsageError
+from gbid.control.tuning.loops import delayed_outputs, loop_delay, smallest_sampled_damping
+from gbid.core.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
 ONE = [(6.0, 0.0)]

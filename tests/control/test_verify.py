@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import casadi as ca
@@ -10,14 +11,12 @@ import pytest
 from gain_problems import damping_problem, oscillator, responding
 from scipy.optimize import brentq
 
-from gbid.control.tuning.maximise import summarise
-from gbid.control.tuning.search.global_search import Effort
-from gbid.control.tuning.search.limits import Limits
-from gbid.control.tuning.search.loop_family import LoopFamily, families_of
-from gbid.control.tuning.search.peaks import Peaks, respond
-from gbid.control.tuning.search.problem import GainProblem
-from gbid.control.tuning.solving import add_cuts, solve
-from gbid.control.tuning.verify import Edge, distance_to_edge, exact_norms, static_gains, worst_mode
+from gbid.control.tuning.loops import LoopFamily, families_of
+from gbid.control.tuning.peaks import Peaks, respond
+from gbid.control.tuning.problem import GainProblem, Limits
+from gbid.control.tuning.result import Edge, distance_to_edge, exact_norms, static_gains, worst_mode
+from gbid.control.tuning.search import Effort
+from gbid.control.tuning.solve import add_cuts, solve, summarise
 
 NOTHING = np.zeros(1)
 
@@ -80,7 +79,7 @@ def on_two_frequencies(loops: Any, modes: Any, rows: slice, extra: Any = None, l
 
 @pytest.fixture
 def blind(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbid.control.tuning.search.problem.find_peaks", on_two_frequencies)
+    monkeypatch.setattr(import_module("gbid.control.tuning.problem"), "find_peaks", on_two_frequencies)
 
 
 @pytest.mark.usefixtures("blind")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import casadi as ca
@@ -9,13 +10,10 @@ import numpy as np
 import pytest
 from gain_problems import loops_of
 
-from gbid.control.tuning.plants.loops_at_points import LoopsAtPoints
-from gbid.control.tuning.plants.uncertainty import Uncertainty
-from gbid.control.tuning.search.limits import Limits
-from gbid.control.tuning.search.measure import ExtraLimit
-from gbid.control.tuning.search.problem import GainProblem
-from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
-from gbid.control.tuning.worst_points import TOLERANCE, add_worst_points, measure
+from gbid.control.tuning.local import LocalOptimum, optimise_locally
+from gbid.control.tuning.plants import LoopsAtPoints, Uncertainty
+from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits
+from gbid.control.tuning.solve import TOLERANCE, add_worst_points, measure
 from gbid.lpv import Domain
 
 DOMAIN = Domain((2.0, 7.0), (0.0, 8000.0))
@@ -106,7 +104,7 @@ def test_nothing_is_added_where_no_point_is_worse() -> None:
 
 
 def test_ending_before_all_worst_points_are_in_is_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbid.control.tuning.worst_points._MOST_ROUNDS", 1)
+    monkeypatch.setattr(import_module("gbid.control.tuning.solve"), "_MOST_ROUNDS_WORST_POINTS", 1)
     loops = loops_of(asks_for_more)
     problem, found = at_corners(loops, Limits())
     best, *_ = add_worst_points(problem, found, loops, DOMAIN, None)

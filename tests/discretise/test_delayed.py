@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from gbid.core.errors import UsageError
 from gbid.discretise import Dual, delayed_taps, discretise
-from gbid.errors import UsageError
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sweep import residuals
+from gbid.identify.kernel.sums import residuals
 from gbid.identify.predictor import build_predictor
 from gbid.structure import LinearModel, LinearStructure, Parameter, Plant, RotorBearing, evaluate, with_pade
 

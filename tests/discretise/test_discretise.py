@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
+from gbid.core.errors import UsageError
 from gbid.discretise import check_holds, discretise, exponentials, propagate, squarings_for
-from gbid.errors import UsageError
 
 
 def reference(Z):

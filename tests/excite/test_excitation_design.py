@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 import gbid
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.excite import ExcitationLimits, KnownModel, PossibleMachine, expected_covariance, known_model
-from gbid.excite.design_goal import goal_of, quantities_of
-from gbid.excite.information.expected import simulated_outputs
-from gbid.excite.information.line_model import LineModel
-from gbid.excite.signals.spectrum_design import optimal_spectrum
+from gbid.excite.goal import LineModel, goal_of, quantities_of, simulated_outputs
+from gbid.excite.signals import optimal_spectrum
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate
 

@@ -8,7 +8,7 @@ import pytest
 from experiment_files import gbid, write_quick, write_spring
 from rig_point import machine
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.excite import KnownModel, design_excitation, read_excitation, recording_length, save_excitation
 from gbid.rig import Played, record
 from gbid.structure import LinearStructure, Parameter

@@ -7,9 +7,10 @@ from experiment_files import gbid, write_spring
 from peak_stage.schema import FileWithPeaks
 from peak_stage.stage import PEAK, SHOWN_PEAK
 
-from gbid.experiment import json_schema, load
+from gbid.experiment import load
+from gbid.experiment import load as json_schema
+from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.problems import ExperimentError
 from gbid.experiment.stages import registry
 
 PEAKS = 'peaks: {recordings: "run*"}\n'

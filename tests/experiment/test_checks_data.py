@@ -9,12 +9,11 @@ import pytest
 from experiment_files import gbid, write_quick, write_spring, write_spring_data
 from scipy.io import savemat
 
-from gbid.errors import DataError
-from gbid.experiment.data_checks import disk_space, find_data_problems
-from gbid.experiment.load import load_experiment
+from gbid.core.errors import DataError
+from gbid.core.tables import file_size
+from gbid.experiment.load import disk_space, find_data_problems, load_experiment
 from gbid.recording import ImportMapping
-from gbid.recording.importers.peek import peek
-from gbid.tables.numbers import file_size
+from gbid.recording.importing import peek
 
 FOLDER = """\
 format: 1
@@ -152,7 +151,7 @@ def test_the_estimate_of_the_size_is_about_right(tmp_path, capsys):
 
 
 def find_seen(experiment):
-    from gbid.experiment.data_checks import peek_recordings
+    from gbid.experiment.load import peek_recordings
 
     return peek_recordings(experiment)[0]
 

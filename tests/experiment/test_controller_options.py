@@ -9,9 +9,9 @@ from experiment_files import QUICK
 
 import gbid
 from gbid.control import Scheduled
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
+from gbid.experiment.controllers import design_structure
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages.tune.plan import design_structure
 
 DESIGNS = """
 controller:

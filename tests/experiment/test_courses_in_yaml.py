@@ -5,10 +5,9 @@ import pytest
 from experiment_files import gbid, write_quick
 
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.prefilter.stage import PREFILTER
-from gbid.experiment.stages.rig.stage import RIG
+from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.prefilter import PREFILTER
+from gbid.experiment.stages.rig import RIG
 from gbid.recording import load_recording
 
 COURSES = """\

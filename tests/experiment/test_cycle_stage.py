@@ -7,24 +7,22 @@ import pytest
 from experiment_files import write_quick
 
 import gbid
-from gbid.cli.next_step import next_step
+from gbid.cli.stages import next_step
 from gbid.control import exact_plant, load_controller, ringing_modes
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
+from gbid.core.tables import write_csv
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.cycle.rows import CycleRow, cycle_table, modes_of_surfaces, read_cycle
-from gbid.experiment.stages.cycle.stage import CYCLE as CYCLE_STAGE
-from gbid.experiment.stages.cycle.stage import made_rows
-from gbid.experiment.stages.fit.stage import FIT
-from gbid.experiment.stages.lpv.stage import LPV
-from gbid.experiment.stages.rig.stage import RIG
-from gbid.experiment.stages.tune.stage import TUNE
+from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.cycle import CYCLE as CYCLE_STAGE
+from gbid.experiment.stages.cycle import CycleRow, cycle_table, made_rows, modes_of_surfaces, read_cycle
+from gbid.experiment.stages.fit import FIT
+from gbid.experiment.stages.lpv import LPV
+from gbid.experiment.stages.rig import RIG
+from gbid.experiment.stages.tune import TUNE
 from gbid.lpv import load_lpv_fit
-from gbid.report.figures.loop.cycle_rounds import plot_cycle
-from gbid.report.html.sections.cycle_section import cycle_section
-from gbid.report.reader import Results
-from gbid.tables.csv import write_csv
+from gbid.report.control_sections import cycle_section
+from gbid.report.loop_pictures import plot_cycle
+from gbid.report.read import Results
 
 CYCLE = """\
 format: 1

@@ -4,10 +4,10 @@ import pytest
 from experiment_files import QUICK, SPRING, SPRING_STRUCTURE, write_quick, write_spring
 from places import EXPERIMENTS
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
+from gbid.experiment.experiment import figure_pairs, validation_pairs
+from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.problems import ExperimentError
-from gbid.experiment.stages.crossval.plan import figure_pairs, validation_pairs
 
 
 def problems_of(path: Path) -> list[str]:

@@ -9,18 +9,17 @@ from experiment_files import QUICK, copy_results, write_quick, write_spring, wri
 from places import EXPERIMENTS
 from places import MEASURED as SHARED
 
-from gbid.errors import DataError, UsageError
-from gbid.experiment.keys import content_key, stored_key
+from gbid.core.errors import DataError, UsageError
+from gbid.experiment.fields import content_key, stored_key
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.crossval.stage import CROSSVAL, crossval_rows
-from gbid.experiment.stages.fit.stage import FIT, fit_arguments, load_made_fit, samples_of
-from gbid.experiment.stages.fit.structures import make_structure
-from gbid.experiment.stages.fit.truth import true_model, true_values
-from gbid.experiment.stages.importing.stage import IMPORT
-from gbid.experiment.stages.prefilter.stage import PREFILTER
-from gbid.experiment.stages.rig.stage import RIG
+from gbid.experiment.machine import true_model, true_values
+from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.crossval import CROSSVAL, crossval_rows
+from gbid.experiment.stages.fit import FIT, fit_arguments, load_made_fit, samples_of
+from gbid.experiment.stages.importing import IMPORT
+from gbid.experiment.stages.prefilter import PREFILTER
+from gbid.experiment.stages.rig import RIG
+from gbid.experiment.structures import make_structure
 from gbid.identify import fit
 from gbid.lpv import load_model
 from gbid.prefilter import load_prefilter

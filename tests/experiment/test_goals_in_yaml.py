@@ -12,12 +12,11 @@ from experiment_files import write_quick
 
 import gbid
 from gbid import control
-from gbid.control.assessment.tuned_design import load_tuned
-from gbid.errors import UsageError
-from gbid.experiment.json_schema import experiment_json_schema
-from gbid.experiment.load import load_experiment
-from gbid.experiment.stages.tune.design_goals import made_goal, no_disturbance, peak_cap
-from gbid.experiment.stages.tune.goal_entries import GOALS
+from gbid.control.assess import load_tuned
+from gbid.core.errors import UsageError
+from gbid.experiment.controllers import made_goal, no_disturbance, peak_cap
+from gbid.experiment.load import experiment_json_schema, load_experiment
+from gbid.experiment.schema import GOALS
 from gbid.recording import load_recording
 
 RIG = """\

@@ -8,22 +8,20 @@ from experiment_files import gbid, write_quick
 
 import gbid as package  # the command line has its name
 from gbid.control import controller_structure, p_controller, sample_controller
+from gbid.core.files import share_folder
+from gbid.core.tables import markdown_table
+from gbid.experiment.controllers import early_key
 from gbid.experiment.load import load_experiment
 from gbid.experiment.recordings import recording_key
-from gbid.experiment.run.inputs import InputError
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.fit.structures import make_structure
-from gbid.experiment.stages.loop import cost
-from gbid.experiment.stages.loop.plan import early_key
-from gbid.experiment.stages.prefilter.stage import PREFILTER
-from gbid.experiment.stages.rig.stage import RIG
-from gbid.experiment.stages.tune.stage import TUNE
+from gbid.experiment.run import InputError, Job, run_stage
+from gbid.experiment.stages import loop as cost
+from gbid.experiment.stages.prefilter import PREFILTER
+from gbid.experiment.stages.rig import RIG
+from gbid.experiment.stages.tune import TUNE
+from gbid.experiment.structures import make_structure
 from gbid.recording import load_recording
-from gbid.report.tables.loop_tables import loop_documents, loop_tables
-from gbid.share import share_folder
+from gbid.report.control_tables import loop_documents, loop_tables
 from gbid.structure import evaluate
-from gbid.tables.markdown import markdown_table
 
 UNSTABLE = """\
 format: 1

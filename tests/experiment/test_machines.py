@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import gbid
+from gbid.core.files import share_folder
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages.fit.structures import make_structure
-from gbid.experiment.stages.importing.stage import read_import
-from gbid.share import share_folder
+from gbid.experiment.stages.importing import read_import
+from gbid.experiment.structures import make_structure
 
 TRUE = {
     "friction_slide": {"K_t": 12.0, "F_c": 5.0, "F_s": 7.5, "v_s": 0.03, "F_v": 14.0},

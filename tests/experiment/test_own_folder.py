@@ -9,9 +9,9 @@ from experiment_files import gbid
 from own_files import BY_TABLE, COLUMNS, SIGNALS, columns_of, write_file
 from rig_point import machine
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages.importing.file_names import name_pattern
+from gbid.experiment.schema import name_pattern
 from gbid.rig import Prbs, Stationary, record
 from gbid.structure import KEY_PARAMETERS
 

@@ -9,11 +9,11 @@ from study_rig import machine_at
 
 import gbid
 from gbid.prefilter import identify_runout
+from gbid.prefilter.identify_runout import leftover_words
 from gbid.prefilter.prefilter import prefilter
-from gbid.prefilter.residual import leftover_words
-from gbid.prefilter.shaft import turns_per_second
+from gbid.prefilter.runout import turns_per_second
 from gbid.rig import Prbs, Stationary, record
-from gbid.validate.shaft_lines import shaft_lines
+from gbid.validate.residuals import shaft_lines
 
 POINT = (5.0, 4000.0)
 EXPERIMENT = """\

@@ -8,13 +8,12 @@ import pytest
 from experiment_files import STAIRS, gbid, write_quick
 
 from gbid.characterise import PiezoCurve, StaticMap, load_static
+from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.problems import ExperimentError
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.prefilter.stage import PREFILTER
-from gbid.experiment.stages.rig.stage import RIG
-from gbid.experiment.stages.static.stage import STATIC
+from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.prefilter import PREFILTER
+from gbid.experiment.stages.rig import RIG
+from gbid.experiment.stages.static import STATIC
 from gbid.lpv import load_model
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording

@@ -10,16 +10,14 @@ from typer.testing import CliRunner
 import gbid
 from gbid.cli.main import app
 from gbid.control import HalfSine, compare_designs
-from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
-from gbid.errors import DataError
+from gbid.control.assess import DesignFigures, TunedDesign, load_tuned, save_tuned
+from gbid.core.errors import DataError
+from gbid.core.files import share_folder
+from gbid.experiment.controllers import controller_at, design_structure
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.impact.plan import controller_at
-from gbid.experiment.stages.tune.plan import design_structure
-from gbid.experiment.stages.tune.stage import PUBLISHED, TUNE
-from gbid.report.figures.loop.robustness_price import plot_robustness_price
-from gbid.share import share_folder
+from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.tune import PUBLISHED, TUNE
+from gbid.report.loop_pictures import plot_robustness_price
 
 MODEL = gbid.load_model("theisen2016")
 RIG = """\

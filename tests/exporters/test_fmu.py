@@ -13,12 +13,12 @@ from scipy.linalg import expm
 
 import gbid
 from gbid.cli.main import app
-from gbid.compiling.compiler import find_compiler
 from gbid.control import controller_structure, scheduled
-from gbid.control.loop.force_entry import force_entry
+from gbid.control.loop.close import force_entry
 from gbid.control.loop.sampled import exact_plant, sampled_loop
-from gbid.cosimulation import save_fmu
-from gbid.errors import UsageError
+from gbid.core.compiled import find_compiler
+from gbid.core.errors import UsageError
+from gbid.export.fmu import save_fmu
 from gbid.lpv import Domain
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install 'gbid[fmu]'")
@@ -239,7 +239,7 @@ def test_extrapolation_when_it_is_asked_for(plant):
     signals = {"pressure_bar": np.full(N, 7.2), "r_x": held(1)[:, 0]}
     start = {"pressure_bar": 7.2, "extrapolate": True}
     found = simulate(plant, signals, start, logger=lambda *a: said.append(str(a[-1])))
-    with pytest.warns(gbid.errors.ExtrapolationWarning):
+    with pytest.warns(gbid.core.errors.ExtrapolationWarning):
         values = MODEL.key_parameters(7.2, 0.0, extrapolate=True)
     assert np.abs(found).max() > 0
     assert values["tau_x"] > 0

@@ -23,8 +23,8 @@ from gbid.control import (
 )
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.scheduled import with_schedule
+from gbid.core.yaml_file import read_yaml
 from gbid.rig import Hammer, Impact, Machine, SampledController, Stationary, record
-from gbid.yaml_file import read_yaml
 
 MODEL = gbid.load_model("theisen2016")
 POINTS = [(6.0, 0.0), (6.0, 6000.0)]

@@ -11,12 +11,12 @@ from scipy.io import loadmat
 import gbid
 from gbid.cli.main import app
 from gbid.control import controller_structure, scheduled
-from gbid.exporters import targets
+from gbid.export import targets
 
 TARGET = '''
 """Export of the names alone."""
 
-from gbid.exporters.export_target import ExportTarget
+from gbid.export.target import ExportTarget
 from gbid.lpv import LPVModel
 
 

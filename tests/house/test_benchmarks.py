@@ -16,7 +16,7 @@ import gbid
 from benchmarks import campaign_speed, fit_speed, nonlinear_speed, table, worker
 from benchmarks.case import N_UNKNOWNS, SAMPLE_TIME, STRUCTURE, Samples, sampled
 from benchmarks.floor import operations_per_sample
-from gbid.identify.kernel.kernel_pattern import KernelPattern
+from gbid.identify.kernel.linear import KernelPattern
 
 STORED = DOCS / "benchmarks.json"
 

@@ -22,9 +22,8 @@ from typer.main import get_command
 import gbid
 from gbid.cli.main import app
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.rig.stage import RIG
+from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.rig import RIG
 from gbid.structure import Structure
 
 DOCS = ROOT / "docs"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import gbid
-from gbid.errors import UsageError
-from gbid.naming.paths import LONGEST, file_stem
+from gbid.core.errors import UsageError
+from gbid.core.names import LONGEST, file_stem
 
 OF_A_PATH = [name for name in gbid.__all__ if name.startswith(("load_", "import_"))]
 

@@ -7,8 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
-from gbid import hdf5
-from gbid.errors import DataError, UsageError
+from gbid.core import hdf5
+from gbid.core.errors import DataError, UsageError
 
 THING = hdf5.FileKind("thing", "make it again")
 

@@ -13,12 +13,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gbid import hdf5
-from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.characterise import PiezoCurve, StaticMap, load_static, save_static
 from gbid.control import load_impacts, save_impacts
-from gbid.errors import DataError
-from gbid.hdf5 import NOT_STORED, Stored, by_type
+from gbid.core import hdf5
+from gbid.core.arrays import BoolArray, FloatArray, IntArray
+from gbid.core.errors import DataError
+from gbid.core.hdf5 import NOT_STORED, Stored
+from gbid.core.hdf5 import types as by_type
 from gbid.identify import load_table, save_table
 from gbid.prefilter import load_prefilter, save_prefilter
 from gbid.recording import load_recording, save_recording

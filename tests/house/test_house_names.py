@@ -9,7 +9,7 @@ from places import ROOT
 
 PACKAGE = ROOT / "gbid"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if "_share" not in path.parts)
-READS_OLD_FILES = ("gbid/control/impact/impact_store.py",)
+READS_OLD_FILES = ("gbid/control/impact/study.py",)
 """Where the names of release 0.1.0 must be known."""
 STAGES = PACKAGE / "experiment" / "stages"
 """Each stage has a folder with the same files."""

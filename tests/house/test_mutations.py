@@ -55,7 +55,7 @@ def test_faults_of_a_small_file(tmp_path: Path) -> None:
 
 
 def test_the_share_leaves_equivalent_faults_out() -> None:
-    entries = [{"file": "gbid/lpv/basis.py", "outcome": outcome} for outcome in ("killed", "timeout", "survived")]
-    entries += [{"file": "gbid/lpv/basis.py", "outcome": "survived", "equivalent": "only the speed"}]
+    entries = [{"file": "gbid/lpv/model.py", "outcome": outcome} for outcome in ("killed", "timeout", "survived")]
+    entries += [{"file": "gbid/lpv/model.py", "outcome": "survived", "equivalent": "only the speed"}]
     assert [verdict(e) for e in entries] == ["killed", "killed", "survived", "equivalent"]
     assert summary(entries).splitlines()[-1] == "| all | 4 | 2 | 1 | 1 | 66.7 % |"

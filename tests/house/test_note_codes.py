@@ -9,9 +9,9 @@ from experiment_files import gbid
 from fit_cases import MODE, MODE_AT, levels, simulated
 from places import ROOT
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
+from gbid.core.notes import _FAMILIES, explain, explanations, families
 from gbid.identify import fit
-from gbid.notes.catalogue import _FAMILIES, explain, explanations, families
 
 KINDS = [kind for family in _FAMILIES.values() for kind in family]
 

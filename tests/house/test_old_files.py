@@ -11,10 +11,10 @@ import stored_values
 import gbid
 from gbid.characterise import PiezoCurve, StaticMap, load_static
 from gbid.control import load_impacts
-from gbid.control.assessment.tuned_design import load_tuned
-from gbid.errors import DataError
+from gbid.control.assess import load_tuned
+from gbid.core.errors import DataError
 from gbid.prefilter import load_prefilter
-from gbid.prefilter.prefilter_store import read_report
+from gbid.prefilter.prefilter import read_report
 from gbid.validate import load_validation_summary
 
 FILES = Path(__file__).parents[1] / "data" / "gbid_0_1_0.zip"

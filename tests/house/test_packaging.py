@@ -5,7 +5,7 @@ import tomllib
 
 from places import ROOT
 
-from gbid.share import share_folder
+from gbid.core.files import share_folder
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 WHEEL = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]

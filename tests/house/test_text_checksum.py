@@ -5,13 +5,13 @@ import random
 import pytest
 
 import gbid
-from gbid.experiment.keys import writing_keyed
-from gbid.files.text_checksum import add_text_checksum, is_changed, with_text_checksum
-from gbid.interchange import save_mat
+from gbid.core.files import add_text_checksum, is_changed, with_text_checksum
+from gbid.core.tables import plain_table, write_csv
+from gbid.experiment.fields import writing_keyed
+from gbid.export.chain import chain_of
+from gbid.export.chain_c import write_chain
+from gbid.export.matlab import save_mat
 from gbid.lpv import load_model, save_model
-from gbid.tables.csv import write_csv
-from gbid.tables.table import plain_table
-from gbid.target import chain_of, write_chain
 
 MODEL = load_model("theisen2016")
 

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from gbid.errors import UsageError
-from gbid.units import SIGNALS, conversion_factor
+from gbid.core.errors import UsageError
+from gbid.core.units import SIGNALS, conversion_factor
 
 
 @pytest.mark.parametrize(

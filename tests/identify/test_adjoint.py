@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from shooting_problem import problem
 
-from gbid.identify.disturbances.disturbances import Disturbances, Trend
-from gbid.identify.kernel.sweep import scan
-from gbid.identify.nlp.adjoint import on_ends, own_gradients
-from gbid.identify.nlp.hessian import entries_of, left_out_columns
-from gbid.identify.nlp.one_window import in_one_window
+from gbid.identify.disturbances import Disturbances, Trend
+from gbid.identify.kernel.sums import scan
+from gbid.identify.problem.hessian import entries_of, in_one_window, left_out_columns, on_ends, own_gradients
 
 DISTURBED = Disturbances(("p_x", "p_y"), (Trend(3), Trend(0, random_walk=True)), (50.0,))
 

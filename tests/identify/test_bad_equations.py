@@ -7,7 +7,7 @@ from nonlinear_cases import DUFFING, duffing_recording
 
 import gbid
 from gbid import NonlinearStructure, Parameter
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 
 K = [Parameter("k", 1.0)]
 

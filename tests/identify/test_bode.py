@@ -5,12 +5,12 @@ import pytest
 from fit_cases import EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, levels, piezo_motion, simulated
 from scipy.signal import csd, welch
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
+from gbid.core.tables import csv_text
 from gbid.identify import bode, fit, load_fit, measured_response, save_fit
-from gbid.identify.curves.bode import response_slopes
+from gbid.identify.uncertainty.curves import response_slopes
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate
-from gbid.tables.csv import csv_text
 
 LATE = LinearStructure(
     "late",

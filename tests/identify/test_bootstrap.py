@@ -6,12 +6,18 @@ from fit_cases import MODE, MODE_AT, levels, simulated
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.identify import fit, load_fit, save_fit
-from gbid.identify.uncertainty.bootstrap import _FEWEST, Bootstrap, Estimator, asked_bootstrap, bootstrap_factors
-from gbid.identify.uncertainty.error_model import ErrorModel
-from gbid.identify.uncertainty.score_covariance import transformed
-from gbid.identify.uncertainty.sensitivities import RecordSensitivities
+from gbid.identify.uncertainty.coloured import (
+    _FEWEST,
+    Bootstrap,
+    ErrorModel,
+    Estimator,
+    RecordSensitivities,
+    asked_bootstrap,
+    bootstrap_factors,
+    transformed,
+)
 
 
 def coloured(n=600, seed=1):

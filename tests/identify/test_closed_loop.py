@@ -6,10 +6,10 @@ from fit_cases import MODE, MODE_AT, H, fit_data, levels, smooth
 from scipy.linalg import expm
 
 import gbid
-from gbid.control.loop.sampling import sample_controller, sample_plant
-from gbid.errors import UsageError
+from gbid.control.loop.close import sample_controller, sample_plant
+from gbid.core.errors import UsageError
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sweep import residuals
+from gbid.identify.kernel.sums import residuals
 from gbid.identify.predictor import build_predictor
 from gbid.structure import LinearModel, LinearStructure, Parameter, evaluate
 

@@ -7,13 +7,11 @@ import pytest
 from shaken_rig import TRUE, shaken
 
 import gbid
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.identify.data import gather
-from gbid.identify.nlp.hessian import ExactHessian, held_up
-from gbid.identify.nlp.one_window import in_one_window, in_windows
-from gbid.identify.other_gains import FOUND, SUSPECTED, lower_elsewhere
-from gbid.identify.problem.assembly import assemble
-from gbid.identify.problem.scaling import build_problem
+from gbid.identify.problem.assemble import assemble, build_problem
+from gbid.identify.problem.hessian import ExactHessian, held_up, in_one_window, in_windows
+from gbid.identify.restarts import FOUND, SUSPECTED, lower_elsewhere
 from gbid.rig import FilmStiffening, ProcessNoise
 from gbid.structure import evaluate
 

@@ -5,11 +5,9 @@ import pytest
 from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, innovations, levels, simulated
 
 import gbid
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.identify import fit
-from gbid.identify.disturbances.asked import asked_disturbances
-from gbid.identify.disturbances.disturbances import Disturbances, Trend
-from gbid.identify.disturbances.walking_model import with_walking_offsets
+from gbid.identify.disturbances import Disturbances, Trend, asked_disturbances, with_walking_offsets
 from gbid.structure import evaluate
 
 N = 1500

@@ -27,16 +27,14 @@ from fit_cases import (
 from nonlinear_cases import SAME, mass_recording
 from places import SUPPORT
 
-from gbid import compiling
-from gbid.compiling import library
-from gbid.errors import UsageError
+from gbid.core import compiled as compiling
+from gbid.core import compiled as library
+from gbid.core.errors import UsageError
 from gbid.identify import fit
-from gbid.identify.disturbances.disturbances import Disturbances, Trend
+from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import Segment, cut
-from gbid.identify.kernel.engine import CompiledEngine, choose_engine, pattern_of
-from gbid.identify.kernel.numpy_pass import run_with_numpy
-from gbid.identify.kernel.source import kernel_source
-from gbid.identify.kernel.sweep import block_sums, powers_of, starts_of_blocks, sweep
+from gbid.identify.kernel.linear import CompiledEngine, choose_engine, kernel_source, pattern_of
+from gbid.identify.kernel.sums import block_sums, powers_of, run_with_numpy, starts_of_blocks, sweep
 from gbid.identify.predictor import build_predictor
 from gbid.structure import PiezoPair, Plant, RotorBearing
 
@@ -208,7 +206,7 @@ def test_the_numpy_pass_in_chunks_is_the_whole(monkeypatch):
     predictor, theta, blocks, starts, weight = problem("every", (900, 133), 10)
     v = predictor.at(theta)
     whole = sweep(v, blocks, starts, weight, run_with_numpy)
-    monkeypatch.setattr("gbid.identify.kernel.numpy_pass._CHUNK_BYTES", 20_000)
+    monkeypatch.setattr("gbid.identify.kernel.sums._CHUNK_BYTES", 20_000)
     assert_same_sums(sweep(v, blocks, starts, weight, run_with_numpy), whole, 1e-12)
 
 

@@ -5,9 +5,15 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from gbid.identify.uncertainty.error_model import ErrorModel, error_model, lag_products, longest_order
-from gbid.identify.uncertainty.score_covariance import _joined, score_covariance
-from gbid.identify.uncertainty.sensitivities import RecordSensitivities
+from gbid.identify.uncertainty.coloured import (
+    ErrorModel,
+    RecordSensitivities,
+    _joined,
+    error_model,
+    lag_products,
+    longest_order,
+    score_covariance,
+)
 
 COUPLED = np.array([[[0.6, 0.3], [-0.2, 0.5]], [[-0.3, 0.0], [0.1, -0.2]]])
 

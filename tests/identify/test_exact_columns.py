@@ -7,9 +7,8 @@ from scipy.signal import lfilter
 from shooting_problem import problem
 
 from gbid.identify import fit
-from gbid.identify.nlp.omitted_part import omitted_part
-from gbid.identify.nlp.one_window import in_one_window
-from gbid.identify.uncertainty.information import information_over_records
+from gbid.identify.problem.hessian import in_one_window, omitted_part
+from gbid.identify.uncertainty.covariance import information_over_records
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 

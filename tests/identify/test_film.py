@@ -5,8 +5,8 @@ import pytest
 from shaken_rig import NO_RUNOUT, PUBLISHED, TRUE, shaken
 
 import gbid
-from gbid.errors import UsageError
-from gbid.identify.nonlinear.nonlinear_predictor import build_nonlinear_predictor
+from gbid.core.errors import UsageError
+from gbid.identify.kernel.sample import build_nonlinear_predictor
 from gbid.rig import FilmStiffening, Machine, Prbs, Unbalance, record
 from gbid.structure import equations_of, evaluate, nonlinear_model
 

@@ -25,7 +25,7 @@ from fit_cases import (
 )
 from places import SUPPORT
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.recording import Recording
 from gbid.structure import KEY_PARAMETERS, LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, evaluate
@@ -514,7 +514,7 @@ import os, sys, threading
 sys.path.insert(0, {tests!r})
 from fit_cases import MODE, MODE_AT, levels, simulated
 from gbid.identify import fit
-from gbid.threads import one_solver
+from gbid.core.arrays import one_solver
 
 rec = simulated(MODE, MODE_AT, levels(500), noise=0.3)
 here = fit(MODE, rec).parameters

@@ -22,10 +22,10 @@ from fit_cases import (
     smooth,
 )
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sweep import residuals
+from gbid.identify.kernel.sums import residuals
 from gbid.identify.predictor import build_predictor
 from gbid.recording import Recording
 from gbid.structure import LinearModel, LinearStructure, Parameter, Plant, RotorBearing, evaluate

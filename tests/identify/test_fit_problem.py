@@ -7,7 +7,7 @@ from nonlinear_cases import DUFFING, SAME, duffing_recording, mass_recording
 
 import gbid
 from gbid import LinearStructure, Parameter
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, innovations, levels, simulated
 
-from gbid import hdf5
-from gbid.errors import DataError, UsageError
+from gbid.core import hdf5
+from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit, load_fit, save_fit
 from gbid.recording import save_recording
 from gbid.structure import LinearStructure, Parameter

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 import gbid
-from gbid import hdf5
-from gbid.errors import DataError, UsageError
+from gbid.core import hdf5
+from gbid.core.errors import DataError, UsageError
+from gbid.core.tables import write_csv
 from gbid.identify import TableEntry, save_table, tabulate
-from gbid.identify.table.table_store import csv_table
+from gbid.identify.table import csv_table
 from gbid.rig import Machine, Prbs, record
-from gbid.tables.csv import write_csv
 
 POINT = {"pressure_bar": 6.0, "speed_rpm": 0.0}
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 from gbid import LinearStructure, Parameter, Recording, RotorBearing, fit, fit_ringdown, load_model
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify.predictor import build_predictor
 from gbid.structure import evaluate
 

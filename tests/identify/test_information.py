@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_problem import small_problem
 
-from gbid.identify.uncertainty.information import (
+from gbid.identify.uncertainty.covariance import (
     RecordInformation,
     information_over_records,
     profiled,

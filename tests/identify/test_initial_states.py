@@ -5,7 +5,7 @@ import pytest
 from fit_cases import MODE, MODE_AT, H, levels, simulated
 from scipy.optimize import least_squares
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.identify import fit
 from gbid.structure import evaluate
 

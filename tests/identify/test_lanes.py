@@ -6,11 +6,11 @@ import pytest
 from compilers import NEEDS_COMPILER
 
 from gbid import NonlinearStructure, Parameter
-from gbid.identify.disturbances.disturbances import Disturbances, Trend
+from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import Segment, cut
-from gbid.identify.kernel.kernel_protocol import Kernel
-from gbid.identify.nonlinear.nonlinear_predictor import build_nonlinear_predictor
-from gbid.identify.nonlinear.runner import choose_runner
+from gbid.identify.kernel.lanes import choose_runner
+from gbid.identify.kernel.sample import build_nonlinear_predictor
+from gbid.identify.kernel.sums import Kernel
 
 AT = {"k": 90.0, "c": 4.0, "tau": 0.03, "g": 2.0, "start": 0.2, "lag": 0.053}
 STEPS, LENGTH, WINDOWS = 3, 7, 10

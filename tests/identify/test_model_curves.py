@@ -5,14 +5,13 @@ import pytest
 from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, levels, simulated
 from scipy.signal import StateSpace, impulse, step, tf2ss
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
+from gbid.core.tables import csv_text
 from gbid.identify import fit
-from gbid.identify.curves.delay_estimate import estimate_delay
-from gbid.identify.curves.pole_zero import ellipse, pole_zero
-from gbid.identify.curves.time_response import _settling, time_response
+from gbid.identify.uncertainty.curves import _settling, ellipse, pole_zero, time_response
+from gbid.identify.uncertainty.spectra import estimate_delay
 from gbid.recording import Recording
 from gbid.structure import LinearModel, LinearStructure, Parameter, evaluate
-from gbid.tables.csv import csv_text
 
 LATE = LinearStructure(
     "late",

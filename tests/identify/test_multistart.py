@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fit_cases import MODE, MODE_AT, H, levels, simulated
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.identify import FitStatus, fit, fit_multistart, load_fit, save_fit
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate

@@ -7,7 +7,7 @@ import pytest
 from fit_cases import MODE, MODE_AT, levels, simulated
 
 import gbid
-from gbid import hdf5
+from gbid.core import hdf5
 from gbid.identify import FitStatus
 from gbid.recording import Recording
 

@@ -135,7 +135,7 @@ def test_a_stiff_structure_needs_the_implicit_integrator():
         return [-p.a * x[0] ** 3 + x[1], 1e5 * (u[0] - x[1])]
 
     parts = ("stiff", [Parameter("a", 0.5)], ["x", "z"], slow_and_fast, lambda x, u, p: x[0])
-    with pytest.raises(gbid.errors.UsageError, match="the equations are stiff; use integrator='implicit'"):
+    with pytest.raises(gbid.core.errors.UsageError, match="the equations are stiff; use integrator='implicit'"):
         gbid.fit(NonlinearStructure(*parts), duffing_recording(0, n=100))
     stiff = NonlinearStructure(*parts, integrator="implicit")
     u = duffing_recording(0, n=300).signal("u")

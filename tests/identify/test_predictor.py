@@ -5,10 +5,10 @@ import pytest
 from fit_cases import ACTUATORS, EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, fit_data, piezo_motion, predicted, smooth
 from scipy.linalg import expm
 
-from gbid.errors import UsageError
-from gbid.identify.disturbances.disturbances import Disturbances, Trend
+from gbid.core.errors import UsageError
+from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sweep import residuals
+from gbid.identify.kernel.sums import residuals
 from gbid.identify.predictor import build_predictor
 from gbid.structure import LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, evaluate
 

@@ -5,7 +5,7 @@ import pytest
 from fit_cases import H, levels
 from scipy.optimize import least_squares
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit, load_fit, save_fit
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate

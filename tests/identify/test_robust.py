@@ -9,11 +9,10 @@ from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, innovations, levels, simul
 from shooting_problem import problem
 
 import gbid
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.identify import fit
-from gbid.identify.nlp.adjoint import on_ends, own_gradients
-from gbid.identify.robust.loss import efficiency, robust_loss
-from gbid.identify.robust.reweighting import _counted, _with_weights
+from gbid.identify.problem.hessian import on_ends, own_gradients
+from gbid.identify.robust import _counted, _with_weights, efficiency, robust_loss
 
 NAMES = ("w", "z", "g")
 AT = np.array([MODE_AT[name] for name in NAMES])

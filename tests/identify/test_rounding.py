@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gbid.identify.uncertainty import covariance as module
-from gbid.identify.uncertainty.information import Information
-from gbid.identify.uncertainty.sensitivities import RecordSensitivities
+from gbid.identify.uncertainty.coloured import RecordSensitivities
+from gbid.identify.uncertainty.covariance import Information
 
 N = 400
 ALONG = np.array([1.0, -1.0]) / np.sqrt(2)  # the direction that the data hardly determine

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gbid
-from gbid.errors import DataError, UsageError
-from gbid.structure.scheduling.schedule import Schedule
+from gbid.core.errors import DataError, UsageError
+from gbid.structure.scheduled import Schedule
 
 DT = 1e-3
 

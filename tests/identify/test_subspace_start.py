@@ -16,13 +16,12 @@ from start_cases import (
     swings,
 )
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit, fit_multistart
 from gbid.identify.data import Record, gather
 from gbid.identify.predictor import build_predictor
-from gbid.identify.start.black_box import black_box
-from gbid.identify.start.match import Target, _residual, match
-from gbid.identify.start.subspace_start import subspace_start
+from gbid.identify.start.black_box import Target, _residual, black_box, match
+from gbid.identify.start.start import subspace_start
 from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate
 
 BY_NAME = {case.name: case for case in CASES}

@@ -9,15 +9,13 @@ from start_problems import SPRING, start_problem
 
 from gbid import LinearStructure, Parameter, Recording, fit
 from gbid.discretise import discretise
-from gbid.discretise.expm import squarings_for
+from gbid.discretise.exact import squarings_for
 from gbid.identify import FitStatus, load_fit, save_fit
-from gbid.identify.nlp import solver
-from gbid.identify.nlp.optimality import distance_from_rest
-from gbid.identify.nlp.solver import solve
-from gbid.identify.nlp.watch import Watch
 from gbid.identify.predictor import Predictor
-from gbid.identify.start.observer import gain_parameters, observer_gain, with_gain
-from gbid.identify.verdict import verdict
+from gbid.identify.problem import solve as solver
+from gbid.identify.problem.solve import Watch, distance_from_rest, solve
+from gbid.identify.start.start import gain_parameters, observer_gain, with_gain
+from gbid.identify.uncertainty.doubts import verdict
 from gbid.structure import LinearModel, evaluate
 
 WILD = {"k": -1000.0, "d": -1.0}
@@ -97,7 +95,7 @@ def test_optimality_is_zero_at_the_minimum_and_counts_standard_deviations(name, 
     """Away from the minimum it is the distance to it, which is also found from the covariance."""
     problem = start_problem(name)
     kept = []
-    monkeypatch.setattr("gbid.identify.nlp.solver._at_rest", _keeping(kept))
+    monkeypatch.setattr("gbid.identify.problem.solve._at_rest", _keeping(kept))
     result = fit(problem.structure, problem.recording, start=problem.true, **problem.options)
     shooting, box = kept[-1]
     theta = np.array([result.parameters[name] for name in result.free])

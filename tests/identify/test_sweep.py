@@ -7,7 +7,7 @@ import pytest
 from fit_cases import EVERY, EVERY_AT, KEY, TS, H, fit_data, piezo_motion, smooth
 
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sweep import residuals, sweep
+from gbid.identify.kernel.sums import residuals, sweep
 from gbid.identify.predictor import build_predictor
 from gbid.structure import RotorBearing
 

@@ -5,7 +5,7 @@ import pytest
 from start_problems import MAGLEV, START_PROBLEMS, random_start, start_problem
 
 from gbid import fit
-from gbid.identify.attempts import Plan
+from gbid.identify.restarts import Plan
 from gbid.identify.uncertainty import covariance as module
 from gbid.structure import evaluate
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from small_problem import small_problem
 
-from gbid.identify.nlp.watch import PATIENCE, Interrupt, Watch, _iterations_ahead
+from gbid.identify.problem.solve import PATIENCE, Interrupt, Watch, _iterations_ahead
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,13 @@ from scipy import signal
 from scipy.io import loadmat
 
 import gbid
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
+from gbid.core.yaml_file import read_yaml
+from gbid.export.matlab import save_mat
+from gbid.export.tables import save_csv, save_yaml
 from gbid.identify import FitResult, FitStatus
-from gbid.interchange import save_csv, save_mat, save_yaml
-from gbid.lpv.basis import TERMS
+from gbid.lpv.model import TERMS
 from gbid.structure import KEY_PARAMETERS, LinearModel, evaluate
-from gbid.yaml_file import read_yaml
 
 FREQUENCY = np.array([1.0, 90.0, 126.6, 132.0, 700.0])
 

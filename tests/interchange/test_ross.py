@@ -10,9 +10,8 @@ from scipy.linalg import expm
 
 import gbid
 from gbid.cli.main import app
-from gbid.errors import UsageError
-from gbid.interchange import bearing_element
-from gbid.interchange.ross.ross_package import ross_package
+from gbid.core.errors import UsageError
+from gbid.export.ross import bearing_element, ross_package
 from gbid.structure import evaluate
 
 pytestmark = pytest.mark.skipif(
@@ -241,8 +240,8 @@ def test_the_command_line_writes_files_that_ross_reads(tmp_path, capsys):
 
 
 def test_a_model_without_operating_points_is_written_at_the_ends_of_its_domain(tmp_path):
-    from gbid.exporters.export_target import ExportItem, ExportRequest
-    from gbid.exporters.targets.to_ross import write_elements
+    from gbid.export.target import ExportItem, ExportRequest
+    from gbid.export.targets.to_ross import write_elements
 
     item = ExportItem("bare", replace(MODEL, operating_points=()))
     files = write_elements(item, ExportRequest(tmp_path, mass_kg=1.0))

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gbid.errors import ExtrapolationWarning, UsageError
+from gbid.core.errors import ExtrapolationWarning, UsageError
+from gbid.core.files import share_folder
 from gbid.lpv import TERMS, Domain, LPVModel, basis, load_model, polynomial, regressors, save_model
-from gbid.share import share_folder
 from gbid.structure import KEY_PARAMETERS
 
 POINTS = st.tuples(st.floats(3, 7), st.floats(0, 6000))

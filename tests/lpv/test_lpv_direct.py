@@ -9,11 +9,9 @@ from study_rig import PAPER, POINTS, truth_at
 
 import gbid
 from gbid.control import p_controller, sample_controller
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify.data import gather
-from gbid.identify.problem.assembly import assemble, full_start
-from gbid.identify.problem.scaling import build_problem
-from gbid.identify.problem.ties import Ties
+from gbid.identify.problem.assemble import Ties, assemble, build_problem, full_start
 from gbid.lpv import LPVModel
 from gbid.rig import SampledController
 from gbid.structure import KEY_PARAMETERS, Parameter, Plant, RotorBearing

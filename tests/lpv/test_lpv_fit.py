@@ -8,16 +8,13 @@ from scipy.optimize import minimize_scalar
 from study_rig import CAMPAIGN, PAPER, POINTS
 
 import gbid
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.lpv import Estimates, characteristics, regressors
-from gbid.lpv.surface_fit.estimates import _finite
-from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
-from gbid.lpv.surface_fit.order import lack_of_fit
-from gbid.lpv.surface_fit.regression import regression
-from gbid.lpv.surface_fit.terms import orthonormal
+from gbid.lpv.estimates import _finite, generalised, orthonormal, sandwich, with_scatter
+from gbid.lpv.regression import lack_of_fit, regression
 from gbid.rig import Machine, Scatter, scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.scheduling.monomials import exponents_of
+from gbid.structure.scheduled import exponents_of
 
 GRID = np.array([point for point, _ in CAMPAIGN])
 K = len(KEY_PARAMETERS)

@@ -8,17 +8,18 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from gbid.lpv import TERMS
-from gbid.lpv.surface_fit.outliers import (
+from gbid.lpv.estimates import (
     _VARIANCE,
     CLIPPING_SLOPE,
     HUBER,
+    chosen_exponents,
     huber_estimate,
+    orthonormal,
     outliers,
     standardised,
     threshold,
 )
-from gbid.lpv.surface_fit.terms import chosen_exponents, orthonormal
-from gbid.structure.scheduling.monomials import exponents_of, monomials, term_name
+from gbid.structure.scheduled import exponents_of, monomials, term_name
 
 
 def test_the_threshold_rises_with_the_number_of_entries() -> None:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gbid.errors import DataError
-from gbid.lpv.surface_fit.order import best_order, compare_orders
-from gbid.lpv.surface_fit.terms import check_points, chosen_exponents, possible_order, varying_exponents
+from gbid.core.errors import DataError
+from gbid.lpv.estimates import check_points, chosen_exponents, possible_order, varying_exponents
+from gbid.lpv.regression import best_order, compare_orders
 
 GRID = [(p, n) for p in (4.0, 5.0, 6.0) for n in (0.0, 4000.0, 6000.0)]
 

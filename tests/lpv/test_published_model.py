@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gbid.control import close_loop, p_controller
+from gbid.core.files import share_folder
+from gbid.core.units import conversion_factor
 from gbid.lpv import TERMS, LPVModel, load_model
-from gbid.share import share_folder
-from gbid.units import conversion_factor
 
 # Table B.6, taken from the paper's text by a program, not from the model file.
 TABLE_B6 = """

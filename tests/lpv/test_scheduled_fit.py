@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import gbid
-from gbid.errors import DataError, ExtrapolationWarning, UsageError
+from gbid.core.errors import DataError, ExtrapolationWarning, UsageError
+from gbid.core.files import share_folder
 from gbid.lpv import ScheduledModel
-from gbid.lpv.surface_fit.terms import chosen_exponents
-from gbid.share import share_folder
+from gbid.lpv.estimates import chosen_exponents
 from gbid.structure import evaluate, load_structure
-from gbid.structure.scheduling.monomials import exponents_of, term_name
+from gbid.structure.scheduled import exponents_of, term_name
 
 ROTOR = load_structure("rigid_rotor.py:structure", share_folder("models"))
 SPEEDS = (0.0, 4000.0, 8000.0, 12000.0)

@@ -7,11 +7,11 @@ import pytest
 from study_rig import machine_at, truth_at
 
 import gbid
-from gbid import hdf5
-from gbid.errors import DataError
+from gbid.core import hdf5
+from gbid.core.errors import DataError
 from gbid.prefilter import PrefilterReport, identify_runout, load_prefilter, prefilter, save_prefilter
-from gbid.prefilter.shaft import shaft_motion
-from gbid.report.tables.recording_tables import prefilter_rows
+from gbid.prefilter.runout import shaft_motion
+from gbid.report.read import prefilter_rows
 from gbid.rig import Faults, Prbs, Stationary, record
 
 POINT = (5.0, 6000.0)

@@ -5,11 +5,10 @@ import pytest
 from rig_point import machine
 
 from gbid.control import p_controller
-from gbid.control.loop.sampling import sample_controller
-from gbid.errors import DataError
+from gbid.control.loop.close import sample_controller
+from gbid.core.errors import DataError
 from gbid.prefilter.identify_runout import identify_runout
-from gbid.prefilter.online import OnlinePrefilter
-from gbid.prefilter.prefilter import prefilter
+from gbid.prefilter.prefilter import OnlinePrefilter, prefilter
 from gbid.rig import Prbs, ProgramController, SampledController, SensorChain, Stationary, record
 
 TS = 2e-4

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rig_point import actuator, rotor_bearing
 
-from gbid.errors import DataError, UsageError
-from gbid.hdf5 import FileKind, writing
+from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5 import FileKind, writing
 from gbid.prefilter import identify_runout, load_prefilter, prefilter, running_median, save_prefilter
 from gbid.recording import Recording
 from gbid.rig import Machine, Prbs, SensorChain, Stationary, Unbalance, record

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rig_point import machine
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.prefilter import (
     OnlinePrefilter,
     align_index,
@@ -18,7 +18,7 @@ from gbid.prefilter import (
     prefilter,
     runout_residual,
 )
-from gbid.prefilter.align import refuse_lost_index
+from gbid.prefilter.identify_runout import refuse_lost_index
 from gbid.recording import Recording
 from gbid.rig import Faults, NonSynchronous, Prbs, SensorChain, Stationary, record
 

@@ -7,8 +7,8 @@ import pytest
 from fit_cases import MODE, MODE_AT, levels, simulated
 
 import gbid
-from gbid.errors import DataError, UsageError
-from gbid.lpv.surface_fit.coefficients import coefficient_frame
+from gbid.core.errors import DataError, UsageError
+from gbid.lpv.regression import coefficient_frame
 
 
 @pytest.fixture(scope="module")

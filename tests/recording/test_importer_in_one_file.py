@@ -8,18 +8,18 @@ import pytest
 
 import gbid
 from gbid.cli.main import app
-from gbid.errors import DataError
+from gbid.core.errors import DataError
+from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.problems import ExperimentError
-from gbid.recording.importers import formats
-from gbid.recording.importers.formats import file_formats
+from gbid.recording import formats
+from gbid.recording.formats import file_formats
 
 FORMAT = '''
 """Reader of text files with columns of fixed width, named in the first line."""
 
-from gbid.errors import DataError
-from gbid.recording.importers.columns import FileColumn
-from gbid.recording.importers.file_format import FileChannel, FileFormat
+from gbid.core.errors import DataError
+from gbid.recording.text_files import FileColumn
+from gbid.recording.readers import FileChannel, FileFormat
 
 
 def read_dat(path, references):

@@ -12,9 +12,9 @@ import scipy.io
 from places import DOCS, MEASURED
 from ruamel.yaml import YAML
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.recording import ImportMapping, SignalMapping, import_recording, load_recording, save_recording
-from gbid.recording.importers.peek import Peek, peek
+from gbid.recording.importing import Peek, peek
 
 N, DT = 300, 2e-4
 RNG = np.random.default_rng(5)

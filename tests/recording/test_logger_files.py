@@ -11,9 +11,9 @@ import pytest
 
 import gbid
 from gbid.cli.main import app
-from gbid.errors import DataError, UsageError
-from gbid.recording.importers import importing
-from gbid.recording.importers.peek import list_channels
+from gbid.core.errors import DataError, UsageError
+from gbid.recording import importing
+from gbid.recording.importing import list_channels
 
 N, DT = 500, 2e-4
 RNG = np.random.default_rng(8)

@@ -8,9 +8,8 @@ import pytest
 from matio import save_to_mat
 from matio.utils.matclass import MatlabObject, MatlabOpaque
 
-from gbid.errors import DataError
-from gbid.recording import import_recording
-from gbid.recording.importers import importing
+from gbid.core.errors import DataError
+from gbid.recording import import_recording, importing
 
 N, H = 50, 0.01
 T = H * np.arange(N)[:, None]

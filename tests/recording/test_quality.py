@@ -9,8 +9,17 @@ from rig_point import machine
 from scipy.stats import beta
 
 from gbid.recording import Recording, find_group_problems, find_problems, import_recording
-from gbid.recording.quality_response import _crossed, _Response, _response
-from gbid.recording.quality_rub import _apart, _in_motion, _least_squares, _median_of_three, _struck, find_rub
+from gbid.recording.quality import (
+    _apart,
+    _crossed,
+    _in_motion,
+    _least_squares,
+    _median_of_three,
+    _Response,
+    _response,
+    _struck,
+    find_rub,
+)
 from gbid.rig import (
     Faults,
     FilmStiffening,

@@ -13,10 +13,10 @@ import pytest
 from campaign_files import alive
 
 import gbid
-from gbid.errors import DataError, UsageError
-from gbid.files import reader_process
-from gbid.files.reader_process import read_apart
-from gbid.recording.importers.peek import list_channels
+from gbid.core import apart as reader_process
+from gbid.core.apart import read_apart
+from gbid.core.errors import DataError, UsageError
+from gbid.recording.importing import list_channels
 
 MAPPING = {"sample_time": 1e-3, "signals": {"y": {"columns": ["y"], "unit": "m"}}}
 
@@ -72,7 +72,7 @@ def test_the_process_ends_with_the_one_that_asked(tmp_path):
     np.savez(path, y=np.sin(np.arange(200.0)))
     code = (
         "import gbid, os, signal, sys\n"
-        "from gbid.files import reader_process as r\n"
+        "from gbid.core import apart as r\n"
         f"gbid.import_recording({str(path)!r}, {MAPPING!r})\n"
         "print(r._process(os.getpid())._child.pid, flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"

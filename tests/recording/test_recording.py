@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from gbid.errors import DataError
+from gbid.core.errors import DataError
 from gbid.recording import Recording, find_problems
 
 N = 200

@@ -7,8 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gbid import hdf5
-from gbid.errors import DataError, UsageError
+from gbid.core import hdf5
+from gbid.core.errors import DataError, UsageError
 from gbid.recording import Recording, load_recording, save_recording
 
 N = 150
@@ -131,7 +131,7 @@ def test_a_failure_while_writing_keeps_the_old_file(rec, tmp_path, monkeypatch):
     def fail(*args, **kwargs):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gbid.recording.recording_store._write_signals", fail)
+    monkeypatch.setattr("gbid.recording.store._write_signals", fail)
     for path in (old, new):
         with pytest.raises(DataError, match="No space left"):
             save_recording(rec.slice(0, 120), path, overwrite=True)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gbid.cli.main import app
-from gbid.errors import DataError
+from gbid.core.errors import DataError
 from gbid.recording import import_recording
-from gbid.recording.importers.text.text_options import TextOptions
-from gbid.recording.importers.text.text_table import read_table
+from gbid.recording.mapping import TextOptions
+from gbid.recording.text_files import read_table
 
 ROWS = [[0.0, 1.5, -2.0], [0.1, 2.5, 4.0], [0.2, -3.25, 0.5], [0.3, 1e-3, 7.0]]
 

@@ -8,13 +8,13 @@ from rig_point import actuator, rotor_bearing
 from scipy.io import loadmat
 
 import gbid
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
+from gbid.core.units import SIGNALS
 from gbid.prefilter import load_prefilter, prefilter, save_prefilter
 from gbid.recording import Recording, import_recording, load_recording, save_recording
-from gbid.report.figures.measured.response import plot_response
-from gbid.report.tables.recording_tables import prefilter_rows, prefilter_table
+from gbid.report.measured_pictures import plot_response
+from gbid.report.read import prefilter_rows, prefilter_table
 from gbid.rig import Hammer, Machine, Prbs, record
-from gbid.units import SIGNALS
 
 N, H = 600, 0.01
 NAMES = ("r", "u", "p", "phi", "force", "f", "v", "y_p", "r_p")

@@ -16,26 +16,20 @@ from ruamel.yaml import YAML
 from scipy.io import loadmat
 
 import gbid
-from gbid.cli.live import LiveLine
-from gbid.cli.progress import PlainReporter, TerminalReporter
-from gbid.errors import DataError
-from gbid.experiment.run.outcome import Outcome
+from gbid.cli.progress import LiveLine, PlainReporter, TerminalReporter
+from gbid.core.errors import DataError
+from gbid.core.names import file_stem, printable
+from gbid.core.tables import Column, Table, csv_text, html_table, markdown_table, terminal_table
+from gbid.experiment.run import Outcome
+from gbid.export.chain import c_comment
+from gbid.export.matlab import save_mat
+from gbid.export.tables import save_csv, save_yaml
 from gbid.identify import TableEntry, tabulate
-from gbid.identify.table.table_store import csv_table
-from gbid.interchange import save_csv, save_mat, save_yaml
-from gbid.naming.escape import printable
-from gbid.naming.paths import file_stem
-from gbid.report.figures.measured.residual_panels import residuals_figure
-from gbid.report.figures.measured.response import response_figure
-from gbid.report.figures.save import plain_label, save_figure, symbol
-from gbid.report.tables.fit_document import fit_document
-from gbid.report.tables.fit_tables import fit_tables
-from gbid.tables.csv import csv_text
-from gbid.tables.html import html_table
-from gbid.tables.markdown import markdown_table
-from gbid.tables.table import Column, Table
-from gbid.tables.terminal import terminal_table
-from gbid.target.identifiers import c_comment
+from gbid.identify.table import csv_table
+from gbid.report.canvas import plain_label, save_figure, symbol
+from gbid.report.fit_tables import fit_tables
+from gbid.report.measured_pictures import residuals_figure, response_figure
+from gbid.report.read import fit_document
 
 AWFUL = (
     "[/]",
@@ -182,7 +176,7 @@ def test_progress_shows_names_as_they_are(capsys):
 
 
 def test_a_description_of_a_unit_is_xml():
-    from gbid.cosimulation.model_description import model_description, unit_variables
+    from gbid.export.fmu import model_description, unit_variables
 
     model = gbid.load_model("theisen2016")
     for name in AWFUL:

@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from places import ROOT
 
 import gbid
-from gbid.errors import UsageError
-from gbid.identify.disturbances.disturbances import Disturbances
+from gbid.core.errors import UsageError
+from gbid.core.tables import engineering, exponent_of
+from gbid.identify.disturbances import Disturbances
 from gbid.report import (
     plot_residuals,
     plot_response,
@@ -19,7 +20,6 @@ from gbid.report import (
     response_figure,
     save_figure,
 )
-from gbid.tables.numbers import engineering, exponent_of
 from gbid.validate import Validation
 
 
@@ -117,7 +117,7 @@ def test_no_global_state_and_no_pyplot(validation):
     before = dict(mpl.rcParams)
     response_figure(validation)
     assert dict(mpl.rcParams) == before
-    code = "import sys, gbid.report.figures.measured.response; assert 'matplotlib.pyplot' not in sys.modules"
+    code = "import sys, gbid.report.measured_pictures; assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from gbid import report
 from gbid.control import iso_zone, p_controller, sensitivities, sensitivity_zones
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.identify import fit, measured_response
 from gbid.lpv import load_model
 from gbid.recording import Recording

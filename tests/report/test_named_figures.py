@@ -8,20 +8,20 @@ import pytest
 from experiment_files import QUICK, write_quick
 from experiment_files import gbid as command
 
-from gbid.errors import DataError
+from gbid import report as figures
+from gbid.core.errors import DataError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.report import figures
-from gbid.report.figures.named import named_figures
-from gbid.report.html import write_report
-from gbid.report.paper import paper_files
-from gbid.report.reader import Results
+from gbid.experiment.run import Job
+from gbid.report import paper as paper_files
+from gbid.report.named import named_figures
+from gbid.report.read import Results
+from gbid.report.write import write_report
 
 ONE_FILE = """\
 from matplotlib.figure import Figure
 
-from gbid.report.figures.canvas import panels, styled
-from gbid.report.figures.named import NamedFigure
+from gbid.report.canvas import panels, styled
+from gbid.report.named import NamedFigure
 
 
 @styled
@@ -51,7 +51,7 @@ def one_file(tmp_path, monkeypatch):
     (folder / "poles.py").write_text(ONE_FILE)
     monkeypatch.setattr(figures, "__path__", [*figures.__path__, str(folder)])
     yield
-    sys.modules.pop("gbid.report.figures.poles", None)
+    sys.modules.pop("gbid.report.poles", None)
 
 
 def test_each_figure_of_the_paper_has_a_name():

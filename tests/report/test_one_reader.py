@@ -15,12 +15,12 @@ from figure_cases import BlankPictures
 from typer.testing import CliRunner
 
 from gbid.cli.main import app
-from gbid.control.assessment.compare import COLUMNS
+from gbid.control.assess import COLUMNS
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.report.html import report_file
-from gbid.report.paper import paper_files
-from gbid.report.reader import Results
+from gbid.experiment.run import Job
+from gbid.report import paper as paper_files
+from gbid.report import write as report_file
+from gbid.report.read import Results
 
 CONDITIONS = {"sample_time_s": 1e-3, "method": "zoh"}
 YAML = """\

@@ -20,25 +20,21 @@ from gbid import report
 from gbid.cli.main import app
 from gbid.control import close_loop
 from gbid.control.impact.measured import MeasuredImpact
-from gbid.control.impact.study import ImpactStudy
-from gbid.control.impact.validation import ImpactValidation
-from gbid.errors import DataError, UsageError
+from gbid.control.impact.study import ImpactStudy, ImpactValidation
+from gbid.core.errors import DataError, UsageError
+from gbid.core.files import share_folder
+from gbid.core.tables import csv_text, markdown_table
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
+from gbid.experiment.run import Job
 from gbid.lpv import CHARACTERISTICS, fit_lpv
-from gbid.lpv.characteristics import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
-from gbid.lpv.surface_fit.estimates import Estimates
-from gbid.report.figures.named import named_figures
-from gbid.report.paper import paper_files, paper_tables
-from gbid.report.paper.numbers import PaperNumber, paper_numbers
-from gbid.report.paper.reproduction import _values, counts, judged, reproduction
-from gbid.report.paper.reproduction_tables import reproduction_markdown
-from gbid.report.reader import Results
-from gbid.report.reader.published import published_controller
-from gbid.share import share_folder
+from gbid.lpv.estimates import Estimates
+from gbid.lpv.model import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
+from gbid.report import paper as paper_files
+from gbid.report import paper as paper_tables
+from gbid.report.named import named_figures
+from gbid.report.paper import PaperNumber, _values, counts, judged, paper_numbers, reproduction, reproduction_markdown
+from gbid.report.read import Results, published_controller
 from gbid.structure import KEY_PARAMETERS
-from gbid.tables.csv import csv_text
-from gbid.tables.markdown import markdown_table
 from gbid.validate import ValidationScores, summarise
 
 NUMBERS = {number.id: number for number in paper_numbers()}
@@ -332,7 +328,7 @@ def test_a_full_disk_is_not_a_figure_left_out(small, tmp_path, monkeypatch):
     def full(_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("gbid.atomic.os.fsync", full)
+    monkeypatch.setattr("gbid.core.files.os.fsync", full)
     result = call("figures", path, "--results", tmp_path / "out")
     assert result.exit_code == 3
     assert "No space left in" in result.output.splitlines()[-1]

@@ -15,17 +15,16 @@ from figure_cases import BlankPictures
 import gbid
 from gbid import report
 from gbid.control import GainStatus
-from gbid.control.assessment.tuned_design import load_tuned
-from gbid.errors import DataError
+from gbid.control.assess import load_tuned
+from gbid.core.errors import DataError
+from gbid.core.tables import value_of
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.report.html import report_file, write_report
-from gbid.report.html.sections.tuned_blocks import held_back
-from gbid.report.paper.paper_tables import TABLES
-from gbid.report.paper.reproduction_tables import reproduction_markdown
-from gbid.report.reader import Results
-from gbid.report.reader.designs import comparable_designs
-from gbid.tables.table import value_of
+from gbid.experiment.run import Job
+from gbid.report import write as report_file
+from gbid.report.control_sections import held_back
+from gbid.report.paper import TABLES, reproduction_markdown
+from gbid.report.read import Results, comparable_designs
+from gbid.report.write import write_report
 
 YAML = """\
 format: 1

@@ -18,9 +18,8 @@ from matplotlib.text import Text
 
 from gbid import report
 from gbid.control import p_controller, sensitivity_data
-from gbid.errors import UsageError
-from gbid.report.figures.canvas import SERIES
-from gbid.report.figures.save import figure_of
+from gbid.core.errors import UsageError
+from gbid.report.canvas import SERIES, figure_of
 
 DIAGRAMS = ("differential_pairing", "identification_flow", "rotor_bearing_model", "closed_loop")
 _UNIT = re.compile(r"\[[^\]]+\]")

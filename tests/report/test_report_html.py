@@ -16,23 +16,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from gbid.campaign.run import run_campaign
 from gbid.cli.main import app
 from gbid.control import HalfSine, close_loop, impact_response, p_controller, sensitivities
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
+from gbid.experiment.campaign import run_campaign
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.crossval.pairing import validate_pair
-from gbid.experiment.stages.crossval.stage import CROSSVAL
-from gbid.experiment.stages.lpv.stage import LPV
-from gbid.experiment.stages.nominal.stage import NOMINAL
-from gbid.report.html import write_report
-from gbid.report.html.explorer import explorer_model
-from gbid.report.html.sections.fits_section import fit_data
-from gbid.report.html.sections.summary_section import warnings
-from gbid.report.html.traces import packed, trace
-from gbid.report.reader import Results
+from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.crossval import CROSSVAL, validate_pair
+from gbid.experiment.stages.lpv import LPV
+from gbid.experiment.stages.nominal import NOMINAL
+from gbid.report.page import explorer_model, packed, trace
+from gbid.report.read import Results
+from gbid.report.sections import fit_data, warnings
+from gbid.report.write import write_report
 
 CHROMIUM = find_chromium()
 needs_chromium = pytest.mark.skipif(

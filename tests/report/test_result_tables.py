@@ -4,14 +4,18 @@ import math
 
 import pytest
 
-from gbid.report.tables.campaign_tables import campaign_tables
-from gbid.report.tables.fit_tables import gain_table, mode_table, parameter_table
-from gbid.report.tables.lpv_tables import lpv_table
-from gbid.report.tables.recording_tables import recording_table
-from gbid.report.tables.static_tables import static_table
-from gbid.report.tables.validation_tables import crossval_table, nominal_table
-from gbid.tables.csv import csv_text
-from gbid.tables.table import Cell, formatted
+from gbid.core.tables import Cell, csv_text, formatted
+from gbid.report.fit_tables import (
+    campaign_tables,
+    crossval_table,
+    gain_table,
+    lpv_table,
+    mode_table,
+    nominal_table,
+    parameter_table,
+    static_table,
+)
+from gbid.report.read import recording_table
 
 
 def parameter(name, estimate, std, unit="", truth=None, fixed=False):

@@ -14,18 +14,16 @@ from browser import find_chromium
 
 import gbid
 from gbid.control import controller_model, controller_structure, sampled_loop, sensitivities
-from gbid.control.assessment.assess import assess
-from gbid.control.assessment.tuned_design import DesignFigures
+from gbid.control.assess import DesignFigures, assess
 from gbid.control.impact.half_sine import HalfSine, impact_response
 from gbid.control.loop.sampled import exact_plant
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.rig.stage import RIG
-from gbid.report.reader.designs import AssessedDesign
+from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.rig import RIG
+from gbid.report.read import AssessedDesign
 from gbid.serve import open_server
-from gbid.serve.explored_loop import Explored, explored_loop
+from gbid.serve.server import Explored, explored_loop
 
 PAPER = gbid.load_model("theisen2016")
 CHROMIUM = find_chromium()
@@ -151,7 +149,7 @@ def test_the_explorer_in_a_browser(served, monkeypatch):
     server, _ = served
     designs = {"PD": design_of("PD", GAINS), "biquad": design_of("biquad", biquad_gains())}
     for name in ("designs", "known_designs"):
-        monkeypatch.setattr(f"gbid.serve.live.Live.{name}", lambda self: designs)
+        monkeypatch.setattr(f"gbid.serve.server.Live.{name}", lambda self: designs)
     arguments = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom")
     made = subprocess.run(
         [CHROMIUM, *arguments, f"{server.address}explorer"], capture_output=True, text=True, timeout=120

@@ -8,9 +8,9 @@ import pytest
 from experiment_files import QUICK, gbid
 from rig_point import machine
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
+from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.problems import ExperimentError
 from gbid.recording import load_recording
 from gbid.rig import Prbs, Stationary, effects, record, rig_effect, rig_effects
 
@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gbid.rig.machine.rig_effect import RigEffect
+from gbid.rig.machine import RigEffect
 
 
 @dataclass(frozen=True)

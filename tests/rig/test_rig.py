@@ -12,7 +12,7 @@ from rig_point import actuator, rotor_bearing
 from scipy.integrate import solve_ivp
 from scipy.signal import welch
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.rig import (
     Machine,
     Prbs,
@@ -24,7 +24,7 @@ from gbid.rig import (
     record,
     unbalance_orbit,
 )
-from gbid.rig.machine.sensors import encoder_angle
+from gbid.rig.sensors import encoder_angle
 
 TS = 2e-4
 FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}

@@ -10,7 +10,7 @@ from rig_point import machine
 from scipy.signal import lsim
 
 import gbid
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.rig import PiezoStack, PiezoStacks, Prbs, SensorChain, StackStaircase, Stationary, record, saturations
 
 TS = 2e-4

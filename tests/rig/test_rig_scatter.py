@@ -8,14 +8,13 @@ import pytest
 from experiment_files import gbid, write_quick
 from rig_point import machine, rotor_bearing
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
+from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.problems import ExperimentError
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.stage import run_stage
-from gbid.experiment.stages.fit.structures import make_structure
-from gbid.experiment.stages.fit.truth import true_values
-from gbid.experiment.stages.rig.stage import RIG
+from gbid.experiment.machine import true_values
+from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.rig import RIG
+from gbid.experiment.structures import make_structure
 from gbid.recording import find_problems, load_recording
 from gbid.rig import (
     Faults,

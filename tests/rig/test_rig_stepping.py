@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from benchmarks import rig_speed
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.rig import (
     FilmStiffening,
     FlexibleMode,
@@ -224,7 +224,7 @@ def test_recordings_are_the_same_bit_for_bit_and_chunks_do_not_show(monkeypatch)
         return record(whole(), Prbs(0.1), conditions=FIG7, seed=seed, name=name)
 
     first, again = make(), make()
-    monkeypatch.setattr("gbid.rig.stepping.stepped_motion._CHUNK", 37)
+    monkeypatch.setattr("gbid.rig.stepping._CHUNK", 37)
     chopped = make()
     for signal, values in first.signals.items():
         np.testing.assert_array_equal(again.signal(signal), values)
@@ -233,12 +233,12 @@ def test_recordings_are_the_same_bit_for_bit_and_chunks_do_not_show(monkeypatch)
 
 
 def test_no_compiler_is_told_in_the_provenance(monkeypatch):
-    from gbid.compiling import CompilerMissingError
+    from gbid.core.compiled import CompilerMissingError
 
     def missing(source):
         raise CompilerMissingError("no C compiler found (cc, gcc, clang)")
 
-    monkeypatch.setattr("gbid.rig.stepping.stepped_motion.load_library", missing)
+    monkeypatch.setattr("gbid.rig.stepping.load_library", missing)
     made = record(whole(), Prbs(0.02), conditions=FIG7, seed=1, name="a", settle_s=0)
     assert made.provenance["simulation"] == "stepping, interpreted (no C compiler found (cc, gcc, clang))"
     with pytest.raises(UsageError, match="engine = 'compiled': no C compiler"):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gbid.lpv.characteristics import PUBLISHED_RMS
+from gbid.lpv.model import PUBLISHED_RMS
 from gbid.rig import RotorBearingTruth, Scatter, scattered
 
 TRUTH = RotorBearingTruth(

@@ -6,7 +6,7 @@ from rig_point import machine
 from scipy.integrate import solve_ivp
 
 import gbid
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.rig import Course, Prbs, ScheduledRun, SensorChain, Stationary, Unbalance, record
 
 TS = 2e-4

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.structure import pade_delay
 
 ORDERS = range(1, 9)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
 
 

@@ -5,7 +5,7 @@ import pytest
 from nonlinear_cases import DUFFING, DUFFING_TRUTH, LINEAR_TRUTH, SAME
 
 import gbid
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.structure import equations_of, evaluate, nonlinear_model
 
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gbid.errors import UsageError
+from gbid.core.errors import UsageError
 from gbid.lpv import load_model
 from gbid.structure import (
     KEY_PARAMETERS,

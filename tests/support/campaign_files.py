@@ -14,11 +14,9 @@ import pytest
 from experiment_files import SPRING_STRUCTURE, write_spring_data
 from places import ROOT
 
-from gbid.cli.tally import Tally
-from gbid.errors import DataError, NoSpaceError
-from gbid.experiment.run.job import Task
-from gbid.experiment.run.outcome import Made
-from gbid.experiment.run.reporter import Silent
+from gbid.cli.progress import Tally
+from gbid.core.errors import DataError, NoSpaceError
+from gbid.experiment.run import Made, Silent, Task
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 

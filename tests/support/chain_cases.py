@@ -7,8 +7,8 @@ from math import cos, inf, nan, pi, sin
 import numpy as np
 
 from gbid.control import ControllerDesign, controller_structure, scheduled
+from gbid.export.chain_python import ChainInput, ChainMode
 from gbid.prefilter import RunoutMap
-from gbid.target import ChainInput, ChainMode
 
 GAINS = {"kappa_x": 1.3, "kappa_y": 1.1}
 BIQUAD = {

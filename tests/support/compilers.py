@@ -6,7 +6,8 @@ import shutil
 
 import pytest
 
-from gbid.compiling import compiler, load_library
+from gbid.core import compiled as compiler
+from gbid.core.compiled import load_library
 
 COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("gcc") or shutil.which("clang")
 NEEDS_COMPILER = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")

@@ -10,7 +10,7 @@ from fit_cases import MODE, MODE_AT, levels, simulated
 import gbid
 from gbid import report
 from gbid.control import p_controller, sensitivity_data
-from gbid.report.html.pictures import Picture, Pictures
+from gbid.report.page import Picture, Pictures
 from gbid.structure import LinearModel, evaluate
 
 POINT = "6 bar, 0 rpm"

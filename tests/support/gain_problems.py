@@ -6,11 +6,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gbid.control.tuning.plants.loops_at_points import LoopsAtPoints
-from gbid.control.tuning.plants.uncertainty import Uncertainty
-from gbid.control.tuning.search.limits import Limits
-from gbid.control.tuning.search.loop_family import LoopEquations, LoopFamily, families_of
-from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.loops import LoopEquations, LoopFamily, families_of
+from gbid.control.tuning.plants import LoopsAtPoints, Uncertainty
+from gbid.control.tuning.problem import GainProblem, Limits
 from gbid.structure import KEY_PARAMETERS, Parameter
 
 

@@ -18,7 +18,7 @@ from functools import cache
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-from gbid.campaign.worker import collect_less
+from gbid.experiment.pool import collect_less
 
 FENCE = re.compile(r"^(`{3,}|~{3,})([^\n]*)\n(.*?)^\1[ ]*$", re.MULTILINE | re.DOTALL)
 
@@ -45,9 +45,9 @@ def run(path: Path) -> None:
 
 LOADED = (
     "gbid.cli.main",
-    "gbid.campaign.run",
-    "gbid.report.html",
-    "gbid.exporters",
+    "gbid.experiment.campaign",
+    "gbid.report.write",
+    "gbid.export.targets",
     "IPython.display",
     "matplotlib.pyplot",
     "scipy.signal",

@@ -4,8 +4,7 @@ from fit_cases import KEY, TS, levels, smooth
 
 import gbid
 from gbid.identify.data import gather
-from gbid.identify.problem.assembly import assemble
-from gbid.identify.problem.scaling import build_problem
+from gbid.identify.problem.assemble import assemble, build_problem
 
 BEGIN = {**KEY, "bd_xx": 2e4, "bd_xy": -3e3, "bd_yx": 5e3, "bd_yy": 1e4}
 

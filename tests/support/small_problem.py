@@ -4,8 +4,7 @@ import numpy as np
 from fit_cases import H, levels
 
 from gbid.identify.data import gather
-from gbid.identify.problem.assembly import assemble
-from gbid.identify.problem.scaling import build_problem
+from gbid.identify.problem.assemble import assemble, build_problem
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 

@@ -3,21 +3,18 @@
 import numpy as np
 
 from gbid.characterise import PiezoCurve, StaticMap
-from gbid.control.impact.figures_of_merit import ImpactFigures
 from gbid.control.impact.measured import MeasuredImpact
-from gbid.control.impact.ringdown.ringdown_result import RingDown, RingDownStatus
-from gbid.control.impact.study import ImpactStudy
-from gbid.control.impact.validation import ImpactValidation
-from gbid.identify.table.fit_table import FitTable
+from gbid.control.impact.ringdown import RingDown, RingDownStatus
+from gbid.control.impact.study import ImpactFigures, ImpactStudy, ImpactValidation
+from gbid.identify.table import FitTable
 from gbid.lpv import load_model
-from gbid.lpv.surface_fit.estimates import Estimates
-from gbid.lpv.surface_fit.lpv_fit import LPVFit
-from gbid.lpv.surface_fit.order import OrderScore
-from gbid.lpv.surface_fit.outliers import Outlier
+from gbid.lpv.estimates import Estimates, Outlier
+from gbid.lpv.fit import LPVFit
+from gbid.lpv.regression import OrderScore
 from gbid.prefilter.prefilter import PrefilterReport
 from gbid.prefilter.runout import RunoutMap
 from gbid.recording import Recording
-from gbid.validate.scores import PointSummary, ValidationSummary, WorstPair
+from gbid.validate.crossval import PointSummary, ValidationSummary, WorstPair
 
 
 def numbers(*shape):

@@ -7,11 +7,7 @@ from html.parser import HTMLParser
 import pytest
 from rich.console import Console
 
-from gbid.tables.csv import csv_text
-from gbid.tables.html import html_table
-from gbid.tables.markdown import markdown_table
-from gbid.tables.table import Cell, Column, Table, table_of_records
-from gbid.tables.terminal import terminal_table
+from gbid.core.tables import Cell, Column, Table, csv_text, html_table, markdown_table, table_of_records, terminal_table
 
 AWKWARD = ["[bold]my u[/bold]", "a,b", 'say "x"', "one\ntwo", "p|q", "<b>&amp;", "# not a comment", "_u_ *x* `y`"]
 SHOWN = [name.replace("\n", " ") for name in AWKWARD]

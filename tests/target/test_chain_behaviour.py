@@ -10,12 +10,11 @@ from chain_cases import BIQUAD, design, grid_of_maps, runout_map
 
 import gbid
 from gbid.control import ControllerDesign
+from gbid.export.chain import STACKS, ChainOptions, anti_windup_gain, chain_of
+from gbid.export.chain_python import ChainFault, ChainInput, ChainMode, PythonChain
 from gbid.rig import PiezoStacks
-from gbid.rig.machine.piezo import ALLOCATION
+from gbid.rig.piezo import ALLOCATION
 from gbid.structure import LinearModel
-from gbid.target import ChainFault, ChainInput, ChainMode, ChainOptions, PythonChain, chain_of
-from gbid.target.anti_windup import anti_windup_gain
-from gbid.target.chain_options import STACKS
 
 QUICK = {"ramp_s": 2e-4, "fade_s": 2e-4, "spike_limit_m": None}
 """One sample of ramp and one of fade."""

@@ -10,10 +10,10 @@ from chain_cases import design, eventful_samples, grid_of_maps, runout_map
 
 from gbid.control import ControllerDesign, controller_structure
 from gbid.control.controllers.built_in import built_in_structures
-from gbid.prefilter.cos_sin import cos_sin
-from gbid.target import ChainFault, ChainInput, ChainOptions, CompiledChain, PythonChain, chain_of
-from gbid.target.selftest_rows import FLOAT_TOLERANCE
-from gbid.target.source import render_source
+from gbid.export.chain import ChainOptions, chain_of
+from gbid.export.chain_c import CompiledChain, render_source
+from gbid.export.chain_python import FLOAT_TOLERANCE, ChainFault, ChainInput, PythonChain
+from gbid.prefilter.runout import cos_sin
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 SHORT = {"ramp_s": 0.02, "fade_s": 0.01, "zero_m": (1e-7, 2e-7), "disc_limit_m": 30e-6}

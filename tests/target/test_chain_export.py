@@ -16,12 +16,12 @@ from target_files import write_box
 import gbid
 from gbid.cli.main import app
 from gbid.control import ControllerDesign, controller_structure
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
+from gbid.export.chain import ChainOptions, c_comment, chain_of
+from gbid.export.chain_c import CompiledChain, write_chain
 from gbid.recording import Recording
-from gbid.report.html import report_file
+from gbid.report import write as report_file
 from gbid.structure import LinearModel
-from gbid.target import ChainOptions, CompiledChain, chain_of, write_chain
-from gbid.target.identifiers import c_comment
 
 
 def run(*arguments: object) -> int:
@@ -167,7 +167,8 @@ def test_options_without_a_meaning(options: dict[str, object], message: str) -> 
 
 
 def test_without_a_compiler_the_compiled_chain_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    from gbid.compiling import compiler, load_library
+    from gbid.core import compiled as compiler
+    from gbid.core.compiled import load_library
 
     monkeypatch.setenv("CC", "no-such-compiler")
     compiler.find_compiler.cache_clear()

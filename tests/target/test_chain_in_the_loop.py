@@ -12,12 +12,13 @@ from chain_cases import BIQUAD, design
 
 import gbid
 from gbid.control import load_impacts
+from gbid.experiment.controllers import planned_impacts
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run.job import Job
-from gbid.experiment.stages.impact.plan import planned_impacts
-from gbid.experiment.stages.impact.stage import recording_key
+from gbid.experiment.run import Job
+from gbid.experiment.stages.impact import recording_key
+from gbid.export.chain import ChainOptions, chain_of
+from gbid.export.chain_c import CompiledChain
 from gbid.rig import Hammer, Impact, Machine, ProgramController, SampledController, record
-from gbid.target import ChainOptions, CompiledChain, chain_of
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 EXPERIMENT = """\

@@ -12,10 +12,12 @@ import pytest
 from chain_cases import design
 
 import gbid
+from gbid.export.chain import Chain, ChainOptions, chain_of
+from gbid.export.chain_c import CompiledChain
+from gbid.export.chain_python import ChainFault, ChainInput, PythonChain
 from gbid.prefilter import RunoutMap
 from gbid.recording import Recording
 from gbid.rig import Faults, Hammer, Impact, Machine, Prbs, RunUp, Stationary, record
-from gbid.target import Chain, ChainFault, ChainInput, ChainOptions, CompiledChain, PythonChain, chain_of
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 POINT = {"pressure_bar": 6.0, "speed_rpm": 3000.0}

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from chain_cases import KINDS, design, grid_of_maps, runout_map
 
-from gbid.errors import UsageError
-from gbid.target import Chain, ChainInput, ChainOptions, PythonChain, chain_of, write_chain
-from gbid.target.emulated import missing_tools, run_emulated
-from gbid.target.selftest_rows import selftest_rows
+from gbid.core.errors import UsageError
+from gbid.export.chain import Chain, ChainOptions, chain_of
+from gbid.export.chain_c import missing_tools, run_emulated, write_chain
+from gbid.export.chain_python import ChainInput, PythonChain, selftest_rows
 
 COMPILERS = ("gcc", "clang")
 WARNINGS = ("all", "extra", "conversion", "double-promotion", "shadow", "undef", "error")

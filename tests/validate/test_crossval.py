@@ -8,7 +8,7 @@ from fit_cases import EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, levels, piezo_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.recording import Recording
 from gbid.structure import RotorBearing, evaluate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rig_point import machine
 
-from gbid.errors import ChangedFileWarning, DataError, UsageError
+from gbid.core.errors import ChangedFileWarning, DataError, UsageError
 from gbid.identify import FitTable, fit
 from gbid.lpv import load_model
 from gbid.rig import Prbs, record

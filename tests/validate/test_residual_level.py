@@ -7,9 +7,9 @@ import pytest
 from fit_cases import MODE, MODE_AT, levels, simulated
 from scipy.signal import lfilter
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify import correlation, fit
-from gbid.identify.disturbances.disturbances import Disturbances
+from gbid.identify.disturbances import Disturbances
 from gbid.structure import LinearModel
 from gbid.validate import check_residuals, cross_validate
 from gbid.validate.residuals import _bartlett, _independent

@@ -9,9 +9,9 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2, kstest, norm
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
-from gbid.identify.disturbances.disturbances import Disturbances, Trend
+from gbid.identify.disturbances import Disturbances, Trend
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 from gbid.validate import check_residuals, estimate_initial_state

@@ -7,12 +7,12 @@ import pytest
 from fit_cases import MODE, MODE_AT, levels, simulated
 from rig_point import machine
 
-from gbid.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError
+from gbid.core.tables import write_csv
 from gbid.identify import fit, select
 from gbid.recording import Recording
 from gbid.rig import Prbs, record
 from gbid.structure import PiezoPair, Plant, RotorBearing
-from gbid.tables.csv import write_csv
 from gbid.validate import (
     ValidationScores,
     check_residuals,
@@ -23,7 +23,7 @@ from gbid.validate import (
     save_validation_summary,
     summarise,
 )
-from gbid.validate.validation_store import summary_csv_table
+from gbid.validate.central import summary_csv_table
 
 
 @pytest.fixture(scope="module")

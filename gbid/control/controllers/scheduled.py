@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from gbid.control.controllers.structures import controller_model
+from gbid.core.arrays import point_label
+from gbid.core.errors import UsageError
 from gbid.discretise import Hold
-from gbid.errors import UsageError
 from gbid.lpv import TERMS, Domain, basis
-from gbid.operating_point import point_label
 from gbid.structure import LinearModel, LinearStructure, Parameter
 from gbid.structure.linear import Structure
 from gbid.structure.parameter import Values

@@ -10,10 +10,10 @@ from typing import Annotated
 import numpy as np
 import scipy
 
-from gbid.arrays import FloatArray, IntArray
+from gbid.core.arrays import FloatArray, IntArray
+from gbid.core.errors import DataError
+from gbid.core.hdf5 import Stored
 from gbid.discretise import discretise
-from gbid.errors import DataError
-from gbid.hdf5 import Stored
 from gbid.recording import Recording
 
 _NOISES = 8.0  # smallest force of an impact in standard deviations of the noise

@@ -2,21 +2,427 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
 
-from gbid.brief import Brief
-from gbid.control.impact.figures_of_merit import ImpactFigures, impact_figures
-from gbid.control.impact.ringdown.fit_ringdown import fit_ringdown
-from gbid.control.impact.ringdown.ringdown_result import RingDown
-from gbid.control.impact.ringing_modes import Modes, ringing_modes
-from gbid.control.impact.validation import ImpactValidation, validate_impact
+import h5py
+import numpy as np
+
+from gbid.control.impact.half_sine import force_response
+from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
+from gbid.control.impact.ringdown import (
+    MEMORY_S,
+    RingDown,
+    RingDownStatus,
+    autocovariance,
+    fit_ringdown,
+    harmonics_for,
+    quiet_basis,
+    sandwich,
+)
+from gbid.control.loop.close import close_loop, force_entry, sample_plant
 from gbid.control.loop.sampled import exact_plant
-from gbid.hdf5 import Stored
+from gbid.core import hdf5
+from gbid.core.arrays import FloatArray, one_of_each_pair, oscillatory_modes
+from gbid.core.brief import Brief
+from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5 import Stored
+from gbid.discretise import discretise, propagate
 from gbid.lpv import LPVModel
 from gbid.recording import Recording
 from gbid.structure import LinearModel, PiezoPair, evaluate
+from gbid.validate import fit_percent
+
+# ---- Validation of simulated impact responses, and identification of the force scale (paper, Sec. 5.1, Figs. 24 to
+# 27).
+
+_DIED_OUT = 0.01  # the response has decayed when the simulation is below this share of its largest value
+_BEFORE = 25  # samples before an impact in a figure
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactValidation(Brief):
+    """Measured and simulated response, as `validate_impact` returns them.
+
+    Attributes
+    ----------
+    force_scale : float
+        g_f [1/kg], the inverse of the moving mass.
+    force_scale_std : float
+        Its standard deviation [1/kg], from residuals that are correlated in time and from the noise of the force.
+    fit_percent : (2,) array
+        ``100 (1 - |p - g_f p_s| / |p - mean p|)`` of x and y over the responses to the impacts, without offset and
+        harmonics.
+    along_percent : float
+        Fit percent of the motion in the direction of the impacts.
+    time : (n_samples,) array
+        Time [s].
+    measured : (n_samples, 2) array
+        Measured position minus its offset, with unbalance and run-out [m].
+    stationary : (n_samples, 2) array
+        Part of it that is synchronous with the shaft [m]; zero at rest.
+    simulated : (n_samples, 2) array
+        ``g_f`` times the simulated response for a mass of 1 kg [m].
+    force : (n_samples, 2) array
+        Measured force [N].
+    windows : tuple of (start, stop)
+        Sample ranges of each impact with its response.
+    impacts : tuple of MeasuredImpact
+        Impacts in the recording.
+    harmonics : int
+        Number of estimated harmonics of the shaft angle.
+    recording, loop : str
+        Names of the recording and of the loop.
+    """
+
+    force_scale: float
+    force_scale_std: float
+    fit_percent: Annotated[FloatArray, Stored("%", "fit of simulated to measured response, x and y", "2")]
+    along_percent: float
+    time: Annotated[FloatArray, Stored("s", "time", "samples")]
+    measured: Annotated[FloatArray, Stored("m", "position as measured, less its offset", "samples 2")]
+    stationary: Annotated[FloatArray, Stored("m", "part of it that turns with the shaft", "samples 2")]
+    simulated: Annotated[FloatArray, Stored("m", "simulated response, scaled", "samples 2")]
+    force: Annotated[FloatArray, Stored("N", "measured force", "samples 2")]
+    windows: Annotated[tuple[tuple[int, int], ...], Stored("1", "samples of each impact and the response to it")]
+    impacts: tuple[MeasuredImpact, ...]
+    harmonics: int
+    recording: str
+    loop: str
+
+    @property
+    def axis(self) -> str:
+        """``"x"``, ``"y"``, or ``"xy"`` when there are impacts along both axes."""
+        return "".join(sorted({impact.axis for impact in self.impacts}))
+
+    def window(self, impact: int = 0) -> slice:
+        """Return the samples of one impact for a figure, from a little before it until the response has decayed.
+
+        Parameters
+        ----------
+        impact : int
+            Number of the impact, from 0.
+        """
+        start, stop = self.windows[impact]
+        return slice(max(0, start - _BEFORE), stop)
+
+
+def validate_impact(
+    recording: Recording,
+    plant: LinearModel,
+    controller: LinearModel | None = None,
+    *,
+    position: str = "p",
+    force: str = "f",
+    axis: str | None = None,
+    harmonics: int | None = None,
+    computation_s: float | None = None,
+    entry: FloatArray | None = None,
+) -> ImpactValidation:
+    r"""Return the force scale, and measured and simulated impact responses (paper, Sec. 5.1).
+
+    g_f is the linear least-squares factor between the measured response and the simulated response for a mass of 1
+    kg, :math:`p = g_f\, G_b f` (Eq. 8) or :math:`p = g_f\, S_o G_b f`. An offset and, when the shaft turns, harmonics
+    of its angle are estimated together with it.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording with position, force of the hammer and, when the shaft turns, its angle `phi`.
+    plant : LinearModel
+        Continuous plant, from r (or u) to p: `LPVModel.plant_at`, or `gbid.control.exact_plant` for a sampled
+        controller.
+    controller : LinearModel, optional
+        Controller during the recording; open loop when not given. A continuous controller gives the loop of the
+        paper, a sampled one (`gbid.control.sample_controller`) gives the sampled loop.
+    position, force : str
+        Names of the signals.
+    axis : {"x", "y"}, optional
+        Direction of a force with one channel.
+    harmonics : int, optional
+        Number of harmonics; by default 10 when the shaft turns.
+    computation_s : float, optional
+        Time from the sample of p to the change of r, for sampled controllers only [s]; one sample when not given.
+    entry : (n, 2) array, optional
+        Input matrix of a force per mass; from `gbid.control.force_entry` when not given.
+
+    Returns
+    -------
+    ImpactValidation
+
+    Raises
+    ------
+    DataError
+        When the recording has no impact, or when a signal is missing or of another shape.
+    UsageError
+        When models do not fit together, or when the loop is unstable.
+    """
+    h, n = recording.sample_time, recording.n_samples
+    f = force_of(recording, force, axis)
+    p = recording.signal(position)
+    if p.shape[1] != 2:
+        raise DataError(f"recording {recording.name!r}: {position!r} has {p.shape[1]} channels; an impact needs two")
+    impacts = find_impacts(f, h, recording.name)
+    response = force_response(plant, controller, pulses_of(f, impacts), n, h, computation_s=computation_s, entry=entry)
+    count = harmonics_for(recording, harmonics)
+    basis = quiet_basis(recording, count)
+    q, r = np.linalg.qr(basis)
+    free = response - q @ (q.T @ response)
+    energy = float((free**2).sum())
+    g = float((free * p).sum()) / energy
+    quiet = np.linalg.solve(r, q.T @ (p - g * response))
+    simulated = g * response
+    measured, stationary = p - quiet[0], basis[:, 1:] @ quiet[1:]
+    residual = measured - stationary - simulated
+    windows = _windows(response, impacts)
+    rows = np.concatenate([np.arange(*window) for window in windows])
+    moved, modelled = (measured - stationary)[rows], simulated[rows]
+    angles = np.concatenate(
+        [np.full(b - a, impact.direction_deg) for impact, (a, b) in zip(impacts, windows, strict=True)]
+    )
+    direction = np.column_stack([np.cos(np.deg2rad(angles)), np.sin(np.deg2rad(angles))])
+    along = [(part * direction).sum(axis=1)[:, None] for part in (moved, modelled)]
+    return ImpactValidation(
+        g,
+        _scale_std(g, free, residual, response, f, impacts, windows, h),
+        fit_percent(moved, modelled),
+        float(fit_percent(*along)[0]),
+        np.asarray(recording.time),
+        measured,
+        stationary,
+        simulated,
+        f,
+        windows,
+        impacts,
+        count,
+        recording.name,
+        "open loop" if controller is None else controller.name,
+    )
+
+
+def _windows(response: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[tuple[int, int], ...]:
+    """Return the samples from each impact until its response has decayed, or until the next impact."""
+    size = np.hypot(*response.T)
+    windows = []
+    for impact, end in zip(impacts, [*(b.start for b in impacts[1:]), len(size)], strict=True):
+        part = size[impact.start : end]
+        loud = np.flatnonzero(part > _DIED_OUT * part.max())
+        windows.append((impact.start, impact.start + int(loud[-1]) + 1))
+    return tuple(windows)
+
+
+def _scale_std(
+    g: float,
+    free: FloatArray,
+    residual: FloatArray,
+    response: FloatArray,
+    force: FloatArray,
+    impacts: Sequence[MeasuredImpact],
+    windows: Sequence[tuple[int, int]],
+    h: float,
+) -> float:
+    """Return the standard deviation of g_f from the residuals and from the noise of the force."""
+    used = np.ones(len(free), dtype=bool)
+    memory = autocovariance([residual], [used], round(MEMORY_S / h))
+    from_position = float(sandwich([free[:, :, None]], memory)[0, 0]) / float((free**2).sum()) ** 2
+    for impact in impacts:
+        used[impact.start : impact.stop + 1] = False
+    noise = float(np.sqrt(np.mean(force[used] ** 2)))
+    energies = np.array([float((response[a:b] ** 2).sum()) for a, b in windows])
+    impulses = np.array([np.hypot(*force[b.start : b.stop + 1].sum(axis=0)) for b in impacts])
+    relative = noise * np.sqrt([b.stop - b.start + 1 for b in impacts]) / impulses
+    from_force = g**2 * float((energies**2 * relative**2).sum()) / float(energies.sum()) ** 2
+    return float(np.sqrt(from_position + from_force))
+
+
+# ---- Impact figures: largest motion of disc and piezos and decay time, measured and simulated.
+
+OVER = 0.95
+"""A response has decayed when this share of its energy has passed."""
+_QUIET = 50  # smallest number of samples between responses for an estimate of the noise
+
+
+@dataclass(frozen=True)
+class ImpactFigures:
+    """Figures of the impacts of one recording: means over the impacts, and standard deviations of the measured values.
+
+    Attributes
+    ----------
+    peak_m, peak_std_m, peak_simulated_m : float
+        Largest distance of the disc from its position before the impact [m]. The measured value contains sensor noise.
+    decay_s, decay_std_s, decay_simulated_s : float
+        Time from the impact until 95 % of the energy of the response has passed, without the energy of the noise [s].
+        An amplitude that decays as exp(-d t) has lost 78 % by then.
+    piezo_m, piezo_std_m, piezo_simulated_m : float
+        Largest motion of a stack from its middle, ``|u| / 2`` [m]. The measured value contains the response of the
+        controller to sensor noise. It is nan without the signal `u`.
+    """
+
+    peak_m: Annotated[float, Stored("m", "largest distance of the disc from where it was, mean")]
+    peak_std_m: Annotated[float, Stored("m", "largest distance of the disc from where it was, standard deviation")]
+    peak_simulated_m: Annotated[float, Stored("m", "largest distance of the disc from where it was, simulated")]
+    decay_s: Annotated[float, Stored("s", "time until the response is over, mean")]
+    decay_std_s: Annotated[float, Stored("s", "time until the response is over, standard deviation")]
+    decay_simulated_s: Annotated[float, Stored("s", "time until the response is over, simulated")]
+    piezo_m: Annotated[float, Stored("m", "largest motion of a stack, mean")]
+    piezo_std_m: Annotated[float, Stored("m", "largest motion of a stack, standard deviation")]
+    piezo_simulated_m: Annotated[float, Stored("m", "largest motion of a stack, simulated")]
+
+
+FIELDS = tuple(field.name for field in fields(ImpactFigures))
+
+
+def impact_figures(
+    recording: Recording,
+    validation: ImpactValidation,
+    actuators: LinearModel,
+    controller: LinearModel | None = None,
+) -> ImpactFigures:
+    """Return the impact figures of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        The validated recording.
+    validation : ImpactValidation
+        Its validation against the sampled loop.
+    actuators : LinearModel
+        Continuous actuators, from r to u.
+    controller : LinearModel, optional
+        Sampled controller, from p to r, with one sample of computation; open loop when not given.
+
+    Returns
+    -------
+    ImpactFigures
+    """
+    v, h = validation, recording.sample_time
+    moved = v.measured - v.stationary
+    noise = _noise(moved, v)
+    driven = _piezos(v.simulated, actuators, controller, h)
+    peaks = [(float(a.max()), float(b.max())) for a, b in zip(_sizes(v, moved), _sizes(v, v.simulated), strict=True)]
+    decays = [
+        (_decay(a, noise) * h, _decay(b, 0.0) * h)
+        for a, b in zip(_sizes(v, moved), _sizes(v, v.simulated), strict=True)
+    ]
+    stacks = [(float("nan"), float(np.abs(driven[a:b]).max()) / 2) for a, b in v.windows]
+    if "u" in recording.signals:
+        u = recording.signal("u")
+        basis = quiet_basis(recording, v.harmonics)
+        left = u - driven
+        measured = u - basis @ np.linalg.lstsq(basis, left, rcond=None)[0]
+        stacks = [(float(np.abs(measured[a:b]).max()) / 2, s) for (a, b), (_, s) in zip(v.windows, stacks, strict=True)]
+    return ImpactFigures(*_statistics(peaks), *_statistics(decays), *_statistics(stacks))
+
+
+def _statistics(pairs: list[tuple[float, float]]) -> tuple[float, float, float]:
+    """Return mean and standard deviation of the measured values, and mean of the simulated values."""
+    measured, simulated = np.array(pairs).T
+    spread = float(measured.std(ddof=1)) if len(measured) > 1 else float("nan")
+    return float(measured.mean()), spread, float(simulated.mean())
+
+
+def _sizes(validation: ImpactValidation, position: FloatArray) -> Iterator[FloatArray]:
+    """Yield the distance of the disc after each impact."""
+    for start, stop in validation.windows:
+        yield np.hypot(*position[start:stop].T)
+
+
+def _noise(moved: FloatArray, validation: ImpactValidation) -> float:
+    """Return the mean square of the distance outside the responses; nan when there is no such time."""
+    quiet = np.ones(len(moved), dtype=bool)
+    for start, stop in validation.windows:
+        quiet[start:stop] = False
+    return float((moved[quiet] ** 2).sum(axis=1).mean()) if quiet.sum() >= _QUIET else float("nan")
+
+
+def _decay(distance: FloatArray, noise: float) -> float:
+    """Return the number of samples until the share `OVER` of the energy has passed."""
+    energy = np.concatenate([[0.0], np.cumsum(distance**2 - noise)])
+    if not energy[-1] > 0:
+        return float("nan")
+    after = int(np.argmax(energy >= OVER * energy[-1]))
+    before = energy[after - 1]
+    return after - 1 + float((OVER * energy[-1] - before) / (energy[after] - before))
+
+
+def _piezos(
+    position: FloatArray, actuators: LinearModel, controller: LinearModel | None, sample_time: float
+) -> FloatArray:
+    """Return the difference of the piezo positions that a controller commands; zero without a controller."""
+    if controller is None:
+        return np.zeros_like(position)
+    A, B, C, D = (np.array(m) for m in (controller.A, controller.B, controller.C, controller.D))
+    output = propagate(A, position @ B.T, np.zeros(len(A))) @ C.T + position @ D.T
+    reference = np.vstack([np.zeros((1, 2)), output[:-1]])  # the computation takes one sample
+    held = discretise(np.array(actuators.A), np.array(actuators.B), sample_time, "zoh")
+    states = propagate(np.asarray(held.F), reference @ np.asarray(held.G_now).T, np.zeros(len(held.F)))
+    return np.asarray(states @ np.array(actuators.C).T)
+
+
+# ---- Dominant modes of a ring-down: the modes of a loop that an impact excites most.
+
+Modes = tuple[tuple[float, float], ...]
+
+
+def ringing_modes(
+    plant: LinearModel,
+    controller: LinearModel | None = None,
+    *,
+    count: int = 2,
+    computation_s: float | None = None,
+    entry: FloatArray | None = None,
+) -> Modes:
+    r"""Return the oscillatory modes that contribute most to the impulse responses from force to position.
+
+    A mode with poles :math:`\lambda, \bar\lambda` and residue R contributes
+    :math:`2 \mathrm{Re}(R e^{\lambda t})`, of energy about :math:`|R|^2 / |\mathrm{Re} \lambda|`. A bearing has two
+    modes; a loop also has those of actuators and filters.
+
+    Parameters
+    ----------
+    plant : LinearModel
+        Continuous, from r (or u) to p.
+    controller : LinearModel, optional
+        Controller from p to r. A sampled controller gives the modes of the sampled loop, with the exact delays of the
+        plant if it has any.
+    count : int
+        Number of modes.
+    computation_s : float, optional
+        Time from the sample of p to the change of r, sampled controllers only [s]; one sample when not given.
+    entry : (n, 2) array, optional
+        Input matrix of a force per mass; from `force_entry` when not given.
+
+    Returns
+    -------
+    tuple of (frequency_hz, damping)
+        Modes by rising frequency.
+
+    Raises
+    ------
+    UsageError
+        When models do not fit together.
+    """
+    E = force_entry(plant) if entry is None else np.asarray(entry, float)
+    model = plant
+    if controller is not None and controller.dt is not None:
+        late = controller.dt if computation_s is None else computation_s
+        model = close_loop(sample_plant(plant, controller.dt, late), controller)
+    elif controller is not None:
+        if plant.delay is not None:
+            raise UsageError(f"model {plant.name!r} has exact delays; give the sampled controller")
+        model = close_loop(plant, controller)
+    E = np.vstack([E, np.zeros((model.n_states - len(E), E.shape[1]))])
+    values, vectors = np.linalg.eig(model.A)
+    residues = np.einsum("im,mj->mij", model.C @ vectors, np.linalg.pinv(vectors) @ E)
+    there = np.abs(values) > 1e-9 if model.dt is not None else np.ones(len(values), dtype=bool)
+    values, residues = values[there].astype(complex), residues[there]  # those of shift registers decay at once
+    poles = values if model.dt is None else np.log(values) / model.dt
+    keep = np.flatnonzero(one_of_each_pair(poles))
+    energy = (np.abs(residues[keep]) ** 2).sum(axis=(1, 2)) / np.maximum(np.abs(poles[keep].real), 1e-9)
+    chosen = poles[keep[np.argsort(-energy)[:count]]]
+    return tuple((frequency, damping) for frequency, damping in oscillatory_modes(chosen).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,3 +507,128 @@ def study_impacts(
         validations,
         tuple(impact_figures(*pair, actuators, sampled) for pair in zip(recordings, validations, strict=True)),
     )
+
+
+# ---- Impact studies in HDF5 (kind ``impact``), and their rows for CSV.
+
+
+def _from_schema_1(file: h5py.File) -> None:
+    """Convert tables to columns with names, and the names of gbid 0.1, in which impacts were called blows."""
+    _spread(file, "figures", ImpactFigures)
+    ringdown = file["ringdown"].attrs
+    if "n_blows" in ringdown:
+        ringdown["n_impacts"] = ringdown["n_blows"]
+    if ringdown["status"].startswith(RingDownStatus.NOT_CONVERGED):  # the reason followed in words
+        ringdown["status"] = RingDownStatus.NOT_CONVERGED.value
+    responses = file.require_group("responses")
+    responses.attrs["count"] = len(responses)
+    for group in responses.values():
+        if "blows" in group:
+            group.move("blows", "impacts")
+        _spread(group, "impacts", MeasuredImpact, whole=("start", "stop", "pulses"))
+
+
+def _spread(group: h5py.Group, name: str, row: type, whole: tuple[str, ...] = ()) -> None:
+    """Replace a table by a group of its columns, whose names are the fields of a dataclass."""
+    columns = hdf5.read_dataset(group, name).T
+    del group[name]
+    for field, column in zip(fields(row), columns, strict=True):
+        numbers = column.astype(int) if field.name in whole else column
+        hdf5.add_dataset(group, f"{name}/{field.name}", numbers, "", field.name)
+
+
+def _from_schema_2(file: h5py.File) -> None:
+    """Add the further oscillations of a ring-down, of which there were none."""
+    hdf5.add_dataset(file["ringdown"], "oscillations", np.zeros((0, 2)), "Hz, 1", "decays that oscillate")
+
+
+KIND = hdf5.FileKind("impact", "make it again with `gbid impact`", (_from_schema_1, _from_schema_2))
+
+
+def save_impacts(study: ImpactStudy, path: str | Path, overwrite: bool = False) -> None:
+    """Write an impact study to an HDF5 file.
+
+    Parameters
+    ----------
+    study : ImpactStudy
+        The study.
+    path : path
+        The file.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set.
+    DataError
+        When the file cannot be written.
+    """
+    hdf5.save(study, path, KIND, overwrite)
+
+
+def load_impacts(path: str | Path) -> ImpactStudy:
+    """Return the impact study in an HDF5 file of `save_impacts`.
+
+    Parameters
+    ----------
+    path : str or path
+        The file.
+
+    Returns
+    -------
+    ImpactStudy
+        The study.
+
+    Raises
+    ------
+    DataError
+        When the file is missing, unreadable, incomplete or of another kind.
+    """
+    return hdf5.load(path, KIND, ImpactStudy)
+
+
+def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
+    """Return rows of expected and identified modes, one for each mode; names have their units in brackets."""
+    ring = study.ringdown
+    return [
+        {
+            "pressure_bar": study.conditions["pressure_bar"],
+            "speed_rpm": study.conditions["speed_rpm"],
+            "loop": study.loop,
+            "mode": i + 1,
+            "expected_frequency [Hz]": study.expected[i][0],
+            "running_frequency [Hz]": study.expected_sampled[i][0],
+            "obtained_frequency [Hz]": float(ring.frequency_hz[i]),
+            "obtained_frequency_std [Hz]": float(ring.frequency_std[i]),
+            "expected_damping": study.expected[i][1],
+            "running_damping": study.expected_sampled[i][1],
+            "obtained_damping": float(ring.damping[i]),
+            "obtained_damping_std": float(ring.damping_std[i]),
+            "lags": len(ring.lag_rates),
+            "impacts": ring.n_impacts,
+            "converged": ring.success,
+        }
+        for i in range(min(2, len(study.expected), len(study.expected_sampled)))
+    ]
+
+
+def response_rows(study: ImpactStudy) -> list[dict[str, Any]]:
+    """Return rows of force scaling, fit percent, and motion of disc and piezos, one for each recording."""
+    return [
+        {
+            "recording": v.recording,
+            "pressure_bar": study.conditions["pressure_bar"],
+            "speed_rpm": study.conditions["speed_rpm"],
+            "loop": study.loop,
+            "axis": v.axis,
+            "impacts": len(v.impacts),
+            "force_scale [1/kg]": v.force_scale,
+            "force_scale_std [1/kg]": v.force_scale_std,
+            "fit_along [%]": v.along_percent,
+            "fit_x [%]": float(v.fit_percent[0]),
+            "fit_y [%]": float(v.fit_percent[1]),
+            **{f"{name[: name.rindex('_')]} [{name[-1]}]": value for name, value in asdict(q).items()},
+        }
+        for v, q in zip(study.validations, study.figures, strict=True)
+    ]

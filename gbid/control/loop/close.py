@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
+from math import ceil, inf, isfinite, pi
+from typing import Literal
 
-from gbid.errors import UsageError
+import numpy as np
+from scipy.linalg import expm
+
+from gbid.core.arrays import FloatArray, is_real
+from gbid.core.errors import UsageError
+from gbid.discretise import delayed_taps
 from gbid.structure import LinearModel
 
 
@@ -81,3 +88,232 @@ def _check_fit(plant: LinearModel, controller: LinearModel) -> None:
             raise UsageError(f"{where}: {len(given)} {what}, which takes {len(taken)} ({', '.join(taken)})")
         if given != taken and sorted(given) == sorted(taken):
             raise UsageError(f"{where}: {what} come in another order: {', '.join(given)} to {', '.join(taken)}")
+
+
+# ---- Smallest damping factor of a loop, continuous or sampled.
+
+
+def smallest_damping(model: LinearModel) -> float:
+    """Return the smallest damping factor over all modes; -1 for an unstable real pole, infinite without modes.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Model in continuous time, or sampled. Of a sampled model only modes that last longer than a sample count,
+        ``|eigenvalue| > 1/e``. Faster modes, most of them from the delays, have a damping factor but do not oscillate
+        visibly.
+    """
+    poles = model.poles()
+    real = poles[is_real(poles)].real
+    if (real >= 0).any():
+        return -1.0
+    lasting = inf if model.dt is None else 1 / model.dt
+    return min((damping for hz, damping in model.modes() if 2 * pi * hz * damping < lasting), default=inf)
+
+
+# ---- Input matrix of a force on the rotor, which acts without delay and actuators (paper, Sec. 5.1).
+
+
+def force_entry(plant: LinearModel) -> FloatArray:
+    r"""Return the input matrix of a force per mass on the rotor.
+
+    Parameters
+    ----------
+    plant : LinearModel
+        Continuous model. Its outputs must be positions that are states, and their derivatives must be states as well:
+        any model of `gbid.RotorBearing` or `gbid.Plant` with the output p.
+
+    Returns
+    -------
+    (n, n_outputs) array
+        E of :math:`\dot x = A x + B r + E f / m`: one in the row of each velocity.
+
+    Raises
+    ------
+    UsageError
+        When positions and velocities cannot be identified in the matrices, or when the model is sampled.
+    """
+    where = f"force on model {plant.name!r}"
+    if plant.dt is not None:
+        raise UsageError(f"{where}: it is sampled; give the continuous model")
+    entry = np.zeros((plant.n_states, plant.C.shape[0]))
+    for i, row in enumerate(plant.C):
+        position = _only_one(row)
+        velocity = None if position is None else _only_one(plant.A[position])
+        if velocity is None or plant.D[i].any():
+            raise UsageError(
+                f"{where}: output {plant.output_names[i]!r} is not a position whose velocity is a state; "
+                "give the entry of the force yourself"
+            )
+        entry[velocity, i] = 1.0
+    return entry
+
+
+def static_force_gain(plant: LinearModel, entry: FloatArray | None = None) -> FloatArray:
+    """Return the static motion per force and mass with constant references: the open-loop compliance times the mass.
+
+    Parameters
+    ----------
+    plant : LinearModel
+        Continuous model.
+    entry : (n, n_outputs) array, optional
+        Input matrix of a force per mass; see `force_entry`.
+
+    Returns
+    -------
+    (n_outputs, n_outputs) array
+        Static gain [m kg/N].
+    """
+    E = force_entry(plant) if entry is None else entry
+    return np.asarray(-plant.C @ np.linalg.solve(plant.A, E))
+
+
+def _only_one(row: FloatArray) -> int | None:
+    """Return the index of the only nonzero entry of a row, if that entry is 1."""
+    places = np.flatnonzero(row)
+    return int(places[0]) if len(places) == 1 and row[places[0]] == 1.0 else None
+
+
+# ---- Discretisation of plants (exact) and controllers (Tustin or zero-order hold).
+
+Method = Literal["tustin", "zoh"]
+
+
+MOST_SAMPLES = 300
+"""Largest delay of a sampled loop, in samples: each of them is a state for every input."""
+
+
+def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 0.0) -> LinearModel:
+    """Return the exact discretisation of a plant with held inputs, exact delays and computation time.
+
+    Parameters
+    ----------
+    plant : LinearModel
+        Continuous plant; may have exact delays.
+    sample_time : float
+        T_s [s].
+    computation_s : float
+        Time from the sample of p to the change of r [s]; all inputs are delayed by it.
+
+    Returns
+    -------
+    LinearModel
+        Sampled plant; earlier inputs that still have an effect are states.
+
+    Raises
+    ------
+    UsageError
+        When the plant is sampled already, when the sample time is not positive, when the computation time is
+        negative, or when computation and delays take more than `MOST_SAMPLES` samples.
+    """
+    if plant.dt is not None:
+        raise UsageError(f"model {plant.name!r} is sampled already, at {plant.dt:g} s")
+    if not (isfinite(sample_time) and sample_time > 0):
+        raise UsageError(f"sampling of {plant.name!r}: sample_time = {sample_time} s; give a positive number")
+    late_s = computation_s + (0.0 if plant.delay is None else float(np.max(plant.delay)))
+    if late_s > MOST_SAMPLES * sample_time:
+        raise UsageError(
+            f"sampling of {plant.name!r}: computation and delays take {late_s:g} s, more than {MOST_SAMPLES} samples "
+            f"of sample_time = {sample_time:g} s; all are in seconds"
+        )
+    if not (isfinite(computation_s) and computation_s >= 0):
+        raise UsageError(f"sampling of {plant.name!r}: computation_s = {computation_s} s; it must not be negative")
+    A, n_u = np.array(plant.A), plant.B.shape[1]
+    prompt = ceil(computation_s / sample_time - 1e-9)  # delay of the direct feedthrough D u in samples
+    weights: dict[tuple[int, int], FloatArray] = {}  # (samples back, input) -> column of the states
+    for i in range(n_u):
+        parts = [(plant.B[:, [i]], 0.0)]
+        if plant.delay is not None and plant.B_delayed is not None:
+            parts.append((plant.B_delayed[:, [i]], float(plant.delay[i])))
+        for column, delay in parts:
+            if not column.any():
+                continue
+            late = (delay + computation_s) / sample_time
+            late = round(late) if abs(late - round(late)) < 1e-9 else late  # avoids rounding errors at whole samples
+            shift, taps = delayed_taps(A, column, late * sample_time, sample_time, "zoh")
+            for j, tap in enumerate(taps):
+                if np.any(tap):
+                    key = (shift - 1 + j, i)
+                    weights[key] = weights.get(key, np.zeros((len(A), 1))) + tap
+    depth = max([back for back, _ in weights] + [prompt if plant.D.any() else 0], default=0)
+    return _with_registers(plant, expm(A * sample_time), weights, prompt, depth, sample_time)
+
+
+def sample_controller(controller: LinearModel, sample_time: float, method: Method = "tustin") -> LinearModel:
+    """Return a sampled controller.
+
+    Parameters
+    ----------
+    controller : LinearModel
+        Continuous controller.
+    sample_time : float
+        T_s [s].
+    method : {"tustin", "zoh"}
+        The trapezoidal rule (Tustin), which interpolates p linearly and adds no delay, or zero-order hold of p, which
+        adds a delay of half a sample.
+
+    Returns
+    -------
+    LinearModel
+
+    Raises
+    ------
+    UsageError
+        When the method is unknown, when the controller is sampled already, or when the sample time is not positive.
+    """
+    if method == "zoh":
+        return controller.discretise(sample_time)
+    if method != "tustin":
+        raise UsageError(f"method = {method!r}; choose 'tustin' or 'zoh'")
+    if controller.dt is not None:
+        raise UsageError(f"model {controller.name!r} is sampled already, at {controller.dt:g} s")
+    if not (isfinite(sample_time) and sample_time > 0):
+        raise UsageError(f"sampling of {controller.name!r}: sample_time = {sample_time} s; give a positive number")
+    A, h = np.array(controller.A), sample_time
+    eye = np.eye(len(A))
+    solve = np.linalg.solve(eye - h / 2 * A, np.hstack([eye + h / 2 * A, h * controller.B]))
+    F, G = solve[:, : len(A)], solve[:, len(A) :]
+    C = np.linalg.solve((eye - h / 2 * A).T, controller.C.T).T
+    D = controller.D + C @ controller.B * (h / 2)
+    A, B, C, D = (np.asarray(matrix, np.float64) for matrix in (F, G, C, D))
+    return replace(controller, A=A, B=B, C=C, D=D, K=None, dt=h)
+
+
+def _with_registers(
+    plant: LinearModel,
+    F: FloatArray,
+    weights: dict[tuple[int, int], FloatArray],
+    prompt: int,
+    depth: int,
+    sample_time: float,
+) -> LinearModel:
+    """Return the plant with shift registers: the states after x are u[k-1], u[k-2], ..., u[k-depth]."""
+    n, n_u = len(F), plant.B.shape[1]
+    A = np.zeros((n + depth * n_u,) * 2)
+    B = np.zeros((len(A), n_u))
+    C, D = np.hstack([plant.C, np.zeros((len(plant.C), depth * n_u))]), np.zeros(plant.D.shape)
+    A[:n, :n] = F
+    for (back, i), column in weights.items():
+        if back == 0:
+            B[:n, i] += column[:, 0]
+        else:
+            A[:n, n + (back - 1) * n_u + i] += column[:, 0]
+    if depth:
+        B[n : n + n_u] = np.eye(n_u)
+        A[n + n_u :, n:-n_u] += np.eye((depth - 1) * n_u)
+    if prompt:
+        C[:, n + (prompt - 1) * n_u : n + prompt * n_u] += plant.D if plant.D.any() else 0.0
+    else:
+        D = np.array(plant.D)
+    held = tuple(f"{name}_before_{k + 1}" for k in range(depth) for name in plant.input_names)
+    return LinearModel(
+        A,
+        B,
+        C,
+        D,
+        dt=sample_time,
+        input_names=plant.input_names,
+        output_names=plant.output_names,
+        state_names=(*plant.state_names, *held),
+        name=f"{plant.name}, sampled",
+    )

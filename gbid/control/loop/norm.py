@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import matrix_balance
 
-from gbid.arrays import ComplexArray, FloatArray
-from gbid.errors import UsageError
+from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
 
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from gbid.brief import Brief
-from gbid.control.loop.close import close_loop
-from gbid.control.loop.damping import smallest_damping
+from gbid.control.loop.close import Method, close_loop, sample_controller, sample_plant, smallest_damping
 from gbid.control.loop.norm import Peak
-from gbid.control.loop.sampling import Method, sample_controller, sample_plant
 from gbid.control.loop.sensitivity import Sensitivities, sensitivities
+from gbid.core.brief import Brief
 from gbid.lpv import LPVModel
 from gbid.structure import LinearModel, PiezoPair, Plant, RotorBearing, evaluate
 

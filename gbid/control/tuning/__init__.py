@@ -1,1 +1,1 @@
-"""Tuning: gains with the largest closed-loop damping within limits."""
+"""Tune."""

@@ -2,39 +2,283 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from math import pi
 from typing import Any, Literal
 
 import numpy as np
 
-from gbid.arrays import FloatArray
 from gbid.control.controllers.scheduled import Scheduled, with_schedule
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.impact.half_sine import HalfSine
-from gbid.control.loop.sampling import Method
-from gbid.control.tuning.design_notes import goal_figures, notes_of
-from gbid.control.tuning.gain_result import GainResult
-from gbid.control.tuning.goals.goal import DesignContext, Goal, limits_of
-from gbid.control.tuning.goals.short_form import ShortForm
-from gbid.control.tuning.maximise import as_bounds, as_start, check_counts, summarise
-from gbid.control.tuning.over_points import sketch_over_points, solve_over_points
-from gbid.control.tuning.plants.loops_at_points import LoopsAtPoints
-from gbid.control.tuning.plants.plant_set import PlantSet
-from gbid.control.tuning.plants.plants_of import DesignPlants, PlantLike, Point, plants_of
-from gbid.control.tuning.plants.sampled_loops import Sampling
-from gbid.control.tuning.plants.uncertainty import Uncertainty
-from gbid.control.tuning.search.global_search import Effort, Progress
-from gbid.control.tuning.search.limits import Limits, Objective
-from gbid.control.tuning.search.loop_delay import loop_delay
-from gbid.control.tuning.search.loop_family import loop_equations
-from gbid.control.tuning.search.problem import GainProblem
-from gbid.control.tuning.search.sqp import LocalOptimum
-from gbid.control.tuning.search.starts.neutral import typical_rate
-from gbid.control.tuning.search.step import SearchStep
-from gbid.control.tuning.worst_points import add_worst_points
-from gbid.errors import UsageError
+from gbid.control.loop.close import Method, force_entry
+from gbid.control.tuning.goals import (
+    DesignContext,
+    Goal,
+    MaxDamping,
+    MaxDecay,
+    SlowestPole,
+    Wanted,
+    limits_of,
+    positive,
+)
+from gbid.control.tuning.local import LocalOptimum
+from gbid.control.tuning.loops import LoopFamily, loop_delay, loop_equations, smallest_sampled_damping
+from gbid.control.tuning.plane import Eigensystem
+from gbid.control.tuning.plants import (
+    DesignPlants,
+    LoopsAtPoints,
+    PlantLike,
+    PlantSet,
+    Point,
+    Sampling,
+    Uncertainty,
+    plants_of,
+)
+from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits, Objective, SearchStep
+from gbid.control.tuning.response_goals import PeakControl, PeakSensitivity, StaticAmplification
+from gbid.control.tuning.result import GainResult, GoalFigure, distance_to_edge
+from gbid.control.tuning.search import Effort, Progress, typical_rate
+from gbid.control.tuning.solve import (
+    add_worst_points,
+    as_bounds,
+    as_start,
+    check_counts,
+    sketch_over_points,
+    solve_over_points,
+    summarise,
+)
+from gbid.core.arrays import ComplexArray, FloatArray, point_label
+from gbid.core.brief import Brief, Description, brief
+from gbid.core.errors import UsageError
+from gbid.core.extras import data_frame
+from gbid.core.notes import ControlNote
+from gbid.lpv import LPVModel
+from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
+
+# ---- Piezo travel after an impact, as a limit of a design.
+
+UNSTABLE = 1e3
+"""Travel that is assigned to an unstable loop, over the limit."""
+_AFTER_S = 0.05
+_STEP_S = 1e-4
+_ZOOM = np.linspace(-1.0, 1.0, 17)
+
+
+def travel_limit(plant: LinearModel, impact: HalfSine, piezo_travel_m: float) -> ExtraLimit:
+    """Return the limit of the motion of every stack to half its travel, for an impact in x and in y, in every loop.
+
+    Parameters
+    ----------
+    plant : LinearModel
+        One of the plants; the entry of a force is the same for all.
+    impact : HalfSine
+        The impact.
+    piezo_travel_m : float
+        Whole travel of a stack [m].
+    """
+    entry = force_entry(plant) * (impact.peak_n / impact.mass_kg)
+    limit = piezo_travel_m / 2
+
+    def largest(family: LoopFamily, gains: FloatArray) -> FloatArray:
+        # of sampled loops the continuous ones with the delay of sampling
+        loops = (getattr(family, "companion", None) or family).matrices(gains)
+        # the states of the plant come first in every loop; the force does not act on the controller
+        E = np.vstack([entry, np.zeros((loops.A.shape[1] - len(entry), entry.shape[1]))])
+        system = Eigensystem.of(loops.A)
+        stable = (system.values.real < 0).all(axis=1)
+        found = np.full(len(family), UNSTABLE * limit)
+        if stable.any():
+            to_r = loops.C[stable, family.n_outputs :] @ system.right[stable]
+            peaks = _peaks(system.values[stable], to_r, system.left[stable] @ E, impact.duration_s)
+            found[stable] = np.minimum(peaks, UNSTABLE * limit)
+        return np.asarray(np.maximum(found, 1e-12))
+
+    return ExtraLimit("piezo travel", largest, limit)
+
+
+def _peaks(values: ComplexArray, outputs: ComplexArray, inputs: ComplexArray, length: float) -> FloatArray:
+    """Return the largest ``|r|`` of each loop over both stacks and directions: (m,)."""
+    m, n = values.shape
+    weights = (outputs[:, None] * inputs.transpose(0, 2, 1)[:, :, None]).reshape(m, -1, n)  # (m, direction x stack, n)
+    n_during = max(20, int(np.ceil(length / _STEP_S)))
+    after = np.arange(_STEP_S, _AFTER_S, _STEP_S)
+    time = np.concatenate([np.linspace(0.0, length, n_during + 1), length + after])
+    r = np.abs((weights @ _modes(values[:, :, None], time, length)).real)
+    best, place = r.max(axis=2), time[r.argmax(axis=2)]
+    step = max(_STEP_S, length / n_during)
+    for _ in range(3):
+        at = np.clip(place[:, :, None] + step * _ZOOM, 0.0, time[-1])
+        found = np.abs((weights[:, :, None] @ _modes(values[:, None, :, None], at[:, :, None], length)).real[:, :, 0])
+        best, top = np.maximum(best, found.max(axis=2)), found.argmax(axis=2)
+        place, step = np.take_along_axis(at, top[:, :, None], axis=2)[:, :, 0], step / 8
+    return np.asarray(best.max(axis=1))
+
+
+def _modes(values: ComplexArray, time: FloatArray, length: float) -> ComplexArray:
+    r"""Return the solution of :math:`\dot z = \lambda z + \sin(\pi t / T)` up to T, then of the free motion."""
+    w = pi / length
+    during, later = np.minimum(time, length), np.maximum(time - length, 0.0)
+    forced = w * (np.exp(values * during) - np.cos(w * during)) - values * np.sin(w * during)
+    return np.asarray(np.exp(values * later) * forced / (values**2 + w**2))
+
+
+# ---- Goal on the travel of the piezo stacks after an impact.
+
+
+@dataclass(frozen=True)
+class PiezoTravel(Wanted):
+    """Motion of every stack after an impact in x and in y: at most half its travel to each side.
+
+    Parameters
+    ----------
+    impact : HalfSine
+        The impact.
+    travel_m : float
+        Whole travel of a stack [m].
+    soft, weight
+        See `Wanted`.
+    """
+
+    impact: HalfSine = field(default_factory=HalfSine)
+    travel_m: float = 45e-6
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive(self, travel_m=self.travel_m)
+        if not isinstance(self.impact, HalfSine):
+            raise UsageError(f"PiezoTravel: impact = {self.impact!r}; give a HalfSine")
+
+    def measure(self, context: DesignContext) -> ExtraLimit:
+        """Return the measure of this goal."""
+        found = travel_limit(context.plant, self.impact, self.travel_m)
+        return replace(found, limit=found.limit / self.weight)
+
+
+# ---- Goals from the arguments of `gbid.tune` by name: its short form.
+
+
+@dataclass(frozen=True)
+class ShortForm:
+    """Goals by name, as `gbid.tune` takes them; its arguments of the same names say what they mean."""
+
+    objective: Objective = "damping"
+    peak_sensitivity: float | None = 2.6
+    peak_control: float | None = None
+    static_amplification: float | None = None
+    slowest_pole: float | None = None
+    impact: HalfSine | None = None
+    piezo_travel_m: float = 45e-6
+
+    def goals(self, given: Sequence[Goal] | None, slowest_mode: float) -> list[Goal]:
+        """Return the goals of a design.
+
+        Parameters
+        ----------
+        given : sequence of Goal, optional
+            Goals as values, which exclude the short form.
+        slowest_mode : float
+            Slowest decay of the oscillatory modes of the open loop [1/s], the default of `slowest_pole`.
+
+        Raises
+        ------
+        UsageError
+            When both forms are used, or when a number is not allowed.
+        """
+        if given is not None:
+            if not isinstance(given, Iterable):
+                raise UsageError(f"goals = {given!r}; give a list such as [MaxDamping(), PeakSensitivity(2.0)]")
+            used = [f.name for f in fields(self) if getattr(self, f.name) != f.default]
+            if used:
+                raise UsageError(f"tune: {', '.join(used)} beside goals; write them as goals, too")
+            return list(given)
+        slowest = self.slowest_pole
+        if slowest is None:
+            slowest = 0.0 if self.peak_sensitivity is None else max(slowest_mode, 0.0)
+        # raises errors that name the arguments
+        Limits(self.objective, slowest, self.peak_sensitivity, self.peak_control, self.static_amplification)
+        goals: list[Goal] = [MaxDamping() if self.objective == "damping" else MaxDecay(), SlowestPole(rate=slowest)]
+        for kind, limit in (
+            (PeakSensitivity, self.peak_sensitivity),
+            (PeakControl, self.peak_control),
+        ):
+            if limit is not None:
+                goals.append(kind(limit))
+        if self.static_amplification is not None:
+            goals.append(StaticAmplification(limit=self.static_amplification))
+        if self.impact is not None:
+            goals.append(PiezoTravel(impact=self.impact, travel_m=self.piezo_travel_m))
+        return goals
+
+
+# ---- Remarks and figures of a finished design.
+
+
+def notes_of(
+    design: DesignPlants,
+    problem: GainProblem,
+    optimum: LocalOptimum,
+    names: tuple[str, ...],
+    structure: Structure | Scheduled,
+    points: tuple[tuple[float, float], ...],
+    sampling: Sampling | None,
+) -> tuple[str, ...]:
+    """Return the remarks on a design: unfinished fits, unstable open loops, distance to the edge, the sampled loop."""
+    labels = [point_label(P, Omega) for P, Omega in design.points]
+    if design.lpv is None:
+        labels = list(problem.families[0].labels)
+    unstable = [label for label, rate in zip(labels, design.slowest, strict=True) if rate < 0]
+    notes = tuple(
+        ControlNote.FIT_NOT_CONVERGED(f"the plant {fit.model.name!r} is a fit that did not converge")
+        for fit in design.unfinished
+    )
+    if unstable:
+        notes += (ControlNote.UNSTABLE_OPEN_LOOP(f"the open loop is not stable at {'; '.join(unstable)}"),)
+    notes += _edge_notes(problem, optimum, names)
+    if sampling is not None and design.lpv is not None:
+        gains = dict(zip(names, map(float, optimum.x), strict=True))
+        truly, (P, Omega) = smallest_sampled_damping(
+            design.lpv, structure, gains, sorted(points), sampling.sample_time, sampling.computation_s, sampling.method
+        )
+        text = (
+            f"designed for sampling at {1e3 * sampling.sample_time:g} ms with {1e3 * sampling.computation_s:g} ms to "
+            f"compute; the sampled loop has a smallest damping factor of {truly:.3f}, at {point_label(P, Omega)}"
+        )
+        notes += (ControlNote.SAMPLED_LOOP(text),)
+    return notes
+
+
+def goal_figures(problem: GainProblem, optimum: LocalOptimum, result: GainResult) -> GainResult:
+    """Return the result with the figures of goals beside those that have a field, and with the damping it reached."""
+    limits = problem.limits
+    if not limits.measures:
+        return result
+    figures = []
+    states = [problem.state(family, family.matrices(optimum.x), optimum.x) for family in problem.families]
+    for measure in limits.measures:
+        found = [(float(e), name) for s in states for e, name in zip(measure.excess(s), s.family.labels, strict=True)]
+        figures.append(GoalFigure(measure.name, measure in limits.soft, *max(found)))
+    result = replace(result, goals=tuple(figures))
+    if not limits.soft:
+        return result
+    if not limits.weight:
+        return replace(result, objective="goals")
+    worst = result.worst
+    decay = 2 * np.pi * worst.frequency_hz * worst.damping
+    return replace(result, value=worst.damping if limits.objective == "damping" else decay)
+
+
+def _edge_notes(problem: GainProblem, found: LocalOptimum, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a note on the distance to instability of a design without a limit on a response."""
+    if problem.limits.peak_sensitivity is not None or problem.limits.measures or not problem.stable(found.x):
+        return ()
+    edge = distance_to_edge(problem, found.x, names)
+    note = "damping alone was maximised: the peak of S_o is not limited"
+    if np.isfinite(edge.change):
+        note += f"; a change of {edge.gain} by {edge.change:+.2g} makes a loop unstable"
+    return (ControlNote.PEAK_NOT_LIMITED(note),)
 
 
 def tune(
@@ -257,3 +501,90 @@ def _constant_gains(design: DesignPlants, structure: Scheduled, limits: Limits, 
     best, _ = solve_over_points(problem, plants, design.points, start, effort, [], None)
     values = dict(zip((p.name for p in constant.parameters), best.x, strict=True))
     return np.array([values.get(p.name, 0.0) for p in structure.parameters])
+
+
+# ---- Pareto front of damping and peak sensitivity.
+
+
+@dataclass(frozen=True)
+class ParetoFront(Brief):
+    """Best designs under rising limits on the peak of S_o.
+
+    Attributes
+    ----------
+    caps : tuple of float
+        Limits on the peak of S_o, rising.
+    designs : tuple of GainResult
+        One for each limit.
+    """
+
+    caps: tuple[float, ...]
+    designs: tuple[GainResult, ...]
+
+    def _brief(self) -> Description:
+        designs = {
+            f"cap {cap:g}": f"{d.objective} {d.value:.6g}, {d.status}"
+            for cap, d in zip(self.caps, self.designs, strict=True)
+        }
+        return brief(self, f"{len(self.caps)} designs", **designs)
+
+    def to_frame(self) -> Any:
+        """Return limit, damping (or decay rate) and gains of each design as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        gains = {name: [design.gains[name] for design in self.designs] for name in self.designs[0].gains}
+        status = [str(design.status) for design in self.designs]
+        return data_frame({"cap": self.caps, "value": self.values, "status": status, **gains})
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Damping factor (or decay rate [1/s]) for each limit; NaN when no design satisfies it."""
+        return tuple(design.value if design.success else float("nan") for design in self.designs)
+
+
+def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
+    """Return the best designs under several limits on the peak of S_o.
+
+    Parameters
+    ----------
+    lpv : LPVModel
+        Model with actuators.
+    caps : sequence of float
+        Limits on the peak of S_o, in any order; each above 1.
+    **options
+        Options of `gbid.tune`, without ``peak_sensitivity``; of ``goals`` those besides it.
+
+    Returns
+    -------
+    ParetoFront
+        The design of the next lower limit is a start value of each search, because it also satisfies the higher
+        limit. So a higher limit never gives a worse design.
+
+    Raises
+    ------
+    UsageError
+        When `caps` are not numbers above 1, and as for `gbid.tune`.
+    """
+    if "peak_sensitivity" in options:
+        raise UsageError("pareto: peak_sensitivity is set by caps; leave it out")
+    try:
+        rising = sorted({float(cap) for cap in caps})
+    except (TypeError, ValueError):
+        rising = []
+    if not rising or not all(np.isfinite(cap) and cap > 1 for cap in rising):
+        raise UsageError(f"pareto: caps = {caps!r}; give numbers above 1 (S_o is 1 at high frequencies)")
+    designs: list[GainResult] = []
+    given, goals = options.pop("start", None), options.pop("goals", None)
+    for cap in rising:
+        start = designs[-1].gains if designs and designs[-1].success else given
+        limit = {"peak_sensitivity": cap} if goals is None else {"goals": [*goals, PeakSensitivity(cap)]}
+        designs.append(tune(lpv, start=start, **limit, **options))
+    return ParetoFront(tuple(rising), tuple(designs))

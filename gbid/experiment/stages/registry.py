@@ -5,23 +5,22 @@ A new stage is a folder beside this module, an entry here, and a field of `gbid.
 
 from __future__ import annotations
 
-from gbid.experiment.run.stage import Stage
-from gbid.experiment.stages.crossval.stage import CROSSVAL
-from gbid.experiment.stages.cycle.stage import CYCLE
-from gbid.experiment.stages.excite.stage import EXCITE
-from gbid.experiment.stages.figures.stage import FIGURES
-from gbid.experiment.stages.fit.stage import FIT
-from gbid.experiment.stages.impact.stage import IMPACT
-from gbid.experiment.stages.importing.stage import IMPORT
-from gbid.experiment.stages.loop.cost import LOOP_COST
-from gbid.experiment.stages.loop.stage import LOOP
-from gbid.experiment.stages.lpv.stage import LPV
-from gbid.experiment.stages.nominal.stage import NOMINAL
-from gbid.experiment.stages.prefilter.stage import PREFILTER
-from gbid.experiment.stages.rig.stage import RIG
-from gbid.experiment.stages.static.stage import STATIC
-from gbid.experiment.stages.target.stage import TARGET
-from gbid.experiment.stages.tune.stage import TUNE
+from gbid.experiment.run import Stage
+from gbid.experiment.stages.crossval import CROSSVAL
+from gbid.experiment.stages.cycle import CYCLE
+from gbid.experiment.stages.excite import EXCITE
+from gbid.experiment.stages.figures import FIGURES
+from gbid.experiment.stages.fit import FIT
+from gbid.experiment.stages.impact import IMPACT
+from gbid.experiment.stages.importing import IMPORT
+from gbid.experiment.stages.loop import LOOP, LOOP_COST
+from gbid.experiment.stages.lpv import LPV
+from gbid.experiment.stages.nominal import NOMINAL
+from gbid.experiment.stages.prefilter import PREFILTER
+from gbid.experiment.stages.rig import RIG
+from gbid.experiment.stages.static import STATIC
+from gbid.experiment.stages.target import TARGET
+from gbid.experiment.stages.tune import TUNE
 
 STAGES: tuple[Stage, ...] = (
     *(LOOP, RIG, IMPORT, PREFILTER, FIT),

@@ -2,20 +2,506 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space
+from scipy.sparse import bmat, csc_array, eye_array
+from scipy.sparse.linalg import splu
 
-from gbid.arrays import BoolArray, FloatArray, IntArray
-from gbid.identify.nlp.shooting import Shooting
-from gbid.identify.uncertainty.bootstrap import Bootstrap, Estimator, bootstrap_factors
-from gbid.identify.uncertainty.by_windows import grows, information_by_windows
-from gbid.identify.uncertainty.error_model import ErrorModel
-from gbid.identify.uncertainty.information import information_over_records
-from gbid.identify.uncertainty.score_covariance import Transform, covariance_of, transformed
+from gbid.core.arrays import BoolArray, FloatArray, IntArray, one_of_each_pair, oscillatory_modes, poles_of_samples
+from gbid.discretise import Dual
+from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
+from gbid.identify.kernel.sample import NonlinearPredictor
+from gbid.identify.kernel.sums import Sweep, Traced, tied
+from gbid.identify.predictor import Predictor
+from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_part, own_gradients
+from gbid.identify.problem.integration import linearised
+from gbid.identify.problem.nlp import RecordGroup, Shooting
+from gbid.identify.uncertainty.coloured import (
+    Bootstrap,
+    ErrorModel,
+    Estimator,
+    RecordSensitivities,
+    Transform,
+    bootstrap_factors,
+    covariance_of,
+    joined_segments,
+    of_segment,
+    tied_sensitivities,
+    tied_values,
+    transformed,
+)
+from gbid.identify.uncertainty.uncertain_model import ModelSlopes
+from gbid.structure import LinearModel, NonlinearModel
+
+# ---- Information of records on parameters and initial states: Hessians of the cost and gradients of blocks.
+
+_BLOCKS, _SHORTEST = 64, 8  # number of blocks of a record, in which scores are summed; samples in the shortest
+
+
+class Information(NamedTuple):
+    """Second derivatives of ``sum e' W e / 2`` by the parameters and, after them, the initial states of the records.
+
+    Attributes
+    ----------
+    hessian : (n_all, n_all) array
+        Gauss-Newton Hessian.
+    shaped : (n_all, n_all) array
+        Gauss-Newton Hessian with another weight.
+    observed : (n_all, n_all) array or None
+        Exact Hessian in the columns of the parameters.
+    sensitivities : iterator of RecordSensitivities
+        Sensitivities of the predictions of each record, which are made one by one.
+    """
+
+    hessian: FloatArray
+    shaped: FloatArray
+    observed: FloatArray | None
+    sensitivities: Iterator[RecordSensitivities]
+
+
+class RecordInformation(NamedTuple):
+    """Information of one record on its own parameters and then its initial state, for the cost ``sum e' W e / 2``.
+
+    Attributes
+    ----------
+    hessian : (m, m) array
+        Gauss-Newton Hessian.
+    scores : (n_blocks, m) array
+        Minus the gradient, for each block of consecutive samples.
+    """
+
+    hessian: FloatArray
+    scores: FloatArray
+
+
+def information_over_records(
+    problem: Shooting,
+    block: int,
+    theta: FloatArray,
+    starts: FloatArray,
+    record_window: IntArray,
+    weight: FloatArray,
+    *,
+    shaped: FloatArray | None = None,
+    observed: bool = False,
+) -> Information:
+    """Return the information of all records, from a pass over whole segments.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    block : int
+        Largest number of samples of a block, for which gradients are summed.
+    theta : (n_p,) array
+        Free parameters.
+    starts : (n_windows, n) array
+        Initial states of the windows.
+    record_window : (n_records,) integer array
+        First window of each record.
+    weight : (n_y, n_y) array
+        Weight W of the errors.
+    shaped : (n_y, n_y) array, optional
+        Another weight, for a second Gauss-Newton Hessian.
+    observed : bool
+        Whether the exact Hessian is computed.
+
+    Returns
+    -------
+    Information
+        Derivatives by parameters and initial states.
+    """
+    n, n_p = problem.n_states, problem.n_theta
+    n_all = n_p + len(record_window) * n
+    chains: dict[int, tuple[FloatArray, int]] = {}  # start of the segment at a window: sensitivity, record
+    for record, window in enumerate(record_window):
+        T = np.zeros((n, n_all))
+        T[:, n_p + record * n : n_p + (record + 1) * n] = np.eye(n)
+        chains[int(window)] = T, record
+    weights = [weight] if shaped is None else [weight, shaped]
+    cuts, passes = [], []
+    for v, part, first in zip(problem.values(theta), problem.parts, problem.first_window[:-1], strict=True):
+        if observed or part.blocks.length < block:  # sensitivities are made of short blocks
+            cuts.append(cut(part.blocks.segments, part.predictor, None, longest_block=block))
+        else:
+            cuts.append(part.blocks.by_whole_segments())
+        begin = starts[first + part.blocks.segment_first]
+        passes.append(part.kernel.trace(v, cuts[-1], begin, weights))
+    sums = [[tied(each.sums, part.tie) for each in own] for part, own in zip(problem.parts, passes, strict=True)]
+    _follow_segments(problem, [own[0] for own in sums], chains)
+    gauss_newton = [np.zeros((n_all, n_all)) for _ in passes[0]]
+    omitted = _omitted(problem, theta, starts, [own[0] for own in sums], weight) if observed else []
+    whole = np.zeros((n_all, n_all))
+    for k, (part, own) in enumerate(zip(problem.parts, sums, strict=True)):
+        windows = problem.first_window[k] + part.blocks.segment_first
+        along = [chains[int(window)][0] for window in windows]
+        for total, each in zip(gauss_newton, own, strict=True):
+            _add(total, part.index, PartHessian(each.hessian, each.hessian_mixed), each.hessian_start, along)
+        if observed:
+            more = _symmetric(omitted[k], part.tie)
+            exact = PartHessian(own[0].hessian + more.theta, own[0].hessian_mixed + more.mixed)
+            _add(whole, part.index, exact, own[0].hessian_start, along)
+    sensitivities = _sensitivities(problem, theta, cuts, [own[0] for own in passes], chains)
+    return Information(gauss_newton[0], gauss_newton[-1], whole if observed else None, sensitivities)
+
+
+def record_information(
+    problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, weight: FloatArray
+) -> list[RecordInformation]:
+    """Return the information of each record on its own parameters, from one pass.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem with one segment per record.
+    theta : (n_p,) array
+        Free parameters.
+    starts : (n_windows, n) array
+        Initial states of the windows.
+    record_window : (n_records,) integer array
+        First window of each record.
+    weight : (n_y, n_y) array
+        Weight W of the errors.
+
+    Returns
+    -------
+    list of RecordInformation
+        In the order of the records.
+    """
+    found = {}
+    for v, part, first in zip(problem.values(theta), problem.parts, problem.first_window[:-1], strict=True):
+        for segment, window in zip(part.blocks.segments, part.blocks.segment_first, strict=True):
+            length = min(max(len(segment.outputs) // _BLOCKS, _SHORTEST), LONGEST_BLOCK)
+            blocks = cut([segment], part.predictor, None, longest_block=length)
+            (own,) = part.kernel.trace(v, blocks, starts[first + window][None], [weight])
+            mixed = own.sums.hessian_mixed[0]
+            found[int(first + window)] = RecordInformation(
+                np.block([[own.sums.hessian, mixed], [mixed.T, own.sums.hessian_start[0]]]),
+                -_scores(own),
+            )
+    return [found[int(window)] for window in record_window]
+
+
+def profiled(information: RecordInformation, kept: IntArray) -> RecordInformation:
+    """Return the information on the kept parameters when all others are estimated, too (Schur complement)."""
+    H, scores = information
+    rest = np.setdiff1d(np.arange(len(H)), kept)
+    scale = 1 / np.sqrt(np.maximum(np.diag(H)[rest], 1e-300))
+    inner = H[np.ix_(rest, rest)] * np.outer(scale, scale)
+    onto = np.linalg.pinv(inner, rcond=1e-12, hermitian=True) @ (H[np.ix_(rest, kept)] * scale[:, None])
+    onto *= scale[:, None]
+    return RecordInformation(
+        H[np.ix_(kept, kept)] - H[np.ix_(kept, rest)] @ onto, scores[:, kept] - scores[:, rest] @ onto
+    )
+
+
+def _scores(own: Traced) -> FloatArray:
+    """Return the gradient of each block by the parameters and the start of its window."""
+    live = slice(0, int(own.linked.by_theta.shape[0]))
+    by_start = own.by_block.gradient_start[live][:, None, :]
+    by_theta = own.by_block.gradient[live] + (by_start @ own.linked.by_theta)[:, 0]
+    return np.hstack([by_theta, (by_start @ own.linked.by_start)[:, 0]])
+
+
+def _sensitivities(
+    problem: Shooting,
+    theta: FloatArray,
+    cuts: Sequence[Blocks],
+    passes: Sequence[Traced],
+    chains: dict[int, tuple[FloatArray, int]],
+) -> Iterator[RecordSensitivities]:
+    """Make the sensitivities of one record after the other; those of all records would fill the memory."""
+    of_record: dict[int, list[tuple[int, int, int]]] = {}  # windows, parts and places of its segments
+    for k, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
+        for i, window in enumerate(part.blocks.segment_first):
+            at = int(first + window)
+            of_record.setdefault(chains[at][1], []).append((at, k, i))
+    values = problem.values(theta)
+    predictions = [
+        part.kernel.passed(v, blocks, own.begin)
+        for v, part, blocks, own in zip(values, problem.parts, cuts, passes, strict=True)
+    ]
+
+    def of(own_segments: list[tuple[int, int, int]]) -> RecordSensitivities:
+        segments, feedback = [], None
+        for at, k, i in sorted(own_segments):
+            own, part = (
+                of_segment(problem.parts[k].kernel, values[k], cuts[k], predictions[k], passes[k].linked, i),
+                problem.parts[k],
+            )
+            segments.append((tied_sensitivities(own, part.tie), part.index, chains[at][0]))
+            if part.predictor.feeds_back and part.predictor.horizon == 1:
+                feedback = tied_values(part.kernel.feedback(values[k], cuts[k], predictions[k]), part.tie), part.index
+        return joined_segments(segments, feedback)
+
+    return (of(of_record[record]) for record in sorted(of_record))  # holds none that it has given away
+
+
+def _symmetric(own: PartHessian, tie: FloatArray | None) -> PartHessian:
+    """Return the symmetric part of what Gauss-Newton omits, by the parameters to which those of the part are tied."""
+    theta = (own.theta + own.theta.T) / 2
+    return PartHessian(theta, own.mixed) if tie is None else PartHessian(tie.T @ theta @ tie, tie.T @ own.mixed)
+
+
+def _add(
+    total: FloatArray, index: IntArray, own: PartHessian, of_starts: FloatArray, along: Sequence[FloatArray]
+) -> None:
+    """Add the Hessian of a part; the sensitivities `along` convert its starts of windows to all unknowns."""
+    total[np.ix_(index, index)] += own.theta
+    for mixed, of_start, T in zip(own.mixed, of_starts, along, strict=True):
+        across = mixed @ T
+        total[index] += across
+        total[:, index] += across.T
+        total += T.T @ of_start @ T
+
+
+def _follow_segments(problem: Shooting, sums: Sequence[Sweep], chains: dict[int, tuple[FloatArray, int]]) -> None:
+    """Propagate sensitivities from segment to segment of a record, over the stretches that are left out."""
+    place: dict[int, tuple[int, int, int]] = {}  # last window of a segment: its first one, its part, its place there
+    firsts = set()
+    for k, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
+        begin = part.blocks.segment_first
+        ends = np.append(begin[1:], part.blocks.n_windows) - 1
+        place |= {int(first + b): (int(first + a), k, i) for i, (a, b) in enumerate(zip(begin, ends, strict=True))}
+        firsts |= {int(first + a) for a in begin}
+    for a, b in problem.links:
+        if int(b) in firsts and int(a) in place:
+            window, k, i = place[int(a)]
+            T, record = chains[window]
+            following = sums[k].end_start[i] @ T
+            following[:, problem.parts[k].index] += sums[k].end_theta[i]
+            chains[int(b)] = following, record
+
+
+def _omitted(
+    problem: Shooting, theta: FloatArray, starts: FloatArray, sums: Sequence[Sweep], weight: FloatArray
+) -> list[PartHessian]:
+    """Return what Gauss-Newton omits for all parameters, with each segment as one window."""
+    joined_up, kept = in_one_window(problem)
+    _, starts = joined_up.unpack(problem.pack(theta, starts)[kept])
+    ends, values = np.zeros_like(starts), problem.values(theta)
+    for _ in joined_up.links:  # backwards from the last segments: derivative of the cost by the ends of segments
+        made = own_gradients(joined_up, values, starts, ends, weight)
+        ends[joined_up.links[:, 0]] = np.concatenate([own.starts for own in made])[joined_up.links[:, 1]]
+    return omitted_part(joined_up, theta, starts, ends, [np.diag(s.hessian) for s in sums], weight)
+
+
+# ---- Sensitivities of the predictions of an unstable model, from its shooting windows.
+#
+# Over a whole record the sensitivities by the initial state of an unstable model grow without bound. Within a window
+# they
+# do not. So the state at the start of each window is written as a bounded function of the parameters and of a few
+# further
+# coordinates: of all trajectories that close the gaps, those of least norm, and an orthonormal basis of the free ones.
+# The coordinates stand for the initial states. The covariance of the parameters does not depend on this choice.
+
+_GROWTH = 1e3  # of a model over a record, up to which one pass over the record is accurate
+
+
+class WindowSlopes(NamedTuple):
+    """Sensitivities within the windows of a part, by its parameters and, after them, the state at a window's start.
+
+    Attributes
+    ----------
+    psi : (n_windows, n_samples, n_y, n_own + n) array
+        Derivatives of the predictions.
+    errors : (n_windows, n_samples, n_y) array
+        Prediction errors.
+    counted : (n_windows, n_samples) boolean array
+        Whether a sample is in the cost; false beyond the end of a shorter window.
+    size : (n_windows,) integer array
+        Number of samples of each window.
+    end : (n_windows, n, n_own + n) array
+        Derivatives of the state after the last sample.
+    """
+
+    psi: FloatArray
+    errors: FloatArray
+    counted: BoolArray
+    size: IntArray
+    end: FloatArray
+
+
+class WindowedRecord(NamedTuple):
+    """Sensitivities of a record by all parameters and its own coordinates of free trajectories.
+
+    Attributes
+    ----------
+    psi : (n_samples, n_y, n_p + n) array
+    errors : (n_samples, n_y) array
+    counted : (n_samples,) boolean array
+    """
+
+    psi: FloatArray
+    errors: FloatArray
+    counted: BoolArray
+
+
+def windowed_records(
+    problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, *, known_starts: BoolArray
+) -> Iterator[WindowedRecord]:
+    """Yield the sensitivities of each record.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    theta : (n_p,) array
+        Free parameters.
+    starts : (n_windows, n) array
+        Initial states of the windows, with all gaps closed.
+    record_window : (n_records,) integer array
+        First window of each record.
+    known_starts : (n_records, n) boolean array
+        Initial states that were given instead of estimated.
+    """
+    n, n_p = problem.n_states, problem.n_theta
+    slopes = [
+        window_slopes(part, v, starts[a:b])
+        for v, part, a, b in zip(
+            problem.values(theta), problem.parts, problem.first_window[:-1], problem.first_window[1:], strict=True
+        )
+    ]
+    following = {int(a): int(b) for a, b in problem.links}
+    for first, known in zip(record_window, known_starts, strict=True):
+        chain = [int(first)]
+        while chain[-1] in following:
+            chain.append(following[chain[-1]])
+        parts = np.searchsorted(problem.first_window, chain, side="right") - 1
+        ends = np.zeros((len(chain), n, n_p + n))
+        for i, (k, window) in enumerate(zip(parts, chain, strict=True)):
+            own = slopes[k].end[window - problem.first_window[k]]
+            ends[i][:, problem.parts[k].index] = _onto(own[:, :-n], problem.parts[k].tie)
+            ends[i][:, n_p:] = own[:, -n:]
+        along = _trajectories(ends[:-1, :, n_p:], ends[:-1, :, :n_p], problem.state_scale, known)
+        psi, errors, counted = [], [], []
+        for k, window, T in zip(parts, chain, along, strict=True):
+            own, at = slopes[k], window - problem.first_window[k]
+            live = slice(0, int(own.size[at]))
+            by_start = own.psi[at, live, :, -n:] @ T
+            by_start[:, :, problem.parts[k].index] += _onto(own.psi[at, live, :, :-n], problem.parts[k].tie)
+            counts = own.counted[at, live]
+            psi.append(by_start * counts[:, None, None])
+            errors.append(own.errors[at, live] * counts[:, None])
+            counted.append(counts)
+        yield WindowedRecord(np.concatenate(psi), np.concatenate(errors), np.concatenate(counted))
+
+
+def _onto(slopes: FloatArray, tie: FloatArray | None) -> FloatArray:
+    """Return derivatives (..., n_own) by the parameters to which those of a predictor are tied."""
+    return slopes if tie is None else np.asarray(slopes @ tie)
+
+
+def window_slopes(part: RecordGroup, v: Any, starts: FloatArray) -> WindowSlopes:
+    """Return the sensitivities within each window.
+
+    Parameters
+    ----------
+    part : RecordGroup
+        Part of the problem.
+    v
+        Its predictor at the estimate.
+    starts : (n_windows, n) array
+        States at the starts of its windows.
+    """
+    blocks, kernel = part.blocks, part.kernel
+    n_windows, n_y = blocks.n_windows, blocks.y.shape[2]
+    place, own_blocks = blocks.by_window
+    (traced,) = kernel.trace(v, blocks, starts, [np.eye(n_y)])
+    prediction, linked = kernel.passed(v, blocks, traced.begin), traced.linked
+    flat = kernel.sensitivities(v, blocks, prediction, linked, slice(0, blocks.n_blocks))
+    psi = flat.reshape(n_y, -1, blocks.n_blocks, blocks.length)[:, :, place].transpose(2, 3, 4, 0, 1)
+
+    def rows(values: FloatArray) -> FloatArray:
+        """Return values (n_groups, length, n, lanes) as (n_windows, n_samples, n)."""
+        flat = values.transpose(0, 3, 1, 2).reshape(-1, blocks.length, values.shape[2])
+        return np.asarray(flat[place].reshape(n_windows, -1, values.shape[2]))
+
+    used = rows(blocks.used[:, :, None])[:, :, 0] > 0
+    used &= np.repeat(own_blocks, blocks.length, axis=1)
+    size = np.where(own_blocks, blocks.size[place], 0).sum(axis=1)
+    end = np.concatenate([linked.end_theta, linked.end_start], axis=2)
+    return WindowSlopes(psi.reshape(n_windows, -1, n_y, end.shape[2]), rows(prediction.errors), used, size, end)
+
+
+def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray, known: BoolArray) -> FloatArray:
+    """Return the derivatives of the window starts, (n_windows, n, n_p + n), that close the linearised gaps.
+
+    `by_start` (n_windows - 1, n, n) and `by_theta` (n_windows - 1, n, n_p) are the derivatives of the windows' ends.
+    `known` (n,) tells which states of the first start do not move; their coordinates stay zero.
+    """
+    links, n = len(by_start), len(scale)
+    n_p, size = by_theta.shape[2], (links + 1) * n
+    blocks = [[None] * (links + 1) for _ in range(links)]
+    for i, step in enumerate(by_start / scale[:, None] * scale):
+        blocks[i][i], blocks[i][i + 1] = csc_array(-step), eye_array(n)
+    right = (by_theta / scale[:, None]).reshape(-1, n_p)
+    gaps = csc_array(bmat(blocks)) if links else csc_array((0, size))
+    if known.any():
+        still = csc_array(eye_array(n, size))[known]
+        gaps = csc_array(bmat([[still], [gaps]])) if links else csc_array(still)
+        right = np.vstack([np.zeros((int(known.sum()), n_p)), right])
+    sides = np.zeros((size, 2 * n))  # a free trajectory is seen at the first window or, where it grows, at the last
+    sides[:n, :n] = sides[-n:, n:] = np.eye(n)
+    if gaps.shape[0]:
+        try:
+            factors = splu(csc_array(gaps @ gaps.T))
+        except RuntimeError as singular:  # far from a solution: the model grows beyond rounding in a window
+            raise np.linalg.LinAlgError("the gaps between windows depend on each other") from singular
+        following = gaps.T @ factors.solve(right)
+        sides -= gaps.T @ factors.solve(np.asarray(gaps @ sides))
+    else:
+        following = np.zeros((size, n_p))
+    free = np.zeros((size, n))
+    free[:, ~known] = np.linalg.svd(sides, full_matrices=False)[0][:, : n - int(known.sum())]
+    return np.asarray(np.hstack([following, free]).reshape(links + 1, n, n_p + n) * scale[:, None])
+
+
+def information_by_windows(
+    problem: Shooting,
+    theta: FloatArray,
+    starts: FloatArray,
+    record_window: IntArray,
+    weight: FloatArray,
+    shaped: FloatArray,
+    *,
+    known_starts: BoolArray,
+) -> Information:
+    """Return the information of all records, as `information_over_records` does, for an unstable model.
+
+    The Hessian is that of Gauss-Newton; the exact one is not computed.
+
+    Parameters
+    ----------
+    problem, theta, starts, record_window, known_starts
+        As for `windowed_records`.
+    weight, shaped : (n_y, n_y) array
+        Weights of the errors for the two Hessians.
+    """
+    n, n_p = problem.n_states, problem.n_theta
+    n_all = n_p + len(record_window) * n
+    hessians = np.zeros((2, n_all, n_all))
+    sensitivities = []
+    records = windowed_records(problem, theta, starts, record_window, known_starts=known_starts)
+    for i, record in enumerate(records):
+        columns = np.concatenate([np.arange(n_p), n_p + i * n + np.arange(n)])
+        for total, W in zip(hessians, (weight, shaped), strict=True):
+            total[np.ix_(columns, columns)] += np.einsum("kyi,yz,kzj->ij", record.psi, W, record.psi, optimize=True)
+        psi = np.ascontiguousarray(record.psi.transpose(1, 2, 0))
+        sensitivities.append(RecordSensitivities(columns, psi, record.errors, record.counted > 0))
+    return Information(hessians[0], hessians[1], None, iter(sensitivities))
+
+
+def grows(problem: Shooting, theta: FloatArray, starts: FloatArray) -> bool:
+    """Return whether the model grows so much over a record that sensitivities have to be taken by windows."""
+    longest = max(segment.outputs.shape[0] for part in problem.parts for segment in part.blocks.segments)
+    rate = problem.rate(theta, starts)
+    return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH))
+
 
 _UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which a direction is not determined
 # Smallest such eigenvalue for which exact Hessian and coloured scores are more than rounding. Below it the curvature is
@@ -112,7 +598,7 @@ def covariance(
     Secs. 9.2 to 9.4). White residuals do not depend on the past. Then the Gauss-Newton approximation
     ``H = sum psi' W psi`` is sufficient, and with the covariance Lambda of the residuals
     ``J = sum psi' W Lambda W psi``. For coloured residuals H also contains ``-sum psi_i' W d psi_j``, which is its
-    largest part along the disturbance gain. Their J is that of `gbid.identify.uncertainty.score_covariance`. A prior
+    largest part along the disturbance gain. Their J is that of `gbid.identify.uncertainty.coloured`. A prior
     adds its information to H, and to J as a measurement with its variance does.
     """
     n_p, modelled = problem.n_theta, coloured or bootstrap is not None
@@ -209,3 +695,214 @@ def _with_rounding(matrix: FloatArray, blurred: BoolArray, instead: FloatArray) 
     result = matrix.copy()
     result[blurred], result[:, blurred] = instead[blurred], instead[:, blurred]
     return result
+
+
+# ---- Uncertainty of modes and static gains, propagated from that of the parameters.
+
+
+def mode_slopes(A: Dual, dt: float | None = None) -> tuple[FloatArray, FloatArray]:
+    """Return the oscillatory modes of a state matrix and their derivatives.
+
+    Parameters
+    ----------
+    A : Dual
+        State matrix (n, n) with its derivatives by n_p parameters.
+    dt : float, optional
+        Sample time of a discrete-time matrix [s], whose poles are ``log(eigenvalue) / dt``.
+
+    Returns
+    -------
+    modes : (n_modes, 2) array
+        Natural frequency [Hz] and damping factor, in the order of rising frequency.
+    slopes : (n_modes, 2, n_p) array
+        Derivatives of the modes.
+
+    Notes
+    -----
+    ``d lambda = w' dA v / (w' v)`` with right and left eigenvectors v and w; for
+    ``f = |lambda| / 2 pi`` and ``zeta = -Re(lambda) / |lambda|`` the chain rule applies. For a double eigenvalue the
+    derivative does not exist; near one the result is very large.
+    """
+    values, vectors = np.linalg.eig(A.value)
+    poles = values.astype(complex) if dt is None else poles_of_samples(values, dt)
+    left = np.linalg.inv(vectors)
+    keep = one_of_each_pair(poles)
+    order = [i for i in np.argsort(np.abs(poles)) if keep[i]]
+    modes, slopes = oscillatory_modes(poles), np.zeros((len(order), 2, len(A.slope)))
+    for row, i in enumerate(order):
+        pole, size = poles[i], abs(poles[i])
+        d_pole = np.einsum("a,pab,b->p", left[i], A.slope, vectors[:, i]) / (1.0 if dt is None else values[i] * dt)
+        d_size = (np.conj(pole) * d_pole).real / size
+        slopes[row] = d_size / (2 * np.pi), -d_pole.real / size + pole.real * d_size / size**2
+    return modes, slopes
+
+
+def static_gain_slopes(A: Dual, B: Dual, C: Dual, D: Dual) -> tuple[FloatArray, FloatArray]:
+    """Return the static gain ``D - C A^-1 B`` and its derivatives.
+
+    Parameters
+    ----------
+    A, B, C, D : Dual
+        Matrices of a model without a pole at zero.
+
+    Returns
+    -------
+    gain : (n_y, n_u) array
+        Static gain.
+    slopes : (n_y, n_u, n_p) array
+        Derivatives of the gain.
+    """
+    inverse = np.asarray(np.linalg.inv(A.value), float)
+    A_inverse = Dual(inverse, -inverse @ A.slope @ inverse)
+    gain = D - C @ (A_inverse @ B)
+    return gain.value, gain.slope.transpose(1, 2, 0)
+
+
+def spread(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return standard deviations from derivatives (..., n_p) and the covariance of the parameters."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("...p,pq,...q->...", slopes, covariance, slopes), 0.0)))
+
+
+# ---- Derivatives of the matrices of a fitted model by all free parameters of the fit.
+
+
+def model_slopes(predictor: Predictor, theta: FloatArray, index: IntArray) -> ModelSlopes:
+    """Return the derivatives of the matrices of a model by the free parameters of a fit.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        Predictor of a recording; its free parameters are some of those of the fit.
+    theta : (n_free,) array
+        All free parameters of the fit.
+    index : (n,) integer array
+        Positions of the free parameters of the predictor in `theta`.
+
+    Returns
+    -------
+    ModelSlopes
+        Derivatives; zero for the parameters of other recordings and for offsets.
+    """
+
+    def spread_out(slope: FloatArray) -> FloatArray:
+        return _among_all(slope, len(theta), index)
+
+    A, B, C, D, K, B_delayed, late = predictor.matrices(theta[index])
+    return ModelSlopes(
+        A=spread_out(A.slope),
+        B=spread_out(B.slope),
+        C=spread_out(C.slope),
+        D=spread_out(D.slope),
+        B_delayed=spread_out(B_delayed.slope),
+        delay=spread_out(_delays(predictor, late)),
+        K=spread_out(K.slope),
+    )
+
+
+def nonlinear_slopes(
+    matrices: Sequence[Dual], predictor: NonlinearPredictor, theta: FloatArray, index: IntArray
+) -> ModelSlopes:
+    """Return the same for A, B, C and D of a linearised model; all inputs are in B."""
+    A, B, C, D = (_among_all(m.slope, len(theta), index) for m in matrices)
+    late = np.isin(np.arange(B.shape[2]), predictor.delayed)
+    delay = _among_all(predictor.delay_slopes(theta[index]), len(theta), index)
+    return ModelSlopes(A, np.where(late, 0.0, B), C, D, np.where(late, B, 0.0), delay)
+
+
+def _among_all(slope: FloatArray, n_free: int, index: IntArray) -> FloatArray:
+    found = np.zeros((n_free, *slope.shape[1:]))
+    np.add.at(found, index, slope)
+    return found
+
+
+def _delays(predictor: Predictor, late: Dual) -> FloatArray:
+    """Return the derivatives of the delays of all inputs; the predictor has those of the delayed inputs only."""
+    slope = np.zeros((len(late.slope), predictor.n_inputs))
+    slope[:, list(predictor.delayed)] = late.slope[:, :, 0]
+    return slope
+
+
+# ---- Standard deviations of what follows from the model of a fit: modes, static gain, and slopes of its matrices.
+
+
+class ModelSpreads(NamedTuple):
+    """Derivatives and standard deviations of the model of the first recording.
+
+    Attributes
+    ----------
+    slopes : ModelSlopes
+        Derivatives of its matrices by all free parameters.
+    modes : (n_modes, 2) array
+        Standard deviations of natural frequencies [Hz] and damping factors.
+    static_gain : (n_outputs, n_inputs) array
+        Standard deviations of the static gain; nan for a model with a pole at zero.
+    """
+
+    slopes: ModelSlopes
+    modes: FloatArray
+    static_gain: FloatArray
+
+
+def model_spreads(
+    problem: Shooting,
+    theta: FloatArray,
+    chosen: FloatArray,
+    model: LinearModel | NonlinearModel,
+    names: Sequence[str],
+    tie: FloatArray | None = None,
+) -> ModelSpreads:
+    """Return slopes and standard deviations; of a nonlinear model those of the linear one at its working point.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    theta : (n_p,) array
+        Free parameters.
+    chosen : (n_p, n_p) array
+        Their covariance.
+    model : LinearModel or NonlinearModel
+        Model of the first recording.
+    names : sequence of str
+        Names of the parameters of the structure.
+    tie : (n_own, n_p) array, optional
+        Matrix from all free parameters to the predictor's own at the model's point, for a scheduled structure.
+    """
+    part = problem.parts[0]
+    if tie is not None:
+        return _of_tied(part, theta, chosen, model, tie)
+    if isinstance(part.predictor, Predictor):
+        A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
+        B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
+        slopes = model_slopes(part.predictor, theta, part.index)
+    else:
+        assert isinstance(part.predictor, NonlinearPredictor)
+        assert isinstance(model, NonlinearModel)
+        A, B, C, D = linearised(model, names, [q.name for q in part.predictor.free])
+        slopes = nonlinear_slopes([A, B, C, D], part.predictor, theta, part.index)
+    own, gain_std = chosen[np.ix_(part.index, part.index)], np.full(D.value.shape, np.nan)
+    if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
+        return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)
+    dt = model.dt if isinstance(model, LinearModel) else None
+    still = A if dt is None else A - np.eye(A.shape[0])  # at rest x[k+1] = x[k]
+    if np.linalg.cond(still.value) < 1e15:
+        gain_std = spread(static_gain_slopes(still, B, C, D)[1], own)
+    return ModelSpreads(slopes, spread(mode_slopes(A, dt)[1], own), gain_std)
+
+
+def _of_tied(
+    part: RecordGroup, theta: FloatArray, chosen: FloatArray, model: LinearModel | NonlinearModel, tie: FloatArray
+) -> ModelSpreads:
+    """Return the same where the parameters of the model are linear in the free ones."""
+    assert isinstance(part.predictor, Predictor)
+    own, every = tie @ theta, np.arange(len(tie))
+    of_own = model_slopes(part.predictor, own, every)
+    slopes = ModelSlopes(*(np.tensordot(tie.T, slope, 1) for slope in vars(of_own).values()))
+    A, B, C, D, _, B_delayed, _ = part.predictor.matrices(own)
+    B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
+    covariance, gain_std = tie @ chosen @ tie.T, np.full(D.value.shape, np.nan)
+    if not (np.isfinite(covariance).all() and np.isfinite(A.value).all()):
+        return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)
+    if np.linalg.cond(A.value) < 1e15:
+        gain_std = spread(static_gain_slopes(A, B, C, D)[1], covariance)
+    return ModelSpreads(slopes, spread(mode_slopes(A, None)[1], covariance), gain_std)

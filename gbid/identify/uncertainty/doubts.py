@@ -7,10 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from gbid.arrays import FloatArray
+from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.notes import FitNote
+from gbid.identify.data import Record, column_means
+from gbid.identify.problem.nlp import Shooting
+from gbid.identify.status import FitStatus
+from gbid.identify.uncertainty.coloured import ErrorModel
 from gbid.identify.uncertainty.covariance import Covariance
-from gbid.identify.uncertainty.error_model import ErrorModel
-from gbid.notes.fit_notes import FitNote
 
 _INVOLVED = 0.1  # smallest share of a parameter in a direction, of the largest share, for which it is named
 _PEAK = 5.0  # power of the errors at the frequency of a mode, over their mean power, for which they hide its motion
@@ -154,3 +157,120 @@ def may_cover_less(
             )
             told.append(FitNote.MAY_COVER_LESS(text))
     return told
+
+
+# ---- Verdict on a fit: whether what the solver calls converged is an estimate.
+
+_WORSE = 0.01  # part by which the loss may exceed that of a constant: its mean takes a little of the noise along
+_OF_A_MEAN = 10.0  # the same for short records, over the number of samples
+
+
+def explains_nothing(problem: Shooting, products: FloatArray, outputs: list[FloatArray]) -> bool:
+    """Return whether the errors are larger than those of a constant for each record, its mean.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit, for its criterion.
+    products : (n_y, n_y) array
+        Sum of the products of the errors.
+    outputs : list of (n_samples, n_y) array
+        Outputs of each record that are in the cost.
+    """
+    centred = [y - column_means(y) for y in outputs if len(y)]
+    constant = problem.cost(np.asarray(sum(y.T @ y for y in centred)))
+    cost = problem.cost(products)
+    return not cost <= constant + 0.5 * float(np.log1p(_WORSE + _OF_A_MEAN / problem.n_samples))
+
+
+def verdict(
+    status: FitStatus, *, overflows: bool, worse_than_constant: bool, at_edge: bool, undetermined: BoolArray
+) -> FitStatus:
+    """Return the status of a fit, which is a success only for an estimate.
+
+    The solver has checked the first-order optimality already (`gbid.identify.problem.solve`).
+
+    Parameters
+    ----------
+    status : FitStatus
+        Status of the solver.
+    overflows : bool
+        Whether the errors or the parameters are not finite.
+    worse_than_constant : bool
+        Result of `explains_nothing`.
+    at_edge : bool
+        Whether the disturbance gain makes a predictor unstable or almost so, see `Shooting.parts_at_edge`.
+    undetermined : (n_free,) boolean array
+        Free parameters without a finite standard deviation that lie on no bound.
+    """
+    if overflows:
+        return FitStatus.OVERFLOW
+    if not status.success:
+        return status
+    if worse_than_constant:
+        return FitStatus.WORSE_THAN_CONSTANT
+    if at_edge:
+        return FitStatus.UNSTABLE_PREDICTOR
+    return FitStatus.NOT_DETERMINED if undetermined.any() else status
+
+
+# ---- Test whether the errors of a fit come back in its inputs, as through a controller.
+
+_PAST_INPUTS, _PAST_ERRORS = 12, 4  # lags of the regressions
+_AT_ONCE = 1024  # rows
+_MOST = 8192  # samples of a record that are enough
+_SHARE = 0.02  # smallest share of what is new in an input that the errors must explain
+_CERTAIN = 50.0  # the same times the number of samples: far beyond chance for a few regressors
+
+
+def share_of_feedback(record: Record, errors: FloatArray) -> float:
+    """Return the share of what is new in the inputs that past errors explain, the largest of all inputs.
+
+    Parameters
+    ----------
+    record : Record
+        Inputs of the fit.
+    errors : (n_samples, n_outputs) array
+        Errors of the one-step prediction or of the simulation.
+
+    Returns
+    -------
+    float
+        Between 0 and 1; 0 where nothing is significant.
+
+    Notes
+    -----
+    Errors of the model depend on past inputs. What is new in an input is therefore tested: the part that past inputs do
+    not predict. Without feedback past errors cannot predict it either (Granger, Econometrica 37, 1969).
+    """
+    n = min(record.n_samples, len(errors), _MOST)
+    u, e = record.inputs[:n] - record.inputs[:n].mean(axis=0), errors[:n]
+    begin = max(_PAST_INPUTS, _PAST_ERRORS)
+    columns = (_PAST_INPUTS * u.shape[1], _PAST_ERRORS * e.shape[1])
+    if n - begin < 4 * sum(columns) or not u.any():
+        return 0.0
+    now = u / np.maximum(u[begin:].std(axis=0), np.finfo(float).tiny)
+    past = [(u, lag) for lag in range(1, _PAST_INPUTS + 1)] + [(e, lag) for lag in range(1, _PAST_ERRORS + 1)]
+    triangle = np.zeros((0, sum(columns) + u.shape[1]))
+    for first in range(begin, n, _AT_ONCE):  # QR decomposition of all rows, some at a time
+        last = min(first + _AT_ONCE, n)
+        rows = np.hstack([*(signal[first - lag : last - lag] for signal, lag in past), now[first:last]])
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
+    # In the columns of an input, the rows below those of some regressors are what these leave of it.
+    squares = triangle[:, sum(columns) :] ** 2
+    new, left = (squares[above:].sum(axis=0) for above in (columns[0], sum(columns)))
+    share = 1 - left / np.where(new > 0, new, 1.0)
+    found = float(np.max(share[new > 1e-9 * (n - begin)], initial=0.0))  # known from its past: left out
+    return found if found * (n - begin) > _CERTAIN * columns[1] / 8 else 0.0
+
+
+def feedback_notes(records: Sequence[Record], errors: Sequence[FloatArray]) -> tuple[str, ...]:
+    """Return a note when errors that are not white come back in the inputs, none otherwise."""
+    share = max((share_of_feedback(record, e) for record, e in zip(records, errors, strict=True)), default=0.0)
+    if share < _SHARE:
+        return ()
+    text = (
+        f"past errors explain {100 * share:.0f} % of what is new in an input, as through a controller, and they are "
+        "not white: the estimates have a bias; free a disturbance gain (focus='prediction'), or fit a ClosedLoop"
+    )
+    return (FitNote.FEEDBACK(text),)

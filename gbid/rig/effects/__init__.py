@@ -1,6 +1,6 @@
 """Further effects of the rig, one file each.
 
-A file of this room defines a subclass of `gbid.rig.machine.rig_effect.RigEffect`. The default of its field `name` is
+A file of this room defines a subclass of `gbid.rig.machine.RigEffect`. The default of its field `name` is
 the name in the YAML, its other fields are the keys there. Nothing else has to know it.
 """
 
@@ -13,8 +13,8 @@ from pkgutil import walk_packages
 from types import MappingProxyType
 from typing import Any
 
-from gbid.errors import UsageError
-from gbid.rig.machine.rig_effect import RigEffect
+from gbid.core.errors import UsageError
+from gbid.rig.machine import RigEffect
 
 
 @cache

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gbid.arrays import FloatArray
-from gbid.errors import UsageError
-from gbid.rig.machine.rig_effect import RigEffect, RigRun
-from gbid.rig.machine.rotor_effects import need_finite
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import UsageError
+from gbid.rig.machine import RigEffect, RigRun, need_finite
 
 
 @dataclass(frozen=True)

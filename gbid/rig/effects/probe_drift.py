@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gbid.arrays import FloatArray
-from gbid.errors import UsageError
-from gbid.rig.machine.rig_effect import RigEffect, RigRun
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import UsageError
+from gbid.rig.machine import RigEffect, RigRun
 
 
 @dataclass(frozen=True)

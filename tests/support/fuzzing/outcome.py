@@ -11,7 +11,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from fuzzing.targets import FileOrigin, FuzzTarget, flat
-from gbid.errors import GbidError
+from gbid.core.errors import GbidError
 
 HANG = 20.0
 """Longest time [s] for one input."""

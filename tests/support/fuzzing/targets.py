@@ -27,21 +27,18 @@ from fuzzing.text_mutations import mutate_text, mutate_tree
 from fuzzing.zip_mutations import mutate_npz
 from gbid.characterise import PiezoCurve, StaticMap, load_static, save_static
 from gbid.control import HalfSine, load_impacts, save_impacts
-from gbid.control.assessment.tuned_design import TunedDesign, load_tuned, save_tuned
-from gbid.errors import ChangedFileWarning
+from gbid.control.assess import TunedDesign, load_tuned, save_tuned
+from gbid.core.errors import ChangedFileWarning
+from gbid.core.files import is_changed, share_folder, with_checksum, with_text_checksum
+from gbid.core.tables import csv_text, plain_table
+from gbid.core.yaml_file import write_yaml
 from gbid.experiment.load import load_experiment
-from gbid.files.checksum import with_checksum
-from gbid.files.text_checksum import is_changed, with_text_checksum
-from gbid.identify.table.table_store import save_table
+from gbid.identify.table import save_table
 from gbid.lpv import load_model, save_model
 from gbid.prefilter import load_prefilter, save_prefilter
-from gbid.recording.importers.peek import list_channels
-from gbid.share import share_folder
-from gbid.tables.csv import csv_text
-from gbid.tables.table import plain_table
+from gbid.recording.importing import list_channels
 from gbid.validate import load_actuators, load_validation_summary
-from gbid.validate.validation_store import ACTUATORS_KIND, save_validation_summary
-from gbid.yaml_file import write_yaml
+from gbid.validate.central import ACTUATORS_KIND, save_validation_summary
 
 OLD = Path(__file__).parents[2] / "data" / "gbid_0_1_0.zip"
 _MAPPING = {"sample_time": 1e-3, "signals": {"y": {"columns": ["a", "b"], "unit": "m"}}}

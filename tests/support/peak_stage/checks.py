@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.problems import Found, nearest
+from gbid.experiment.fields import Found, nearest
 from peak_stage.schema import peaks_of
 
 

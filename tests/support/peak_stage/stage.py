@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gbid.errors import DataError
-from gbid.experiment.keys import content_key
+from gbid.core.errors import DataError
+from gbid.core.tables import Column, Table
+from gbid.experiment.fields import content_key
 from gbid.experiment.recordings import load_made, recording_key
-from gbid.experiment.run.job import Job, Task
-from gbid.experiment.run.outcome import Made, Outcome
-from gbid.experiment.run.stage import Stage
-from gbid.experiment.run.view import Document, View
-from gbid.tables.table import Column, Table
+from gbid.experiment.run import Document, Job, Made, Outcome, Stage, Task, View
 from peak_stage.checks import peaks_have_recordings
 from peak_stage.schema import peaks_of
 

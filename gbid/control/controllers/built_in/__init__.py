@@ -1,6 +1,6 @@
 """Built-in controller structures, one file each, here or in a folder.
 
-A file of this room defines a subclass of `gbid.control.controllers.per_axis.PerAxis`. The default of its field `name`
+A file of this room defines a subclass of `gbid.control.controllers.parts.PerAxis`. The default of its field `name`
 is the name in Python, YAML, controller files and messages. Nothing else has to know it.
 """
 
@@ -12,7 +12,7 @@ from importlib import import_module
 from pkgutil import walk_packages
 from types import MappingProxyType
 
-from gbid.control.controllers.per_axis import PerAxis
+from gbid.control.controllers.parts import PerAxis
 
 
 @cache

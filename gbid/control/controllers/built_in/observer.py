@@ -9,8 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside
-from gbid.control.controllers.sections import in_series
+from gbid.control.controllers.parts import AxisGain, PerAxis, in_series, inside
 
 
 @dataclass(frozen=True)

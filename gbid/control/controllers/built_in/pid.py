@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 
 from gbid.control.controllers.built_in.pi import PIStructure
-from gbid.control.controllers.per_axis import AxisGain
-from gbid.errors import UsageError
+from gbid.control.controllers.parts import AxisGain
+from gbid.core.errors import UsageError
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside
-from gbid.control.controllers.sections import in_parallel, in_series, second_order
+from gbid.control.controllers.parts import AxisGain, PerAxis, in_parallel, in_series, inside, second_order
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.control.controllers.crossed import Crossed
-from gbid.control.controllers.per_axis import AxisGain, pole_gains
-from gbid.control.controllers.sections import in_series, second_order
+from gbid.control.controllers.parts import AxisGain, Crossed, in_series, pole_gains, second_order
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.control.controllers.crossed import Crossed
-from gbid.control.controllers.per_axis import AxisGain, inside
+from gbid.control.controllers.parts import AxisGain, Crossed, inside
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.control.controllers.crossed import Crossed
-from gbid.control.controllers.per_axis import AxisGain, inside
-from gbid.errors import UsageError
+from gbid.control.controllers.parts import AxisGain, Crossed, inside
+from gbid.core.errors import UsageError
 
 
 @dataclass(frozen=True)

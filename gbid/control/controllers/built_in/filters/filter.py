@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside
-from gbid.control.controllers.sections import first_order, in_series, second_order
-from gbid.errors import UsageError
+from gbid.control.controllers.parts import AxisGain, PerAxis, first_order, in_series, inside, second_order
+from gbid.core.errors import UsageError
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside
-from gbid.control.controllers.sections import in_series, second_order
+from gbid.control.controllers.parts import AxisGain, PerAxis, in_series, inside, second_order
 
 
 @dataclass(frozen=True)

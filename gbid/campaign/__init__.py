@@ -1,1 +1,0 @@
-"""Campaigns of many fits: plan, engines, resuming, and the table of results."""

@@ -1,0 +1,610 @@
+"""Assessment of a control design: performance figures at each operating point and their worst values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from gbid.control.controllers.scheduled import Scheduled, controller_at
+from gbid.control.controllers.structures import controller_structure
+from gbid.control.impact.half_sine import HalfSine, ImpactResponse, impact_response
+from gbid.control.loop.close import Method, smallest_damping
+from gbid.control.loop.norm import Peak
+from gbid.control.loop.sampled import exact_plant, sampled_loop
+from gbid.control.loop.sensitivity import (
+    DiskMargin,
+    disk_margin,
+    sensitivities,
+    static_amplification,
+    static_stiffness_ratio,
+)
+from gbid.control.tuning.result import GainResult
+from gbid.core import hdf5
+from gbid.core.arrays import BoolArray, FloatArray, point_label
+from gbid.core.brief import Brief, Description, brief
+from gbid.core.errors import UsageError
+from gbid.core.extras import data_frame
+from gbid.core.hdf5 import Stored
+from gbid.core.tables import Cell, Column, Entry, Table, html_table
+from gbid.lpv import LPVModel
+from gbid.structure import PiezoPair, evaluate
+from gbid.structure.linear import Structure
+
+# ---- Performance figures of a design at one operating point.
+
+FIGURES = (
+    "damping",
+    "peak_output",
+    "peak_control",
+    "disk_margin",
+    "static_amplification",
+    "stiffness_ratio",
+    "slowest_decay_hz",
+    "impact_p_m",
+    "stack_travel_m",
+    "decay_time_s",
+    "sampled_damping",
+    "sampled_peak_output",
+)
+"""Figures by which designs are compared."""
+
+LOWEST_IS_WORST = ("damping", "disk_margin", "stiffness_ratio", "slowest_decay_hz", "sampled_damping")
+
+
+@dataclass(frozen=True)
+class PointAssessment:
+    """Performance figures of a design at one operating point.
+
+    Attributes
+    ----------
+    pressure_bar, speed_rpm : float
+        Operating point.
+    stable : bool
+        Whether the continuous loop is stable.
+    damping : float
+        Smallest damping factor of the oscillatory modes of the continuous loop; -1 for an unstable real pole.
+    modes : tuple of (frequency_hz, damping)
+        Oscillatory modes by rising frequency.
+    slowest_decay_hz : float
+        Decay rate of the slowest pole, real or complex, over 2 pi [Hz]; negative when it is unstable.
+    peak_output, peak_control : Peak
+        Largest singular values of S_o and K S_o over frequency.
+    disk : DiskMargin
+        Disk margin of all loops together, at the positions.
+    static_amplification : float
+        Largest singular value of S_o at zero frequency; infinite for an unstable loop.
+    stiffness_ratio : tuple of float
+        Static stiffness of the closed loop over that of the open loop, x and y; NaN for an unstable loop.
+    impact_p_m, impact_r_m : float
+        Largest motion of the disc and largest ``|r|`` after the impact, the larger of x and y [m].
+    stack_travel_m : float
+        Largest motion of one stack from its middle after the impact [m].
+    exceeds_travel : bool
+        Whether this motion is larger than the travel of a stack.
+    decay_time_s : float
+        Time until the motion of the disc after the impact stays below 5 % of its peak, the longer of x and y [s].
+    sampled_stable : bool
+        Whether the sampled loop is stable.
+    sampled_damping : float
+        Smallest damping factor of the sampled loop, with computation time and exact delays, over the modes that last
+        longer than a sample.
+    sampled_peak_output : Peak
+        Largest singular value of S_o of the sampled loop.
+    """
+
+    pressure_bar: float
+    speed_rpm: float
+    stable: bool
+    damping: float
+    modes: tuple[tuple[float, float], ...]
+    slowest_decay_hz: float
+    peak_output: Peak
+    peak_control: Peak
+    disk: DiskMargin
+    static_amplification: float
+    stiffness_ratio: tuple[float, ...]
+    impact_p_m: float
+    impact_r_m: float
+    stack_travel_m: float
+    exceeds_travel: bool
+    decay_time_s: float
+    sampled_stable: bool
+    sampled_damping: float
+    sampled_peak_output: Peak
+
+    def figures(self) -> dict[str, float]:
+        """Return the figures by which designs are compared, in the order of `FIGURES`."""
+        values = (
+            self.damping,
+            self.peak_output.value,
+            self.peak_control.value,
+            self.disk.alpha,
+            self.static_amplification,
+            min(self.stiffness_ratio) if self.stable else -inf,
+            self.slowest_decay_hz,
+            self.impact_p_m,
+            self.stack_travel_m,
+            self.decay_time_s,
+            self.sampled_damping,
+            self.sampled_peak_output.value,
+        )
+        return dict(zip(FIGURES, values, strict=True))
+
+    @property
+    def sampling_cost(self) -> float:
+        """Damping that is lost by sampling and computation; negative when their delay increases the damping."""
+        return self.damping - self.sampled_damping
+
+
+def assess_point(
+    lpv: LPVModel,
+    structure: Structure | Scheduled,
+    gains: Mapping[str, float],
+    point: tuple[float, float],
+    sample_time: float,
+    computation: float,
+    method: Method,
+    impact: HalfSine,
+    piezo_travel_m: float,
+) -> PointAssessment:
+    """Return all figures of a design at one operating point; see `gbid.assess` for the arguments."""
+    plant, controller = lpv.plant_at(*point), controller_at(structure, gains, *point)
+    loop = sensitivities(plant, controller)
+    closed = loop.model("plant")
+    actuators = evaluate(PiezoPair(), lpv.actuators, plant.input_names, ("u_x", "u_y"))
+    impacts = [
+        impact_response(plant, controller, turned, actuators=actuators, piezo_travel_m=piezo_travel_m)
+        for turned in (impact.towards(0.0), impact.towards(90.0))
+    ]
+    sampled = sampled_loop(exact_plant(lpv, *point), controller, sample_time, computation_s=computation, method=method)
+    stable = closed.is_stable()
+    stiffness = static_stiffness_ratio(loop) if stable else np.full(len(plant.C), np.nan)
+    return PointAssessment(
+        *point,
+        stable,
+        smallest_damping(closed),
+        tuple(closed.modes()),
+        float(-loop.poles.real.max() / (2 * np.pi)),
+        loop.peak("output"),
+        loop.peak("control"),
+        disk_margin(loop),
+        static_amplification(loop) if stable else inf,
+        tuple(float(ratio) for ratio in stiffness),
+        _largest(impacts, "peak_p_m"),
+        _largest(impacts, "peak_r_m"),
+        _largest(impacts, "stack_travel_m"),
+        any(impact.exceeds_travel for impact in impacts),
+        _largest(impacts, "decay_time_s"),
+        sampled.stable,
+        sampled.damping,
+        sampled.peak_output,
+    )
+
+
+def _largest(impacts: Sequence[ImpactResponse], figure: str) -> float:
+    return max(float(getattr(impact, figure)) for impact in impacts)
+
+
+@dataclass(frozen=True)
+class Assessment(Brief):
+    """Performance figures of a design over its operating points.
+
+    Attributes
+    ----------
+    name : str
+        Name of the design.
+    structure : str
+        Name of the structure of the controller.
+    gains : dict of str to float
+        Gains by name.
+    points : tuple of PointAssessment
+        Figures at each operating point, in the given order.
+    sample_time : float
+        Sample time of the sampled loop [s].
+    computation_s : float
+        Computation time of the sampled loop [s].
+    method : str
+        Method by which the controller was discretised.
+    impact : HalfSine
+        The reference impact, applied along x and along y.
+    """
+
+    name: str
+    structure: str
+    gains: Mapping[str, float]
+    points: tuple[PointAssessment, ...]
+    sample_time: float
+    computation_s: float
+    method: str
+    impact: HalfSine
+
+    def _brief(self) -> Description:
+        worst = {
+            name: f"{value:.5g} at {point_label(point.pressure_bar, point.speed_rpm)}"
+            for name, (value, point) in self.worst.items()
+        }
+        about = (
+            f"{self.name or self.structure}, {len(self.points)} operating points, {'' if self.stable else 'not '}stable"
+        )
+        return brief(self, about, gains=self.gains, **worst)
+
+    def to_frame(self) -> Any:
+        """Return the figures as a data frame, a row for each operating point.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        rows = [{"pressure_bar": p.pressure_bar, "speed_rpm": p.speed_rpm, **p.figures()} for p in self.points]
+        return data_frame({name: [row[name] for row in rows] for name in rows[0]})
+
+    @property
+    def stable(self) -> bool:
+        """Whether the continuous loop is stable at all operating points."""
+        return all(point.stable for point in self.points)
+
+    @property
+    def worst(self) -> dict[str, tuple[float, PointAssessment]]:
+        """Worst value of each of `FIGURES`, and the point where it occurs."""
+        found = {}
+        for name in FIGURES:
+            entries = [(point.figures()[name], point) for point in self.points]
+            found[name] = (min if name in LOWEST_IS_WORST else max)(entries, key=lambda entry: entry[0])
+        return found
+
+
+def assess(
+    lpv: LPVModel,
+    controller: str | Structure,
+    gains: Mapping[str, float],
+    points: Sequence[tuple[float, float]] | None = None,
+    *,
+    name: str = "",
+    sample_time: float = 2e-4,
+    computation_s: float | None = None,
+    method: Method = "tustin",
+    impact: HalfSine | None = None,
+    piezo_travel_m: float | None = None,
+) -> Assessment:
+    """Return the performance figures of a design over operating points.
+
+    Parameters
+    ----------
+    lpv : LPVModel
+        Model with actuators.
+    controller : str or Structure
+        ``"P"``, ``"PD"`` or ``"biquad"`` with default options, or a structure from `controller_structure` or
+        `scheduled`, or your own.
+    gains : dict of str to float
+        A value for every parameter of the structure.
+    points : sequence of (pressure_bar, speed_rpm), optional
+        Operating points; by default those of the model.
+    name : str
+        Name of the design, for tables; by default that of the structure.
+    sample_time : float
+        Sample time of the sampled loop [s].
+    computation_s : float, optional
+        Time from the sample of p to the change of r [s]; one sample when not given.
+    method : {"tustin", "zoh"}
+        Method by which the controller is discretised.
+    impact : HalfSine, optional
+        Reference impact, along x and along y; by default that of `HalfSine`.
+    piezo_travel_m : float, optional
+        Whole travel of one stack [m]; by default that in the model, or 45 um when the model does not give it.
+
+    Returns
+    -------
+    Assessment
+        Figures of the continuous loop with the Pade delays of the model, and of the sampled loop with exact delays.
+
+    Raises
+    ------
+    UsageError
+        When the model has no actuators or no points, when a point lies outside its domain, or when gains do not fit.
+    """
+    structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
+    chosen = tuple(lpv.operating_points if points is None else points)
+    if not chosen:
+        raise UsageError(f"assess: no operating points; give points=[(pressure_bar, speed_rpm), ...] for {lpv.name!r}")
+    impact = impact or HalfSine()
+    computation = sample_time if computation_s is None else computation_s
+    if piezo_travel_m is None:
+        piezo_travel_m = lpv.rig["piezo_travel"].to("m") if "piezo_travel" in lpv.rig else 45e-6
+    conditions = sample_time, computation, method, impact, piezo_travel_m
+    results = tuple(assess_point(lpv, structure, gains, (float(bar), float(rpm)), *conditions) for bar, rpm in chosen)
+    return Assessment(
+        name or structure.name, structure.name, dict(gains), results, sample_time, computation, method, impact
+    )
+
+
+# ---- Comparison of control designs.
+
+COLUMNS = (
+    ("smallest damping", "damping", 1.0, ".3f"),
+    ("peak S_o", "peak_output", 1.0, ".3f"),
+    ("peak K S_o", "peak_control", 1.0, ".3f"),
+    ("disk margin", "disk_margin", 1.0, ".3f"),
+    ("static S_o", "static_amplification", 1.0, ".3f"),
+    ("stiffness ratio", "stiffness_ratio", 1.0, ".3f"),
+    ("slowest decay [Hz]", "slowest_decay_hz", 1.0, ".1f"),
+    ("disc [um]", "impact_p_m", 1e6, ".2f"),
+    ("stack [um]", "stack_travel_m", 1e6, ".2f"),
+    ("decay [ms]", "decay_time_s", 1e3, ".1f"),
+    ("sampled damping", "sampled_damping", 1.0, ".3f"),
+    ("sampled peak S_o", "sampled_peak_output", 1.0, ".3f"),
+)
+"""Heading, figure of `Assessment.worst`, factor and format of each column."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Worst figures of several designs.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Headings; the first is for the name of the design.
+    values : tuple of tuple of float
+        One row per design, without its name, in the units of the headings.
+    rows : tuple of tuple of str
+        One row per design as formatted texts.
+    """
+
+    columns: tuple[str, ...]
+    values: tuple[tuple[float, ...], ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        return html_table(self.table())
+
+    def table(self) -> Table:
+        """Return the table with its values; `to_frame` of it makes a data frame."""
+        names = [row[0] for row in self.rows]
+        shown = zip(names, self.rows, self.values, strict=True)
+        rows: list[list[Entry]] = [[name, *map(Cell, values, texts[1:])] for name, texts, values in shown]
+        return Table("", [Column(heading) for heading in self.columns], rows)
+
+    def to_frame(self) -> Any:
+        """Return the figures as a pandas.DataFrame, a row for each design.
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return self.table().to_frame().set_index(self.columns[0])
+
+    def __str__(self) -> str:
+        """Return a table with aligned columns."""
+        table = (self.columns, *self.rows)
+        widths = [max(len(row[i]) for row in table) for i in range(len(self.columns))]
+        return "\n".join("  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in table)
+
+
+def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
+    """Return the worst figures of several designs in one table.
+
+    Parameters
+    ----------
+    assessments : sequence of Assessment
+        Assessments over the same operating points, with the same impact and sampling.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    UsageError
+        When there are no assessments, or when their conditions differ.
+    """
+    if not assessments:
+        raise UsageError("compare_designs: no designs")
+    first = assessments[0]
+    for other in assessments[1:]:
+        if _conditions(other) != _conditions(first):
+            raise UsageError(
+                f"compare_designs: {other.name!r} and {first.name!r} were assessed at other points, with other impacts "
+                "or another sampling; assess them alike"
+            )
+    values = tuple(
+        tuple(factor * assessment.worst[figure][0] for _, figure, factor, _ in COLUMNS) for assessment in assessments
+    )
+    rows = tuple(
+        (assessment.name, *(format(value, spec) for value, (*_, spec) in zip(row, COLUMNS, strict=True)))
+        for assessment, row in zip(assessments, values, strict=True)
+    )
+    return Comparison(("design", *(heading for heading, *_ in COLUMNS)), values, rows)
+
+
+def _conditions(assessment: Assessment) -> tuple[object, ...]:
+    points = tuple((point.pressure_bar, point.speed_rpm) for point in assessment.points)
+    return points, assessment.impact, assessment.sample_time, assessment.computation_s, assessment.method
+
+
+# ---- Tuned designs and their performance in HDF5 (kind ``tuning``).
+
+KIND = hdf5.FileKind("tuning", "make it again with `gbid tune`", (None,))
+_VERDICTS = ("stable", "sampled_stable", "exceeds_travel")
+
+
+@dataclass(frozen=True, eq=False)
+class DesignFigures:
+    """Performance of a design at operating points, as numbers.
+
+    Attributes
+    ----------
+    name, structure : str
+        Names of design and structure.
+    gains : dict of str to float
+        Gains by name.
+    points : (m, 2) array
+        Operating points: pressure [bar], speed [rpm].
+    figures : (m, 12) array
+        Figures in the order and units of `gbid.control.assess.FIGURES`.
+    stable, sampled_stable, exceeds_travel : (m,) boolean array
+        At each point: whether the continuous loop is stable; whether the sampled loop is stable; whether the impact
+        needs more travel than a stack has.
+    """
+
+    name: str
+    structure: str
+    gains: Annotated[Mapping[str, float], Stored("", "gains", "gains")]
+    points: Annotated[FloatArray, Stored("bar, rpm", "operating points", "points 2")]
+    figures: Annotated[FloatArray, Stored("SI", "figures of the design at the points", "points figures")]
+    stable: Annotated[BoolArray, Stored("", "stable, at the points", "points")]
+    sampled_stable: Annotated[BoolArray, Stored("", "sampled stable, at the points", "points")]
+    exceeds_travel: Annotated[BoolArray, Stored("", "exceeds travel, at the points", "points")]
+
+    @classmethod
+    def of(cls, assessment: Assessment) -> DesignFigures:
+        """Return the numbers of an assessment."""
+        points = [(q.pressure_bar, q.speed_rpm) for q in assessment.points]
+        figures = [[q.figures()[name] for name in FIGURES] for q in assessment.points]
+        verdicts = (np.array([getattr(q, name) for q in assessment.points]) for name in _VERDICTS)
+        about = assessment.name, assessment.structure, assessment.gains
+        return cls(*about, np.array(points), np.array(figures), *verdicts)
+
+    def at(self, row: int) -> dict[str, float]:
+        """Return the figures at one of the points, by name."""
+        return dict(zip(FIGURES, map(float, self.figures[row]), strict=True))
+
+    @property
+    def worst(self) -> dict[str, tuple[float, tuple[float, float]]]:
+        """Worst value of each figure and the operating point where it occurs."""
+        found = {}
+        for name, column in zip(FIGURES, self.figures.T, strict=True):
+            row = int((np.argmin if name in LOWEST_IS_WORST else np.argmax)(column))
+            found[name] = (float(column[row]), (float(self.points[row, 0]), float(self.points[row, 1])))
+        return found
+
+
+class CappedDesign(NamedTuple):
+    """Design under a cap on the peak of S_o.
+
+    Attributes
+    ----------
+    cap : float
+        The cap.
+    result : GainResult
+        The design.
+    """
+
+    cap: float
+    result: GainResult
+
+
+class RobustPromise(NamedTuple):
+    """What a robust design promises on plants that it has not seen, beside the nominal design.
+
+    Attributes
+    ----------
+    probability, confidence : float
+        Probability of the promise, and its confidence.
+    promised : float
+        Objective that a plant reaches with this probability; minus infinity when there were too few draws.
+    keeps_limits : float
+        Lower confidence bound of the probability that a plant keeps all limits.
+    plants : int
+        Number of drawn plants for which the design was optimised.
+    fresh : int
+        Number of drawn plants that verified it.
+    of_nominal : float
+        Objective that the nominal design reaches with this probability.
+    limits_of_nominal : float
+        Share of the plants in which the nominal design keeps the limits.
+    nominal : float
+        Objective of the nominal design on the nominal plant.
+    """
+
+    probability: float
+    confidence: float
+    promised: float
+    keeps_limits: float
+    plants: int
+    fresh: int
+    of_nominal: float
+    limits_of_nominal: float
+    nominal: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the promise is finite, and the limits hold with the probability as well."""
+        return bool(np.isfinite(self.promised) and self.keeps_limits >= self.probability)
+
+
+@dataclass(frozen=True, eq=False)
+class TunedDesign:
+    """Tuned design with its performance.
+
+    Attributes
+    ----------
+    name : str
+        Name of the design.
+    plant : str
+        Name of the model for which it was tuned.
+    result : GainResult
+        Result of the tuning. Read from a file it has no structure; the controller file contains that.
+    performance : tuple of DesignFigures
+        Performance of the design, and of the published controller if there is one.
+    front : tuple of CappedDesign
+        Designs of the same structure under other caps on the peak of S_o, in rising order.
+    impact : HalfSine
+        Impact for the figures.
+    sample_time : float
+        Sample time of the sampled loop [s]; its computation takes one sample.
+    method : {"tustin", "zoh"}
+        Discretisation of the controller.
+    promises : tuple of RobustPromise
+        Of a robust design: its promise, and those of designs for other probabilities, in rising order.
+    """
+
+    name: str
+    plant: str
+    result: GainResult
+    performance: tuple[DesignFigures, ...]
+    front: tuple[CappedDesign, ...]
+    impact: HalfSine
+    sample_time: float
+    method: Method = "tustin"
+    promises: tuple[RobustPromise, ...] = ()
+
+
+def save_tuned(design: TunedDesign, path: str | Path, overwrite: bool = False) -> None:
+    """Write a tuned design to an HDF5 file.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set.
+    DataError
+        When the file cannot be written.
+    """
+    with hdf5.writing(path, KIND, overwrite) as file:
+        hdf5.write_fields(file, design)
+        for performance in file["performance"].values():
+            hdf5.add_texts(performance["figures"], "columns", FIGURES)
+
+
+def load_tuned(path: str | Path) -> TunedDesign:
+    """Return the tuned design in an HDF5 file of `save_tuned`.
+
+    Raises
+    ------
+    DataError
+        When the file is missing, unreadable, incomplete or of another kind.
+    """
+    return hdf5.load(path, KIND, TunedDesign)

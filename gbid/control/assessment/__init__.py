@@ -1,1 +1,0 @@
-"""Assessment of control designs: figures over the operating points, comparison, and storage."""

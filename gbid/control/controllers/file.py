@@ -1,0 +1,478 @@
+"""Controller design: structure, gains, sampling and provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from gbid._version import __version__
+from gbid.control.controllers.built_in import built_in_structures
+from gbid.control.controllers.parts import INPUTS, NOT_OPTIONS, OUTPUTS
+from gbid.control.controllers.scheduled import Scheduled, controller_at, scheduled, with_schedule
+from gbid.control.controllers.structures import channels_of, controller_structure
+from gbid.control.loop.close import Method, sample_controller
+from gbid.core.brief import Brief
+from gbid.core.errors import UsageError
+from gbid.core.files import atomic_path, in_one_line
+from gbid.core.names import given_path
+from gbid.core.yaml_file import YamlFile, read_yaml, write_yaml
+from gbid.lpv import Domain
+from gbid.lpv.model import FileTable, Number
+from gbid.structure import LinearModel
+from gbid.structure.linear import Structure
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerDesign(Brief):
+    """Designed controller, as `load_controller` returns it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the design.
+    structure : Structure or Scheduled, optional
+        Structure of the controller. None for a user-defined structure that was not given when the file was read.
+    gains : dict of str to float
+        Gains, or coefficients of scheduled gains.
+    sample_time : float
+        Sample time T_s of the sampled controller [s].
+    method : {"tustin", "zoh"}
+        Method of discretisation.
+    units : dict of str to str
+        Unit of each gain.
+    plant : str
+        Name of the model for which it was designed.
+    provenance : dict of str to str or float
+        Additional information, such as limits, value reached, program and date.
+    models : dict of (pressure_bar, speed_rpm) or None to LinearModel
+        Stored continuous models: one under None, or one per operating point of a scheduled controller.
+    notes : tuple of str
+        What a user should know about the file from which it was loaded: that it was changed by hand.
+
+    Raises
+    ------
+    UsageError
+        When the sample time is not positive, or when the method is unknown.
+    """
+
+    name: str
+    structure: Structure | Scheduled | None
+    gains: Mapping[str, float]
+    sample_time: float = 2e-4
+    method: Method = "tustin"
+    units: Mapping[str, str] = field(default_factory=dict)
+    plant: str = ""
+    provenance: Mapping[str, str | float] = field(default_factory=dict)
+    models: Mapping[Point | None, LinearModel] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.sample_time) and self.sample_time > 0):
+            raise UsageError(
+                f"controller {self.name!r}: sample_time = {self.sample_time} s; give a positive number of seconds"
+            )
+        if self.method not in ("tustin", "zoh"):
+            raise UsageError(f"controller {self.name!r}: method = {self.method!r}; choose 'tustin' or 'zoh'")
+
+    def at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
+        """Return the continuous controller.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm : float, optional
+            Operating point [bar], [rpm]; required for a scheduled controller, ignored by others.
+
+        Returns
+        -------
+        LinearModel
+
+        Raises
+        ------
+        UsageError
+            When a scheduled controller gets no point, a point outside its domain, or, without its structure, a point
+            that is not stored.
+        """
+        point = None if pressure_bar is None or speed_rpm is None else (float(pressure_bar), float(speed_rpm))
+        if self.structure is None:
+            for key in (point, None):
+                if key in self.models:
+                    return self.models[key]
+            raise UsageError(
+                f"controller {self.name!r}: no model is stored for operating point {point}; give its structure: "
+                "load_controller(path, structure=...)"
+            )
+        if point is None:
+            if isinstance(self.structure, Scheduled):
+                raise UsageError(
+                    f"controller {self.name!r}: its gains follow the operating point; give pressure_bar and speed_rpm"
+                )
+            point = (0.0, 0.0)
+        return controller_at(self.structure, self.gains, *point)
+
+    def sampled_at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
+        """Return the controller discretised by its own method at its own sample time; see `at`.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm : float, optional
+            As for `at`.
+        """
+        return sample_controller(self.at(pressure_bar, speed_rpm), self.sample_time, self.method)
+
+
+# ---- Schema of a controller file.
+
+SCHEMA_VERSION = 1
+LOOP = "r = K p, the output is added to the plant's input as it is (positive feedback)"
+Rows = tuple[tuple[Number, ...], ...]
+
+
+@dataclass(frozen=True)
+class GainTable(FileTable):
+    """Value and unit of one gain."""
+
+    value: Number
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class StructureTable(FileTable):
+    """Built-in structure with its options, or name of a user-defined structure."""
+
+    kind: str
+    name: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ScheduleTable(FileTable):
+    """Terms of scheduled gains, and the ranges that scale pressure and speed."""
+
+    terms: tuple[str, ...]
+    pressure_bar: tuple[Number, Number]
+    speed_rpm: tuple[Number, Number]
+
+
+@dataclass(frozen=True)
+class SamplingTable(FileTable):
+    """Sample time [s] and method of discretisation."""
+
+    sample_time_s: Number
+    method: Literal["tustin", "zoh"]
+
+
+@dataclass(frozen=True)
+class MatricesTable(FileTable):
+    """State-space matrices, row by row."""
+
+    A: Rows
+    B: Rows
+    C: Rows
+    D: Rows
+
+
+@dataclass(frozen=True)
+class ControllerModelTable(FileTable):
+    """Matrices of the controller; for scheduled gains at one operating point."""
+
+    continuous: MatricesTable
+    sampled: MatricesTable
+    pressure_bar: Number | None = None
+    speed_rpm: Number | None = None
+
+
+@dataclass(frozen=True)
+class ControllerFile(FileTable):
+    """Contents of a controller file."""
+
+    kind: Literal["controller"]
+    schema_version: Literal[1]
+    name: str
+    structure: StructureTable
+    gains: dict[str, GainTable]
+    sampling: SamplingTable
+    models: tuple[ControllerModelTable, ...]
+    loop: str = ""
+    creator: str = ""
+    inputs: tuple[str, ...] = INPUTS
+    outputs: tuple[str, ...] = OUTPUTS
+    schedule: ScheduleTable | None = None
+    plant: str = ""
+    provenance: dict[str, str | Number] = field(default_factory=dict)
+
+
+def parse(file: YamlFile) -> ControllerFile:
+    """Return the checked contents of a controller file.
+
+    Raises
+    ------
+    UsageError
+        When the file has problems; one line for each, as ``file:line:col: what``.
+    """
+    try:
+        return TypeAdapter(ControllerFile).validate_python(file.data)
+    except ValidationError as error:
+        raise UsageError("\n".join(_message(file, problem) for problem in error.errors())) from None
+
+
+def _message(file: YamlFile, problem: Any) -> str:
+    location = tuple(problem["loc"])
+    name, where = ".".join(str(key) for key in location), file.position(location)
+    if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        return f"{where}: unknown key {name!r}; remove it or correct its spelling"
+    if problem["type"] in ("missing", "missing_argument"):
+        return f"{where}: {name!r} is missing; write it as save_controller does"
+    return f"{where}: {name} = {problem['input']!r}: {problem['msg']}; correct it"
+
+
+# ---- Controller files in YAML, for the real-time target and for later use.
+
+
+def save_controller(
+    path: str | Path,
+    structure: Structure | Scheduled | str,
+    gains: Mapping[str, float],
+    *,
+    name: str = "",
+    sample_time: float = 2e-4,
+    method: Method = "tustin",
+    plant: str = "",
+    points: Sequence[Point] = (),
+    provenance: Mapping[str, str | float] | None = None,
+    overwrite: bool = False,
+) -> ControllerDesign:
+    """Write a controller as a YAML file, and return the design.
+
+    The file has the structure, the gains with units, the sampling and the matrices.
+
+    Parameters
+    ----------
+    path : str or path
+        The new file, ending in .yaml.
+    structure : Structure, Scheduled or str
+        Structure of the controller; see `controller_structure`.
+    gains : dict of str to float
+        A value for every parameter of the structure.
+    name : str
+        Name of the design; by default that of the structure.
+    sample_time : float
+        Sample time T_s of the sampled matrices [s].
+    method : {"tustin", "zoh"}
+        Method of discretisation; see `gbid.control.sample_controller`.
+    plant : str
+        Name of the model for which it was designed.
+    points : sequence of (pressure_bar, speed_rpm)
+        Operating points whose matrices are written; required for a scheduled controller.
+    provenance : dict of str to str or float, optional
+        Additional information to store.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    ControllerDesign
+        The design as written.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set, when it has another ending, when gains do not fit, or when
+        `points` are missing for a scheduled controller or given for another one.
+    DataError
+        When the file cannot be written.
+    """
+    path = given_path(path)
+    if path.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"{path}: a controller file ends in .yaml")
+    if not isinstance(structure, Scheduled):
+        structure = with_schedule(controller_structure(structure))
+    if isinstance(structure, Scheduled) != bool(points):
+        raise UsageError(
+            f"controller {structure.name!r}: "
+            + (
+                "its gains do not depend on the operating point; leave points= out"
+                if points
+                else "give the operating points= to be written"
+            )
+        )
+    units = {parameter.name: parameter.unit for parameter in structure.parameters}
+    values = {key: float(value) for key, value in gains.items()}
+    design = ControllerDesign(
+        name or structure.name, structure, values, sample_time, method, units, plant, dict(provenance or {})
+    )
+    keys: list[Point | None] = [(float(p), float(s)) for p, s in points] or [None]
+    models = {key: design.at(*key) if key else design.at() for key in keys}
+    with atomic_path(path, overwrite) as part:
+        write_yaml(_contents(design, structure, models), part)
+    return ControllerDesign(
+        design.name, structure, values, sample_time, method, units, plant, design.provenance, models
+    )
+
+
+def load_controller(path: str | Path, structure: Structure | Scheduled | None = None) -> ControllerDesign:
+    """Return the design stored in a controller file.
+
+    Parameters
+    ----------
+    path : str or path
+        The file.
+    structure : Structure or Scheduled, optional
+        Structure of a user-defined controller. Without it, only the stored matrices are available.
+
+    Returns
+    -------
+    ControllerDesign
+        The design. Its notes say when the file was changed by hand after gbid wrote it. Its matrices are then computed
+        from the gains and the sampling in the file.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing or faulty (with line and column). Also when its matrices do not agree with its gains
+        in a file without checksum, or without the structure that gives the matrices.
+    """
+    file = read_yaml(given_path(path))
+    table = parse(file)
+    try:
+        built = _structure(table, structure)
+        design = ControllerDesign(
+            table.name,
+            built,
+            {key: gain.value for key, gain in table.gains.items()},
+            table.sampling.sample_time_s,
+            table.sampling.method,
+            {key: gain.unit for key, gain in table.gains.items()},
+            table.plant,
+            table.provenance,
+            {_point(model): _model(table, model.continuous) for model in table.models},
+            file.notes,
+        )
+        differences = [
+            _difference(file, design, i, model, _model(table, model.sampled, design.sample_time))
+            for i, model in enumerate(table.models)
+        ]
+    except UsageError as error:
+        raise UsageError(str(error) if str(error).startswith(str(file.path)) else f"{file.path}: {error}") from None
+    return _from_gains(design, [text for text in differences if text])
+
+
+def _from_gains(design: ControllerDesign, differences: Sequence[str]) -> ControllerDesign:
+    """Return a design whose matrices agree with its gains; those of a file changed by hand are computed anew."""
+    if not design.notes:
+        if differences:
+            raise UsageError(f"{differences[0]}; write the file anew with save_controller")
+        return design
+    if design.structure is None:
+        if differences:
+            raise UsageError(f"{differences[0]}; give its structure: load_controller(path, structure=...)")
+        return replace(design, notes=(f"{design.notes[0]}; its matrices are used as they are stored",))
+    models = {point: design.at(*(point or ())) for point in design.models}
+    words = f"{design.notes[0]}; its matrices are computed from the gains and the sampling in the file"
+    return replace(design, models=models, notes=(words, *differences[:1]))
+
+
+def _contents(
+    design: ControllerDesign, structure: Structure | Scheduled, models: Mapping[Point | None, LinearModel]
+) -> dict[str, Any]:
+    base = structure.base if isinstance(structure, Scheduled) else structure
+    inputs, outputs = channels_of(base)
+    built_in = next((kind for kind, cls in built_in_structures().items() if type(base) is cls), None)
+    table: dict[str, Any] = {"kind": built_in or "own", "name": base.name}
+    if built_in:
+        fields = asdict(base)  # type: ignore[call-overload]
+        table["options"] = {k: v for k, v in fields.items() if k not in NOT_OPTIONS}
+    contents: dict[str, Any] = {
+        "kind": "controller",
+        "schema_version": SCHEMA_VERSION,
+        "name": design.name,
+        "creator": f"gbid {__version__}",
+        "loop": LOOP,
+        "inputs": list(inputs),
+        "outputs": list(outputs),
+        "plant": design.plant,
+        "structure": table,
+    }
+    if isinstance(structure, Scheduled):
+        contents["schedule"] = {"terms": list(structure.terms), **asdict(structure.domain)}
+    contents["gains"] = {key: {"value": value, "unit": design.units[key]} for key, value in design.gains.items()}
+    contents["sampling"] = {"sample_time_s": design.sample_time, "method": design.method}
+    contents["provenance"] = dict(design.provenance)
+    contents["models"] = [
+        {
+            **({} if key is None else {"pressure_bar": key[0], "speed_rpm": key[1]}),
+            "continuous": _rows(model),
+            "sampled": _rows(design.sampled_at(*key) if key else design.sampled_at()),
+        }
+        for key, model in models.items()
+    ]
+    return {key: value for key, value in contents.items() if value not in ("", {})}
+
+
+def _rows(model: LinearModel) -> dict[str, Any]:
+    return {letter: [[float(v) for v in row] for row in getattr(model, letter)] for letter in "ABCD"}
+
+
+def _model(table: ControllerFile, matrices: MatricesTable, dt: float | None = None) -> LinearModel:
+    n, n_p, n_r = len(matrices.A), len(table.inputs), len(table.outputs)
+    shapes = {"A": (n, n), "B": (n, n_p), "C": (n_r, n), "D": (n_r, n_p)}
+    parts = {}
+    for letter, (height, width) in shapes.items():
+        rows = getattr(matrices, letter)
+        if len(rows) != height or any(len(row) != width for row in rows):
+            raise UsageError(f"matrix {letter} of the controller is not ({height}, {width})")
+        parts[letter] = np.array(rows, float).reshape(height, width)
+    A, B, C, D = parts.values()
+    return LinearModel(A, B, C, D, dt=dt, input_names=table.inputs, output_names=table.outputs, name=table.name)
+
+
+def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> Structure | Scheduled | None:
+    if table.structure.kind == "own":
+        if given is not None and given.name != table.structure.name and not isinstance(given, Scheduled):
+            raise UsageError(f"its structure is {table.structure.name!r}, not {given.name!r}")
+        return given
+    if given is not None:
+        raise UsageError(f"its structure is the built-in {table.structure.kind!r}; leave structure= out")
+    options = {k: tuple(v) if isinstance(v, list) else v for k, v in table.structure.options.items()}
+    try:
+        base = controller_structure(table.structure.kind, **options)
+    except (TypeError, ValueError, ArithmeticError) as error:  # an option of another type
+        if isinstance(error, UsageError):
+            raise
+        words = f"the options of its structure {table.structure.kind!r} do not fit: {in_one_line(error)}"
+        raise UsageError(f"{words}; write them as save_controller does") from None
+    if table.schedule is None:
+        return base
+    schedule = table.schedule
+    return scheduled(base, schedule.terms, Domain(schedule.pressure_bar, schedule.speed_rpm))
+
+
+def _point(model: ControllerModelTable) -> Point | None:
+    if model.pressure_bar is None or model.speed_rpm is None:
+        return None
+    return (model.pressure_bar, model.speed_rpm)
+
+
+def _difference(
+    file: YamlFile, design: ControllerDesign, i: int, stored: ControllerModelTable, sampled: LinearModel
+) -> str:
+    """Return where matrices do not agree with gains and sampling, because only one of them was changed."""
+    point = _point(stored) or ()
+    for what, found, expected in (
+        ("continuous", design.models[_point(stored)], design.at(*point)),
+        ("sampled", sampled, design.sampled_at(*point)),
+    ):
+        for letter in "ABCD":
+            given, computed = getattr(found, letter), getattr(expected, letter)
+            scale = float(np.abs(computed).max()) if computed.size else 0.0
+            if given.shape != computed.shape or not np.allclose(given, computed, rtol=1e-9, atol=1e-9 * scale):
+                where = file.position(("models", i, what, letter))
+                return f"{where}: {what} {letter} is not what the gains and the sampling give"
+    return ""

@@ -1,1 +1,0 @@
-"""Identification of modes from the ring-down after hammer impacts."""

@@ -1,0 +1,619 @@
+"""Goal of a design: what it adds to the objective and the limits of a search."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from typing import ClassVar
+
+import numpy as np
+import scipy
+
+from gbid.control.tuning.loops import LoopFamily
+from gbid.control.tuning.peaks import respond
+from gbid.control.tuning.plane import (
+    Eigensystem,
+    damping_factors,
+    damping_slopes,
+    rate_slopes,
+    searched_frequencies,
+    true_rates,
+)
+from gbid.control.tuning.problem import ExtraLimit, Limits, LoopState, Measure, Pieces
+from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray, is_finite
+from gbid.core.brief import Brief
+from gbid.core.errors import UsageError
+from gbid.recording import Recording
+from gbid.structure import LinearModel
+
+
+@dataclass(frozen=True, eq=False)
+class DesignContext:
+    """What goals need to know about the loops.
+
+    Attributes
+    ----------
+    plant : LinearModel
+        One of the plants in continuous time.
+    """
+
+    plant: LinearModel
+
+
+class Goal(ABC):
+    """Objective or limit of a design; see `gbid.tune`."""
+
+    @abstractmethod
+    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+        """Return the limits with this goal.
+
+        Parameters
+        ----------
+        limits : Limits
+            Objective and limits so far.
+        context : DesignContext
+            What goals need to know about the loops.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted(Goal):
+    """Base of the goals that are a limit or, with ``soft=True``, an objective.
+
+    Parameters
+    ----------
+    soft : bool
+        Whether the goal is an objective. The search then makes its excess ``log(weight * value / limit)`` as small as
+        it can. With several objectives it improves the worst one.
+    weight : float
+        Weight of an objective: with a larger one the search does more for it.
+    """
+
+    soft: bool = False
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (is_finite(self.weight) and self.weight > 0):
+            raise UsageError(f"{type(self).__name__}: weight = {self.weight!r}; give a positive number")
+        if self.weight != 1.0 and not self.soft:
+            raise UsageError(f"{type(self).__name__}: weight belongs to an objective; give soft=True as well")
+
+    @abstractmethod
+    def measure(self, context: DesignContext) -> Measure:
+        """Return the measure of this goal with its weight.
+
+        Parameters
+        ----------
+        context : DesignContext
+            What goals need to know about the loops.
+        """
+
+    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+        """Return the limits with this goal among the objectives or the limits."""
+        found = self.measure(context)
+        return (
+            replace(limits, soft=(*limits.soft, found)) if self.soft else replace(limits, extra=(*limits.extra, found))
+        )
+
+
+def positive(goal: Goal, **values: float) -> None:
+    """Refuse values of a goal that are not positive numbers.
+
+    Raises
+    ------
+    UsageError
+        When one of them is not.
+    """
+    for name, value in values.items():
+        if not (is_finite(value) and value > 0):
+            raise UsageError(f"{type(goal).__name__}: {name} = {value!r}; give a positive number")
+
+
+def band(goal: Goal, low_hz: float, high_hz: float) -> None:
+    """Refuse a band of frequencies that is empty.
+
+    Raises
+    ------
+    UsageError
+        When it is.
+    """
+    numbers = is_finite(low_hz) and (is_finite(high_hz) or high_hz == inf)
+    if not numbers or not 0 <= low_hz < high_hz:
+        raise UsageError(f"{type(goal).__name__}: low_hz = {low_hz!r}, high_hz = {high_hz!r}; give 0 <= low < high")
+
+
+def limits_of(goals: Sequence[Goal], context: DesignContext) -> Limits:
+    """Return objective and limits of a list of goals.
+
+    Raises
+    ------
+    UsageError
+        When there is no goal, when one is not a `Goal`, or when none of them is an objective.
+    """
+    for goal in goals:
+        if not isinstance(goal, Goal):
+            raise UsageError(f"goals: {goal!r} is no goal; give a list such as [MaxDamping(), PeakSensitivity(2.0)]")
+    limits = Limits(weight=inf)  # no objective yet
+    for goal in goals:
+        limits = goal.add_to(limits, context)
+    if limits.weight == inf:
+        if not limits.soft:
+            raise UsageError("goals: none of them is an objective; add MaxDamping(), or make one soft=True")
+        limits = replace(limits, weight=0.0)
+    return limits
+
+
+# ---- Bounds over frequency: a number, breakpoints, or the gain of a transfer function.
+
+BoundLike = float | Sequence[tuple[float, float]] | LinearModel
+"""A number, ``(frequency_hz, bound)`` breakpoints, or a model with one input and one output whose gain is the bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """Bound as a function of frequency.
+
+    Attributes
+    ----------
+    of_hz : callable
+        From frequencies [Hz] to bounds, for arrays of any shape.
+    places_hz : (k,) array
+        Frequencies at which it has a corner, a step, or a narrow dip [Hz].
+    """
+
+    of_hz: Callable[[FloatArray], FloatArray]
+    places_hz: FloatArray
+
+
+def bound_over_frequency(bound: BoundLike, what: str) -> Bound:
+    """Return a bound as a function of frequency.
+
+    Parameters
+    ----------
+    bound : float, sequence of (frequency_hz, bound), or LinearModel
+        Between breakpoints the bound is straight in logarithmic axes; outside it is constant.
+    what : str
+        Name for messages.
+
+    Raises
+    ------
+    UsageError
+        When numbers are not positive, when breakpoints do not rise in frequency, or when a model has more than one
+        input or output.
+    """
+    if isinstance(bound, LinearModel):
+        if bound.D.shape != (1, 1):
+            raise UsageError(f"{what}: model {bound.name!r} as a bound has {bound.D.shape} channels; give one by one")
+        return _gain(bound)
+    if isinstance(bound, int | float | np.integer | np.floating):
+        value = float(bound)
+        if not (is_finite(bound) and value > 0):
+            raise UsageError(f"{what} = {bound!r}; give a positive number")
+        return Bound(lambda hz: np.full(np.shape(hz), value), np.zeros(0))
+    try:
+        points = np.array([(float(hz), float(value)) for hz, value in bound])
+    except (TypeError, ValueError):
+        points = np.zeros((0, 2))
+    if len(points) < 2 or not (np.isfinite(points) & (points > 0)).all() or not (np.diff(points[:, 0]) > 0).all():
+        raise UsageError(
+            f"{what} = {bound!r}; give a positive number, or (frequency_hz, bound) with rising frequencies"
+        )
+    x, y = np.log(points).T
+    return Bound(lambda hz: np.exp(np.interp(np.log(np.maximum(hz, 1e-300)), x, y)), points[:, 0])
+
+
+def _gain(model: LinearModel) -> Bound:
+    """Return the gain of a model; next to its zero at rest and its poles without damping, where it is 0 or infinite."""
+    places, poles = _places(model), np.linalg.eigvals(model.A)
+    still = np.unique(np.abs(poles.imag[np.abs(poles.real) <= 1e-9 * np.abs(poles)])) / (2 * np.pi)
+    scale = float(places[places > 0].min()) if places.any() else 1.0
+
+    def of_hz(hz: FloatArray) -> FloatArray:
+        at = np.maximum(np.ravel(hz), 1e-6 * scale)
+        for pole in still:
+            at = np.where(np.abs(at - pole) <= 1e-9 * pole, pole * (1 + 2e-9), at)
+        return np.asarray(np.abs(model.frequency_response(at)[:, 0, 0]).reshape(np.shape(hz)))
+
+    return Bound(of_hz, places)
+
+
+def _places(model: LinearModel) -> FloatArray:
+    """Return the frequencies of the poles and zeros of a model with one input and one output [Hz]."""
+    A, B, C, D = model.A, model.B, model.C, model.D
+    whole = np.block([[A, B], [C, D]])
+    zeros = scipy.linalg.eigvals(whole, np.diag([*np.ones(len(A)), 0.0]))
+    found = np.concatenate([np.linalg.eigvals(A), zeros[np.isfinite(zeros)]]) if len(A) else np.zeros(0)
+    places = np.unique(np.concatenate([np.abs(found), np.abs(found.imag)])) / (2 * np.pi)
+    fastest = np.abs(np.linalg.eigvals(A)).max(initial=0.0) / (2 * np.pi)  # what rounding leaves of 0 and of infinity
+    return np.asarray(places[(places > 1e-9 * fastest) & (places < 1e9 * max(fastest, 1e-9))])
+
+
+# ---- Goals on the modes of the loop: damping and decay, of all modes or of those in a band of frequencies.
+
+
+@dataclass(frozen=True)
+class ModeMeasure(Measure):
+    """Excess ``limit - value / weight`` of the modes in a band: damping factors, or decay in units of the limit.
+
+    Parameters
+    ----------
+    name : str
+        Name of the limit.
+    limit : float
+        Smallest damping factor, or smallest decay rate [1/s].
+    decay : bool
+        Whether the decay is limited, in units of the limit (of 1 1/s when it is 0).
+    low_hz, high_hz : float
+        Natural frequencies of the modes that count [Hz].
+    weight : float
+        Weight.
+    """
+
+    name: str
+    limit: float
+    decay: bool = False
+    low_hz: float = 0.0
+    high_hz: float = inf
+    weight: float = 1.0
+
+    def excess(self, state: LoopState) -> FloatArray:
+        """Return the excess of the worst mode of each loop; minus infinity without a mode in the band."""
+        return np.asarray(np.where(self._counts(state), self._values(state), -np.inf).max(axis=1))
+
+    def pieces(self, state: LoopState, window: float) -> Pieces:
+        """Return the modes near the limit."""
+        T = state.family.sample_time
+        every = self._values(state)
+        upper = state.system.values.imag >= -REAL * np.abs(state.system.values)
+        loop, which = np.nonzero(self._counts(state) & upper & (every > -window))
+        values = state.system.values[loop, which]
+        slopes = state.system.slopes(loop, which, state.derivatives.dA) * rate_slopes(values, T)[:, None]
+        rates = true_rates(values, T)
+        gradient = -slopes.real / self._unit if self.decay else damping_slopes(rates, slopes, T)
+        return Pieces(loop, every[loop, which], -gradient / self.weight, values)
+
+    @property
+    def _unit(self) -> float:
+        return self.limit if self.limit > 0 else 1.0
+
+    def _values(self, state: LoopState) -> FloatArray:
+        T = state.family.sample_time
+        rates = true_rates(state.system.values, T)
+        value = -rates.real / self._unit if self.decay else damping_factors(rates, T)
+        limit = self.limit / self._unit if self.decay else self.limit
+        return np.asarray(limit - value / self.weight)
+
+    def _counts(self, state: LoopState) -> BoolArray:
+        size = np.abs(true_rates(state.system.values, state.family.sample_time)) / (2 * np.pi)
+        return np.asarray((size >= self.low_hz) & (size <= self.high_hz))
+
+
+@dataclass(frozen=True)
+class MaxDamping(Goal):
+    """Objective: the largest smallest damping factor of the oscillatory modes.
+
+    Parameters
+    ----------
+    weight : float
+        Weight beside soft goals: the objective is the damping factor over it.
+    low_hz, high_hz : float
+        Natural frequencies of the modes that count [Hz]; all modes by default.
+    """
+
+    weight: float = 1.0
+    low_hz: float = 0.0
+    high_hz: float = inf
+
+    def __post_init__(self) -> None:
+        positive(self, weight=self.weight)
+        band(self, self.low_hz, self.high_hz)
+
+    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+        """Return the limits with this objective."""
+        if (self.low_hz, self.high_hz) == (0.0, inf):
+            _only_one(limits)
+            return replace(limits, objective="damping", weight=1 / self.weight)
+        found = ModeMeasure("damping in the band", 0.0, False, self.low_hz, self.high_hz, self.weight)
+        return replace(limits, soft=(*limits.soft, found))
+
+
+@dataclass(frozen=True)
+class MaxDecay(Goal):
+    """Objective: the fastest slowest decay ``-Re`` of all poles [1/s].
+
+    Parameters
+    ----------
+    weight : float
+        Weight beside soft goals: the objective is the decay in units of a typical rate of the loops, over the weight.
+    """
+
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        positive(self, weight=self.weight)
+
+    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+        """Return the limits with this objective."""
+        _only_one(limits)
+        return replace(limits, objective="decay", weight=1 / self.weight)
+
+
+@dataclass(frozen=True)
+class MinDamping(Wanted):
+    """Smallest damping factor of the modes in a band; its excess is ``limit - damping / weight``.
+
+    Parameters
+    ----------
+    limit : float
+        Smallest allowed damping factor.
+    low_hz, high_hz : float
+        Natural frequencies of the modes that count [Hz].
+    soft, weight
+        See `Wanted`.
+    """
+
+    limit: float
+    low_hz: float = 0.0
+    high_hz: float = inf
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        band(self, self.low_hz, self.high_hz)
+        if not (is_finite(self.limit) and -1 < self.limit < 1):
+            raise UsageError(f"MinDamping: limit = {self.limit!r}; give a damping factor below 1")
+
+    def measure(self, context: DesignContext) -> ModeMeasure:
+        """Return the measure of this goal."""
+        return ModeMeasure("damping of modes", self.limit, False, self.low_hz, self.high_hz, self.weight)
+
+
+@dataclass(frozen=True)
+class SlowestPole(Wanted):
+    """Smallest decay rate ``-Re`` of the poles, real ones included, or of those in a band.
+
+    Parameters
+    ----------
+    rate : float
+        Smallest allowed decay rate [1/s]: the largest real part is ``-rate``.
+    low_hz, high_hz : float
+        Magnitudes of the poles that count, over 2 pi [Hz].
+    soft, weight
+        See `Wanted`.
+    """
+
+    rate: float
+    low_hz: float = 0.0
+    high_hz: float = inf
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        band(self, self.low_hz, self.high_hz)
+        if not (is_finite(self.rate) and self.rate >= 0):
+            raise UsageError(f"SlowestPole: rate = {self.rate!r}; give a rate of at least 0 in 1/s")
+
+    def measure(self, context: DesignContext) -> ModeMeasure:
+        """Return the measure of this goal."""
+        return ModeMeasure("slowest pole in the band", self.rate, True, self.low_hz, self.high_hz, self.weight)
+
+    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+        """Return the limits with this goal."""
+        if self.soft or (self.low_hz, self.high_hz) != (0.0, inf):
+            return super().add_to(limits, context)
+        return replace(limits, slowest_pole=max(limits.slowest_pole, self.rate))
+
+
+def _only_one(limits: Limits) -> None:
+    if limits.weight < inf:
+        raise UsageError("goals: MaxDamping and MaxDecay of all modes exclude each other and come once")
+
+
+# ---- Disturbance of the position: the spectrum that a recording shows, and lines such as unbalance.
+
+
+@dataclass(frozen=True, eq=False)
+class DisturbanceSpectrum(Brief):
+    """Disturbance d of the measured position in the open loop, as a one-sided spectrum.
+
+    Parameters
+    ----------
+    frequency_hz : (k,) array
+        Frequencies, rising [Hz].
+    density : (k, n, n) array
+        Hermitian spectral density matrices of d [m^2/Hz], straight between the frequencies and zero beyond them. The
+        variance of d is the integral of its diagonal over frequency. A line (unbalance at the speed) is a narrow peak
+        of it.
+    name : str
+        Name.
+    """
+
+    frequency_hz: FloatArray
+    density: ComplexArray
+    name: str = "disturbance"
+
+    def __post_init__(self) -> None:
+        try:
+            f, S = np.atleast_1d(np.asarray(self.frequency_hz, float)), np.asarray(self.density, complex)
+        except (TypeError, ValueError):
+            raise UsageError("disturbance: frequency_hz and density must be numbers") from None
+        if S.ndim != 3 or S.shape[0] != len(f) or S.shape[1] != S.shape[2] or len(f) < 2:
+            raise UsageError(f"disturbance: density has shape {S.shape}; give (k, n, n) for {len(f)} frequencies")
+        if not (np.isfinite(f).all() and np.isfinite(S).all() and (np.diff(f) > 0).all() and f[0] >= 0):
+            raise UsageError("disturbance: frequencies must rise from 0 or more, and all numbers must be finite")
+        size = float(np.abs(S).max())
+        hermitian = np.abs(S - S.conj().transpose(0, 2, 1)).max() <= 1e-9 * size
+        if not hermitian or np.linalg.eigvalsh(S).min() < -1e-9 * size:
+            raise UsageError("disturbance: density must be Hermitian, without negative eigenvalues, at each frequency")
+        object.__setattr__(self, "frequency_hz", f)
+        object.__setattr__(self, "density", S)
+
+    @property
+    def widths(self) -> FloatArray:
+        """Widths of the intervals around each frequency, for sums over frequency by the trapezoidal rule (k,) [Hz]."""
+        steps = np.diff(self.frequency_hz)
+        return np.asarray((np.append(steps, 0.0) + np.append(0.0, steps)) / 2)
+
+    @property
+    def rms(self) -> FloatArray:
+        """Rms of each channel (n,) [m]."""
+        return np.asarray(np.sqrt(np.einsum("k,kii->i", self.widths, self.density).real))
+
+
+def recorded_disturbance(
+    recordings: Recording | Sequence[Recording], signal: str = "p", *, segment_s: float = 0.5
+) -> DisturbanceSpectrum:
+    """Return the disturbance that recordings without excitation show: noise, unbalance and run-out.
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of these
+        Recordings of the open loop at rest, at the operating points of the design.
+    signal : str
+        Name of the measured position.
+    segment_s : float
+        Length of the segments of Welch's estimate [s].
+
+    Returns
+    -------
+    DisturbanceSpectrum
+        Mean of the recordings' spectra.
+
+    Raises
+    ------
+    UsageError
+        When a recording has no such signal or is shorter than a segment, or when sample times differ.
+    """
+    every = [recordings] if isinstance(recordings, Recording) else list(() if recordings is None else recordings)
+    if not every or not all(isinstance(one, Recording) for one in every):
+        raise UsageError("recorded_disturbance: give a gbid.Recording or a list of these")
+    if not (is_finite(segment_s) and segment_s > 0):
+        raise UsageError(f"recorded_disturbance: segment_s = {segment_s!r}; give a positive number of seconds")
+    found = []
+    for recording in every:
+        if signal not in recording.signals:
+            raise UsageError(
+                f"recording {recording.name!r}: no signal {signal!r}; there are {', '.join(recording.signals)}"
+            )
+        p, length = np.asarray(recording.signals[signal]), round(segment_s / recording.sample_time)
+        if recording.sample_time != every[0].sample_time:
+            raise UsageError("recorded_disturbance: the recordings have different sample times")
+        if length < 8 or len(p) < length:
+            raise UsageError(f"recording {recording.name!r}: {len(p)} samples; segment_s = {segment_s} does not fit")
+        parts = {"fs": 1 / recording.sample_time, "nperseg": length}
+        f, S = scipy.signal.csd(p.T[:, None], p.T[None], **parts)
+        found.append(np.moveaxis(S, -1, 0).transpose(0, 2, 1))
+    return DisturbanceSpectrum(f, np.mean(found, axis=0), signal)
+
+
+# ---- Goals on the rms of position and reference under a measured disturbance (an H2 norm).
+
+_LINES = 384
+"""Number of frequencies at which a response is computed."""
+_LOW = 1e-3
+"""Share of the highest frequency below which intervals are no longer in proportion to the frequency."""
+
+
+@dataclass(frozen=True)
+class RmsGoal(Wanted):
+    r"""Base of the goals on the rms under a disturbance d of the position, over all channels.
+
+    .. math:: \sqrt{\int \operatorname{tr}\left(M(f)\, \Phi_d(f)\, M(f)^H\right) \mathrm d f}
+
+    Parameters
+    ----------
+    limit_m : float
+        Largest allowed rms [m].
+    disturbance : DisturbanceSpectrum
+        Spectrum of d; see `gbid.control.recorded_disturbance`.
+    soft, weight
+        See `Wanted`.
+    """
+
+    limit_m: float
+    disturbance: DisturbanceSpectrum
+    control: ClassVar[bool]
+    label: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive(self, limit_m=self.limit_m)
+        if not isinstance(self.disturbance, DisturbanceSpectrum):
+            raise UsageError(f"{type(self).__name__}: give disturbance=recorded_disturbance(...)")
+
+    def measure(self, context: DesignContext) -> ExtraLimit:
+        """Return the measure of this goal."""
+        given = self.disturbance
+        if given.density.shape[1] != len(context.plant.C):
+            raise UsageError(
+                f"{type(self).__name__}: the disturbance has {given.density.shape[1]} channels, the plant "
+                f"{len(context.plant.C)} outputs"
+            )
+        hz, power = _lines(given)
+
+        def rms(family: LoopFamily, gains: FloatArray) -> FloatArray:
+            loops = family.matrices(gains)
+            system = Eigensystem.of(loops.A)
+            rows = slice(family.n_outputs, None) if self.control else slice(0, family.n_outputs)
+            T = family.sample_time
+            below = hz < (np.inf if T is None else 0.499 / T)
+            w = searched_frequencies(2 * np.pi * hz[below], T)
+            M = respond(loops, system, rows, np.arange(len(family)), np.tile(w, (len(family), 1)))
+            squares = np.einsum("mkij,kjl,mkil->m", M, power[below], M.conj(), optimize=True).real
+            return np.asarray(np.sqrt(np.maximum(squares, 1e-300)))
+
+        return ExtraLimit(f"rms of {self.label}", rms, self.limit_m / self.weight)
+
+
+@dataclass(frozen=True)
+class RmsPosition(RmsGoal):
+    """Rms of the position p + d under a measured disturbance.
+
+    Parameters
+    ----------
+    limit_m, disturbance, soft, weight
+        See `RmsGoal`.
+    """
+
+    control = False
+    label = "p"
+
+
+@dataclass(frozen=True)
+class RmsControl(RmsGoal):
+    """Rms of the reference r, the motion that the piezos are asked for, under a measured disturbance.
+
+    Parameters
+    ----------
+    limit_m, disturbance, soft, weight
+        See `RmsGoal`.
+    """
+
+    control = True
+    label = "r"
+
+
+def _lines(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
+    """Return the middles of `_LINES` intervals [Hz] and the power in each (k, n, n).
+
+    They are narrow where there is much power, and in proportion to the frequency, as resonances are. They do not follow
+    the resonances of a loop: the rms would not be a smooth function of the gains.
+    """
+    f = given.frequency_hz
+    fine = np.union1d(f, np.concatenate([np.linspace(f[0], f[-1], 400), np.geomspace(_LOW * f[-1], f[-1], 1200)]))
+    fine = fine[fine >= f[0]]
+    density = _between(fine, f, given.density)
+    steps = (density[1:] + density[:-1]) / 2 * np.diff(fine)[:, None, None]
+    below = np.concatenate([np.zeros_like(density[:1]), np.cumsum(steps, axis=0)])
+    power, pitch = np.einsum("kii->k", below).real, np.log(np.maximum(fine, _LOW * f[-1]))
+    parts = [power, pitch - pitch[0], fine - fine[0]]
+    share = sum(part / max(float(part[-1]), 1e-300) * weight for part, weight in zip(parts, (2, 3, 1), strict=True))
+    nodes = np.interp(np.linspace(0.0, share[-1], _LINES + 1), share, fine)
+    return (nodes[1:] + nodes[:-1]) / 2, np.diff(_between(nodes, fine, below), axis=0)
+
+
+def _between(hz: FloatArray, known: FloatArray, values: ComplexArray) -> ComplexArray:
+    """Return values (k, n, n) at other frequencies, straight between the known ones."""
+    k = np.clip(np.searchsorted(known, hz, side="right") - 1, 0, len(known) - 2)
+    part = ((hz - known[k]) / (known[k + 1] - known[k]))[:, None, None]
+    return np.asarray(values[k] + part * (values[k + 1] - values[k]))

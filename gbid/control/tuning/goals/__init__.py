@@ -1,1 +1,0 @@
-"""Goals of a design as values: objectives and limits of damping, responses, margins, noise and piezo travel."""

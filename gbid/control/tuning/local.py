@@ -1,0 +1,576 @@
+"""Curvature of the functions that determine a step, for the next one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gbid.control.tuning.certificate import Certificate, Meeting, back_to_meeting, meetings
+from gbid.control.tuning.problem import ActiveFunction, ActiveFunctions, GainProblem, Score, merit
+from gbid.core.arrays import BoolArray, FloatArray
+
+# ---- Small convex quadratic programmes by CasADi's DAQP, which reads and writes numpy arrays directly.
+#
+# The usual call with `casadi.DM` takes ten times as long as the solution.
+
+_INPUTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
+_PROXIMAL = {"eps_prox": 1e-4, "eta_prox": 1e-8}
+"""Weight and tolerance of proximal iterations: without them rows are broken by percents where H is nearly zero."""
+_INFEASIBLE = -1
+"""DAQP's status of a programme without a solution."""
+
+
+class QuadraticProgramme:
+    """Solver of ``min x' H x / 2 + g' x`` with ``low <= A x <= high`` and bounds, for one size.
+
+    Parameters
+    ----------
+    n, m : int
+        Number of variables and of rows of A.
+
+    Attributes
+    ----------
+    infeasible : bool
+        Whether the last programme had no solution within its rows and bounds.
+    """
+
+    def __init__(self, n: int, m: int) -> None:
+        shapes = {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(m, n)}
+        self._solver: Any = ca.conic("step", "daqp", shapes, {"error_on_fail": False, "daqp": _PROXIMAL})
+        buffer: Any
+        buffer, self._trigger = self._solver.buffer()  # its stub asks for a size besides, which a memoryview has
+        self._buffer, self.infeasible = buffer, False
+        self._given = {name: self._array(self._solver.numel_in(name)) for name in map(str, self._solver.name_in())}
+        self._found = {name: self._array(self._solver.numel_out(name)) for name in map(str, self._solver.name_out())}
+        for i, array in enumerate(self._given.values()):
+            buffer.set_arg(i, array.data)
+        for i, array in enumerate(self._found.values()):
+            buffer.set_res(i, array.data)
+
+    @staticmethod
+    def _array(size: int) -> FloatArray:
+        return np.zeros(max(size, 1))
+
+    def solve(self, *given: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Return solution and multipliers of the rows for H, g, A, low, high, lower, upper; None when it fails."""
+        for name, value in zip(_INPUTS, given, strict=True):
+            self._given[name][: value.size] = value.ravel(order="F")  # CasADi stores column after column
+        self.infeasible = False
+        try:
+            self._trigger()
+        except RuntimeError:  # the solver finds its numbers unfit
+            return None
+        x, rows = self._found["x"].copy(), self._found["lam_a"].copy()
+        ended = self._buffer.stats()
+        self.infeasible = ended["return_status"] == _INFEASIBLE
+        return (x, rows) if ended["success"] and np.isfinite(x).all() else None
+
+
+@lru_cache(maxsize=64)
+def quadratic_programme(n: int, m: int) -> QuadraticProgramme:
+    """Return the solver for n variables and m rows."""
+    return QuadraticProgramme(n, m)
+
+
+# ---- Step of the gains along the ridges between the functions near the worst one, by a quadratic programme.
+
+_RIDGES = (1e-9, 1e-6, 1e-4)
+"""Curvature that is added to a step's quadratic programme; more when the solver fails with less."""
+
+
+@dataclass(frozen=True)
+class RidgeStep:
+    """Move of the gains, the promised gain in merit, and the weights of the active functions."""
+
+    move: FloatArray
+    gain: float
+    weights: tuple[tuple[ActiveFunction, float], ...]
+    limit_weight: float
+    keeps_limits: bool
+
+
+def ridge_step(
+    functions: ActiveFunctions,
+    aim: list[ActiveFunction],
+    equalities: list[tuple[float, FloatArray]],
+    H: FloatArray,
+    width: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    penalty: float,
+) -> RidgeStep | None:
+    """Return the solution of the quadratic programme for the move (in units of the box) and for t and s.
+
+    Parameters
+    ----------
+    functions : ActiveFunctions
+        Score and functions of the limits.
+    aim : list of ActiveFunction
+        Functions of the objective.
+    equalities : list of (value, gradient)
+        Functions that become zero.
+    H : (d, d) array
+        Curvature.
+    width : (d,) array
+        Widths of the bounds.
+    box : (lower, upper)
+        Bounds of the move.
+    penalty : float
+        Weight of the largest violation.
+
+    Returns
+    -------
+    RidgeStep, or None when there is no solution.
+    """
+    d, now = len(width), functions.score.value
+    reach = np.maximum(box[1] - box[0], 1e-300)
+    size = float(np.max(reach / width))
+    limits = functions.limits
+    n_aim, n_held = len(aim), len(aim) + len(limits)
+    rows = np.zeros((n_held + len(equalities), d + 2))
+    low, high = np.zeros(len(rows)), np.full(len(rows), np.inf)
+    if aim:
+        rows[:n_aim, :d] = np.array([piece.slope for piece in aim]) * (reach / size)
+        rows[:n_aim, d] = -1.0
+        low[:n_aim] = (now - np.array([piece.value for piece in aim])) / size
+    if limits:
+        rows[n_aim:n_held, :d] = np.array([piece.slope for piece in limits]) * (-reach / size)
+        rows[n_aim:n_held, d + 1] = 1.0
+        low[n_aim:n_held] = np.array([piece.value for piece in limits]) / size
+    if equalities:
+        scaled = np.array([slope for _, slope in equalities]) * reach
+        norm = np.maximum(np.sqrt((scaled * scaled).sum(axis=1)), 1e-300)
+        rows[n_held:, :d] = scaled / norm[:, None]
+        low[n_held:] = high[n_held:] = -np.array([value for value, _ in equalities]) / norm
+    curve = np.zeros((d + 2, d + 2))
+    curve[:d, :d] = H * (reach[:, None] * reach / size)
+    # a sum is finite when its terms are
+    if not np.isfinite(rows.sum() + low.sum() + curve.sum()):
+        return None
+    linear = np.zeros(d + 2)
+    linear[d:] = -1.0, penalty
+    # without active functions of the objective (all modes real) t has the largest possible value as its bound
+    lower, upper = np.empty(d + 2), np.empty(d + 2)
+    lower[:d], upper[:d] = box[0] / reach, box[1] / reach
+    lower[d:], upper[d:] = (-1e6, 0.0), ((1.0 - now) / size + 1.0 if not aim else 1e6, 1e6)
+    if equalities and not _within_reach(rows[n_held:], low[n_held:], lower, upper):
+        return None
+    # gradients of eigenvalues that nearly meet are very large; rows of equal length keep the programme well scaled
+    length = np.maximum(np.abs(rows).max(axis=1), 1.0)
+    rows, low, high = rows / length[:, None], low / length, high / length
+    programme, diagonal, added = quadratic_programme(d + 2, len(rows)), np.arange(d + 2), 0.0
+    solution = None
+    for ridge in _RIDGES:
+        curve[diagonal, diagonal] += ridge - added
+        solution, added = programme.solve(curve, linear, rows, low, high, lower, upper), ridge
+        if solution is not None or programme.infeasible:
+            break
+    if solution is None:
+        return None
+    y, duals = solution[0], np.abs(solution[1] / length)
+    gain = float(y[d] - penalty * y[d + 1]) * size + penalty * functions.score.violation
+    held = [*aim, *limits]
+    weights = tuple((held[i], float(duals[i])) for i in np.flatnonzero(duals[:n_held] > 1e-9))
+    return RidgeStep(y[:d] * reach, gain, weights, float(duals[n_aim:n_held].sum()), bool(y[d + 1] < 1e-7))
+
+
+def _within_reach(rows: FloatArray, sides: FloatArray, lower: FloatArray, upper: FloatArray) -> bool:
+    """Return whether each equality has a solution within the bounds."""
+    ends = rows * lower, rows * upper
+    least, most = np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
+    return bool(((least <= sides) & (sides <= most)).all())
+
+
+_DIFFERENCE = 1e-6
+
+
+def curvature_by_differences(problem: GainProblem, x: FloatArray, step: RidgeStep) -> FloatArray:
+    """Return the second derivative of the weighted functions, by differences of their gradients, made convex.
+
+    Means of clusters are left out: they need a Schur form for every gain and change the steps little.
+    """
+    width = problem.upper - problem.lower
+    weights = [(piece, weight) for piece, weight in step.weights if piece.kind != "cluster"]
+    if not weights:
+        return np.zeros((len(x), len(x)))
+    h = np.where(x + _DIFFERENCE * width > problem.upper, -_DIFFERENCE, _DIFFERENCE) * width
+    slopes = problem.slopes_at([piece for piece, _ in weights], [x, *(x + np.diag(h))])
+    signs = np.array([-w if piece.kind == "aim" else w for piece, w in weights])
+    # functions without a gradient at a nearby design are left out
+    return _convex(np.einsum("n,qnd->qd", signs, np.nan_to_num((slopes[1:] - slopes[0]) / h[:, None, None])))
+
+
+def _convex(H: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh((H + H.T) / 2)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+# ---- Local optimisation of the worst of many eigenvalues and peaks by sequential quadratic programming (SQP).
+
+
+@dataclass(frozen=True)
+class LocalOptimum:
+    """Local optimum: gains, score, iterations, whether the optimisation ended by itself, and its certificate."""
+
+    x: FloatArray
+    score: Score
+    iterations: int
+    converged: bool
+    certificate: Certificate | None = None
+
+
+_PENALTY = 10.0
+_PATIENCE = 10
+"""Number of iterations over which the rise of the merit is judged."""
+_HOPE = 10.0
+"""By how many times its last rise a climb may still be expected to rise."""
+_MOVED = 1e-3
+"""By how much the corrections of a move to a meeting may raise the objective."""
+_LATE = 30
+"""Number of iterations after which a climb that has not reached its goal ends; those that do are there before."""
+_CHECKED = (15, 20, 25)
+"""Iterations after which a climb may be too far behind its goal."""
+_SETTLED = 1e-5
+"""Rise below which a climb that has passed its goal ends; the best design of all is climbed to the end later."""
+
+
+def optimise_locally(
+    problem: GainProblem,
+    start: FloatArray,
+    *,
+    radius: float = 0.1,
+    max_iterations: int = 200,
+    tolerance: float = 1e-9,
+    rough: bool = False,
+    goal: float = -np.inf,
+    behind: float = np.inf,
+    repair: bool = True,
+    on_step: Callable[[int, Score], None] | None = None,
+) -> LocalOptimum:
+    r"""Return a local optimum.
+
+    Each step solves, for the move d of the gains within a trust region,
+
+    .. math:: \max\; t - \rho s - \tfrac12 d^T H d \quad\text{with}\quad
+              f_j + g_j d \ge t,\;\; c_k + a_k d \le s,\;\; s \ge 0
+
+    over all functions f (damping factors) of the objective and c of the limits near the worst. H is the curvature of
+    the functions that were active in the step before. Where two eigenvalues a, b meet, their gradients are unbounded.
+    There a second step is computed with their mean and with ``((a - b)/2)^2 = 0`` as a constraint, because both are
+    smooth (at the optimum the two coalesce: Burke, Lewis, Overton, 2001). The better step is taken.
+
+    Parameters
+    ----------
+    problem : GainProblem
+        The design problem.
+    start : (d,) array
+        Start value of the gains.
+    radius : float
+        Initial trust region, as a share of the width of the bounds.
+    max_iterations : int
+        Largest number of iterations.
+    tolerance : float
+        Smallest trust region, in the same unit; the optimisation then ends.
+    rough : bool
+        Whether H stays zero and no steps to meetings are tried: a third of the time for a design near the optimum.
+    goal : float
+        Merit below which the optimum has no use. The optimisation ends when it will hardly be reached, or has been
+        and rises no more.
+    behind : float
+        By what share of its goal a climb may be behind for each iteration that is left to reach it.
+    repair : bool
+        Whether small violations of limits that are left are made smaller with a larger penalty.
+    on_step : callable, optional
+        Called with iteration and score.
+
+    Returns
+    -------
+    LocalOptimum
+    """
+    x = np.clip(start, problem.lower, problem.upper)
+    found = _climb(problem, x, radius, max_iterations, tolerance, rough, _PENALTY, goal, behind, on_step)
+    if repair and 1e-8 < found.score.violation < 0.1 and merit(found.score, _PENALTY) > goal:
+        again = _climb(problem, found.x, 1e-3, 40, tolerance, rough, 1e3 * _PENALTY, goal, behind, on_step)
+        found = replace(again, iterations=found.iterations + again.iterations)
+    return found
+
+
+def _climb(
+    problem: GainProblem,
+    x: FloatArray,
+    radius: float,
+    max_iterations: int,
+    tolerance: float,
+    rough: bool,
+    penalty: float,
+    goal: float,
+    behind: float,
+    on_step: Callable[[int, Score], None] | None,
+) -> LocalOptimum:
+    width = problem.upper - problem.lower
+    H = np.zeros((len(x), len(x)))
+    functions = problem.functions(x)
+    groups: list[tuple[Meeting, ...]] | None = None
+    stalled, milestone, lately = 0, merit(functions.score, penalty), merit(functions.score, penalty)
+    for iteration in range(1, max_iterations + 1):
+        if not functions.score.usable or problem.exhausted:
+            return LocalOptimum(x, functions.score, iteration, False)
+        box = np.maximum(-radius * width, problem.lower - x), np.minimum(radius * width, problem.upper - x)
+        # peaks are not computed for a design whose objective alone is below the present merit
+        floor = merit(functions.score, penalty)
+        plain = ridge_step(functions, list(functions.aim), [], H, width, box, penalty)
+        best, improvement = plain, -np.inf
+        if plain is not None:
+            penalty = max(penalty, 2.0 * plain.limit_weight if plain.keeps_limits else 0.0)
+            improvement = merit(problem.score(x + plain.move, floor), penalty) - floor
+        met: list[_MeetingStep] = []
+        if not rough and (plain is None or improvement < 0.5 * plain.gain or plain.gain <= 1e-13):
+            groups = meetings(problem, x, functions) if groups is None else groups
+            met = _meeting_steps(groups, functions, H, width, box, penalty)
+        for step, means in met:
+            penalty = max(penalty, 2.0 * step.limit_weight if step.keeps_limits else 0.0)
+            if step.gain <= improvement:
+                continue
+            move = back_to_meeting(problem, x, step.move, means, floor + max(improvement, 0.0) - _MOVED)
+            if move is None:
+                continue
+            step = replace(step, move=move)
+            gained = merit(problem.score(x + step.move, floor + max(improvement, 0.0)), penalty) - floor
+            if gained > improvement:
+                best, improvement = step, gained
+        if plain is not None and max([plain.gain, *(step.gain for step, _ in met)]) <= 1e-13:
+            return LocalOptimum(x, functions.score, iteration, True)
+        # a step with meeting eigenvalues may promise a loss, but it is accepted only when it improves the merit
+        promised = np.inf if best is None else max(best.gain, 0.0)
+        good = improvement > 0.05 * promised
+        if best is not None and (good or improvement > 1e-7):
+            x = np.clip(x + best.move, problem.lower, problem.upper)
+            functions, groups = problem.functions(x), None
+            if on_step is not None:
+                on_step(iteration, functions.score)
+            if not rough:
+                H = curvature_by_differences(problem, x, best)
+        if improvement > 0.5 * promised:
+            radius = min(2 * radius, 0.5)
+        elif not good:
+            radius *= 0.35
+        stalled = stalled + 1 if improvement < 1e-9 else 0
+        creeps = False
+        if iteration % 30 == 0:
+            reached = merit(functions.score, penalty)
+            creeps, milestone = reached - milestone < 1e-5, reached
+        if iteration % _PATIENCE == 0:
+            reached = merit(functions.score, _PENALTY)
+            rise = max(reached - lately, 0.0)
+            if reached + _HOPE * rise < goal or (iteration >= _LATE and reached < goal):
+                return LocalOptimum(x, functions.score, iteration, False)
+            if reached > goal > -np.inf and rise < _SETTLED:
+                return LocalOptimum(x, functions.score, iteration, False)
+            lately = reached
+        if behind < np.inf and iteration in _CHECKED:
+            demanded = goal - behind * (_LATE - iteration) * abs(goal)
+            if merit(functions.score, _PENALTY) < demanded:
+                return LocalOptimum(x, functions.score, iteration, False)
+        if radius < tolerance or stalled > 12 or creeps:
+            return LocalOptimum(x, functions.score, iteration, True)
+    return LocalOptimum(x, functions.score, max_iterations, False)
+
+
+_MeetingStep = tuple[RidgeStep, tuple[ActiveFunction, ...]]
+
+
+def _meeting_steps(
+    groups: list[tuple[Meeting, ...]],
+    functions: ActiveFunctions,
+    H: FloatArray,
+    width: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    penalty: float,
+) -> list[_MeetingStep]:
+    """Return steps at whose ends eigenvalues nearly meet, with the means of these, the most promising first."""
+    found = []
+    for group in groups:
+        keep = [piece for piece in functions.aim if not any(one.holds(piece) for one in group)]
+        means = tuple(one.mean for one in group)
+        rows = [row for one in group for row in one.rows]
+        step = ridge_step(functions, [*keep, *means], rows, H, width, box, penalty)
+        if step is not None:
+            found.append((step, means))
+    return sorted(found, key=lambda pair: -pair[0].gain)
+
+
+# ---- BFGS with a weak Wolfe line search, which makes progress where a function has no gradient (Lewis, Overton, 2013).
+
+Evaluate = Callable[[FloatArray], tuple[float, FloatArray]]
+"""From a point to value and gradient; minus infinity where the function is not defined."""
+_DECREASE, _CURVATURE = 1e-4, 0.5
+"""Constants of the weak Wolfe conditions."""
+_TRIALS = 40
+"""Largest number of step lengths of a line search."""
+_CREEP = 40
+"""Number of steps after which a gain below the tolerance ends the ascent."""
+
+
+@dataclass(frozen=True)
+class Ascent:
+    """Point that an ascent reached, its value, and the number of evaluations."""
+
+    x: FloatArray
+    value: float
+    evaluations: int
+
+
+def ascend(
+    evaluate: Evaluate,
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    unit: FloatArray,
+    *,
+    max_evaluations: int,
+    tolerance: float = 1e-9,
+    enough: float = np.inf,
+) -> Ascent:
+    """Return a point from which BFGS climbs no higher.
+
+    The line search asks for the weak Wolfe conditions only. The inverse Hessian then stays positive definite without a
+    second derivative, and becomes ill-conditioned across the ridges on which the function has no gradient. So the steps
+    follow the ridges (A. S. Lewis, M. L. Overton, "Nonsmooth optimization via quasi-Newton methods", Mathematical
+    Programming 141, 2013, algorithms 2.1 and 2.6). Coordinates at a bound towards which the gradient points are held.
+    A step ends at the first bound.
+
+    Parameters
+    ----------
+    evaluate : callable
+        From x (d,) to value and gradient of the function to be maximised.
+    start : (d,) array
+        Start value within the bounds.
+    lower, upper : (d,) array
+        Bounds.
+    unit : (d,) array
+        Typical changes of x, in which steps are measured.
+    max_evaluations : int
+        Largest number of evaluations.
+    tolerance : float
+        Gain over 40 steps, in units of the value, below which the ascent ends.
+    enough : float
+        Value at which the ascent ends.
+
+    Returns
+    -------
+    Ascent
+    """
+    d = len(start)
+    low, high = lower / unit, upper / unit
+    u = np.clip(start / unit, low, high)
+    value, gradient = evaluate(u * unit)
+    count, H, fresh = 1, np.eye(d), True
+    milestone, steps = value, 0
+    while count < max_evaluations and np.isfinite(value) and value < enough:
+        g = gradient * unit
+        held = ((u <= low) & (g < 0)) | ((u >= high) & (g > 0))
+        direction = _direction(H, g, held)
+        slope = float(g @ direction)
+        if not slope > 0:
+            if fresh:
+                break
+            H, fresh = np.eye(d), True
+            continue
+        if fresh:  # the first step is a tenth of a unit at most
+            factor = min(1.0, 0.1 / float(np.linalg.norm(direction)))
+            direction, slope = factor * direction, factor * slope
+        length, to_bound = _to_bound(u, direction, low, high)
+        found = _line_search(evaluate, u, value, direction, slope, unit, length, max_evaluations - count)
+        count += found.evaluations
+        if found.value <= value:
+            if fresh:
+                break
+            H, fresh = np.eye(d), True
+            continue
+        moved = np.clip(u + found.length * direction, low, high)
+        if found.length == length:
+            moved = np.where(to_bound, np.where(direction > 0, high, low), moved)
+        H = _update(H, moved - u, (gradient - found.gradient) * unit, fresh)
+        u, value, gradient, fresh = moved, found.value, found.gradient, False
+        steps += 1
+        if steps % _CREEP == 0:
+            if value - milestone < tolerance * max(1.0, abs(value)):
+                break
+            milestone = value
+    return Ascent(u * unit, value, count)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Best accepted length of a line search, with value and gradient there."""
+
+    length: float
+    value: float
+    gradient: FloatArray
+    evaluations: int
+
+
+def _line_search(
+    evaluate: Evaluate,
+    u: FloatArray,
+    value: float,
+    direction: FloatArray,
+    slope: float,
+    unit: FloatArray,
+    longest: float,
+    most: int,
+) -> _Found:
+    """Return a length that meets the weak Wolfe conditions, by doubling and bisection; the bound ends it, too."""
+    low, high, length = 0.0, np.inf, min(1.0, longest)
+    best = _Found(0.0, value, np.zeros_like(u), 0)
+    count = 0
+    for _ in range(min(_TRIALS, max(most, 1))):
+        reached, gradient = evaluate((u + length * direction) * unit)
+        count += 1
+        if not reached >= value + _DECREASE * length * slope:
+            high = length
+        else:
+            best = _Found(length, reached, gradient, count)
+            if length >= longest or float((gradient * unit) @ direction) <= _CURVATURE * slope:
+                break
+            low = length
+        length = (low + high) / 2 if np.isfinite(high) else min(2 * length, longest)
+        if high - low <= 1e-14 * max(high, 1e-300) and np.isfinite(high):
+            break
+    return _Found(best.length, best.value, best.gradient, count)
+
+
+def _direction(H: FloatArray, g: FloatArray, held: BoolArray) -> FloatArray:
+    """Return the quasi-Newton direction with some coordinates held."""
+    if not held.any():
+        return np.asarray(H @ g)
+    free = ~held
+    direction = np.zeros_like(g)
+    direction[free] = H[np.ix_(free, free)] @ g[free]
+    return direction
+
+
+def _to_bound(u: FloatArray, direction: FloatArray, low: FloatArray, high: FloatArray) -> tuple[float, BoolArray]:
+    """Return the length of a direction up to the first bound, and the coordinates that then are at it."""
+    room = np.where(direction > 0, high - u, np.where(direction < 0, low - u, np.inf))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        lengths = np.where(direction != 0, room / np.where(direction == 0, 1.0, direction), np.inf)
+    length = float(lengths.min())
+    return length, lengths <= length * (1 + 1e-12)
+
+
+def _update(H: FloatArray, s: FloatArray, y: FloatArray, fresh: bool) -> FloatArray:
+    """Return the BFGS update of the inverse Hessian of minus the function; unchanged without curvature."""
+    product = float(s @ y)
+    if not product > 1e-300 or not np.isfinite(y).all():
+        return H
+    if fresh:
+        H = np.eye(len(s)) * product / float(y @ y)
+    rho = 1.0 / product
+    left = np.eye(len(s)) - rho * np.outer(s, y)
+    updated = left @ H @ left.T + rho * np.outer(s, s)
+    return updated if np.isfinite(updated).all() else H

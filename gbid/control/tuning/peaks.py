@@ -1,0 +1,307 @@
+"""Peaks of the sensitivities of many loops over frequency, and their derivatives by the gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.loop.norm import largest_singular_values
+from gbid.control.tuning.loops import Derivatives, Loops
+from gbid.control.tuning.plane import (
+    Eigensystem,
+    SchurForm,
+    SchurResponse,
+    bilinear,
+    compiled_peak_slopes,
+    compiled_peaks,
+    kernels,
+)
+from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
+
+IntArray = npt.NDArray[np.intp]
+_PER_DECADE = 28
+_SUSPECT = 1e6
+"""Largest entry of left eigenvectors up to which a response needs no check."""
+_WRONG = 1e-9
+"""Relative error of a response from which on it is computed without eigenvectors."""
+_ROUNDING = 1e-12
+"""Relative rise of a peak that counts as rounding; its place then stays, as that of a flat one at zero frequency."""
+_AXIS = -1e-100
+"""Rate of a pole on the imaginary axis, at whose frequency a response would be infinite."""
+_STEPS = np.linspace(0.0, 1.0, 9)
+_NEAR = 0.9
+"""Share of a gain that matters which a grid point near a peak of that gain reaches."""
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Local maxima over frequency: index of the loop, angular frequency [rad/s] and height, all (k,)."""
+
+    loop: IntArray
+    frequency: FloatArray
+    value: FloatArray
+
+
+class ModalResponse:
+    r"""Frequency responses of m loops as sums over modes, ``G(j w) = sum_k R_k / (j w - lambda_k) + D``.
+
+    Nearly defective matrices, such as those of delays of several samples, have no use of their eigenvectors. Their
+    responses are computed without them.
+
+    Parameters
+    ----------
+    loops, modes
+        Matrices of the loops, and their eigenvalues and eigenvectors.
+    rows : slice
+        Rows of the outputs.
+    """
+
+    def __init__(self, loops: Loops, modes: Eigensystem, rows: slice) -> None:
+        self._loops, self._rows, self._poles = loops, rows, modes.values
+        C, self._D = loops.C[:, rows], loops.D[:, rows]
+        m, n_y, n = C.shape
+        outputs, inputs = (C @ modes.right).transpose(0, 2, 1), modes.left @ loops.B
+        self._residues = (outputs[:, :, :, None] * inputs[:, :, None, :]).reshape(m, n, n_y * inputs.shape[2])
+        self._forms: dict[int, SchurResponse] = {}
+        # large entries may come from units of the states, or from eigenvectors that are nearly parallel
+        self._suspect = ~(np.abs(modes.left).max(axis=(1, 2)) < _SUSPECT)
+
+    def parts(self) -> tuple[ComplexArray, ComplexArray, FloatArray, dict[int, SchurResponse]]:
+        """Return poles (m, n), residues (m, n, n_y n_d), D, and Schur forms of loops whose modes may have no use."""
+        forms = {int(loop): self._form(int(loop)) for loop in np.flatnonzero(self._suspect)}
+        return self._poles, self._residues, self._D, forms
+
+    def __call__(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
+        """Return the responses of all or of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
+        found, useless = self._of_modes(frequency, which), self._useless
+        loops = np.arange(len(frequency)) if which is None else which
+        for loop in np.unique(loops[useless[loops]]) if useless.any() else ():
+            found[loops == loop] = self._without_modes(int(loop), frequency[loops == loop])
+        return found
+
+    @cached_property
+    def _useless(self) -> BoolArray:
+        """Which loops have no use of their modes."""
+        found = np.zeros(len(self._suspect), bool)
+        if self._suspect.any():
+            loops = np.flatnonzero(self._suspect)
+            found[loops] = ~(self._error(loops) < _WRONG)
+        return found
+
+    def _of_modes(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
+        poles, residues, D = self._poles, self._residues, self._D
+        if which is not None:
+            poles, residues, D = poles[which], residues[which], D[which]
+        # a quotient of real numbers is faster than one of complex numbers
+        rate, off = (
+            np.where(poles.real == 0, _AXIS, poles.real)[:, None, :],
+            frequency[:, :, None] - poles.imag[:, None],
+        )
+        size = rate * rate + off * off
+        resolvent = np.empty(size.shape, complex)
+        np.divide(-rate, size, out=resolvent.real)
+        np.divide(-off, size, out=resolvent.imag)
+        return np.asarray((resolvent @ residues).reshape(*frequency.shape, *D.shape[1:]) + D[:, None])
+
+    def _error(self, loops: IntArray) -> FloatArray:
+        """Return the relative error of the responses of some loops at two frequencies, from a direct solution."""
+        size = np.sort(np.abs(self._poles[loops]), axis=1)
+        frequency = size[:, [size.shape[1] // 4, size.shape[1] // 2]]
+        A, B, C = self._loops.A[loops], self._loops.B[loops], self._loops.C[loops][:, self._rows]
+        try:
+            exact = direct_response(A, B, C, self._D[loops], frequency)
+        except np.linalg.LinAlgError:  # a pole on one of the frequencies
+            return np.full(len(loops), np.inf)
+        off = np.abs(self._of_modes(frequency, loops) - exact).max(axis=(1, 2, 3))
+        return np.asarray(off / np.abs(exact).max(axis=(1, 2, 3)))
+
+    def _form(self, loop: int) -> SchurResponse:
+        """Return the Schur form of a loop with its inputs and outputs."""
+        if loop not in self._forms:
+            schur = SchurForm.of(self._loops.A[loop])
+            assert schur is not None, "a matrix with eigenvalues has a Schur form"
+            B, C = self._loops.B[loop] / schur.unit[:, None], self._loops.C[loop, self._rows] * schur.unit
+            self._forms[loop] = schur.form, schur.basis.conj().T @ B, C @ schur.basis
+        return self._forms[loop]
+
+    def _without_modes(self, loop: int, frequency: FloatArray) -> ComplexArray:
+        """Return the responses of one loop (k, f, n_y, n_d), from its Schur form by substitution at all frequencies."""
+        form, B, C = self._form(loop)
+        n, n_d = B.shape
+        # row i of (j w - T) X = B, for all frequencies and inputs side by side
+        resolvent = 1.0 / (1j * np.repeat(frequency, n_d) - np.diag(form)[:, None])
+        inputs, states = np.tile(B, frequency.size), np.empty((n, frequency.size * n_d), complex)
+        for i in range(n - 1, -1, -1):
+            states[i] = (form[i, i + 1 :] @ states[i + 1 :] + inputs[i]) * resolvent[i]
+        found = (C @ states).reshape(len(C), *frequency.shape, n_d).transpose(1, 2, 0, 3)
+        return np.asarray(found + self._D[loop])
+
+
+def direct_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, frequency: FloatArray) -> ComplexArray:
+    """Return frequency responses of k loops at (k, f) frequencies [rad/s] by a solution at each: (k, f, n_y, n_d)."""
+    shifted = 1j * frequency[:, :, None, None] * np.eye(A.shape[-1]) - A[:, None]
+    return np.asarray(C[:, None] @ np.linalg.solve(shifted, B[:, None].astype(complex)) + D[:, None])
+
+
+def respond(loops: Loops, modes: Eigensystem, rows: slice, which: IntArray, frequency: FloatArray) -> ComplexArray:
+    """Return frequency responses of some outputs of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
+    return ModalResponse(loops, modes, rows)(frequency, which)
+
+
+def _largest(responses: ComplexArray, _: FloatArray) -> FloatArray:
+    """Return the largest singular value at each frequency."""
+    return largest_singular_values(responses)
+
+
+def find_peaks(
+    loops: Loops,
+    modes: Eigensystem,
+    rows: slice,
+    extra: tuple[IntArray, FloatArray] | None = None,
+    gain: Callable[[ComplexArray, FloatArray], FloatArray] = _largest,
+    least: float = 0.0,
+) -> Peaks:
+    """Return the local maxima of the gain of a response, refined in frequency.
+
+    Parameters
+    ----------
+    loops, modes
+        Matrices of the loops, and their eigenvalues and eigenvectors.
+    rows : slice
+        Rows of the outputs.
+    extra : (loop, frequency), optional
+        Additional frequencies, found by an exact norm.
+    gain : callable
+        From responses (k, f, n_y, n_d) and their frequencies (k, f) to gains (k, f); by default the largest singular
+        value.
+    least : float
+        Gain below which a peak does not matter; it may then be left out.
+
+    Notes
+    -----
+    The grid has logarithmic spacing and contains the magnitudes of the eigenvalues of each loop, because a peak that a
+    coarse grid would miss belongs to a lightly damped eigenvalue. Each local maximum is then refined.
+    """
+    m = len(loops.A)
+    respond_at, base = ModalResponse(loops, modes, rows), base_frequencies(modes.values)
+    if gain is _largest and (library := kernels()) is not None and (loops.D[:, rows].shape[1:]) == (2, 2):
+        return Peaks(*compiled_peaks(library, *respond_at.parts(), base, extra, least))
+    grid = _grid(modes, base, extra)
+    values = gain(respond_at(grid), grid)
+    padded = np.full((m, grid.shape[1] + 2), -np.inf)
+    padded[:, 1:-1] = values
+    # of neighbours at one frequency only the last counts
+    enough = np.maximum(0.6 * values.max(axis=1, keepdims=True), _NEAR * least)
+    loop, column = np.nonzero((values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > enough))
+    best, place = values[loop, column], grid[loop, column]
+    if not len(loop):
+        return Peaks(loop, place, best)
+    low = grid[loop, np.maximum(column - 1, 0)]
+    high = grid[loop, np.minimum(column + 1, grid.shape[1] - 1)]
+    row = np.arange(len(loop))
+    for _ in range(2):
+        points = low[:, None] + (high - low)[:, None] * _STEPS
+        found = gain(respond_at(points, loop), points)
+        at = np.clip(found.argmax(axis=1), 1, len(_STEPS) - 2)
+        low, high = points[row, at - 1], points[row, at + 1]
+        three = found[row[:, None], at[:, None] + np.array([-1, 0, 1])]
+        better = three[:, 1] > best * (1 + _ROUNDING)
+        best, place = np.where(better, three[:, 1], best), np.where(better, points[row, at], place)
+    step = (high - low) / 2
+    vertex, _ = _vertex(low + step, step, three)
+    step = 0.1 * step
+    points = np.maximum(vertex[:, None] + step[:, None] * np.array([-1.0, 0.0, 1.0]), 0.0)
+    three = gain(respond_at(points, loop), points)
+    vertex, top = _vertex(vertex, step, three)
+    better = top > best * (1 + _ROUNDING)
+    return Peaks(loop, np.where(better, vertex, place), np.where(better, top, best))
+
+
+def _vertex(middle: FloatArray, step: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return place and height of the parabola through three points; where it has no top between them, the highest."""
+    before, here, after = values.T
+    bend, rise = 2 * here - before - after, (after - before) / 2
+    share = np.clip(rise / np.where(bend > 0, bend, np.inf), -1.0, 1.0)
+    top = here + share * rise - share**2 * bend / 2
+    inside = np.abs(share) < 1
+    at = values.argmax(axis=1)
+    place = middle + step * np.where(inside, share, at - 1.0)
+    return place, np.where(inside, top, values.max(axis=1))
+
+
+def base_frequencies(values: ComplexArray, per_decade: int = _PER_DECADE) -> FloatArray:
+    """Return 0 and 1 to 1e5 rad/s with logarithmic spacing, and farther for loops on another time scale.
+
+    Parameters
+    ----------
+    values : (m, n) array
+        Eigenvalues of the loops.
+    per_decade : int
+        Number of frequencies in a decade.
+    """
+    size = np.abs(values)
+    if size.size and size.min() > 10.0 and size.max() <= 1e5:
+        return _spaced(1.0, 1e5, per_decade)
+    size = size[(size > 0) & np.isfinite(size)]
+    middle, top = (float(np.median(size)), float(size.max())) if size.size else (1.0, 1.0)
+    low = 1.0 if middle > 10.0 else 1e-2 * middle
+    return _spaced(low, 1e5 if top <= 1e5 else min(10 * top, 1e4 * max(middle, 1e2)), per_decade)
+
+
+@lru_cache(maxsize=32)
+def _spaced(low: float, high: float, per_decade: int) -> FloatArray:
+    return np.concatenate([[0.0], np.geomspace(low, high, round(per_decade * np.log10(high / low)))])
+
+
+def around(values: ComplexArray) -> FloatArray:
+    """Return frequencies on both sides of the resonance of each mode: (k,) to (k, 4) [rad/s]."""
+    steps = np.array([-3.0, -1.0, 1.0, 3.0])
+    return np.asarray(np.abs(np.abs(values.imag)[..., None] + np.abs(values.real)[..., None] * steps))
+
+
+def _grid(modes: Eigensystem, base: FloatArray, extra: tuple[IntArray, FloatArray] | None) -> FloatArray:
+    """Return ascending frequencies for each loop (m, f) [rad/s]."""
+    m, n = modes.values.shape
+    n_extra = 0 if extra is None else len(extra[0])
+    grid = np.zeros((m, len(base) + 2 * n + n_extra))
+    grid[:, : len(base)] = base
+    own = grid[:, len(base) : len(base) + 2 * n]
+    # Conjugate and real eigenvalues give shifted points, because two equal frequencies would look like a maximum.
+    size, pair = np.abs(modes.values), modes.values.imag > 0
+    own[:, :n] = np.where(pair, size, 1.07 * size)
+    own[:, n:] = np.where(pair, modes.values.imag, 0.93 * size)
+    if extra is not None:
+        grid[extra[0], len(base) + 2 * n + np.arange(n_extra)] = extra[1]
+    grid.sort(axis=1)
+    return grid
+
+
+def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArray, FloatArray]:
+    """Return derivatives (k, d) of the largest singular value by the gains at fixed frequency, and its value (k,).
+
+    At a maximum over frequency this is the derivative of the peak, because the change of its frequency has an effect of
+    second order only. With ``S = C R B + D``, ``R = (j w - A)^-1``: ``dS = dD + dC R B + C R (dB + dA R B)``.
+    """
+    library = kernels()
+    first, last, _ = rows.indices(loops.C.shape[1])
+    if library is not None and (last - first, loops.B.shape[2]) == (2, 2):
+        return compiled_peak_slopes(library, loops, first, peaks.loop, peaks.frequency)
+    i, n = peaks.loop, loops.A.shape[-1]
+    system = 1j * peaks.frequency[:, None, None] * np.eye(n) - loops.A[i]
+    try:
+        R = np.linalg.inv(system)
+    except np.linalg.LinAlgError:  # a pole on one of the frequencies
+        R = np.linalg.inv(system + 1e-9 * max(float(np.abs(system).max()), 1e-9) * np.eye(n))
+    C, D = loops.C[i][:, rows], loops.D[i][:, rows]
+    RB, CR = R @ loops.B[i], C @ R
+    U, values, Vh = np.linalg.svd(C @ RB + D)
+    u, v = U[:, :, 0].conj(), Vh[:, 0].conj()
+    RBv = (RB @ v[:, :, None])[:, :, 0]
+    uCR = (u[:, None] @ CR)[:, 0]
+    dS = bilinear(u, loops.dD[i][:, :, rows], v) + bilinear(u, loops.dC[i][:, :, rows], RBv)
+    dS += bilinear(uCR, loops.dB[i], v) + bilinear(uCR, loops.dA[i], RBv)
+    return np.asarray(dS.real), np.asarray(values[:, 0])

@@ -1,0 +1,789 @@
+"""Design problem as smooth functions of the gains: the damping of each eigenvalue, each peak, and their derivatives.
+
+The objective is the smallest of many functions of the gains, and each limit concerns the largest of many. Each function
+is smooth where eigenvalues do not meet. A local method that uses all functions near the worst one can follow the edges
+between them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import accumulate
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg.lapack import ztrsen, ztrsyl
+
+from gbid.control.loop.norm import largest_singular_values
+from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
+from gbid.control.tuning.peaks import IntArray, Peaks, find_peaks, peak_slopes, respond
+from gbid.control.tuning.plane import (
+    LARGEST,
+    Eigensystem,
+    NearbyEigenvalues,
+    SchurForm,
+    compiled_cluster,
+    compiled_near_sums,
+    damping_factors,
+    damping_slopes,
+    eigenvalues,
+    kernels,
+    rate_slopes,
+    true_rates,
+)
+from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray, is_finite
+from gbid.core.errors import UsageError
+from gbid.core.hdf5 import Stored
+
+# ---- Measures: quantities of every loop that a design limits or minimises.
+
+
+@dataclass(frozen=True, eq=False)
+class LoopState:
+    """Loops of a family for given gains.
+
+    Attributes
+    ----------
+    family : LoopFamily
+        The loops.
+    gains : (d,) array
+        The gains.
+    loops : Loops or Derivatives
+        Matrices; with derivatives where slopes are wanted.
+    system : Eigensystem
+        Eigenvalues and eigenvectors.
+    steps : (d,) array
+        Changes of each gain for differences, towards the inside of the bounds.
+    """
+
+    family: LoopFamily
+    gains: FloatArray
+    loops: Loops
+    system: Eigensystem
+    steps: FloatArray
+
+    @property
+    def derivatives(self) -> Derivatives:
+        """Matrices with their derivatives."""
+        assert isinstance(self.loops, Derivatives)
+        return self.loops
+
+
+class Pieces(NamedTuple):
+    """Smooth pieces of a measure: loop (k,), excess (k,), its gradient (k, d), place in the complex plane (k,)."""
+
+    loop: npt.NDArray[np.intp]
+    excess: FloatArray
+    slope: FloatArray
+    place: ComplexArray
+
+
+class Measure(ABC):
+    """Quantity of each loop. Its excess is at most 0 where it is within its limit, and larger is worse."""
+
+    name: str
+
+    @abstractmethod
+    def excess(self, state: LoopState) -> FloatArray:
+        """Return the excess of each loop (m,)."""
+
+    @abstractmethod
+    def pieces(self, state: LoopState, window: float) -> Pieces:
+        """Return the smooth pieces whose excess is above ``-window``, with gradients."""
+
+
+@dataclass(frozen=True)
+class ExtraLimit(Measure):
+    """Measure ``log(function(family, gains) / limit)`` of every loop, with gradients by differences.
+
+    Parameters
+    ----------
+    name : str
+        Name of the limit.
+    function : callable
+        From a family of m loops and gains (d,) to positive numbers (m,).
+    limit : float
+        Largest allowed number.
+    """
+
+    name: str
+    function: Callable[[LoopFamily, FloatArray], FloatArray]
+    limit: float
+
+    def excess(self, state: LoopState) -> FloatArray:
+        """Return the logarithm of the numbers over the limit (m,)."""
+        return self._of(state.family, state.gains)
+
+    def pieces(self, state: LoopState, window: float) -> Pieces:
+        """Return one piece for each loop near the limit."""
+        base = self.excess(state)
+        near = np.flatnonzero(base > -window)
+        slope = np.zeros((len(base), len(state.gains)))
+        for i, step in enumerate(state.steps if len(near) else ()):
+            moved = state.gains.copy()
+            moved[i] += step
+            slope[:, i] = (self._of(state.family, moved) - base) / step
+        return Pieces(near, base[near], slope[near], np.zeros(len(near), complex))
+
+    def _of(self, family: LoopFamily, gains: FloatArray) -> FloatArray:
+        return np.asarray(np.log(self.function(family, gains) / self.limit))
+
+
+# ---- Objective and limits of a design.
+
+Objective = Literal["damping", "decay"]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Objective and limits of a design; None means no limit.
+
+    Parameters
+    ----------
+    objective : {"damping", "decay"}
+        Smallest damping factor of the oscillatory modes, or slowest decay ``-Re`` [1/s] of all modes.
+    slowest_pole : float
+        Smallest allowed decay rate of every eigenvalue [1/s]; 0 (strictly) requires stability only.
+    peak_sensitivity, peak_control, static_amplification : float, optional
+        Limits on the peaks of S_o and K S_o, and on the gain of S_o at zero frequency.
+    extra : tuple of Measure
+        Additional limits: the excess of each must be at most 0.
+    soft : tuple of Measure
+        Additional objectives. The search maximises the smallest of the objective and of minus their excesses.
+    weight : float
+        Factor on the objective of the eigenvalues beside the additional objectives; 0 leaves it out.
+    """
+
+    objective: Objective = "damping"
+    slowest_pole: float = 0.0
+    peak_sensitivity: float | None = None
+    peak_control: float | None = None
+    static_amplification: float | None = None
+    extra: tuple[Measure, ...] = ()
+    soft: tuple[Measure, ...] = ()
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.objective not in ("damping", "decay"):
+            raise UsageError(f"objective = {self.objective!r}; choose 'damping' or 'decay'")
+        if not (is_finite(self.slowest_pole) and self.slowest_pole >= 0):
+            raise UsageError(f"slowest_pole = {self.slowest_pole!r}; give a rate of at least 0 in 1/s")
+        for name in ("peak_sensitivity", "peak_control", "static_amplification"):
+            value = getattr(self, name)
+            if value is not None and not (is_finite(value) and value > 0):
+                raise UsageError(f"{name} = {value!r}; give a positive number or None")
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """Additional limits and objectives."""
+        return (*self.extra, *self.soft)
+
+    @property
+    def has_responses(self) -> bool:
+        """Whether a frequency response is limited."""
+        return not self.peak_sensitivity is self.peak_control is self.static_amplification is None
+
+
+# ---- Score of a design, and the smooth functions near the worst one at a design.
+
+
+@dataclass(frozen=True)
+class Score:
+    """Quality of a design: the objective, and the largest relative violation of a limit (0 when all limits hold)."""
+
+    value: float
+    violation: float
+
+    @property
+    def usable(self) -> bool:
+        """Whether the loops have finite matrices and eigenvalues at this design."""
+        return bool(np.isfinite(self.value) and np.isfinite(self.violation))
+
+
+UNUSABLE = Score(-np.inf, np.inf)
+"""Score where a matrix or response of a loop is not finite: worse than any other."""
+
+
+@dataclass(frozen=True)
+class ActiveFunction:
+    """Smooth function near the worst one: name (kind, family, loop), value, gradient, place in the complex plane.
+
+    For ``"cluster"`` it is the objective of the mean of `size` eigenvalues.
+    """
+
+    kind: str
+    family: int
+    loop: int
+    value: float
+    slope: FloatArray
+    place: complex
+    size: int = 1
+
+
+@dataclass(frozen=True)
+class ActiveFunctions:
+    """Active functions of the objective (maximised) and of the limits (at most 0) at one design, and its loops."""
+
+    score: Score
+    aim: tuple[ActiveFunction, ...]
+    limits: tuple[ActiveFunction, ...]
+    states: tuple[LoopState, ...] = ()
+
+
+def merit(score: Score, penalty: float) -> float:
+    """Return the merit to be maximised: objective minus a penalty on the largest violation."""
+    return score.value - penalty * score.violation if score.usable else -np.inf
+
+
+# ---- Clusters of eigenvalues that are about to meet, by functions of the gains that are smooth where they meet.
+
+_FARTHEST = 1e8
+"""Angle between a subspace and the others, as a cotangent, from which on it is not determined."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Cluster of k eigenvalues of one loop: mean, and power sums of their distances from it, with derivatives.
+
+    Attributes
+    ----------
+    size : int
+        Number k of eigenvalues.
+    values : (k,) array
+        The eigenvalues.
+    mean : complex
+        Their mean.
+    mean_slope : (d,) array
+        Its derivatives.
+    powers : (k - 1,) array
+        Power sums ``sum_i ((lambda_i - mean) / rate)^j / k`` for j = 2 ... k; all are zero where the k meet.
+    powers_slope : (k - 1, d) array
+        Their derivatives.
+    """
+
+    size: int
+    values: ComplexArray
+    mean: complex
+    mean_slope: ComplexArray
+    powers: ComplexArray
+    powers_slope: ComplexArray
+
+    @property
+    def radius(self) -> float:
+        """Largest distance of an eigenvalue from the mean, with room for rounding."""
+        return float(np.abs(self.values - self.mean).max()) * 1.01 + 1e-6 * abs(self.mean)
+
+    @property
+    def real(self) -> bool:
+        """Whether mean and power sums are real, because the cluster holds the conjugate of each of its eigenvalues."""
+        return abs(self.mean.imag) <= 1e-9 * abs(self.mean)
+
+
+class InvariantSubspaces:
+    """Invariant subspaces of the matrix of a loop, from one Schur form of the balanced matrix.
+
+    Parameters
+    ----------
+    A : (n, n) array
+        Matrix of the loop.
+    dA : (d, n, n) array
+        Its derivatives by the gains.
+    """
+
+    def __init__(self, A: FloatArray, dA: FloatArray) -> None:
+        self.dA = dA
+        usable = np.isfinite(dA).all() and np.abs(A).max() < LARGEST  # which NaN is not, either
+        self._schur = SchurForm.of(A) if usable else None
+
+    def cluster(self, centre: complex, size: int, rate: float) -> Cluster | None:
+        """Return the cluster of the eigenvalues nearest to a place in the complex plane.
+
+        They span the invariant subspace ``A Q = Q M``, which is accurate where eigenvectors are not. With the left
+        basis ``L Q = I`` the derivative is ``dM = L dA Q``, and with ``N = M - mean I`` those of the power sums are
+        ``d tr N^j = j tr(N^(j-1) dN)``.
+
+        Parameters
+        ----------
+        centre : complex
+            Place in the complex plane.
+        size : int
+            Number of eigenvalues.
+        rate : float
+            Unit of distances [rad/s].
+
+        Returns
+        -------
+        Cluster, or None when the subspace is not determined up to rounding.
+        """
+        if self._schur is None or size > self._schur.n:
+            return None
+        if (library := kernels()) is not None:
+            found = compiled_cluster(library, self._schur.packed, self.dA, size, centre, rate, _FARTHEST)
+            if found is None:
+                return None
+            values, mean, powers, mean_slope, powers_slope = found
+            return Cluster(size, values, complex(mean[0]), mean_slope, powers, powers_slope)
+        form, basis, n = self._schur.form, self._schur.basis, self._schur.n
+        left = basis.conj().T
+        if size < n:
+            distance = np.abs(np.diag(form) - centre)
+            order = np.argsort(distance, kind="stable")
+            if distance[order[size]] <= distance[order[size - 1]] * (1 + 1e-9):
+                return None
+            chosen = np.zeros(n, np.int32)
+            chosen[order[:size]] = 1
+            form, basis, _, inside, *_, failed = ztrsen(chosen, form, basis, job=b"N")
+            if failed or inside != size:
+                return None
+            X, scale, failed = ztrsyl(form[:size, :size], form[size:, size:], form[:size, size:], isgn=-1)
+            if failed < 0 or not np.abs(X).max() < _FARTHEST * scale:
+                return None
+            left = basis.conj().T
+            left = left[:size] + (X / scale) @ left[size:]
+        right = self._schur.unit[:, None] * basis[:, :size]
+        return _cluster(form[:size, :size], left / self._schur.unit, right, self.dA, rate)
+
+
+def near_sums(A: FloatArray, places: FloatArray) -> tuple[ComplexArray, list[tuple[complex, ComplexArray]]]:
+    """Return the eigenvalues of a matrix, and mean and power sums of those nearest to each of some places.
+
+    Parameters
+    ----------
+    A : (n, n) array
+        Matrix of a loop.
+    places : (c, 4) array
+        Real and imaginary part of each place, unit of distances [rad/s], and number of eigenvalues.
+    """
+    sizes = [int(k) for k in places[:, 3]]
+    if (library := kernels()) is not None:
+        values, sums = compiled_near_sums(library, A, places, sum(sizes))
+        ends = list(accumulate(sizes))
+        return values, [(complex(sums[end - k]), sums[end - k + 1 : end]) for k, end in zip(sizes, ends, strict=True)]
+    values = eigenvalues(A[None])[0]
+    orders = [np.argsort(np.abs(values - complex(x, y)), kind="stable") for x, y in places[:, :2]]
+    return values, [power_sums(values[order[:k]], row[2]) for order, k, row in zip(orders, sizes, places, strict=True)]
+
+
+def power_sums(values: ComplexArray, rate: float) -> tuple[complex, ComplexArray]:
+    """Return mean and power sums of eigenvalues, see `Cluster`; both hardly change by the rounding of each of them."""
+    size = len(values)
+    mean = complex(values.sum() / size)
+    distances = (values - mean) / rate
+    return mean, np.array([(distances**j).sum() / size for j in range(2, size + 1)])
+
+
+def _cluster(M: ComplexArray, left: ComplexArray, right: ComplexArray, dA: FloatArray, rate: float) -> Cluster:
+    """Return the cluster of all eigenvalues of an upper triangular matrix ``M = left A right``."""
+    size, d = len(M), len(dA)
+    mean = complex(np.trace(M) / size)
+    N = (M - mean * np.eye(size)) / rate
+    # trace of N^(j-1) left dA right as a product of right N^(j-1) left with dA, for all j at once
+    weights, traces, turned = [right @ left], [complex(size)], right
+    for _ in range(1, size):
+        turned = turned @ N
+        weights.append(turned @ left)
+    powers = np.empty(size - 1, complex)
+    power = N
+    for j in range(2, size + 1):
+        traces.append(complex(np.trace(power)))
+        power = power @ N
+        powers[j - 2] = np.trace(power) / size
+    flat = np.array(weights).transpose(0, 2, 1).reshape(size, -1)
+    products = np.vstack([flat.real, flat.imag]) @ dA.reshape(d, -1).T
+    inner = products[:size] + 1j * products[size:]
+    mean_slope = inner[0] / size
+    factors = np.arange(2, size + 1)[:, None] / (size * rate)
+    slopes = factors * (inner[1:] - np.array(traces[1:])[:, None] * mean_slope)
+    return Cluster(size, np.diag(M).copy(), mean, mean_slope, powers, slopes)
+
+
+# ---- Invariant subspaces of many loops at one design.
+
+
+@dataclass(frozen=True, eq=False)
+class LoopSubspaces:
+    """Invariant subspaces of the loops at one design; each Schur form is computed once, when it is first needed.
+
+    Parameters
+    ----------
+    families : tuple of LoopFamily
+        The loops.
+    x : (d,) array
+        The gains.
+    least_rate : float
+        Smallest unit of distances between eigenvalues [rad/s].
+    known : sequence of LoopState, optional
+        Loops of the families at this design, where they are known.
+    """
+
+    families: tuple[LoopFamily, ...]
+    x: FloatArray
+    least_rate: float
+    known: Sequence[LoopState] = ()
+    _loops: dict[int, Derivatives] = field(default_factory=dict, init=False, repr=False)
+    _forms: dict[tuple[int, int], InvariantSubspaces] = field(default_factory=dict, init=False, repr=False)
+
+    def cluster(self, family: int, loop: int, place: complex, size: int) -> Cluster | None:
+        """Return the eigenvalues of a loop nearest to a place in the complex plane; None when they are not separate."""
+        return self._of(family, loop).cluster(place, size, max(abs(place), self.least_rate))
+
+    def _of(self, family: int, loop: int) -> InvariantSubspaces:
+        if family not in self._loops:
+            known = self.known[family].derivatives if self.known else None
+            self._loops[family] = known or self.families[family].derivatives(self.x)
+        if (family, loop) not in self._forms:
+            loops = self._loops[family]
+            self._forms[family, loop] = InvariantSubspaces(loops.A[loop], loops.dA[loop])
+        return self._forms[family, loop]
+
+
+_RESPONSES = ("sensitivity", "control", "static")
+WINDOW = 0.3
+"""Largest distance of an active function from the worst one (in damping, or in the logarithm of a limited gain)."""
+
+
+@dataclass(eq=False)
+class GainProblem:
+    """Design problem: loops, limits and bounds. It evaluates designs and counts the evaluations.
+
+    Parameters
+    ----------
+    families : tuple of LoopFamily
+        Loops of the design.
+    limits : Limits
+        Objective and limits.
+    lower, upper : (d,) array
+        Bounds of the gains.
+    scale : float
+        Typical magnitude of an eigenvalue [rad/s], the unit of rates.
+    cuts : list
+        Frequencies of peaks found by an exact norm, as (kind, family, loop, frequency).
+    linear : tuple of (name, row, limit)
+        Linear limits ``row x <= limit``.
+    evaluations : int
+        Number of designs evaluated so far.
+    most_evaluations : int, optional
+        Number of evaluations after which a search ends.
+    """
+
+    families: tuple[LoopFamily, ...]
+    limits: Limits
+    lower: FloatArray
+    upper: FloatArray
+    scale: float
+    cuts: list[tuple[str, int, int, float]] = field(default_factory=list)
+    linear: tuple[tuple[str, FloatArray, float], ...] = ()
+    evaluations: int = 0
+    most_evaluations: int | None = None
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the allowed number of evaluations is used up."""
+        return self.most_evaluations is not None and self.evaluations >= self.most_evaluations
+
+    @property
+    def slowest(self) -> float:
+        """Rate that every eigenvalue must exceed [1/s]; slightly above zero, so that limit cases are stable."""
+        return max(self.limits.slowest_pole, 1e-7 * self.scale)
+
+    def score(self, x: FloatArray, worst: float = -np.inf, some: Sequence[IntArray] | None = None) -> Score:
+        """Return the score of one design, without its peaks when its objective is below `worst`.
+
+        By some loops of each family it is a bound, and counts for no evaluation.
+        """
+        self.evaluations += some is None
+        value, violation = np.inf, 0.0
+        every = [family.matrices(x) for family in self.families]
+        if some is not None:
+            every = [loops.of(own) for loops, own in zip(every, some, strict=True)]
+        # eigenvectors with the eigenvalues take hardly longer than the eigenvalues alone
+        systems = [Eigensystem.of(loops.A) for loops in every] if self.uses_responses else None
+        for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
+            values = true_rates(systems[f].values if systems else eigenvalues(loops.A), family.sample_time)
+            if np.isnan(values).any():
+                return UNUSABLE
+            value = min(value, float(self.aim(values, family.sample_time).min()))
+            violation = max(violation, float((self.slowest + values.real).max()) / self.scale)
+        if value < worst:
+            return Score(value, max(violation, 0.0))
+        if self.uses_responses and not all(loops.finite for loops in every):
+            return UNUSABLE
+        for _, _, peaks, limit in self._responses(every, systems, room=0.0):
+            violation = max(violation, _log_ratio(float(peaks.value.max(initial=0.0)), limit))
+        for _, row, limit in self.linear:
+            violation = max(violation, float(row @ x - limit))
+        if self.limits.measures and some is None:
+            assert systems is not None
+            states = [self.state(*args) for args in zip(self.families, every, [x] * len(every), systems, strict=True)]
+            violation = max([violation, *(float(e.excess(s).max()) for e in self.limits.extra for s in states)])
+            value = min([value, *(-float(e.excess(s).max()) for e in self.limits.soft for s in states)])
+        return Score(value, max(violation, 0.0)) if np.isfinite(violation + value) else UNUSABLE
+
+    @property
+    def uses_responses(self) -> bool:
+        """Whether frequency responses, or other quantities besides the eigenvalues, are limited."""
+        return self.limits.has_responses or bool(self.limits.measures)
+
+    def state(self, family: LoopFamily, loops: Loops, x: FloatArray, system: Eigensystem | None = None) -> LoopState:
+        """Return the loops of a family for given gains, as measures take them."""
+        step = 1e-5 * (self.upper - self.lower)
+        inwards = np.where(x + step > self.upper, -step, step)
+        return LoopState(family, x, loops, Eigensystem.of(loops.A) if system is None else system, inwards)
+
+    def stable(self, x: FloatArray) -> bool:
+        """Return whether all loops are stable."""
+        # NaN is not below zero
+        return all(bool((eigenvalues(family.states(x)).real < 0).all()) for family in self.families)
+
+    def aim(self, rates: ComplexArray, sample_time: float | None = None) -> FloatArray:
+        """Return the objective of each mode from its rate: damping factor, or decay in units of the scale."""
+        if not self.limits.weight:
+            return np.full(rates.shape, np.inf)
+        if self.limits.objective == "damping":
+            return self.limits.weight * damping_factors(rates, sample_time)
+        return -self.limits.weight * rates.real / self.scale
+
+    def in_units(self, aim: float) -> float:
+        """Return the objective in reported units: damping factor, or decay [1/s]."""
+        unit = 1.0 if self.limits.objective == "damping" or not self.limits.weight else self.scale
+        return aim * unit / (self.limits.weight or 1.0)
+
+    def functions(self, x: FloatArray, window: float = WINDOW) -> ActiveFunctions:
+        """Return all functions within a window of the worst one at a design, with gradients.
+
+        A window of zero leaves the worst one of the objective and the limits that do not hold.
+        """
+        self.evaluations += 1
+        aims: list[ActiveFunction] = []
+        limits: list[ActiveFunction] = []
+        slopes_by = [family.derivatives(x) for family in self.families]
+        systems = [Eigensystem.of(derivatives.A) for derivatives in slopes_by]
+        unfit = self.uses_responses and not all(loops.finite for loops in slopes_by)
+        if unfit or any(np.isnan(system.values).any() for system in systems):
+            return ActiveFunctions(UNUSABLE, (), ())
+        rates = [true_rates(s.values, family.sample_time) for s, family in zip(systems, self.families, strict=True)]
+        values = [self.aim(r, family.sample_time) for r, family in zip(rates, self.families, strict=True)]
+        states = [self.state(*args) for args in zip(self.families, slopes_by, [x] * len(systems), systems, strict=True)]
+        softs = [(soft, f, state, soft.excess(state)) for soft in self.limits.soft for f, state in enumerate(states)]
+        worst = min([*(float(v.min()) for v in values), *(-float(excess.max()) for *_, excess in softs)])
+        for f, (derivatives, system, aim) in enumerate(zip(slopes_by, systems, values, strict=True)):
+            upper = system.values.imag >= -REAL * np.abs(system.values)  # of conjugates one is enough
+            top = self.limits.weight if self.limits.objective == "damping" else np.inf
+            near = (aim <= worst + window) & upper & (aim < top)
+            aims += self._of_eigenvalues("aim", f, system, derivatives, near)
+            slow = (self.slowest + rates[f].real) / self.scale
+            limits += self._of_eigenvalues("pole", f, system, derivatives, (slow > -window) & upper)
+        for kind, f, peaks, limit in self._responses(slopes_by, systems, window):
+            keep = np.flatnonzero(peaks.value > limit * np.exp(-window))
+            chosen = Peaks(peaks.loop[keep], peaks.frequency[keep], peaks.value[keep])
+            slopes, _ = peak_slopes(slopes_by[f], rows_of(self.families[f], kind), chosen)
+            for loop, w, value, slope in zip(chosen.loop, chosen.frequency, chosen.value, slopes, strict=True):
+                limits.append(
+                    ActiveFunction(kind, f, int(loop), float(np.log(value / limit)), slope / value, complex(0, w))
+                )
+        for name, row, limit in self.linear:
+            if (excess := float(row @ x - limit)) > -window:
+                limits.append(ActiveFunction(name, 0, 0, excess, row, 0j))
+        for extra in self.limits.extra:
+            for f, state in enumerate(states):
+                found = zip(*extra.pieces(state, window), strict=True)
+                limits += [ActiveFunction(extra.name, f, int(i), float(v), g, complex(p)) for i, v, g, p in found]
+        for soft, f, state, _ in softs:
+            found = zip(*soft.pieces(state, worst + window + 1e-12), strict=True)
+            aims += [ActiveFunction(soft.name, f, int(i), -float(v), -g, complex(p)) for i, v, g, p in found]
+        violation = max([0.0, *(piece.value for piece in limits)])
+        if not np.isfinite(violation):
+            return ActiveFunctions(UNUSABLE, (), ())
+        sound = [[piece for piece in group if np.isfinite(piece.slope).all()] for group in (aims, limits)]
+        return ActiveFunctions(Score(worst, violation), tuple(sound[0]), tuple(sound[1]), tuple(states))
+
+    def merit_and_slope(self, x: FloatArray, penalty: float) -> tuple[float, FloatArray]:
+        """Return objective minus a penalty on the largest violation, and the gradient of the worst functions."""
+        found = self.functions(x, 0.0)
+        slope = np.zeros_like(x)
+        if not found.score.usable:
+            return -np.inf, slope
+        if found.aim:
+            slope = slope + min(found.aim, key=lambda piece: piece.value).slope
+        if found.score.violation > 0 and found.limits:
+            slope = slope - penalty * max(found.limits, key=lambda piece: piece.value).slope
+        return merit(found.score, penalty), slope
+
+    def _of_eigenvalues(
+        self, kind: str, f: int, system: Eigensystem, derivatives: Derivatives, chosen: BoolArray
+    ) -> list[ActiveFunction]:
+        loop, which = np.nonzero(chosen)
+        values = system.values[loop, which]
+        numbers, gradients = self._of_values(kind, f, values, system.slopes(loop, which, derivatives.dA))
+        return [
+            ActiveFunction(kind, f, int(i), float(number), gradient, complex(value))
+            for i, number, gradient, value in zip(loop, numbers, gradients, values, strict=True)
+        ]
+
+    def _of_values(
+        self, kind: str, f: int, values: ComplexArray, slopes: ComplexArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return objective or excess of the slowest pole for eigenvalues of a family (k,), and their gradients."""
+        T, weight = self.families[f].sample_time, self.limits.weight
+        rates, slopes = true_rates(values, T), slopes * rate_slopes(values, T)[:, None]
+        if kind == "pole":
+            return (self.slowest + rates.real) / self.scale, slopes.real / self.scale
+        if self.limits.objective == "damping":
+            return weight * damping_factors(rates, T), weight * damping_slopes(rates, slopes, T)
+        return -weight * rates.real / self.scale, -weight * slopes.real / self.scale
+
+    def mean_of(self, f: int, cluster: Cluster) -> tuple[float, FloatArray]:
+        """Return the objective of the mean of a cluster of eigenvalues of a family, and its gradient."""
+        numbers, gradients = self._of_values("aim", f, np.array([cluster.mean]), cluster.mean_slope[None])
+        return float(numbers[0]), gradients[0]
+
+    def subspaces(self, x: FloatArray, known: Sequence[LoopState] = ()) -> LoopSubspaces:
+        """Return the invariant subspaces of all loops at a design."""
+        return LoopSubspaces(self.families, x, 0.01 * self.scale, known)
+
+    def slopes_at(self, functions: Sequence[ActiveFunction], designs: Sequence[FloatArray]) -> FloatArray:
+        """Return the gradients of known functions at nearby designs (q, n, d), those of peaks at their old frequency.
+
+        NaN where a gradient is not available: for two eigenvalues too close to each other, and for additional limits.
+        """
+        found = np.full((len(designs), len(functions), len(self.lower)), np.nan)
+        for f, family in enumerate(self.families):
+            own = [i for i, piece in enumerate(functions) if piece.family == f]
+            if not own:
+                continue
+            used = np.unique([functions[i].loop for i in own])
+            parts = [family.derivatives(x) for x in designs]
+            if len(used) < len(family):
+                parts = [part.of(used) for part in parts]
+            loops = Derivatives.joined(parts)
+            spectral = any(functions[i].kind in ("aim", "pole") for i in own)
+            near = NearbyEigenvalues(loops, len(used)) if spectral else None
+            for kind in {functions[i].kind for i in own}:
+                same = [i for i in own if functions[i].kind == kind]
+                # the loop of each piece in each design (n, q)
+                first = np.searchsorted(used, [functions[i].loop for i in same])
+                which = first[:, None] + len(used) * np.arange(len(designs))
+                places = np.array([functions[i].place for i in same])
+                found[:, same] = self._slopes_of(kind, places, f, loops, near, which).transpose(1, 0, 2)
+        for i, piece in enumerate(functions):
+            rows = [row for name, row, _ in self.linear if name == piece.kind]
+            if rows:
+                found[:, i] = rows[0]
+        return found
+
+    def _slopes_of(
+        self,
+        kind: str,
+        places: ComplexArray,
+        f: int,
+        loops: Derivatives,
+        near: NearbyEigenvalues | None,
+        which: IntArray,
+    ) -> FloatArray:
+        """Return the gradients of n functions in the chosen loops (n, q, d), NaN where they are not available."""
+        shape, flat = (*which.shape, len(self.lower)), which.ravel()
+        if kind in _RESPONSES:
+            peaks = Peaks(flat, np.repeat(places.imag, which.shape[1]), np.ones(len(flat)))
+            by_gains, heights = peak_slopes(loops, rows_of(self.families[f], kind), peaks)
+            return (by_gains / heights[:, None]).reshape(shape)
+        if near is None or kind not in ("aim", "pole"):
+            return np.full(shape, np.nan)
+        values, slopes = near.slopes(which, places)
+        return self._of_values(kind, f, values, slopes)[1].reshape(shape)
+
+    def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
+        """Return measures of a design in each loop of a family, larger is worse (n, m).
+
+        The first row is minus the objective. The others are the excess of the slowest pole and of each limited
+        response over their limits. The family need not be one of the problem.
+        """
+        loops = family.matrices(x)
+        system = Eigensystem.of(loops.A)
+        rates = true_rates(system.values, family.sample_time)
+        rows = [-self.aim(rates, family.sample_time).min(axis=1), (self.slowest + rates.real).max(axis=1) / self.scale]
+        state = self.state(family, loops, x, system)
+        rows[0] = np.max([rows[0], *(soft.excess(state) for soft in self.limits.soft)], axis=0)
+        if self.limits.has_responses and family.n_outputs:
+            for _, peaks, limit in self._peaks(family, loops, system, []):
+                highest = np.zeros(len(family))
+                np.maximum.at(highest, peaks.loop, peaks.value)
+                rows.append(np.log(highest / limit))
+        rows += [extra.excess(state) for extra in self.limits.extra]
+        return np.array(rows)
+
+    def _responses(
+        self, every: Sequence[Loops], systems: Sequence[Eigensystem] | None = None, room: float = np.inf
+    ) -> list[tuple[str, int, Peaks, float]]:
+        """Return the peaks of all limited responses; those lower than their limit by `room`, as log, may be missing."""
+        found: list[tuple[str, int, Peaks, float]] = []
+        if not self.limits.has_responses:
+            return found
+        for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
+            if family.n_outputs:
+                system = Eigensystem.of(loops.A) if systems is None else systems[f]
+                cuts = [cut for cut in self.cuts if cut[1] == f and len(loops.A) == len(family)]
+                own = self._peaks(family, loops, system, cuts, room)
+                found += [(kind, f, peaks, limit) for kind, peaks, limit in own]
+        return found
+
+    def _peaks(
+        self,
+        family: LoopFamily,
+        loops: Loops,
+        system: Eigensystem,
+        cuts: list[tuple[str, int, int, float]],
+        room: float = np.inf,
+    ) -> list[tuple[str, Peaks, float]]:
+        """Return the peaks of all limited responses of one family: kind, peaks, limit."""
+        found = []
+        for kind, limit in (("sensitivity", self.limits.peak_sensitivity), ("control", self.limits.peak_control)):
+            if limit is not None:
+                own = [cut for cut in cuts if cut[0] == kind]
+                extra = (np.array([c[2] for c in own], int), np.array([c[3] for c in own])) if own else None
+                peaks = find_peaks(loops, system, rows_of(family, kind), extra, least=limit * float(np.exp(-room)))
+                found.append((kind, peaks, limit))
+        if self.limits.static_amplification is not None:
+            every, rest = np.arange(len(loops.A)), np.zeros((len(loops.A), 1))
+            response = respond(loops, system, rows_of(family, "static"), every, rest)
+            peaks = Peaks(every, rest[:, 0], largest_singular_values(response)[:, 0])
+            found.append(("static", peaks, self.limits.static_amplification))
+        return found
+
+
+def _log_ratio(value: float, limit: float) -> float:
+    """Return how far a gain exceeds its limit; infinite for a gain that is not finite."""
+    return float(np.log(max(value, 1e-300) / limit)) if np.isfinite(value) else np.inf
+
+
+def rows_of(family: LoopFamily, kind: str) -> slice:
+    """Return the rows of the outputs that belong to a kind of response."""
+    return slice(family.n_outputs, None) if kind == "control" else slice(0, family.n_outputs)
+
+
+# ---- Progress of a search for gains.
+
+
+@dataclass(frozen=True)
+class SearchStep:
+    """Progress of a search after one stage.
+
+    Attributes
+    ----------
+    stage : str
+        ``"global"``, ``"local"``, ``"basin hopping"``, ``"cut"`` (a peak between grid frequencies was added),
+        ``"certificate"`` (the design was certified or improved) or ``"points"`` (worst points were added).
+    count : int
+        Number of designs evaluated so far.
+    value : float
+        Best objective so far, damping factor or decay rate [1/s].
+    violation : float
+        Largest relative violation of a limit by this design; 0 when all limits hold.
+    """
+
+    stage: str
+    count: Annotated[int, Stored("1", "designs evaluated so far")]
+    value: Annotated[float, Stored("", "best aim so far, damping factor or decay rate [1/s]")]
+    violation: Annotated[float, Stored("1", "by how much its worst limit is exceeded")]

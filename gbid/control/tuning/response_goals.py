@@ -1,0 +1,498 @@
+"""Goals on responses over frequency: sensitivities, control effort, roll-off, and the disk margin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from math import radians
+from typing import Any, ClassVar
+
+import numpy as np
+
+from gbid.control.loop.norm import largest_singular_values
+from gbid.control.loop.sensitivity import structured_singular_values
+from gbid.control.tuning.goals import Bound, BoundLike, DesignContext, Wanted, bound_over_frequency, positive
+from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
+from gbid.control.tuning.peaks import (
+    IntArray,
+    ModalResponse,
+    Peaks,
+    around,
+    base_frequencies,
+    direct_response,
+    find_peaks,
+    peak_slopes,
+)
+from gbid.control.tuning.plane import Eigensystem, searched_frequencies, true_frequencies
+from gbid.control.tuning.problem import ExtraLimit, Limits, LoopState, Measure, Pieces
+from gbid.core.arrays import ComplexArray, FloatArray, is_finite
+from gbid.core.errors import UsageError
+
+# ---- Measure of a response over frequency: its peak over a bound, with exact gradients.
+
+
+class LoopResponse(Enum):
+    """LoopResponse from a disturbance on p, as (factor on S_o, factor on the unit matrix, whether K S_o is meant)."""
+
+    SENSITIVITY = (1.0, 0.0, False)
+    COMPLEMENTARY = (-1.0, 1.0, False)
+    """T_o = I - S_o."""
+    BALANCED = (2.0, -1.0, False)
+    """S - T = 2 S_o - I, whose structured singular value gives the disk margin."""
+    CONTROL = (1.0, 0.0, True)
+    """K S_o."""
+
+
+@dataclass(frozen=True)
+class ResponseMeasure(Measure):
+    """Excess ``log(weight * peak over frequency of the gain over its bound)`` of each loop.
+
+    Parameters
+    ----------
+    name : str
+        Name of the limit.
+    response : LoopResponse
+        The response.
+    bound : Bound
+        Largest allowed gain over frequency.
+    structured : bool
+        Whether the gain is the structured singular value of independent channels, else the largest singular value.
+    channel : int, optional
+        The only channel, from and to which the response is taken; all by default.
+    weight : float
+        Weight.
+    """
+
+    name: str
+    response: LoopResponse
+    bound: Bound
+    structured: bool = False
+    channel: int | None = None
+    weight: float = 1.0
+
+    def excess(self, state: LoopState) -> FloatArray:
+        """Return the excess of the highest peak of each loop."""
+        peaks = self._peaks(state)
+        highest = np.zeros(len(state.family))
+        np.maximum.at(highest, peaks.loop, peaks.value)
+        return np.asarray(np.log(self.weight * np.maximum(highest, 1e-300)))
+
+    def pieces(self, state: LoopState, window: float) -> Pieces:
+        """Return the peaks near the limit."""
+        peaks = self._peaks(state)
+        keep = np.log(self.weight * peaks.value) > -window
+        loop, place, value = peaks.loop[keep], peaks.frequency[keep], peaks.value[keep]
+        whole = self._of_response(state.derivatives, state.family.n_outputs)
+        assert isinstance(whole, Derivatives)
+        own = whole.of(loop)
+        if self.structured:
+            own = self._scaled(own, place)
+        slopes, gains = peak_slopes(own, slice(None), Peaks(np.arange(len(loop)), place, value))
+        gradient = slopes / gains[:, None]
+        return Pieces(loop, np.log(self.weight * value), gradient, place.astype(complex) * 1j)
+
+    def _peaks(self, state: LoopState) -> Peaks:
+        T = state.family.sample_time
+
+        def size(responses: ComplexArray, frequency: FloatArray) -> FloatArray:
+            gains = (structured_singular_values if self.structured else largest_singular_values)(responses)
+            return np.asarray(gains / self.bound.of_hz(true_frequencies(frequency, T) / (2 * np.pi)))
+
+        loops = self._of_response(state.loops, state.family.n_outputs)
+        return find_peaks(loops, state.system, slice(None), self._places(state), size)
+
+    def _places(self, state: LoopState) -> tuple[IntArray, FloatArray]:
+        """Return loops and frequencies of the search at which peaks are looked for: of the bound, and around modes."""
+        T, m = state.family.sample_time, len(state.family)
+        true = 2 * np.pi * self.bound.places_hz
+        own = searched_frequencies(true if T is None else true[true < 0.999 * np.pi / T], T)
+        loop, which = np.nonzero(state.system.values.imag > 0)
+        modes = around(state.system.values[loop, which])
+        loops = np.concatenate([np.repeat(np.arange(m), len(own)), np.repeat(loop, modes.shape[1])])
+        return loops, np.concatenate([np.tile(own, m), modes.ravel()])
+
+    def _of_response(self, loops: Loops, n_outputs: int) -> Loops:
+        """Return the loops with this response as their only outputs."""
+        factor, unit, control = self.response.value
+        rows = slice(n_outputs, None) if control else slice(0, n_outputs)
+        columns = slice(None)
+        if self.channel is not None:
+            at = self.channel + (n_outputs if control else 0)
+            rows, columns = slice(at, at + 1), slice(self.channel, self.channel + 1)
+        n_rows = loops.D[0][rows].shape[0]
+        D = factor * loops.D[..., rows, :] + unit * np.eye(n_rows, loops.D.shape[-1], k=self.channel or 0)
+        changed = replace(loops, C=factor * loops.C[..., rows, :], D=D[..., columns], B=loops.B[..., columns])
+        if isinstance(changed, Derivatives):
+            dC, dD = factor * changed.dC[..., rows, :], factor * changed.dD[..., rows, columns]
+            return replace(changed, dB=changed.dB[..., columns], dC=dC, dD=dD)
+        return changed
+
+    @staticmethod
+    def _scaled(loops: Derivatives, frequency: FloatArray) -> Derivatives:
+        """Return 2 x 2 responses, each scaled so that its off-diagonal entries at its frequency have equal magnitude.
+
+        The largest singular value is then the structured one, with the same gradient (margins.py).
+        """
+        if loops.D.shape[-1] != 2:
+            return loops
+        M = direct_response(loops.A, loops.B, loops.C, loops.D, frequency[:, None])[:, 0]
+        ratio = np.sqrt((np.abs(M[:, 1, 0]) + 1e-300) / (np.abs(M[:, 0, 1]) + 1e-300)).clip(1e-6, 1e6)
+        left = np.stack([ratio, np.ones(len(ratio))], axis=1)[:, :, None]
+        right = 1 / left.transpose(0, 2, 1)
+        return replace(
+            loops,
+            B=loops.B * right,
+            C=loops.C * left,
+            D=loops.D * left * right,
+            dB=loops.dB * right[:, None],
+            dC=loops.dC * left[:, None],
+            dD=loops.dD * (left * right)[:, None],
+        )
+
+
+@dataclass(frozen=True)
+class ResponseGoal(Wanted):
+    """Base of the goals on the largest singular value of a response over frequency.
+
+    Parameters
+    ----------
+    limit : float, sequence of (frequency_hz, limit), or LinearModel
+        One limit for all frequencies, breakpoints between which the limit is straight in logarithmic axes, or a model
+        whose gain is the limit.
+    soft, weight
+        See `gbid.control.Wanted`.
+    """
+
+    limit: BoundLike
+    response: ClassVar[LoopResponse]
+    label: ClassVar[str]
+    native: ClassVar[str] = ""
+    """Name of the limit that the search knows without a measure."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        bound_over_frequency(self.limit, f"{type(self).__name__}: limit")
+
+    def measure(self, context: DesignContext) -> ResponseMeasure:
+        """Return the measure of this goal."""
+        bound = bound_over_frequency(self.limit, type(self).__name__)
+        return ResponseMeasure(f"{self.label} over frequency", self.response, bound, weight=self.weight)
+
+    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+        """Return the limits with this goal; one hard limit for all frequencies is verified by an exact norm."""
+        if self.soft or not self.native or not is_finite(self.limit):
+            return super().add_to(limits, context)
+        known = getattr(limits, self.native)
+        changed: dict[str, Any] = {self.native: float(self.limit if known is None else min(known, self.limit))}
+        return replace(limits, **changed)
+
+
+@dataclass(frozen=True)
+class PeakSensitivity(ResponseGoal):
+    """Largest singular value of the output sensitivity S_o.
+
+    Parameters
+    ----------
+    limit, soft, weight
+        See `ResponseGoal`.
+    """
+
+    response = LoopResponse.SENSITIVITY
+    label = "S_o"
+    native = "peak_sensitivity"
+
+
+@dataclass(frozen=True)
+class PeakControl(ResponseGoal):
+    """Largest singular value of the control effort K S_o [m/m].
+
+    Parameters
+    ----------
+    limit, soft, weight
+        See `ResponseGoal`.
+    """
+
+    response = LoopResponse.CONTROL
+    label = "K S_o"
+    native = "peak_control"
+
+
+@dataclass(frozen=True)
+class PeakComplementary(ResponseGoal):
+    """Largest singular value of the complementary sensitivity T_o = I - S_o.
+
+    Parameters
+    ----------
+    limit, soft, weight
+        See `ResponseGoal`.
+    """
+
+    response = LoopResponse.COMPLEMENTARY
+    label = "T_o"
+
+
+@dataclass(frozen=True)
+class RollOff(Wanted):
+    """Control effort K S_o that falls above a frequency, over three decades or up to half the sample rate.
+
+    Parameters
+    ----------
+    from_hz : float
+        Frequency from which the limit holds [Hz].
+    level : float
+        Largest singular value of K S_o there [m/m].
+    slope_db : float
+        Fall of the limit above it [dB per decade].
+    soft, weight
+        See `Wanted`.
+    """
+
+    from_hz: float
+    level: float
+    slope_db: float = 20.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive(self, from_hz=self.from_hz, level=self.level)
+        if not (is_finite(self.slope_db) and 0 <= self.slope_db <= 200):
+            raise UsageError(f"RollOff: slope_db = {self.slope_db!r}; give 0 to 200 dB per decade")
+
+    def measure(self, context: DesignContext) -> ResponseMeasure:
+        """Return the measure of this goal."""
+        places = self.from_hz * (1 + 1e-9) * np.geomspace(1.0, 1e3, 25)
+        bound = Bound(self._bound, places)
+        return ResponseMeasure("roll-off of K S_o", LoopResponse.CONTROL, bound, weight=self.weight)
+
+    def _bound(self, hz: FloatArray) -> FloatArray:
+        over = np.maximum(hz, self.from_hz) / self.from_hz
+        return np.where(hz >= self.from_hz, self.level * over ** (-self.slope_db / 20), 1e300)
+
+
+@dataclass(frozen=True)
+class StaticAmplification(Wanted):
+    """Largest singular value of S_o at zero frequency: the amplification of a steady disturbance of p.
+
+    Parameters
+    ----------
+    limit : float
+        Largest allowed gain.
+    soft, weight
+        See `Wanted`.
+    """
+
+    limit: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive(self, limit=self.limit)
+
+    def measure(self, context: DesignContext) -> ResponseMeasure:
+        """Return the measure of this goal."""
+
+        def at_rest(hz: FloatArray) -> FloatArray:
+            return np.where(hz == 0, self.limit, 1e300)
+
+        return ResponseMeasure(
+            "static amplification", LoopResponse.SENSITIVITY, Bound(at_rest, np.zeros(0)), weight=self.weight
+        )
+
+    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+        """Return the limits with this goal."""
+        if self.soft:
+            return super().add_to(limits, context)
+        known = limits.static_amplification
+        return replace(limits, static_amplification=self.limit if known is None else min(known, self.limit))
+
+
+@dataclass(frozen=True)
+class MinDiskMargin(Wanted):
+    r"""Smallest disk margin alpha, of all loops together or of each loop alone.
+
+    A loop with alpha tolerates gains times ``(2 - alpha)/(2 + alpha)`` to the inverse of it, and phases of
+    ``2 arctan(alpha / 2)``; see `gbid.control.disk_margin`.
+
+    Parameters
+    ----------
+    alpha : float
+        Smallest allowed size of the disk.
+    channel : int, optional
+        Loop that is changed alone; all together by default.
+    soft, weight
+        See `Wanted`.
+    """
+
+    alpha: float
+    channel: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (is_finite(self.alpha) and 0 < self.alpha < 2):
+            raise UsageError(f"MinDiskMargin: alpha = {self.alpha!r}; give a number between 0 and 2")
+
+    def measure(self, context: DesignContext) -> ResponseMeasure:
+        """Return the measure of this goal."""
+        n = len(context.plant.C)
+        if self.channel is not None and self.channel not in range(n):
+            raise UsageError(f"MinDiskMargin: channel = {self.channel!r}; there are {n}, from 0")
+        name = "disk margin" if self.channel is None else f"disk margin of {context.plant.output_names[self.channel]}"
+        bound = bound_over_frequency(2 / self.alpha, "MinDiskMargin")
+        return ResponseMeasure(name, LoopResponse.BALANCED, bound, True, self.channel, self.weight)
+
+
+# ---- Goals on the classical margins of each loop: gain and phase.
+
+_PER_DECADE = 80
+_STEPS = np.linspace(0.0, 1.0, 9)
+_NONE = 1e-6
+"""Share of a margin that is used up where a loop has no crossing."""
+
+
+@dataclass(frozen=True)
+class MinGainMargin(Wanted):
+    """Factors on the gain of each loop alone that it must tolerate: from ``1 / factor`` to ``factor``.
+
+    Parameters
+    ----------
+    factor : float
+        Gain margin, above 1.
+    soft, weight
+        See `Wanted`; the quantity is the share ``log(factor) / log(gain margin)``.
+    """
+
+    factor: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (is_finite(self.factor) and self.factor > 1):
+            raise UsageError(f"MinGainMargin: factor = {self.factor!r}; give a number above 1")
+
+    def measure(self, context: DesignContext) -> ExtraLimit:
+        """Return the measure of this goal."""
+        wanted = float(np.log(self.factor))
+
+        def used(L: ComplexArray) -> FloatArray:
+            tolerated = np.abs(np.log(np.maximum(np.abs(L), 1e-12)))
+            return np.where(L.real > 0, wanted / np.maximum(tolerated, 1e-9), _NONE)
+
+        return ExtraLimit("gain margin", _largest_share(lambda L: L.imag, used), 1 / self.weight)
+
+
+@dataclass(frozen=True)
+class MinPhaseMargin(Wanted):
+    """Phase of either sign that each loop alone must tolerate.
+
+    Parameters
+    ----------
+    degrees : float
+        Phase margin [degrees], between 0 and 180.
+    soft, weight
+        See `Wanted`; the quantity is the share ``degrees / phase margin``.
+    """
+
+    degrees: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (is_finite(self.degrees) and 0 < self.degrees < 180):
+            raise UsageError(f"MinPhaseMargin: degrees = {self.degrees!r}; give a number between 0 and 180")
+
+    def measure(self, context: DesignContext) -> ExtraLimit:
+        """Return the measure of this goal."""
+        wanted = radians(self.degrees)
+
+        def used(L: ComplexArray) -> FloatArray:
+            return np.asarray(wanted / np.maximum(np.abs(np.angle(L)), 1e-9))
+
+        return ExtraLimit("phase margin", _largest_share(lambda L: np.abs(L) - 1, used), 1 / self.weight)
+
+
+def _largest_share(
+    crossing: Callable[[ComplexArray], FloatArray], used: Callable[[ComplexArray], FloatArray]
+) -> Callable[[LoopFamily, FloatArray], FloatArray]:
+    """Return the largest share of a margin that is used at a crossing, as a function of loops and gains."""
+
+    def largest(family: LoopFamily, gains: FloatArray) -> FloatArray:
+        loops = family.matrices(gains)
+        system = Eigensystem.of(loops.A)
+        found = np.full(len(family), _NONE)
+        for channel in range(family.n_outputs):
+            np.maximum(found, _share(family, loops, system, channel, crossing, used), out=found)
+        return found
+
+    return largest
+
+
+def _share(
+    family: LoopFamily,
+    loops: Loops,
+    system: Eigensystem,
+    channel: int,
+    crossing: Callable[[ComplexArray], FloatArray],
+    used: Callable[[ComplexArray], FloatArray],
+) -> FloatArray:
+    """Return the largest share of one channel, with crossings located by bisection (m,)."""
+    response = ModalResponse(loops, system, slice(0, family.n_outputs))
+
+    def gain(which: IntArray, w: FloatArray) -> ComplexArray:
+        # opened at this channel, with the others closed: L = 1 - 1 / S_ii
+        return np.asarray(1 - 1 / response(w, which)[..., channel, channel])
+
+    m = len(family)
+    base = base_frequencies(system.values, _PER_DECADE)
+    # with modes of the loop opened at this channel, near which its gain has its peaks
+    modes = np.concatenate([system.values, _opened(loops, channel)], axis=1)
+    near = around(modes).reshape(m, -1)
+    own = np.sort(np.concatenate([np.abs(modes), np.abs(modes.imag), near, np.tile(base[1:], (m, 1))], 1), axis=1)
+
+    loop, low, high, sign = _intervals(own, lambda which, w: crossing(gain(which, w)))
+    for _ in range(45 if len(loop) else 0):
+        middle = (low + high) / 2
+        before = np.sign(crossing(gain(loop, middle[:, None])[:, 0])) == sign
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    found = np.full(m, _NONE)
+    if len(loop):
+        np.maximum.at(found, loop, used(gain(loop, ((low + high) / 2)[:, None])[:, 0]))
+    # at zero frequency the loop gain is real, which limits the gain as well; rounding may give it an imaginary part
+    rest = gain(np.arange(m), np.zeros((m, 1)))[:, 0].real.astype(complex)
+    real = np.abs(crossing(rest)) <= 1e-9 * np.abs(rest)
+    np.maximum(found, np.where(real, used(rest), _NONE), out=found)
+    return np.asarray(found)
+
+
+def _intervals(
+    grid: FloatArray, value_at: Callable[[IntArray, FloatArray], FloatArray]
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Return the intervals in which a function of frequency crosses zero: loop, ends, and sign at the lower end.
+
+    Where it turns back between neighbours of the grid, beyond zero, it crosses twice.
+    """
+    value = value_at(np.arange(len(grid)), grid)
+    side, size = np.sign(value), np.abs(value)
+    loop, k = np.nonzero(side[:, 1:] * side[:, :-1] < 0)
+    found = loop, grid[loop, k], grid[loop, k + 1], side[loop, k]
+    turns = (size[:, 1:-1] <= size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
+    loop, k = np.nonzero(turns & (side[:, 1:-1] == side[:, :-2]) & (side[:, 1:-1] == side[:, 2:]))
+    if not len(loop):
+        return found
+    first, last, before, row = grid[loop, k], grid[loop, k + 2], side[loop, k], np.arange(len(loop))
+    low, high, top = first, last, first
+    for _ in range(4):
+        points = low[:, None] + (high - low)[:, None] * _STEPS
+        at = np.clip((before[:, None] * value_at(loop, points)).argmin(axis=1), 1, len(_STEPS) - 2)
+        low, top, high = points[row, at - 1], points[row, at], points[row, at + 1]
+    beyond = before * value_at(loop, top[:, None])[:, 0] < 0
+    first, top, last, before = first[beyond], top[beyond], last[beyond], before[beyond]
+    return (
+        np.concatenate([found[0], loop[beyond], loop[beyond]]),
+        np.concatenate([found[1], first, top]),
+        np.concatenate([found[2], top, last]),
+        np.concatenate([found[3], before, -before]),
+    )
+
+
+def _opened(loops: Loops, channel: int) -> ComplexArray:
+    """Return the eigenvalues of the loops opened at a channel (m, n): the zeros of its S_ii."""
+    direct = loops.D[:, channel, channel][:, None, None]
+    back = loops.B[:, :, channel, None] @ loops.C[:, None, channel]
+    return np.asarray(np.linalg.eigvals(loops.A - back / np.where(np.abs(direct) > 1e-9, direct, np.inf)), complex)

@@ -1,0 +1,291 @@
+"""Result of a search for gains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from gbid.control.loop.norm import largest_singular_values, peak_gain
+from gbid.control.tuning.loops import LoopFamily
+from gbid.control.tuning.plane import damping_factors, eigenvalues, true_rates
+from gbid.control.tuning.problem import GainProblem, SearchStep, rows_of
+from gbid.core.arrays import FloatArray
+from gbid.core.brief import Brief, Description, brief
+from gbid.core.extras import data_frame
+from gbid.core.hdf5 import NOT_STORED, Stored
+from gbid.structure import LinearModel
+
+Points = Annotated[tuple[tuple[float, float], ...], Stored("bar, rpm", "operating points of the design")]
+
+
+class GainStatus(StrEnum):
+    """Why a search for gains ended."""
+
+    OPTIMAL = "optimal"
+    """All limits hold, and the design has a certificate of first-order optimality."""
+    STALLED = "stalled"
+    """All limits hold, and no method improved the design any more, but it has no certificate."""
+    ITERATION_LIMIT = "iteration limit"
+    LIMITS_CONTRADICT = "limits contradict"
+    """Stable, but no design keeps all limits."""
+    NO_STABILISING_GAINS = "no stabilising gains"
+    """No gains within the bounds stabilise all loops."""
+
+
+@dataclass(frozen=True)
+class WorstMode:
+    """Mode that limits a design.
+
+    Attributes
+    ----------
+    where : str
+        Loop of the mode: an operating point, or ``A[i]``.
+    frequency_hz : float
+        Natural frequency [Hz]; 0 for a pole at zero.
+    damping : float
+        Damping factor; -1 for an unstable real pole.
+    """
+
+    where: str
+    frequency_hz: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class GoalFigure:
+    """What a design reached of one of its goals.
+
+    Attributes
+    ----------
+    name : str
+        Name of the goal.
+    soft : bool
+        Whether it was an objective.
+    excess : float
+        Logarithm of its value over its limit; of damping factors the limit minus the value. At most 0 where it is met.
+    where : str
+        Loop in which it is largest.
+    """
+
+    name: str
+    soft: bool
+    excess: Annotated[float, Stored("1", "value over limit, as a logarithm")]
+    where: str
+
+
+@dataclass(frozen=True)
+class GainResult(Brief):
+    """Gains found by `gbid.maximise_damping` or `gbid.tune`, with verified figures.
+
+    Attributes
+    ----------
+    gains : dict of str to float
+        Gains by name.
+    value : float
+        Smallest damping factor of the oscillatory modes over all loops, or slowest decay [1/s]; computed from the
+        eigenvalues of the final matrices.
+    objective : {"damping", "decay", "goals"}
+        Quantity that was maximised. ``"goals"``: the smallest of minus the excesses of the soft goals, which `value`
+        then is.
+    status : GainStatus
+        Why the search ended. When limits contradict or no gains stabilise, the gains are those with the smallest
+        violation found.
+    violation : float
+        Largest relative violation of a limit; 0 when all limits hold.
+    verified_on : str
+        How the result was verified.
+    worst : WorstMode
+        Mode that limits the design.
+    active : tuple of str
+        Limits and bounds that are active at the design.
+    notes : tuple of str
+        Remarks for the user of the design, in sentences.
+    peak_sensitivity, peak_control, static_amplification : float, optional
+        Largest peaks of S_o and K S_o over frequency and loops, largest gain of S_o at zero frequency; None when not
+        known.
+    sample_time : float, optional
+        Sample time of a design for the sampled loop [s]; value and peaks are of that loop. None for the continuous
+        loop.
+    history : tuple of SearchStep
+        Progress of the search.
+    points : tuple of (pressure_bar, speed_rpm)
+        Operating points of the design, with worst points that were added; empty for given matrices.
+    goals : tuple of GoalFigure
+        What was reached of goals other than damping, decay, and the three figures above.
+    controller : Structure or Scheduled, optional
+        Structure of the gains.
+    certificate_gain : float, optional
+        Certificate of optimality: share of its value by which the objective would rise to first order if the gains
+        changed by their own size, the length of the shortest convex combination of gradients. ``OPTIMAL`` needs at most
+        0.002. None when the design was not certified.
+    certificate_radius : float, optional
+        Radius of the ball from which the gradients were taken, in sizes of the gains; 0: from the design itself.
+    certificate_room : float, optional
+        Share of its value by which the objective could still rise within the ball, or if eigenvalues that are near each
+        other met. ``OPTIMAL`` needs at most 0.005.
+    """
+
+    gains: Annotated[Mapping[str, float], Stored("", "gains", "gains")]
+    value: float
+    objective: str
+    status: GainStatus
+    violation: float
+    verified_on: str
+    worst: WorstMode
+    active: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    peak_sensitivity: float | None = None
+    peak_control: float | None = None
+    static_amplification: float | None = None
+    sample_time: float | None = None
+    history: tuple[SearchStep, ...] = field(default=(), repr=False)
+    points: Points = field(default=(), repr=False)
+    goals: tuple[GoalFigure, ...] = ()
+    controller: Annotated[Any, NOT_STORED] = field(default=None, repr=False)
+    certificate_gain: float | None = None
+    certificate_radius: float | None = None
+    certificate_room: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gains", MappingProxyType(dict(self.gains)))
+
+    @property
+    def success(self) -> bool:
+        """Whether the design is stable and keeps all limits, and the search ended by itself."""
+        return self.status in (GainStatus.OPTIMAL, GainStatus.STALLED)
+
+    def _brief(self) -> Description:
+        known = {
+            name: getattr(self, name)
+            for name in ("peak_sensitivity", "peak_control", "static_amplification", "sample_time")
+            if getattr(self, name) is not None
+        }
+        return brief(
+            self,
+            f"{self.objective} {self.value:.6g}, {self.status}",
+            gains=self.gains,
+            **known,
+            worst=f"{self.worst.where}, {self.worst.frequency_hz:.5g} Hz, damping {self.worst.damping:.4g}",
+            active=self.active,
+            verified_on=self.verified_on,
+            notes=self.notes,
+        )
+
+    def to_frame(self) -> Any:
+        """Return the gains as a data frame with one column.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return data_frame({"gain": list(self.gains), "value": list(self.gains.values())}, index="gain")
+
+    # A read-only view cannot be pickled: workers get a plain dict.
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "gains": dict(self.gains)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        object.__setattr__(self, "gains", MappingProxyType(state["gains"]))
+
+
+# ---- Verification of a design: eigenvalues, exact norms, and distance to instability.
+
+
+class Norm(NamedTuple):
+    """Largest gain over frequency of one loop, and its angular frequency [rad/s]."""
+
+    value: float
+    frequency: float
+
+
+def exact_norms(family: LoopFamily, x: FloatArray, kind: str, least: float = 0.0) -> list[Norm]:
+    """Return the H-infinity norms of S_o (``"sensitivity"``) or K S_o (``"control"``) of every loop.
+
+    Those below `least` may be too small, but take less time.
+    """
+    found = (peak_gain(model, least=least) for model in _models(family, x, kind))
+    return [Norm(peak.value, 2 * np.pi * peak.frequency_hz) for peak in found]
+
+
+def largest_norm(family: LoopFamily, x: FloatArray, kind: str) -> float:
+    """Return the largest of the H-infinity norms of all loops."""
+    largest = 0.0
+    for model in _models(family, x, kind):
+        largest = max(largest, peak_gain(model, least=largest).value)
+    return largest
+
+
+def _models(family: LoopFamily, x: FloatArray, kind: str) -> list[LinearModel]:
+    loops, rows = family.matrices(x), rows_of(family, kind)
+    parts = zip(loops.A, loops.B, loops.C[:, rows], loops.D[:, rows], strict=True)
+    return [LinearModel(A, B, C, D) for A, B, C, D in parts]
+
+
+def static_gains(family: LoopFamily, x: FloatArray) -> FloatArray:
+    """Return the largest gain of S_o at zero frequency of every loop, (m,)."""
+    loops, rows = family.matrices(x), rows_of(family, "static")
+    response = loops.C[:, rows] @ np.linalg.solve(-loops.A, loops.B) + loops.D[:, rows]
+    return np.asarray(largest_singular_values(response.astype(complex)))
+
+
+def worst_mode(problem: GainProblem, x: FloatArray) -> WorstMode:
+    """Return the mode that limits a design: an unstable pole, otherwise that of smallest damping or slowest decay."""
+    worst: tuple[float, str, complex] | None = None
+    for family in problem.families:
+        values = true_rates(eigenvalues(family.states(x)), family.sample_time)
+        aim = problem.aim(values, family.sample_time) if problem.limits.weight else damping_factors(values)
+        # a pole that grows is worse than any that does not
+        rank = np.where(values.real > 0, -2.0 - values.real / problem.scale, aim)
+        rank = np.where(np.isnan(values), -np.inf, rank)
+        i, j = np.unravel_index(rank.argmin(), rank.shape)
+        if worst is None or rank[i, j] < worst[0]:
+            worst = (float(rank[i, j]), family.labels[i], complex(values[i, j]))
+    assert worst is not None
+    _, where, value = worst
+    return WorstMode(where, abs(value) / (2 * np.pi), -value.real / abs(value) if value else 0.0)
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Smallest change of a single gain that makes a loop unstable; infinite when it exceeds the width of the bounds."""
+
+    gain: str
+    change: float
+
+
+def distance_to_edge(problem: GainProblem, x: FloatArray, names: tuple[str, ...]) -> Edge:
+    """Return the smallest destabilising change of a single gain of either sign, with a tolerance of 1 %."""
+    nearest = Edge("", np.inf)
+    for i, name in enumerate(names):
+        width = problem.upper[i] - problem.lower[i]
+        for sign in (1.0, -1.0):
+
+            def stable(change: float, i: int = i, sign: float = sign) -> bool:
+                moved = x.copy()
+                moved[i] += sign * change
+                return problem.stable(moved)
+
+            last = 0.0
+            for change in width * np.geomspace(1e-7, 1.0, 22):
+                if change >= abs(nearest.change):
+                    break
+                if not stable(change):
+                    low, high = last, float(change)
+                    while high - low > 0.01 * high:
+                        middle = (low + high) / 2
+                        low, high = (middle, high) if stable(middle) else (low, middle)
+                    nearest = Edge(name, sign * high)
+                    break
+                last = float(change)
+    return nearest

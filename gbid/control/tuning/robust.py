@@ -1,0 +1,412 @@
+"""Performance of a design on drawn plants, one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import bdtrc, betaincinv
+
+from gbid.control.controllers.scheduled import Scheduled, with_schedule
+from gbid.control.controllers.structures import controller_structure
+from gbid.control.tuning.goals import DesignContext, Goal, limits_of
+from gbid.control.tuning.plants import PlantSet, Sampling, Uncertainty, plants_of
+from gbid.control.tuning.problem import GainProblem
+from gbid.control.tuning.result import GainResult
+from gbid.control.tuning.search import typical_rate
+from gbid.control.tuning.tune import tune
+from gbid.core.arrays import FloatArray, is_finite, is_whole
+from gbid.core.brief import Brief, Description, brief
+from gbid.core.errors import UsageError
+from gbid.lpv import LPVFit, LPVModel
+from gbid.structure.linear import Structure
+
+_BLOCK = 300
+HOLDS = 1e-3
+"""Relative violation up to which a limit counts as kept by a drawn plant, whose peaks are found on a grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlantDraws(Brief):
+    """Performance of a design on drawn plants, each the worst of the operating points.
+
+    Attributes
+    ----------
+    value : (n,) array
+        Objective: smallest damping factor, or slowest decay [1/s].
+    violation : (n,) array
+        Largest relative violation of a limit; at most 0 where all limits hold.
+    """
+
+    value: FloatArray
+    violation: FloatArray
+
+    @property
+    def keeps_limits(self) -> FloatArray:
+        """Whether each plant keeps all limits, as 0 or 1 (n,)."""
+        return (self.violation <= HOLDS).astype(float)
+
+    def share(self, value: float) -> float:
+        """Return the share of plants that reach a value and keep all limits.
+
+        Parameters
+        ----------
+        value : float
+            Damping factor or decay [1/s].
+        """
+        return float(((self.value >= value - 1e-9) & (self.violation <= HOLDS)).mean())
+
+    def reached(self, probability: float) -> float:
+        """Return the value that a share of the plants reaches.
+
+        Parameters
+        ----------
+        probability : float
+            The share.
+        """
+        ranked = np.sort(self.value)
+        return float(ranked[int(np.floor((1 - probability) * len(ranked) + 1e-9))])
+
+    def promised(self, probability: float, confidence: float) -> float:
+        """Return the value that a plant reaches with a probability, at a confidence, whatever the distribution.
+
+        It is the k-th smallest value of the draws. That a share of at least `probability` of all plants reaches it has
+        the confidence ``P(Binomial(n, 1 - probability) >= k)``. Minus infinity when there are too few draws.
+
+        Parameters
+        ----------
+        probability, confidence : float
+            Between 0 and 1.
+        """
+        n = len(self.value)
+        k = int(np.sum(bdtrc(np.arange(n), n, 1 - probability) >= confidence))  # it falls with k
+        return float(np.sort(self.value)[k - 1]) if k > 0 else -np.inf
+
+
+def lower_bound(share: float, n: int, confidence: float) -> float:
+    """Return the lower confidence bound of a probability from the share of n trials (Clopper and Pearson 1934)."""
+    k = round(share * n)
+    return float(betaincinv(k, n - k + 1, 1 - confidence)) if k else 0.0
+
+
+def on_draws(problem: GainProblem, plants: PlantSet, points: FloatArray, x: FloatArray, n: int) -> PlantDraws:
+    """Return the performance of gains on n drawn plants, without the nominal one.
+
+    Parameters
+    ----------
+    problem : GainProblem
+        Objective and limits.
+    plants : PlantSet
+        Plants with n draws: m loops of the nominal plant, then m of each draw.
+    points : (m, 2) array
+        Operating points.
+    x : (d,) array
+        Gains.
+    n : int
+        Number of draws.
+    """
+    m = len(points)
+    each = max(1, _BLOCK // m)
+    values, violations = [], []
+    for first in range(1, n + 1, each):
+        many = min(each, n + 1 - first)
+        rows = problem.by_loop(plants.family(points, range(m * first, m * (first + many))), x)
+        by_plant = rows.reshape(len(rows), many, m).max(axis=2)
+        values.append([problem.in_units(float(v)) for v in -by_plant[0]])
+        violations.append(by_plant[1:].max(axis=0))
+    return PlantDraws(np.concatenate(values), np.concatenate(violations))
+
+
+# ---- Robust design: the damping that holds with a stated probability, verified on fresh draws.
+
+_FRESH_SEED = 7919
+
+
+@dataclass(frozen=True, eq=False)
+class RobustDesign(Brief):
+    """Design for plants drawn from an uncertainty.
+
+    Attributes
+    ----------
+    result : GainResult
+        The design, optimal for the nominal plant and the drawn plants in `plants`.
+    probability, confidence : float
+        Probability of the promise, and its confidence.
+    promised : float
+        Objective that a plant reaches with this probability, at this confidence, from the fresh draws and whatever
+        their distribution is; minus infinity when there are too few of them.
+    keeps_limits : float
+        Lower confidence bound of the probability that a plant keeps all limits.
+    fresh : PlantDraws
+        Performance on fresh draws, which the design has not seen.
+    trained : PlantDraws
+        Performance on the draws from which the plants were chosen.
+    plants : tuple of int
+        Draws for which the design was optimised, besides the nominal plant.
+    """
+
+    result: GainResult
+    probability: float
+    confidence: float
+    promised: float
+    keeps_limits: float
+    fresh: PlantDraws
+    trained: PlantDraws
+    plants: tuple[int, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether the promise is finite and the limits hold with the stated probability at this confidence."""
+        return bool(np.isfinite(self.promised) and self.keeps_limits >= self.probability)
+
+    def _brief(self) -> Description:
+        return brief(
+            self,
+            f"{self.result.objective} {self.promised:.4g} with probability {self.probability:g}",
+            limits=f"kept with probability {self.keeps_limits:.4g} or more",
+            confidence=f"{self.confidence:g}, from {len(self.fresh.value)} fresh draws",
+            nominal=f"{self.result.value:.4g} is reached by the plants of the design",
+            gains=self.result.gains,
+        )
+
+
+def tune_robust(
+    model: LPVFit | LPVModel,
+    controller: str | Structure | Scheduled = "P",
+    *,
+    goals: Sequence[Goal],
+    probability: float = 0.95,
+    confidence: float = 0.95,
+    uncertainty: Uncertainty | None = None,
+    draws: int = 200,
+    fresh: int = 500,
+    seed: int = 0,
+    rounds: int = 12,
+    start: Mapping[str, float] | None = None,
+    **options: Any,
+) -> RobustDesign:
+    """Return a design whose objective and limits hold with a stated probability over the uncertainty of the plant.
+
+    Parameters
+    ----------
+    model : LPVFit or LPVModel
+        The plant. A fit brings its uncertainty: the covariance of its coefficients and the scatter between recordings.
+    controller : str, Structure or Scheduled
+        As for `gbid.tune`.
+    goals : sequence of Goal
+        Objectives and limits, as for `gbid.tune`.
+    probability : float
+        Share of all plants that must reach the objective and keep the limits, between 0.5 and 1.
+    confidence : float
+        Confidence of the promise.
+    uncertainty : Uncertainty, optional
+        In place of that of the fit; its covariance and scatter are used.
+    draws, fresh : int
+        Number of draws for the design, and of others for its verification.
+    seed : int
+        Seed of the draws; the fresh ones have another one.
+    rounds : int
+        Largest number of plants that are added to the nominal one; 0 tries the nominal design.
+    start : dict of str to float, optional
+        Gains as an additional start value.
+    **options
+        Further options of `gbid.tune`, such as `operating_points` and `sample_time`.
+
+    Returns
+    -------
+    RobustDesign
+
+    Raises
+    ------
+    UsageError
+        When there is no uncertainty, when the probability is not allowed, and as for `gbid.tune`.
+
+    Notes
+    -----
+    The design starts with the nominal plant. In each round it is tried on all draws. While more than the allowed share
+    of them fails, the plant at the edge of that share is added and the design optimised again. So it does not serve the
+    few worst plants that the probability leaves out. The promise comes from the fresh draws, by an order statistic.
+    """
+    for name, value, least in (("draws", draws, 10), ("fresh", fresh, 1), ("seed", seed, 0), ("rounds", rounds, 0)):
+        if not is_whole(value, least):
+            raise UsageError(f"tune_robust: {name} = {value!r}; give an integer of at least {least}")
+    if not (is_finite(probability) and 0.5 <= probability < 1 and is_finite(confidence) and 0 < confidence < 1):
+        raise UsageError(
+            f"tune_robust: probability = {probability!r}, confidence = {confidence!r}; give 0.5 to 1, and 0 to 1"
+        )
+    machine, known = _plant_and_uncertainty(model, uncertainty, draws, seed)
+    structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
+    structure = with_schedule(structure, machine.domain)
+    trial = _Trial(machine, structure, tuple(goals or ()), options)
+    chosen: tuple[int, ...] = ()
+    # the share of failures that is allowed in the draws leaves room for the confidence on the fresh ones
+    target = min(probability + (1 - probability) * 0.4, 1 - 0.5 / draws)
+    result, gains = trial.design((), known, start), start
+    for _ in range(rounds):
+        gains = dict(result.gains)
+        seen = trial.on(known, gains)
+        failing = _shortfall(seen, result.value)
+        if float((failing > 0).mean()) <= 1 - target or not result.success:
+            break
+        edge = np.argsort(-failing)[int(np.floor((1 - target) * draws))]
+        if int(edge) in chosen:
+            break
+        chosen = (*chosen, int(edge))
+        result = trial.design(chosen, known, gains)
+    seen = trial.on(known, dict(result.gains))
+    others = trial.on(replace(known, draws=fresh, seed=seed + _FRESH_SEED), dict(result.gains))
+    return RobustDesign(
+        result,
+        probability,
+        confidence,
+        others.promised(probability, confidence),
+        lower_bound(float(others.keeps_limits.mean()), fresh, confidence),
+        others,
+        seen,
+        chosen,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Designs and trials of one plant, structure and list of goals."""
+
+    lpv: LPVModel
+    structure: Structure | Scheduled
+    goals: tuple[Goal, ...]
+    options: Mapping[str, Any]
+
+    def design(self, chosen: tuple[int, ...], known: Uncertainty, start: Mapping[str, float] | None) -> GainResult:
+        """Return the design for the nominal plant and chosen draws."""
+        plants = replace(known, chosen=chosen) if chosen else None
+        options = {**self.options, **({"starts": 1} if chosen and "starts" not in self.options else {})}
+        return tune(self.lpv, self.structure, goals=self.goals, uncertainty=plants, start=start, **options)
+
+    def on(self, drawn: Uncertainty, gains: Mapping[str, float]) -> PlantDraws:
+        """Return the performance of gains on all draws."""
+        take = {key: self.options.get(key) for key in ("operating_points", "actuator")}
+        sampling, T = None, self.options.get("sample_time")
+        if T is not None:
+            late = self.options.get("computation_s")
+            sampling = Sampling(T, T if late is None else late, self.options.get("method", "tustin"))
+        args = self.lpv, self.structure, take["operating_points"], take["actuator"], drawn, sampling, (None, None)
+        design = plants_of(*args)
+        plants = design.sampled or design.continuous
+        x = np.array([gains[p.name] for p in self.structure.parameters])
+        nominal = plants.family(design.points, range(len(design.points)))
+        limits = limits_of(self.goals, DesignContext(design.plant))
+        low, high = (np.array([getattr(p, side) for p in self.structure.parameters]) for side in ("lower", "upper"))
+        problem = GainProblem((nominal,), limits, low, high, typical_rate((nominal,), x))
+        return on_draws(problem, plants, design.points, x, drawn.draws)
+
+
+def _shortfall(seen: PlantDraws, value: float) -> FloatArray:
+    """Return by how much each plant misses the objective of the design or a limit, in relative units."""
+    return np.asarray(np.maximum((value - seen.value) / max(abs(value), 1e-6) - 1e-3, seen.violation - HOLDS))
+
+
+def _plant_and_uncertainty(
+    model: LPVFit | LPVModel, uncertainty: Uncertainty | None, draws: int, seed: int
+) -> tuple[LPVModel, Uncertainty]:
+    if uncertainty is not None and not isinstance(uncertainty, Uncertainty):
+        raise UsageError(f"uncertainty is a {type(uncertainty).__name__}; give gbid.Uncertainty(covariance)")
+    if uncertainty is not None and uncertainty.covariance is None:
+        raise UsageError("tune_robust: give the covariance of the coefficients; samples cannot be drawn anew")
+    if isinstance(model, LPVFit):
+        known = uncertainty or Uncertainty(model.covariance, scatter=model.scatter)
+        return model.model, replace(known, draws=draws, seed=seed)
+    if uncertainty is None:
+        raise UsageError(f"tune_robust: model {model.name!r} has no uncertainty; give an LPV fit, or uncertainty=")
+    return model, replace(uncertainty, draws=draws, seed=seed)
+
+
+# ---- Price of robustness: the damping that holds with a probability, over that probability.
+
+
+@dataclass(frozen=True, eq=False)
+class PriceOfRobustness(Brief):
+    """Robust designs for rising probabilities, beside what the nominal design promises.
+
+    Attributes
+    ----------
+    probabilities : tuple of float
+        Probabilities, rising.
+    designs : tuple of RobustDesign
+        One for each probability.
+    nominal : float
+        Objective of the nominal design on the nominal plant.
+    of_nominal : tuple of float
+        Objective that the nominal design reaches with each probability.
+    limits_of_nominal : float
+        Share of the fresh plants in which the nominal design keeps the limits.
+    """
+
+    probabilities: tuple[float, ...]
+    designs: tuple[RobustDesign, ...]
+    nominal: float
+    of_nominal: tuple[float, ...]
+    limits_of_nominal: float
+
+    @property
+    def promised(self) -> tuple[float, ...]:
+        """Objective that each design promises with its probability."""
+        return tuple(design.promised for design in self.designs)
+
+    def _brief(self) -> Description:
+        lines = {
+            f"probability {p:g}": f"{d.promised:.4g}, limits {d.keeps_limits:.3g}"
+            for p, d in zip(self.probabilities, self.designs, strict=True)
+        }
+        return brief(self, f"nominal {self.nominal:.4g}, limits kept by {self.limits_of_nominal:.3g}", **lines)
+
+
+def price_of_robustness(
+    model: LPVFit | LPVModel,
+    controller: str | Structure | Scheduled = "P",
+    *,
+    goals: Sequence[Goal],
+    probabilities: Sequence[float] = (0.5, 0.8, 0.9, 0.95, 0.98),
+    **options: Any,
+) -> PriceOfRobustness:
+    """Return robust designs for several probabilities: what robustness costs in damping.
+
+    Parameters
+    ----------
+    model, controller, goals
+        As for `tune_robust`.
+    probabilities : sequence of float
+        Probabilities, in any order.
+    **options
+        Further options of `tune_robust`.
+
+    Returns
+    -------
+    PriceOfRobustness
+
+    Raises
+    ------
+    UsageError
+        When there are no probabilities, and as for `tune_robust`.
+    """
+    try:
+        rising = tuple(sorted({float(p) for p in probabilities}))
+    except (TypeError, ValueError):
+        rising = ()
+    if not rising:
+        raise UsageError(f"price_of_robustness: probabilities = {probabilities!r}; give a list such as [0.5, 0.9]")
+    designs: list[RobustDesign] = []
+    start = options.pop("start", None)
+    for probability in rising:
+        designs.append(tune_robust(model, controller, goals=goals, probability=probability, start=start, **options))
+        start = dict(designs[-1].result.gains)
+    plain = tune_robust(model, controller, goals=goals, probability=0.5, rounds=0, **options)
+    confidence = plain.confidence
+    return PriceOfRobustness(
+        rising,
+        tuple(designs),
+        plain.result.value,
+        tuple(plain.fresh.promised(p, confidence) for p in rising),
+        float(plain.fresh.keeps_limits.mean()),
+    )

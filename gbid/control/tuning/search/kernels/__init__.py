@@ -1,1 +1,0 @@
-"""Compiled kernels of the search: peaks over frequency, and gradients of peaks and eigenvalues."""

@@ -1,1 +1,0 @@
-"""Start values of the search, in proportion to what the gains do to the loops."""

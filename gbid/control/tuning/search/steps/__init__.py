@@ -1,1 +1,0 @@
-"""Steps of the local optimisation: quadratic programmes over the functions near the worst one."""

@@ -1,0 +1,601 @@
+"""Solution of a design problem: search, peaks between the grid frequencies, certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.tuning.certificate import Certificate, certify
+from gbid.control.tuning.local import LocalOptimum, optimise_locally
+from gbid.control.tuning.loops import families_of
+from gbid.control.tuning.plants import PlantSet
+from gbid.control.tuning.problem import GainProblem, Limits, Objective, SearchStep
+from gbid.control.tuning.result import (
+    GainResult,
+    GainStatus,
+    WorstMode,
+    exact_norms,
+    largest_norm,
+    static_gains,
+    worst_mode,
+)
+from gbid.control.tuning.search import (
+    FEASIBLE,
+    Effort,
+    Progress,
+    SearchOutcome,
+    best_of,
+    better,
+    certificate_units,
+    gain_units,
+    refine,
+    search,
+    typical_rate,
+    usable_start,
+)
+from gbid.core.arrays import FloatArray, is_whole
+from gbid.core.errors import UsageError
+from gbid.core.notes import ControlNote
+from gbid.lpv import Domain
+
+_FAR = 1e9
+"""Angular frequency that stands for infinity [rad/s]; of sampled loops, in units of 2 / T, for half the sample rate."""
+_MOST_ROUNDS = 3
+"""Largest number of certificates, each after a better design that the one before had found."""
+
+
+def solve(
+    problem: GainProblem,
+    neutral: FloatArray,
+    effort: Effort,
+    first: Iterable[FloatArray] = (),
+    progress: Progress | None = None,
+    found: LocalOptimum | None = None,
+    of_others: bool = False,
+) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
+    """Return the optimum and the history of a search, or of a local optimisation from a known design.
+
+    With `of_others` the first designs are those of other loops, and the search goes on from them.
+
+    Afterwards peaks between the grid frequencies are added as cuts, until exact norms exceed no limit.
+    """
+    if found is not None:
+        near = optimise_locally(problem, found.x, max_iterations=300, radius=0.02)
+        result = SearchOutcome(near, (), (near,))
+    elif of_others:
+        result = refine(problem, [*first], effort, progress)
+    else:
+        result = search(problem, neutral, effort, first, progress)
+    best, history = result.best, list(result.history)
+    for _ in range(10):
+        if not add_cuts(problem, best.x):
+            break
+        best = optimise_locally(problem, best.x, max_iterations=200, radius=0.02)
+        history.append(SearchStep("cut", problem.evaluations, problem.in_units(best.score.value), best.score.violation))
+        if progress is not None:
+            progress(history[-1])
+    best = certified(problem, best)
+    if problem.uses_responses and not problem.stable(best.x):
+        best = _stable_instead(problem, best, neutral, effort)
+    history.append(
+        SearchStep("certificate", problem.evaluations, problem.in_units(best.score.value), best.score.violation)
+    )
+    if progress is not None:
+        progress(history[-1])
+    return best, tuple(history)
+
+
+def _stable_instead(problem: GainProblem, found: LocalOptimum, neutral: FloatArray, effort: Effort) -> LocalOptimum:
+    """Return a stable design in place of an unstable one, where there are stable ones.
+
+    The response of an unstable loop can exceed limits that nothing keeps by less than those of the stable ones.
+    """
+    plain = replace(problem, limits=Limits("decay"), cuts=[], linear=())
+    safe = search(plain, neutral, effort, [found.x]).best.x
+    problem.evaluations = plain.evaluations
+    if not problem.stable(safe):
+        return found
+    near = [optimise_locally(problem, safe, max_iterations=100, radius=0.02).x]
+    way = [safe + share * (found.x - safe) for share in np.linspace(0.0, 1.0, 40, endpoint=False)]
+    stable = [replace(found, x=x, score=problem.score(x), certificate=None) for x in [*way, *near] if problem.stable(x)]
+    return best_of([one for one in stable if one.score.usable] or [found])
+
+
+def certified(problem: GainProblem, found: LocalOptimum) -> LocalOptimum:
+    """Return a design with its certificate; where the certificate finds a better one near it, that one."""
+    unit = gain_units(problem, found.x)
+    for _ in range(_MOST_ROUNDS):
+        certificate, x = certify(problem, found.x, certificate_units(unit, found.x))
+        if certificate.holds or x is found.x or problem.exhausted:
+            break
+        moved = optimise_locally(problem, x, max_iterations=60, radius=1e-3)
+        if not better(moved.score, found.score) or add_cuts(problem, moved.x):
+            break
+        found = moved
+    # a climb that ended early has no less reached an optimum where this is certified
+    return replace(found, certificate=certificate, converged=found.converged or certificate.holds)
+
+
+def add_cuts(problem: GainProblem, x: FloatArray) -> bool:
+    """Add frequencies at which exact norms exceed a limit between the grid points; return whether there were any."""
+    known = problem.score(x).violation
+    added = False
+    for kind, limit in (("sensitivity", problem.limits.peak_sensitivity), ("control", problem.limits.peak_control)):
+        if limit is None or not problem.stable(x):
+            continue
+        least = limit * float(np.exp(min(max(known, 0.0), 300.0) + 1e-7))
+        for f, family in enumerate(problem.families):
+            for i, norm in enumerate(exact_norms(family, x, kind, least)):
+                far = _FAR if family.sample_time is None else 2 * _FAR / family.sample_time
+                cut = kind, f, i, min(norm.frequency, far)
+                if norm.value > least and cut not in problem.cuts:
+                    problem.cuts.append(cut)
+                    added = True
+    return added
+
+
+# ---- Optimisation over many loops with a working set: loops are added when the design is worse there.
+
+_FEW, _MANY = 5, 30
+"""Largest number of loops without a working set: with many gains, and with up to three."""
+
+
+def solve_over_points(
+    problem: GainProblem,
+    plants: PlantSet,
+    points: FloatArray,
+    neutral: FloatArray,
+    effort: Effort,
+    first: list[FloatArray],
+    progress: Progress | None,
+    of_others: bool = False,
+) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
+    """Return the optimum over all loops and the history; many loops are handled with a working set.
+
+    The search starts with some loops and adds those in which the design is worse. A design that is optimal for some
+    loops and not worse in the others is optimal for all. With `of_others` the first
+    designs are those of similar loops, and the first search goes on from them. With few gains every round is a global
+    search, so that this also holds for the result. With many gains each round is a local optimisation from the last
+    design.
+    """
+    whole = problem.families
+    few_gains = len(neutral) <= 3
+    if len(whole[0]) <= (_MANY if few_gains else _FEW):
+        return solve(problem, neutral, effort, first, progress, of_others=of_others)
+    chosen = plants.first(points)
+    problem.families = (plants.family(points, chosen),)
+    found, history = solve(problem, neutral, effort, first, progress, of_others=of_others)
+    while True:
+        measures = problem.by_loop(whole[0], found.x)
+        measures[0] += found.score.value
+        measures[1:] -= found.score.violation
+        worst = {int(row.argmax()) for row in measures if row.max() > 1e-7} - set(chosen)
+        if not worst:
+            break
+        chosen += sorted(worst)
+        problem.families, problem.cuts = (plants.family(points, chosen),), []
+        if few_gains:
+            found, more = solve(problem, neutral, effort, [found.x, *first], progress)
+        else:
+            found, more = solve(problem, neutral, effort, found=found, progress=progress)
+        history += more
+    problem.families, problem.cuts = whole, []
+    found, more = solve(problem, neutral, effort, found=found, progress=progress)
+    return found, history + more
+
+
+def sketch_over_points(
+    problem: GainProblem,
+    plants: PlantSet,
+    points: FloatArray,
+    neutral: FloatArray,
+    effort: Effort,
+    first: list[FloatArray],
+    progress: Progress | None,
+) -> SearchOutcome:
+    """Return different good designs of the loops with which a search begins, as first designs of similar loops."""
+    if len(problem.families[0]) > _FEW:
+        problem.families = (plants.family(points, plants.first(points)),)
+    return search(problem, neutral, replace(effort, sketch=True), first, progress)
+
+
+# ---- Design over a whole rectangle of operating points by an exchange method: worst points are added.
+
+TOLERANCE = 5e-5
+_GRID = 33
+_MOST_ROUNDS_WORST_POINTS = 20
+
+
+def add_worst_points(
+    problem: GainProblem, found: LocalOptimum, plants: PlantSet, domain: Domain, progress: Progress | None
+) -> tuple[LocalOptimum, GainProblem, tuple[SearchStep, ...], str]:
+    """Return a design over the whole domain: find points that are worse, add them, optimise again.
+
+    Parameters
+    ----------
+    problem : GainProblem
+        Problem over the first points.
+    found : LocalOptimum
+        Its optimum.
+    plants : PlantSet
+        Loops at any operating points.
+    domain : Domain
+        Rectangle of operating points.
+    progress : callable, optional
+        Called with a `SearchStep` after each round.
+
+    Returns
+    -------
+    LocalOptimum
+        Final design.
+    GainProblem
+        Problem over all points.
+    tuple of SearchStep
+        History.
+    str
+        How the design was verified.
+    """
+    points = problem.families[0].points
+    assert points is not None
+    points = np.unique(points, axis=0)
+    history: list[SearchStep] = []
+    for _ in range(_MOST_ROUNDS_WORST_POINTS):
+        worse = _worse_points(problem, found, plants, domain)
+        if not len(worse):
+            break
+        points = np.vstack([points, worse])
+        problem.families = (plants.family(points),)
+        problem.linear = plants.gain_limits(points)
+        problem.cuts.clear()
+        evaluated = problem.evaluations
+        found, _ = solve(problem, found.x, Effort(), found=found)
+        assert problem.evaluations > evaluated
+        score = found.score
+        history.append(SearchStep("points", problem.evaluations, problem.in_units(score.value), score.violation))
+        if progress is not None:
+            progress(history[-1])
+    else:
+        found = LocalOptimum(found.x, found.score, found.iterations, False)
+    text = (
+        f"eigenvalues and exact H-infinity norms of {len(problem.families[0])} loops; no point of the rectangle worse "
+        f"by more than {TOLERANCE:g}, by a {_GRID} x {_GRID} grid with a zoom into its worst places"
+    )
+    return found, problem, tuple(history), text
+
+
+def _worse_points(problem: GainProblem, found: LocalOptimum, plants: PlantSet, domain: Domain) -> FloatArray:
+    """Return points at which the design is worse than at its own points, each refined to the worst nearby: (k, 2)."""
+    axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    step = np.array([axis[1] - axis[0] if len(axis) > 1 else 0.0 for axis in axes])
+    tables = measure(problem, found.x, plants, grid.reshape(-1, 2)).reshape(-1, *grid.shape[:2])
+    worse: list[FloatArray] = []
+    for which, table in enumerate(tables):
+        allowed = -found.score.value if which == 0 else max(found.score.violation, 0.0)
+        padded = np.pad(table, 1, constant_values=-np.inf)
+        top = table > allowed - 0.02
+        for a, b in np.ndindex(3, 3):
+            top &= table >= padded[a : a + table.shape[0], b : b + table.shape[1]]
+        places = sorted(zip(*np.nonzero(top), strict=True), key=lambda place: -table[place])[:4]
+        for place in places:
+            point, value = _zoom(problem, found.x, plants, grid[place], step, domain, which)
+            if value > allowed + TOLERANCE:
+                worse.append(point)
+    return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
+
+
+def measure(problem: GainProblem, x: FloatArray, plants: PlantSet, points: FloatArray) -> FloatArray:
+    """Return measures of a design at points over all plants, larger is worse: minus objective, then limits (n, m)."""
+    parts = []
+    for block in np.array_split(points, max(1, len(points) // 128)):
+        values = problem.by_loop(plants.family(block), x)
+        parts.append(values.reshape(len(values), -1, len(block)).max(axis=1))
+    return np.concatenate(parts, axis=1)
+
+
+def _zoom(
+    problem: GainProblem,
+    x: FloatArray,
+    plants: PlantSet,
+    point: FloatArray,
+    step: FloatArray,
+    domain: Domain,
+    which: int,
+) -> tuple[FloatArray, float]:
+    """Return the largest value of one measure near a point, by grids that shrink around the best."""
+    low = np.array([domain.pressure_bar[0], domain.speed_rpm[0]])
+    high = np.array([domain.pressure_bar[1], domain.speed_rpm[1]])
+    offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    value = -np.inf
+    for _ in range(5):
+        points = np.clip(point + offsets * step, low, high)
+        values = measure(problem, x, plants, points)[which]
+        if values.max() > value:
+            point, value = points[values.argmax()], float(values.max())
+        step = step / 3
+    return point, value
+
+
+# ---- Gains with the largest damping, for any closed-loop matrices that depend on gains.
+
+
+def maximise_damping(
+    A_of_gains: ca.Function | Sequence[ca.Function],
+    gains: Sequence[str],
+    lower: npt.ArrayLike,
+    upper: npt.ArrayLike,
+    objective: Objective = "damping",
+    *,
+    slowest_pole: float = 0.0,
+    peak_sensitivity: float | None = None,
+    peak_control: float | None = None,
+    static_amplification: float | None = None,
+    start: npt.ArrayLike | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    evaluations: int | None = None,
+    progress: Progress | None = None,
+) -> GainResult:
+    r"""Return the gains that maximise the smallest damping factor, or the slowest decay, over all given loops.
+
+    .. math:: \max_{l \le g \le u} \; \min_{i,\,j} \; \zeta(\lambda_j(A_i(g))), \quad
+              \zeta(\lambda) = -\mathrm{Re}\,\lambda / |\lambda|
+
+    over all oscillatory eigenvalues (the real ones must be stable), or ``-Re`` over all eigenvalues.
+
+    Parameters
+    ----------
+    A_of_gains : casadi.Function or sequence of these
+        From the vector of gains (d, 1) to the closed-loop matrix (n, n) in continuous time [1/s]. For limits on
+        frequency responses: to A, B, C, D from disturbances d of the q measured outputs to these outputs with their
+        disturbances, ``S_o d``, and below to the control signals, ``K S_o d``.
+    gains : sequence of str
+        Names of the d gains.
+    lower, upper : float or (d,) array
+        Finite bounds.
+    objective : {"damping", "decay"}
+        Quantity that is maximised.
+    slowest_pole : float
+        Smallest allowed decay rate of all eigenvalues [1/s]; 0 requires stability only.
+    peak_sensitivity, peak_control, static_amplification : float, optional
+        Limits on the peaks of S_o and K S_o over frequency, and on the gain of S_o at zero frequency.
+    start : (d,) array, optional
+        Gains as an additional start value. The zero vector (moved into the bounds) is always a start value.
+    starts : int, optional
+        Number of random starts of the global stage. By default a grid for up to three gains; for more gains with limits
+        16, and 8 for more than eight gains; without limits 24, and 12 for more than twelve gains.
+    seed : int
+        Seed of the random starts.
+    evaluations : int, optional
+        Number of designs after which the search ends, about; the status is then ``"iteration limit"``.
+    progress : callable, optional
+        Called with a `SearchStep` after each stage.
+
+    Returns
+    -------
+    GainResult
+        Its `status` tells whether it is an optimum. When no gains within the bounds stabilise, the status is
+        ``"no stabilising gains"``, and the notes name the unstable loop and its worst mode.
+
+    Raises
+    ------
+    UsageError
+        When a function does not take the gains or does not return fitting matrices, when bounds or limits do not fit,
+        or when no gains within the bounds were found for which all matrices are finite.
+
+    Notes
+    -----
+    A global stage finds regions of attraction of local optima, from starts that are first made stable. In each of them
+    BFGS climbs along ridges, and local optimisation takes steps that use all eigenvalues near the worst one (see
+    `gbid.control.tuning.local`). Eigenvalues that meet are represented by their mean and by power sums of their
+    distances, because these have derivatives there and the eigenvalues have not. The result is ``"optimal"`` only when
+    a convex combination of gradients certifies it, otherwise ``"stalled"``.
+
+    Examples
+    --------
+    A mass on a spring, ``x'' + g x' + x = 0``: any damping can be reached.
+
+    >>> import casadi as ca
+    >>> g = ca.SX.sym("g")
+    >>> A = ca.Function("A", [g], [ca.blockcat([[0, 1], [-1, -g]])])
+    >>> result = maximise_damping(A, ["g"], 0, 1)
+    >>> round(result.gains["g"], 6), round(result.value, 6)
+    (1.0, 0.5)
+    """
+    functions = [A_of_gains] if isinstance(A_of_gains, ca.Function) else _listed(A_of_gains)
+    names = (gains,) if isinstance(gains, str) else tuple(gains or ())
+    if not functions or not names:
+        raise UsageError("maximise_damping: give at least one function and one gain")
+    if len(set(names)) < len(names):
+        raise UsageError(f"maximise_damping: gains {', '.join(map(str, names))}; give each a name of its own")
+    low, high = as_bounds(lower, upper, names)
+    check_counts(seed=seed, starts=starts, evaluations=evaluations)
+    families = families_of(functions, len(names))
+    neutral = np.clip(np.zeros(len(names)), low, high)
+    limits = Limits(objective, slowest_pole, peak_sensitivity, peak_control, static_amplification)
+    if limits.has_responses and not all(family.n_outputs for family in families):
+        raise UsageError("limits on frequency responses need functions from the gains to A, B, C and D of every loop")
+    given = [] if start is None else [np.clip(as_start(start, names), low, high)]
+    neutral = usable_start(families, [neutral, *given], low, high, int(seed))
+    problem = GainProblem(families, limits, low, high, typical_rate(families, neutral))
+    problem.most_evaluations = evaluations
+    optimum, history = solve(problem, neutral, Effort(starts, seed), given, progress)
+    count = sum(len(family) for family in families)
+    norms = " and exact H-infinity norms" if limits.has_responses else ""
+    return summarise(problem, optimum, names, history, f"eigenvalues{norms} of the {count} closed-loop matrices")
+
+
+def check_counts(seed: int, starts: int | None, evaluations: int | None = None) -> None:
+    """Refuse a seed and numbers of starts or designs that are no whole numbers, or too small.
+
+    Raises
+    ------
+    UsageError
+        When one of them is.
+    """
+    for name, value, least in (("seed", seed, 0), ("starts", starts, 0), ("evaluations", evaluations, 1)):
+        if not is_whole(value, least) and (value is not None or name == "seed"):
+            raise UsageError(f"{name} = {value!r}; give an integer of at least {least}")
+
+
+def _listed(functions: Any) -> list[Any]:
+    if not isinstance(functions, Iterable) or isinstance(functions, str):
+        kind = type(functions).__name__
+        raise UsageError(
+            f"A_of_gains is a {kind}; give a casadi.Function from the gains to the matrix, or a list of these"
+        )
+    return list(functions)
+
+
+def summarise(
+    problem: GainProblem,
+    found: LocalOptimum,
+    names: tuple[str, ...],
+    history: tuple[SearchStep, ...],
+    verified_on: str,
+    notes: tuple[str, ...] = (),
+    **more: Any,
+) -> GainResult:
+    """Return the result, from eigenvalues and exact norms of the final design."""
+    x = np.clip(found.x, problem.lower, problem.upper)
+    score, stable = problem.score(x), problem.stable(x)
+    worst = worst_mode(problem, x)
+    certificate = found.certificate
+    status = GainStatus.OPTIMAL if certificate is not None and certificate.holds else GainStatus.STALLED
+    if not found.converged or (problem.exhausted and status is GainStatus.STALLED):
+        status = GainStatus.ITERATION_LIMIT
+    if not stable:
+        status = GainStatus.NO_STABILISING_GAINS
+        text = f"no gains within the bounds were found that stabilise {worst.where}: {_mode(worst)}"
+        notes = (*notes, ControlNote.NO_STABILISING_GAINS(text))
+    elif score.violation > FEASIBLE:
+        status = GainStatus.LIMITS_CONTRADICT
+        text = f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}"
+        notes = (*notes, ControlNote.LIMITS_EXCEEDED(text))
+    if status is GainStatus.STALLED and certificate is not None:
+        notes = (*notes, _stalled(certificate))
+    more = {**_peaks(problem, x, stable), **_certificate(certificate), **more}
+    return GainResult(
+        dict(zip(names, map(float, x), strict=True)),
+        problem.in_units(score.value),
+        problem.limits.objective,
+        status,
+        score.violation,
+        verified_on,
+        worst,
+        _active(problem, x, names, stable),
+        notes,
+        history=history,
+        **more,
+    )
+
+
+def _stalled(certificate: Certificate) -> str:
+    return ControlNote.NO_CERTIFICATE(
+        "no certificate of optimality: to first order the objective would rise by "
+        f"{100 * certificate.gain:.2g} % if the gains changed by their own size; sequential quadratic programmes, "
+        "steps to meeting eigenvalues, BFGS, random moves and gradients from balls around it found no better one"
+    )
+
+
+def _certificate(found: Certificate | None) -> dict[str, float]:
+    if found is None or not np.isfinite(found.gain):
+        return {}
+    return {
+        "certificate_gain": found.gain,
+        "certificate_radius": found.radius,
+        "certificate_room": found.room,
+    }
+
+
+def _mode(worst: WorstMode) -> str:
+    if np.isnan(worst.frequency_hz):
+        return "its matrix is not finite"
+    return f"its worst mode has {worst.frequency_hz:.4g} Hz and damping {worst.damping:.4g}"
+
+
+def _peaks(problem: GainProblem, x: FloatArray, stable: bool) -> dict[str, float]:
+    """Return the exact peaks over all loops that have outputs."""
+    families = [family for family in problem.families if family.n_outputs]
+    if not families or not stable:
+        return {}
+    return {
+        "peak_sensitivity": max(largest_norm(f, x, "sensitivity") for f in families),
+        "peak_control": max(largest_norm(f, x, "control") for f in families),
+        "static_amplification": max(float(static_gains(f, x).max()) for f in families),
+    }
+
+
+def _active(problem: GainProblem, x: FloatArray, names: tuple[str, ...], stable: bool) -> tuple[str, ...]:
+    width = problem.upper - problem.lower
+    bounds = [f"{n} at its lower bound" for n, at in zip(names, x - problem.lower < 1e-6 * width, strict=True) if at]
+    bounds += [f"{n} at its upper bound" for n, at in zip(names, problem.upper - x < 1e-6 * width, strict=True) if at]
+    if not stable:
+        return tuple(bounds)
+    found: dict[str, dict[str, None]] = {}
+    located = {*_TITLES, *(extra.name for extra in problem.limits.extra)}
+    for piece in sorted(problem.functions(x).limits, key=lambda piece: -piece.value):
+        if piece.value > -1e-4:
+            places = found.setdefault(_TITLES.get(piece.kind, piece.kind), {})
+            if piece.kind in located:
+                places[problem.families[piece.family].labels[piece.loop]] = None
+    return tuple(dict.fromkeys([*(text for title in found for text in _located(title, [*found[title]])), *bounds]))
+
+
+def _located(title: str, places: list[str]) -> list[str]:
+    """Return a limit at each of its places, worst first; of many only how many there are besides the worst."""
+    if len(places) > _PLACES:
+        return [f"{title} at {places[0]} and {len(places) - 1} more"]
+    return [f"{title} at {place}" for place in places] or [title]
+
+
+_PLACES = 4
+"""Largest number of places of a limit that are named one by one."""
+_TITLES = {
+    "pole": "slowest pole",
+    "sensitivity": "peak of S_o",
+    "control": "peak of K S_o",
+    "static": "static amplification",
+}
+
+
+def as_bounds(lower: npt.ArrayLike, upper: npt.ArrayLike, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return bounds as arrays with one number per gain.
+
+    Raises
+    ------
+    UsageError
+        When their number differs from that of the gains, when they are not finite, or when lower is not below upper.
+    """
+    try:
+        low, high = (np.broadcast_to(np.asarray(b, float), len(names)).copy() for b in (lower, upper))
+    except (TypeError, ValueError):
+        raise UsageError(
+            f"bounds {lower!r} and {upper!r}; give numbers, one for each of {len(names)} gains ({', '.join(names)})"
+        ) from None
+    for name, a, b in zip(names, low, high, strict=True):
+        if not (np.isfinite(a) and np.isfinite(b) and a < b):
+            raise UsageError(f"gain {name!r}: bounds [{a:g}, {b:g}]; give two finite numbers, lower first")
+    return low, high
+
+
+def as_start(start: npt.ArrayLike, names: tuple[str, ...]) -> FloatArray:
+    """Return a start value as an array.
+
+    Raises
+    ------
+    UsageError
+        When it does not have one finite number per gain.
+    """
+    try:
+        x = np.asarray(start, float)
+    except (TypeError, ValueError):
+        x = np.array([])
+    if x.shape != (len(names),) or not np.isfinite(x).all():
+        raise UsageError(f"start = {start!r}; give {len(names)} finite numbers ({', '.join(names)})")
+    return x

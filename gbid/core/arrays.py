@@ -1,0 +1,165 @@
+"""Types of arrays, for annotations, and checks of numbers."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import cache
+from math import isfinite
+from typing import Any, TypeGuard
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def is_finite(value: object) -> TypeGuard[float]:
+    """Return whether a value is one finite number; text, None, flags and lists are not."""
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool) and isfinite(value)
+
+
+def is_whole(value: object, least: int) -> bool:
+    """Return whether a value is one whole number of at least some size; flags are not."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= least
+
+
+# ---- Poles: which of them oscillate, and their natural frequencies and damping factors.
+
+REAL = 1e-9
+"""A pole with a smaller imaginary part, relative to its magnitude, counts as real."""
+
+
+def is_real(poles: ComplexArray) -> BoolArray:
+    """Return which poles do not oscillate (any shape).
+
+    Parameters
+    ----------
+    poles : complex array
+        Continuous time [rad/s].
+    """
+    return np.abs(poles.imag) <= REAL * np.abs(poles)
+
+
+def one_of_each_pair(poles: ComplexArray) -> BoolArray:
+    """Return which poles stand for an oscillatory mode: of each complex pair the one in the upper half-plane.
+
+    Parameters
+    ----------
+    poles : complex array
+        Continuous time [rad/s].
+    """
+    return ~is_real(poles) & (poles.imag > 0)
+
+
+def poles_of_samples(eigenvalues: ComplexArray, dt: float) -> ComplexArray:
+    """Return the poles ``log(eigenvalue) / dt`` in continuous time [rad/s] of a sampled model (any shape).
+
+    Parameters
+    ----------
+    eigenvalues : complex array
+        Eigenvalues of its state matrix.
+    dt : float
+        Sample time [s].
+    """
+    values = np.asarray(eigenvalues, complex)
+    with np.errstate(divide="ignore"):  # an eigenvalue at zero, as of a shift register
+        return np.asarray(np.log(np.abs(values)) / dt + 1j * np.angle(values) / dt)
+
+
+def frequencies_and_dampings(poles: ComplexArray) -> FloatArray:
+    """Return natural frequency ``|p| / 2 pi`` [Hz] and damping factor ``-Re(p) / |p|`` of each pole (n, 2).
+
+    Parameters
+    ----------
+    poles : (n,) complex array
+        Continuous time [rad/s]; none at zero.
+    """
+    size = np.abs(poles)
+    return np.column_stack([size / (2 * np.pi), -poles.real / size])
+
+
+def oscillatory_modes(poles: ComplexArray) -> FloatArray:
+    """Return natural frequency [Hz] and damping factor of each oscillatory mode, by rising frequency (n_modes, 2).
+
+    Parameters
+    ----------
+    poles : (n,) complex array
+        Continuous time [rad/s]. Real poles are no modes.
+    """
+    pairs = poles[one_of_each_pair(poles)]
+    return frequencies_and_dampings(pairs[np.argsort(np.abs(pairs), kind="stable")])
+
+
+# ---- Operating points in words.
+
+
+def point_label(pressure_bar: float, speed_rpm: float) -> str:
+    """Return the label of an operating point, for people.
+
+    Parameters
+    ----------
+    pressure_bar : float
+        Supply pressure [bar].
+    speed_rpm : float
+        Shaft speed [rpm].
+
+    Returns
+    -------
+    str
+        For example ``"6 bar, 4000 rpm"``.
+    """
+    return f"{pressure_bar:g} bar, {speed_rpm:g} rpm"
+
+
+# ---- Threads of this process: one in each BLAS library, and one at a time in the solver.
+
+
+class _Shared:
+    """What all threads of the process share: the turn of the solver, and the limit of the BLAS libraries."""
+
+    def __init__(self) -> None:
+        self.turn, self.counting = threading.RLock(), threading.Lock()
+        self.users = 0
+        self.limit: Any = None
+
+
+_shared = _Shared()
+if hasattr(os, "register_at_fork"):  # a child has none of the threads that may hold a lock
+    os.register_at_fork(after_in_child=lambda: _shared.__init__())  # type: ignore[misc]
+
+
+@cache
+def _controller() -> Any:
+    return ThreadpoolController()  # inspects every loaded library, so it is made only once
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Return a context in which the BLAS libraries of this process use one thread.
+
+    Products of small matrices are slower with several threads. The limit is that of the process: the first thread to
+    enter sets it, and the last one to leave restores what was there.
+    """
+    with _shared.counting:
+        if _shared.users == 0:
+            _shared.limit = _controller().limit(limits=1, user_api="blas")
+        _shared.users += 1
+    try:
+        yield
+    finally:
+        with _shared.counting:
+            _shared.users -= 1
+            if _shared.users == 0:
+                _shared.limit.restore_original_limits()
+
+
+def one_solver() -> AbstractContextManager[Any]:
+    """Return a context that one thread of the process is in at a time: MUMPS, which IPOPT uses, is not thread-safe."""
+    return _shared.turn

@@ -1,0 +1,368 @@
+"""Files that appear under their name only when they are complete, and what killed processes leave behind."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import re
+import shutil
+import socket
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError, origins
+
+_ENDING = ".part"
+_DAY = 86400.0
+_OURS = re.compile(r"\.(?P<host>[A-Za-z0-9-]*)~(?P<process>\d+)(-(?P<begun>\d+))?\.[^.]*\.part$")
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_IN_WORDS = re.compile(rf"errno = ({'|'.join(map(str, _FULL))})\b")  # HDF5 tells it in words
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
+    """Give a temporary path beside `path` that takes its place only when the block ends well.
+
+    What was written is on the disk before it takes the place: a power cut leaves the old file or the new one, complete.
+    A temporary path given by this function is written to as it is.
+
+    Raises
+    ------
+    UsageError
+        When `path` exists and `overwrite` is not set; nothing is touched then.
+    NoSpaceError
+        When the disk or the quota is full.
+    DataError
+        When the folder or the file cannot be written for another reason.
+    """
+    try:
+        exists = path.exists()
+    except OSError as error:  # a name too long, a folder that may not be entered
+        raise _cannot_write(path, error) from None
+    if exists and not overwrite:
+        raise UsageError(f"{path} exists already; choose another name or ask for overwriting")
+    if exists and _OURS.search(path.name):
+        yield path
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=_prefix(path.name), suffix=_ENDING)
+    except OSError as error:
+        raise _cannot_write(path, error) from None
+    os.close(handle)
+    part = Path(name)
+    try:
+        yield part
+        mask = os.umask(0)
+        os.umask(mask)
+        part.chmod(0o666 & ~mask)
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
+        part.replace(path)  # a power cut may undo this: then the old file is there, and the work is done again
+    except OSError as error:
+        raise _cannot_write(path, error) from None
+    except Exception as error:  # HDF5 may find the disk full only when it closes the file, matplotlib fails after it
+        if _no_space(error) is None:
+            raise
+        raise _cannot_write(path, error) from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def scratch_folder(beside: Path) -> Iterator[Path]:
+    """Give a temporary folder beside a path. When its process is killed, `remove_stale_parts` finds it there.
+
+    Raises
+    ------
+    DataError
+        When the folder cannot be made.
+    """
+    try:
+        beside.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(dir=beside.parent, prefix=_prefix("scratch"), suffix=_ENDING))
+    except OSError as error:
+        raise _cannot_write(beside.parent, error) from None
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _no_space(error: BaseException) -> BaseException | None:
+    """Return what says that the disk or the quota is full, or that files of this process may not be so large.
+
+    It is the error or what that came from, because a library may fail again on its way out.
+    """
+    full = (e for e in origins(error) if getattr(e, "errno", None) in _FULL or _IN_WORDS.search(str(e)))
+    return next(full, None)
+
+
+def remove_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[Path]:
+    """Remove temporary files and folders that killed processes left in a folder and below it.
+
+    Only those of gbid, and only those whose process is gone; a file of a process on another host stays for a day.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        The folder.
+    pattern : str
+        Paths to look at.
+
+    Returns
+    -------
+    list of pathlib.Path
+        What was removed.
+    """
+    removed = find_stale_parts(folder, pattern)
+    for path in removed:
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            with contextlib.suppress(OSError):  # gone meanwhile, or on a disk for reading only
+                path.unlink()
+    return removed
+
+
+def find_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[Path]:
+    """Return what `remove_stale_parts` would remove."""
+    matched = [(path, _OURS.search(path.name)) for path in folder.glob(pattern)]
+    return [path for path, m in matched if m and _is_stale(path, m["host"], int(m["process"]), m["begun"])]
+
+
+def _prefix(name: str) -> str:
+    """Return the beginning of the name of a temporary file, with the process that it belongs to."""
+    begun = _begun(os.getpid())
+    return f".{name}.{_host()}~{os.getpid()}{f'-{begun}' if begun else ''}."
+
+
+def _begun(process: int) -> str:
+    """Return when a process began, in ticks since the start of the machine; empty where that is not known.
+
+    Numbers of processes are given again, and clocks are set. Of a process that has ended, and that its parent has not
+    noticed yet (state Z), the answer is empty, too.
+    """
+    try:
+        state, *fields = Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()
+    except (OSError, ValueError):
+        return ""
+    return fields[18] if state != "Z" and len(fields) > 18 else ""
+
+
+def _is_stale(path: Path, host: str, process: int, begun: str | None) -> bool:
+    if host == _host() and not (_is_alive(process) and begun in (None, "", _begun(process))):
+        return True
+    try:
+        return time.time() - path.stat().st_mtime > _DAY
+    except OSError:  # gone meanwhile
+        return False
+
+
+def _is_alive(process: int) -> bool:
+    if os.name != "posix":  # where the call below would end it
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # of another user
+        return True
+    return True
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9-]", "-", socket.gethostname())[:32]
+
+
+def _cannot_write(path: Path, error: Exception) -> DataError:
+    if full := _no_space(error):
+        if getattr(full, "errno", None) == errno.EFBIG:
+            text = "the file would be larger than this process may write (ulimit -f)"
+            return NoSpaceError(f"{path}: cannot be written: {text}; raise the limit and run again")
+        return NoSpaceError(
+            f"{path}: cannot be written: No space left in {path.parent}; make room and run again, "
+            "what is complete is kept"
+        )
+    return DataError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}")
+
+
+# ---- Checksum of a file: the SHA-256 of its bytes, written as the last line of the file.
+#
+# It covers every byte, so it is checked before the HDF5 library sees the file: this library may crash or never return
+# on damaged bytes. HDF5 readers ignore what follows the end that a file states.
+
+_LABEL = b"\ngbid sha256 "
+_LENGTH = len(_LABEL) + 64 + 1
+
+
+def with_checksum(content: bytes) -> bytes:
+    """Return the bytes of a file with their checksum."""
+    return b"".join((content, _LABEL, hashlib.sha256(content).hexdigest().encode(), b"\n"))
+
+
+def has_valid_checksum(path: Path) -> bool:
+    """Return whether a file ends with its checksum; false when it ends otherwise.
+
+    Raises
+    ------
+    DataError
+        When the checksum is not that of the bytes.
+    OSError
+        When the file cannot be read.
+    """
+    size = path.stat().st_size - _LENGTH
+    if size < 0:
+        return False
+    with path.open("rb") as file:
+        file.seek(size)
+        last = file.read(_LENGTH)
+        if not last.startswith(_LABEL):
+            return False
+        file.seek(0)
+        found = hashlib.sha256()
+        while size > 0:
+            block = file.read(min(size, 1 << 20))
+            if not block:
+                break
+            found.update(block)
+            size -= len(block)
+    if last[len(_LABEL) : -1] != found.hexdigest().encode():
+        raise DataError(
+            f"{path}: damaged, or changed by another program: its checksum is not that of its bytes; "
+            "take a copy of it from a backup, or make it again"
+        )
+    return True
+
+
+# ---- Checksum of a text file: the SHA-256 of its lines, written in a comment.
+#
+# A text file may be changed by hand, so a checksum that is not that of the lines is no error here: the reader says so.
+# The end of lines does not count, because editors and version control change it.
+
+_COMMENTS = {
+    ".yaml": ("# ", ""),
+    ".csv": ("# ", ""),
+    ".md": ("<!-- ", " -->"),
+    ".c": ("/* ", " */"),
+    ".h": ("/* ", " */"),
+    ".m": ("% ", ""),
+}
+_BELOW_HELP = ".m"  # MATLAB shows the first comment as the help of the function
+_LINE = re.compile(
+    rb"^(?:# |% |/\* |<!-- )gbid sha256 ([0-9a-f]{64}) of the other lines(?:| \*/| -->)(?:\n|\Z)", re.MULTILINE
+)
+_TRACE = re.compile(rb"gbid sha256|[0-9a-f]{31} of the other")  # of a damaged checksum
+
+
+def with_text_checksum(text: str, ending: str) -> str:
+    """Return the text of a file with its checksum, in place of the one that it has.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+    ending : str
+        Ending of the name of the file, as ``".yaml"``. It decides the form of the comment.
+    """
+    before, after = _COMMENTS[ending]
+    text = _LINE.sub(b"", text.encode()).decode()
+    line = f"{before}gbid sha256 {_digest(text.encode())} of the other lines{after}\n"
+    help_text, gap, code = text.partition("\n\n") if ending == _BELOW_HELP else ("", "", text)
+    return f"{help_text}{gap}{line}{code}"
+
+
+def add_text_checksum(path: Path, ending: str) -> None:
+    """Write the checksum into a text file; files whose format has no comments stay as they are."""
+    if ending in _COMMENTS:
+        text = path.read_bytes().decode()
+        path.write_bytes(with_text_checksum(text, ending).encode())
+
+
+def is_changed(content: bytes) -> bool:
+    """Return whether the bytes of a text file have a checksum that is not that of their lines.
+
+    False also for a text without checksum, as people write it.
+    """
+    content = _plain(content)
+    found = _LINE.search(content)
+    if found is None:
+        return bool(_TRACE.search(content))
+    return found[1].decode() != _digest(content[: found.start()] + content[found.end() :])
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(_plain(content)).hexdigest()
+
+
+def _plain(content: bytes) -> bytes:
+    return content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").rstrip()
+
+
+# ---- What libraries raise on damaged files, in words: the one place that turns it into an error of the file.
+
+
+@contextmanager
+def library_errors(path: Path, remedy: str = "save it again") -> Iterator[None]:
+    """Return a context in which whatever a library raises on a file becomes a DataError with the name of the file.
+
+    Errors of gbid and of the system (`OSError`) come out as they are.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    remedy : str
+        What the user can do.
+    """
+    try:
+        yield
+    except (GbidError, OSError):
+        raise
+    except MemoryError:
+        raise DataError(f"{path}: its reader needs more memory than the file can contain; {remedy}") from None
+    except Exception as error:
+        words = in_one_line(error)
+        raise DataError(f"{path}: cannot be read, damaged or of another format ({words}); {remedy}") from None
+
+
+def in_one_line(error: BaseException) -> str:
+    """Return type and text of an error; of a long text the beginning."""
+    lines = f"{type(error).__name__}: {error}".splitlines()
+    return lines[0][:_LONGEST]
+
+
+_LONGEST = 300
+
+
+# ---- Folder of the model and experiment files that come with gbid.
+
+
+def share_folder(kind: str) -> Path:
+    """Return the folder of the files that come with gbid.
+
+    Parameters
+    ----------
+    kind : str
+        ``"models"`` or ``"experiments"``.
+
+    Returns
+    -------
+    pathlib.Path
+        A folder inside the package when gbid was installed from a wheel, the top-level folder in a checkout.
+
+    Raises
+    ------
+    UsageError
+        When neither folder exists.
+    """
+    package = Path(__file__).resolve().parent.parent
+    for folder in (package / "_share" / kind, package.parent / kind):
+        if folder.is_dir():
+            return folder
+    raise UsageError(f"the {kind} that come with gbid are missing beside {package}; reinstall gbid")

@@ -1,0 +1,40 @@
+"""HDF5 files of gbid: atomic writing, checked reading, dataclasses stored by the types of their fields."""
+
+from gbid.core.hdf5.file import (
+    DamagedError,
+    FileKind,
+    add_dataset,
+    add_texts,
+    changing,
+    opened,
+    read_attribute,
+    read_dataset,
+    read_group,
+    read_text,
+    read_texts,
+    reading,
+    writing,
+)
+from gbid.core.hdf5.types import NOT_STORED, Stored, load, read_fields, save, write_fields
+
+__all__ = [
+    "NOT_STORED",
+    "DamagedError",
+    "FileKind",
+    "Stored",
+    "add_dataset",
+    "add_texts",
+    "changing",
+    "load",
+    "opened",
+    "read_attribute",
+    "read_dataset",
+    "read_fields",
+    "read_group",
+    "read_text",
+    "read_texts",
+    "reading",
+    "save",
+    "write_fields",
+    "writing",
+]

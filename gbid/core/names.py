@@ -1,0 +1,113 @@
+"""Free text made safe to show: names, units and contents of files may contain anything.
+
+Text is kept as it is inside of gbid, and escaped where it is shown. What renderers have rules of their own for (HTML,
+CSV, C, XML) is escaped by them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from html import escape
+from pathlib import Path
+
+from gbid.core.errors import UsageError
+
+
+def one_line(text: str) -> str:
+    r"""Return a text on one line, without characters that act on a terminal or on the order of letters.
+
+    Blanks and line breaks become single blanks. Other characters that cannot be printed become their codes.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Examples
+    --------
+    >>> print(one_line("two\nlines, \x1b[31mred"))
+    two lines, \x1b[31mred
+    """
+    return printable(" ".join(text.split()))
+
+
+def printable(text: str) -> str:
+    r"""Return a text in which blanks of any kind are a space, and what cannot be printed is its code.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Examples
+    --------
+    >>> print(printable("a  b\tc\x07"))
+    a  b c\x07
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
+
+
+def html_text(text: str) -> str:
+    """Return a text for HTML, as a text or as the value of an attribute; nothing in it acts on the page.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+    """
+    return escape(printable(text))
+
+
+# ---- Paths that a caller gives, checked before a file is opened, and names of files made of free text.
+
+LONGEST = 120
+"""Largest number of bytes of a part of a file name that is made of a name; file systems take 255 with all additions."""
+_DIGITS = 8
+
+
+def given_path(path: object) -> Path:
+    """Return a path as the caller gave it.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The path.
+
+    Raises
+    ------
+    UsageError
+        When it is no path, or when it contains a NUL character, which no file name has.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise UsageError(f"{path!r} is no path; give the name of a file as a text or a pathlib.Path")
+    found = Path(path)
+    if "\0" in str(found):
+        raise UsageError(f"{str(found)!r}: a path cannot contain a NUL character; correct the name of the file")
+    return found
+
+
+def file_stem(name: str, longest: int = LONGEST, join: str = "-") -> str:
+    """Return a name for a part of a file name; a long one is cut and ends with a digest, so that it stays unique.
+
+    Parameters
+    ----------
+    name : str
+        A name without path separators.
+    longest : int
+        Largest number of bytes.
+    join : str
+        What stands before the digest.
+
+    Examples
+    --------
+    >>> file_stem("p5_n6000_prbs1"), len(file_stem(300 * "x"))
+    ('p5_n6000_prbs1', 120)
+    """
+    encoded = name.encode()
+    if len(encoded) <= longest:
+        return name
+    digest = hashlib.sha256(encoded).hexdigest()[:_DIGITS]
+    return f"{encoded[: longest - _DIGITS - len(join)].decode(errors='ignore')}{join}{digest}"

@@ -1,0 +1,99 @@
+"""Known signals of the test rig with their SI units, and conversion of units.
+
+Inside gbid every number is in SI units. The two scheduling variables are the exception: they keep the units of
+the field, and their names say so (``pressure_bar`` and ``speed_rpm``).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+from gbid.core.errors import UsageError
+
+
+class SignalKind(NamedTuple):
+    """Unit, description and channels of a known signal.
+
+    Attributes
+    ----------
+    unit : str
+        SI unit.
+    long_name : str
+        Description for files and axis labels.
+    channels : tuple of str
+        Names of the channels.
+    """
+
+    unit: str
+    long_name: str
+    channels: tuple[str, ...]
+
+
+SIGNALS: dict[str, SignalKind] = {
+    "r": SignalKind("m", "piezo position reference", ("x", "y")),
+    "w": SignalKind("m", "excitation injected into the loop", ("x", "y")),
+    "u": SignalKind("m", "difference of piezo positions", ("x", "y")),
+    "p": SignalKind("m", "lateral disc position", ("x", "y")),
+    "phi": SignalKind("rad", "shaft angle", ("phi",)),
+    "pressure_bar": SignalKind("bar", "injection pressure", ("pressure_bar",)),
+    "speed_rpm": SignalKind("rpm", "speed of the shaft", ("speed_rpm",)),
+    "unbalance": SignalKind("rad^2/s^2", "direction of the unbalance times the square of the speed", ("x", "y")),
+    "force": SignalKind("N", "impact force", ("force",)),
+    "f": SignalKind("N", "impact force along the axes", ("x", "y")),
+    "v": SignalKind("V", "voltage of each piezo stack", ("1", "2", "3", "4")),
+    "y_p": SignalKind("m", "position of each piezo stack", ("1", "2", "3", "4")),
+    "r_p": SignalKind("m", "position reference of each piezo stack", ("1", "2", "3", "4")),
+}
+"""The signals of the test rig (paper, Secs. 2 and 3.4)."""
+
+
+@cache
+def _registry() -> Any:
+    import pint  # imported here, because the import is slow
+
+    return pint.UnitRegistry()
+
+
+def is_unit(word: str) -> bool:
+    """Return whether a word is a unit as pint writes it; an empty word is dimensionless."""
+    try:
+        _registry().parse_units(word)
+    except Exception:  # an unknown unit, and errors of the tokeniser that pint does not catch
+        return False
+    return True
+
+
+def conversion_factor(unit: str, target: str) -> float:
+    """Return the factor that converts a number in `unit` to a number in `target`.
+
+    Parameters
+    ----------
+    unit, target : str
+        Units as pint writes them: ``"um"``, ``"m"``, ``"deg"``, ``"V"``. ``""`` means dimensionless.
+
+    Returns
+    -------
+    float
+        The factor.
+
+    Raises
+    ------
+    UsageError
+        When a unit is unknown, when the units measure different quantities, or when the scale has an offset (degC).
+    """
+    if unit == target:
+        return 1.0
+    import pint
+
+    registry = _registry()
+    try:
+        zero, one = (registry.Quantity(v, unit or "dimensionless").to(target or "dimensionless").m for v in (0.0, 1.0))
+    except (pint.UndefinedUnitError, pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:
+        raise UsageError(f"unit {unit!r} cannot be converted to {target!r}: {error}") from None
+    except Exception as error:  # pint does not catch the errors of the tokeniser
+        text = f"unit {unit!r} cannot be converted to {target!r}: not written as a unit"
+        raise UsageError(f"{text} ({error})" if str(error) else text) from None
+    if zero != 0.0:
+        raise UsageError(f"unit {unit!r} has an offset against {target!r}; convert the data first")
+    return float(one)

@@ -1,0 +1,186 @@
+"""Reading YAML so that every complaint can name file, line and column."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.scalarstring import DoubleQuotedScalarString
+
+from gbid.core.errors import UsageError
+from gbid.core.files import in_one_line, is_changed, with_text_checksum
+from gbid.core.notes import DataNote
+
+CHANGED = "changed after gbid wrote it: its checksum is not that of its lines"
+
+_LARGEST = 4 << 20  # bytes
+_DEEPEST = 50
+_ALIASED = 10_000
+_BRACKETS = 500
+_KEPT = 100_000  # characters of the longest text whose tree is kept
+
+
+@dataclass(frozen=True)
+class YamlFile:
+    """Contents of a YAML file and where each of its values stands.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+    data : dict
+        Plain Python values.
+    notes : tuple of str
+        Says when the file was changed after gbid wrote it.
+    """
+
+    path: Path
+    data: dict[str, Any]
+    _tree: CommentedMap
+    notes: tuple[str, ...] = ()
+
+    def position(self, location: Sequence[str | int]) -> str:
+        """Return ``file:line:col`` of a value by its keys; of the nearest one above when it is not there."""
+        node: Any = self._tree
+        line, column = 0, 0
+        for key in location:
+            try:
+                if isinstance(node, CommentedMap):
+                    line, column = node.lc.key(key)
+                elif isinstance(node, CommentedSeq) and isinstance(key, int):
+                    line, column = node.lc.item(key)
+                else:
+                    break
+                node = node[key]
+            except (KeyError, IndexError, TypeError):
+                break
+        return f"{self.path}:{line + 1}:{column + 1}"
+
+
+def read_yaml(path: Path) -> YamlFile:
+    """Read a YAML file whose top level is a mapping.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing, cannot be read, is no YAML (with line and column), or holds something else
+        than a mapping.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise UsageError(f"{path}: is not a file; give the name of one")
+        content = path.read_bytes()
+        if len(content) > _LARGEST:
+            raise UsageError(f"{path}: larger than {_LARGEST >> 20} MB; put signals and tables into files of their own")
+        if _open_brackets(content) > _BRACKETS:
+            raise UsageError(f"{path}: more than {_BRACKETS} brackets are opened and not closed; close them")
+        text = content.decode()
+    except FileNotFoundError:
+        raise UsageError(f"{path}: no such file; check its name and folder") from None
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not a text file in UTF-8: {error.reason}; save it as UTF-8") from None
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}; give a file that can") from None
+    try:
+        tree = _kept_tree(text) if len(text) < _KEPT else _tree(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"{path}:{mark.line + 1}:{mark.column + 1}" if mark else str(path)
+        problem = " ".join(str(error.problem or error.context or "not YAML").split())
+        raise UsageError(f"{where}: not valid YAML: {problem}; correct it here or on the line before") from None
+    except (YAMLError, ValueError) as error:
+        raise UsageError(f"{path}: not valid YAML: {' '.join(str(error).split())}; correct it") from None
+    except Exception as error:  # the library on values and tags that no file of ours has
+        raise UsageError(f"{path}: not valid YAML: {in_one_line(error)}; correct it") from None
+    _check_size(path, tree, len(text))
+    if not isinstance(tree, CommentedMap):
+        found = "nothing" if tree is None else type(plain(tree)).__name__
+        raise UsageError(f"{path}:1:1: expected keys with values, found {found}; write lines as `name: value`")
+    notes = (DataNote.CHANGED_BY_HAND(f"{path}: {CHANGED}"),) if is_changed(content) else ()
+    return YamlFile(path, plain(tree), tree, notes)
+
+
+def _tree(text: str) -> Any:
+    return YAML(typ="rt").load(text)
+
+
+@lru_cache(maxsize=32)
+def _kept_tree(text: str) -> Any:
+    """Return the tree of a text, which nobody changes. A run reads its files many times, and the parser is slow."""
+    return _tree(text)
+
+
+def _open_brackets(content: bytes) -> int:
+    """Return the largest number of open brackets, also those in texts; the parser takes the square of it in time."""
+    steps = np.zeros(len(content) + 1)
+    found = np.frombuffer(content, np.uint8)
+    steps[1:] += (found == ord("[")) | (found == ord("{"))
+    steps[1:] -= (found == ord("]")) | (found == ord("}"))
+    return int(np.cumsum(steps).max())
+
+
+def _check_size(path: Path, tree: Any, length: int) -> None:
+    """Refuse a tree in itself, aliases of aliases that make a huge tree from a short text, and keys that are lists."""
+    sizes: dict[int, int] = {}
+
+    def size(node: Any, depth: int) -> int:
+        if not isinstance(node, dict | list | tuple | set):
+            return 1
+        if depth > _DEEPEST or sizes.get(id(node)) == 0:
+            raise UsageError(f"{path}: values are nested more than {_DEEPEST} deep, or in themselves; write them flat")
+        if id(node) not in sizes:
+            sizes[id(node)] = 0
+            if isinstance(node, dict) and any(isinstance(key, dict | list | tuple | set) for key in node):
+                raise UsageError(f"{path}: a key is a list or a mapping; give names as keys")
+            inside = [*node, *node.values()] if isinstance(node, dict) else node
+            sizes[id(node)] = 1 + sum(size(each, depth + 1) for each in inside)
+        return sizes[id(node)]
+
+    if size(tree, 0) > _ALIASED + 10 * length:
+        raise UsageError(f"{path}: its aliases repeat too many values; write the values where they are needed")
+
+
+def plain(value: Any) -> Any:
+    """Return plain dicts, lists, numbers and text from ruamel's annotated ones."""
+    if isinstance(value, dict):
+        return {plain(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    for kind in (bool, int, float, str):
+        if isinstance(value, kind):
+            return kind(value)
+    return value
+
+
+def write_yaml(data: dict[str, Any], path: Path, comment: str = "") -> None:
+    """Write plain values, and a comment above them; lists of numbers and pairs on one line, floats with all digits."""
+    yaml = YAML(typ="rt")
+    yaml.width = 4096
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    text = StringIO()
+    text.write(f"# {comment}\n" if comment else "")
+    yaml.dump(_styled(data), text)
+    path.write_bytes(with_text_checksum(text.getvalue(), ".yaml").encode())
+
+
+def _styled(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _styled(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        items = CommentedSeq(_styled(v) for v in value)
+        if not any(isinstance(v, dict) for v in value):
+            items.fa.set_flow_style()
+        return items
+    if isinstance(value, float) and not math.isfinite(value):
+        raise UsageError(f"{value} cannot be written to a model file; give finite numbers")
+    if isinstance(value, str) and value.startswith("?"):  # ruamel writes it in a list as it could not read it
+        return DoubleQuotedScalarString(value)
+    return value

@@ -1,0 +1,225 @@
+"""Limits of an excitation: peaks of signals, radius of the disc, and the machines that the model may stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.errors import UsageError
+from gbid.excite.model import KnownModel
+from gbid.rig import Machine, RotorBearingTruth, Scatter, SensorChain, scatter_random, scattered, unbalance_orbit
+from gbid.rig.sensors import TURN, runout
+
+SAFE = 0.98
+"""Part of a limit that a design uses: between the samples the motion is a little larger than at them."""
+
+
+@dataclass(frozen=True)
+class PossibleMachine:
+    """Machine that the model may stand for: another draw of its parameters.
+
+    Attributes
+    ----------
+    parameters : dict of str to float
+        Parameters that differ from those of the model.
+    taken : float
+        Part of the clearance that is taken already: offset, orbit of the unbalance, run-out [m].
+    """
+
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    taken: float = 0.0
+
+
+@dataclass(frozen=True)
+class ExcitationLimits:
+    """Limits of an excitation.
+
+    Parameters
+    ----------
+    peaks : dict of str to float
+        Largest magnitude of each channel, by signal or channel of the model, such as ``{"r": 4.5e-6, "u": 8.4e-6}``.
+        Without the inputs of the model a spectrum has no bound, so each input needs one.
+    radius : dict of str to float
+        Largest distance of a signal of two channels from its centre, such as ``{"p": 15e-6}`` for the disc.
+    clearance : float, optional
+        Clearance of the bearing [m]. The radius of `disc` plus what is taken of it stays below, in the model and in
+        every machine of `machines`.
+    disc : str
+        Signal of the disc.
+    taken : float
+        Part of the clearance that is taken in the model itself [m].
+    machines : sequence of PossibleMachine
+        Other machines that must not rub either; see `gbid.excite.rig_limits`.
+
+    Raises
+    ------
+    UsageError
+        When a limit is not positive, or nothing is left of the clearance.
+    """
+
+    peaks: Mapping[str, float] = field(default_factory=dict)
+    radius: Mapping[str, float] = field(default_factory=dict)
+    clearance: float | None = None
+    disc: str = "p"
+    taken: float = 0.0
+    machines: Sequence[PossibleMachine] = ()
+
+    def __post_init__(self) -> None:
+        for what, given in (("peaks", self.peaks), ("radius", self.radius)):
+            for name, value in given.items():
+                if not (np.isfinite(value) and value > 0):
+                    raise UsageError(f"limits: {what} of {name} = {value}; give a positive number")
+        if self.clearance is None:
+            if self.machines:
+                raise UsageError("limits: machines are for the clearance; give it")
+            return
+        most = max([self.taken, *(machine.taken for machine in self.machines)])
+        if not (np.isfinite(self.clearance) and self.clearance > most):
+            raise UsageError(
+                f"limits: clearance = {self.clearance:g} m, of which run-out and unbalance take {most:g} m; there is "
+                "no room to excite"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class LimitedSignal:
+    """Signal with its limit: its response to the inputs at lines, divided by the limit.
+
+    Attributes
+    ----------
+    name : str
+        What is limited, for the reader.
+    limit : float
+        The limit.
+    response : (n_lines, n_channels, n_inputs) array
+        Response over limit. The distance from the centre over all channels must stay below one.
+    """
+
+    name: str
+    limit: float
+    response: ComplexArray
+
+
+def limited_signals(
+    limits: ExcitationLimits, known: KnownModel, response: ComplexArray, others: Sequence[ComplexArray] = ()
+) -> list[LimitedSignal]:
+    """Return the limited signals at lines.
+
+    Parameters
+    ----------
+    limits : ExcitationLimits
+        The limits.
+    known : KnownModel
+        The model.
+    response : (n_lines, n_outputs, n_inputs) array
+        Its response.
+    others : sequence of (n_lines, n_outputs, n_inputs) array
+        Responses of the machines of the limits.
+
+    Raises
+    ------
+    UsageError
+        When a limit names no signal of the model, or an input has no limit.
+    """
+    n_lines, _, n_u = response.shape
+    bounded, found = set[int](), list[LimitedSignal]()
+
+    def rows(signal: str, of: ComplexArray) -> ComplexArray:
+        is_input, columns = known.channels(signal)
+        if is_input:
+            bounded.update(columns)
+            return np.repeat(np.eye(n_u, dtype=complex)[None, columns], n_lines, axis=0)
+        return of[:, columns]
+
+    for name, value in limits.peaks.items():
+        each, (is_input, columns) = rows(name, response), known.channels(name)
+        labels = known.model.input_names if is_input else known.model.output_names
+        found += [LimitedSignal(labels[i], value, each[:, j : j + 1] / (SAFE * value)) for j, i in enumerate(columns)]
+    for name, value in limits.radius.items():
+        found.append(LimitedSignal(f"radius of {name}", value, rows(name, response) / (SAFE * value)))
+    if limits.clearance is not None:
+        room = limits.clearance - limits.taken
+        name = f"clearance around {limits.disc}"
+        found.append(LimitedSignal(name, room, rows(limits.disc, response) / (SAFE * room)))
+        for i, (machine, own) in enumerate(zip(limits.machines, others, strict=True)):
+            room = limits.clearance - machine.taken
+            found.append(LimitedSignal(f"{name} in machine {i + 1}", room, rows(limits.disc, own) / (SAFE * room)))
+    missing = [label for i, label in enumerate(known.model.input_names) if i not in bounded]
+    if missing:
+        raise UsageError(
+            f"limits: input {missing[0]} has no limit; give its largest magnitude, such as peaks={{...: 4.5e-6}}"
+        )
+    return found
+
+
+# ---- Limits for a machine of the virtual rig: no rub, with its unbalance, run-out and scatter.
+
+_ANGLES = 720  # of a turn
+
+
+def rig_limits(
+    machine: Machine,
+    *,
+    conditions: Mapping[str, float],
+    peaks: Mapping[str, float],
+    radius: Mapping[str, float] | None = None,
+    scatter: Scatter | None = None,
+    draws: int = 100,
+    seed: int = 0,
+) -> ExcitationLimits:
+    """Return limits with which a machine of the rig does not rub.
+
+    The run-out counts as if the disc moved by it: a disc that is not round needs this part of the clearance, and on a
+    real machine nobody can tell the two apart before they are separated.
+
+    Parameters
+    ----------
+    machine : Machine
+        The rig at the operating point.
+    conditions : dict of str to float
+        Operating point; ``speed_rpm`` is required.
+    peaks, radius : dict of str to float
+        As of `ExcitationLimits`.
+    scatter : Scatter, optional
+        Differences from recording to recording. Without it the machine is always the same.
+    draws : int
+        Number of machines that are drawn from the scatter.
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    ExcitationLimits
+        With the clearance of the machine.
+    """
+    speed = float(conditions["speed_rpm"]) * TURN / 60.0
+    drawn = []
+    for i in range(draws if scatter is not None else 0):
+        assert scatter is not None
+        random = scatter_random(seed, f"excitation {i}", conditions)
+        one, _ = scattered(machine.rotor_bearing, scatter, random)
+        drawn.append(PossibleMachine(one.key_parameters(), _taken(machine, one, speed)))
+    return ExcitationLimits(
+        peaks=dict(peaks),
+        radius=dict(radius or {}),
+        clearance=machine.clearance,
+        taken=_taken(machine, machine.rotor_bearing, speed),
+        machines=tuple(drawn),
+    )
+
+
+def _taken(machine: Machine, rotor_bearing: RotorBearingTruth, speed: float) -> float:
+    """Return the part of the clearance that unbalance and run-out take [m]."""
+    orbit = unbalance_orbit(rotor_bearing, machine.unbalance, speed, _turn())
+    return float(np.linalg.norm(orbit, axis=1).max() + _runout_radius(machine.sensors))
+
+
+def _runout_radius(sensors: SensorChain) -> float:
+    return float(np.linalg.norm(runout(sensors, _turn()), axis=1).max())
+
+
+def _turn() -> FloatArray:
+    return np.asarray(np.arange(_ANGLES) * (TURN / _ANGLES), float)

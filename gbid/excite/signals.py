@@ -1,0 +1,645 @@
+"""Small peaks: amplitudes and phases of a multisine by descent of the criterion at equal peaks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+from gbid.core.arrays import ComplexArray, FloatArray, IntArray
+from gbid.core.errors import UsageError
+from gbid.excite.excitation import ExcitationSequence
+from gbid.excite.goal import DesignGoal, LineModel
+from gbid.excite.limits import SAFE, ExcitationLimits, LimitedSignal, limited_signals
+
+_OF_PHASES = (4.0, 10.0, 24.0)
+_OF_BOTH = (24.0, 60.0, 150.0)
+_STARTS = 2
+_OPTIONS = {"maxiter": 50}
+_PER_CYCLE = 8  # points in a cycle of the highest line: more would see a higher peak by less than a hundredth
+
+
+class Waves:
+    """Limited signals over one period as functions of the amplitudes of all lines.
+
+    Parameters
+    ----------
+    limited : sequence of LimitedSignal
+        Signals over their limits.
+    bins : (n_lines,) integer array
+        Lines as multiples of one over the period.
+    """
+
+    def __init__(self, limited: Sequence[LimitedSignal], bins: IntArray) -> None:
+        n = int(min(8192, 2 ** np.ceil(np.log2(_PER_CYCLE * bins.max()))))
+        self._turn = np.exp(2j * np.pi * np.outer(np.arange(n) / n, bins))
+        self._rows = np.concatenate([each.response for each in limited], axis=1)  # (n_lines, n_channels, n_inputs)
+        self._first = np.cumsum([0, *(each.response.shape[1] for each in limited)])[:-1]
+
+    def norm(self, spectrum: ComplexArray, exponent: float) -> tuple[float, ComplexArray]:
+        """Return a norm of all signals over time, which tends to the largest peak, and its slope by the spectrum.
+
+        The slope g is that of ``norm(U + dU) = norm(U) + Re sum conj(g) dU``.
+        """
+        lines = np.einsum("fcu,fu->fc", self._rows, spectrum)
+        values = np.asarray((self._turn @ lines).real)
+        squares = np.add.reduceat(values**2, self._first, axis=1)
+        top = squares.max()
+        if np.isinf(exponent):
+            return float(np.sqrt(top)), np.zeros_like(spectrum)
+        powers = (squares / top) ** (exponent / 2)
+        mean = float(powers.sum() / len(powers))
+        size = np.sqrt(top) * mean ** (1 / exponent)
+        inner = powers / np.maximum(squares, 1e-300) * (size / (mean * len(powers)))
+        widths = np.diff([*self._first, values.shape[1]])
+        back = self._turn.conj().T @ (values * np.repeat(inner, widths, axis=1))
+        return float(size), np.einsum("fcu,fc->fu", self._rows.conj(), back)
+
+
+def with_small_peaks(
+    goal: DesignGoal,
+    sensitivity: ComplexArray,
+    limited: Sequence[LimitedSignal],
+    bins: IntArray,
+    spectrum: ComplexArray,
+    n_samples: int,
+    earlier: FloatArray,
+) -> ComplexArray:
+    """Return the amplitudes of a multisine whose largest peak is one, with the best criterion nearby.
+
+    First the phases alone are moved by the steepest norm of the signals (Guillaume, Schoukens, Pintelon and Kollar
+    1991). Then amplitudes and phases together are moved by the criterion of the signal at its largest peak.
+
+    Parameters
+    ----------
+    goal : DesignGoal
+        The criterion.
+    sensitivity : (n_lines, n_free, n_outputs, n_inputs) array
+        Sensitivities at the lines.
+    limited : sequence of LimitedSignal
+        Signals over their limits.
+    bins : (n_lines,) integer array
+        Lines as multiples of one over the period.
+    spectrum : (n_lines, n_inputs) array
+        Amplitudes to start from.
+    n_samples : int
+        Length of the recording.
+    earlier : (n_free, n_free) array
+        Information that is there without the excitation.
+
+    Returns
+    -------
+    (n_lines, n_inputs) array
+    """
+    waves = Waves(limited, bins)
+    psi = np.sqrt(n_samples / 2) * sensitivity
+    first = _schroeder(np.sum(abs(spectrum) ** 2, axis=1))
+    random = np.random.default_rng(len(bins)).uniform(-np.pi, np.pi, (_STARTS - 1, len(bins)))
+    tried = [_descended(goal, waves, psi, spectrum, angle, earlier) for angle in (first, *random)]
+    return min(tried, key=lambda each: each[0])[1]
+
+
+def _descended(
+    goal: DesignGoal, waves: Waves, psi: ComplexArray, spectrum: ComplexArray, angle: FloatArray, earlier: FloatArray
+) -> tuple[float, ComplexArray]:
+    """Return criterion and amplitudes of the descent from given phases."""
+    start = spectrum
+
+    def of_phases(angle: FloatArray, exponent: float) -> tuple[float, FloatArray]:
+        turned: ComplexArray = start * np.exp(1j * angle)[:, None]
+        size, slope = waves.norm(turned, exponent)
+        return np.log(size), np.sum(slope.conj() * 1j * turned, axis=1).real / size
+
+    for exponent in _OF_PHASES:
+        angle = scipy.optimize.minimize(of_phases, angle, (exponent,), jac=True, method="L-BFGS-B", options=_OPTIONS).x
+    found = start * np.exp(1j * angle)[:, None]
+
+    def of_both(flat: FloatArray, exponent: float, scale: FloatArray) -> tuple[float, FloatArray]:
+        own = _complex(flat, found.shape) * scale
+        size, slope = waves.norm(own, exponent)
+        moved = np.einsum("fpyu,fu->pfy", psi, own)
+        columns = moved.reshape(len(moved), -1) / size
+        raw = (columns @ columns.conj().T).real
+        P = goal.gradient(raw + earlier)
+        value = goal.loss(raw + earlier)
+        pushed = np.einsum("fpyu,pfy->fu", psi.conj(), (P @ columns).reshape(moved.shape)) / size
+        total = 2 * np.sum(P * raw) * slope / size - 2 * pushed
+        return value, np.ascontiguousarray(total * scale).view(float).ravel()
+
+    # Scaled by their size, strong and weak lines turn alike.
+    for exponent in _OF_BOTH:
+        found = found / waves.norm(found, exponent)[0]
+        scale = np.linalg.norm(found, axis=1)[:, None]
+        flat = np.ascontiguousarray(found / scale).view(float).ravel()
+        moved = scipy.optimize.minimize(
+            of_both, flat, (exponent, scale), jac=True, method="L-BFGS-B", options=_OPTIONS
+        ).x
+        found = _complex(moved, found.shape) * scale
+    found = found / waves.norm(found, np.inf)[0]
+    moved = np.einsum("fpyu,fu->pfy", psi, found).reshape(psi.shape[1], -1)
+    return goal.loss((moved @ moved.conj().T).real + earlier), found
+
+
+def _complex(flat: FloatArray, shape: tuple[int, ...]) -> ComplexArray:
+    return np.ascontiguousarray(flat).view(complex).reshape(shape)
+
+
+def _schroeder(power: FloatArray) -> FloatArray:
+    """Return phases that spread the lines over the period (Schroeder 1970)."""
+    share = np.concatenate([[0.0], np.cumsum(power / power.sum())[:-1]])
+    return np.asarray(-2 * np.pi * np.cumsum(share))
+
+
+# ---- Optimal spectrum of the inputs: a convex programme over the cross spectra of all lines.
+#
+# With the cross spectrum :math:`\Phi_f \succeq 0` of the inputs at line f the information is
+# :math:`M = M_0 + \sum_f \mathrm{Re}\,\Psi_f \Phi_f \Psi_f^H`. The criterion of M is maximised while the mean squares
+# of
+# the limited signals, :math:`\sum_f \mathrm{tr}(C_{if} \Phi_f)`, stay below one.
+#
+# With :math:`\Phi_f = L_f L_f^H` and the limits as one norm of the mean squares, which is smooth and scales with the
+# signals, this is an unconstrained problem for a quasi-Newton method. In the cross spectra it is convex, so the
+# stationary point is the optimum; but this is not relied on.
+#
+# The equivalence theorem (Kiefer and Wolfowitz 1960) gives the certificate: with multipliers w, no spectrum within the
+# limits has a criterion higher by more than :math:`\max_f \lambda_{max}(S_f; \sum_i w_i C_{if}) - \mathrm{tr}(P (M -
+# M_0))`.
+
+_NORMS = (15.0, 100.0)  # exponents of the norm of the mean squares, one after the other
+_OPTIONS_SPECTRUM_DESIGN = {"maxiter": 400, "maxcor": 30}
+
+
+class Spectrum(NamedTuple):
+    """Optimal spectrum with its certificate.
+
+    Attributes
+    ----------
+    cross : (n_lines, n_inputs, n_inputs) array
+        Cross spectra: mean squares and mean products of the inputs at each line, for limits of one.
+    multipliers : (n_limits,) array
+        Multipliers of the limits; zero for those that do not matter.
+    gap : float
+        Duality gap per counted quantity: standard deviations are on average at most half of this, as a part, above
+        those of the best spectrum.
+    sensitivity : (n_lines, n_inputs, n_inputs) array
+        Sensitivities S at the optimum: ``tr(S Phi)`` is what a cross spectrum adds.
+    """
+
+    cross: ComplexArray
+    multipliers: FloatArray
+    gap: float
+    sensitivity: ComplexArray
+
+
+def optimal_spectrum(
+    goal: DesignGoal, sensitivity: ComplexArray, costs: ComplexArray, n_samples: int, earlier: FloatArray
+) -> Spectrum:
+    """Return the spectrum with the best criterion within limits of the mean squares.
+
+    Parameters
+    ----------
+    goal : DesignGoal
+        The criterion.
+    sensitivity : (n_lines, n_free, n_outputs, n_inputs) array
+        Sensitivities of the predictions, for errors of unit covariance.
+    costs : (n_limits, n_lines, n_inputs, n_inputs) array
+        Mean square of each limited signal over its limit, by the cross spectra.
+    n_samples : int
+        Length of the recording.
+    earlier : (n_free, n_free) array
+        Information that is there without the excitation.
+
+    Returns
+    -------
+    Spectrum
+    """
+    n_lines, _, _, n_u = sensitivity.shape
+    psi = np.sqrt(n_samples) * sensitivity  # the mean square Phi of a line has the information Re psi Phi psi^H
+    scale = costs.mean(axis=0)
+    into = _root(scale, -0.5)
+    psi, costs = psi @ into[:, None], into @ costs @ into
+    root = np.repeat(np.eye(n_u, dtype=complex)[None], n_lines, axis=0)
+
+    def loss(flat: FloatArray, exponent: float) -> tuple[float, FloatArray]:
+        factors = _complex_spectrum_design(flat, root.shape)
+        cross = factors @ factors.conj().transpose(0, 2, 1)
+        used = _mean_squares(costs, cross)
+        size = float(np.linalg.norm(used, exponent))
+        raw = _information(psi, factors) / size
+        value = goal.loss(raw + earlier)
+        P = goal.gradient(raw + earlier)
+        turn = np.sum(P * raw) * (used / size) ** (exponent - 1)
+        slope = (np.einsum("i,ifuv->fuv", turn, costs) - _sensitivities(psi, P)) @ factors * (2 / size)
+        return value, np.ascontiguousarray(slope).view(float).ravel()
+
+    for exponent in _NORMS:
+        root /= np.sqrt(np.linalg.norm(_mean_squares(costs, root @ root.conj().transpose(0, 2, 1)), exponent))
+        found = scipy.optimize.minimize(
+            loss, root.view(float).ravel(), (exponent,), jac=True, method="L-BFGS-B", options=_OPTIONS_SPECTRUM_DESIGN
+        )
+        root = _complex_spectrum_design(found.x, root.shape)
+    used = _mean_squares(costs, root @ root.conj().transpose(0, 2, 1))
+    root /= np.sqrt(used.max())
+    multipliers = (used / used.max()) ** (_NORMS[-1] - 1)
+    multipliers /= multipliers.sum()
+    gap = _gap(goal, psi, root, costs, multipliers, earlier)
+    S = _sensitivities(psi, goal.gradient(_information(psi, root) + earlier))
+    back, root = _root(scale, 0.5), into @ root
+    return Spectrum(root @ root.conj().transpose(0, 2, 1), multipliers, gap, back @ S @ back)
+
+
+def _complex_spectrum_design(flat: FloatArray, shape: tuple[int, ...]) -> ComplexArray:
+    return np.ascontiguousarray(flat).view(complex).reshape(shape)
+
+
+def _mean_squares(costs: ComplexArray, cross: ComplexArray) -> FloatArray:
+    return np.asarray(np.einsum("ifuv,fvu->i", costs, cross).real)
+
+
+def _information(psi: ComplexArray, root: ComplexArray) -> FloatArray:
+    moved = (psi @ root[:, None]).transpose(1, 0, 2, 3).reshape(psi.shape[1], -1)
+    return np.asarray((moved @ moved.conj().T).real)
+
+
+def _sensitivities(psi: ComplexArray, P: FloatArray) -> ComplexArray:
+    """Return ``Psi^H P Psi`` at each line, (n_lines, n_u, n_u), which is not negative."""
+    values, vectors = np.linalg.eigh(P)
+    turned = np.einsum("pq,fpyu->fqyu", vectors * np.sqrt(np.maximum(values, 0.0)), psi, optimize=True)
+    flat = turned.reshape(len(psi), -1, psi.shape[3])
+    return np.asarray(flat.conj().transpose(0, 2, 1) @ flat)
+
+
+def _gap(
+    goal: DesignGoal,
+    psi: ComplexArray,
+    root: ComplexArray,
+    costs: ComplexArray,
+    multipliers: FloatArray,
+    earlier: FloatArray,
+) -> float:
+    """Return by how much the criterion per quantity could still be better, at most."""
+    own = _information(psi, root)
+    P = goal.gradient(own + earlier)
+    into = _root(np.einsum("i,ifuv->fuv", multipliers, costs), -0.5)
+    highest = np.linalg.eigvalsh(into @ _sensitivities(psi, P) @ into)[:, -1].max()
+    return float(highest - np.sum(P * own))
+
+
+def _root(matrices: ComplexArray, power: float) -> ComplexArray:
+    """Return a power of Hermitian matrices that are not negative."""
+    values, vectors = np.linalg.eigh(matrices)
+    values = np.maximum(values, np.finfo(float).tiny if power < 0 else 0.0) ** power
+    return np.asarray((vectors * values[:, None, :]) @ vectors.conj().transpose(0, 2, 1))
+
+
+# ---- Use of the limits: the largest value of each limited signal over its limit.
+
+_SEEN = 1e-4  # lines of the disc below this part of its largest one do not count in other machines
+IN_MACHINES = "clearance in all machines"
+"""Name of the limit of the other machines."""
+
+
+def use_of(
+    limits: ExcitationLimits, lines: LineModel, signal: FloatArray, with_machines: bool = False
+) -> dict[str, float]:
+    """Return the largest value of each limited signal over the part of its limit that a design uses.
+
+    The signal is periodic, and its transient has passed.
+
+    Parameters
+    ----------
+    limits : ExcitationLimits
+        The limits.
+    lines : LineModel
+        The model.
+    signal : (n_samples, n_inputs) array
+        Inputs.
+    with_machines : bool
+        Whether the machines of the limits count, too.
+    """
+    known = lines.known
+    twice = np.vstack([signal, signal])
+    outputs = known.model.simulate(twice, lines.sample_time, intersample=known.intersample)[len(signal) :]
+    found = dict[str, float]()
+    for name, limit in limits.peaks.items():
+        is_input, columns = known.channels(name)
+        labels = known.model.input_names if is_input else known.model.output_names
+        for i in columns:
+            found[labels[i]] = float(np.abs((signal if is_input else outputs)[:, i]).max() / (SAFE * limit))
+    for name, limit in limits.radius.items():
+        is_input, columns = known.channels(name)
+        way = np.linalg.norm((signal if is_input else outputs)[:, columns], axis=1).max()
+        found[f"radius of {name}"] = float(way / (SAFE * limit))
+    if limits.clearance is not None:
+        columns = known.channels(limits.disc)[1]
+        way = np.linalg.norm(outputs[:, columns], axis=1).max()
+        found["clearance"] = float(way / (SAFE * (limits.clearance - limits.taken)))
+        if with_machines and limits.machines:
+            found[IN_MACHINES] = float(max(disc_in_machines(limits, lines, *_lines_of(lines, signal, columns))))
+    return found
+
+
+def disc_in_machines(
+    limits: ExcitationLimits, lines: LineModel, bins: IntArray, spectrum: ComplexArray, period: int
+) -> Iterator[float]:
+    """Yield the largest radius of the disc in each machine of the limits, over what is left of its clearance.
+
+    Parameters
+    ----------
+    limits : ExcitationLimits
+        Limits with a clearance.
+    lines : LineModel
+        The model.
+    bins : (n_lines,) integer array
+        Lines as multiples of one over the period.
+    spectrum : (n_lines, n_inputs) array
+        Their amplitudes.
+    period : int
+        Samples of the period.
+    """
+    assert limits.clearance is not None
+    columns = lines.known.channels(limits.disc)[1]
+    frequency = bins / (period * lines.sample_time)
+    for machine in limits.machines:
+        response = lines.response(frequency, dict(machine.parameters))[:, columns]
+        flat = np.zeros((period // 2 + 1, len(columns)), complex)
+        flat[bins] = np.einsum("fcu,fu->fc", response, spectrum) * (period / 2)
+        way = np.linalg.norm(np.fft.irfft(flat, period, axis=0), axis=1).max()
+        yield float(way / (SAFE * (limits.clearance - machine.taken)))
+
+
+def _lines_of(lines: LineModel, signal: FloatArray, columns: list[int]) -> tuple[IntArray, ComplexArray, int]:
+    """Return the lines of a signal that move the disc."""
+    n = len(signal)
+    bins = np.arange(1, n // 2)
+    spectrum = np.fft.rfft(signal, axis=0)[bins] * (2 / n)
+    strong = np.abs(spectrum).max(axis=1) > _SEEN * np.abs(spectrum).max()
+    bins, spectrum = bins[strong], spectrum[strong]
+    response = lines.response(bins / (n * lines.sample_time))[:, columns]
+    moved = np.linalg.norm(np.einsum("fcu,fu->fc", response, spectrum), axis=1)
+    seen = moved > _SEEN * moved.max()
+    return bins[seen].astype(np.int64), spectrum[seen], n
+
+
+# ---- Multisine: lines, optimal spectrum, and amplitudes with small peaks.
+
+PERIOD_S = 1.0
+"""Longest period of a multisine [s]: lines are a multiple of its inverse apart."""
+_ALONG, _NEAR = 40, 24  # lines over the whole range, and lines around each mode
+_WIDTH = 5.0  # half bandwidths around a mode
+_HIGHEST = 0.4  # of the sampling frequency
+_LEAST = 1e-3  # part of the information of a line or direction that is left out: it would only make peaks
+_ROUNDS = 2
+_CREST = 1.8  # of a signal whose phases are not known yet
+_HARDEST = 8  # machines that are designed for; the others are only checked
+
+
+class Multisine(NamedTuple):
+    """Multisine at its limits.
+
+    Attributes
+    ----------
+    bins : (n_lines,) integer array
+        Lines as multiples of one over the period.
+    period : int
+        Samples of the period.
+    spectrum : (n_lines, n_inputs) array
+        Amplitudes: one period is ``Re sum U exp(2 pi j bin k / period)``.
+    gap : float
+        Certificate of the spectrum, see `Spectrum`.
+    """
+
+    bins: IntArray
+    period: int
+    spectrum: ComplexArray
+    gap: float
+
+    def signal(self, n_samples: int) -> FloatArray:
+        """Return the inputs, (n_samples, n_inputs)."""
+        flat = np.zeros((self.period // 2 + 1, self.spectrum.shape[1]), complex)
+        flat[self.bins] = self.spectrum * (self.period / 2)
+        return np.resize(np.fft.irfft(flat, self.period, axis=0), (n_samples, self.spectrum.shape[1]))
+
+
+def design_multisine(
+    goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int, earlier: FloatArray
+) -> Multisine:
+    """Return the multisine with the best criterion within limits.
+
+    The spectrum is designed on every second multiple of one over the period, with the full cross spectrum of the
+    inputs. A line whose inputs should not be coherent gives its second direction to the free multiple above it
+    (interleaved lines). Peaks are not known before the phases are. So spectrum and phases are found in turn: the second
+    spectrum knows the crest factors of the first.
+
+    Parameters
+    ----------
+    goal : DesignGoal
+        The criterion.
+    lines : LineModel
+        The model.
+    limits : ExcitationLimits
+        The limits.
+    n_samples : int
+        Length of the recording.
+    earlier : (n_free, n_free) array
+        Information that is there without the excitation.
+    """
+    dt = lines.sample_time
+    period = n_samples // max(1, round(n_samples * dt / PERIOD_S))
+    coarse = 2 * _candidates(lines, period * dt)
+    frequency = coarse / (period * dt)
+    at = lines.at(frequency)
+    hard: list[int] = []
+    crest = dict[str, float]()
+    for round_ in range(_ROUNDS):
+        limited = _limited(limits, lines, frequency, at.response, hard)
+        costs: ComplexArray = np.array(
+            [
+                crest.get(each.name, _CREST) ** 2 * each.response.conj().transpose(0, 2, 1) @ each.response
+                for each in limited
+            ]
+        )
+        found = optimal_spectrum(goal, at.sensitivity / np.sqrt(2), costs / 2, n_samples, earlier)
+        bins, spectrum = _interleaved(coarse, found.cross, found.sensitivity)
+        own = lines.at(bins / (period * dt))
+        limited = _limited(limits, lines, own.frequency_hz, own.response, hard)
+        spectrum = with_small_peaks(goal, own.sensitivity, limited, bins, spectrum, n_samples, earlier)
+        made = Multisine(bins, period, spectrum, found.gap)
+        made = made._replace(spectrum=spectrum / max(use_of(limits, lines, made.signal(period)).values()))
+        crest = {each.name: _crest(each, made) for each in limited}
+        if limits.machines and round_ < _ROUNDS - 1:
+            use = np.array(list(disc_in_machines(limits, lines, bins, made.spectrum, period)))
+            hard = sorted(np.argsort(-use)[:_HARDEST].tolist())
+    shrunk = min(1.0, 1 / max(use_of(limits, lines, made.signal(period), with_machines=True).values()))
+    return made._replace(spectrum=made.spectrum * shrunk)
+
+
+def _crest(signal: LimitedSignal, made: Multisine) -> float:
+    """Return the largest value of a limited signal over its root mean square."""
+    flat = np.zeros((made.period // 2 + 1, signal.response.shape[1]), complex)
+    flat[made.bins] = np.einsum("fcu,fu->fc", signal.response, made.spectrum)
+    way = np.linalg.norm(np.fft.irfft(flat, made.period, axis=0), axis=1)
+    return float(way.max() / np.sqrt(np.mean(way**2)))
+
+
+def _limited(
+    limits: ExcitationLimits, lines: LineModel, frequency_hz: FloatArray, response: ComplexArray, hard: Sequence[int]
+) -> list[LimitedSignal]:
+    """Return the limited signals, with those of the machines that come closest to the wall."""
+    chosen = replace(limits, machines=tuple(limits.machines[i] for i in hard))
+    others = [lines.response(frequency_hz, dict(machine.parameters)) for machine in chosen.machines]
+    return limited_signals(chosen, lines.known, response, others)
+
+
+def _candidates(lines: LineModel, period_s: float) -> IntArray:
+    """Return lines as multiples of two over the period: some over the whole range, more around the modes."""
+    top = _HIGHEST / lines.sample_time
+    wanted = [np.geomspace(2 / period_s, top, _ALONG)]
+    for frequency, damping in lines.known.model.modes():
+        width = max(_WIDTH * damping * frequency, 4 / period_s)
+        wanted.append(frequency + width * np.linspace(-1, 1, _NEAR))
+    multiples = np.round(np.concatenate(wanted) * period_s / 2)
+    return np.unique(multiples[(multiples >= 1) & (multiples * 2 / period_s <= top)]).astype(np.int64)
+
+
+def _interleaved(bins: IntArray, cross: ComplexArray, sensitivity: ComplexArray) -> tuple[IntArray, ComplexArray]:
+    """Return lines of one direction each: the first direction of each cross spectrum, and the second one line above.
+
+    Those that hardly inform are left out.
+    """
+    values, vectors = np.linalg.eigh(cross)
+    informs = values * np.einsum("fui,fuv,fvi->fi", vectors.conj(), sensitivity, vectors).real
+    least = _LEAST * informs.sum()
+    at, amplitude = list[int](), list[ComplexArray]()
+    for line, size, direction, told in zip(bins.tolist(), values, vectors, informs, strict=True):
+        for above, i in enumerate(range(len(size) - 1, max(len(size) - 3, -1), -1)):
+            if told[i] > least:
+                at.append(line + above)
+                amplitude.append(np.sqrt(2 * size[i]) * direction[:, i])
+    return np.array(at, dtype=np.int64), np.array(amplitude)
+
+
+# ---- PRBS: hold, register and taps by the criterion of a design, amplitude by the limits.
+
+_REGISTERS = range(4, 15)
+_HOLDS = 10  # tried between a sample and a half period of the slowest mode
+_LINES = 160
+_HIGHEST_PRBS_CHOICE = 0.45
+
+
+class ChosenSequence(NamedTuple):
+    """Sequence with its signal.
+
+    Attributes
+    ----------
+    sequence : ExcitationSequence
+        Hold, register, taps and amplitude.
+    signal : (n_samples, n_inputs) array
+        Inputs.
+    """
+
+    sequence: ExcitationSequence
+    signal: FloatArray
+
+
+def choose_prbs(
+    goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int, earlier: FloatArray
+) -> ChosenSequence:
+    """Return the sequence of maximal length with the best criterion within limits.
+
+    Parameters
+    ----------
+    goal : DesignGoal
+        The criterion.
+    lines : LineModel
+        The model.
+    limits : ExcitationLimits
+        The limits.
+    n_samples : int
+        Length of the recording.
+    earlier : (n_free, n_free) array
+        Information that is there without the excitation.
+
+    Notes
+    -----
+    A sequence of each hold is as long as the recording allows, or half as long, with the taps of the register or their
+    mirror image. All inputs have the same sequence, shifted by equal parts of its period. The information is that of
+    the periodogram of the signal, summed around lines that are dense at the modes.
+    """
+    model = lines.known.model
+    grid = _grid(lines, n_samples)
+    at = lines.at(grid)
+    frequency = np.fft.rfftfreq(n_samples, lines.sample_time)
+    cell = np.searchsorted(np.sqrt(grid[1:] * grid[:-1]), np.maximum(frequency, 1e-9))
+    n_u = model.B.shape[1]
+    best: tuple[float, ChosenSequence] | None = None
+    for sequence in _candidates_prbs_choice(lines, n_samples, n_u):
+        unit = _signal(sequence, n_samples, lines.sample_time)
+        amplitude = 1 / max(use_of(limits, lines, unit).values())
+        spectrum = np.fft.rfft(unit * amplitude, axis=0)[1:] * (2 / n_samples)
+        loss = goal.loss(_information_prbs_choice(at.sensitivity, spectrum, cell[1:], n_samples) + earlier)
+        if best is None or loss < best[0]:
+            best = loss, ChosenSequence(replace(sequence, amplitude=amplitude), unit * amplitude)
+    if best is None or not np.isfinite(best[0]):
+        raise UsageError(
+            f"no PRBS of {n_samples * lines.sample_time:g} s determines all parameters; give a longer duration, or "
+            "fix some parameters"
+        )
+    chosen = best[1]
+    shrunk = min(1.0, 1 / max(use_of(limits, lines, chosen.signal, with_machines=True).values()))
+    made = replace(chosen.sequence, amplitude=chosen.sequence.amplitude * shrunk)
+    return ChosenSequence(made, chosen.signal * shrunk)
+
+
+def _grid(lines: LineModel, n_samples: int) -> FloatArray:
+    dt = lines.sample_time
+    wanted = [np.geomspace(1 / (n_samples * dt), _HIGHEST_PRBS_CHOICE / dt, _LINES // 2)]
+    for frequency, damping in lines.known.model.modes():
+        wanted.append(frequency * (1 + 6 * max(damping, 1e-3) * np.linspace(-1, 1, _LINES // 4)))
+    found = np.unique(np.concatenate(wanted))
+    return np.asarray(found[(found > 0) & (found <= _HIGHEST_PRBS_CHOICE / dt)])
+
+
+def _candidates_prbs_choice(lines: LineModel, n_samples: int, n_inputs: int) -> list[ExcitationSequence]:
+    dt = lines.sample_time
+    slowest = min((frequency for frequency, _ in lines.known.model.modes()), default=1 / (n_samples * dt) * 20)
+    longest = max(2, min(int(2.5 / (slowest * dt)), n_samples // 16))
+    found = list[ExcitationSequence]()
+    for hold in np.unique(np.round(np.geomspace(1, longest, _HOLDS)).astype(int)).tolist():
+        fitting = [n for n in _REGISTERS if (2**n - 1) * hold <= n_samples]
+        for register in fitting[-2:]:
+            taps = tuple(int(tap) for tap in _TAPS[register])
+            mirrored = tuple(sorted((register - tap for tap in taps), reverse=True))
+            length = 2**register - 1
+            shift = tuple(length * i // n_inputs for i in range(n_inputs))
+            for own in {taps, mirrored}:
+                found.append(ExcitationSequence(1.0, hold * dt, register, own, shift))
+    return found
+
+
+_TAPS = {
+    4: (3,), 5: (3,), 6: (5,), 7: (6,), 8: (7, 6, 1), 9: (5,), 10: (7,), 11: (9,), 12: (11, 10, 4), 13: (12, 11, 8),
+    14: (13, 12, 2),
+}  # fmt: skip
+"""Taps of registers of maximal length, as in scipy.signal.max_len_seq."""
+
+
+def _signal(sequence: ExcitationSequence, n_samples: int, sample_time: float) -> FloatArray:
+    bits = 2.0 * scipy.signal.max_len_seq(sequence.register, taps=np.array(sequence.taps))[0] - 1.0
+    hold = round(sequence.hold_s / sample_time)
+    columns = [np.resize(np.repeat(np.roll(bits, -shift), hold), n_samples) for shift in sequence.shift]
+    return np.column_stack(columns) * sequence.amplitude
+
+
+def _information_prbs_choice(
+    sensitivity: ComplexArray, spectrum: ComplexArray, cell: IntArray, n_samples: int
+) -> FloatArray:
+    """Return the information of a signal whose lines count at the nearest line of a grid."""
+    n_u = spectrum.shape[1]
+    cross = np.zeros((len(sensitivity), n_u, n_u), complex)
+    np.add.at(cross, cell, spectrum[:, :, None] * spectrum[:, None, :].conj())
+    flat = np.einsum("fpyu,fuv,fqyv->pq", sensitivity, cross, sensitivity.conj(), optimize=True)
+    return np.asarray(n_samples / 2 * flat.real)

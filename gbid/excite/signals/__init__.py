@@ -1,1 +1,0 @@
-"""Signals: spectra by convex design, phases of small peaks, binary sequences."""

@@ -1,0 +1,459 @@
+"""Run of a campaign, from the start or after an interruption."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import re
+import shutil
+import socket
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+from gbid.core.errors import DataError, UsageError
+from gbid.core.files import find_stale_parts, remove_stale_parts
+from gbid.core.tables import write_csv
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.fields import content_key, stored_key
+from gbid.experiment.pool import make_engine
+from gbid.experiment.run import (
+    FOLDER,
+    Job,
+    Outcome,
+    Reporter,
+    Silent,
+    Stage,
+    Task,
+    go_on,
+    produce,
+    remembered_failure,
+    run_tasks,
+    standing,
+)
+from gbid.experiment.stages import registry
+from gbid.experiment.stages.fit import FIT, fit_tasks
+from gbid.identify import FitTable, TableEntry, load_fit, load_table, save_table, tabulate
+from gbid.identify.table import csv_table
+
+# ---- Shards: parts of a campaign for the jobs of an array, without a scheduler between them.
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Part `number` of `count` parts, counted from one."""
+
+    number: int
+    count: int
+
+
+def read_shard(text: str) -> Shard:
+    """Return the shard of a text ``i/n``.
+
+    Raises
+    ------
+    UsageError
+        When the text has another form, or i is not within 1 to n.
+    """
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise UsageError(f"shard {text!r}; write i/n with i from 1 to n, as 3/8")
+    return Shard(int(found[1]), int(found[2]))
+
+
+def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task]) -> list[Task]:
+    """Return the tasks of a shard: its recordings, their fits, and the stationary recordings that these need.
+
+    Excited recordings are dealt out in turn, then staircases, hammer runs and run-ups. A stationary recording is made
+    by each shard that needs it, and is always the same. Tasks that need recordings of several shards, such as a fit to
+    all of them or the map of an operating point, are left to a run without shards.
+
+    Parameters
+    ----------
+    shard : Shard or None
+        The shard; None for all tasks.
+    experiment : Experiment
+        The experiment.
+    tasks : sequence of Task
+        Tasks of one stage.
+
+    Returns
+    -------
+    list of Task
+        The tasks of the shard, in their order.
+    """
+    if shard is None:
+        return list(tasks)
+    recordings = experiment.recordings.values()
+    apart = sorted((q for q in recordings if not q.stationary), key=lambda planned: not planned.excited)
+    own = apart[shard.number - 1 :: shard.count]
+    points = {planned.point for planned in own if planned.excited}
+    still = [q.name for q in recordings if q.stationary and q.point in points]
+    mine = {*(planned.name for planned in own), *still}
+    return [task for task in tasks if mine.issuperset(task.recordings)]
+
+
+# ---- Plan of a campaign: the tasks to run, current results, and earlier failures.
+
+
+@dataclass(frozen=True)
+class Planned:
+    """Tasks of one stage with their known outcomes.
+
+    Attributes
+    ----------
+    stage : Stage
+        The stage.
+    tasks : tuple of Task
+        Its tasks.
+    known : tuple of Outcome or None
+        Known outcome of each task; None for a task to run.
+    """
+
+    stage: Stage
+    tasks: tuple[Task, ...]
+    known: tuple[Outcome | None, ...]
+
+
+def plan_campaign(job: Job, shard: Shard | None = None) -> list[Planned]:
+    """Return the tasks of all stages, with current results and earlier failures.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    shard : Shard, optional
+        Part of the campaign; all of it by default.
+
+    Returns
+    -------
+    list of Planned
+        Stages with tasks, in their order.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings exists and must not be replaced. No task has run then.
+    """
+    stages = []
+    for stage, all_tasks in early_tasks(job):
+        tasks = tasks_of(shard, job.experiment, all_tasks)
+        if tasks:
+            stages.append(Planned(stage, tuple(tasks), tuple(standing(job, task) for task in tasks)))
+    return stages
+
+
+def early_tasks(job: Job) -> list[tuple[Stage, list[Task]]]:
+    """Return the stages whose tasks are known before a run, from recordings to fits, with their tasks."""
+    early = [stage for stage in registry.STAGES if stage.early]
+    return [(stage, [item for item in stage.tasks(job) if isinstance(item, Task)]) for stage in early]
+
+
+# ---- Lock of a results folder: one runner at a time, or several shards of one campaign.
+
+NAME = ".gbid.lock"
+
+
+@contextlib.contextmanager
+def locked(results: Path, shared: bool = False) -> Iterator[None]:
+    """Return a context that locks a results folder for one runner; the lock ends with its process.
+
+    Parameters
+    ----------
+    results : pathlib.Path
+        The folder; it is made when missing.
+    shared : bool
+        Whether other shards, each with tasks of its own, may use the folder at the same time.
+
+    Raises
+    ------
+    UsageError
+        When another runner has locked the folder.
+    DataError
+        When the folder cannot be written, or its file system has no locks.
+    """
+    path = results / NAME
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+        handle = _take(path, shared)
+    except BlockingIOError:
+        raise UsageError(
+            f"{results}: another gbid is working in this folder{_owner(path)}; wait for it, or use --results to write "
+            "elsewhere"
+        ) from None
+    except OSError as error:
+        text = f"{path}: cannot be locked: {error.strerror or error}; use --results to write elsewhere"
+        raise DataError(text) from None
+    try:
+        if not shared:
+            _sign(handle)
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # shards: the last one removes the file
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _take(path: Path, shared: bool) -> int:
+    """Open and lock the file; try again when its last owner has removed it meanwhile."""
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(handle), path.stat()):
+                return handle
+        except FileNotFoundError:
+            pass
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)
+
+
+def _sign(handle: int) -> None:
+    """Write the owner of the lock into the file, for the error message of another runner."""
+    owner = {"host": socket.gethostname(), "process": os.getpid(), "since": f"{datetime.now():%Y-%m-%d %H:%M:%S}"}
+    with contextlib.suppress(OSError):  # the lock is valid also on a full disk
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, json.dumps(owner).encode(), 0)
+
+
+def _owner(path: Path) -> str:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return f" (process {found['process']} on {found['host']}, since {found['since']})"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return ""
+
+
+@contextmanager
+def working(
+    experiment: Experiment,
+    *,
+    overwrite: bool = False,
+    retry: bool = False,
+    reporter: Reporter | None = None,
+    engine: str = "auto",
+    workers: int | None = None,
+    scheduler: str | None = None,
+    shared: bool = False,
+) -> Iterator[Job]:
+    """Return a context that locks the results folder of an experiment and gives the job to run in it.
+
+    At its beginning and end, temporary files of killed processes are removed.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment to run.
+    overwrite, retry : bool
+        Options of `gbid.experiment.run.Job`.
+    reporter : Reporter, optional
+        Receiver of the progress; none by default.
+    engine, workers, scheduler
+        Options of `gbid.experiment.pool.make_engine`.
+    shared : bool
+        Whether other shards may use the folder at the same time.
+
+    Yields
+    ------
+    Job
+        The job, with its engine.
+
+    Raises
+    ------
+    UsageError
+        When another runner has locked the folder, or an option of the engine is wrong.
+    DataError
+        When the folder cannot be written.
+    """
+    with locked(experiment.results, shared):
+        chosen = make_engine(engine, workers, scheduler)
+        try:
+            remove_stale_parts(experiment.results)
+            yield Job(experiment, overwrite, reporter or Silent(), chosen, retry)
+        finally:
+            chosen.close()
+            remove_stale_parts(experiment.results)
+
+
+def run_campaign(job: Job, shard: Shard | None = None) -> list[Outcome]:
+    """Make, prefilter and fit the recordings of an experiment, except for results that are current.
+
+    Parameters
+    ----------
+    job : Job
+        Job from `working`.
+    shard : Shard, optional
+        Part of the campaign to run; all of it by default.
+
+    Returns
+    -------
+    list of Outcome
+        Outcomes of all results, with those that existed already.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings exists and must not be replaced. No task has run then.
+    NoSpaceError
+        When the disk is full; complete results are kept.
+    """
+    outcomes: list[Outcome] = []
+    failed: dict[str, Outcome] = {}  # by recording
+    for planned in plan_campaign(job, shard):
+        known = [
+            outcome or _without_input(task, failed) for task, outcome in zip(planned.tasks, planned.known, strict=True)
+        ]
+        made = run_tasks(job, planned.tasks, known)
+        for task, outcome in zip(planned.tasks, made, strict=True):
+            if outcome.state == "failed" and task.stage != "fit":
+                failed.setdefault(task.item, outcome)
+        outcomes += made if shard is not None else go_on(job, planned.stage, made)
+    return outcomes
+
+
+def _without_input(task: Task, failed: Mapping[str, Outcome]) -> Outcome | None:
+    """Return a failed outcome for a task whose recording failed; None for other tasks."""
+    for name in task.recordings:
+        if name in failed:
+            source = failed[name]
+            text = f"its input is missing: {source.stage} {source.item} failed"
+            return Outcome(task.stage, task.item, task.path, "failed", text, cause="input")
+    return None
+
+
+# ---- Files that a results folder can do without.
+
+
+def stale_files(results: Path, everything: bool = False, kernels: Path | None = None) -> list[Path]:
+    """Return temporary files of processes that are gone, and records of failures.
+
+    Parameters
+    ----------
+    results : pathlib.Path
+        Folder of the results.
+    everything : bool
+        Whether the results themselves are among them: all files with a content key.
+    kernels : pathlib.Path, optional
+        Folder of compiled kernels, which are then among them as well.
+    """
+    found = [*find_stale_parts(results), *(results / FOLDER).rglob("*.json")]
+    if everything:
+        found += [path for path in results.rglob("[!.]*") if path.is_file() and stored_key(path)]
+    if kernels is not None and kernels.is_dir():
+        found += [*find_stale_parts(kernels), *kernels.glob("*.so"), *kernels.glob("*.lock")]
+    return sorted(dict.fromkeys(found))
+
+
+def remove(results: Path, files: Sequence[Path]) -> None:
+    """Remove files, and folders of the results that are empty then.
+
+    Raises
+    ------
+    DataError
+        When a file cannot be removed.
+    """
+    for path in files:
+        try:
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+        except OSError as error:
+            raise DataError(f"{path}: cannot be removed: {error.strerror or error}") from None
+    for folder in sorted((path for path in results.rglob("*") if path.is_dir()), reverse=True):
+        with contextlib.suppress(OSError):  # not empty
+            folder.rmdir()
+
+
+# ---- Table of all fits of a campaign.
+
+NAME_COLLECT = "table"
+NOT_MADE = "not made yet; run `gbid batch`"
+
+
+def collect(job: Job) -> tuple[FitTable, list[Outcome]]:
+    """Write ``table.h5`` and ``table.csv`` with one row for each fit of the experiment, made or missing.
+
+    A table of an earlier state of the same campaign is replaced; all its data are also in the fits.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+
+    Returns
+    -------
+    table : FitTable
+        The table.
+    outcomes : list of Outcome
+        Outcomes of the two files.
+    """
+    tasks = fit_tasks(job)
+    states = _states(job, tasks)
+    key = content_key("table", {"states": states}, [task.key for task in tasks])
+    paths = [job.path("", NAME_COLLECT, ending) for ending in (".h5", ".csv")]
+    if all(stored_key(path) == key for path in paths):
+        table = load_table(paths[0])
+    else:
+        entries = [_entry(job, task, state) for task, state in zip(tasks, states, strict=True)]
+        table = tabulate(entries)
+    writers: tuple[Callable[[Path], None], ...] = (
+        partial(_write_h5, table),
+        partial(_write_csv, table, key),
+    )
+    outcomes = []
+    for path, write in zip(paths, writers, strict=True):
+        mine = bool(stored_key(path)) or not path.exists()
+        allowed = Job(job.experiment, job.overwrite or mine, job.reporter)
+        outcomes.append(produce(allowed, "table", path.name, path, key, write))
+    return table, outcomes
+
+
+def _entry(job: Job, task: Task, state: bool | str) -> TableEntry:
+    fit, _, model = task.item.partition("/")
+    conditions = [job.experiment.recordings[name].conditions for name in task.recordings]
+    shared = {k: v for k, v in conditions[0].items() if all(other.get(k) == v for other in conditions)}
+    if isinstance(state, str):
+        return TableEntry(fit, model, task.recordings, shared, failure=state)
+    try:
+        return TableEntry(fit, model, task.recordings, shared, load_fit(task.path))
+    except DataError as error:
+        return TableEntry(fit, model, task.recordings, shared, failure=str(error))
+
+
+def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:
+    """Return, for each fit, true when its result exists, else the reason as text."""
+    there = [stored_key(task.path) == task.key for task in tasks]
+    sources: dict[str, list[Task]] = {}
+    if not all(there):
+        for source in (task for _, found in early_tasks(job) for task in found if task.stage != FIT.name):
+            sources.setdefault(source.item, []).append(source)
+    return [found or _why_not(job, task, sources) for found, task in zip(there, tasks, strict=True)]
+
+
+def _why_not(job: Job, task: Task, sources: Mapping[str, list[Task]]) -> str:
+    """Return the reason of a missing result: the fit or one of its inputs failed, or it was not made yet."""
+    failure = remembered_failure(job, task)
+    if failure is not None:
+        return f"failed: {failure.text}"
+    for source in (source for name in task.recordings for source in sources.get(name, ())):
+        failure = remembered_failure(job, source)
+        if failure is not None:
+            return f"failed: {source.stage} {source.item}: {failure.text}"
+    return NOT_MADE
+
+
+def _write_h5(table: FitTable, part: Path) -> None:
+    save_table(table, part, overwrite=True)
+
+
+def _write_csv(table: FitTable, key: str, part: Path) -> None:
+    write_csv(csv_table(table), part, [f"content_key: {key}"])

@@ -1,0 +1,909 @@
+"""Plan of a design: structure, model, impact and sampling from its controller section."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from math import modf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gbid.control import (
+    ControllerDesign,
+    DisturbanceSpectrum,
+    Goal,
+    HalfSine,
+    PeakSensitivity,
+    PiezoTravel,
+    Scheduled,
+    controller_structure,
+    load_controller,
+    p_controller,
+    scheduled,
+)
+from gbid.control.assess import load_tuned
+from gbid.control.controllers.built_in import built_in_structures
+from gbid.control.controllers.scheduled import with_schedule
+from gbid.core.errors import UsageError
+from gbid.core.units import SIGNALS
+from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
+from gbid.experiment.fields import content_key, file_digest, nearest, stored_key
+from gbid.experiment.machine import rig_model
+from gbid.experiment.rig_schema import ControllerChoice, LoopSection
+from gbid.experiment.run import InputError
+from gbid.experiment.schema import (
+    GOALS,
+    ControllerSection,
+    GoalSection,
+    HammerTrain,
+    HitSection,
+    ImpactPoint,
+    ImpactsSection,
+    TargetSection,
+)
+from gbid.export.chain import ChainOptions, chain_of
+from gbid.export.chain_c import CompiledChain
+from gbid.lpv import Domain, LPVModel, ProportionalDesign, load_model
+from gbid.prefilter import identify_runout
+from gbid.recording import Recording
+from gbid.rig import Hammer, Impact, Machine, ProgramController, SampledController, Stationary, record
+from gbid.structure import LinearModel, NonlinearStructure, ScheduledStructure, load_structure, load_structure_or_model
+from gbid.structure.linear import Structure
+
+# ---- Goals of a design from the entries of its controller section.
+
+Disturbance = Callable[[tuple[str, ...]], DisturbanceSpectrum]
+"""From names of recordings to the disturbance that they show."""
+
+
+def made_goal(entry: GoalSection, disturbance: Disturbance) -> Goal:
+    """Return the goal of an entry.
+
+    Parameters
+    ----------
+    entry : GoalSection
+        Name and arguments.
+    disturbance : callable
+        Returns the disturbance of the recordings that an entry names.
+
+    Raises
+    ------
+    UsageError
+        When an argument is not allowed.
+    """
+    arguments: dict[str, Any] = {}
+    for name, value in entry.given().items():
+        if isinstance(value, HitSection):
+            value = HalfSine(value.peak_n, value.duration_s)
+        elif name == "disturbance":
+            value = disturbance(value)
+        elif isinstance(value, Mapping):
+            value = _transfer_function(value, f"{entry.goal}: {name}")
+        arguments[name] = value
+    return GOALS[entry.goal](**arguments)
+
+
+def goal_recordings(experiment: Experiment, section: ControllerSection) -> list[PlannedRecording]:
+    """Return the recordings whose disturbance the goals of a design need."""
+    named = (entry.given().get("disturbance", ()) for entry in section.goals or ())
+    return experiment.matching(tuple(pattern for patterns in named for pattern in patterns))
+
+
+def peak_cap(section: ControllerSection) -> float | None:
+    """Return the cap on the peak of S_o at all frequencies; None when a design has none."""
+    if section.goals is None:
+        return section.peak_sensitivity
+    limits = [entry.given()["limit"] for entry in section.goals if _caps_peak(entry)]
+    return min(map(float, limits), default=None)
+
+
+def impact_of_goals(section: ControllerSection) -> PiezoTravel | None:
+    """Return the first goal on the travel of the stacks; None when there is none."""
+    for entry in section.goals or ():
+        if entry.goal == PiezoTravel.__name__:
+            goal = made_goal(entry, no_disturbance)
+            assert isinstance(goal, PiezoTravel)
+            return goal
+    return None
+
+
+def without_cap(section: ControllerSection, goals: Sequence[Goal]) -> list[Goal]:
+    """Return the goals of a design without its caps on the peak of S_o, in whose place others come."""
+    return [goal for goal, entry in zip(goals, section.goals or (), strict=True) if not _caps_peak(entry)]
+
+
+def no_disturbance(_names: tuple[str, ...]) -> DisturbanceSpectrum:
+    """Return a disturbance in place of that of recordings that do not exist yet, for checks."""
+    return DisturbanceSpectrum(np.array([1.0, 2.0]), np.tile(1e-18 * np.eye(2, dtype=complex), (2, 1, 1)))
+
+
+def _caps_peak(entry: GoalSection) -> bool:
+    given = entry.given()
+    return entry.goal == PeakSensitivity.__name__ and not given.get("soft") and isinstance(given["limit"], int | float)
+
+
+def _transfer_function(given: Mapping[str, Sequence[float]], what: str) -> LinearModel:
+    """Return a transfer function as a model.
+
+    Raises
+    ------
+    UsageError
+        When its denominator is zero, or when the numerator has a higher order.
+    """
+    numerator, denominator = (np.trim_zeros(np.asarray(given[key], float), "f") for key in ("numerator", "denominator"))
+    if not len(denominator) or not len(numerator) or len(numerator) > len(denominator):
+        raise UsageError(f"{what}: the numerator must not be zero or of a higher order than the denominator")
+    A, B, C, D = scipy.signal.tf2ss(numerator, denominator)
+    return LinearModel(A, B, C, D, name=what)
+
+
+SURFACES = {"lpv": "", "lpv_direct": "_direct"}
+"""Words for the surfaces of an experiment, and the suffixes of their files."""
+SHORT_FORM = (
+    "peak_sensitivity",
+    "peak_control",
+    "static_amplification",
+    "slowest_pole",
+    "objective",
+    "impact",
+)
+"""Keys of a design in whose place goals come."""
+_SAMPLE_TIME_S = 2e-4
+
+
+def controller_section(experiment: Experiment, name: str) -> ControllerSection:
+    """Return the section of a design.
+
+    Raises
+    ------
+    UsageError
+        When no design has this name.
+    """
+    designs = experiment.spec.controller
+    if name not in designs:
+        raise UsageError(f"controller: no design {name!r}; {nearest(name, designs)}")
+    return designs[name]
+
+
+def model_word(experiment: Experiment, section: ControllerSection) -> str | None:
+    """Return the model entry of a design: ``lpv``, ``lpv_direct``, a name or file; None for the model of the rig."""
+    return section.model or ("lpv" if experiment.spec.lpv is not None else None)
+
+
+def surfaces_item(experiment: Experiment, section: ControllerSection) -> str | None:
+    """Return the name of the surfaces of a design; None when it uses another model."""
+    word = model_word(experiment, section)
+    if word not in SURFACES:
+        return None
+    if experiment.spec.lpv is None:
+        raise UsageError("there is no section 'lpv'; add one, or name a model")
+    return f"{experiment.spec.lpv.fit}{SURFACES[str(word)]}"
+
+
+def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
+    """Return the model of a design that does not use the surfaces of the experiment.
+
+    Raises
+    ------
+    UsageError
+        When the model is missing, has no actuators, or is not named in an experiment without rig.
+    """
+    word = model_word(experiment, section)
+    if word is None:
+        if experiment.spec.rig is None:
+            raise UsageError("needs a model; name one, or add a section lpv")
+        model = rig_model(experiment)
+    else:
+        path = Path(word)
+        model = load_model(experiment.folder / path if path.suffix in (".yaml", ".yml") else word)
+    return with_actuators(model)
+
+
+def with_actuators(model: LPVModel) -> LPVModel:
+    """Return the model after a check that it has actuators, which a closed loop needs.
+
+    Raises
+    ------
+    UsageError
+        When the model has no actuators.
+    """
+    if not model.actuators:
+        raise UsageError(f"model {model.name!r} has no actuators, which a closed loop needs; add them (lpv: actuators)")
+    return model
+
+
+def design_structure(
+    experiment: Experiment, section: ControllerSection, domain: Domain | None = None
+) -> Structure | Scheduled:
+    """Return the structure of the controller.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    section : ControllerSection
+        Section of the design.
+    domain : Domain, optional
+        Range of pressure and speed that scales a schedule.
+
+    Returns
+    -------
+    Structure or Scheduled
+        The structure, scheduled when the section has a schedule.
+
+    Raises
+    ------
+    UsageError
+        When the structure or an option is unknown, or the file does not define a structure.
+    """
+    given = {key: getattr(section, key) for key in ("lowpass_hz", "order", "tune_corner")}
+    # a whole number stays one: orders are counted
+    own = {key: int(v) if isinstance(v, float) and v.is_integer() else v for key, v in section.options.items()}
+    options = {**own, **{key: value for key, value in given.items() if value is not None}}
+    if section.structure in built_in_structures():
+        base = controller_structure(section.structure, **options)
+    elif ":" not in section.structure:
+        hint = nearest(section.structure, built_in_structures())
+        raise UsageError(f"no structure {section.structure!r}; {hint} (or name one of your own as file.py:name)")
+    else:
+        chosen = load_structure(section.structure, experiment.folder)
+        if isinstance(chosen, NonlinearStructure | ScheduledStructure):
+            raise UsageError(f"structure {section.structure!r}: a controller is a gbid.LinearStructure")
+        base = controller_structure(chosen, **options)
+        if (len(base.inputs), len(base.outputs)) != (2, 2):
+            raise UsageError(f"structure {section.structure!r}: a controller has two inputs and two outputs")
+    return with_schedule(base, domain) if section.schedule is None else scheduled(base, section.schedule, domain)
+
+
+def structure_text(experiment: Experiment, section: ControllerSection) -> bytes:
+    """Return the text of the file of a user's structure, for content keys; empty for built-in structures."""
+    file = section.structure.rpartition(":")[0]
+    return (experiment.folder / file).read_bytes() if file else b""
+
+
+def impact(section: ControllerSection) -> HalfSine:
+    """Return the impact for the assessment of designs: that of the goals or of the section, or the default."""
+    goal, given = impact_of_goals(section), section.impact
+    if goal is not None:
+        return goal.impact
+    return HalfSine() if given is None else HalfSine(given.peak_n, given.duration_s)
+
+
+def tune_options(section: ControllerSection) -> dict[str, Any]:
+    """Return the arguments of `gbid.tune` from the section, except model, structure and cap."""
+    points: Any = {"model": None, "domain": "domain"}.get(str(section.operating_points))
+    if not isinstance(section.operating_points, str):
+        points = [(q.pressure_bar, q.speed_rpm) for q in section.operating_points]
+    options: dict[str, Any] = {
+        "operating_points": points,
+        "bounds": section.bounds or None,
+        "start": section.start or None,
+        "starts": section.starts,
+        "seed": section.seed,
+    }
+    if section.goals is None:
+        options |= {key: getattr(section, key) for key in SHORT_FORM[1:5]}
+    if section.impact is not None:
+        options |= {"impact": impact(section), "piezo_travel_m": section.impact.piezo_travel_m}
+    return options
+
+
+def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
+    """Return the arguments of `gbid.control.assess` from the section, except the points."""
+    goal = impact_of_goals(section)
+    travel = section.impact.piezo_travel_m if section.impact else goal.travel_m if goal else None
+    return {
+        "sample_time": sample_time(experiment, section),
+        "method": section.method,
+        "impact": impact(section),
+        "piezo_travel_m": travel,
+    }
+
+
+def sample_time(experiment: Experiment, section: ControllerSection) -> float:
+    """Return the sample time of the controller [s]."""
+    rig = experiment.spec.rig
+    return section.sample_time_s or (rig.sample_time_s if rig is not None else _SAMPLE_TIME_S)
+
+
+def published_design(experiment: Experiment, model: LPVModel) -> ProportionalDesign | None:
+    """Return the published controller of the model or of the rig; None when there is none."""
+    if model.controller is not None or experiment.spec.rig is None:
+        return model.controller
+    return rig_model(experiment).controller
+
+
+def published_structure(came: ProportionalDesign) -> Structure:
+    """Return the structure of a published controller."""
+    return controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)
+
+
+def design_key(
+    experiment: Experiment,
+    section: ControllerSection,
+    published: ProportionalDesign | None,
+    model: LPVModel | None = None,
+    sources: Sequence[str] = (),
+) -> str:
+    """Return the content key of a design.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    section : ControllerSection
+        Section of the design.
+    published : ProportionalDesign, optional
+        Published controller, which is assessed beside it.
+    model : LPVModel, optional
+        Named model; None for surfaces, whose keys are among the sources.
+    sources : sequence of str
+        Content keys of surfaces and recordings.
+    """
+    settings = {
+        **section.model_dump(),
+        "text": structure_text(experiment, section).decode(errors="replace"),
+        "sampled_at": sample_time(experiment, section),
+        "published": published,
+        "model": model,
+    }
+    return content_key("tuned design", settings, sources)
+
+
+# ---- Plan of the impacts: recordings, hammer, model of the expected modes, and controllers.
+
+BEFORE_S = 0.2
+"""Time before the first impact [s], which shows the motion of the disc without impact."""
+LOOPS = ("open", "closed")
+"""Names of the loops that every experiment may have."""
+TUNED = "controller"
+"""Folder of the tuned controllers in the results."""
+_GOLDEN = 0.6180339887
+
+
+@dataclass(frozen=True)
+class ImpactRecording:
+    """Planned recording with impacts.
+
+    Attributes
+    ----------
+    planned : PlannedRecording
+        Recording of the rig.
+    point : ImpactPoint
+        Operating point.
+    loop, axis : str
+        Name of the loop (``"open"``, ``"closed"`` or that of a further loop), and axis of the impacts.
+    """
+
+    planned: PlannedRecording
+    point: ImpactPoint
+    loop: str
+    axis: str
+
+
+@dataclass(frozen=True, eq=False)
+class LoopController:
+    """Controller in continuous and in discrete time.
+
+    Attributes
+    ----------
+    continuous, sampled : LinearModel
+        Controllers in continuous time and at the sample time of the rig.
+    design : ControllerDesign
+        The design, over all operating points.
+    key : str
+        Digest of its source, for content keys.
+    """
+
+    continuous: LinearModel
+    sampled: LinearModel
+    design: ControllerDesign
+    key: str
+
+
+def impacts_section(experiment: Experiment) -> ImpactsSection:
+    """Return the impacts section.
+
+    Raises
+    ------
+    UsageError
+        When the experiment has no such section.
+    """
+    if experiment.spec.impacts is None:
+        raise UsageError(f"{experiment.file.path}: no section 'impacts'; add one")
+    return experiment.spec.impacts
+
+
+def study_name(point: ImpactPoint, loop: str) -> str:
+    """Return the name of the study of one operating point in one loop, e.g. ``p6_n0_open``."""
+    return f"p{point.pressure_bar:g}_n{point.speed_rpm:g}_{loop}"
+
+
+def loop_controllers(section: ImpactsSection) -> dict[str, str]:
+    """Return the controller entry of each loop, in their order; empty for the open loop."""
+    own = {loop: section.controller if loop == "closed" else "" for loop in section.loops}
+    return own | dict(section.beside)
+
+
+def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
+    """Return the recordings with impacts by name, e.g. ``p6_n0_open_x``; empty without the section."""
+    section = experiment.spec.impacts
+    found: dict[str, ImpactRecording] = {}
+    for i, point in enumerate(section.operating_points if section else ()):
+        assert section is not None
+        conditions = {"pressure_bar": point.pressure_bar, "speed_rpm": point.speed_rpm}
+        for loop in loop_controllers(section):
+            for axis in section.axes:
+                name = f"{study_name(point, loop)}_{axis}"
+                signals = {**RIG_SIGNALS, "f": SIGNALS["f"].channels}
+                location = ("impacts", "operating_points", i)
+                planned = PlannedRecording(name, False, conditions, signals, location, run=("impact", axis))
+                found[name] = ImpactRecording(planned, point, loop, axis)
+    return found
+
+
+def hammer_of(section: HammerTrain, axis: str, sample_time: float) -> Hammer:
+    """Return the impacts of a recording; their times lie between samples, as those of a real hammer."""
+    times = [BEFORE_S + section.spacing_s * i + modf(_GOLDEN * i)[0] * sample_time for i in range(section.repeats)]
+    impacts = tuple(Impact.along(axis, time, section.peak_n, section.impact_s) for time in times)
+    samples = round((BEFORE_S + section.spacing_s * section.repeats) / sample_time)
+    return Hammer(impacts, samples * sample_time)
+
+
+def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
+    """Return the model that predicts the modes, and a text that identifies it in content keys.
+
+    Raises
+    ------
+    UsageError
+        When the model is missing or has no actuators.
+    """
+    section = impacts_section(experiment)
+    if section.model is None:
+        model = rig_model(experiment)
+        return _with_actuators(model), f"rig {model.name}"
+    path = Path(section.model)
+    if section.model == "lpv":
+        assert experiment.spec.lpv is not None
+        path = experiment.results / "lpv" / f"{experiment.spec.lpv.fit}.yaml"
+        if not path.is_file():
+            raise UsageError(f"{path}: file is missing; `gbid lpv` makes it")
+    elif path.suffix in (".yaml", ".yml"):
+        path = experiment.folder / path
+    else:
+        return _with_actuators(load_model(section.model)), section.model
+    return _with_actuators(load_model(path)), file_digest(path)
+
+
+def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "closed") -> LoopController:
+    """Return the controller of a loop at an operating point.
+
+    Raises
+    ------
+    UsageError
+        When there is none, its file is faulty, or its sample time is not that of the rig.
+    """
+    section, rig = impacts_section(experiment), experiment.spec.rig
+    assert rig is not None
+    word = {"closed": section.controller, **section.beside}[loop]
+    if word == "paper":
+        design = rig_model(experiment).controller
+        if design is None:
+            raise UsageError(f"model {rig_model(experiment).name!r} comes with no controller; name a controller file")
+        continuous = p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
+        made = ControllerDesign("paper", None, {}, rig.sample_time_s, models={None: continuous})
+        return LoopController(continuous, made.sampled_at(), made, repr(design))
+    return loop_controller(experiment, controller_path(experiment, word), point)
+
+
+def loop_controller(experiment: Experiment, path: Path, point: ImpactPoint) -> LoopController:
+    """Return the controller of a file at an operating point, as the rig runs it.
+
+    Raises
+    ------
+    UsageError
+        When the file is faulty, or its sample time is not that of the rig.
+    """
+    rig, made = experiment.spec.rig, load_controller(path)
+    assert rig is not None
+    if abs(made.sample_time - rig.sample_time_s) > 1e-9 * rig.sample_time_s:
+        raise UsageError(
+            f"{path}: sample time is {made.sample_time:g} s, that of the rig {rig.sample_time_s:g} s; save it for that"
+        )
+    at = (point.pressure_bar, point.speed_rpm)
+    return LoopController(made.at(*at), made.sampled_at(*at), made, file_digest(path))
+
+
+def controller_path(experiment: Experiment, word: str) -> Path:
+    """Return the path of the controller file of an entry other than ``paper``.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing.
+    """
+    if not is_tuned(word):
+        path = experiment.folder / word
+        if not path.is_file():
+            raise UsageError(f"{path}: no such controller file; write paper, tuned, or the name of one")
+        return path
+    path = experiment.results / TUNED / f"{tuned_design(experiment, word)}.yaml"
+    if not path.is_file():
+        raise UsageError(f"{path}: file is missing; `gbid tune` makes it")
+    return path
+
+
+def is_tuned(word: str) -> bool:
+    """Return whether a controller entry means a tuned design."""
+    return word.partition(":")[0] == "tuned"
+
+
+def tuned_design(experiment: Experiment, word: str) -> str:
+    """Return the name of the design that ``tuned`` or ``tuned:NAME`` means.
+
+    Raises
+    ------
+    UsageError
+        When there is no such design, or several and the entry names none.
+    """
+    designs = experiment.spec.controller
+    name = word.partition(":")[2]
+    if not designs:
+        raise UsageError("there is no section 'controller' with a design; add one")
+    if name and name not in designs:
+        raise UsageError(f"no design {name!r}; {nearest(name, designs)}")
+    if not name and len(designs) > 1:
+        raise UsageError(f"several designs are tuned; write tuned:NAME, there is {', '.join(designs)}")
+    return name or next(iter(designs))
+
+
+def _with_actuators(model: LPVModel) -> LPVModel:
+    if not model.actuators:
+        raise UsageError(f"model {model.name!r} has no actuators, which a closed loop needs; add them to its file")
+    return model
+
+
+# ---- Plan of the control chain of an experiment: its options.
+
+_SHARE_OF_CLEARANCE = 0.8
+
+
+def chain_options(experiment: Experiment) -> ChainOptions:
+    """Return the options of the control chain from the section target, or the defaults.
+
+    Raises
+    ------
+    UsageError
+        When values do not fit each other.
+    """
+    settings = (experiment.spec.target or TargetSection()).model_dump()
+    if settings["disc_limit_m"] is None:
+        rig = experiment.spec.rig
+        settings["disc_limit_m"] = ChainOptions().disc_limit_m if rig is None else _SHARE_OF_CLEARANCE * rig.clearance_m
+    return ChainOptions(**settings)
+
+
+# ---- What closes the loop of impacts on the rig: sampled matrices, or the control chain in C as it is exported.
+
+_ZEROING_S = 0.5
+_HARMONICS = 5
+_SHARE_OF_SETTLING = 0.2
+
+
+def loop_settings(experiment: Experiment) -> dict[str, Any]:
+    """Return the settings of the loop for content keys; empty for sampled matrices."""
+    rig = experiment.spec.rig
+    assert rig is not None
+    return {} if rig.controller == "python" else {"compiled": asdict(chain_options(experiment))}
+
+
+def loop_of(
+    experiment: Experiment, controller: LoopController, machine: Machine, options: dict[str, Any]
+) -> SampledController | ProgramController:
+    """Return the controller of the rig for one recording.
+
+    Sampled matrices get the zero position from a stationary run with the same shaft angle. The control chain gets the
+    run-out map of this run, as on the machine; ramp and fade are shortened so that they end before the logger starts.
+
+    Raises
+    ------
+    UsageError
+        When there is no C compiler for the control chain.
+    """
+    rig = experiment.spec.rig
+    assert rig is not None
+    still = record(machine, Stationary(_ZEROING_S), **{**options, "faults": None})
+    if rig.controller == "python":
+        sampled = controller.sampled
+        A, B, C, D = (np.array(m) for m in (sampled.A, sampled.B, sampled.C, sampled.D))
+        zero = still.signal("p").mean(axis=0)
+        return SampledController(A, B, C, D, rig.sample_time_s, offset=zero, name=sampled.name)
+    return _compiled(experiment, controller, still, rig.settle_s)
+
+
+def _compiled(
+    experiment: Experiment, controller: LoopController, still: Recording, settle_s: float
+) -> ProgramController:
+    section = experiment.spec.prefilter
+    harmonics = _HARMONICS if section is None or section.harmonics == "auto" else section.harmonics
+    start_s = max(_SHARE_OF_SETTLING * settle_s, controller.design.sample_time)
+    options = replace(chain_options(experiment), ramp_s=start_s, fade_s=start_s)
+    runout_map = identify_runout([still], harmonics=harmonics)
+    chain = chain_of(controller.design, name="chain", runout_maps=[runout_map], options=options)
+    return ProgramController(CompiledChain(chain), chain.sample_time, f"{chain.title}, compiled")
+
+
+# ---- Controllers of recordings in closed loop: which one the YAML means, its gains, and its content key.
+
+RIG = "rig"
+"""What a loop without controller and structure means: the controller of the rig's recordings."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundController:
+    """Controller of a loop.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    design : ControllerDesign or None
+        A controller whose gains are known, over operating points.
+    model : LinearModel or None
+        A known model of your own, continuous or sampled.
+    structure : Structure or None
+        A controller with unknown gains.
+    """
+
+    name: str
+    design: ControllerDesign | None = None
+    model: LinearModel | None = None
+    structure: Structure | None = None
+
+
+def chosen(experiment: Experiment, section: ControllerChoice) -> ControllerChoice:
+    """Return the section that names the controller: for an empty one of a fit that of the rig.
+
+    Raises
+    ------
+    UsageError
+        When nothing or too much is named.
+    """
+    if section.controller is not None and section.structure is not None:
+        raise UsageError("controller and structure both name a controller; remove one of the two")
+    if section.controller is None and section.structure is None:
+        rig = experiment.spec.rig
+        if isinstance(section, LoopSection) and rig is not None and rig.loop is not None:
+            return rig.loop
+        raise UsageError("names no controller; write controller: paper, tuned or a file, or structure: with gains:")
+    if section.controller is not None:
+        for key in ("gains", "lowpass_hz", "order", "options"):
+            if getattr(section, key):
+                raise UsageError(f"{key} is for structure:, not for controller: {section.controller}; remove it")
+    return section
+
+
+def found_controller(experiment: Experiment, section: ControllerChoice, *, planned: bool = False) -> FoundController:
+    """Return the controller that a section means.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    section : ControllerChoice
+        The section.
+    planned : bool
+        Whether a design that is not tuned yet may stand with the start values of its gains, for checks before a run.
+
+    Raises
+    ------
+    UsageError
+        When there is no such controller, or when it is faulty.
+    InputError
+        When a design has not been tuned with the present settings.
+    """
+    section = chosen(experiment, section)
+    word = section.controller
+    if word is None:
+        return _of_structure(experiment, section)
+    if word == "paper":
+        return FoundController(word, _published(experiment))
+    if is_tuned(word):
+        return FoundController(word, _tuned(experiment, tuned_design(experiment, word), planned))
+    if ":" in word:
+        return _of_python(experiment, word)
+    path = experiment.folder / word
+    if not path.is_file():
+        raise UsageError(f"{path}: no such controller file; write paper, tuned, or the name of one")
+    return FoundController(word, load_controller(path))
+
+
+def controller_identity(experiment: Experiment, section: ControllerChoice) -> dict[str, Any]:
+    """Return what a controller is made from, for content keys; known before anything runs.
+
+    Raises
+    ------
+    UsageError
+        When there is no such controller.
+    """
+    section = chosen(experiment, section)
+    word = section.controller
+    settings: dict[str, Any] = section.model_dump(include=set(ControllerChoice.model_fields))
+    if word is None:
+        settings["text"] = structure_text(experiment, _as_design(section)).decode(errors="replace")
+    elif word == "paper":
+        settings["design"] = repr(rig_model(experiment).controller)
+    elif is_tuned(word):
+        settings["design"] = early_key(experiment, tuned_design(experiment, word))
+    else:
+        file = word.rpartition(":")[0] or word
+        settings["digest"] = file_digest(experiment.folder_of(file) / file)
+    return settings
+
+
+def closed_loop_settings(experiment: Experiment) -> dict[str, Any]:
+    """Return the settings of the rig's loop for content keys; known before a design is tuned."""
+    rig, prefilter = experiment.spec.rig, experiment.spec.prefilter
+    assert rig is not None
+    assert rig.loop is not None
+    settings = {
+        "loop": controller_identity(experiment, rig.loop),
+        "runout": rig.loop.runout,
+        **loop_settings(experiment),
+    }
+    if rig.loop.runout == "online" and prefilter is not None:
+        settings["map"] = prefilter.model_dump(include={"method", "harmonics", "bins"})
+    return settings
+
+
+def stationary_at(experiment: Experiment, point: str) -> list[PlannedRecording]:
+    """Return the stationary recordings of the rig without controller at an operating point."""
+    return [q for q in experiment.points.get(point, ()) if q.stationary and q.imported is None]
+
+
+def answered(experiment: Experiment, planned: PlannedRecording) -> bool:
+    """Return whether the controller of a recording answers to run-out, because it does not subtract it."""
+    rig = experiment.spec.rig
+    return planned.in_loop and rig is not None and rig.loop is not None and rig.loop.runout == "offline"
+
+
+def loop_stills(experiment: Experiment, point: str) -> list[PlannedRecording]:
+    """Return the recordings of the rig under the controller and without excitation at an operating point."""
+    return [planned for planned in experiment.points[point] if planned.run[:1] == ("loop_still",)]
+
+
+def early_designs(experiment: Experiment) -> list[str]:
+    """Return the names of the designs that close the loop of recordings, so that they are tuned before all others."""
+    spec, found = experiment.spec, []
+    loops = [spec.rig.loop if spec.rig else None, *(fit.loop for fit in spec.fits.values())]
+    for section in loops:
+        if section is not None and section.controller is not None and is_tuned(section.controller):
+            try:
+                found.append(tuned_design(experiment, section.controller))
+            except UsageError:
+                continue  # a check reports it
+    return list(dict.fromkeys(found))
+
+
+def check_early(experiment: Experiment, name: str) -> None:
+    """Refuse a design that needs the recordings of this experiment.
+
+    Raises
+    ------
+    UsageError
+        When it is for their surfaces, or when its goals name recordings.
+    """
+    section = experiment.spec.controller[name]
+    if surfaces_item(experiment, section) is not None:
+        raise UsageError(
+            f"design {name!r} is for the surfaces of this experiment, which come after its recordings; write model: "
+            "with the name of a model there, or name a controller file"
+        )
+    if goal_recordings(experiment, section):
+        raise UsageError(f"design {name!r} has goals with recordings of this experiment; name a controller file")
+
+
+def early_key(experiment: Experiment, name: str) -> str:
+    """Return the content key of a design for a named model; `gbid tune` stores the same.
+
+    Raises
+    ------
+    UsageError
+        When the design needs recordings.
+    """
+    check_early(experiment, name)
+    section = experiment.spec.controller[name]
+    model = named_model(experiment, section)
+    return design_key(experiment, section, published_design(experiment, model), model)
+
+
+def at_point(design: ControllerDesign, conditions: dict[str, float]) -> tuple[float | None, float | None]:
+    """Return the operating point at which a design is needed: pressure and speed, or nothing.
+
+    Raises
+    ------
+    UsageError
+        When its gains follow an operating point that is not known.
+    """
+    point = (conditions.get("pressure_bar"), conditions.get("speed_rpm"))
+    scheduled = isinstance(design.structure, Scheduled) or (design.structure is None and None not in design.models)
+    if scheduled and None in point:
+        raise UsageError(
+            f"controller {design.name!r}: its gains follow the operating point; write a fit for each operating point"
+        )
+    return point
+
+
+def _of_structure(experiment: Experiment, section: ControllerChoice) -> FoundController:
+    structure = design_structure(experiment, _as_design(section), None)
+    if isinstance(structure, Scheduled):
+        raise UsageError(f"structure {structure.name!r} follows the speed; name a controller file")
+    names = [gain.name for gain in structure.parameters]
+    unknown = [name for name in section.gains if name not in names]
+    if unknown:
+        raise UsageError(f"{structure.name} has no gain {unknown[0]!r}; {nearest(unknown[0], names)}")
+    if len(section.gains) < len(names):
+        return FoundController(structure.name, structure=structure)
+    own_rate = section.sample_time_s if isinstance(section, LoopSection) else None
+    return FoundController(
+        structure.name, ControllerDesign(structure.name, structure, section.gains, own_rate or rig_time(experiment))
+    )
+
+
+def rig_time(experiment: Experiment) -> float:
+    """Return the sample time of controllers that state none: that of the rig [s]."""
+    rig = experiment.spec.rig
+    return rig.sample_time_s if rig is not None else _SAMPLE_TIME_S
+
+
+def _as_design(section: ControllerChoice) -> ControllerSection:
+    """Return the structure and its options as a section of a design, whose rules are the same."""
+    given = section.model_dump(include={"structure", "lowpass_hz", "order", "options"}, exclude_none=True)
+    return ControllerSection.model_validate(given)
+
+
+def _of_python(experiment: Experiment, word: str) -> FoundController:
+    own = load_structure_or_model(word, experiment.folder_of(word.rpartition(":")[0]))
+    if isinstance(own, LinearModel):
+        return FoundController(word, model=own)
+    if isinstance(own, NonlinearStructure | ScheduledStructure):
+        raise UsageError(f"{word}: a controller is a gbid.LinearModel or a gbid.LinearStructure")
+    return FoundController(word, structure=own)
+
+
+def _published(experiment: Experiment) -> ControllerDesign:
+    if experiment.spec.rig is None:
+        raise UsageError("controller: paper is that of the model of the rig, and there is no section rig; name a file")
+    design = rig_model(experiment).controller
+    if design is None:
+        raise UsageError(f"model {rig_model(experiment).name!r} comes with no controller; name a controller file")
+    continuous = p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
+    return ControllerDesign("paper", None, {}, rig_time(experiment), models={None: continuous})
+
+
+def _tuned(experiment: Experiment, name: str, planned: bool) -> ControllerDesign:
+    key, section = early_key(experiment, name), experiment.spec.controller[name]
+    path = experiment.results / TUNED / f"{name}.h5"
+    structure = design_structure(experiment, section, named_model(experiment, section).domain)
+    if path.is_file() and stored_key(path) == key:
+        gains = _stored_gains(path, key)
+    elif planned:
+        gains = {gain.name: _about(gain.start, gain.lower, gain.upper) for gain in structure.parameters}
+    else:
+        raise InputError(f"{path}: no design {name!r} with the present settings; `gbid tune` makes it")
+    return ControllerDesign(name, structure, gains, sample_time(experiment, section), section.method)
+
+
+@lru_cache(maxsize=16)
+def _stored_gains(path: Path, _key: str) -> dict[str, float]:
+    return dict(load_tuned(path).result.gains)
+
+
+def _about(start: float | None, lower: float, upper: float) -> float:
+    if start is not None:
+        return start
+    return float(np.clip(0.0, lower, upper))

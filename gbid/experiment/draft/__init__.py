@@ -1,1 +1,0 @@
-"""Draft of an experiment for a gas bearing from a folder of measured files."""

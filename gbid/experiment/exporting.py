@@ -1,0 +1,220 @@
+"""Models and controllers that `gbid export` finds in an experiment or file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gbid.control import ControllerDesign, load_controller
+from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.names import file_stem
+from gbid.core.yaml_file import read_yaml
+from gbid.experiment.controllers import TUNED, chain_options, design_structure
+from gbid.experiment.experiment import fit_models
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run import Job
+from gbid.experiment.stages.fit import load_made_fit
+from gbid.experiment.stages.prefilter import MAP_FOLDER
+from gbid.export.target import ExportItem, ExportRequest, Point, Surroundings
+from gbid.export.targets import export_target
+from gbid.identify import load_fit
+from gbid.lpv import LPVModel, load_model
+from gbid.prefilter import RunoutMap, load_prefilter
+
+FOLDER = "export"
+_LONGEST = 50  # characters of a name in C and MATLAB, with room for what is added to it
+
+
+@dataclass(frozen=True, eq=False)
+class Exports:
+    """What can be exported from a source.
+
+    Attributes
+    ----------
+    source : str
+        The source as given.
+    items : tuple of ExportItem
+        Models and controllers.
+    folder : pathlib.Path
+        Folder of the files when the user names none.
+    left_out : tuple of str
+        Reason for each item that could not be read.
+    notes : tuple of str
+        What a user should know about the files that were read.
+    """
+
+    source: str
+    items: tuple[ExportItem, ...]
+    folder: Path
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def find_exports(source: str, at: Point | None = None, results: Path | None = None) -> Exports:
+    """Return the models and controllers of an experiment, model, controller file or fit.
+
+    Parameters
+    ----------
+    source : str
+        An experiment YAML, a model YAML or name, a controller YAML, or a fit in .h5.
+    at : (pressure_bar, speed_rpm), optional
+        Operating point. LPV models give their linear models there.
+    results : path, optional
+        Folder of the results of an experiment, instead of the one in its YAML.
+
+    Returns
+    -------
+    Exports
+
+    Raises
+    ------
+    UsageError
+        When the source is of no such kind, when `at` is given for a fit, or when a file is faulty.
+    DataError
+        When the experiment has no models and no controllers yet.
+    """
+    path = Path(source)
+    if path.suffix in (".h5", ".hdf5"):
+        if at is not None:
+            raise UsageError(f"--at is for LPV models and controllers; {source} is a fit, so leave it out")
+        return Exports(source, (ExportItem(identifier(f"{path.parent.name}_{path.stem}"), load_fit(path)),), Path())
+    if path.suffix in (".yaml", ".yml"):
+        kind = read_yaml(path).data.get("kind")
+        if kind == "controller":
+            design = load_controller(path)
+            return Exports(source, (_controller_item(design),), Path(), notes=design.notes)
+        if kind != "lpv_model":
+            return _of_experiment(path, at, results)
+    model = load_model(source)
+    return Exports(source, _of_model(identifier(model.name), model, at), Path(), notes=model.notes)
+
+
+def identifier(text: str) -> str:
+    """Return a name that is valid as a C identifier and as the name of a MATLAB function."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    return file_stem(name if name[:1].isalpha() else f"m_{name}", _LONGEST, "_")
+
+
+def _of_model(name: str, model: LPVModel, at: Point | None) -> tuple[ExportItem, ...]:
+    if at is None:
+        return (ExportItem(name, model),)
+    point = identifier(f"{name}_p{at[0]:g}_n{at[1]:g}")
+    bearing = ExportItem(f"{point}_bearing", model.at(*at))
+    return (bearing, ExportItem(f"{point}_plant", model.plant_at(*at))) if model.actuators else (bearing,)
+
+
+def _controller_item(design: ControllerDesign, around: Surroundings | None = None) -> ExportItem:
+    return ExportItem(identifier(f"controller_{design.name}"), design, around or Surroundings())
+
+
+def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Exports:
+    job = Job(load_experiment(path, results))
+    folder = job.experiment.results
+    items: list[ExportItem] = []
+    left_out = []
+    for fit in job.experiment.spec.fits:
+        for model in fit_models(job.experiment, fit):
+            try:
+                items.append(ExportItem(identifier(f"{fit}_{model}"), load_made_fit(job, fit, model)))
+            except DataError as error:
+                left_out.append(str(error))
+    for file in sorted(folder.rglob("*.yaml")):
+        if FOLDER in file.relative_to(folder).parts:
+            continue
+        try:
+            if read_yaml(file).data.get("kind") == "lpv_model":
+                items += _of_model(identifier(file.stem), load_model(file), at)
+        except GbidError as error:
+            left_out.append(str(error))
+    notes = [note for item in items if isinstance(item.what, LPVModel) for note in item.what.notes]
+    around = Surroundings(made_maps(job), chain_options(job.experiment))
+    for name in job.experiment.spec.controller:
+        try:
+            design = _tuned(job, name)
+            items.append(_controller_item(design, around))
+            notes += design.notes
+        except GbidError as error:
+            left_out.append(str(error))
+    if not items:
+        reason = f": {left_out[0]}" if left_out else ""
+        raise DataError(f"{path}: no models and no controllers in {folder} yet{reason}; run `gbid run {path}` first")
+    return Exports(str(path), _apart(items), folder / FOLDER, tuple(left_out), tuple(notes))
+
+
+def _apart(items: Iterable[ExportItem]) -> tuple[ExportItem, ...]:
+    """Return items whose names differ, also where they are made of names that differ in a dot or a blank only."""
+    named: dict[str, ExportItem] = {}
+    for item in items:
+        name, count = item.name, 1
+        while name.lower() in named:  # also for file systems that do not tell capitals
+            count += 1
+            name = f"{item.name}_{count}"
+        named[name.lower()] = replace(item, name=name)
+    return tuple(named.values())
+
+
+def _tuned(job: Job, name: str) -> ControllerDesign:
+    """Return a tuned design of the experiment; one of the user's own structure with this structure."""
+    path = job.path(TUNED, name, ".yaml")
+    if not path.is_file():
+        raise DataError(f"{path}: file is missing; `gbid tune` makes it")
+    section = job.experiment.spec.controller[name]
+    own = ":" in section.structure and section.schedule is None
+    return load_controller(path, design_structure(job.experiment, section) if own else None)
+
+
+def made_maps(job: Job) -> tuple[RunoutMap, ...]:
+    """Return the run-out maps that the prefilter of the experiment has stored, one for each operating point."""
+    found = []
+    for point in job.experiment.points:
+        path = job.path(MAP_FOLDER, point)
+        if job.experiment.spec.prefilter is not None and path.is_file():
+            found.append(load_prefilter(path)[0])
+    return tuple(each for each in found if each is not None)
+
+
+# ---- Writing of the exported files.
+
+_WORDS = {
+    "ControllerDesign": "controllers",
+    "LPVModel": "LPV models",
+    "FitResult": "fits",
+    "LinearModel": "linear models",
+}
+
+
+def write_exports(found: Exports, to: str, request: ExportRequest) -> list[Path]:
+    """Write everything that a target takes, and return the files.
+
+    Parameters
+    ----------
+    found : Exports
+        Models and controllers, from `find_exports`.
+    to : str
+        Name of the target, one of `target_names`.
+    request : ExportRequest
+        Folder and options.
+
+    Returns
+    -------
+    list of pathlib.Path
+        The files.
+
+    Raises
+    ------
+    UsageError
+        When there is no such target, when it takes nothing of what was found, or when a file exists and `overwrite` is
+        not set.
+    DataError
+        When a file cannot be written.
+    """
+    target = export_target(to)
+    items = [item for item in found.items if isinstance(item.what, target.takes)]
+    if not items:
+        takes = ", ".join(_WORDS.get(kind.__name__, kind.__name__) for kind in target.takes)
+        there = ", ".join(dict.fromkeys(_WORDS[type(item.what).__name__] for item in found.items))
+        raise UsageError(f"{found.source}: --to {to} takes {takes}; here are only {there}: choose another target")
+    request = replace(request, beside=found.items)
+    return [path for item in items for path in target.write(item, request)]

@@ -1,0 +1,348 @@
+"""Model of the rig, and its true parameters at an operating point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gbid.core.errors import UsageError
+from gbid.core.units import SIGNALS
+from gbid.excite import read_excitation
+from gbid.experiment.experiment import Experiment, PlannedRecording
+from gbid.experiment.rig_schema import ActuatorSection, FaultSection, RigSection, SensorSection
+from gbid.lpv import LPVModel, load_model
+from gbid.rig import (
+    Course,
+    Faults,
+    FilmStiffening,
+    FlexibleMode,
+    Hammer,
+    Impact,
+    Machine,
+    NonSynchronous,
+    PiezoStacks,
+    Played,
+    Prbs,
+    ProcessNoise,
+    RotorBearingTruth,
+    RunUp,
+    Scatter,
+    ScheduledRun,
+    SensorChain,
+    StackStaircase,
+    Staircase,
+    Stationary,
+    Unbalance,
+    rig_effect,
+    scatter_random,
+    scattered,
+)
+from gbid.rig import Experiment as RigExperiment
+from gbid.structure import (
+    KEY_PARAMETERS,
+    AnyStructure,
+    ClosedLoop,
+    LinearModel,
+    NonlinearStructure,
+    PiezoPair,
+    Plant,
+    RotorBearing,
+    ScheduledStructure,
+    evaluate,
+)
+from gbid.structure.built_in import STIFFENING
+
+
+@lru_cache(maxsize=4)
+def rig_model(experiment: Experiment) -> LPVModel:
+    """Return the model of the rig: by name, or from a YAML file relative to the experiment or the models folder.
+
+    Raises
+    ------
+    UsageError
+        When the model is missing or its file is faulty.
+    """
+    assert experiment.spec.rig is not None
+    name = experiment.spec.rig.model
+    if Path(name).suffix in (".yaml", ".yml"):
+        return load_model(experiment.folder_of(name) / name)
+    return load_model(name)
+
+
+def true_parameters(model: LPVModel, planned: PlannedRecording) -> dict[str, float]:
+    """Return the true key parameters and actuator parameters at the operating point of a recording."""
+    return true_parameters_at(model, planned.conditions["pressure_bar"], planned.conditions["speed_rpm"])
+
+
+def true_parameters_at(model: LPVModel, pressure_bar: float, speed_rpm: float) -> dict[str, float]:
+    """Return the true key parameters and actuator parameters at an operating point."""
+    key_parameters = model.key_parameters(pressure_bar, speed_rpm)
+    return {**{name: float(np.asarray(value)) for name, value in key_parameters.items()}, **model.actuators}
+
+
+# ---- Machine and arguments of `gbid.rig.record` from the rig section of an experiment.
+
+
+def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVModel) -> Machine:
+    """Return the rig at the operating point of a recording, before any scatter.
+
+    Raises
+    ------
+    UsageError
+        When the point lies outside the domain of the model, or the rig refuses a value.
+    """
+    rig = _rig(experiment)
+    place = None if (course := course_of(experiment, planned)) is None else course.at(np.array(0.0))
+    true = true_parameters(model, planned) if place is None else true_parameters_at(model, *map(float, place))
+    flexible, stiffening, whirl = rig.flexible_mode, rig.stiffening, rig.non_synchronous
+    return Machine.from_parameters(
+        true,
+        _stacks(rig.actuators) if rig.actuators.kind == "stacks" else true,
+        Unbalance(rig.unbalance.eccentricity_m, rig.unbalance.phase_rad),
+        _sensors(rig.sensors),
+        rig.clearance_m,
+        moving_mass=rig.moving_mass_kg,
+        flexible_mode=flexible and FlexibleMode(flexible.frequency_hz, flexible.damping, flexible.share),
+        stiffening=stiffening and FilmStiffening(stiffening.deviation_m, stiffening.at_m),
+        non_synchronous=whirl
+        and NonSynchronous(whirl.size_m, whirl.peak_rpm, whirl.width_rpm, whirl.ratio, whirl.bandwidth_hz),
+        process_noise=rig.process_noise and ProcessNoise(rig.process_noise.density),
+        effects=tuple(rig_effect(name, **options) for name, options in rig.effects.items()),
+    )
+
+
+def course_of(experiment: Experiment, planned: PlannedRecording) -> Course | None:
+    """Return the course of pressure and speed of a recording; None at a constant operating point.
+
+    Raises
+    ------
+    UsageError
+        When times and values do not fit each other.
+    """
+    rig = _rig(experiment)
+    if planned.run[:1] != ("course",):
+        return None
+    section = rig.courses[int(planned.run[1])]
+    if section.times_s is not None and section.duration_s is not None:
+        raise UsageError(f"course {section.name!r}: give duration_s or times_s, not both")
+    end = rig.duration_s if section.duration_s is None else section.duration_s
+    if not section.coast_down:
+        return Course(section.times_s or (0.0, end), section.pressure_bar, section.speed_rpm)
+    speeds = section.speed_rpm
+    if section.times_s is not None or not isinstance(speeds, tuple) or len(speeds) != 2:
+        raise UsageError(f"course {section.name!r}: coast_down needs duration_s and two numbers for speed_rpm")
+    if isinstance(section.pressure_bar, tuple):
+        raise UsageError(f"course {section.name!r}: coast_down has one pressure; give one number for pressure_bar")
+    return Course.coast_down(end, section.pressure_bar, *speeds)
+
+
+def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExperiment:
+    """Return the run of the rig for a recording.
+
+    Raises
+    ------
+    UsageError
+        When the rig refuses a value.
+    """
+    rig = _rig(experiment)
+    match planned.run:
+        case ("prbs",):
+            return Prbs(rig.duration_s, rig.prbs.amplitude_m, rig.prbs.hold_s)
+        case ("loop",) if rig.loop is not None:
+            held, usual = rig.loop, rig.prbs
+            return Prbs(rig.duration_s, held.amplitude_m or usual.amplitude_m, held.hold_s or usual.hold_s)
+        case ("played",) if rig.played is not None:
+            return _played(experiment, rig.played.file)
+        case ("course", int(i)) if (course := course_of(experiment, planned)) is not None:
+            end = course.duration_s
+            moving = Prbs(end, rig.prbs.amplitude_m, rig.prbs.hold_s)
+            return ScheduledRun(course, moving if rig.courses[i].excited else Stationary(end))
+        case ("staircase", ("x" | "y") as axis) if rig.staircase is not None:
+            stairs = rig.staircase
+            return Staircase(axis, stairs.step_m, stairs.steps, stairs.hold_s)
+        case ("stack_staircase", int(stack), bool(controlled)) if rig.stack_staircase is not None:
+            return StackStaircase(stack, controlled, rig.stack_staircase.steps, rig.stack_staircase.hold_s)
+        case ("hammer", ("x" | "y") as axis) if rig.hammer is not None:
+            hammer = rig.hammer
+            impacts = (Impact.along(axis, time, hammer.peak_n, hammer.impact_s) for time in hammer.times_s)
+            return Hammer(tuple(impacts), hammer.duration_s)
+        case ("run_up",) if rig.run_up is not None:
+            return RunUp(rig.run_up.from_rpm, rig.run_up.to_rpm, rig.run_up.duration_s)
+    return Stationary(rig.stationary.duration_s or rig.duration_s)
+
+
+def _played(experiment: Experiment, name: str) -> Played:
+    """Return the run that plays the references of a file.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read.
+    UsageError
+        When it has no references of both axes.
+    """
+    file = read_excitation(experiment.folder / name)
+    wanted = [f"r_{axis}_m" for axis in SIGNALS["r"].channels]
+    if missing := [column for column in wanted if column not in file.columns]:
+        raise UsageError(
+            f"{name}: no column {missing[0]}; the rig plays references r, so design the excitation with a fit of "
+            "the whole plant (structure: plant)"
+        )
+    return Played(np.column_stack([file.columns[column] for column in wanted]), file.sample_time, name)
+
+
+def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[str, Any]:
+    """Return the arguments of `gbid.rig.record` except machine, experiment and controller."""
+    rig = _rig(experiment)
+    return {
+        "conditions": dict(planned.conditions),
+        "seed": rig.seed,
+        "name": planned.name,
+        "sample_time": rig.sample_time_s,
+        "oversampling": rig.oversampling,
+        "settle_s": rig.settle_s,
+        "scatter": rig.scatter and rig.scatter.as_scatter(),
+        "faults": _faults(rig, planned.name),
+        "touch_down": rig.touch_down,
+        "stacks": rig.actuators.record_stacks,
+    }
+
+
+def as_settings(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options as plain values for a content key."""
+    return {key: asdict(v) if isinstance(v, Scatter | Faults) else v for key, v in options.items()}
+
+
+def _rig(experiment: Experiment) -> RigSection:
+    assert experiment.spec.rig is not None
+    return experiment.spec.rig
+
+
+def _stacks(section: ActuatorSection) -> PiezoStacks:
+    base = [
+        replace(stack, hysteresis=section.hysteresis_m, creep=section.creep, creep_times=section.creep_times_s)
+        for stack in PiezoStacks().stacks
+    ]
+    return replace(PiezoStacks.unequal(section.spread, section.seed, base), offset=section.offset_m)
+
+
+def _sensors(section: SensorSection) -> SensorChain:
+    return SensorChain(
+        noise_p=section.noise_p_m,
+        noise_u=section.noise_u_m,
+        runout_amplitude=np.array(section.runout_amplitude_m, dtype=object).astype(float),
+        runout_phase=np.array(section.runout_phase_rad, dtype=object).astype(float),
+        offset_p=section.offset_p_m,
+        offset_u=section.offset_u_m,
+        encoder_counts=section.encoder_counts,
+        resolution_p=section.resolution_p_m,
+        resolution_u=section.resolution_u_m,
+        noise_f=section.noise_f_n,
+    )
+
+
+def faults_of(entry: FaultSection) -> Faults:
+    """Return an entry of faults as the value that the rig uses.
+
+    Raises
+    ------
+    UsageError
+        When the rig refuses a value.
+    """
+    return Faults(
+        entry.swapped,
+        entry.dead,
+        entry.saturation,
+        entry.spikes_per_s,
+        entry.spike_size_m,
+        entry.sample_time_factor,
+        entry.missing_index,
+        entry.rub_clearance_m,
+    )
+
+
+def _faults(rig: RigSection, name: str) -> Faults | None:
+    """Return the faults of a recording from the first entry that names it; None without one."""
+    for entry in rig.faults:
+        if any(fnmatchcase(name, pattern) for pattern in entry.recordings):
+            return faults_of(entry)
+    return None
+
+
+# ---- True values of the parameters of a fit, for recordings of the rig.
+
+
+def true_values(experiment: Experiment, recordings: Sequence[str], structure: AnyStructure) -> dict[str, float]:
+    """Return the true values of the parameters of a structure.
+
+    They are known for recordings of the rig at one operating point and built-in structures.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    recordings : sequence of str
+        Names of the recordings of a fit.
+    structure : Structure
+        Structure of the fit.
+
+    Returns
+    -------
+    dict of str to float
+        True values by parameter, in the units of the structure; empty when none are known.
+    """
+    planned = [experiment.recordings[name] for name in recordings]
+    points = {tuple(sorted(q.conditions.items())) for q in planned}
+    if points != {tuple(sorted(planned[0].conditions.items()))} or "speed_rpm" not in planned[0].conditions:
+        return {}  # several operating points, or none, as along a course
+    if any(q.imported for q in planned) or not _is_built_in(_plant_of(structure)):
+        return {}
+    known = {**_as_drawn(experiment, planned), STIFFENING: _stiffening(experiment)}
+    return {q.name: known[q.name] for q in structure.parameters if q.name in known}
+
+
+def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> dict[str, float]:
+    """Return the true values that all recordings share; scatter changes them, and stacks have no linear parameters."""
+    rig = experiment.spec.rig
+    assert rig is not None
+    known = true_parameters(rig_model(experiment), planned[0])
+    if rig.actuators.kind == "stacks":
+        known = {name: value for name, value in known.items() if name in KEY_PARAMETERS}
+    if rig.scatter is None:
+        return known
+    if len({q.name for q in planned}) > 1:
+        return {name: value for name, value in known.items() if name not in KEY_PARAMETERS}
+    random = scatter_random(rig.seed, planned[0].name, planned[0].conditions)
+    drawn, _ = scattered(RotorBearingTruth.from_parameters(known), rig.scatter.as_scatter(), random)
+    return {**known, **drawn.key_parameters()}
+
+
+def _stiffening(experiment: Experiment) -> float:
+    film = experiment.spec.rig.stiffening if experiment.spec.rig else None
+    return FilmStiffening(film.deviation_m, film.at_m).inverse_square_length if film else 0.0
+
+
+def true_model(structure: AnyStructure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:
+    """Return the structure at its true values; None when some are unknown. Disturbance gains are set to zero."""
+    values = {q.name: 0.0 for q in structure.parameters if q.name.startswith("bd")} | truth
+    if (
+        isinstance(structure, NonlinearStructure | ScheduledStructure)
+        or not truth
+        or any(q.name not in values for q in structure.parameters)
+    ):
+        return None
+    return evaluate(structure, values, like.input_names, like.output_names)
+
+
+def _plant_of(structure: AnyStructure) -> AnyStructure:
+    return structure.structure if isinstance(structure, ClosedLoop) else structure
+
+
+def _is_built_in(structure: AnyStructure) -> bool:
+    return isinstance(structure, RotorBearing | PiezoPair | Plant)

@@ -1,0 +1,369 @@
+"""Schema of the keys loop: the controller of recordings in closed loop, on the rig and in fits."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, Strict
+
+from gbid.experiment.fields import (
+    Count,
+    CountOrZero,
+    Name,
+    Names,
+    NotNegative,
+    Number,
+    OneOrTwo,
+    Pair,
+    Positive,
+    Section,
+    Switch,
+    Text,
+    TwoRows,
+    given,
+)
+from gbid.rig import (
+    FilmStiffening,
+    FlexibleMode,
+    Hammer,
+    Impact,
+    Machine,
+    NonSynchronous,
+    PiezoStacks,
+    Prbs,
+    ProcessNoise,
+    RunUp,
+    Scatter,
+    SensorChain,
+    StackStaircase,
+    Staircase,
+    Unbalance,
+)
+
+
+class ControllerChoice(Section):
+    """Controller of a loop: one that exists (`controller`), or a structure with its gains (`structure`, `gains`).
+
+    `controller`: ``paper`` is the controller in the model file of the rig, ``tuned`` or ``tuned:NAME`` a design of the
+    section controller for a named model, else a controller file, or ``file.py:name`` of a model or structure of your
+    own. `structure`, `lowpass_hz`, `order` and `options` are those of a design. The sign is that of `gbid.close_loop`:
+    positive gains are positive feedback.
+    """
+
+    controller: Text | None = None
+    structure: Text | None = None
+    gains: dict[Text, Number] = Field(default_factory=dict)
+    lowpass_hz: Positive | None = None
+    order: CountOrZero | None = None
+    options: dict[Text, Number | Pair] = Field(default_factory=dict)
+
+
+class RigLoopSection(ControllerChoice):
+    """Recordings of the rig under a controller, ``<point>_loop1`` and so on; all its gains must be known.
+
+    The references of a PRBS are added to the output of the controller and recorded as w. `amplitude_m`, `hold_s`: those
+    of the section prbs when left out. `runout`: ``online``, the controller subtracts the run-out map of the rotor
+    without controller; ``offline``, the controller answers to the run-out, and the prefilter subtracts the answers that
+    `stationary` recordings under the controller show; ``none`` for sensors without run-out.
+    """
+
+    recordings: Count = 2
+    stationary: CountOrZero | None = None
+    amplitude_m: Positive | None = None
+    hold_s: Positive | None = None
+    runout: Literal["online", "offline", "none"] = "online"
+
+
+class LoopSection(ControllerChoice):
+    """Loop in which the recordings of a fit were made; see `gbid.ClosedLoop`. Empty: the loop of the section rig.
+
+    ``focus: prediction`` is then the direct method, ``focus: simulation`` the indirect one. Gains of a structure that
+    `gains` does not name are estimated along, as ``controller_<gain>``. `sampled`: the controller as it runs, with
+    `sample_time_s` and `computation_samples` from the measurement to the action; else a continuous one whose output is
+    late by `delay_s`, by default the computation and half a sample. `beside`: a fit of the same structure to recordings
+    without controller, whose standard deviations are shown beside those of this fit.
+    """
+
+    sampled: Switch = True
+    sample_time_s: Positive | None = None
+    computation_samples: CountOrZero = 1
+    delay_s: NotNegative | None = None
+    measured: Annotated[tuple[Annotated[int, Strict(), Field(ge=0)], ...], Field(min_length=1)] | None = None
+    injected: Literal["plant input", "set point"] = "plant input"
+    pade_order: Count = 3
+    beside: Text | None = None
+
+
+# ---- Schema of the rig section; names, units and defaults are those of `gbid.rig`.
+
+_PRBS, _SENSORS, _UNBALANCE, _STAIRCASE, _STACK = Prbs(), SensorChain(), Unbalance(), Staircase(), StackStaircase()
+_IMPACT, _HAMMER, _RUN_UP, _PIEZO, _SCATTER = Impact(), Hammer(), RunUp(), PiezoStacks(), Scatter()
+_FLEXIBLE, _STIFFENING, _WHIRL, _NOISE = FlexibleMode(), FilmStiffening(), NonSynchronous(), ProcessNoise()
+
+
+def _rows(array: Any) -> Any:
+    return tuple(tuple(row) for row in array.tolist())
+
+
+Axes = Annotated[tuple[Literal["x", "y"], ...], Field(min_length=1)]
+
+
+class Place(Section):
+    """Operating point of the list."""
+
+    pressure_bar: Positive
+    speed_rpm: NotNegative
+
+
+Places = Annotated[tuple[Place, ...], Field(min_length=1)]
+
+
+class OperatingPoint(Section):
+    """Operating point of the rig, and the number of its PRBS recordings if it differs from the other points."""
+
+    pressure_bar: Positive
+    speed_rpm: NotNegative
+    prbs_recordings: CountOrZero | None = None
+
+
+class PrbsSection(Section):
+    """Recordings with moving piezos (paper, Sec. 3.4); see `gbid.rig.Prbs`."""
+
+    recordings: CountOrZero = 2
+    amplitude_m: Positive = _PRBS.amplitude
+    hold_s: Positive = _PRBS.hold_s
+
+
+class PlayedSection(Section):
+    """Recordings with the signal of a file, as `gbid excite` writes it; see `gbid.rig.Played`.
+
+    `file`: relative to the YAML. `at`: operating points; all when left out.
+    """
+
+    file: Text
+    recordings: Count = 1
+    at: Places | None = None
+
+
+class StationarySection(Section):
+    """Recordings with piezos at rest (paper, Sec. 3.5)."""
+
+    recordings: CountOrZero = 1
+    duration_s: Positive | None = None
+
+
+class StaircaseSection(Section):
+    """Staircases of the references, `recordings` for each axis (paper, Sec. 3.1); see `gbid.rig.Staircase`.
+
+    `at`: operating points of the staircases; all when left out.
+    """
+
+    recordings: CountOrZero = 1
+    at: Places | None = None
+    axes: Axes = ("x", "y")
+    step_m: Positive = _STAIRCASE.step
+    steps: Count = _STAIRCASE.steps
+    hold_s: Positive = _STAIRCASE.hold_s
+
+
+class StackStaircaseSection(Section):
+    """Staircases of single stacks, open loop and controlled (Figs. A.28, A.29); see `gbid.rig.StackStaircase`.
+
+    `at`: operating points of the staircases; all when left out.
+    """
+
+    recordings: CountOrZero = 1
+    at: Places | None = None
+    stacks: Annotated[tuple[Annotated[int, Strict(), Field(ge=1, le=4)], ...], Field(min_length=1)] = (_STACK.stack,)
+    controlled: Annotated[tuple[Switch, ...], Field(min_length=1)] = (False, True)
+    steps: Count = _STACK.steps
+    hold_s: Positive = _STACK.hold_s
+
+
+class HammerSection(Section):
+    """Hammer impacts, `recordings` for each axis (paper, Sec. 5.1); see `gbid.rig.Hammer` and `gbid.rig.Impact`."""
+
+    recordings: CountOrZero = 1
+    axes: Axes = ("x", "y")
+    times_s: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = (_IMPACT.time,)
+    peak_n: Positive = _IMPACT.peak
+    impact_s: Positive = _IMPACT.duration
+    duration_s: Positive = _HAMMER.duration_s
+
+
+class RunUpSection(Section):
+    """Runs with rising or falling speed; see `gbid.rig.RunUp`."""
+
+    recordings: CountOrZero = 1
+    from_rpm: NotNegative = _RUN_UP.from_rpm
+    to_rpm: NotNegative = _RUN_UP.to_rpm
+    duration_s: Positive = _RUN_UP.duration_s
+
+
+Course = Annotated[tuple[NotNegative, ...], Field(min_length=2)]
+
+
+class CourseSection(Section):
+    """Recordings during which pressure and speed change, ``<name>1`` and so on; see `gbid.rig.ScheduledRun`.
+
+    `times_s`: times of the values of `pressure_bar` and `speed_rpm`, straight between them; by default start and end.
+    `coast_down`: the speed falls from the first to the second value as against viscous friction.
+    """
+
+    name: Name
+    recordings: Count = 1
+    duration_s: Positive | None = None
+    times_s: Course | None = None
+    pressure_bar: NotNegative | Course
+    speed_rpm: NotNegative | Course
+    coast_down: Switch = False
+    excited: Switch = True
+
+
+class SensorSection(Section):
+    """Errors of the sensors; see `gbid.rig.SensorChain`."""
+
+    noise_p_m: OneOrTwo = _SENSORS.noise_p
+    noise_u_m: OneOrTwo = _SENSORS.noise_u
+    noise_f_n: NotNegative = _SENSORS.noise_f
+    runout_amplitude_m: TwoRows = Field(default=_rows(_SENSORS.runout_amplitude))
+    runout_phase_rad: TwoRows = Field(default=_rows(_SENSORS.runout_phase))
+    offset_p_m: Pair = _SENSORS.offset_p
+    offset_u_m: Pair = _SENSORS.offset_u
+    encoder_counts: Annotated[int, Strict(), Field(ge=2)] | None = _SENSORS.encoder_counts
+    resolution_p_m: NotNegative = _SENSORS.resolution_p
+    resolution_u_m: NotNegative = _SENSORS.resolution_u
+
+
+class UnbalanceSection(Section):
+    """Mass unbalance of the rotor; see `gbid.rig.Unbalance`."""
+
+    eccentricity_m: NotNegative = _UNBALANCE.eccentricity
+    phase_rad: Number = _UNBALANCE.phase
+
+
+class ActuatorSection(Section):
+    """Piezos: linear pairs as in the model, or four stacks; see `gbid.rig.PiezoStacks`.
+
+    `spread` makes the stacks unequal, with random numbers of `seed`. `hysteresis_m`, `creep` and `creep_times_s` are
+    the values of all four stacks before that.
+    """
+
+    kind: Literal["linear", "stacks"] = "linear"
+    offset_m: Positive = _PIEZO.offset
+    spread: Annotated[float, Strict(), Field(ge=0, lt=0.3)] = 0.0
+    seed: CountOrZero = 0
+    hysteresis_m: NotNegative = _PIEZO.stacks[0].hysteresis
+    creep: NotNegative = _PIEZO.stacks[0].creep
+    creep_times_s: tuple[Positive, ...] = _PIEZO.stacks[0].creep_times
+    record_stacks: Switch = False
+
+
+class FlexibleModeSection(Section):
+    """Bending mode that the identified structure does not contain; see `gbid.rig.FlexibleMode`."""
+
+    frequency_hz: Positive = _FLEXIBLE.frequency_hz
+    damping: Positive = _FLEXIBLE.damping
+    share: NotNegative = _FLEXIBLE.share
+
+
+class StiffeningSection(Section):
+    """Gas film whose stiffness rises away from the centre; see `gbid.rig.FilmStiffening`."""
+
+    deviation_m: NotNegative = _STIFFENING.deviation
+    at_m: Positive = _STIFFENING.at
+
+
+class NonSynchronousSection(Section):
+    """Whirl near a speed (paper, Sec. 4); see `gbid.rig.NonSynchronous`."""
+
+    size_m: NotNegative = _WHIRL.size
+    peak_rpm: NotNegative = _WHIRL.peak_rpm
+    width_rpm: Positive = _WHIRL.width_rpm
+    ratio: NotNegative = _WHIRL.ratio
+    bandwidth_hz: Positive = _WHIRL.bandwidth_hz
+
+
+class ProcessNoiseSection(Section):
+    """Broadband force [m/s^2 per sqrt(Hz)]; see `gbid.rig.ProcessNoise`."""
+
+    density: NotNegative = _NOISE.density
+
+
+class ScatterSection(Section):
+    """Scatter of the true parameters between recordings (paper, Sec. 4); see `gbid.rig.Scatter`."""
+
+    share: NotNegative = _SCATTER.share
+    delay_s: Pair = _SCATTER.delay
+    frequency_hz: Pair = _SCATTER.frequency_hz
+    damping: Pair = _SCATTER.damping
+    static_gain: tuple[Number, Number, Number, Number] = _SCATTER.static_gain
+    minimum_damping: NotNegative = _SCATTER.minimum_damping
+    minimum_delay_s: NotNegative = _SCATTER.minimum_delay
+
+    def as_scatter(self) -> Scatter:
+        """Return the scatter as the value that the rig uses."""
+        return Scatter(
+            self.share,
+            self.delay_s,
+            self.frequency_hz,
+            self.damping,
+            self.static_gain,
+            self.minimum_damping,
+            self.minimum_delay_s,
+        )
+
+
+class FaultSection(Section):
+    """Faults of the recordings whose names match one of the patterns; see `gbid.rig.Faults`."""
+
+    recordings: Names
+    swapped: Annotated[tuple[Text, ...], Field()] = ()
+    dead: dict[Text, Number] = Field(default_factory=dict)
+    saturation: dict[Text, Positive] = Field(default_factory=dict)
+    spikes_per_s: NotNegative = 0.0
+    spike_size_m: Positive = 20e-6
+    sample_time_factor: Positive = 1.0
+    missing_index: Switch = False
+    rub_clearance_m: Positive | None = None
+
+
+class RigSection(Section):
+    """Recordings of the virtual rig.
+
+    `loop`: recordings under a controller. A rotor that is unstable without one has no other recordings.
+    `controller`: what closes the loop: ``python``, the sampled matrices in the program of the rig, or
+    ``compiled``, the control chain in C as it is exported, with the options of the section target (its ramps are
+    shortened to the settling time).
+    """
+
+    model: Text = "theisen2016"
+    seed: CountOrZero = 1
+    operating_points: Annotated[tuple[OperatingPoint, ...], Field(min_length=1)]
+    duration_s: Positive = _PRBS.duration_s
+    settle_s: NotNegative = 0.5
+    sample_time_s: Positive = 2e-4
+    oversampling: Annotated[int, Strict(), Field(ge=20)] = 20
+    controller: Literal["python", "compiled"] = "python"
+    touch_down: Literal["refuse", "flag"] = "refuse"
+    clearance_m: Positive = 25e-6
+    moving_mass_kg: Positive = Machine.moving_mass
+    prbs: PrbsSection = PrbsSection()
+    played: Annotated[PlayedSection | None, BeforeValidator(given)] = None
+    loop: Annotated[RigLoopSection | None, BeforeValidator(given)] = None
+    stationary: StationarySection = StationarySection()
+    staircase: Annotated[StaircaseSection | None, BeforeValidator(given)] = None
+    stack_staircase: Annotated[StackStaircaseSection | None, BeforeValidator(given)] = None
+    hammer: Annotated[HammerSection | None, BeforeValidator(given)] = None
+    run_up: Annotated[RunUpSection | None, BeforeValidator(given)] = None
+    courses: tuple[CourseSection, ...] = ()
+    sensors: SensorSection = SensorSection()
+    unbalance: UnbalanceSection = UnbalanceSection()
+    actuators: ActuatorSection = ActuatorSection()
+    flexible_mode: Annotated[FlexibleModeSection | None, BeforeValidator(given)] = None
+    stiffening: Annotated[StiffeningSection | None, BeforeValidator(given)] = None
+    non_synchronous: Annotated[NonSynchronousSection | None, BeforeValidator(given)] = None
+    process_noise: Annotated[ProcessNoiseSection | None, BeforeValidator(given)] = None
+    scatter: Annotated[ScatterSection | None, BeforeValidator(given)] = None
+    effects: dict[Text, dict[Text, Number]] = Field(default_factory=dict)
+    faults: tuple[FaultSection, ...] = ()

@@ -1,0 +1,612 @@
+"""Record of failures on disk: a resumed run does not repeat failed tasks unless the user asks for it."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+import traceback
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal, Protocol, get_args
+
+from gbid.control.tuning.problem import SearchStep
+from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError, from_interrupt
+from gbid.core.files import atomic_path
+from gbid.core.names import file_stem
+from gbid.core.tables import Column, Table
+from gbid.experiment.experiment import Check, Experiment
+from gbid.experiment.fields import is_current, stored_key, writing_keyed
+from gbid.identify import Progress
+from gbid.recording import Recording, load_recording
+
+# ---- Outcome of a task.
+
+State = Literal["made", "kept", "failed"]
+Cause = Literal["", "input", "data", "usage", "defect", "crash"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of one result file.
+
+    Attributes
+    ----------
+    stage, item : str
+        Names of stage and item, for example ``"fit"`` and ``"bearing/p5_n6000_prbs1"``.
+    path : pathlib.Path
+        The result file.
+    state : {"made", "kept", "failed"}
+        ``kept``: the file existed already, made from the same settings and data.
+    text : str
+        Reason of a failure, or a note about the result.
+    seconds : float
+        Computing time [s].
+    converged : bool
+        False for a fit that did not converge; its file is written anyway.
+    fit_percent : float
+        For a fit, the smallest fit percent of its outputs; nan for other results.
+    cause : {"", "input", "data", "usage", "defect", "crash"}
+        Cause of a failure: missing input, bad data, wrong options, defect of gbid, or death of the process.
+    before : bool
+        Whether the task failed in an earlier run and was not tried again.
+    """
+
+    stage: str
+    item: str
+    path: Path
+    state: State
+    text: str = ""
+    seconds: float = 0.0
+    converged: bool = True
+    fit_percent: float = math.nan
+    cause: Cause = ""
+    before: bool = False
+
+
+@dataclass(frozen=True)
+class Made:
+    """Summary of a result; the fields are those of `Outcome`."""
+
+    text: str = ""
+    converged: bool = True
+    fit_percent: float = math.nan
+
+
+# ---- Reporter: receiver of the progress of a run.
+
+
+class Reporter(Protocol):
+    """Receiver of the progress of stages."""
+
+    def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
+        """Receive the numbers of items of a stage to make, existing, and failed before; their outcomes follow."""
+        ...
+
+    def begin(self, stage: str, item: str) -> None:
+        """Receive the start of work on an item."""
+        ...
+
+    def iteration(self, progress: Progress) -> None:
+        """Receive an iteration of the solver."""
+        ...
+
+    def search(self, step: SearchStep) -> None:
+        """Receive a step of a search for gains."""
+        ...
+
+    def end(self, outcome: Outcome) -> None:
+        """Receive the outcome of an item."""
+        ...
+
+
+class Silent:
+    """Reporter that ignores all progress."""
+
+    def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
+        """Ignore the numbers of items."""
+
+    def begin(self, stage: str, item: str) -> None:
+        """Ignore the start of an item."""
+
+    def iteration(self, progress: Progress) -> None:
+        """Ignore an iteration."""
+
+    def search(self, step: SearchStep) -> None:
+        """Ignore a step of the search."""
+
+    def end(self, outcome: Outcome) -> None:
+        """Ignore an outcome."""
+
+
+# ---- Job and tasks: the part that all stages share.
+
+
+@dataclass(frozen=True)
+class Task:
+    """Task that makes one result file, in any process.
+
+    Attributes
+    ----------
+    stage, item : str
+        Names of the stage and of the item.
+    path : pathlib.Path
+        The result file.
+    key : str
+        Content key of the result.
+    write : callable
+        Function that makes the result from job and item, writes it to the given path, and may return its summary. It
+        must be defined in a module, so that another process can import it.
+    recordings : tuple of str
+        Recordings from which the result is made.
+    read : callable, optional
+        Function that returns the summary of an existing result: the same as `write` returned.
+    """
+
+    stage: str
+    item: str
+    path: Path
+    key: str
+    write: Callable[[Job, str, Path], Made | None]
+    recordings: tuple[str, ...] = ()
+    read: Callable[[Path], Made] | None = None
+
+
+class TaskEngine(Protocol):
+    """Engine: it runs tasks in this process or in others."""
+
+    def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
+        """Run tasks; yield number and outcome of each as soon as it ends, in any order.
+
+        The engine informs the reporter of the job when a task begins. Closing the generator stops the running tasks.
+
+        Raises
+        ------
+        NoSpaceError
+            When the disk is full; the remaining tasks are not run.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop the workers of the engine."""
+        ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """Job: an experiment with the options of its run.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        The experiment to run.
+    overwrite : bool
+        Whether results made from other settings may be replaced.
+    reporter : Reporter
+        Receiver of the progress.
+    engine : TaskEngine, optional
+        Engine that runs the tasks; without it they run one after the other in this process.
+    retry : bool
+        Whether tasks that failed in an earlier run, with the same settings and data, are tried again.
+    """
+
+    experiment: Experiment
+    overwrite: bool = False
+    reporter: Reporter = field(default_factory=Silent)
+    engine: TaskEngine | None = None
+    retry: bool = False
+
+    def path(self, folder: str, name: str, ending: str = ".h5") -> Path:
+        """Return the path of a result; a long name is cut, and ends with a digest."""
+        *above, last = name.split("/")
+        return self.experiment.results.joinpath(folder, *map(file_stem, above), f"{file_stem(last)}{ending}")
+
+
+FOLDER = "failed"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Cause of the failure of a task.
+
+    Attributes
+    ----------
+    key : str
+        Content key of the missing result. The task is tried again when settings or data change.
+    cause : str
+        Kind of cause, as in `Outcome`.
+    text : str
+        Text of the error.
+    details : str
+        Traceback of a defect, else empty.
+    """
+
+    key: str
+    cause: Cause
+    text: str
+    details: str = ""
+
+
+def failure_path(job: Job, stage: str, item: str) -> Path:
+    """Return the path of the record of a failure, ``failed/<stage>/<item>.json``."""
+    return job.path(f"{FOLDER}/{stage}", item, ".json")
+
+
+def remember_failure(job: Job, task: Task, failure: Failure) -> None:
+    """Write the record of a failure.
+
+    Raises
+    ------
+    DataError
+        When the record cannot be written.
+    """
+    when = datetime.now(UTC).isoformat(timespec="seconds")
+    document = {"stage": task.stage, "item": task.item, **failure.__dict__, "when": when}
+    with atomic_path(failure_path(job, task.stage, task.item), overwrite=True) as part:
+        part.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+
+
+def remembered_failure(job: Job, task: Task) -> Failure | None:
+    """Return the recorded failure of a task with the same settings and data; None without a readable record."""
+    try:
+        text = failure_path(job, task.stage, task.item).read_text(encoding="utf-8")
+        found = json.loads(text)
+        failure = Failure(*(str(found[name]) for name in ("key", "cause", "text", "details")))  # type: ignore[arg-type]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return failure if failure.key == task.key and failure.cause in get_args(Cause) else None
+
+
+def forget_failure(job: Job, task: Task) -> None:
+    """Remove the record of a failure, if there is one."""
+    failure_path(job, task.stage, task.item).unlink(missing_ok=True)
+
+
+# ---- Inputs of tasks: they must exist and be made from the present settings.
+
+
+class InputError(DataError):
+    """Error for an input of a task that is missing or outdated; the task itself is not at fault."""
+
+
+def load_checked(path: Path, key: str, command: str) -> Recording:
+    """Return a recording after a check of its content key.
+
+    Raises
+    ------
+    DataError
+        When the file is missing or was made from other settings.
+    """
+    check_made(path, key, command)
+    return load_recording(path)
+
+
+def check_made(path: Path, key: str, command: str) -> None:
+    """Refuse a file that is missing or was made from other settings.
+
+    Raises
+    ------
+    InputError
+        Its text names the command that makes the file.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: file is missing; `{command}` makes it")
+    found = stored_key(path)
+    if not found:
+        raise InputError(f"{path}: truncated or not made by an experiment; make it again with `{command} --overwrite`")
+    if found != key:
+        raise InputError(f"{path}: made from other settings or data; make it again with `{command} --overwrite`")
+
+
+def cause_of(error: GbidError) -> Cause:
+    """Return the kind of cause of an error: a missing input, wrong options, or bad data."""
+    if isinstance(error, InputError):
+        return "input"
+    return "usage" if isinstance(error, UsageError) else "data"
+
+
+# ---- Execution of tasks: one task, or all tasks of a stage on an engine.
+
+
+def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] | None = None) -> list[Outcome]:
+    """Keep the results that are current and make the others with the engine of the job.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    tasks : sequence of Task
+        Tasks of one stage; none needs the result of another.
+    known : sequence of Outcome or None, optional
+        Results of `standing` for the tasks, when the caller has them already.
+
+    Returns
+    -------
+    list of Outcome
+        Outcomes in the order of the tasks.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings exists and must not be replaced. No task has run then.
+    NoSpaceError
+        When the disk is full.
+    """
+    if not tasks:
+        return []
+    found = [standing(job, task) for task in tasks] if known is None else list(known)
+    settled = [outcome for outcome in found if outcome is not None]
+    todo = [number for number, outcome in enumerate(found) if outcome is None]
+    failed = sum(outcome.state == "failed" for outcome in settled)
+    job.reporter.expect(tasks[0].stage, len(todo), len(settled) - failed, failed)
+    for outcome in settled:
+        job.reporter.end(outcome)
+    if todo:
+        running = (job.engine or InTurn()).outcomes(job, [tasks[number] for number in todo])
+        try:
+            for which, outcome in running:
+                found[todo[which]] = ended = replace(outcome, path=tasks[todo[which]].path)
+                job.reporter.end(ended)
+        finally:
+            running.close()
+    return [outcome for outcome in found if outcome is not None]
+
+
+def standing(job: Job, task: Task) -> Outcome | None:
+    """Return the outcome of a task that need not run, because its result is current or it failed before; else None.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings exists and must not be replaced.
+    """
+    try:
+        if is_current(task.path, task.key, job.overwrite):
+            made = task.read(task.path) if task.read else Made()
+            return _outcome(task, made, "kept")
+    except DataError as error:
+        if not job.overwrite:
+            return Outcome(task.stage, task.item, task.path, "failed", str(error), cause="data")
+    failure = None if job.retry or job.overwrite else remembered_failure(job, task)
+    if failure is None:
+        return None
+    return Outcome(task.stage, task.item, task.path, "failed", failure.text, cause=failure.cause, before=True)
+
+
+def perform(job: Job, task: Task) -> Outcome:
+    """Run a task and return its outcome; an error becomes an outcome, so that the other tasks go on.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    task : Task
+        The task to run.
+
+    Returns
+    -------
+    Outcome
+        Outcome of the task. A failure is recorded on disk, except for a missing input.
+
+    Raises
+    ------
+    NoSpaceError
+        When the disk is full.
+    KeyboardInterrupt
+        After Ctrl-C.
+    """
+    began = time.perf_counter()
+    try:
+        with writing_keyed(task.path, task.key) as part:
+            made = task.write(job, task.item, part) or Made()
+        forget_failure(job, task)
+        return replace(_outcome(task, made, "made"), seconds=time.perf_counter() - began)
+    except NoSpaceError:
+        raise
+    except Exception as error:
+        if from_interrupt(error):
+            raise KeyboardInterrupt from None
+        failure = _failure_of(task, error)
+    return fail(job, task, failure)
+
+
+def fail(job: Job, task: Task, failure: Failure) -> Outcome:
+    """Return the outcome of a failed task and record the failure on disk."""
+    if failure.cause != "input":
+        remember_failure(job, task, failure)
+    return Outcome(task.stage, task.item, task.path, "failed", failure.text, cause=failure.cause)
+
+
+def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callable[[Path], str | None]) -> Outcome:
+    """Keep a result, or make it in this process; bad data become an outcome, so that the other results go on.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    stage, item : str
+        Names of stage and item.
+    path : pathlib.Path
+        The result file.
+    key : str
+        Content key of the result.
+    write : callable
+        Function that makes the result, writes it to the given path, and may return a note about it.
+
+    Returns
+    -------
+    Outcome
+        Outcome of the result file.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings exists and must not be replaced.
+    """
+    began = time.perf_counter()
+    try:
+        if is_current(path, key, job.overwrite):
+            outcome = Outcome(stage, item, path, "kept")
+        else:
+            job.reporter.begin(stage, item)
+            with writing_keyed(path, key) as part:
+                text = write(part) or ""
+            outcome = Outcome(stage, item, path, "made", text, time.perf_counter() - began)
+    except NoSpaceError:
+        raise
+    except DataError as error:
+        outcome = Outcome(stage, item, path, "failed", str(error), cause=cause_of(error))
+    job.reporter.end(outcome)
+    return outcome
+
+
+def _outcome(task: Task, made: Made, state: str) -> Outcome:
+    return Outcome(
+        task.stage,
+        task.item,
+        task.path,
+        "kept" if state == "kept" else "made",
+        made.text,
+        converged=made.converged,
+        fit_percent=made.fit_percent,
+    )
+
+
+def _failure_of(task: Task, error: Exception) -> Failure:
+    if isinstance(error, GbidError):
+        return Failure(task.key, cause_of(error), str(error))
+    if isinstance(error, MemoryError):
+        return Failure(task.key, "crash", "not enough memory")
+    text = " ".join(f"{type(error).__name__}: {error} (a defect of gbid, not of your input; please report it)".split())
+    return Failure(task.key, "defect", text, traceback.format_exc())
+
+
+class InTurn:
+    """Engine that runs one task after the other in this process."""
+
+    def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
+        """Run the tasks in their order; yield number and outcome of each."""
+        for number, task in enumerate(tasks):
+            job.reporter.begin(task.stage, task.item)
+            yield number, perform(job, task)
+
+    def close(self) -> None:
+        """Do nothing: there are no workers."""
+
+
+# ---- View of a stage: its JSON document for programs, and tables of it for people.
+
+Document = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class View:
+    """JSON document and tables of a stage.
+
+    Attributes
+    ----------
+    document : callable
+        Function that returns the entries of the JSON document from the outcomes of a run; it skips other stages.
+    tables : callable
+        Function that returns tables of these entries.
+    """
+
+    document: Callable[[Job, Sequence[Outcome]], Document]
+    tables: Callable[[Document], Iterable[Table]]
+
+
+def outcomes_view(stage: str, key: str) -> View:
+    """Return the view of a stage without its own: a list of its outcomes, under a key of the JSON document."""
+    columns = [Column("item"), Column("state"), Column("text", wrap=True)]
+
+    def document(_: Job, outcomes: Sequence[Outcome]) -> Document:
+        own = [o for o in outcomes if o.stage == stage]
+        return {key: [{"item": o.item, "state": o.state, "text": o.text, "path": str(o.path)} for o in own]}
+
+    def tables(document: Document) -> list[Table]:
+        rows = [[row[column.name] for column in columns] for row in document[key]]
+        return [Table(stage, columns, rows)] if rows else []
+
+    return View(document, tables)
+
+
+# ---- Stage of an experiment: a section of the YAML, its checks, and the tasks that make its results.
+
+Work = Sequence[Task | Outcome]
+"""Tasks to run, and outcomes of items for which no task is possible."""
+
+
+def always(_: Experiment) -> bool:
+    """Return true: `gbid run` runs a stage."""
+    return True
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Stage of an experiment.
+
+    Attributes
+    ----------
+    name : str
+        Name of the stage in progress and outcomes.
+    section : str
+        Key of its section in the YAML; a field of `gbid.experiment.schema.ExperimentFile` defines the section.
+    checks : tuple of callable
+        Checks of the section that are possible before a run.
+    tasks : callable
+        Function that returns the work of the section; empty when the YAML has no such section.
+    then : tuple of callable
+        Functions that return work on the results of the stage, such as tables; run one after the other.
+    early : bool
+        Whether its tasks are known before any other stage has run. Campaigns consist of these stages.
+    in_run : callable
+        Whether `gbid run` runs the stage for an experiment; its own verb does so in any case.
+    view : View, optional
+        JSON document and tables of its outcomes for verbs. Those of gbid's own stages are in `gbid.cli.documents`. Without
+        a view, the outcomes are shown as a list.
+    """
+
+    name: str
+    section: str
+    checks: tuple[Check, ...]
+    tasks: Callable[[Job], Work]
+    then: tuple[Callable[[Job, Sequence[Outcome]], Work], ...] = ()
+    early: bool = False
+    in_run: Callable[[Experiment], bool] = always
+    view: View | None = None
+
+
+def run_stage(job: Job, stage: Stage) -> list[Outcome]:
+    """Make or keep the results of a stage and return their outcomes.
+
+    Returns
+    -------
+    list of Outcome
+        Empty when the YAML has no such section. A failure does not stop the other tasks.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings exists and must not be replaced.
+    NoSpaceError
+        When the disk is full.
+    """
+    return go_on(job, stage, do_work(job, stage.tasks(job)))
+
+
+def go_on(job: Job, stage: Stage, made: Sequence[Outcome]) -> list[Outcome]:
+    """Make the results that start from those of the stage's tasks; return the outcomes of both."""
+    outcomes = list(made)
+    for work in stage.then:
+        outcomes += do_work(job, work(job, outcomes))
+    return outcomes
+
+
+def do_work(job: Job, work: Work) -> list[Outcome]:
+    """Run tasks and return their outcomes, after those of items that need no task."""
+    settled = [item for item in work if isinstance(item, Outcome)]
+    for outcome in settled:
+        job.reporter.end(outcome)
+    return [*settled, *run_tasks(job, [item for item in work if isinstance(item, Task)])]

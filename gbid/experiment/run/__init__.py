@@ -1,1 +1,0 @@
-"""Run of an experiment: job, tasks, engines, outcomes, and the record of failures."""

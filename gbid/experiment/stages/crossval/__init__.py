@@ -1,1 +1,0 @@
-"""Cross-validation: models on recordings to which they were not fitted."""

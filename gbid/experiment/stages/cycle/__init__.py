@@ -1,1 +1,0 @@
-"""Identification-for-control cycle: the tuned controller runs on the rig, and what it records makes the next one."""

@@ -1,1 +1,0 @@
-"""Excitations of the next recordings, designed from the fits."""

@@ -1,1 +1,0 @@
-"""Fits of a structure to recordings."""

@@ -1,1 +1,0 @@
-"""Hammer impacts on the rig, in open and closed loop."""

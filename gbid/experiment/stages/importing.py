@@ -1,0 +1,158 @@
+"""Checks of the import section: its files exist, and its mappings are valid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.experiment.experiment import Experiment, PlannedRecording
+from gbid.experiment.fields import Found, content_key, file_digest
+from gbid.experiment.recordings import (
+    data_file,
+    driving_channels,
+    mapping_of,
+    recording_task,
+    refuse_bad_signals,
+    used_channels,
+)
+from gbid.experiment.run import Job, Made, Stage, Task
+from gbid.recording import ImportMapping, Recording, find_group_problems, import_recording, save_recording
+from gbid.recording.formats import file_formats
+
+
+def data_can_be_read(experiment: Experiment) -> Found:
+    """Yield problems of data files and mappings; the contents of the files are checked later."""
+    section = experiment.spec.imported
+    if section is None:
+        return
+    folder = experiment.folder / section.data_folder
+    if not folder.is_dir():
+        yield ("import", "data_folder"), f"no folder {folder}; give it relative to the experiment file"
+    yield from experiment.imports.problems
+    reported: set[str] = set()
+    for found in experiment.imports.files:
+        entry, here = found.entry, found.location
+        path = data_file(experiment, entry)
+        listed = "recordings" in here
+        if not listed and str(here) in reported:
+            continue  # all files of a folder share one mapping
+        reported.add(str(here))
+        here_file = (*here, "file") if listed else here
+        file_format = file_formats().get(path.suffix.lower())
+        if file_format is None:
+            yield here_file, f"unknown ending {path.suffix!r}; expected one of {', '.join(file_formats())}"
+        elif folder.is_dir() and not path.is_file():
+            yield here_file, f"no file {path}; put it there, or correct the name or data_folder"
+        here_mapping = here if listed else here[:2]
+        try:
+            mapping = ImportMapping.from_dict(mapping_of(entry))
+        except (UsageError, DataError) as error:
+            yield here_mapping, str(error)
+            continue
+        may_be_stated = file_format is None or file_format.states_sample_time
+        if mapping.sample_time is None and mapping.time is None and not may_be_stated:
+            yield here_mapping, "neither sample_time_s nor time is given; give the sample time or the time column"
+
+
+# ---- Stage that imports recordings from files.
+
+_RANGE = ("samples", "from_s", "to_s", "piece")  # keys that say which samples of a file are taken
+
+
+def import_tasks(job: Job) -> list[Task]:
+    """Return the tasks of the import section, one for each recording."""
+    return [
+        recording_task(job, "import", planned, _write_import)
+        for planned in job.experiment.recordings.values()
+        if planned.imported is not None
+    ]
+
+
+def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
+    """Return one recording from its file; refuse it when a signal that a fit uses is faulty.
+
+    Raises
+    ------
+    DataError
+        When the file does not contain the mapped columns, when an earlier recording contains the same samples, or when
+        a signal that a fit uses is faulty.
+    UsageError
+        When a unit does not suit its signal.
+    """
+    assert planned.imported is not None
+    file = data_file(experiment, planned.imported)
+    refuse_same_content(experiment, planned)
+    recording = import_recording(file, mapping_of(planned.imported))
+    driving = driving_channels(experiment, planned.name)
+    refuse_bad_signals(planned, recording, used_channels(experiment, planned.name), file, driving=driving)
+    if not planned.imported.remove_mean:
+        return recording
+    centred = {name: values - values.mean(axis=0) for name, values in recording.signals.items()}
+    provenance = {**recording.provenance, "remove_mean": "mean of each signal removed"}
+    return replace(recording, signals=centred, provenance=provenance)
+
+
+def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording, str, int]]:
+    """Return the problems of all imported recordings, each alone and compared with the others.
+
+    Returns
+    -------
+    list of (PlannedRecording, text, exit code)
+        Recording, text and exit code of each problem.
+    """
+    found: list[tuple[PlannedRecording, str, int]] = []
+
+    def readable() -> Iterator[Recording]:
+        for planned in experiment.recordings.values():
+            if planned.imported is not None:
+                try:
+                    yield replace(read_import(experiment, planned), name=planned.name)
+                except GbidError as error:
+                    found.append((planned, str(error), error.exit_code))
+
+    beside = find_group_problems(readable())
+    for name, problems in beside.items():
+        found += [(experiment.recordings[name], problem.text, DataError.exit_code) for problem in problems]
+    return found
+
+
+def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> None:
+    """Refuse a recording with the same samples as an earlier one, from the same file or a copy of it.
+
+    Raises
+    ------
+    DataError
+        Its text names the other recording.
+    """
+    mine = _content(experiment, planned)
+    for other in experiment.recordings.values():
+        if other.name == planned.name:
+            return
+        if other.imported is not None and _content(experiment, other) == mine:
+            raise DataError(
+                f"recording {planned.name!r} holds the same samples as {other.name!r}; leave one of them out, or "
+                "correct its file"
+            )
+
+
+def _content(experiment: Experiment, planned: PlannedRecording) -> str:
+    """Return a digest of the samples that a recording takes from its file."""
+    assert planned.imported is not None
+    columns = {name: list(signal.columns) for name, signal in planned.imported.signals.items()}
+    taken = {**{key: getattr(planned.imported, key) for key in _RANGE}, "signals": columns}
+    try:
+        return content_key("content", taken, [file_digest(data_file(experiment, planned.imported))])
+    except OSError:
+        return f"unreadable {planned.name}"
+
+
+def _write_import(job: Job, name: str, part: Path) -> Made:
+    recording = read_import(job.experiment, job.experiment.recordings[name])
+    save_recording(recording, part, overwrite=True)
+    return Made(recording.provenance.get("import_remarks", ""))
+
+
+IMPORT = Stage("import", "import", (data_can_be_read,), import_tasks, early=True)
+"""Recordings from files, as ``recordings/<name>.h5``."""

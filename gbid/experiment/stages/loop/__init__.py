@@ -1,1 +1,0 @@
-"""Controllers of recordings in closed loop."""

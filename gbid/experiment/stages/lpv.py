@@ -1,0 +1,297 @@
+"""Checks of the lpv section."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from gbid.core import hdf5
+from gbid.core.errors import GbidError, UsageError
+from gbid.core.files import scratch_folder
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.fields import Found, Location, content_key, stored_key
+from gbid.experiment.recordings import lpv_actuators
+from gbid.experiment.run import InputError, Job, Made, Outcome, Stage, Task, Work, cause_of
+from gbid.experiment.schema import LpvSection
+from gbid.experiment.stages.fit import a_fit_is_named, fit_arguments, fit_entries, model_key
+from gbid.experiment.stages.prefilter import load_fit_input
+from gbid.experiment.structures import make_structure, structure_or_none
+from gbid.identify import TableEntry, tabulate
+from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct, load_lpv_fit, lpv_of
+from gbid.lpv.estimates import check_points, chosen_exponents
+from gbid.lpv.fit import KIND, write_uncertainty
+from gbid.lpv.model import ACTUATOR_PARAMETERS
+from gbid.lpv.model_file import write_model
+from gbid.structure import KEY_PARAMETERS, NonlinearStructure, Plant, RotorBearing, ScheduledStructure
+from gbid.validate.central import load_actuators
+
+
+def surfaces_can_be_drawn(experiment: Experiment) -> Found:
+    """Yield problems of the lpv section: fit, key parameters, actuators, and operating points for the order."""
+    section = experiment.spec.lpv
+    if section is None:
+        return
+    where: Location = ("lpv", "fit")
+    if section.fit in experiment.spec.fits and isinstance(
+        structure := structure_or_none(experiment, section.fit), ScheduledStructure
+    ):
+        yield from _of_scheduled(experiment, section, structure)
+        return
+    yield from a_fit_is_named(experiment, where, section.fit, KEY_PARAMETERS, "name a fit of rotor_bearing or plant")
+    if section.fit not in experiment.spec.fits:
+        return
+    try:
+        lpv_actuators(experiment, section)
+    except GbidError as error:
+        yield ("lpv", "actuators"), str(error)
+    if section.robust and section.weighting == "fits":
+        yield ("lpv", "robust"), "needs weighting: scatter or ordinary"
+    points = []
+    for planned in experiment.fit_recordings(section.fit):
+        point = [planned.conditions.get(key) for key in ("pressure_bar", "speed_rpm")]
+        if None in point:
+            yield where, f"recording {planned.name!r} has no pressure_bar and speed_rpm; surfaces need both"
+            return
+        points.append([float(v) for v in point if v is not None])
+    if points and section.order != "auto":
+        try:
+            check_points(np.array(points), chosen_exponents(section.order))
+        except GbidError as error:
+            yield ("lpv", "order"), str(error)
+
+
+def _of_scheduled(experiment: Experiment, section: LpvSection, structure: ScheduledStructure) -> Found:
+    """Yield problems of surfaces that a scheduled structure has itself."""
+    if not experiment.spec.fits[section.fit].together:
+        text = f"{structure.name} has one model for all recordings; write together: true"
+        yield ("fits", section.fit, "together"), text
+    if section.direct:
+        yield ("lpv", "direct"), f"{structure.name} gives the surfaces straight from the recordings already; remove it"
+    try:
+        lpv_actuators(experiment, section)
+    except GbidError as error:
+        yield ("lpv", "actuators"), str(error)
+
+
+# ---- Surfaces of an experiment, made by `gbid.fit_lpv` from its fits.
+
+DIRECT = "_direct"
+"""Suffix of the name of the direct LPV fit."""
+
+
+class Surfaces:
+    """Surfaces of one job; each is made at its first use.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    more : dict of str to TableEntry
+        Fits besides those of the experiment, such as those of recordings in closed loop, by their content keys.
+
+    Raises
+    ------
+    UsageError
+        When the experiment has no section ``lpv``.
+    """
+
+    def __init__(self, job: Job, more: Mapping[str, TableEntry] | None = None) -> None:
+        self._job, self._more = job, more or {}
+        section = job.experiment.spec.lpv
+        if section is None:
+            raise UsageError("no section 'lpv'; add one")
+        self._section = section
+
+    @cached_property
+    def key(self) -> str:
+        """Content key of the section, the existing fits, and the actuators."""
+        there = [entry.model for entry in self._entries if entry.result is not None]
+        keys = [model_key(self._job.experiment, self._section.fit, model) for model in there] + list(self._more)
+        settings = {**self._section.model_dump(), "models": there, "found_actuators": self._actuators}
+        return content_key("lpv", settings, keys)
+
+    def make(self, item: str) -> LPVFit:
+        """Return the surfaces of one item: those of the fit, or of its direct LPV fit."""
+        return self._two_step if item == self._section.fit else self._direct()
+
+    @cached_property
+    def _entries(self) -> list[TableEntry]:
+        return fit_entries(self._job, self._section.fit)
+
+    @cached_property
+    def _two_step(self) -> LPVFit:
+        """Surfaces fitted to the estimates of the fits."""
+        section, experiment = self._section, self._job.experiment
+        if all(entry.result is None for entry in self._entries):
+            raise InputError(f"fit {section.fit!r} has no results; run `gbid fit` or `gbid run` first")
+        structure = make_structure(experiment, section.fit)
+        if isinstance(structure, ScheduledStructure):
+            return self._of_scheduled()
+        return fit_lpv(
+            tabulate([*self._entries, *self._more.values()]),
+            weighting=section.weighting,
+            order=section.order,
+            robust=section.robust,
+            actuators=self._actuators,
+            pade_order=self._pade_order,
+            name=experiment.spec.name,
+            title=experiment.spec.title,
+            source=f"experiment {experiment.spec.name}, fit {section.fit}",
+        )
+
+    def _of_scheduled(self) -> LPVFit:
+        """Return the surfaces that the fit of a scheduled structure found."""
+        (entry,), experiment = self._entries, self._job.experiment
+        assert entry.result is not None
+        return lpv_of(
+            entry.result,
+            actuators=self._actuators or None,
+            name=experiment.spec.name,
+            title=experiment.spec.title,
+            source=f"experiment {experiment.spec.name}, fit {self._section.fit}",
+        )
+
+    def _direct(self) -> LPVFit:
+        """Return the surfaces estimated directly from the recordings."""
+        experiment, name = self._job.experiment, self._section.fit
+        spec = experiment.spec.fits[name]
+        recordings = [load_fit_input(self._job, planned) for planned in experiment.fit_recordings(name)]
+        hold = fit_arguments(experiment, name, recordings)["intersample"]
+        structure = make_structure(experiment, name)
+        if isinstance(structure, NonlinearStructure | ScheduledStructure):
+            raise UsageError(
+                f"fit {name!r}: surfaces straight from the recordings are for linear structures with constant "
+                "parameters"
+            )
+        return fit_lpv_direct(
+            recordings,
+            self._two_step,
+            structure=structure,
+            focus=spec.focus,
+            intersample=hold,
+            fixed=spec.fixed,
+            engine=spec.engine,
+            name=f"{experiment.spec.name}{DIRECT}",
+            progress=self._job.reporter.iteration,
+        )
+
+    @cached_property
+    def _actuators(self) -> dict[str, float]:
+        known, nominal = lpv_actuators(self._job.experiment, self._section), self._job.experiment.spec.nominal
+        if known is not None or nominal is None:
+            return known or {}
+        values = load_actuators(self._job.path("nominal", nominal.fit, ".yaml"))
+        return {name: values[name] for name in ACTUATOR_PARAMETERS}
+
+    @property
+    def _pade_order(self) -> int:
+        structure = make_structure(self._job.experiment, self._section.fit)
+        bearing = structure.bearing if isinstance(structure, Plant) else structure
+        return bearing.pade_order if isinstance(bearing, RotorBearing) else 1
+
+
+# ---- Stage of the surfaces over pressure and speed (paper, Sec. 4).
+
+FOLDER = "lpv"
+_UNCERTAINTY = " uncertainty"
+_MODEL = "model_file"  # attribute with the model's YAML: the surfaces are then computed once for both files
+
+
+def lpv_tasks(job: Job) -> Work:
+    """Return the task of the lpv section; the model and the direct LPV fit follow."""
+    section = job.experiment.spec.lpv
+    if section is None:
+        return []
+    try:
+        return [_uncertainty_task(job, section.fit)]
+    except GbidError as error:
+        path = job.path(FOLDER, section.fit)
+        return [Outcome("lpv", f"{section.fit}{_UNCERTAINTY}", path, "failed", str(error), cause=cause_of(error))]
+
+
+def _model_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    """Return the task of the model; a model is written only after its uncertainty."""
+    last = made[-1] if made else None
+    if last is None or last.state == "failed" or last.path.suffix != ".h5":
+        return []
+    item = last.item.removesuffix(_UNCERTAINTY)
+    path = job.path(FOLDER, item, ".yaml")
+    return [Task("lpv", item, path, stored_key(last.path), _write_model, read=read_status)]
+
+
+def _direct_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    section = job.experiment.spec.lpv
+    if section is None or not section.direct or any(outcome.state == "failed" for outcome in made):
+        return []
+    return [_uncertainty_task(job, f"{section.fit}{DIRECT}")]
+
+
+def _uncertainty_task(job: Job, item: str) -> Task:
+    return Task("lpv", f"{item}{_UNCERTAINTY}", job.path(FOLDER, item), Surfaces(job).key, _write_uncertainty)
+
+
+def made_surfaces(outcomes: Sequence[Outcome]) -> dict[str, LPVFit]:
+    """Return the existing surfaces by item; the two-step ones first."""
+    return {
+        o.item: load_lpv_fit(o.path)
+        for o in outcomes
+        if o.stage == "lpv" and o.state != "failed" and o.path.suffix == ".yaml"
+    }
+
+
+def read_surfaces(job: Job) -> dict[str, LPVFit]:
+    """Return the surfaces made from the present fits, by item; empty when there are none."""
+    section = job.experiment.spec.lpv
+    if section is None:
+        return {}
+    try:
+        key = Surfaces(job).key
+    except (GbidError, OSError):
+        return {}
+    paths = {item: job.path(FOLDER, item, ".yaml") for item in (section.fit, f"{section.fit}{DIRECT}")}
+    return {item: load_lpv_fit(path) for item, path in paths.items() if stored_key(path) == key}
+
+
+def _write_uncertainty(job: Job, item: str, part: Path) -> Made:
+    surfaces = Surfaces(job)
+    return write_surfaces(surfaces.make(item.removesuffix(_UNCERTAINTY)), part, surfaces.key)
+
+
+def write_surfaces(fit: LPVFit, part: Path, key: str) -> Made:
+    """Write the uncertainty of surfaces, with the text of the model file beside it."""
+    with scratch_folder(part) as folder:
+        file = folder / "model.yaml"
+        write_model(fit.model, file, comment=f"content_key: {key}")
+        text = file.read_text(encoding="utf-8")
+    with hdf5.writing(part, KIND, overwrite=True) as h5:
+        write_uncertainty(fit, h5, key)
+        h5.attrs[_MODEL] = text
+    return Made(fit.status)
+
+
+def _write_model(job: Job, item: str, part: Path) -> Made:
+    return write_model_beside(job.path(FOLDER, item), part)
+
+
+def write_model_beside(path: Path, part: Path) -> Made:
+    """Write the model file whose text is in the file of the uncertainty."""
+    with hdf5.reading(path, KIND) as file:
+        part.write_text(str(hdf5.read_attribute(file, _MODEL)), encoding="utf-8")
+    return read_status(path)
+
+
+def read_status(path: Path) -> Made:
+    """Return the summary of surfaces."""
+    with hdf5.reading(path.with_suffix(".h5"), KIND) as file:
+        success, status = (hdf5.read_attribute(file, name) for name in ("success", "status"))
+    return Made(str(status), bool(success))
+
+
+LPV = Stage("lpv", "lpv", (surfaces_can_be_drawn,), lpv_tasks, (_model_tasks, _direct_tasks, _model_tasks))
+"""``lpv/<fit>.yaml`` and ``.h5``, and ``lpv/<fit>_direct.*`` when the direct LPV fit is wanted.
+
+A model and its uncertainty are separate outcomes.
+"""

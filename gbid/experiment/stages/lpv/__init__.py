@@ -1,1 +1,0 @@
-"""Surfaces over pressure and speed, fitted to the key parameters of the fits."""

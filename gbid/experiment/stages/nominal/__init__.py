@@ -1,1 +1,0 @@
-"""Nominal actuator: the most central of many models."""

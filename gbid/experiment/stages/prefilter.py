@@ -1,0 +1,281 @@
+"""Checks of the prefilter section."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from gbid.core.errors import DataError
+from gbid.experiment.controllers import answered, loop_stills
+from gbid.experiment.experiment import NO_POINT, Experiment, PlannedRecording
+from gbid.experiment.fields import Found, content_key, stored_key
+from gbid.experiment.recordings import driving_channels, load_made, recording_key, refuse_bad_signals, used_channels
+from gbid.experiment.run import Job, Made, Outcome, Stage, Task, load_checked
+from gbid.experiment.schema import PrefilterSection
+from gbid.prefilter import (
+    PrefilterReport,
+    RunoutMap,
+    align_index,
+    compare_runout,
+    identify_runout,
+    prefilter,
+    save_prefilter,
+)
+from gbid.prefilter.identify_runout import leftover_words, refuse_lost_index
+from gbid.prefilter.prefilter import read_report, save_prefiltered
+from gbid.recording import Recording, with_unbalance
+
+
+def runout_maps_can_be_made(experiment: Experiment) -> Found:
+    """Yield a problem for each operating point without a stationary recording, position or angle."""
+    section = experiment.spec.prefilter
+    if section is None:
+        return
+    if section.median % 2 == 0:
+        yield ("prefilter", "median"), f"{section.median} is even; give an odd size, 1 for no median"
+    for planned in experiment.recordings.values():
+        if planned.excited and "p" not in planned.signals:
+            text = f"recording {planned.name!r} has no signal p, which the prefilter works on"
+            yield planned.location, f"{text}; name one so, or remove the section prefilter"
+    if section.method == "none":
+        return
+    still = {q.point for q in experiment.recordings.values() if q.stationary}
+    if section.slow_roll is not None:
+        if not any(q.stationary for q in experiment.matching(section.slow_roll)):
+            yield ("prefilter", "slow_roll"), f"no stationary recording matches {', '.join(section.slow_roll)}"
+        still.add(NO_POINT)
+    reported: set[str] = set()
+    for planned in experiment.recordings.values():
+        if planned.excited and not answered(experiment, planned) and planned.point not in still | reported:
+            reported.add(planned.point)
+            yield (
+                ("prefilter",),
+                f"no stationary recording at {planned.point} (as {planned.name!r}), so no run-out map; "
+                "add one, or write method: none",
+            )
+
+
+# ---- Stage of the prefilter (paper, Sec. 3.5): one run-out map per operating point, from its stationary recordings.
+
+FOLDER = "prefiltered"
+MAP_FOLDER = "prefilter"
+POSITION = "p"
+_HARMONICS_IN_LOOP = 10  # where their number is to be found from data
+
+
+def prefilter_tasks(job: Job) -> list[Task]:
+    """Return the tasks of the prefilter section, one for each excited recording."""
+    if job.experiment.spec.prefilter is None:
+        return []
+    tasks = []
+    for planned in job.experiment.recordings.values():
+        if planned.excited:
+            path, key = job.path(FOLDER, planned.name), prefiltered_key(job.experiment, planned)
+            tasks.append(Task("prefilter", planned.name, path, key, _write_prefiltered, (planned.name,)))
+    return tasks
+
+
+def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    """Return the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks."""
+    without = {outcome.item for outcome in made if outcome.state == "failed"}
+    section = job.experiment.spec.prefilter
+    if section is None:
+        return []
+    tasks = []
+    for point, excited in _by_map(job.experiment).items():
+        there = [planned for planned in excited if planned.name not in without]
+        if there:
+            keys = [prefiltered_key(job.experiment, planned) for planned in there]
+            key, names = content_key("map", section.model_dump(), keys), tuple(planned.name for planned in there)
+            path = job.path(MAP_FOLDER, point)
+            tasks.append(Task("prefilter", f"map {point}", path, key, _write_map, names))
+    return tasks
+
+
+def prefiltered_key(experiment: Experiment, planned: PlannedRecording) -> str:
+    """Return the content key of a prefiltered recording."""
+    section = experiment.spec.prefilter
+    assert section is not None
+    still = stationary_keys(experiment, planned.point)
+    if answered(experiment, planned) and section.method != "none":
+        still = [recording_key(experiment, q) for q in loop_stills(experiment, planned.point)]
+    sources = [recording_key(experiment, planned), *still]
+    return content_key("prefilter", {"name": planned.name, **section.model_dump()}, sources)
+
+
+def fit_input_key(experiment: Experiment, planned: PlannedRecording) -> str:
+    """Return the content key of a recording as fits use it, prefiltered if the experiment has a prefilter."""
+    if experiment.spec.prefilter is None:
+        return recording_key(experiment, planned)
+    return prefiltered_key(experiment, planned)
+
+
+def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
+    """Return a recording as fits use it.
+
+    Raises
+    ------
+    DataError
+        When the recording is missing or was made from other settings.
+    """
+    if job.experiment.spec.prefilter is None:
+        return load_made(job, planned)
+    key = prefiltered_key(job.experiment, planned)
+    return load_checked(job.path(FOLDER, planned.name), key, "gbid fit")
+
+
+def _write_prefiltered(job: Job, name: str, part: Path) -> None:
+    planned = job.experiment.recordings[name]
+    runout_map, answers = _stated_maps(job, planned)  # first, because without them nothing can be done
+    raw = load_made(job, planned)
+    driving = driving_channels(job.experiment, planned.name)
+    refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name), driving=driving)
+    filtered, report = _filtered(job, planned, raw, runout_map, answers)
+    save_prefiltered(filtered, report, part)
+
+
+def filtered_input(job: Job, planned: PlannedRecording, raw: Recording) -> Recording:
+    """Return a recording that is not one of the experiment as its fits use it: filtered with the map of its point.
+
+    Raises
+    ------
+    DataError
+        When there is no run-out map of its operating point.
+    """
+    if job.experiment.spec.prefilter is None:
+        return raw
+    return _filtered(job, planned, raw, *_stated_maps(job, planned))[0]
+
+
+def _stated_maps(job: Job, planned: PlannedRecording) -> tuple[RunoutMap | None, dict[str, RunoutMap]]:
+    """Return the run-out map of a recording, and where a controller answers to the run-out the maps of its answers."""
+    try:
+        if not answered(job.experiment, planned):
+            return _runout_map(job, planned.point), {}
+        maps = _maps_in_loop(job, planned.point)
+        return maps.get(POSITION), {signal: own for signal, own in maps.items() if signal != POSITION}
+    except DataError as error:
+        raise type(error)(f"no run-out map: {error}") from None
+
+
+def _filtered(
+    job: Job,
+    planned: PlannedRecording,
+    raw: Recording,
+    runout_map: RunoutMap | None,
+    answers: dict[str, RunoutMap],
+) -> tuple[Recording, PrefilterReport]:
+    section = job.experiment.spec.prefilter
+    assert section is not None
+    if runout_map is not None and runout_map.needs_angle:
+        refuse_bad_signals(planned, raw, ["phi"], kinds=("encoder",))
+        if section.align_index:
+            raw = align_index(runout_map, raw).apply(raw)
+        else:
+            refuse_lost_index(runout_map, raw)
+    filtered, report = prefilter(
+        raw,
+        runout_map,
+        answers=answers,
+        spikes=section.spikes,
+        median=section.median,
+        remove_mean=section.remove_mean,
+        any_condition=planned.point == NO_POINT,
+    )
+    turning = "speed_rpm" in filtered.signals and "phi" in filtered.signals
+    return with_unbalance(filtered) if turning else filtered, report
+
+
+def _write_map(job: Job, item: str, part: Path) -> Made:
+    excited = _by_map(job.experiment)[item.removeprefix("map ")]
+    reports = []
+    for planned in excited:
+        path = job.path(FOLDER, planned.name)
+        if path.is_file() and stored_key(path) == prefiltered_key(job.experiment, planned):
+            reports.append(read_report(path))
+    runout_map, _ = _stated_maps(job, excited[0])
+    save_prefilter(part, runout_map, reports, overwrite=True)
+    return Made("; ".join(runout_map.notes) if runout_map else "")
+
+
+@lru_cache(maxsize=64)
+def _runout_map(job: Job, point: str) -> RunoutMap | None:
+    """Return the run-out map of an operating point; cached, because its recordings and the report use it."""
+    section = job.experiment.spec.prefilter
+    assert section is not None
+    if section.method == "none":
+        return None
+    still: list[Recording] = []
+    for planned in _stationary(job.experiment, point):
+        rec = load_made(job, planned)
+        refuse_bad_signals(
+            planned, rec, ["p", "phi"], kinds=("too_few_samples", "rub", "encoder", "sample_time", "speed")
+        )
+        if section.align_index and still:
+            rec = align_index(identified_map(still[:1], section)[0], rec).apply(rec)
+        still.append(rec)
+    runout_map, words = identified_map(still, section)
+    return replace(runout_map, notes=(*runout_map.notes, *words, *leftover_words(runout_map, still)))
+
+
+def identified_map(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:
+    """Return the map by the method of the section, and a note on what was chosen by held-out data."""
+    if section.method == "bins" or (section.method == "harmonics" and section.harmonics != "auto"):
+        number = 1 if section.harmonics == "auto" else section.harmonics  # not used by bins
+        return identify_runout(still, method=section.method, harmonics=number, bins=section.bins), ()
+    by_method = section.method == "auto"
+    compared = compare_runout(still) if by_method else compare_runout(still, bins=())
+    chosen = compared.chosen
+    left = ", ".join(f"{1e9 * rms:.1f}" for rms in chosen.residual_rms)
+    size = "" if chosen.method == "mean" else f", {chosen.size}"
+    key = "method" if by_method else "harmonics"
+    return compared.runout_map, (f"{key} auto: {chosen.method}{size}; rms residual on test data {left} nm",)
+
+
+@lru_cache(maxsize=64)
+def _maps_in_loop(job: Job, point: str) -> dict[str, RunoutMap]:
+    """Return the maps of p, r and u, which follow the shaft because the controller answers to the run-out."""
+    section = job.experiment.spec.prefilter
+    assert section is not None
+    if section.method == "none":
+        return {}
+    still = [load_made(job, planned) for planned in loop_stills(job.experiment, point)]
+    number = _HARMONICS_IN_LOOP if section.harmonics == "auto" else section.harmonics
+    method = "bins" if section.method == "bins" else "harmonics"
+    return {
+        signal: identify_runout(still, method=method, harmonics=number, bins=section.bins, signal=signal, in_loop=True)
+        for signal in (POSITION, "r", "u")
+    }
+
+
+def _by_map(experiment: Experiment) -> dict[str, list[PlannedRecording]]:
+    """Return the excited recordings by their run-out map: operating point, and whether the loop answers to run-out."""
+    found: dict[str, list[PlannedRecording]] = {}
+    for point, there in experiment.points.items():
+        for planned in (q for q in there if q.excited):
+            label = f"{point}_loop" if answered(experiment, planned) else point
+            found.setdefault(label, []).append(planned)
+    return found
+
+
+def _stationary(experiment: Experiment, point: str) -> list[PlannedRecording]:
+    there = [q for q in experiment.points.get(point, ()) if q.stationary]
+    section = experiment.spec.prefilter
+    if point == NO_POINT and not there and section is not None and section.slow_roll is not None:
+        return [q for q in experiment.matching(section.slow_roll) if q.stationary]
+    return there
+
+
+def stationary_keys(experiment: Experiment, point: str) -> list[Any]:
+    """Return the content keys of the stationary recordings behind the run-out map of an operating point."""
+    section = experiment.spec.prefilter
+    if section is None or section.method == "none":
+        return []
+    return [recording_key(experiment, q) for q in _stationary(experiment, point)]
+
+
+PREFILTER = Stage("prefilter", "prefilter", (runout_maps_can_be_made,), prefilter_tasks, (map_tasks,), early=True)
+"""``prefiltered/<name>.h5`` for each excited recording, and ``prefilter/<point>.h5`` with the maps."""

@@ -1,1 +1,0 @@
-"""Prefilter: it removes run-out, offset and spikes from the recordings."""

@@ -1,0 +1,133 @@
+"""Checks of the static sections: their recordings exist and have the signals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from gbid.characterise import (
+    PiezoCurve,
+    StaticMap,
+    characterise_piezo,
+    characterise_staircase,
+    load_static,
+    save_static,
+    static_rows,
+)
+from gbid.core.tables import table_of_records, write_csv
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.fields import Found, Location, content_key, nearest
+from gbid.experiment.recordings import load_made, recording_key, refuse_bad_signals
+from gbid.experiment.run import Job, Made, Outcome, Stage, Task
+from gbid.experiment.schema import wanted_signals
+
+ONLY_FOR = {
+    "bearing": ("source",),
+    "piezo": ("channel", "command_channel", "settle_s", "limits"),
+}
+"""Keys that only one of the two kinds has."""
+
+
+def static_makes_sense(experiment: Experiment) -> Found:
+    """Yield problems of recordings and signals, and of keys of the other kind."""
+    for name, section in experiment.spec.static.items():
+        here: Location = ("static", name)
+        chosen = experiment.matching(section.recordings)
+        for pattern in section.recordings:
+            if not experiment.matching((pattern,)):
+                known = nearest(pattern, experiment.recordings)
+                yield (*here, "recordings"), f"no recording matches {pattern!r}; {known}"
+        if section.kind == "piezo" and len(chosen) > 1:
+            names = ", ".join(q.name for q in chosen)
+            yield (*here, "recordings"), f"a piezo is characterised from one recording, not {names}; name one"
+        for kind, keys in ONLY_FOR.items():
+            for key in keys:
+                if kind != section.kind and getattr(section, key) is not None:
+                    yield (*here, key), f"is for kind: {kind}; leave it out for kind: {section.kind}"
+        if section.limits is not None and not section.limits[0] < section.limits[1]:
+            yield (*here, "limits"), f"{list(section.limits)}: give the lower end first"
+        for planned in chosen:
+            for key, signal in wanted_signals(section).items():
+                if signal not in planned.signals:
+                    there = ", ".join(planned.signals)
+                    yield (*here, key), f"recording {planned.name!r} has no signal {signal!r}; it has {there}"
+
+
+# ---- Stage of the static characterisation (paper, Sec. 3.1 and Appendix A): maps and curves from staircases.
+
+FOLDER = "static"
+_OPTIONS = ("command", "source", "position", "keep", "channel", "command_channel", "settle_s", "limits")
+
+
+def static_tasks(job: Job) -> list[Task]:
+    """Return the tasks of the static sections, one for each characterisation."""
+    tasks = []
+    for name, section in job.experiment.spec.static.items():
+        recordings = tuple(q.name for q in job.experiment.matching(section.recordings))
+        path, key = job.path(FOLDER, name), static_key(job.experiment, name)
+        tasks.append(Task("static", name, path, key, _write, recordings))
+    return tasks
+
+
+def static_key(experiment: Experiment, name: str) -> str:
+    """Return the content key of a static characterisation."""
+    section = experiment.spec.static[name]
+    sources = [recording_key(experiment, q) for q in experiment.matching(section.recordings)]
+    return content_key("static", section.model_dump(), sources)
+
+
+def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
+    """Return an existing static characterisation.
+
+    Raises
+    ------
+    DataError
+        When the file is missing.
+    """
+    path = job.path(FOLDER, name)
+    if job.experiment.spec.static[name].kind == "piezo":
+        return load_static(path, PiezoCurve)
+    return load_static(path, StaticMap)
+
+
+def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    names = [outcome.item for outcome in made if outcome.state != "failed"]
+    return [
+        Task(
+            "static",
+            f"{name} (csv)",
+            job.path(FOLDER, name, ".csv"),
+            content_key("static csv", {}, [static_key(job.experiment, name)]),
+            _write_csv,
+        )
+        for name in names
+    ]
+
+
+def _write(job: Job, name: str, part: Path) -> Made:
+    section = job.experiment.spec.static[name]
+    options: dict[str, Any] = {key: getattr(section, key) for key in _OPTIONS if getattr(section, key) is not None}
+    data = []
+    for planned in job.experiment.matching(section.recordings):
+        data.append(load_made(job, planned))
+        # The command rests at its limits and other axes do not move: only the measured signals are checked.
+        measured = [signal for key, signal in wanted_signals(section).items() if key != "command"]
+        refuse_bad_signals(planned, data[-1], measured, kinds=("too_few_samples", "dead", "swapped", "rub"))
+    result: StaticMap | PiezoCurve
+    if section.kind == "piezo":
+        result = characterise_piezo(data[0], **options)
+    else:
+        result = characterise_staircase(data, **options)
+    save_static(result, part, overwrite=True)
+    return Made("; ".join(result.notes))
+
+
+def _write_csv(job: Job, item: str, part: Path) -> None:
+    name = item.removesuffix(" (csv)")
+    key = content_key("static csv", {}, [static_key(job.experiment, name)])
+    write_csv(table_of_records(static_rows(load_made_static(job, name))), part, [f"content_key: {key}"])
+
+
+STATIC = Stage("static", "static", (static_makes_sense,), static_tasks, (_csv_tasks,))
+"""``static/<name>.h5`` for each static characterisation, and ``static/<name>.csv`` with its plateaus."""

@@ -1,1 +1,0 @@
-"""Static characterisation: maps and curves from staircases."""

@@ -1,1 +1,0 @@
-"""Settings of the control chain on a real-time target."""

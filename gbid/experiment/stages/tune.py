@@ -1,0 +1,472 @@
+"""Checks of the controller section: structures, models, gains and operating points exist."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gbid.control import (
+    DisturbanceSpectrum,
+    GainResult,
+    Goal,
+    Scheduled,
+    SearchStep,
+    Uncertainty,
+    assess,
+    pareto,
+    price_of_robustness,
+    recorded_disturbance,
+    save_controller,
+    tune,
+)
+from gbid.control.assess import CappedDesign, DesignFigures, RobustPromise, TunedDesign, load_tuned, save_tuned
+from gbid.control.tuning.goals import DesignContext, limits_of
+from gbid.core.errors import GbidError
+from gbid.core.files import scratch_folder
+from gbid.experiment.controllers import (
+    SHORT_FORM,
+    TUNED,
+    assess_options,
+    controller_section,
+    design_key,
+    design_structure,
+    goal_recordings,
+    impact,
+    made_goal,
+    named_model,
+    no_disturbance,
+    peak_cap,
+    published_design,
+    published_structure,
+    sample_time,
+    surfaces_item,
+    tune_options,
+    with_actuators,
+    without_cap,
+)
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.fields import Found, Location, nearest, stored_key
+from gbid.experiment.recordings import load_made, recording_key
+from gbid.experiment.run import InputError, Job, Made, Outcome, Stage, Task, Work
+from gbid.experiment.schema import ControllerSection, RobustSection
+from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
+from gbid.experiment.stages.lpv import read_surfaces
+from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, load_lpv_fit, load_model
+from gbid.structure.linear import Structure
+
+
+def designs_can_be_tuned(experiment: Experiment) -> Found:
+    """Yield problems of the structure, model, gains and operating points of each design."""
+    for name, section in experiment.spec.controller.items():
+        where: Location = ("controller", name)
+        model: LPVModel | None = None
+        try:
+            item = surfaces_item(experiment, section)
+        except GbidError as error:
+            yield (*where, "model"), str(error)
+            continue
+        if item is None:
+            try:
+                model = named_model(experiment, section)
+            except GbidError as error:
+                yield (*where, "model") if section.model else where, str(error)
+                continue
+            for key in ("uncertainty", "robust"):
+                if getattr(section, key) is not None:
+                    yield (*where, key), "needs the surfaces of this experiment; write model: lpv"
+        else:
+            yield from _surfaces_problems(experiment, section, where)
+        if model is not None:
+            yield from _point_problems(section, model, where)
+        yield from _goal_problems(experiment, section, where)
+        try:
+            structure = design_structure(experiment, section, None if model is None else model.domain)
+        except GbidError as error:
+            key = "schedule" if "terms" in str(error) else "options" if section.options else "structure"
+            yield (*where, key), str(error)
+            continue
+        yield from _gain_problems(section, structure, where)
+
+
+def _surfaces_problems(experiment: Experiment, section: ControllerSection, where: Location) -> Found:
+    lpv = experiment.spec.lpv
+    assert lpv is not None
+    if lpv.actuators is None:
+        yield (*where, "model") if section.model else where, "the surfaces have no actuators; add lpv: actuators"
+    if section.model == "lpv_direct" and not lpv.direct:
+        yield (*where, "model"), "there are no surfaces of a direct LPV fit; write lpv: direct: true"
+
+
+def _point_problems(section: ControllerSection, model: LPVModel, where: Location) -> Found:
+    if section.operating_points == "model" and not model.operating_points:
+        yield (
+            (*where, "operating_points") if "operating_points" in section.model_fields_set else where,
+            f"model {model.name!r} lists no operating points; list some, or write domain",
+        )
+    if isinstance(section.operating_points, str):
+        return
+    for i, point in enumerate(section.operating_points):
+        for key in ("pressure_bar", "speed_rpm"):
+            value, (low, high) = getattr(point, key), getattr(model.domain, key)
+            if not low <= value <= high:
+                yield (
+                    (*where, "operating_points", i, key),
+                    f"{value:g} lies outside the domain of {model.name}, {low:g} to {high:g}; choose a value inside",
+                )
+
+
+def _goal_problems(experiment: Experiment, section: ControllerSection, where: Location) -> Found:
+    if section.robust is not None:
+        if section.goals is None:
+            yield (*where, "robust"), "needs goals; list them, such as goals: [{goal: MaxDamping}]"
+        if section.uncertainty is not None:
+            yield (*where, "uncertainty"), "comes with robust already; leave it out"
+        if section.pareto:
+            yield (*where, "pareto"), "is not for robust designs; write price: [...] below robust, or a second design"
+    if section.goals is None:
+        return
+    for key in SHORT_FORM:
+        if key in section.model_fields_set:
+            yield (*where, key), "stands beside goals; write it as a goal, too"
+    goals = []
+    for i, entry in enumerate(section.goals):
+        try:
+            goals.append(made_goal(entry, no_disturbance))
+        except GbidError as error:
+            yield (*where, "goals", i), str(error)
+        for pattern in entry.given().get("disturbance", ()):
+            yield from _disturbance_problems(experiment, pattern, (*where, "goals", i, "disturbance"))
+    if len(goals) < len(section.goals):
+        return
+    try:  # every plant has the channels of this one
+        limits_of(goals, DesignContext(load_model("theisen2016").plant_at(6.0, 0.0)))
+    except GbidError as error:
+        yield (*where, "goals"), str(error)
+
+
+def _disturbance_problems(experiment: Experiment, pattern: str, where: Location) -> Found:
+    found = experiment.matching((pattern,))
+    if not found:
+        yield where, f"no recording {pattern!r}; {nearest(pattern, experiment.recordings)}"
+    for planned in found:
+        if not planned.stationary:
+            yield where, f"recording {planned.name!r} is not stationary; its spectrum is not that of a disturbance"
+        elif "p" not in planned.signals:
+            yield where, f"recording {planned.name!r} has no signal p; there is {', '.join(planned.signals)}"
+
+
+def _gain_problems(section: ControllerSection, structure: Structure | Scheduled, where: Location) -> Found:
+    names = [parameter.name for parameter in structure.parameters]
+    for key in ("bounds", "start"):
+        for gain in getattr(section, key):
+            if gain not in names:
+                yield (*where, key, gain), f"{structure.name} has no gain of this name; {nearest(gain, names)}"
+    for gain, (low, high) in section.bounds.items():
+        if not low < high:
+            yield (*where, "bounds", gain), f"lower bound {low:g} is not below the upper one, {high:g}"
+
+
+# ---- Goals of a design, with the disturbance that recordings of the experiment show.
+
+
+def design_goals(job: Job, section: ControllerSection) -> list[Goal] | None:
+    """Return the goals of a design; None when the section has none and uses the short form.
+
+    Raises
+    ------
+    DataError
+        When a recording of a disturbance is missing or was made from other settings.
+    """
+    if section.goals is None:
+        return None
+
+    def shown(patterns: tuple[str, ...]) -> DisturbanceSpectrum:
+        return recorded_disturbance([load_made(job, planned) for planned in job.experiment.matching(patterns)])
+
+    return [made_goal(entry, shown) for entry in section.goals]
+
+
+# ---- Stage of the tuned controllers (paper, Sec. 5).
+
+PUBLISHED = "published"
+"""Name of the published controller in tables of designs."""
+
+
+def design_tasks(job: Job) -> Work:
+    """Return the tasks of the controller section, one for each design; failed outcomes for designs without plant."""
+    work: list[Task | Outcome] = []
+    surfaces = _surface_keys(job)
+    for name, section in job.experiment.spec.controller.items():
+        path = job.path(TUNED, name)
+        try:
+            work.append(
+                Task("tune", name, path, _design_key(job, section, surfaces), write_design, read=read_design_summary)
+            )
+        except GbidError as error:
+            work.append(Outcome("tune", name, path, "failed", str(error), cause="input"))
+    return work
+
+
+def _file_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    return [
+        Task("controller", o.item, job.path(TUNED, o.item, ".yaml"), stored_key(o.path), _write_controller)
+        for o in made
+        if o.state != "failed"
+    ]
+
+
+def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
+    """Return the designs made from the present settings and fits, by name; nothing is computed.
+
+    Returns
+    -------
+    designs : dict of str to TunedDesign
+        Existing designs by name.
+    missing : dict of str to str
+        Reason for each missing design, by name.
+    """
+    found: dict[str, TunedDesign] = {}
+    missing: dict[str, str] = {}
+    surfaces = _surface_keys(job)
+    for name, section in job.experiment.spec.controller.items():
+        path = job.path(TUNED, name)
+        try:
+            key = _design_key(job, section, surfaces)
+            if stored_key(path) == key:
+                found[name] = load_tuned(path)
+            else:
+                made = "made with other settings or data" if path.is_file() else "not made yet"
+                missing[name] = f"{made}; `gbid tune` makes it"
+        except GbidError as error:
+            missing[name] = str(error)
+    return found, missing
+
+
+def made_designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
+    """Return the existing designs by name."""
+    return {o.item: load_tuned(o.path) for o in outcomes if o.stage == "tune" and o.state != "failed"}
+
+
+def _surface_keys(job: Job) -> dict[str, str]:
+    """Return the content keys of the surfaces made from the present fits; empty when no design needs them."""
+    experiment = job.experiment
+    if all(surfaces_item(experiment, section) is None for section in experiment.spec.controller.values()):
+        return {}
+    return {item: stored_key(job.path(LPV_FOLDER, item, ".yaml")) for item in read_surfaces(job)}
+
+
+def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) -> str:
+    experiment = job.experiment
+    item = surfaces_item(experiment, section)
+    if item is None:
+        model = named_model(experiment, section)
+        return _key_of(experiment, section, published_design(experiment, model), model=model)
+    if item in surfaces:
+        return key_from_surfaces(experiment, section, job.path(LPV_FOLDER, item, ".yaml"))
+    raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
+
+
+def key_from_surfaces(experiment: Experiment, section: ControllerSection, path: Path) -> str:
+    """Return the content key of a design for the surfaces in a model file."""
+    published = published_design(experiment, load_lpv_fit(path).model)
+    return _key_of(experiment, section, published, sources=[stored_key(path)])
+
+
+def _key_of(
+    experiment: Experiment,
+    section: ControllerSection,
+    published: ProportionalDesign | None,
+    model: LPVModel | None = None,
+    sources: Sequence[str] = (),
+) -> str:
+    disturbing = [recording_key(experiment, planned) for planned in goal_recordings(experiment, section)]
+    return design_key(experiment, section, published, model, [*sources, *disturbing])
+
+
+def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:
+    """Return the model of a design, and its uncertainty when the section wants other plants besides it."""
+    item = surfaces_item(job.experiment, section)
+    if item is None:
+        return named_model(job.experiment, section), None
+    return plant_of_surfaces(section, load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")))
+
+
+def plant_of_surfaces(section: ControllerSection, fit: LPVFit) -> tuple[LPVModel, Uncertainty | None]:
+    """Return the model of a design for some surfaces, and its uncertainty when the section wants other plants."""
+    model, drawn = with_actuators(fit.model), section.uncertainty
+    if section.robust is not None:
+        return model, Uncertainty(fit.covariance, scatter=fit.scatter)
+    if drawn is None:
+        return model, None
+    if drawn.plants == "recordings":
+        return model, Uncertainty(samples=fit.estimates.values - fit.surface)
+    return model, Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
+
+
+def write_design(job: Job, name: str, part: Path) -> Made:
+    """Tune a design and write it."""
+    design = designed(job, name, *design_plant(job, controller_section(job.experiment, name)))
+    return save_design(design, part)
+
+
+def save_design(design: TunedDesign, part: Path) -> Made:
+    """Write a design and return its summary."""
+    save_tuned(design, part, overwrite=True)
+    return _made(design)
+
+
+def designed(job: Job, name: str, model: LPVModel, plants: Uncertainty | None) -> TunedDesign:
+    """Return a design of the controller section, tuned for a model and its uncertainty."""
+    experiment, section = job.experiment, controller_section(job.experiment, name)
+    structure, goals = design_structure(experiment, section, model.domain), design_goals(job, section)
+
+    def progress(step: SearchStep) -> None:
+        job.reporter.search(step)
+
+    options: dict[str, Any] = {
+        **tune_options(section),
+        "controller": structure,
+        "uncertainty": plants,
+        "sample_time": sample_time(experiment, section) if section.design_for == "sampled" else None,
+        "method": section.method,
+        "progress": progress,
+    }
+    promises: tuple[RobustPromise, ...] = ()
+    front: tuple[CappedDesign, ...] = ()
+    if section.robust is not None:
+        assert goals is not None
+        result, promises = _robust(model, section.robust, goals, options)
+    else:
+        limits: dict[str, Any] = {"goals": goals} if goals else {"peak_sensitivity": section.peak_sensitivity}
+        result = tune(model, **limits, **options)
+        if section.pareto:
+            others = pareto(model, section.pareto, goals=without_cap(section, goals) if goals else None, **options)
+            front = tuple(map(CappedDesign, others.caps, others.designs))
+    return TunedDesign(
+        name,
+        model.name,
+        result,
+        _performance(job, section, name, model, structure, result),
+        front,
+        impact(section),
+        sample_time(experiment, section),
+        section.method,
+        promises,
+    )
+
+
+def _robust(
+    model: LPVModel, section: RobustSection, goals: Sequence[Goal], options: Mapping[str, Any]
+) -> tuple[GainResult, tuple[RobustPromise, ...]]:
+    """Return the design for the wanted probability, and the promises for all of them."""
+    numbers = {key: getattr(section, key) for key in ("confidence", "draws", "fresh", "seed")}
+    search = {key: value for key, value in options.items() if key != "seed"}
+    price = price_of_robustness(
+        model, goals=goals, probabilities=(section.probability, *section.price), **search, **numbers
+    )
+    promises = tuple(
+        RobustPromise(
+            p,
+            design.confidence,
+            design.promised,
+            design.keeps_limits,
+            len(design.plants),
+            len(design.fresh.value),
+            plain,
+            price.limits_of_nominal,
+            price.nominal,
+        )
+        for p, design, plain in zip(price.probabilities, price.designs, price.of_nominal, strict=True)
+    )
+    return price.designs[price.probabilities.index(section.probability)].result, promises
+
+
+def _performance(
+    job: Job, section: ControllerSection, name: str, model: LPVModel, structure: Any, result: GainResult
+) -> tuple[DesignFigures, ...]:
+    """Return the assessments of the design and of the published controller."""
+    options = assess_options(job.experiment, section)
+    own = DesignFigures.of(assess(model, structure, result.gains, result.points, name=name, **options))
+    came = published_design(job.experiment, model)
+    return (own,) if came is None else (own, _assess_published(model, came, result.points, options))
+
+
+def _assess_published(
+    model: LPVModel, came: ProportionalDesign, points: Sequence[tuple[float, float]], options: dict[str, Any]
+) -> DesignFigures:
+    gains = {"kappa_x": came.kappa_x, "kappa_y": came.kappa_y}
+    return DesignFigures.of(assess(model, published_structure(came), gains, points, name=PUBLISHED, **options))
+
+
+def assess_published(experiment: Experiment, model: LPVModel) -> DesignFigures | None:
+    """Return the assessment of the published controller of a model; None when there is none.
+
+    It is for experiments without designs. The conditions are those of an empty section ``controller``: operating points
+    of the model, sample time of the rig.
+    """
+    came = published_design(experiment, model)
+    options = assess_options(experiment, ControllerSection())
+    return None if came is None else _assess_published(model, came, model.operating_points, options)
+
+
+def _made(design: TunedDesign) -> Made:
+    result = design.result
+    stuck = [f"under the cap {cap:g}: {entry.status}" for cap, entry in design.front if not entry.success]
+    if result.success:
+        return Made("; ".join(stuck))
+    worst = result.worst
+    mode = f"{worst.frequency_hz:.0f} Hz with damping {worst.damping:.3f} at {worst.where}"
+    active = f", limited by {', '.join(result.active)}" if result.active else ""
+    text = f"{result.status}: limits exceeded by {100 * result.violation:.2g} %{active}; worst mode {mode}"
+    return Made("; ".join([text, *stuck]), converged=False)
+
+
+def read_design_summary(path: Path) -> Made:
+    """Return the summary of an existing design."""
+    return _made(load_tuned(path))
+
+
+def _write_controller(job: Job, name: str, part: Path) -> None:
+    model, _ = design_plant(job, controller_section(job.experiment, name))
+    write_controller_of(job, name, job.path(TUNED, name), model, part)
+
+
+def write_controller_of(job: Job, name: str, path: Path, model: LPVModel, part: Path) -> None:
+    """Write the controller file of the design `name` that is stored at a path, made for a model."""
+    section, design = controller_section(job.experiment, name), load_tuned(path)
+    structure = design_structure(job.experiment, section, model.domain)
+    result = design.result
+    provenance: dict[str, str | float] = {
+        "experiment": job.experiment.spec.name,
+        "status": str(result.status),
+        result.objective: result.value,
+        "verified_on": result.verified_on,
+    }
+    cap = peak_cap(section)
+    if cap is not None:
+        provenance["cap_peak_sensitivity"] = cap
+    if result.peak_sensitivity is not None:
+        provenance["peak_sensitivity"] = result.peak_sensitivity
+    with scratch_folder(part) as folder:  # save_controller chooses the format by the ending
+        file = folder / "controller.yaml"
+        save_controller(
+            file,
+            structure,
+            result.gains,
+            name=name,
+            sample_time=sample_time(job.experiment, section),
+            method=section.method,
+            plant=design.plant,
+            points=result.points if isinstance(structure, Scheduled) else (),
+            provenance=provenance,
+        )
+        text = file.read_text(encoding="utf-8")
+    part.write_text(f"# content_key: {stored_key(path)}\n{text}", encoding="utf-8")
+
+
+TUNE = Stage("tune", "controller", (designs_can_be_tuned,), design_tasks, (_file_tasks,))
+"""``controller/<design>.h5`` and ``controller/<design>.yaml``.
+
+A design that does not meet all limits counts as not converged; it is written.
+"""

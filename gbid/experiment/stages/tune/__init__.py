@@ -1,1 +1,0 @@
-"""Controllers with tuned gains."""

@@ -1,0 +1,292 @@
+"""Structures of fits, built from their names and options in the YAML."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gbid.control.loop.close import sample_controller
+from gbid.core.errors import GbidError, UsageError
+from gbid.experiment.controllers import at_point, controller_identity, found_controller, rig_time
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.fields import nearest
+from gbid.experiment.rig_schema import LoopSection
+from gbid.experiment.schema import StructureOptions
+from gbid.identify.disturbances import Disturbances, asked_disturbances
+from gbid.structure import (
+    AnyStructure,
+    ClosedLoop,
+    LinearModel,
+    LinearStructure,
+    NonlinearStructure,
+    PiezoPair,
+    Plant,
+    RotorBearing,
+    ScheduledStructure,
+    Structure,
+    load_structure,
+    scheduled,
+)
+
+# ---- Closed loop of a fit's structure and the controller that its section names.
+
+
+def looped(
+    experiment: Experiment, structure: AnyStructure, section: LoopSection, fit: str, *, planned: bool = False
+) -> ClosedLoop:
+    """Return the loop of a structure and the controller of a section.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    structure : Structure
+        The plant.
+    section : LoopSection
+        How the loop is closed.
+    fit : str
+        Name of the fit; its recordings tell the operating point of a scheduled controller.
+    planned : bool
+        See `found_controller`.
+
+    Raises
+    ------
+    UsageError
+        When structure, controller and options do not fit each other.
+    InputError
+        When a design has not been tuned with the present settings.
+    """
+    if isinstance(structure, NonlinearStructure | ScheduledStructure):
+        raise UsageError(f"{structure.name}: a loop needs a linear structure with constant parameters")
+    if isinstance(structure, RotorBearing | PiezoPair):
+        raise UsageError(
+            f"{structure.name} is a part of what the controller acts on, from r to p; write structure: plant, or leave "
+            "loop out and fit it from what was measured on both sides"
+        )
+    law, sample_time = _law(experiment, section, fit, planned)
+    samples = section.computation_samples if section.sampled else 0
+    return ClosedLoop(
+        structure,
+        law,
+        sample_time=sample_time,
+        computation_samples=samples,
+        measured=section.measured,
+        injected=section.injected,
+        pade_order=section.pade_order,
+    )
+
+
+def _law(
+    experiment: Experiment, section: LoopSection, fit: str, planned: bool
+) -> tuple[LinearModel | Structure, float | None]:
+    """Return the controller for `ClosedLoop`, and the sample time at which it is to be sampled there."""
+    found = found_controller(experiment, section, planned=planned)
+    rate = section.sample_time_s or rig_time(experiment)
+    if found.structure is not None:
+        gains = found.structure
+        if section.delay_s is not None:
+            raise UsageError(
+                "delay_s is for a known continuous controller; an unknown one needs a Padé filter of its own"
+            )
+        return _with_known(gains, dict(section.gains)), rate if section.sampled else None
+    if found.model is not None:
+        model = found.model
+    else:
+        design = found.design
+        assert design is not None
+        point = at_point(design, _conditions(experiment, fit))
+        model = design.at(*point)
+        rate = section.sample_time_s or design.sample_time
+        if section.sampled:
+            model = sample_controller(model, rate, design.method)
+    if section.sampled:
+        if section.delay_s is not None:
+            raise UsageError("delay_s is for a continuous controller; write computation_samples, or sampled: false")
+        return model, None if model.dt is not None else rate
+    if model.dt is not None:
+        raise UsageError(f"controller {model.name!r} is sampled; remove sampled: false")
+    if section.sample_time_s is not None:
+        raise UsageError("sample_time_s is for a sampled controller; remove it, or sampled: false")
+    return _late(
+        model, (section.computation_samples + 0.5) * rate if section.delay_s is None else section.delay_s
+    ), None
+
+
+def _with_known(structure: Structure, gains: dict[str, float]) -> Structure:
+    """Return a structure whose known gains are fixed."""
+    if not gains:
+        return structure
+    parameters = [
+        replace(q, start=gains[q.name], lower=-np.inf, upper=np.inf, fixed=True) if q.name in gains else q
+        for q in structure.parameters
+    ]
+    return LinearStructure(structure.name, parameters, structure.matrices, structure.inputs, structure.outputs)
+
+
+def _late(model: LinearModel, delay: float) -> LinearModel:
+    """Return a continuous controller whose output is late by an exact delay [s]."""
+    if not delay:
+        return model
+    if model.D.any() or model.delay is not None:
+        raise UsageError(
+            f"controller {model.name!r} has direct feedthrough or a delay of its own; give it a low-pass, or write "
+            "delay_s: 0.0"
+        )
+    none: dict[str, Any] = {"B": np.zeros_like(model.B), "B_delayed": model.B}
+    return replace(model, **none, delay=np.full(model.B.shape[1], delay))
+
+
+def _conditions(experiment: Experiment, fit: str) -> dict[str, float]:
+    """Return the operating point that all recordings of a fit share; empty when they have several."""
+    points = [dict(planned.conditions) for planned in experiment.fit_recordings(fit)]
+    return points[0] if points and all(point == points[0] for point in points) else {}
+
+
+def _rotor_bearing(options: dict[str, Any]) -> Structure:
+    return RotorBearing(**options)
+
+
+def _piezo_pair(options: dict[str, Any]) -> Structure:
+    return PiezoPair(**options)
+
+
+def _plant(options: dict[str, Any]) -> Structure:
+    return Plant(RotorBearing(**options))
+
+
+def _scheduled(build: Callable[[dict[str, Any]], Structure]) -> Callable[[dict[str, Any]], ScheduledStructure]:
+    """Return the function that builds a scheduled structure from the options of the base and of its own."""
+
+    def both(options: dict[str, Any]) -> ScheduledStructure:
+        own = {key: value for key, value in options.items() if key in _OF_SCHEDULE}
+        return scheduled(build({key: value for key, value in options.items() if key not in own}), **own)
+
+    return both
+
+
+_OF_BEARING = ("delay", "pade_order", "disturbance_gain", "unbalance")
+_OF_SCHEDULE = ("order", "piece_s")
+
+BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure | ScheduledStructure], tuple[str, ...]]] = {
+    "rotor_bearing": (_rotor_bearing, (*_OF_BEARING, "film")),
+    "piezo_pair": (_piezo_pair, ("disturbance_gain",)),
+    "plant": (_plant, _OF_BEARING),
+    "scheduled_rotor_bearing": (_scheduled(_rotor_bearing), (*_OF_BEARING, *_OF_SCHEDULE)),
+    "scheduled_plant": (_scheduled(_plant), (*_OF_BEARING, *_OF_SCHEDULE)),
+}
+"""Structures that come with gbid: function that builds each, and its options."""
+
+
+def make_structure(experiment: Experiment, fit: str, *, planned: bool = False) -> AnyStructure:
+    """Return the structure of a fit, that of the loop if its recordings were made in one.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    fit : str
+        Name of the fit.
+    planned : bool
+        Whether a controller that is not tuned yet may stand with the start values of its gains, for checks.
+
+    Raises
+    ------
+    UsageError
+        When the name or an option is unknown, or the file does not define a structure.
+    InputError
+        When the controller of the loop has not been tuned with the present settings.
+    """
+    section, plant = experiment.spec.fits[fit], plant_structure(experiment, fit)
+    return plant if section.loop is None else looped(experiment, plant, section.loop, fit, planned=planned)
+
+
+def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
+    """Return the structure of a fit without a controller; raises as `make_structure`."""
+    spec = experiment.spec.fits[fit]
+    options = _given_options(spec.options)
+    if spec.structure in BUILT_IN:
+        build, known = BUILT_IN[spec.structure]
+        unknown = [key for key in options if key not in known]
+        if unknown:
+            raise UsageError(f"{spec.structure} has no option {unknown[0]}; {nearest(unknown[0], known)}")
+        if options.get("delay") == "exact" and "pade_order" in options:
+            raise UsageError("option pade_order is for delay: pade; remove one of the two")
+        return build(options)
+    if ":" not in spec.structure:
+        hint = nearest(spec.structure, BUILT_IN)
+        raise UsageError(f"no structure {spec.structure!r}; {hint} (or name one of your own as file.py:name)")
+    if options:
+        raise UsageError(f"options are for {', '.join(BUILT_IN)}; {spec.structure} has none: remove them")
+    return load_structure(spec.structure, experiment.folder_of(spec.structure.rpartition(":")[0]))
+
+
+def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
+    """Return the settings of a structure for its content key: name, options, and the digest of its file."""
+    spec = experiment.spec.fits[fit]
+    file = spec.structure.rpartition(":")[0]
+    settings: dict[str, Any] = {"name": spec.structure, "options": _given_options(spec.options)}
+    if file:
+        text = (experiment.folder_of(file) / file).read_bytes()
+        settings["file_sha256"] = hashlib.sha256(text).hexdigest()
+    if spec.loop is not None:
+        settings["loop"] = {**spec.loop.model_dump(exclude={"beside"}), **controller_identity(experiment, spec.loop)}
+    return settings
+
+
+def _given_options(options: StructureOptions) -> dict[str, Any]:
+    return {key: value for key, value in options if value is not None}
+
+
+def structure_or_none(experiment: Experiment, fit: str) -> AnyStructure | None:
+    """Return the structure of a fit as it is planned; None when another check reports it."""
+    try:
+        return make_structure(experiment, fit, planned=True)
+    except GbidError:
+        return None
+
+
+def fit_disturbances(experiment: Experiment, fit: str, structure: AnyStructure) -> Disturbances:
+    """Return the disturbances of the outputs that a fit estimates along.
+
+    Raises
+    ------
+    UsageError
+        When trend, hum or offsets do not fit each other or the outputs. A frequency is compared with the sample time
+        later, with the recordings.
+    """
+    section, labels = experiment.spec.fits[fit], tuple(output_labels(experiment, fit, structure))
+    return asked_disturbances(section.trend, section.hum, section.offsets, labels, 0.0, section.focus)
+
+
+def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the inputs and outputs of a fit: those of its section, else those of its structure.
+
+    ``inputs: []`` is a free decay, without inputs.
+
+    Raises
+    ------
+    UsageError
+        When the structure is needed and cannot be made.
+    """
+    section = experiment.spec.fits[fit]
+    structure = make_structure(experiment, fit, planned=True)
+    inputs = structure.inputs if section.inputs is None else section.inputs
+    return inputs, section.outputs or structure.outputs
+
+
+def output_labels(experiment: Experiment, fit: str, structure: AnyStructure) -> list[str]:
+    """Return the labels of the output channels of a fit, such as ``p_x``; empty without these channels."""
+    labels: list[str] = []
+    planned = experiment.fit_recordings(fit)
+    for wanted in experiment.spec.fits[fit].outputs or structure.outputs:
+        signal, _, channel = wanted.partition(".")
+        there = planned[0].signals.get(signal, ()) if planned else ()
+        if not there:
+            return []
+        picked = [channel] if channel else there
+        labels += [f"{signal}_{name}" if len(there) > 1 else signal for name in picked]
+    return labels

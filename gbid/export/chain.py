@@ -1,0 +1,725 @@
+"""Control chain: everything between the samples of the sensors and the references of the piezo stacks."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from itertools import pairwise
+from math import isfinite
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from gbid._version import __version__
+from gbid.control import ControllerDesign, Scheduled
+from gbid.control.controllers.file import Point
+from gbid.core.arrays import FloatArray, point_label
+from gbid.core.brief import Brief
+from gbid.core.errors import UsageError
+from gbid.core.notes import ControlNote
+from gbid.lpv import Domain
+from gbid.prefilter import RunoutMap
+from gbid.prefilter.identify_runout import refuse_lost_index
+from gbid.recording import Recording
+from gbid.structure import LinearModel
+
+# ---- Names and texts that go into C source: checked identifiers, and comments that end where they should.
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,49}")
+_WORDS = """
+auto break case char const continue default do double else enum extern float for goto if inline int long main register
+restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
+"""
+_RESERVED = frozenset(_WORDS.split())
+
+
+def c_name(text: str) -> str:
+    """Return a text after a check that it may be the prefix of names in C.
+
+    Parameters
+    ----------
+    text : str
+        The name.
+
+    Raises
+    ------
+    UsageError
+        When it is no identifier, longer than 50 characters, or a word of the language.
+    """
+    if not _NAME.fullmatch(text) or text in _RESERVED:
+        raise UsageError(
+            f"name {text!r} is no C identifier; use letters, digits and '_', a letter first, at most 50 characters, "
+            "and no word of the language"
+        )
+    return text
+
+
+def c_comment(text: str) -> str:
+    """Return a free text for a comment in C: one line of ASCII without marks of comments, trigraphs and backslashes.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+    """
+    line = " ".join(str(text).split())
+    line = re.sub(r"\*+/|/[*/]+", "|", line).replace("\\", "|").replace("??", "?")
+    return "".join(c if " " <= c <= "~" else "?" for c in line).replace("/*", "|").replace("*/", "|")
+
+
+def c_number(value: float, number: str) -> str:
+    """Return a number as a literal of type double or float that reads as the same bits.
+
+    Parameters
+    ----------
+    value : float
+        A finite number.
+    number : {"double", "float"}
+        Type of the literal.
+    """
+    text = repr(float(value))
+    text = text if any(c in text for c in ".e") else f"{text}.0"
+    text = f"{text}f" if number == "float" else text
+    return f"({text})" if text.startswith("-") else text
+
+
+# ---- Options of a control chain: limits, ramps, guards and watchdog.
+
+Number = Literal["double", "float"]
+STACKS = ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0))
+"""Factors of r_x and r_y in the references of the stacks 1 to 4 (Eq. 1)."""
+
+
+@dataclass(frozen=True)
+class ChainOptions:
+    """Options of a control chain.
+
+    Parameters
+    ----------
+    limit_m : float
+        Limit of the magnitude of r_x and r_y [m].
+    offset_m : float
+        r_0, position of each stack at rest [m].
+    stroke_m : float
+        Largest reference of a stack [m].
+    zero_m : tuple of float
+        p_0, subtracted from the position after the run-out map [m]; zero for the mean of the map.
+    median : {1, 3}
+        Size of the median. 3 removes single wrong samples and delays the position by a sample.
+    spike_limit_m : float or None
+        Largest deviation of a sample from the straight line through the two before it [m]. Up to three such samples
+        in a row are replaced by this line, without delay. None for no guard.
+    disc_limit_m : float
+        Distance of the disc from its zero position at which the watchdog ends the control [m].
+    beyond_samples, bad_samples, stuck_samples : int
+        Samples in a row after which the watchdog acts: beyond the limit, not finite, or without any change.
+    stuck_speed_rpm : float
+        Speed above which the shaft angle must change as well [rpm].
+    ramp_s : float
+        Time in which the stacks go from zero to r_0 and back [s].
+    fade_s : float
+        Time in which the control is faded in and out [s].
+    pressure_rate, speed_rate : float
+        Fastest change of pressure [bar/s] and speed [rpm/s] that a schedule follows.
+    number : {"double", "float"}
+        Type of the numbers in the source.
+
+    Raises
+    ------
+    UsageError
+        When a value has no meaning.
+    """
+
+    limit_m: float = 22.5e-6
+    offset_m: float = 22.5e-6
+    stroke_m: float = 45e-6
+    zero_m: tuple[float, float] = (0.0, 0.0)
+    median: int = 1
+    spike_limit_m: float | None = 8e-6
+    disc_limit_m: float = 20e-6
+    beyond_samples: int = 3
+    bad_samples: int = 5
+    stuck_samples: int = 50
+    stuck_speed_rpm: float = 300.0
+    ramp_s: float = 1.0
+    fade_s: float = 0.5
+    pressure_rate: float = 2.0
+    speed_rate: float = 2000.0
+    number: Number = "double"
+
+    def __post_init__(self) -> None:
+        for name in ("limit_m", "stroke_m", "disc_limit_m", "ramp_s", "fade_s", "pressure_rate", "speed_rate"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise UsageError(f"target: {name} = {value}; give a positive number")
+        for name in ("beyond_samples", "bad_samples", "stuck_samples"):
+            value = getattr(self, name)
+            if not 1 <= value <= 30000:
+                raise UsageError(f"target: {name} = {value}; give a whole number from 1 to 30000")
+        if self.median not in (1, 3):
+            raise UsageError(f"target: median = {self.median}; choose 1 (none) or 3")
+        if self.spike_limit_m is not None and not (isfinite(self.spike_limit_m) and self.spike_limit_m > 0):
+            raise UsageError(f"target: spike_limit_m = {self.spike_limit_m}; give a positive number, or null for none")
+        if self.number not in ("double", "float"):
+            raise UsageError(f"target: number = {self.number!r}; choose 'double' or 'float'")
+        if not (len(self.zero_m) == 2 and all(isfinite(v) for v in self.zero_m)):
+            raise UsageError(f"target: zero_m = {self.zero_m}; give two finite numbers, x and y")
+        if not (isfinite(self.stuck_speed_rpm) and self.stuck_speed_rpm >= 0):
+            raise UsageError(f"target: stuck_speed_rpm = {self.stuck_speed_rpm}; give a number of at least zero")
+        room = min(self.offset_m, self.stroke_m - self.offset_m)
+        if not self.limit_m <= room + 1e-12:
+            raise UsageError(
+                f"target: limit_m = {self.limit_m:g} m around offset_m = {self.offset_m:g} m leaves the stroke of "
+                f"{self.stroke_m:g} m; at most {max(room, 0.0):g} m fit"
+            )
+
+    def samples(self, seconds: float, sample_time: float) -> int:
+        """Return a time as a whole number of samples, at least one.
+
+        Parameters
+        ----------
+        seconds, sample_time : float
+            Time and time between samples [s].
+        """
+        return max(1, round(seconds / sample_time))
+
+
+# ---- Tables over pressure and speed with bilinear interpolation, as the generated source has them.
+
+TOLERANCE = 1e-3
+"""Largest error of the interpolation between nodes, as a share of the largest magnitude of an entry."""
+MOST_NODES = 9
+"""Most nodes along pressure and along speed."""
+
+
+@dataclass(frozen=True, eq=False)
+class GridTable:
+    """Rows of numbers over a grid of pressure and speed; one row when nothing is scheduled.
+
+    Attributes
+    ----------
+    pressure_bar, speed_rpm : tuple of float
+        Nodes, ascending; both empty for a single row, else at least two each.
+    rows : (n_nodes, n_entries) array
+        Rows, the nodes of speed within those of pressure.
+    error : float
+        Largest error between nodes that was found, as a share of the largest magnitude of an entry.
+    """
+
+    pressure_bar: tuple[float, ...]
+    speed_rpm: tuple[float, ...]
+    rows: FloatArray
+    error: float = 0.0
+
+    @property
+    def is_scheduled(self) -> bool:
+        """Whether there is more than one row."""
+        return len(self.rows) > 1
+
+    @cached_property
+    def _lists(self) -> list[list[float]]:
+        return [[float(v) for v in row] for row in self.rows]
+
+    def row(self, pressure_bar: float, speed_rpm: float) -> list[float]:
+        """Return the row at an operating point, by the operations of the C source in their order.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm : float
+            Operating point [bar], [rpm]; outside the nodes the nearest is taken.
+        """
+        rows = self._lists
+        if not self.is_scheduled:
+            return rows[0]
+        i, a = _place(self.pressure_bar, pressure_bar)
+        j, b = _place(self.speed_rpm, speed_rpm)
+        first, n = i * len(self.speed_rpm) + j, len(self.speed_rpm)
+        w00, w01, w10, w11 = (1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b
+        corners = zip(rows[first], rows[first + 1], rows[first + n], rows[first + n + 1], strict=True)
+        return [((w00 * p + w01 * q) + w10 * r) + w11 * s for p, q, r, s in corners]
+
+
+def inverse_widths(nodes: tuple[float, ...]) -> list[float]:
+    """Return one over the distance of each node from the next.
+
+    Parameters
+    ----------
+    nodes : tuple of float
+        Nodes, ascending.
+    """
+    return [1.0 / (nodes[i + 1] - nodes[i]) for i in range(len(nodes) - 1)]
+
+
+def _place(nodes: tuple[float, ...], value: float) -> tuple[int, float]:
+    """Return the node before a value within the nodes, and how far the value is on the way to the next."""
+    value = min(max(value, nodes[0]), nodes[-1])
+    i = sum(value >= node for node in nodes[1:-1])
+    return i, (value - nodes[i]) * inverse_widths(nodes)[i]
+
+
+def table_of_points(rows: dict[tuple[float, float], FloatArray], what: str) -> GridTable:
+    """Return the table of rows that are known at the points of a full grid.
+
+    Parameters
+    ----------
+    rows : dict of (pressure_bar, speed_rpm) to (n_entries,) array
+        Rows by operating point.
+    what : str
+        What the rows are, for the message.
+
+    Raises
+    ------
+    UsageError
+        When points of the grid are missing.
+    """
+    pressures, speeds = (tuple(sorted({point[i] for point in rows})) for i in (0, 1))
+    missing = [(p, s) for p in pressures for s in speeds if (p, s) not in rows]
+    if missing:
+        p, s = missing[0]
+        raise UsageError(
+            f"{what}: the operating points are no full grid, {p:g} bar at {s:g} rpm is missing; add it, or choose one "
+            "operating point (--at BAR RPM)"
+        )
+    if len(rows) == 1:
+        return GridTable((), (), np.array(list(rows.values())))
+    pressures, speeds, rows = _at_least_two(pressures, speeds, rows)
+    return GridTable(pressures, speeds, np.array([rows[p, s] for p in pressures for s in speeds]))
+
+
+def _at_least_two(
+    pressures: tuple[float, ...], speeds: tuple[float, ...], rows: dict[tuple[float, float], FloatArray]
+) -> tuple[tuple[float, ...], tuple[float, ...], dict[tuple[float, float], FloatArray]]:
+    """Repeat the only node of an axis, so that the source needs one form of interpolation."""
+    if len(pressures) == 1:
+        rows = rows | {(p + 1.0, s): row for (p, s), row in rows.items()}
+        pressures = (pressures[0], pressures[0] + 1.0)
+    if len(speeds) == 1:
+        rows = rows | {(p, s + 1.0): row for (p, s), row in rows.items()}
+        speeds = (speeds[0], speeds[0] + 1.0)
+    return pressures, speeds, rows
+
+
+def table_over_domain(row_at: Callable[[float, float], FloatArray], domain: Domain) -> GridTable:
+    """Return a table over a rectangle, with as many nodes as the interpolation needs.
+
+    Parameters
+    ----------
+    row_at : callable
+        From pressure [bar] and speed [rpm] to the exact row.
+    domain : Domain
+        The rectangle.
+
+    Returns
+    -------
+    GridTable
+        Its error is at most `TOLERANCE`, or that of `MOST_NODES` nodes along an axis.
+    """
+    known: dict[tuple[float, float], FloatArray] = {}
+
+    def exact(p: float, s: float) -> FloatArray:
+        if (p, s) not in known:
+            known[p, s] = np.asarray(row_at(p, s), float)
+        return known[p, s]
+
+    count = [2, 2]
+    while True:
+        axes = [
+            np.linspace(*bounds, n) for bounds, n in zip((domain.pressure_bar, domain.speed_rpm), count, strict=True)
+        ]
+        if domain.pressure_bar[0] == domain.pressure_bar[1]:
+            axes[0] = axes[0][:1]
+        if domain.speed_rpm[0] == domain.speed_rpm[1]:
+            axes[1] = axes[1][:1]
+        pressures, speeds = ([float(v) for v in axis] for axis in axes)
+        table = table_of_points({(p, s): exact(p, s) for p in pressures for s in speeds}, "schedule")
+        if not table.is_scheduled:
+            return table
+        largest = np.abs(table.rows).max(axis=0)
+        scale = np.maximum(largest, max(1e-6 * float(largest.max(initial=0.0)), 1e-300))
+        errors = [0.0, 0.0]
+        for axis, places in enumerate(
+            (
+                [(p, s) for p in _middles(pressures) for s in speeds],
+                [(p, s) for p in pressures for s in _middles(speeds)],
+            )
+        ):
+            for p, s in places:
+                errors[axis] = max(errors[axis], float((np.abs(table.row(p, s) - exact(p, s)) / scale).max()))
+        refined = [e > TOLERANCE / 2 and n < MOST_NODES for e, n in zip(errors, count, strict=True)]
+        if not any(refined):
+            return GridTable(table.pressure_bar, table.speed_rpm, table.rows, sum(errors))
+        count = [2 * n - 1 if more else n for n, more in zip(count, refined, strict=True)]
+
+
+def _middles(nodes: list[float]) -> list[float]:
+    return [0.5 * (a + b) for a, b in pairwise(nodes)]
+
+
+Kind = Literal["x", "e", "d"]
+
+
+@dataclass(frozen=True)
+class SumTerm:
+    """Product in a sum of the controller: entry of the row times a state x, an input e or a cut-off d.
+
+    Attributes
+    ----------
+    entry : int
+        Place of the factor in the row of the controller.
+    kind : {"x", "e", "d"}
+        What it is multiplied by: state, deviation of the disc, or what saturation took from an output.
+    index : int
+        Which one.
+    """
+
+    entry: int
+    kind: Kind
+    index: int
+
+
+@dataclass(frozen=True, eq=False)
+class Chain(Brief):
+    """Control chain, from `chain_of`.
+
+    Attributes
+    ----------
+    name : str
+        Name and prefix of all names in the source.
+    title : str
+        Controller and plant in words.
+    sample_time : float
+        T_s [s].
+    controller : GridTable
+        Rows with the entries of the sampled controller that are not zero.
+    outputs, states : tuple of tuple of SumTerm
+        Sums that make each output from the row, and each next state.
+    maps : tuple of RunoutMap
+        Run-out maps; empty for none, one, or several of one set of harmonics.
+    harmonics : GridTable or None
+        Rows with the mean and the harmonics of the maps: mean of x and y, then cosine of x and y, sine of x and y for
+        the orders 1, 2, ...; None when there is no map of harmonics.
+    options : ChainOptions
+        Limits, ramps, guards and watchdog.
+    notes : tuple of str
+        Remarks for the reader of the source.
+    """
+
+    name: str
+    title: str
+    sample_time: float
+    controller: GridTable
+    outputs: tuple[tuple[SumTerm, ...], ...]
+    states: tuple[tuple[SumTerm, ...], ...]
+    maps: tuple[RunoutMap, ...]
+    harmonics: GridTable | None
+    options: ChainOptions
+    notes: tuple[str, ...] = ()
+
+    @property
+    def n_orders(self) -> int:
+        """Number of harmonics, the missing orders between them included."""
+        return 0 if self.harmonics is None else (self.harmonics.rows.shape[1] - 2) // 4
+
+    @property
+    def bins(self) -> RunoutMap | None:
+        """The map when it is a table over the angle."""
+        return next((each for each in self.maps if each.method == "bins"), None)
+
+    @property
+    def needs_angle(self) -> bool:
+        """Whether the shaft angle is used."""
+        return any(each.needs_angle for each in self.maps)
+
+    @property
+    def is_scheduled(self) -> bool:
+        """Whether pressure and speed are used."""
+        return self.controller.is_scheduled or (self.harmonics is not None and self.harmonics.is_scheduled)
+
+    @property
+    def allocation(self) -> tuple[tuple[float, float], ...]:
+        """Factors of r_x and r_y in the references of the stacks."""
+        return STACKS
+
+    @property
+    def ramp_samples(self) -> int:
+        """Length of the start-up ramp in samples."""
+        return self.options.samples(self.options.ramp_s, self.sample_time)
+
+    @property
+    def fade_samples(self) -> int:
+        """Length of the fade of the control in samples."""
+        return self.options.samples(self.options.fade_s, self.sample_time)
+
+    @property
+    def point_bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Range of pressure and speed that the schedules cover."""
+        tables = [t for t in (self.controller, self.harmonics) if t is not None and t.is_scheduled]
+        if not tables:
+            return (0.0, 0.0), (0.0, 0.0)
+        low_high = [
+            (min(getattr(t, axis)[0] for t in tables), max(getattr(t, axis)[-1] for t in tables))
+            for axis in ("pressure_bar", "speed_rpm")
+        ]
+        return low_high[0], low_high[1]
+
+    @property
+    def point_steps(self) -> tuple[float, float]:
+        """Largest change of pressure and speed per sample that the schedules follow."""
+        return self.options.pressure_rate * self.sample_time, self.options.speed_rate * self.sample_time
+
+    @cached_property
+    def content_key(self) -> str:
+        """Digest of all numbers of the chain, 64 hexadecimal digits."""
+        tables = [t for t in (self.controller, self.harmonics) if t is not None]
+        document = {
+            "gbid": __version__,
+            "name": self.name,
+            "sample_time": self.sample_time,
+            "tables": [[t.pressure_bar, t.speed_rpm, t.rows.tolist()] for t in tables],
+            "sums": [[asdict(term) for term in terms] for terms in (*self.outputs, *self.states)],
+            "bins": [] if self.bins is None else [self.bins.angles.tolist(), self.bins.table.tolist()],
+            "means": [each.mean.tolist() for each in self.maps],
+            "options": asdict(self.options),
+        }
+        return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
+
+
+# ---- Anti-windup gain of a sampled controller of any structure.
+
+
+def anti_windup_gain(controller: LinearModel) -> FloatArray:
+    r"""Return the gain L by which the states follow a saturated output.
+
+    .. math:: x_{k+1} = A x_k + B e_k + L (\mathrm{sat}(w_k) - w_k), \quad w_k = C x_k + D e_k
+
+    During saturation the states obey ``A - L C``. L is the stationary Kalman gain of the controller whose input e is
+    white noise and whose output has noise of the size of its immediate response. For a PI controller this is
+    back-calculation with a tracking time of 1.4 times the integral time. For a controller with invertible D it is close
+    to the conditioning technique, ``L = B D^-1``. A fast filter gets a small gain, because it forgets by itself.
+
+    Parameters
+    ----------
+    controller : LinearModel
+        Sampled controller.
+
+    Returns
+    -------
+    (n_states, n_outputs) array
+        L; zero when no input reaches an output, or when a state that does not decay reaches none.
+
+    Notes
+    -----
+    Hanus, R., Kinnaert, M., Henrotte, J.-L. (1987), Conditioning technique, a general anti-windup and bumpless transfer
+    method, Automatica 23, 729-739.
+    """
+    A, B, C, D = (np.array(getattr(controller, letter), float) for letter in "ABCD")
+    none = np.zeros((len(A), len(C)))
+    if not A.size:
+        return none
+    size, column = float(np.linalg.norm(D, 2)), B
+    for _ in range(2):
+        size, column = max(size, float(np.linalg.norm(C @ column, 2))), A @ column
+    if size == 0:
+        return none
+    Q, S = B @ B.T, B @ D.T
+    R = D @ D.T + size**2 * np.eye(len(C))
+    try:
+        P = solve_discrete_are(A.T, C.T, Q, R, s=S)
+    except np.linalg.LinAlgError:  # an integrator that no output shows, or that no input drives
+        return none
+    gain = np.linalg.solve((C @ P @ C.T + R).T, (A @ P @ C.T + S).T).T
+    return np.asarray(np.where(np.abs(gain) < 1e-12 * np.abs(gain).max(), 0.0, gain))  # axes that do not mix
+
+
+# ---- Control chain from a controller design and run-out maps, with checks that it can run.
+
+_CHANNELS = 2
+_ON_THE_CIRCLE = 1.0 + 1e-9
+"""Largest magnitude of a pole of a controller that does not run away; an integrator has one of 1."""
+
+
+def chain_of(
+    design: ControllerDesign,
+    *,
+    name: str | None = None,
+    runout_maps: Sequence[RunoutMap] = (),
+    still: Sequence[Recording] = (),
+    options: ChainOptions | None = None,
+) -> Chain:
+    """Return the control chain of a design.
+
+    Parameters
+    ----------
+    design : ControllerDesign
+        The controller; any fixed structure with two inputs and two outputs, scheduled or not.
+    name : str, optional
+        Prefix of all names in C; by default that of the design.
+    runout_maps : sequence of RunoutMap
+        Maps of run-out and unbalance: none, one, or maps of harmonics at the points of a full grid of pressure and
+        speed, between which they are interpolated. Maps of a shaft at rest count only when there is no other.
+    still : sequence of Recording
+        Recordings with the encoder of the target. A map whose zero of the angle is another one is refused.
+    options : ChainOptions, optional
+        Limits, ramps, guards and watchdog.
+
+    Returns
+    -------
+    Chain
+
+    Raises
+    ------
+    UsageError
+        When the controller is unstable by itself or faster than its sample rate, when the name is no C identifier, or
+        when maps do not fit.
+    DataError
+        When the zero of the angle of a recording is not that of the map.
+    """
+    name = c_name(name or design.name)
+    options = options or ChainOptions()
+    models, table = _controller_table(design)
+    for point, model in models:
+        _check(design, model, point)
+    pattern = np.any(table.rows != 0, axis=0)
+    n = models[0][1].n_states
+    outputs, states = _sums(pattern, n)
+    entries = GridTable(table.pressure_bar, table.speed_rpm, table.rows[:, pattern], table.error)
+    maps = _used_maps(runout_maps)
+    for recording in still:
+        for each in maps:
+            if each.needs_angle:
+                refuse_lost_index(each, recording)
+    notes: tuple[str, ...] = ()
+    if table.error > TOLERANCE:
+        text = f"schedule: interpolation is off by up to {100 * table.error:.2g} % of an entry between nodes"
+        notes = (ControlNote.INTERPOLATED(text),)
+    plant = f", designed for {design.plant}" if design.plant else ""
+    return Chain(
+        name,
+        f"{design.name}: {models[0][1].name or 'controller'}{plant}",
+        design.sample_time,
+        entries,
+        outputs,
+        states,
+        maps,
+        _harmonics_table(maps),
+        options,
+        notes,
+    )
+
+
+def _controller_table(design: ControllerDesign) -> tuple[list[tuple[Point | None, LinearModel]], GridTable]:
+    """Return the sampled controllers at the nodes with their operating points, and the table of all their entries."""
+    found: dict[Point | None, LinearModel] = {}
+
+    def row_at(pressure_bar: float, speed_rpm: float) -> FloatArray:
+        model = design.sampled_at(pressure_bar, speed_rpm)
+        found[pressure_bar, speed_rpm] = model
+        return _row(design, model)
+
+    if isinstance(design.structure, Scheduled):
+        table = table_over_domain(row_at, design.structure.domain)
+    elif design.structure is None and None not in design.models:
+        points = [point for point in design.models if point is not None]
+        table = table_of_points({point: row_at(*point) for point in points}, f"controller {design.name!r}")
+    else:
+        model = design.sampled_at()
+        return [(None, model)], GridTable((), (), _row(design, model)[None])
+    return list(found.items()), table
+
+
+def _row(design: ControllerDesign, model: LinearModel) -> FloatArray:
+    if model.D.shape != (_CHANNELS, _CHANNELS):
+        raise UsageError(
+            f"controller {design.name!r} has {model.D.shape[1]} inputs and {model.D.shape[0]} outputs; the chain needs "
+            "p_x, p_y and r_x, r_y"
+        )
+    runs_away = _largest_pole(model) > _ON_THE_CIRCLE  # refused by _check
+    L = np.zeros((model.n_states, _CHANNELS)) if runs_away else anti_windup_gain(model)
+    return np.concatenate([np.hstack([model.C, model.D]).ravel(), np.hstack([model.A, model.B, L]).ravel()])
+
+
+def _largest_pole(sampled: LinearModel) -> float:
+    return float(np.abs(np.linalg.eigvals(sampled.A)).max(initial=0.0)) if sampled.n_states else 0.0
+
+
+def _check(design: ControllerDesign, sampled: LinearModel, point: Point | None) -> None:
+    """Refuse a controller that is unstable by itself, or that moves between its samples."""
+    where = "" if point is None else f" at {point_label(*point)}"
+    worst = _largest_pole(sampled)
+    if worst > _ON_THE_CIRCLE:
+        raise UsageError(
+            f"controller {design.name!r}{where} is unstable by itself (a pole of magnitude {worst:.6g} in the z "
+            "plane); a chain that fades in would run away: tune it with bounds that keep the controller stable"
+        )
+    continuous = design.at() if point is None else design.at(*point)
+    fastest = float(np.abs(np.linalg.eigvals(continuous.A)).max(initial=0.0)) / (2 * np.pi)
+    if fastest >= 0.5 / design.sample_time:
+        raise UsageError(
+            f"controller {design.name!r}{where}: sample_time = {design.sample_time:g} s is too slow for its pole at "
+            f"{fastest:.4g} Hz; at most {0.5 / fastest:.3g} s, better a tenth of that"
+        )
+
+
+def _sums(pattern: FloatArray, n: int) -> tuple[tuple[tuple[SumTerm, ...], ...], tuple[tuple[SumTerm, ...], ...]]:
+    """Return the sums of outputs and next states over the entries that are not zero, states first."""
+    place = np.cumsum(pattern) - 1
+    at = 0
+    sums: list[tuple[SumTerm, ...]] = []
+    outputs: list[tuple[Kind, int]] = [("x", n), ("e", _CHANNELS)]
+    states: list[tuple[Kind, int]] = [*outputs, ("d", _CHANNELS)]
+    for kinds in [outputs] * _CHANNELS + [states] * n:
+        terms = []
+        for kind, size in kinds:
+            for index in range(size):
+                if pattern[at]:
+                    terms.append(SumTerm(int(place[at]), kind, index))
+                at += 1
+        sums.append(tuple(terms))
+    return tuple(sums[:_CHANNELS]), tuple(sums[_CHANNELS:])
+
+
+def _used_maps(maps: Sequence[RunoutMap]) -> tuple[RunoutMap, ...]:
+    """Return the maps that the chain uses, after checks."""
+    for each in maps:
+        if len(each.channels) != _CHANNELS:
+            raise UsageError(
+                f"run-out map of {', '.join(each.sources)} has {len(each.channels)} channels, the controller p_x "
+                "and p_y; it is of other sensors"
+            )
+        numbers = (each.mean, each.cosine, each.sine, each.table)
+        if not all(np.isfinite(part).all() for part in numbers):
+            raise UsageError(
+                f"run-out map of {', '.join(each.sources)} holds values that are not finite; make it again"
+            )
+    turning = tuple(each for each in maps if each.needs_angle)
+    used = turning or tuple(maps)
+    if len(used) > 1 and any(each.method == "bins" for each in used):
+        raise UsageError(
+            "several run-out maps are tables over the angle, which are not interpolated over pressure and speed; "
+            "choose one operating point (--at BAR RPM), or prefilter: method: harmonics"
+        )
+    return used
+
+
+def _harmonics_table(maps: tuple[RunoutMap, ...]) -> GridTable | None:
+    """Return mean and harmonics of the maps as rows; None without maps or for a table over the angle."""
+    if not maps or maps[0].method == "bins":
+        return None
+    n_orders = max((int(each.orders.max(initial=0)) for each in maps), default=0)
+    rows = {}
+    for each in maps:
+        waves = np.zeros((n_orders, 2, _CHANNELS))
+        for order, a, b in zip(each.orders, each.cosine, each.sine, strict=True):
+            waves[int(order) - 1] = a, b
+        point = (each.conditions.get("pressure_bar", 0.0), each.conditions.get("speed_rpm", 0.0))
+        if point in rows:
+            raise UsageError(
+                f"there are two run-out maps at {point[0]:g} bar, {point[1]:g} rpm; give the maps of one encoder only"
+            )
+        rows[point] = np.concatenate([each.mean, waves.ravel()])
+    return table_of_points(rows, "run-out maps")

@@ -1,0 +1,390 @@
+"""Control chain in Python, sample by sample: the reference for the generated source, to the last bit in double."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import IntEnum, IntFlag
+from math import nan
+
+import numpy as np
+
+from gbid.export.chain import Chain, SumTerm
+from gbid.prefilter import OnlinePrefilter
+
+LARGEST = 1e6
+"""Numbers beyond this magnitude are taken for faulty, as those that are not finite."""
+LONGEST_SPIKE = 3
+"""Most samples in a row that the spike guard replaces."""
+
+
+class ChainMode(IntEnum):
+    """What the operator asks for."""
+
+    OFF = 0
+    OFFSET = 1
+    CONTROL = 2
+
+
+class ChainFault(IntFlag):
+    """What made the watchdog fade the control out."""
+
+    NONE = 0
+    SIGNAL = 1
+    STUCK = 2
+    POSITION = 4
+
+
+@dataclass(frozen=True)
+class ChainInput:
+    """Input of one sample.
+
+    Attributes
+    ----------
+    position : tuple of float
+        p_x, p_y as measured [m].
+    angle : float
+        Shaft angle phi [rad].
+    pressure_bar, speed_rpm : float
+        Operating point [bar], [rpm].
+    mode : ChainMode
+        What the operator asks for.
+    """
+
+    position: tuple[float, float]
+    angle: float = 0.0
+    pressure_bar: float = 0.0
+    speed_rpm: float = 0.0
+    mode: ChainMode = ChainMode.CONTROL
+
+
+@dataclass(frozen=True)
+class ChainOutput:
+    """Output of one sample.
+
+    Attributes
+    ----------
+    stack : tuple of float
+        References of the stacks 1 to 4 [m].
+    reference : tuple of float
+        r_x, r_y [m].
+    deviation : tuple of float
+        e, the position without run-out, offset and spikes [m].
+    fault : ChainFault
+        Why the watchdog has ended the control; it stays until the mode is another than CONTROL.
+    held, saturated : bool
+        Whether the sample was left out as faulty, and whether a reference is at its limit.
+    """
+
+    stack: tuple[float, ...]
+    reference: tuple[float, ...]
+    deviation: tuple[float, ...]
+    fault: ChainFault
+    held: bool
+    saturated: bool
+
+
+@dataclass
+class _State:
+    n: int
+    deviation: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    x: list[float] = field(default_factory=list)
+    point: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    started: bool = False
+    last: list[float] | None = None
+    accepted: list[list[float]] = field(default_factory=list)
+    spikes: list[int] = field(default_factory=lambda: [0, 0])
+    same: list[int] = field(default_factory=lambda: [0, 0, 0])
+    bad: int = 0
+    beyond: int = 0
+    ramp: int = 0
+    fade: int = 0
+    fault: ChainFault = ChainFault.NONE
+
+    def __post_init__(self) -> None:
+        self.x = [0.0] * self.n
+
+
+class PythonChain:
+    """Control chain that runs in Python.
+
+    The position passes `gbid.OnlinePrefilter`; the rest is plain sums and products in a fixed order.
+
+    Parameters
+    ----------
+    chain : Chain
+        The chain.
+    """
+
+    def __init__(self, chain: Chain) -> None:
+        self._chain = chain
+        self.start()
+
+    def start(self) -> None:
+        """Reset to rest."""
+        chain = self._chain
+        first = chain.maps[0] if chain.maps else None
+        self._prefilter = OnlinePrefilter(first, offset=np.array(chain.options.zero_m), median=chain.options.median)
+        self._state = _State(len(chain.states))
+
+    def run(self, inputs: Sequence[ChainInput]) -> list[ChainOutput]:
+        """Return the outputs of several samples.
+
+        Parameters
+        ----------
+        inputs : sequence of ChainInput
+            The samples.
+        """
+        return [self.step(each) for each in inputs]
+
+    def step(self, given: ChainInput) -> ChainOutput:
+        """Return the output of one sample.
+
+        Parameters
+        ----------
+        given : ChainInput
+            The sample.
+        """
+        chain, state, options = self._chain, self._state, self._chain.options
+        values = [*given.position, given.angle, given.pressure_bar, given.speed_rpm]
+        good = all(-LARGEST < v < LARGEST for v in values)
+        if good:
+            self._follow_point(given)
+            self._filter(given)
+        self._watch(given, good)
+        fade = self._levels(given.mode) * (1.0 / chain.fade_samples)
+        ramp = state.ramp * (1.0 / chain.ramp_samples)
+
+        row = chain.controller.row(*state.point)
+        kinds = {"x": state.x, "e": state.deviation, "d": [0.0, 0.0]}
+        wanted = [fade * _sum(terms, row, kinds) for terms in chain.outputs]
+        r = [min(max(w, -options.limit_m), options.limit_m) for w in wanted]
+        kinds["d"] = [a - b for a, b in zip(r, wanted, strict=True)]
+        state.x = [_sum(terms, row, kinds) for terms in chain.states]
+
+        base = ramp * options.offset_m
+        stacks = []
+        for factors in chain.allocation:
+            value = base
+            for factor, reference in zip(factors, r, strict=True):
+                if factor != 0.0:
+                    value = value + factor * reference
+            stacks.append(min(max(value, 0.0), options.stroke_m))
+        saturated = any(d != 0.0 for d in kinds["d"])
+        return ChainOutput(tuple(stacks), tuple(r), tuple(state.deviation), state.fault, not good, saturated)
+
+    def _follow_point(self, given: ChainInput) -> None:
+        """Move the operating point of the schedules towards the measured one, as fast as they may follow."""
+        state, chain = self._state, self._chain
+        measured = (given.pressure_bar, given.speed_rpm)
+        for i, (value, (low, high), step) in enumerate(
+            zip(measured, chain.point_bounds, chain.point_steps, strict=True)
+        ):
+            target = min(max(value, low), high)
+            if state.started:
+                target = state.point[i] + min(max(target - state.point[i], -step), step)
+            state.point[i] = target
+        state.started = True
+
+    def _filter(self, given: ChainInput) -> None:
+        chain, state = self._chain, self._state
+        if chain.harmonics is not None and chain.harmonics.is_scheduled:
+            row = np.array(chain.harmonics.row(*state.point))
+            waves = row[2:].reshape(chain.n_orders, 2, 2)
+            orders = np.arange(1.0, chain.n_orders + 1)
+            self._prefilter.change_map(
+                replace(chain.maps[0], mean=row[:2], orders=orders, cosine=waves[:, 0], sine=waves[:, 1])
+            )
+        value = self._prefilter.step(given.position, given.angle)
+        if value is not None:
+            state.deviation = self._without_spikes([float(v) for v in value])
+
+    def _without_spikes(self, value: list[float]) -> list[float]:
+        limit, state = self._chain.options.spike_limit_m, self._state
+        if limit is None:
+            return value
+        if len(state.accepted) < 2:
+            state.accepted = [list(value), *state.accepted][:2]
+            return value
+        newest, before = state.accepted
+        kept, earlier = list(value), list(newest)
+        for i in range(2):
+            expected = newest[i] + (newest[i] - before[i])
+            if abs(value[i] - expected) > limit:
+                if state.spikes[i] < LONGEST_SPIKE:
+                    kept[i] = expected
+                    state.spikes[i] += 1
+                else:  # so many in a row are a step: begin anew from it
+                    earlier[i] = value[i]
+                    state.spikes[i] = 0
+            else:
+                state.spikes[i] = 0
+        state.accepted = [list(kept), earlier]
+        return kept
+
+    def _watch(self, given: ChainInput, good: bool) -> None:
+        state, options = self._state, self._chain.options
+        state.bad = 0 if good else min(state.bad + 1, options.bad_samples)
+        if good:
+            now = [*given.position, given.angle]
+            for i in range(3):
+                still = state.last is not None and state.last[i] == now[i]
+                turning = i < 2 or (self._chain.needs_angle and given.speed_rpm > options.stuck_speed_rpm)
+                state.same[i] = min(state.same[i] + 1, options.stuck_samples) if still and turning else 0
+            state.last = now
+            square = state.deviation[0] * state.deviation[0] + state.deviation[1] * state.deviation[1]
+            far = square > options.disc_limit_m * options.disc_limit_m
+            state.beyond = min(state.beyond + 1, options.beyond_samples) if far else 0
+        if given.mode != ChainMode.CONTROL:
+            state.fault = ChainFault.NONE
+            return
+        if state.bad >= options.bad_samples:
+            state.fault |= ChainFault.SIGNAL
+        if max(state.same) >= options.stuck_samples:
+            state.fault |= ChainFault.STUCK
+        if state.beyond >= options.beyond_samples:
+            state.fault |= ChainFault.POSITION
+
+    def _levels(self, mode: ChainMode) -> int:
+        """Advance ramp and fade; return the level of the fade."""
+        state, chain = self._state, self._chain
+        wanted = mode == ChainMode.CONTROL and state.fault == ChainFault.NONE
+        fade_up = wanted and state.ramp == chain.ramp_samples
+        on = mode in (ChainMode.OFFSET, ChainMode.CONTROL)
+        if on:
+            state.ramp = min(state.ramp + 1, chain.ramp_samples)
+        elif state.fade == 0:
+            state.ramp = max(state.ramp - 1, 0)
+        state.fade = min(state.fade + 1, chain.fade_samples) if fade_up else max(state.fade - 1, 0)
+        return state.fade
+
+
+def _sum(terms: Sequence[SumTerm], row: Sequence[float], kinds: dict[str, list[float]]) -> float:
+    """Return a sum of products, added one by one in their order."""
+    if not terms:
+        return 0.0
+    total = row[terms[0].entry] * kinds[terms[0].kind][terms[0].index]
+    for term in terms[1:]:
+        total = total + row[term.entry] * kinds[term.kind][term.index]
+    return total
+
+
+# ---- Rows of the self-test of a generated chain: inputs, and what the chain in Python makes of them.
+
+FLOAT_TOLERANCE = 1e-3
+"""Tolerance of the outputs in float, as a share of the limit of the references."""
+_TURN_IN = 40
+"""Repetitions after which the angle of a row begins again."""
+
+
+@dataclass(frozen=True)
+class SelfTestRow:
+    """Input that is repeated, and the output after the last repetition.
+
+    Attributes
+    ----------
+    given : tuple of float
+        p_x, p_y [m], phi, its change per repetition [rad], pressure [bar], speed [rpm], dither of p [m].
+    marks : tuple of int
+        Mode, repetitions, whether p_x is not a number, fault, status.
+    expected : tuple of float
+        Stacks 1 to 4, r_x, r_y, e_x, e_y [m].
+    """
+
+    given: tuple[float, ...]
+    marks: tuple[int, ...]
+    expected: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Drive:
+    position: tuple[float, float] = (0.0, 0.0)
+    mode: ChainMode = ChainMode.CONTROL
+    repeat: int = 1
+    faulty: bool = False
+    dither: float = 1e-8
+
+
+def selftest_rows(chain: Chain, seed: int = 1) -> tuple[SelfTestRow, ...]:
+    """Return the rows of the self-test.
+
+    They start the chain, fade the control in, move the disc at random while pressure and speed change, show it a spike,
+    a number that is none, a saturating position, a disc beyond the limit, a stuck sensor and the end of the control.
+
+    Parameters
+    ----------
+    chain : Chain
+        The chain.
+    seed : int
+        Seed of the random positions.
+
+    Returns
+    -------
+    tuple of SelfTestRow
+    """
+    random = np.random.default_rng(seed)
+    twin, rows = PythonChain(chain), []
+    single = chain.options.number == "float"
+    bounds = chain.point_bounds
+    for drive in _drives(chain, random):
+        point = [float(random.uniform(*bound)) for bound in bounds]
+        angle = float(random.uniform(-1.0, 4.0))
+        values = (*drive.position, angle, 0.05, *point, drive.dither)
+        given = tuple(float(np.float32(v)) if single else v for v in values)
+        output = _repeated(twin, given, drive)
+        status = int(output.held) + 2 * int(output.saturated)
+        rows.append(
+            SelfTestRow(
+                given,
+                (int(drive.mode), drive.repeat, int(drive.faulty), int(output.fault), status),
+                (*output.stack, *output.reference, *output.deviation),
+            )
+        )
+    return tuple(rows)
+
+
+def _drives(chain: Chain, random: np.random.Generator) -> list[_Drive]:
+    options = chain.options
+    mean = np.zeros(2) if not chain.maps else np.mean([each.mean for each in chain.maps], axis=0)
+    zero = mean + np.array(options.zero_m)
+
+    def at(x: float, y: float, **further: object) -> _Drive:
+        return _Drive((float(zero[0] + x), float(zero[1] + y)), **further)  # type: ignore[arg-type]  # fields of _Drive
+
+    moves = 0.25 * options.disc_limit_m * np.cumsum(random.normal(size=(40, 2)) * 0.15, axis=0)
+    moving = [at(*move) for move in moves]
+    edge = 0.6 * options.disc_limit_m
+    return [
+        at(0, 0, mode=ChainMode.OFFSET, repeat=chain.ramp_samples + 5),
+        at(0, 0, repeat=chain.fade_samples + 5),
+        *moving[:20],
+        at(2e-5, 0),
+        *moving[20:25],
+        at(0, 0, faulty=True, repeat=max(options.bad_samples - 1, 1)),
+        *moving[25:],
+        *(at(edge * np.cos(0.4 * k), edge * np.sin(0.4 * k)) for k in range(12)),
+        *(at(3 * edge, 0) for _ in range(options.beyond_samples + 4)),
+        at(0, 0, mode=ChainMode.OFFSET, repeat=20),
+        at(0, 0, repeat=30),
+        at(1e-6, 1e-6, dither=0.0, repeat=options.stuck_samples + 3),
+        at(0, 0, mode=ChainMode.OFFSET, repeat=20),
+        at(0, 0, faulty=True, repeat=options.bad_samples + 1),
+        at(0, 0, mode=ChainMode.OFF, repeat=600),
+    ]
+
+
+def _repeated(twin: PythonChain, given: tuple[float, ...], drive: _Drive) -> ChainOutput:
+    """Return the output after the repetitions of a row, by the operations of the C self-test."""
+    x, y, angle, turn, pressure, speed, dither = given
+    for k in range(drive.repeat):
+        moved = dither if k % 2 else -dither
+        output = twin.step(
+            ChainInput(
+                (nan if drive.faulty else x + moved, y + moved),
+                angle + float(k % _TURN_IN) * turn,
+                pressure,
+                speed,
+                drive.mode,
+            )
+        )
+    return output

@@ -1,0 +1,496 @@
+"""Identified stiffness and damping of a bearing as a bearing element of ROSS."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import cos, isfinite, pi, sin
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import eigh
+
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import UsageError
+from gbid.core.extras import extra_package
+from gbid.identify import FitResult
+from gbid.lpv import LPVModel
+from gbid.structure import LinearStructure, Parameter, Values
+
+# ---- Import of ROSS without the messages of the packages that it loads.
+
+
+def ross_package(what: str) -> Any:
+    """Return the package `ross`.
+
+    Its dependencies print on their import that fluid libraries are not installed, which no rotor needs.
+
+    Parameters
+    ----------
+    what : str
+        What needs it, for the message.
+
+    Raises
+    ------
+    UsageError
+        When ROSS is not installed, or when it fails on its import.
+    """
+    if "ross" in sys.modules:
+        return extra_package("ross", "ross", what)
+    with warnings.catch_warnings(), _silence():
+        warnings.simplefilter("ignore")
+        return extra_package("ross", "ross", what)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Send what the process prints nowhere: compiled libraries print past `sys.stdout`."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = [os.dup(1), os.dup(2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for target, source in enumerate(kept, start=1):
+            os.dup2(source, target)
+            os.close(source)
+        os.close(nowhere)
+
+
+_N_SPEEDS = 25
+
+
+def bearing_element(
+    what: LPVModel | FitResult,
+    node: int,
+    *,
+    mass_kg: float,
+    pressure_bar: float | None = None,
+    speed_rpm: npt.ArrayLike | None = None,
+    tag: str | None = None,
+) -> Any:
+    r"""Return the identified bearing as a bearing element of ROSS, over speed where the model has surfaces.
+
+    Parameters
+    ----------
+    what : LPVModel or FitResult
+        Surfaces over pressure and speed, or a fit of `gbid.RotorBearing` at one operating point.
+    node : int
+        Node of the rotor.
+    mass_kg : float
+        Modal mass by which the coefficients of the model are multiplied [kg]; the model is per unit mass.
+    pressure_bar : float, optional
+        Injection pressure [bar]; required for surfaces.
+    speed_rpm : (n,) array, optional
+        Speeds of the element [rpm]; by default 25 speeds over the domain of the surfaces.
+    tag : str, optional
+        Tag of the element.
+
+    Returns
+    -------
+    ross.BearingElement
+        With stiffness [N/m] and damping [N s/m], and `frequency` the speeds [rad/s].
+
+    Raises
+    ------
+    UsageError
+        When ROSS is not installed, when the mass is not positive, when a point lies outside the domain, or when the
+        fit has no bearing.
+
+    Notes
+    -----
+    gbid writes :math:`\ddot p = K p + D \dot p` per unit mass; ROSS writes the force of a bearing on the rotor as
+    :math:`-k\,q - c\,\dot q`. So :math:`k = -m K` and :math:`c = -m D`, entry by entry with the same axes: x and y of
+    the recordings are x and y of ROSS, and a positive speed turns from x to y. K holds everything that pulls the disc
+    back, the elasticity of the shaft included. In a rotor with a flexible shaft the coefficients therefore describe
+    the bearing alone only where it is much softer than the shaft.
+    """
+    if not (isfinite(mass_kg) and mass_kg > 0):
+        raise UsageError(f"bearing element: mass_kg = {mass_kg}; give the modal mass, a positive number of kilograms")
+    ross = ross_package("a bearing element of ROSS")
+    if isinstance(what, LPVModel):
+        if pressure_bar is None:
+            raise UsageError(f"bearing element of model {what.name!r}: give pressure_bar")
+        speeds = np.linspace(*what.domain.speed_rpm, _N_SPEEDS) if speed_rpm is None else np.atleast_1d(speed_rpm)
+        values = what.key_parameters(float(pressure_bar), np.asarray(speeds, float))
+        given = {key: np.broadcast_to(value, np.shape(speeds)) for key, value in values.items()}
+        frequency = {"frequency": 2.0 * pi / 60.0 * np.asarray(speeds, float)} if np.size(speeds) > 1 else {}
+    else:
+        missing = [key for key in ("k_xx", "d_xx") if key not in what.parameters]
+        if missing:
+            raise UsageError(
+                f"bearing element of fit {what.structure!r}: it has no {missing[0]}; give a fit of RotorBearing"
+            )
+        if speed_rpm is not None or pressure_bar is not None:
+            raise UsageError(
+                f"bearing element of fit {what.structure!r}: a fit holds at one operating point; leave it out"
+            )
+        given, frequency = {key: np.array([value]) for key, value in what.parameters.items()}, {}
+    coefficients = {
+        f"{ours}{pair}": (-mass_kg * given[f"{theirs}_{pair}"]).tolist()
+        for ours, theirs in (("k", "k"), ("c", "d"))
+        for pair in ("xx", "xy", "yx", "yy")
+    }
+    if not frequency:
+        coefficients = {key: values[0] for key, values in coefficients.items()}
+    return ross.BearingElement(n=node, tag=tag, **coefficients, **frequency)
+
+
+# ---- Finite-element matrices of the lateral motion of a rotor of ROSS, without the bearings that are unknown.
+
+_LATERAL = {4: (0, 1, 2, 3), 6: (0, 1, 3, 4)}  # x, y and their rotations, by the degrees of freedom of a node
+Place = tuple[int, str | float]
+"""Node, and axis "x" or "y", or angle from x to y [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownBearing:
+    """A bearing whose coefficients are to be identified.
+
+    Attributes
+    ----------
+    name : str
+        End of the names of its parameters.
+    node : int
+        Node of the rotor.
+    stiffness, damping : (2, 2) array
+        Coefficients in the rotor at its speed [N/m], [N s/m]: the start values.
+    entry : (n, 2) array
+        Degrees of freedom x and y of the node.
+    """
+
+    name: str
+    node: int
+    stiffness: FloatArray
+    damping: FloatArray
+    entry: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LateralMatrices:
+    """Equations ``M q'' + C q' + K q = F f`` of the lateral motion at one speed, without the unknown bearings.
+
+    Attributes
+    ----------
+    mass, damping, stiffness : (n, n) array
+        Matrices in SI units; gyroscopic terms are in the damping.
+    bearings : tuple of UnknownBearing
+        The unknown bearings.
+    """
+
+    mass: FloatArray
+    damping: FloatArray
+    stiffness: FloatArray
+    bearings: tuple[UnknownBearing, ...]
+    n_per_node: int
+
+    def entry(self, what: str, place: Any) -> FloatArray:
+        """Return the direction of a sensor or actuator in the degrees of freedom, shape (n,).
+
+        Raises
+        ------
+        UsageError
+            When the node does not exist, or when the axis is none.
+        """
+        n_nodes = len(self.mass) // self.n_per_node
+        node, axis = (place.node, place.angle) if hasattr(place, "angle") else _pair(what, place)
+        if isinstance(node, bool) or not isinstance(node, int | np.integer) or not 0 <= node < n_nodes:
+            raise UsageError(f"{what}: node {node!r}; the rotor has nodes 0 to {n_nodes - 1}")
+        if axis in ("x", "y"):
+            along = (1.0, 0.0) if axis == "x" else (0.0, 1.0)
+        elif isinstance(axis, int | float) and not isinstance(axis, bool) and np.isfinite(axis):
+            along = (cos(axis), sin(axis))
+        else:
+            raise UsageError(f"{what}: axis {axis!r}; give 'x', 'y' or an angle from x to y in radians")
+        direction = np.zeros(len(self.mass))
+        direction[self.n_per_node * node : self.n_per_node * node + 2] = along
+        return direction
+
+
+def lateral_matrices(
+    rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None, omega: float
+) -> LateralMatrices:
+    """Return the lateral equations of a rotor at a speed.
+
+    Parameters
+    ----------
+    rotor : ross.Rotor
+        The rotor with its bearings.
+    bearings : dict of str to (int or str), sequence of str, or None
+        The unknown bearings; see `from_ross`.
+    omega : float
+        Speed [rad/s]; coefficients over frequency are taken at this frequency.
+
+    Raises
+    ------
+    UsageError
+        When a bearing is not found, found twice, or connects two nodes.
+    """
+    if rotor.number_dof not in _LATERAL:
+        raise UsageError(f"the rotor has {rotor.number_dof} degrees of freedom at a node; models with 4 or 6 are known")
+    keep = [i for i in range(rotor.ndof) if i % rotor.number_dof in _LATERAL[rotor.number_dof]]
+    chosen = _chosen(rotor, bearings)
+    mass, damping = rotor.M(omega), rotor.C(omega) + rotor.G() * omega
+    stiffness = rotor.K(omega)
+    unknown = []
+    for name, element in chosen.items():
+        dofs = list(element.dof_global_index.values())
+        square = np.ix_(dofs, dofs)
+        k, c = np.asarray(element.K(omega), float), np.asarray(element.C(omega), float)
+        stiffness[square] -= k
+        damping[square] -= c
+        entry = np.zeros((len(keep), 2))
+        entry[keep.index(dofs[0]), 0] = entry[keep.index(dofs[1]), 1] = 1.0
+        unknown.append(UnknownBearing(name, int(element.n), k[:2, :2], c[:2, :2], entry))
+        if k.shape[0] > 2:  # what acts along the shaft is no part of the lateral motion
+            stiffness[dofs[2], dofs[2]] += k[2, 2]
+            damping[dofs[2], dofs[2]] += c[2, 2]
+    lateral = np.ix_(keep, keep)
+    return LateralMatrices(
+        mass[lateral], damping[lateral], stiffness[lateral], tuple(unknown), len(_LATERAL[rotor.number_dof])
+    )
+
+
+def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None) -> dict[str, Any]:
+    """Return the unknown bearing elements by the names of their parameters."""
+    elements = list(rotor.bearing_elements)
+    if not elements:
+        raise UsageError("the rotor has no bearings; give it some, whose coefficients are the start values")
+    there = ", ".join(f"{element.tag!r} at node {element.n}" for element in elements)
+    if bearings is None:
+        named: dict[str, int | str] = {element.tag: element.tag for element in elements}
+    elif isinstance(bearings, Mapping):
+        named = dict(bearings)
+    else:
+        named = {tag: tag for tag in ((bearings,) if isinstance(bearings, str) else bearings)}
+    if not named:
+        raise UsageError(f"bearings: none is named; there is {there}")
+    chosen: dict[str, Any] = {}
+    for name, key in named.items():
+        found = [e for e in elements if key == (e.n if isinstance(key, int) else e.tag)]
+        if len(found) != 1:
+            which = "no bearing" if not found else f"{len(found)} bearings"
+            raise UsageError(f"bearings: {which} {key!r} in the rotor; there is {there}")
+        if not str(name).isidentifier():
+            raise UsageError(
+                f"bearings: {name!r} cannot end the names of parameters; give names, as {{'left': {key!r}}}"
+            )
+        if found[0].n_link is not None:
+            raise UsageError(
+                f"bearings: {key!r} connects node {found[0].n} with node {found[0].n_link}; give one to ground"
+            )
+        if found[0] in chosen.values():
+            raise UsageError(f"bearings: {key!r} is named twice; name each bearing once")
+        chosen[str(name)] = found[0]
+    return chosen
+
+
+def _pair(what: str, place: Any) -> tuple[Any, Any]:
+    if not isinstance(place, tuple | list) or len(place) != 2:
+        raise UsageError(f"{what}: {place!r}; give (node, 'x'), (node, 'y'), (node, angle) or a ross.Probe")
+    return place[0], place[1]
+
+
+# ---- Modal reduction of a rotor whose bearings are to be varied.
+
+N_GYROSCOPIC = 4
+"""Number of modes whose gyroscopic moments have static shapes of their own."""
+_DEPENDENT = 1e-10  # of the largest; below it a shape is a sum of the others
+
+
+def modal_basis(equations: LateralMatrices, modes: int, loads: FloatArray) -> FloatArray:
+    r"""Return shapes that describe the motion of a rotor for any coefficients of its unknown bearings.
+
+    Parameters
+    ----------
+    equations : LateralMatrices
+        Equations of the rotor.
+    modes : int
+        Number of modes of the rotor at rest on supports of the start values.
+    loads : (n, n_loads) array
+        Directions of the actuators.
+
+    Returns
+    -------
+    (n, m) array
+        Shapes :math:`\Phi`, orthonormal in the mass: :math:`\Phi^T M \Phi = I`.
+
+    Raises
+    ------
+    UsageError
+        When there are not that many modes.
+
+    Notes
+    -----
+    To the modes come the static shapes under forces at the unknown bearings and at the actuators, and under the
+    gyroscopic moments of the lowest modes (attachment modes; Craig, Structural Dynamics, ch. 19). With them the
+    compliance at bearings and actuators is exact at frequency zero, whatever the number of modes.
+    """
+    n = len(equations.mass)
+    if not 1 <= modes <= n:
+        raise UsageError(f"modes = {modes}; the rotor has 1 to {n} lateral modes")
+    supports = np.hstack([bearing.entry for bearing in equations.bearings])
+    symmetric = (equations.stiffness + equations.stiffness.T) / 2.0
+    stiff = np.repeat([_support(bearing.stiffness, symmetric) for bearing in equations.bearings], 2)
+    supported = symmetric + (supports * stiff) @ supports.T
+    _, shapes = eigh(supported, equations.mass, subset_by_index=[0, modes - 1])
+    gyroscopic = (equations.damping - equations.damping.T) @ shapes[:, :N_GYROSCOPIC]
+    loaded = np.hstack([supports, loads, gyroscopic])
+    forced = np.linalg.solve(supported, loaded[:, loaded.any(axis=0)])
+    whole = _size(equations, forced)
+    for _ in range(2):  # twice: what rounding leaves of the first projection is then as small as rounding
+        forced = forced - shapes @ (shapes.T @ (equations.mass @ forced))
+    size = _size(equations, forced)
+    new = size > np.sqrt(_DEPENDENT) * whole
+    forced = forced[:, new] / size[new]
+    if not forced.shape[1]:
+        return np.asarray(shapes)
+    weights, mix = np.linalg.eigh(forced.T @ equations.mass @ forced)
+    kept = weights > _DEPENDENT * weights.max()
+    return np.hstack([shapes, forced @ (mix[:, kept] / np.sqrt(weights[kept]))])
+
+
+def _size(equations: LateralMatrices, shapes: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->j", shapes, equations.mass @ shapes)))
+
+
+def _support(stiffness: FloatArray, shaft: FloatArray) -> float:
+    """Return the stiffness of the support of a bearing in the basis: of its start values where they hold a rotor."""
+    direct = float(np.mean(np.diag(stiffness)))
+    return direct if direct > 0 else 1e-3 * float(np.diag(shaft).max())
+
+
+# ---- Structure of a finite-element rotor of ROSS whose bearing coefficients are to be identified.
+
+_PAIRS = ("xx", "xy", "yx", "yy")
+
+
+def from_ross(
+    rotor: Any,
+    *,
+    sensors: Sequence[Place | Any],
+    actuators: Sequence[Place | Any],
+    bearings: Mapping[str, int | str] | Sequence[str] | None = None,
+    speed_rpm: float = 0.0,
+    modes: int = 8,
+    outputs: str | Sequence[str] = "p",
+    inputs: str | Sequence[str] = "f",
+    name: str = "rotor",
+) -> LinearStructure:
+    r"""Return a finite-element rotor of ROSS, modally reduced, as a structure with unknown bearing coefficients.
+
+    Parameters
+    ----------
+    rotor : ross.Rotor
+        Shaft, discs and bearings. The coefficients of the unknown bearings in it are the start values.
+    sensors : sequence of (int, str) or ross.Probe
+        Node and axis of each position that is measured, one for each output channel. The axis is ``"x"``, ``"y"`` or
+        an angle from x to y [rad].
+    actuators : sequence of (int, str)
+        Node and axis of each force that is known, one for each input channel.
+    bearings : dict of str to (int or str), sequence of str, optional
+        Bearings whose coefficients are unknown: tags of bearing elements, or names with the tag or node of each,
+        ``{"left": 0, "right": 6}``. The names end the names of the parameters. All bearings when not given. Bearings
+        that are not named keep their coefficients.
+    speed_rpm : float
+        Speed of the recordings, for gyroscopic moments and for coefficients over frequency.
+    modes : int
+        Number of lateral modes of the reduced model. Static shapes of forces at bearings and actuators come to them.
+    outputs, inputs : str or sequence of str
+        Signals of the recordings: positions [m] and forces [N].
+    name : str
+        Name of the structure.
+
+    Returns
+    -------
+    LinearStructure
+        For `gbid.fit`. The parameters of a bearing are ``k_xx_NAME`` to ``k_yy_NAME`` [N/m] and ``c_xx_NAME`` to
+        ``c_yy_NAME`` [N s/m].
+
+    Raises
+    ------
+    UsageError
+        When `rotor` is no rotor of ROSS, when a bearing or node does not exist, when there are no sensors, or when a
+        number is out of range.
+
+    Notes
+    -----
+    The equations are those of ROSS, :math:`M \ddot q + (C + \Omega G) \dot q + K q = F f`, where a bearing acts on the
+    rotor with :math:`-k\,(x, y)^T - c\,(\dot x, \dot y)^T`. So the coefficients of a bearing that holds the rotor are
+    positive, contrary to those of `gbid.RotorBearing`, and are not divided by a mass. In modal coordinates
+    :math:`q = \Phi \eta`; the states are :math:`\omega_0 \eta` and :math:`\dot \eta`, with :math:`\omega_0` the lowest
+    natural frequency, so that both are of one magnitude.
+    """
+    if not all(hasattr(rotor, part) for part in ("bearing_elements", "number_dof", "M", "K", "C", "G")):
+        raise UsageError(f"a {type(rotor).__name__} is no rotor of ROSS; give a ross.Rotor")
+    if not (isinstance(speed_rpm, int | float | np.number) and isfinite(speed_rpm)):
+        raise UsageError(f"structure {name!r}: speed_rpm = {speed_rpm!r}; give a finite number")
+    if isinstance(modes, bool) or not isinstance(modes, int | np.integer):
+        raise UsageError(f"structure {name!r}: modes = {modes!r}; give a whole number")
+    if not sensors:
+        raise UsageError(f"structure {name!r}: no sensors; give the node and axis of each")
+    equations = lateral_matrices(rotor, bearings, 2.0 * pi / 60.0 * float(speed_rpm))
+    seen = _entries(equations, "sensors", sensors)
+    driven = _entries(equations, "actuators", actuators)
+    shapes = modal_basis(equations, int(modes), driven)
+    return LinearStructure(
+        name,
+        [parameter for bearing in equations.bearings for parameter in _parameters(bearing)],
+        _matrices(equations, shapes, seen, driven),
+        inputs=inputs,
+        outputs=outputs,
+    )
+
+
+def _entries(equations: LateralMatrices, what: str, places: Sequence[Any]) -> FloatArray:
+    columns = [equations.entry(f"{what}[{i}]", place) for i, place in enumerate(places)]
+    return np.column_stack(columns) if columns else np.zeros((len(equations.mass), 0))
+
+
+def _parameters(bearing: UnknownBearing) -> list[Parameter]:
+    coefficients = (("k", bearing.stiffness, "N/m"), ("c", bearing.damping, "N s/m"))
+    return [
+        Parameter(f"{letter}_{pair}_{bearing.name}", float(value), unit=unit)
+        for letter, matrix, unit in coefficients
+        for pair, value in zip(_PAIRS, matrix.ravel(), strict=True)
+    ]
+
+
+def _matrices(equations: LateralMatrices, shapes: FloatArray, seen: FloatArray, driven: FloatArray) -> Any:
+    """Return the function of the matrices, with everything but the coefficients computed."""
+    n = shapes.shape[1]
+    stiffness, damping = (shapes.T @ matrix @ shapes for matrix in (equations.stiffness, equations.damping))
+    at = {bearing.name: shapes.T @ bearing.entry for bearing in equations.bearings}
+    held = stiffness + sum(at[b.name] @ b.stiffness @ at[b.name].T for b in equations.bearings)
+    lowest = np.sort(np.abs(np.linalg.eigvals(held)))
+    scale = float(np.sqrt(lowest[lowest > 1e-9 * lowest[-1]][0]))
+
+    def matrices(p: Values) -> dict[str, Any]:
+        k, c = ca.SX(ca.DM(stiffness)), ca.SX(ca.DM(damping))
+        for name, entry in at.items():
+            side = ca.DM(entry)
+            k += side @ _square(p, "k", name) @ side.T
+            c += side @ _square(p, "c", name) @ side.T
+        return {
+            "A": ca.blockcat([[ca.SX(n, n), scale * ca.SX.eye(n)], [-k / scale, -c]]),
+            "B": ca.vertcat(ca.SX(n, driven.shape[1]), ca.SX(ca.DM(shapes.T @ driven))),
+            "C": ca.horzcat(ca.SX(ca.DM(seen.T @ shapes / scale)), ca.SX(seen.shape[1], n)),
+        }
+
+    return matrices
+
+
+def _square(p: Values, letter: str, name: str) -> Any:
+    xx, xy, yx, yy = (p[f"{letter}_{pair}_{name}"] for pair in _PAIRS)
+    return ca.blockcat([[ca.SX(xx), ca.SX(xy)], [ca.SX(yx), ca.SX(yy)]])

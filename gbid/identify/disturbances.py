@@ -1,0 +1,379 @@
+"""Trends and hum of the outputs as a fit estimates them: their terms, parameters and regressors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial import legendre
+
+from gbid.core.arrays import FloatArray, IntArray
+from gbid.core.errors import UsageError
+from gbid.discretise import Dual
+from gbid.structure import LinearModel, Matrices, NonlinearModel, Parameter
+from gbid.structure.nonlinear import with_integrators
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Trend of one output.
+
+    Attributes
+    ----------
+    n_terms : int
+        Number of terms of the polynomial: 0 none, 1 an offset, 2 a linear drift, and so on.
+    random_walk : bool
+        Whether the offset is a random walk. Then there is no polynomial.
+    """
+
+    n_terms: int
+    random_walk: bool = False
+
+
+@dataclass(frozen=True)
+class Term:
+    """Term of a trend or a hum: one coefficient of one output.
+
+    Attributes
+    ----------
+    name : str
+        Name of the coefficient, such as ``trend1_p_x``.
+    output : int
+        Position of the output.
+    column : int
+        Column of `Disturbances.regressors`.
+    power : int
+        The unit of the coefficient is the unit of the output divided by this power of seconds.
+    """
+
+    name: str
+    output: int
+    column: int
+    power: int = 0
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """Disturbances that are added to the outputs: polynomials of time, sinusoids, random walks.
+
+    Attributes
+    ----------
+    outputs : tuple of str
+        Names of the output channels.
+    trends : tuple of Trend
+        Trend of each output.
+    hum : tuple of float
+        Known frequencies of sinusoids in all outputs [Hz].
+    """
+
+    outputs: tuple[str, ...] = ()
+    trends: tuple[Trend, ...] = ()
+    hum: tuple[float, ...] = ()
+
+    @property
+    def n_polynomials(self) -> int:
+        """Largest number of terms of a polynomial."""
+        return max((trend.n_terms for trend in self.trends), default=0)
+
+    @property
+    def n_columns(self) -> int:
+        """Number of regressors."""
+        return self.n_polynomials + 2 * len(self.hum)
+
+    @cached_property
+    def terms(self) -> tuple[Term, ...]:
+        """Coefficients of polynomials and sinusoids: those of the first power of all outputs, then of the next."""
+        found = [
+            Term(f"trend{power}_{name}" if power else f"offset_{name}", output, power, power)
+            for power in range(self.n_polynomials)
+            for output, (name, trend) in enumerate(zip(self.outputs, self.trends, strict=True))
+            if power < trend.n_terms
+        ]
+        for i, frequency in enumerate(self.hum):
+            for j, part in enumerate(("cos", "sin")):
+                column = self.n_polynomials + 2 * i + j
+                found += [
+                    Term(f"hum{frequency:.10g}_{part}_{name}", output, column)
+                    for output, name in enumerate(self.outputs)
+                ]
+        return tuple(found)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all coefficients and gains."""
+        return (*(term.name for term in self.terms), *map(self.gain_name, self.walking))
+
+    def gain_name(self, output: int) -> str:
+        """Return the name of the gain of a random walk."""
+        return f"walk_{self.outputs[output]}"
+
+    @property
+    def walking(self) -> tuple[int, ...]:
+        """Outputs whose offset is a random walk."""
+        return tuple(i for i, trend in enumerate(self.trends) if trend.random_walk)
+
+    def instead_of_walks(self, n_terms: int) -> Disturbances:
+        """Return the disturbances with polynomials of so many terms in place of random walks."""
+        trends = tuple(Trend(n_terms) if trend.random_walk else trend for trend in self.trends)
+        return replace(self, trends=trends)
+
+    def walk_gains(self, sample_time: float) -> tuple[Parameter, ...]:
+        """Return the gains of the random walks: ``db/dt = gain e`` for the offset b and the error e of an output.
+
+        Of an error, the offset takes the share ``gain * sample_time`` over. This share lies between 0 and 1.
+        """
+        upper = 1 / sample_time
+        return tuple(
+            Parameter(self.gain_name(i), _FIRST_SHARE / sample_time, 0.0, upper, unit="1/s") for i in self.walking
+        )
+
+    def units(self, output_units: Sequence[str]) -> dict[str, str]:
+        """Return the units of all coefficients and gains, by name."""
+        units = {}
+        for term in self.terms:
+            unit = output_units[term.output]
+            seconds = "" if term.power < 2 else f"^{term.power}"
+            units[term.name] = f"{unit or 1}/s{seconds}" if term.power else unit
+        return {**units, **dict.fromkeys(map(self.gain_name, self.walking), "1/s")}
+
+    def matrix(self, coefficients: FloatArray) -> FloatArray:
+        """Return the matrix from regressors to outputs, (..., n_outputs, n_columns), for coefficients of `terms`."""
+        found = np.zeros((*coefficients.shape[:-1], len(self.outputs), self.n_columns))
+        found[(..., *self.places)] = coefficients
+        return found
+
+    @cached_property
+    def places(self) -> tuple[IntArray, IntArray]:
+        """Rows and columns of `terms` in `matrix`."""
+        return (
+            np.array([term.output for term in self.terms], dtype=np.int64),
+            np.array([term.column for term in self.terms], dtype=np.int64),
+        )
+
+    def closest(self, outputs: FloatArray, columns: FloatArray) -> FloatArray:
+        """Return the matrix of the coefficients with the smallest squares, (n_outputs, n_columns).
+
+        Parameters
+        ----------
+        outputs : (n_samples, n_outputs) array
+            What the disturbances are to explain.
+        columns : (n_samples, n_columns) array
+            Regressors at these samples.
+        """
+        size = np.maximum(np.abs(columns).max(axis=0, initial=0.0), np.finfo(float).tiny)
+        found = np.zeros((outputs.shape[1], self.n_columns))
+        for output in range(outputs.shape[1]):
+            own = self.places[1][self.places[0] == output]
+            scaled = columns[:, own] / size[own]
+            found[output, own] = np.linalg.lstsq(scaled, outputs[:, output], rcond=None)[0] / size[own]
+        return found
+
+    def regressors(self, n_samples: int, sample_time: float) -> FloatArray:
+        """Return the regressors of a record, (n_samples, n_columns).
+
+        The polynomials are those of Legendre over the record, with one as their highest coefficient: ``1``, ``t - t_m``
+        with the middle t_m of the record, and so on [s^k]. They are almost orthogonal, so the offset is the mean of the
+        trend, and the first coefficient is the mean slope. Cosine and sine begin at the first sample.
+        """
+        half = max((n_samples - 1) / 2, 0.5)
+        scaled = (np.arange(n_samples) - (n_samples - 1) / 2) / half
+        columns = []
+        for power in range(self.n_polynomials):
+            unit = np.eye(power + 1)[power]
+            highest = legendre.leg2poly(unit)[-1]
+            columns.append(legendre.legval(scaled, unit) * (half * sample_time) ** power / highest)
+        phase = 2 * np.pi * sample_time * np.arange(n_samples)
+        for frequency in self.hum:
+            columns += [np.cos(frequency * phase), np.sin(frequency * phase)]
+        return np.stack(columns, axis=1) if columns else np.zeros((n_samples, 0))
+
+
+_FIRST_SHARE = 0.01  # of an error that a random walk takes over, at the start
+UNDISTURBED = Disturbances()
+"""No disturbances."""
+
+
+# ---- Disturbances that the options of a fit ask for.
+
+TrendName = Literal["none", "offset", "linear", "random walk"] | int
+"""Trend of an output: a word, or the degree of a polynomial."""
+TREND_WORDS = {"none": Trend(0), "offset": Trend(1), "linear": Trend(2), "random walk": Trend(0, random_walk=True)}
+HIGHEST_DEGREE = 9
+
+
+def asked_disturbances(
+    trend: TrendName | Mapping[str, TrendName],
+    hum: float | Sequence[float],
+    offsets: bool,
+    outputs: tuple[str, ...],
+    sample_time: float,
+    focus: str,
+) -> Disturbances:
+    """Return the disturbances for the options `trend`, `hum` and `offsets` of `gbid.fit`.
+
+    Parameters
+    ----------
+    trend : str, int or dict
+        Trend of all outputs, or of each output channel by name.
+    hum : float or sequence of float
+        Frequencies [Hz].
+    offsets : bool
+        Whether offsets are estimated: the same as the trend ``"offset"``.
+    outputs : tuple of str
+        Names of the output channels.
+    sample_time : float
+        Time between samples [s]; 0 when it is not known yet.
+    focus : {"prediction", "simulation"}
+        Focus of the fit.
+
+    Returns
+    -------
+    Disturbances
+        The disturbances.
+
+    Raises
+    ------
+    UsageError
+        When an option is unknown or does not fit the data.
+    """
+    if offsets and trend != "none":
+        raise UsageError(f"offsets = True with trend = {trend!r}; offsets mean trend = 'offset': give trend alone")
+    chosen = "offset" if offsets else trend
+    if isinstance(chosen, Mapping):
+        unknown = [name for name in chosen if name not in outputs]
+        if unknown:
+            raise UsageError(
+                f"trend names {unknown[0]!r}, which is no output of the fit; they are {', '.join(outputs)}"
+            )
+        trends = tuple(_trend(chosen.get(name, "none")) for name in outputs)
+    else:
+        trends = (_trend(chosen),) * len(outputs)
+    if focus == "simulation" and any(each.random_walk for each in trends):
+        raise UsageError("trend = 'random walk' is for focus = 'prediction'; give a degree for a simulation")
+    frequencies = (hum,) if isinstance(hum, int | float) else tuple(hum)
+    highest = 1 / (2 * sample_time) if sample_time else math.inf
+    for frequency in frequencies:
+        if not (math.isfinite(frequency) and 0 < frequency < highest):
+            raise UsageError(f"hum = {frequency} Hz; give frequencies above 0 and below {highest:g} Hz")
+    if len({f"{frequency:.10g}" for frequency in frequencies}) < len(frequencies):
+        raise UsageError(f"hum = {list(frequencies)}: a frequency is given twice; give each once")
+    return Disturbances(outputs, trends, tuple(float(f) for f in frequencies))
+
+
+def _trend(name: TrendName) -> Trend:
+    if isinstance(name, str) and name in TREND_WORDS:
+        return TREND_WORDS[name]
+    if isinstance(name, int) and not isinstance(name, bool) and 0 <= name <= HIGHEST_DEGREE:
+        return Trend(name + 1)
+    words = ", ".join(map(repr, TREND_WORDS))
+    raise UsageError(f"trend = {name!r}; choose {words}, or a degree from 0 to {HIGHEST_DEGREE}")
+
+
+# ---- Disturbances in the equations of a predictor: columns of known regressors, and states of random walks.
+
+
+def disturbing_columns(disturbances: Disturbances, theta: FloatArray) -> Dual:
+    """Return the matrix from the regressors to the outputs, whose coefficients are the last of the parameters.
+
+    Parameters
+    ----------
+    disturbances : Disturbances
+        Trends and hum.
+    theta : (..., n_p) array
+        Parameters of a predictor, at one point or several.
+
+    Returns
+    -------
+    Dual
+        (..., n_outputs, n_columns), with its derivatives by all parameters.
+    """
+    n_p, count = theta.shape[-1], len(disturbances.terms)
+    value = disturbances.matrix(theta[..., n_p - count :])
+    slope = np.zeros((n_p, *value.shape))
+    for i, (row, column) in enumerate(zip(*disturbances.places, strict=True)):
+        slope[n_p - count + i, ..., row, column] = 1.0
+    return Dual(value, slope)
+
+
+def with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Matrices:
+    """Return the matrices with one more state for each of these outputs: its offset, a random walk.
+
+    Parameters
+    ----------
+    m : Matrices
+        Matrices of a structure.
+    outputs : sequence of int
+        Outputs whose offset is a random walk.
+    gains : casadi.SX
+        Gain of each of them from the error of its output [1/s]; empty when the offsets stay as they are.
+
+    Returns
+    -------
+    Matrices
+        ``db/dt = gain e`` for each offset b, and ``y = C x + D u + b + e``.
+    """
+    if not outputs:
+        return m
+    n_u, n_y, added = m.B.shape[1], m.C.shape[0], len(outputs)
+    onto = ca.SX(n_y, added)
+    for column, output in enumerate(outputs):
+        onto[output, column] = 1
+    still = ca.SX(added, n_u)
+    feedback = m.feedback
+    if feedback is not None:
+        drive = ca.vertcat(feedback.law.drive, ca.SX(added, feedback.law.drive.shape[1]))
+        feedback = feedback._replace(law=feedback.law._replace(drive=drive))
+    return m._replace(
+        A=ca.diagcat(m.A, ca.SX(added, added)),
+        B=ca.vertcat(m.B, still),
+        C=ca.horzcat(m.C, onto),
+        K=ca.vertcat(m.K, ca.diag(gains) @ onto.T if gains.numel() else ca.SX(added, n_y)),
+        B_delayed=ca.vertcat(m.B_delayed, still),
+        x0=ca.vertcat(m.x0, ca.SX(added, 1)) if m.x0.numel() else m.x0,
+        feedback=feedback,
+    )
+
+
+# ---- Model with the random walks of its outputs as states, for predictions.
+
+
+def with_walking_offsets(
+    model: LinearModel | NonlinearModel, disturbances: Disturbances, parameters: Mapping[str, float]
+) -> LinearModel | NonlinearModel:
+    """Return a model with one more state for each output whose offset is a random walk.
+
+    Parameters
+    ----------
+    model : LinearModel or NonlinearModel
+        Fitted model in continuous time.
+    disturbances : Disturbances
+        Disturbances of the fit.
+    parameters : dict of str to float
+        Parameters of the fit, with the gains of the random walks.
+
+    Returns
+    -------
+    LinearModel or NonlinearModel
+        Its last states are the offsets. Without random walks it is the model itself.
+    """
+    walking = list(disturbances.walking)
+    if not walking:
+        return model
+    if isinstance(model, NonlinearModel):
+        gains = [parameters[disturbances.gain_name(output)] for output in walking]
+        return with_integrators(model, walking, gains)
+    n, (n_y, n_u), added = model.n_states, model.D.shape, len(walking)
+    A, C, K = np.zeros((n + added,) * 2), np.zeros((n_y, n + added)), np.zeros((n + added, n_y))
+    A[:n, :n], C[:, :n] = model.A, model.C
+    K[:n] = 0.0 if model.K is None else model.K
+    for state, output in enumerate(walking, start=n):
+        C[output, state] = 1.0
+        K[state, output] = parameters[disturbances.gain_name(output)]
+    still = np.zeros((added, n_u))
+    late = None if model.B_delayed is None else np.vstack([model.B_delayed, still])
+    return replace(model, A=A, B=np.vstack([model.B, still]), C=C, K=K, B_delayed=late, state_names=())

@@ -1,0 +1,540 @@
+"""Runner of the functions of a sample as compiled C, a block in each of the eight lanes of the vector unit."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache, partial
+from importlib.resources import files
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.compiled import CompilerMissingError, load_library
+from gbid.core.errors import UsageError
+from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction
+from gbid.identify.kernel.linear import EngineName, RunEngine, pointer_of, reached
+from gbid.identify.kernel.nonlinear import MappedRunner, NonlinearKernel, SampleSums, mean_predictor
+from gbid.identify.kernel.sample import NonlinearPredictor, NonlinearValues, SampleFunctions
+
+# ---- C of a casadi.Function for eight columns at once, written from CasADi's own list of instructions.
+
+_BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+_COMPARED = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
+_UNARY = {
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0}*{0}",
+    ca.OP_TWICE: "2.0*{0}",
+    ca.OP_INV: "1.0/{0}",
+    ca.OP_NOT: "one({0} == 0.0)",
+    ca.OP_IF_ELSE_ZERO: "kept({1}, {0} != 0.0)",
+    ca.OP_AND: "one(({0} != 0.0) & ({1} != 0.0))",
+    ca.OP_OR: "one(({0} != 0.0) | ({1} != 0.0))",
+    ca.OP_FABS: "kept({0}, {0} > 0.0) - kept({0}, {0} < 0.0)",
+    ca.OP_SIGN: "one({0} > 0.0) - one({0} < 0.0)",
+}
+"""Expressions of vectors."""
+_OF_ONE = {
+    ca.OP_EXP: "exp",
+    ca.OP_LOG: "log",
+    ca.OP_SQRT: "sqrt",
+    ca.OP_SIN: "sin",
+    ca.OP_COS: "cos",
+    ca.OP_TAN: "tan",
+    ca.OP_ASIN: "asin",
+    ca.OP_ACOS: "acos",
+    ca.OP_ATAN: "atan",
+    ca.OP_SINH: "sinh",
+    ca.OP_COSH: "cosh",
+    ca.OP_TANH: "tanh",
+    ca.OP_ASINH: "asinh",
+    ca.OP_ACOSH: "acosh",
+    ca.OP_ATANH: "atanh",
+    ca.OP_FLOOR: "floor",
+    ca.OP_CEIL: "ceil",
+    ca.OP_ERF: "erf",
+    ca.OP_LOG1P: "log1p",
+    ca.OP_EXPM1: "expm1",
+}
+_OF_TWO = {
+    ca.OP_POW: "pow",
+    ca.OP_CONSTPOW: "pow",
+    ca.OP_FMIN: "fmin",
+    ca.OP_FMAX: "fmax",
+    ca.OP_FMOD: "fmod",
+    ca.OP_REMAINDER: "remainder",
+    ca.OP_ATAN2: "atan2",
+    ca.OP_COPYSIGN: "copysign",
+    ca.OP_HYPOT: "hypot",
+}
+"""Functions that are called for one lane after the other."""
+
+LANE_TYPES = """\
+typedef double v __attribute__((vector_size(64)));
+typedef double u __attribute__((vector_size(64), aligned(8)));
+typedef long long m8 __attribute__((vector_size(64)));
+static inline v all(double a) { return (v){0} + a; }
+static inline v kept(v a, m8 live) { return (v)((m8)a & live); }
+static inline v one(m8 is) { return kept(all(1.0), is); }
+"""
+
+
+class LaneFunction(NamedTuple):
+    """A casadi.Function, and how it is written.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        The function.
+    constant : tuple of int
+        Arguments that are the same for all samples of a pass.
+    places : dict of int to sequence of int
+        Where the entries of a result go; one after the other without it.
+    """
+
+    function: ca.Function
+    constant: tuple[int, ...]
+    places: Mapping[int, Sequence[int]] = {}
+
+
+def lane_source(functions: Mapping[str, LaneFunction]) -> str:
+    """Return C functions of the same names, ``void name(const v *a0, ..., const v *c, v *r0, ...)``.
+
+    What depends on the constant arguments alone, a fifth of a step with its derivatives, is computed once for a pass:
+    ``name_once`` writes it to `c`, whose size is ``name_size``.
+
+    Raises
+    ------
+    NotImplementedError
+        When a function has an operation that is unknown here.
+    """
+    each = [own.function for own in functions.values()]
+    met = {f.instruction_id(k) for f in each for k in range(f.n_instructions())}
+    helpers = [
+        f"static inline v {name}_(v a) {{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l]); return r; }}"
+        for operation, name in _OF_ONE.items()
+        if operation in met
+    ]
+    helpers += [
+        f"static inline v {name}_(v a, v b) "
+        f"{{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l], b[l]); return r; }}"
+        for name in sorted({name for operation, name in _OF_TWO.items() if operation in met})
+    ]
+    return "\n".join([*helpers, *(_written(name, own) for name, own in functions.items())])
+
+
+def _written(name: str, own: LaneFunction) -> str:
+    """Return C of a function, and of the part of it that is constant in a pass."""
+    f = own.function
+    once: list[str] = []  # one statement for each constant value, all with names of their own
+    lines: list[str] = []
+    kept: dict[str, int] = {}  # constant values that the rest needs, and their places
+    at: dict[int, str] = {}  # name of the value in each place of CasADi's memory
+    declared: set[int] = set()
+
+    def seen(value: str) -> str:
+        """Return how the rest of the function names a value."""
+        return f"c[{kept.setdefault(value, len(kept))}]" if value.startswith("k") else value
+
+    for k in range(f.n_instructions()):
+        operation, into, given = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
+        if operation == ca.OP_OUTPUT:
+            row = own.places[into[0]][into[1]] if into[0] in own.places else into[1]
+            lines.append(f"  r{into[0]}[{row}] = {seen(at[given[0]])};")
+            continue
+        if operation == ca.OP_INPUT:
+            fixed, names = given[0] in own.constant, [f"a{given[0]}[{given[1]}]"]
+        else:
+            fixed, names = all(at[i].startswith("k") for i in given), [at[i] for i in given]
+        if fixed:
+            at[into[0]] = f"k{len(once)}"
+            once.append(f"  const v {at[into[0]]} = {_value(f, k, operation, names)};")
+        else:
+            at[into[0]] = f"w{into[0]}"
+            kind = "" if into[0] in declared else "v "
+            lines.append(f"  {kind}{at[into[0]]} = {_value(f, k, operation, list(map(seen, names)))};")
+            declared.add(into[0])
+    once += [f"  c[{place}] = {value};" for value, place in kept.items()]
+    arguments = [f"const v *restrict a{i}" for i in range(f.n_in())]
+    results = [f"v *restrict r{i}" for i in range(f.n_out())]
+    same = [arguments[i] for i in own.constant]
+    return "\n".join(
+        [
+            f"enum {{ {name}_size = {max(1, len(kept))} }};",
+            f"static void {name}_once({', '.join([*same, 'v *restrict c'])}) {{",
+            *once,
+            "}",
+            f"static void {name}({', '.join([*arguments, 'const v *restrict c', *results])}) {{",
+            *lines,
+            "}",
+        ]
+    )
+
+
+def _value(f: ca.Function, k: int, operation: int, names: list[str]) -> str:
+    if operation == ca.OP_CONST:
+        return f"all({float(f.instruction_constant(k))!r})".replace("inf", "__builtin_inf()").replace(
+            "nan", '__builtin_nan("")'
+        )
+    if operation == ca.OP_INPUT:
+        return names[0]
+    if operation in _BINARY:
+        return f"{names[0]} {_BINARY[operation]} {names[1]}"
+    if operation in _COMPARED:
+        return f"one({names[0]} {_COMPARED[operation]} {names[1]})"
+    if operation in _UNARY:
+        return _UNARY[operation].format(*names)
+    if operation in _OF_ONE:
+        return f"{_OF_ONE[operation]}_({names[0]})"
+    if operation in _OF_TWO:
+        return f"{_OF_TWO[operation]}_({names[0]}, {names[1]})"
+    raise NotImplementedError(f"operation {operation} of casadi")
+
+
+# ---- C of the products with the Jacobians of a sample, in which entries that are always zero do not occur.
+#
+# All matrices but the Jacobian F of a step have dense columns. What can differ from zero in a column is known: with
+# those rows a column is multiplied, and all others are left as they are, zero from the start.
+
+_MOST_KINDS = 4  # of columns, by their rows: more of them would make the source long
+_ARGUMENTS = "const v *restrict a, const v *s, const v *restrict b, v *r"
+
+
+def product_source(functions: SampleFunctions) -> str:
+    """Return C functions that put Jacobians in place, multiply columns by them, and feed errors back."""
+    by_start, by_state, by_theta = (functions.output_jacobian.sparsity_out(i) for i in (3, 4, 5))
+    of_step, own = (functions.step_jacobian.sparsity_out(i) for i in (1, 2))
+    F, G, C, D, X = (_pattern(each) for each in (of_step, own, by_state, by_theta, by_start))
+    n, n_p = X.shape
+    n_e = G.shape[1] - n_p
+    through = reached(F, G)
+    fed = [through[:, :n_e] @ each[:n_e] for each in (C, D)]
+    sample, onto = reached(F, F) | fed[0], through[:, n_e:] | fed[1]  # by the state, by theta
+    M = np.hstack([sample, through[:, :n_e], onto])
+    S = np.hstack([reached(sample, onto | X), reached(sample, np.eye(n, dtype=bool))])
+    left = np.hstack([fed[0] & ~F, np.zeros((n, n_e), bool), fed[1] & ~G[:, n_e:]])
+    return "\n".join(
+        [
+            _put("put_output", by_theta, n_p + n),
+            _put_first(of_step, left),
+            _onto("add_start", by_start),
+            _onto_column("add_output", by_state),
+            *_products("step", _numbered(of_step), M, slice(n)),
+            *_products("sample", _dense(sample), S, slice(n_p, None)),
+            _feed(by_state, by_theta, through) if functions.feeds_back else "",
+        ]
+    )
+
+
+def places_of(sparsity: ca.Sparsity) -> list[int]:
+    """Return where the entries of a matrix are in its dense columns."""
+    return [column * sparsity.size1() + row for _, row, column in _entries(sparsity)]
+
+
+def _pattern(sparsity: ca.Sparsity) -> BoolArray:
+    return np.array(ca.DM(sparsity, 1.0).full() != 0, bool)
+
+
+def _entries(sparsity: ca.Sparsity) -> list[tuple[int, int, int]]:
+    return list(zip(range(sparsity.nnz()), sparsity.row(), sparsity.get_col(), strict=True))
+
+
+def _numbered(sparsity: ca.Sparsity) -> dict[tuple[int, int], int]:
+    return {(row, column): k for k, row, column in _entries(sparsity)}
+
+
+def _dense(pattern: BoolArray) -> dict[tuple[int, int], int]:
+    return {(int(row), int(column)): int(column) * len(pattern) + int(row) for column, row in np.argwhere(pattern.T)}
+
+
+def _put(name: str, sparsity: ca.Sparsity, columns: int) -> str:
+    """C that writes a Jacobian in dense columns, with zeros to the last of so many columns."""
+    there = {place: k for k, place in enumerate(places_of(sparsity))}
+    every = range(sparsity.size1() * columns)
+    lines = [f"  r[{i}] = {f'a[{there[i]}]' if i in there else 'all(0.0)'};" for i in every]
+    return _inline(name, "const v *restrict a, v *restrict r", lines)
+
+
+def _put_first(of_step: ca.Sparsity, left: BoolArray) -> str:
+    """C that writes the Jacobian of the first step, and zeros where the feedback of the last sample has been."""
+    lines = [f"  r[{place}] = a[{k}];" for k, place in enumerate(places_of(of_step))]
+    lines += [f"  r[{place}] = all(0.0);" for place in _dense(left).values()]
+    return _inline("put_first", "const v *restrict a, v *restrict r", lines)
+
+
+def _onto(name: str, sparsity: ca.Sparsity) -> str:
+    """C that adds a Jacobian to dense columns."""
+    lines = [f"  r[{place}] += a[{k}];" for k, place in enumerate(places_of(sparsity))]
+    return _inline(name, "const v *restrict a, v *restrict r", lines)
+
+
+def _onto_column(name: str, sparsity: ca.Sparsity) -> str:
+    """C that adds the product of a Jacobian and a column to a column."""
+    lines = [f"  r[{row}] += a[{k}]*s[{column}];" for k, row, column in _entries(sparsity)]
+    return _inline(name, "const v *restrict a, const v *restrict s, v *restrict r", lines)
+
+
+def _products(name: str, matrix: dict[tuple[int, int], int], columns: BoolArray, n_plain: slice) -> Iterator[str]:
+    """Yield C of ``r = A s`` over the plain columns, ``NAME_states``, and ``r = b + A s`` over the rest, ``NAME_rest``.
+
+    They are loops over neighbours of the same kind: with the same rows that can differ from zero.
+    """
+    own = [tuple(np.flatnonzero(column).tolist()) for column in columns.T]
+    if len(set(own)) > _MOST_KINDS:
+        own = [tuple(np.flatnonzero(columns.any(axis=1)).tolist())] * len(own)
+    kinds = sorted(set(own))
+    every = range(len(own))
+    for what, chosen in (("states", every[n_plain]), ("rest", [c for c in every if c not in every[n_plain]])):
+        calls = []
+        for rows, run in groupby(chosen, key=own.__getitem__):
+            column, *more = run
+            ends = f"int c = {column - chosen[0]}; c < {column - chosen[0] + len(more) + 1}; c++"
+            calls.append(f"  for ({ends}) {name}_{what}_{kinds.index(rows)}(a, s + c*N, b + c*N, r + c*N);")
+        for number, rows in enumerate(kinds):
+            lines = [f"  const v s{i} = s[{i}];" for i in rows]
+            for row in rows:
+                terms = [f"b[{row}]"] if what == "rest" else []
+                terms += [f"a[{matrix[row, i]}]*s{i}" for i in rows if (row, i) in matrix]
+                lines.append(f"  const v r{row} = {' + '.join(terms) or 'all(0.0)'};")
+            lines += [f"  r[{row}] = r{row};" for row in rows]
+            yield _inline(f"{name}_{what}_{number}", _ARGUMENTS, lines)
+        yield _inline(f"{name}_{what}", _ARGUMENTS, calls)
+
+
+def _feed(by_state: ca.Sparsity, by_theta: ca.Sparsity, through: BoolArray) -> str:
+    """C that takes what the error, ``y - yhat``, feeds back from the Jacobians by the state and by theta."""
+    lines = [
+        f"  {onto}[{column}*N + {i}] -= {entry}[{k}]*by_e[{row}*N + {i}];"
+        for entry, onto, sparsity in (("C", "by_x", by_state), ("D", "by_theta", by_theta))
+        for k, row, column in _entries(sparsity)
+        for i in np.flatnonzero(through[:, row])
+    ]
+    arguments = ("const v *restrict C", "const v *restrict D", "const v *restrict by_e")
+    return _inline("feed", ", ".join([*arguments, "v *restrict by_x", "v *restrict by_theta"]), lines)
+
+
+def _inline(name: str, arguments: str, lines: list[str]) -> str:
+    return "\n".join([f"static inline void {name}({arguments}) {{", *lines, "}"])
+
+
+_BUFFER_BYTES = 32 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
+_FLAGS = (
+    "-O3",
+    "-march=native",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-ffp-contract=fast",
+    "-fPIC",
+    "-shared",
+    "-w",
+)  # with -O2 the sums of the pass stay in memory, and it takes 70 % longer
+_OF_OUTPUT, _OF_STEP = (2, 3), (3, 4, 6)  # arguments that are the same for all samples: parameters, length of a step
+
+
+class LanesRunner:
+    """Compiled runner; a `SampleRunner`.
+
+    Parameters
+    ----------
+    functions : SampleFunctions
+        Functions of a sample.
+
+    Raises
+    ------
+    CompilerMissingError
+        When there is no compiler, or when it fails.
+    """
+
+    def __init__(self, functions: SampleFunctions) -> None:
+        self._n, self._n_p = functions.output.size1_in(0), functions.output.size1_in(2)
+        library = load_library(source_of(functions), _FLAGS)
+        self.note = library.note
+        self._library = library
+        for name in ("sums", "passed", "psi", "begin", "adjoint"):
+            getattr(library, f"gbid_{name}").restype = None
+
+    def begin(self, v: NonlinearValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the state at the start of each block; see `SampleRunner`."""
+        begin = np.zeros((len(blocks.size), self._n))
+        arrays = [self._z(v, blocks), *_windows(blocks), np.ascontiguousarray(starts), begin]
+        self._call("begin", v, blocks.n_windows, blocks.length, arrays)
+        return begin.T
+
+    def passed(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> Prediction:
+        """Return states and errors; see `SampleRunner`."""
+        n_groups, length, _, lanes = blocks.y.shape
+        states, errors = np.empty((n_groups, length, self._n, lanes)), np.empty_like(blocks.y)
+        end = np.empty((n_groups, self._n, lanes))
+        self._passed(v, blocks, begin, [states, errors, end])
+        return Prediction(states, errors, end.transpose(1, 0, 2).reshape(self._n, -1))
+
+    def products(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> FloatArray:
+        """Return the products of the errors of each block; see `SampleRunner`."""
+        return self._passed(v, blocks, begin, [])
+
+    def _passed(
+        self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray]
+    ) -> FloatArray:
+        n_groups, length, n_y, lanes = blocks.y.shape
+        products = np.empty((n_groups, n_y, n_y, lanes))
+        arrays = [self._z(v, blocks), blocks.y, blocks.used, _by_group(begin)]
+        self._call("passed", v, n_groups, length, [*arrays, *results, *[None] * (3 - len(results)), products])
+        return _per_block(products)
+
+    def sums(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, root: FloatArray) -> SampleSums:
+        """Return the sums of a pass with sensitivities; see `SampleRunner`."""
+        z, n, n_p, n_y = self._z(v, blocks), self._n, self._n_p, blocks.y.shape[2]
+        n_groups, length, _, lanes = z.shape
+        hessian, products = np.empty((n_p, n_p)), np.empty((n_y, n_y))
+        gradient, mixed = np.empty((n_groups, n_p + n, lanes)), np.empty((n_groups, n_p, n, lanes))
+        start, end = np.empty((n_groups, n, n, lanes)), np.empty((n_groups, n, lanes))
+        slopes = np.empty((n_groups, n_p + n, n, lanes))
+        size = np.ascontiguousarray(blocks.size, np.int64)
+        arrays = [root, z, blocks.y, blocks.used, size, _by_group(begin)]
+        self._call("sums", v, n_groups, length, [*arrays, hessian, products, gradient, mixed, start, end, slopes])
+        by_block, onto = _per_block(gradient), _per_block(slopes).transpose(0, 2, 1)
+        sums = BlockSums(
+            hessian,
+            products,
+            by_block[:, :n_p],
+            by_block[:, n_p:],
+            _per_block(mixed),
+            _per_block(end),
+            onto[:, :, :n_p],
+        )
+        return SampleSums(sums, _per_block(start), onto[:, :, n_p:])
+
+    def adjoint(
+        self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, weighted: FloatArray, ends: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return derivatives backwards from the ends of windows; see `SampleRunner`."""
+        by_theta, starts = np.empty(self._n_p), np.empty((blocks.n_windows, self._n))
+        size = np.ascontiguousarray(blocks.size, np.int64)
+        given = [np.ascontiguousarray(prediction.states), np.ascontiguousarray(weighted), size, *_windows(blocks)]
+        arrays = [self._z(v, blocks), *given, np.ascontiguousarray(ends), by_theta, starts]
+        self._call("adjoint", v, blocks.n_windows, blocks.length, arrays)
+        return by_theta, starts
+
+    def sensitivities(
+        self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, first: FloatArray, own: slice
+    ) -> FloatArray:
+        """Return the sensitivities of some blocks; see `SampleRunner`."""
+        m, n_y, count = self._n_p + self._n, blocks.y.shape[2], own.stop - own.start
+        groups = slice(own.start // LANES, -(-own.stop // LANES))
+        skipped, n_groups = own.start - groups.start * LANES, groups.stop - groups.start
+        whole = np.zeros((n_groups * LANES, m, self._n))
+        whole[skipped : skipped + count] = first.transpose(0, 2, 1)
+        slopes = np.empty((n_groups, blocks.length, m, n_y, LANES))
+        arrays = [
+            np.ascontiguousarray(self._z(v, blocks)[groups]),
+            np.ascontiguousarray(prediction.states[groups, 0]),
+            np.ascontiguousarray(whole.reshape(n_groups, LANES, m, self._n).transpose(0, 2, 3, 1)),
+            slopes,
+        ]
+        self._call("psi", v, n_groups, blocks.length, arrays)
+        psi = slopes.transpose(1, 3, 2, 0, 4).reshape(blocks.length, n_y, m, -1)
+        return psi[..., skipped : skipped + count]
+
+    def _z(self, v: NonlinearValues, blocks: Blocks) -> FloatArray:
+        if blocks.lanes != LANES:
+            raise UsageError(f"the compiled pass needs {LANES} blocks in a group, not {blocks.lanes}")
+        return blocks.z(v.shift)
+
+    def _call(
+        self, name: str, v: NonlinearValues, count: int, length: int, arrays: Sequence[npt.NDArray[Any] | None]
+    ) -> None:
+        given = [np.ascontiguousarray(v.theta), np.ascontiguousarray(v.known), *arrays]
+        numbers = (ctypes.c_long(number) for number in (count, length, v.steps))
+        getattr(self._library, f"gbid_{name}")(*numbers, *(None if a is None else pointer_of(a) for a in given))
+
+
+@lru_cache(maxsize=32)
+def source_of(functions: SampleFunctions) -> str:
+    """Return the C source of the runner of a predictor."""
+    n, n_y, n_p = functions.output.size1_in(0), functions.output.size1_out(1), functions.output.size1_in(2)
+    n_c = n_p + n
+    sizes = {
+        "N": n,
+        "NP": n_p,
+        "NM": n + functions.step_jacobian.size2_out(2),
+        "NZ": functions.output.size1_in(1),
+        "NY": n_y,
+        "NQ": functions.output.size1_in(3),
+        "FEEDS": int(functions.feeds_back),
+        "ROWS": max(4, _BUFFER_BYTES // ((n_c + 3) * n_y * 64)),
+    }
+    dense = {2: places_of(functions.step_jacobian.sparsity_out(2))}
+    written = {
+        "output": LaneFunction(functions.output, _OF_OUTPUT),
+        "step": LaneFunction(functions.step, _OF_STEP),
+        "output_jacobian": LaneFunction(functions.output_jacobian, _OF_OUTPUT),
+        "step_jacobian": LaneFunction(functions.step_jacobian, _OF_STEP, dense),
+        "output_back": LaneFunction(functions.output_back, _OF_OUTPUT),
+        "step_back": LaneFunction(functions.step_back, _OF_STEP),
+    }
+    text = _template().replace("@TYPES@", LANE_TYPES).replace("@FUNCTIONS@", lane_source(written))
+    text = text.replace("@PRODUCTS@", product_source(functions))
+    for name, size in sizes.items():
+        text = text.replace(f"@{name}@", str(size))
+    return text
+
+
+@lru_cache(maxsize=1)
+def _template() -> str:
+    return files("gbid.identify.kernel").joinpath("lane_template.c").read_text(encoding="utf-8")
+
+
+def _windows(blocks: Blocks) -> list[npt.NDArray[np.int64]]:
+    return [np.ascontiguousarray(values, np.int64) for values in (blocks.window_first, blocks.window_size)]
+
+
+def _by_group(values: FloatArray) -> FloatArray:
+    """(n, W) to (n_groups, n, lanes)."""
+    return np.ascontiguousarray(values.reshape(len(values), -1, LANES).transpose(1, 0, 2))
+
+
+def _per_block(values: FloatArray) -> FloatArray:
+    """(n_groups, ..., lanes) to (W, ...)."""
+    return np.ascontiguousarray(np.moveaxis(values, -1, 1)).reshape(-1, *values.shape[1:-1])
+
+
+# ---- Choice of the runner of a nonlinear predictor: compiled, or by CasADi's map without a compiler.
+
+MOST_INSTRUCTIONS = 60_000
+"""Largest number of operations of all functions of a sample that are compiled: 10 000 take about 3 s."""
+
+
+def choose_runner(wanted: EngineName, predictor: NonlinearPredictor) -> tuple[NonlinearKernel, RunEngine, str]:
+    """Return the kernel, the name of its engine, and why it is not the compiled one if that was wanted.
+
+    Raises
+    ------
+    UsageError
+        When the compiled engine is required and there is no compiler.
+    """
+    if wanted not in ("auto", "compiled", "numpy"):
+        raise UsageError(f"engine = {wanted!r}; choose 'auto', 'compiled' or 'numpy'")
+    portable = MappedRunner(predictor.functions)
+    linear = partial(mean_predictor, portable)
+    mapped = NonlinearKernel(portable, linear)
+    if wanted == "numpy":
+        return mapped, "numpy", ""
+    count = sum(f.n_instructions() for f in predictor.functions if isinstance(f, ca.Function))
+    if wanted == "auto" and count > MOST_INSTRUCTIONS:
+        return (
+            mapped,
+            "numpy",
+            f"a compiled pass of {count} operations would take minutes to build: CasADi's map was used",
+        )
+    try:
+        run = LanesRunner(predictor.functions)
+    except (CompilerMissingError, NotImplementedError) as missing:
+        if wanted == "compiled":
+            raise UsageError(f"engine = 'compiled': {missing}") from None
+        return mapped, "numpy", f"{missing}: CasADi's map was used, which is slower"
+    return NonlinearKernel(run, linear), "compiled", run.note

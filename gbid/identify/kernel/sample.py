@@ -1,0 +1,422 @@
+"""Functions of one sample of a nonlinear predictor, with sensitivities and adjoint, as casadi.Function.
+
+A sample is an output and several steps of the integrator. The functions of both are small, whatever the number of
+steps: the kernels run the loops.
+
+    output:    x, z            -> xe, yhat, e
+    step:      x, z, e, t, w   -> x after a part w of the sample, from the part t on
+
+``xe`` is the state with what an initial state adds at the first sample, ``e`` the error that the disturbance gain
+feeds back. `theta` are the free parameters; `known` are all others and, last, the sample time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import UsageError
+from gbid.discretise import Hold, IntegratorName, check_holds, one_step, step_inputs
+from gbid.identify.disturbances import UNDISTURBED, Disturbances
+from gbid.identify.predictor import Focus, GeneralPredictor
+from gbid.structure import Parameter
+from gbid.structure.nonlinear import NonlinearStructure, first_steps, jumps_in, symbolic_equations
+
+
+class SampleEquations(NamedTuple):
+    """Equations of a sample as casadi.SX.
+
+    Attributes
+    ----------
+    x, theta, known : casadi.SX
+        Symbols of the states with those of random walks, the free parameters, all others and the sample time.
+    u : casadi.SX
+        Symbols of the inputs.
+    dx, y : casadi.SX
+        Derivatives of the states of the structure, and its outputs, by these symbols.
+    K : casadi.SX
+        Disturbance gain for all states, (n, n_y); without entries where measured outputs are not fed back.
+    x0 : casadi.SX
+        Initial state of the released states, (n, 1); zero for all others.
+    walking : tuple of int
+        Outputs with a random walk, whose offsets are the last states.
+    prompt, lead : tuple of int
+        Inputs without delay among the regressors, and those of them whose next sample is there, too.
+    delayed : tuple of int
+        Inputs with an exact delay.
+    early : casadi.SX
+        What is left of the delays of these after whole samples, in samples.
+    holds : tuple of {"zoh", "foh"}
+        Hold of each input.
+    disturbances : Disturbances
+        Trends and hum.
+    coefficients : casadi.SX
+        Their coefficients.
+    impulse : bool
+        Whether an impulse is a regressor.
+    integrator : {"rk4", "implicit"}
+        The integrator.
+    """
+
+    x: ca.SX
+    theta: ca.SX
+    known: ca.SX
+    u: ca.SX
+    dx: ca.SX
+    y: ca.SX
+    K: ca.SX
+    x0: ca.SX
+    walking: tuple[int, ...]
+    prompt: tuple[int, ...]
+    lead: tuple[int, ...]
+    delayed: tuple[int, ...]
+    early: ca.SX
+    holds: tuple[Hold, ...]
+    disturbances: Disturbances
+    coefficients: ca.SX
+    impulse: bool
+    integrator: IntegratorName
+
+
+class SampleFunctions(NamedTuple):
+    """Functions of a sample, with Jacobians that keep their zeros, and adjoints.
+
+    Attributes
+    ----------
+    output : casadi.Function
+        ``(x, z, theta, known) -> (xe, yhat, e)``.
+    step : casadi.Function
+        ``(x, z, e, theta, known, t, w) -> x``.
+    output_jacobian : casadi.Function
+        ``(x, z, theta, known) -> (xe, yhat, e, dxe/dtheta, dyhat/dxe, dyhat/dtheta at constant xe)``.
+    step_jacobian : casadi.Function
+        ``(x, z, e, theta, known, t, w) -> (x, dx/dx, dx/d[e, theta])``; without e where it is not fed back.
+    output_back : casadi.Function
+        ``(x, z, theta, known, a, v) -> `` derivatives of ``a' xe + v' yhat`` by x and theta.
+    step_back : casadi.Function
+        ``(x, z, e, theta, known, t, w, a) -> `` derivatives of ``a' x`` by the state before, e and theta.
+    feeds_back : bool
+        Whether the error acts on the state.
+    """
+
+    output: ca.Function
+    step: ca.Function
+    output_jacobian: ca.Function
+    step_jacobian: ca.Function
+    output_back: ca.Function
+    step_back: ca.Function
+    feeds_back: bool
+
+
+def sample_functions(own: SampleEquations) -> SampleFunctions:
+    """Return the functions of a sample; equal equations, as in a campaign, have the same ones."""
+    return _functions(_ByContent(own))
+
+
+class _ByContent:
+    """Equations that are equal when their content is, since symbols of CasADi are equal only to themselves."""
+
+    def __init__(self, own: SampleEquations) -> None:
+        symbols, rest = [own.x, own.theta, own.known, own.u], own._asdict()
+        values = [own.dx, own.y, own.K, own.x0, own.coefficients, own.early]
+        written = ca.Function("equations", symbols, values).serialize()
+        self.own = own
+        options = ("walking", "prompt", "lead", "delayed", "holds", "disturbances", "impulse", "integrator")
+        self._content = (written, *(rest[name] for name in options))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _ByContent) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+
+@lru_cache(maxsize=32)
+def _functions(equations: _ByContent) -> SampleFunctions:
+    own = equations.own
+    n, n_y = own.x.numel(), own.y.numel()
+    feeds_back = own.K.nnz() > 0
+    taps = [3 if own.holds[i] == "foh" else 2 for i in own.delayed]
+    rest = [own.disturbances.n_columns, int(own.impulse), n_y * feeds_back]
+    widths = [len(own.prompt), len(own.lead), sum(taps), *rest]
+    z = ca.SX.sym("z", sum(widths))
+    now, lead, late, trend, impulse, measured = _parts(z, widths)
+    u = ca.SX(own.u.numel(), 3)  # see `step_inputs`
+    early: list[ca.SX | None] = [None] * own.u.numel()
+    for row, i in enumerate(own.prompt):
+        u[i, 1] = now[row]
+    for row, i in enumerate(own.lead):
+        u[i, 0] = lead[row]
+    for row, (i, mine) in enumerate(zip(own.delayed, _parts(late, taps), strict=True)):
+        u[i, 3 - mine.numel() :], early[i] = mine.T, own.early[row]
+
+    # Output of a sample, and its derivatives at the state that has begun there.
+    at = own.x + own.x0 * impulse if own.impulse else own.x
+    (y,) = ca.substitute([own.y], [own.u], [u[:, 1]])
+    for walk, output in enumerate(own.walking):
+        y[output] += own.x[n - len(own.walking) + walk]
+    if own.disturbances.n_columns:
+        gain = ca.SX(n_y, own.disturbances.n_columns)
+        for row, column, coefficient in zip(*own.disturbances.places, ca.vertsplit(own.coefficients), strict=True):
+            gain[int(row), int(column)] = coefficient
+        y = y + gain @ trend
+    both = ca.vertcat(own.x, own.theta)
+    y, slopes = ca.substitute([ca.densify(y), ca.jacobian(y, both)], [own.x], [at])
+    e_value = measured - y if feeds_back else ca.SX.zeros(n_y)
+
+    # Step of the integrator.
+    e, t, w = ca.SX.sym("e", n_y), ca.SX.sym("t"), ca.SX.sym("w")
+    derivative = ca.vertcat(own.dx, ca.SX(len(own.walking), 1)) + own.K @ e
+    f = ca.Function("f", [own.x, own.u], [ca.densify(derivative)], {"allow_free": True})
+    ends = step_inputs(u, own.holds, early, t, w)
+    after = one_step(own.integrator, f, own.x, ends, own.known[-1] * w)
+
+    a, v = ca.SX.sym("a", n), ca.SX.sym("v", n_y)
+    point, fixed = [own.x, z], [own.theta, own.known]
+    every = ca.vertcat(own.x, e, own.theta)
+    back = ca.jtimes(ca.vertcat(at, y), both, ca.vertcat(a, v), True)
+    step_back = ca.jtimes(after, every, a, True)
+    moving = [e, *fixed, t, w]
+    by_every = ca.jacobian(after, every)
+    of_output = [ca.jacobian(at, own.theta), slopes[:, :n], slopes[:, n:]]
+    return SampleFunctions(
+        _function("output", [*point, *fixed], [at, y, e_value]),
+        _function("step", [*point, *moving], [after]),
+        _function("output_jacobian", [*point, *fixed], [at, y, e_value], of_output),
+        _function(
+            "step_jacobian", [*point, *moving], [after], [by_every[:, :n], by_every[:, n + n_y * (not feeds_back) :]]
+        ),
+        _function("output_back", [*point, *fixed, a, v], [back[:n], back[n:]]),
+        _function("step_back", [*point, *moving, a], [step_back[:n], step_back[n : n + n_y], step_back[n + n_y :]]),
+        feeds_back,
+    )
+
+
+def _function(
+    name: str, arguments: Sequence[ca.SX], results: Sequence[ca.SX], jacobians: Sequence[ca.SX] = ()
+) -> ca.Function:
+    dense = [ca.densify(result) for result in results]
+    return ca.Function(name, list(arguments), [*dense, *(ca.sparsify(each) for each in jacobians)], {"cse": True})
+
+
+def _parts(z: ca.SX, widths: Sequence[int]) -> list[ca.SX]:
+    found, at = [], 0
+    for width in widths:
+        found.append(z[at : at + width])
+        at += width
+    return found
+
+
+# ---- Predictor of a nonlinear structure.
+
+
+class NonlinearValues(NamedTuple):
+    """Nonlinear predictor at one parameter vector.
+
+    Attributes
+    ----------
+    theta : (n_p,) array
+        Free parameters.
+    known : (n_known,) array
+        All other parameters, the whole samples in delays, and the sample time.
+    steps : int
+        Steps of the integrator in a sample.
+    shift : tuple of int
+        Whole samples in the delay of each delayed input; these determine the regressors.
+    """
+
+    theta: FloatArray
+    known: FloatArray
+    steps: int
+    shift: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearPredictor(GeneralPredictor):
+    """Predictor of a nonlinear structure; see `GeneralPredictor`.
+
+    Attributes
+    ----------
+    functions : SampleFunctions
+        Functions of one sample.
+    known : (n_known,) array
+        Parameters that are not free, the whole samples in delays, and the sample time.
+    steps : int
+        Steps of the integrator in a sample.
+    adapts : bool
+        Whether the number of steps was left to the fit.
+    jumps : tuple of str
+        Operations of the equations with a jump or a kink.
+    """
+
+    functions: SampleFunctions
+    known: FloatArray
+    steps: int
+    adapts: bool
+    jumps: tuple[str, ...]
+    _x0: ca.Function
+    _delay: ca.Function
+
+    def at(self, theta: FloatArray) -> NonlinearValues:
+        """Return the predictor at values of the free parameters, shape (n_free,).
+
+        Raises
+        ------
+        UsageError
+            When a delay is negative.
+        """
+        theta = np.array(theta, float)
+        if not self.delayed:
+            return NonlinearValues(theta, self.known, self.steps)
+        delays = np.asarray(self._delay(theta, self.known)[0], float).ravel()
+        if (delays < 0).any():
+            raise UsageError(f"delay = {delays.min():g} s; it must not be negative")
+        known, shift = self.known.copy(), np.floor(delays / self.sample_time)
+        known[-1 - len(shift) : -1] = shift
+        return NonlinearValues(theta, known, self.steps, tuple(int(each) for each in shift))
+
+    def delay_slopes(self, theta: FloatArray) -> FloatArray:
+        """Return the derivatives of the delays of all inputs by the free parameters, (n_free, n_inputs)."""
+        slopes = np.zeros((len(self.free), self.n_inputs))
+        slopes[:, list(self.delayed)] = np.asarray(self._delay(theta, self.known)[1], float).T
+        return slopes
+
+    def released_state(self, theta: FloatArray) -> FloatArray:
+        """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
+        return np.asarray(self._x0(theta, self.known), float).ravel()
+
+
+def build_nonlinear_predictor(
+    structure: NonlinearStructure,
+    fixed: Mapping[str, float],
+    begin: Mapping[str, float],
+    sample_time: float,
+    intersample: str | Sequence[str],
+    focus: Focus,
+    *,
+    disturbances: Disturbances = UNDISTURBED,
+    horizon: int = 1,
+    released: Sequence[bool] = (),
+) -> NonlinearPredictor:
+    """Return the predictor of a nonlinear structure for a fit; arguments as for `build_predictor`.
+
+    `begin` are the start values, at which the number of steps of the integrator is chosen.
+
+    Raises
+    ------
+    UsageError
+        When no free parameter remains, or for a horizon beyond one.
+    """
+    if horizon > 1:
+        raise UsageError(f"horizon = {horizon}: nonlinear structures predict one step ahead; leave it out")
+    own = symbolic_equations(structure)
+    n, n_y = own.x.numel(), own.y.numel()
+    gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
+    K = own.K if focus == "prediction" else ca.SX(n, n_y)
+    x0 = own.x0 if len(released) and own.x0.numel() else ca.SX(n, 1)
+    x0 = ca.diag(ca.SX([float(each) for each in released] or [0.0] * n)) @ x0
+    seen = names_in(ca.veccat(own.dx, own.y, K, x0, own.delay))
+    nowhere = {q.name for q in structure.parameters} - seen - names_in(own.K) - names_in(own.x0) - set(fixed)
+    if nowhere:
+        raise UsageError(
+            f"structure {structure.name!r}: its equations do not contain the parameter {', '.join(sorted(nowhere))}; "
+            "remove it, or fix it (fixed=...)"
+        )
+    unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)
+    free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
+    if not free:
+        raise UsageError(f"structure {structure.name!r}: no free parameter to estimate")
+    coefficients = ca.vertcat(*(ca.SX.sym(term.name) for term in disturbances.terms))
+    gain_symbols = ca.vertcat(*(ca.SX.sym(q.name) for q in gains))
+    symbols = dict(
+        zip((q.name for q in structure.parameters), ca.vertsplit(own.p) if own.p.numel() else [], strict=True)
+    )
+    others = [q.name for q in structure.parameters if q not in free]
+    theta = ca.vertcat(*(symbols[q.name] for q in free), gain_symbols, coefficients)
+    h, shift = ca.SX.sym("sample_time"), ca.SX.sym("shift", len(own.delayed))
+    known = ca.vertcat(*(symbols[name] for name in others), shift, h)
+    walking = disturbances.walking
+    onto = ca.SX(len(walking), n_y)
+    for row, output in enumerate(walking):
+        onto[row, output] = gain_symbols[row] if gains else 0
+    holds = check_holds(intersample, own.u.numel())
+    acting = names_in(ca.veccat(own.dx, own.y))
+    acts = [i for i, symbol in enumerate(_each(own.u)) if symbol.name() in acting]
+    prompt = tuple(i for i in acts if i not in own.delayed)
+    late = own.delay[list(own.delayed), 0]
+    full_K = ca.sparsify(ca.vertcat(K, onto))
+    driven = acts or full_K.nnz() or disturbances.n_columns
+    walks = tuple(range(len(free), len(free) + len(gains)))
+    noise = _only_in(own.K, ca.veccat(own.dx, own.y, own.x0, own.delay))
+    x_all = ca.vertcat(own.x, ca.SX.sym("walk", len(walking)))
+    x0_all = ca.vertcat(x0, ca.SX(len(walking), 1))
+    equations = SampleEquations(
+        x=x_all,
+        theta=theta,
+        known=known,
+        u=own.u,
+        dx=own.dx,
+        y=own.y,
+        K=full_K,
+        x0=x0_all,
+        walking=walking,
+        prompt=prompt,
+        lead=tuple(i for i in prompt if holds[i] == "foh"),
+        delayed=own.delayed,
+        early=late / h - shift,
+        holds=holds,
+        disturbances=disturbances,
+        coefficients=coefficients,
+        impulse=any(released) or not driven,
+        integrator=structure.integrator,
+    )
+    values = {**dict.fromkeys(unused, 0.0), **fixed}
+    return NonlinearPredictor(
+        free=(*free, *gains, *(Parameter("coefficient", 0.0).renamed(term.name) for term in disturbances.terms)),
+        noise=(*(i for i, q in enumerate(free) if q.name in noise), *walks),
+        unused=unused,
+        n_states=x_all.numel(),
+        n_inputs=own.u.numel(),
+        n_outputs=n_y,
+        holds=holds,
+        prompt=prompt,
+        delayed=own.delayed,
+        feeds_back=full_K.nnz() > 0,
+        disturbances=disturbances,
+        walks=walks,
+        horizon=1,
+        sample_time=sample_time,
+        released=any(released),
+        functions=sample_functions(equations),
+        known=np.array([*(values[name] for name in others), *[0.0] * len(own.delayed), sample_time]),
+        steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), sample_time, own),
+        adapts=structure.steps == "auto",
+        jumps=jumps_in(own),
+        _x0=ca.Function("x0", [theta, known], [ca.densify(x0_all)]),
+        _delay=ca.Function("delay", [theta, known], [ca.densify(late), ca.densify(ca.jacobian(late, theta))]),
+    )
+
+
+def nonlinear_noise_names(structure: NonlinearStructure) -> frozenset[str]:
+    """Return the names of the parameters on which only the disturbance gain depends."""
+    own = symbolic_equations(structure)
+    return _only_in(own.K, ca.veccat(own.dx, own.y, own.x0, own.delay))
+
+
+def _only_in(one: ca.SX, others: ca.SX) -> frozenset[str]:
+    return frozenset(names_in(one) - names_in(others))
+
+
+def names_in(expression: ca.SX) -> set[str]:
+    """Return the names of the symbols in an expression."""
+    return {symbol.name() for symbol in ca.symvar(expression)}
+
+
+def _each(column: ca.SX) -> list[ca.SX]:
+    return ca.vertsplit(column) if column.numel() else []

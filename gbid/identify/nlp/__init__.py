@@ -1,1 +1,0 @@
-"""Nonlinear programme of a fit: multiple shooting, derivatives and the solver."""

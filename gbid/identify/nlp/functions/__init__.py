@@ -1,1 +1,0 @@
-"""Functions of CasADi for the nonlinear programme of a fit."""

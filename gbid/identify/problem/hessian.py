@@ -1,0 +1,383 @@
+"""Hessians for the solver: Gauss-Newton, or Gauss-Newton with the part that it omits.
+
+Gauss-Newton omits the product of the errors and the second derivatives of the predictor. For white errors this part is
+almost zero. For coloured errors (process noise, a nonlinear film, whirl) it is as large as the rest in some
+directions, and Gauss-Newton converges slowly there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from gbid.core.arrays import FloatArray, IntArray
+from gbid.identify.kernel.blocks import Blocks, cut
+from gbid.identify.kernel.sums import Moved
+from gbid.identify.problem.nlp import GroupGradient, Iterate, RecordGroup, Shooting
+
+# ---- Gradient of the Lagrangian of each part, by the adjoint of its kernel.
+
+
+def on_ends(problem: Shooting, lam_gaps: FloatArray) -> FloatArray:
+    """Return the multipliers at the window ends, (n_windows, n), in physical units; zero without a next window."""
+    ends = np.zeros((problem.n_windows, problem.n_states))
+    ends[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
+    return ends
+
+
+def own_gradients(
+    problem: Shooting,
+    values: list[Any],
+    starts: FloatArray,
+    ends: FloatArray,
+    weight: FloatArray,
+) -> list[GroupGradient]:
+    """Return gradients of cost and weighted window ends, by the parameters of each predictor and its window starts.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    values : list
+        Predictor of each part at the parameters.
+    starts : (n_windows, n) array
+        States at the starts of the windows.
+    ends : (n_windows, n) array
+        Multipliers at the ends of the windows.
+    weight : (n_y, n_y) array
+        Constant weight of the errors; with it, parts do not depend on each other.
+
+    Returns
+    -------
+    list of GroupGradient
+        Gradients of each part in physical units, without the prior; not finite when the errors overflow.
+    """
+    windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
+    return [
+        GroupGradient(*part.kernel.gradient(v, part.blocks, starts[own], ends[own], weight))
+        for v, part, own in zip(values, problem.parts, windows, strict=True)
+    ]
+
+
+# ---- Problem with each segment of a record as one window: it has fewer unknowns for the last iterations.
+
+_LONG = 128  # samples of a block; a record of many shorter ones takes longer to link
+
+
+def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
+    """Join the windows of each segment.
+
+    Parameters
+    ----------
+    problem : Shooting
+
+    Returns
+    -------
+    Shooting
+        Windows of different segments stay linked.
+    (n_unknowns of the joined problem,) integer array
+        Where its unknowns are among those of the problem given.
+    """
+    parts = tuple(replace(part, blocks=_joined(part)) for part in problem.parts)
+    firsts = np.concatenate(
+        [
+            first + part.blocks.segment_first
+            for part, first in zip(problem.parts, problem.first_window[:-1], strict=True)
+        ]
+    )
+    segment_of = np.searchsorted(firsts, np.arange(problem.n_windows), side="right") - 1
+    between = np.isin(problem.links[:, 1], firsts)  # a segment is entered only at its first window
+    links = segment_of[problem.links[between]].reshape(-1, 2)
+    n, n_t = problem.n_states, problem.n_theta
+    starts = (n_t + firsts[:, None] * n + np.arange(n)).ravel()
+    extra = problem.extra and problem.extra.moved_to(segment_of[problem.extra.windows])
+    joined = replace(problem, parts=parts, links=links, extra=extra, _last={}, _met={})
+    return joined, np.concatenate([np.arange(n_t), starts])
+
+
+def _joined(part: RecordGroup) -> Blocks:
+    """Return the segments of a part as one window each, in the blocks that are there where these are not short."""
+    if part.blocks.length >= _LONG:
+        return part.blocks.by_whole_segments()
+    return cut(part.blocks.segments, part.predictor, None)
+
+
+def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> FloatArray:
+    """Unknowns of a problem at a point of `in_one_window`'s: the windows start where the model passes by."""
+    theta, starts = joined.unpack(unknowns)
+    passed = [
+        _along(part, v, starts[a:b])
+        for v, part, a, b in zip(
+            problem.values(theta), problem.parts, joined.first_window[:-1], joined.first_window[1:], strict=True
+        )
+    ]
+    return problem.pack(theta, np.concatenate(passed))
+
+
+def _along(part: RecordGroup, v: Any, starts: FloatArray) -> FloatArray:
+    """State at the start of each window, (n_windows, n), from those of the segments."""
+    blocks = part.blocks
+    return part.kernel.begin(v, blocks.by_whole_segments(), starts)[:, blocks.window_first].T
+
+
+# ---- Part of the Hessian that Gauss-Newton omits: the errors times the second derivatives of the predictor.
+
+# Step of a difference, in units in which the cost has curvature one. It is small, because states with little influence
+# on the outputs amplify errors in their columns. Second: largest step relative to a parameter without influence.
+_DIFFERENCE, _MOST = 3e-8, 1e-4
+
+
+class PartHessian(NamedTuple):
+    """Hessian of a part, without the block of its window starts.
+
+    Attributes
+    ----------
+    theta : (n_p, n_p) array
+        Derivatives by two parameters.
+    mixed : (n_windows, n_p, n) array
+        Derivatives by a parameter and a window start.
+    """
+
+    theta: FloatArray
+    mixed: FloatArray
+
+
+def omitted_part(
+    problem: Shooting,
+    theta: FloatArray,
+    starts: FloatArray,
+    ends: FloatArray,
+    curvatures: Sequence[FloatArray],
+    weight: FloatArray,
+    wanted: Sequence[Sequence[int]] | None = None,
+) -> list[PartHessian]:
+    """Return the second derivatives of cost and weighted window ends that Gauss-Newton omits, part by part.
+
+    They are by the own parameters of each predictor and by the starts of its windows.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    theta : (n_p,) array
+        Parameters.
+    starts : (n_windows, n) array
+        States at the starts of the windows.
+    ends : (n_windows, n) array
+        Multipliers at the ends of the windows.
+    curvatures : sequence of (n_p,) array
+        For each part, its approximate share in the second derivatives of the cost by the parameters at its `index`. The
+        sum of the shares sets the steps of differences.
+    weight : (n_y, n_y) array
+        Constant weight of the errors; with it, parts do not depend on each other.
+    wanted : sequence of sequence of int, optional
+        For each part, the indices of its own parameters with a column; all when left out. Other columns are zero.
+
+    Returns
+    -------
+    list of PartHessian
+        Columns of each part in physical units; not finite when the errors overflow.
+    """
+    curvature = np.zeros(problem.n_theta)
+    for part, share in zip(problem.parts, curvatures, strict=True):
+        curvature[part.index] += share
+    units = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny))
+    windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
+    found = []
+    for k, (part, v, own) in enumerate(zip(problem.parts, problem.values(theta), windows, strict=True)):
+        n_own = len(part.predictor.free)
+        columns = range(n_own) if wanted is None else wanted[k]
+        sizes = (n_own, n_own), (part.blocks.n_windows, n_own, problem.n_states)
+        if not np.isfinite(curvature).all():  # no steps can be chosen where the errors overflow
+            found.append(PartHessian(*(np.full(size, np.nan) for size in sizes)))
+        elif len(columns):
+            moved = _moved(problem, part, theta, columns, units)
+            made = part.kernel.left_out(v, part.blocks, starts[own], ends[own], weight, moved)
+            found.append(PartHessian(*made))
+        else:
+            found.append(PartHessian(*(np.zeros(size) for size in sizes)))
+    return found
+
+
+def _moved(
+    problem: Shooting, part: RecordGroup, theta: FloatArray, columns: Sequence[int], units: FloatArray
+) -> list[Moved]:
+    """Return predictors of a part with one own parameter moved within its bounds, for each of some parameters."""
+    here = np.array(part.own(theta), float)
+    own = np.tile(here, (len(columns) + 1, 1))  # the point itself is the first
+    steps = []
+    for row, j in zip(own[1:], columns, strict=True):
+        onto = np.eye(len(here))[j] if part.tie is None else np.abs(part.tie[j])
+        step = _DIFFERENCE * float((onto * units[part.index]).max())
+        step = min(step, _MOST * max(abs(float(here[j])), float((onto * problem.theta_scale[part.index]).max())))
+        steps.append(-step if here[j] + step > part.predictor.free[j].upper else step)
+        row[j] += steps[-1]
+    values = part.predictor.at_each(own)[1:]
+    return [Moved(j, step, v) for j, step, v in zip(columns, steps, values, strict=True)]
+
+
+_REFRESH = 2  # number of iterations that use the same exact columns
+_COLOURED = 0.1  # correlation of neighbouring errors above which they do not count as white
+_LEAST = 0.01  # smallest curvature, as a part of that of Gauss-Newton
+_FLAT = 1e-12  # largest curvature of an undetermined direction, as a part of the largest
+
+
+class Curvature(Protocol):
+    """Function for the entries of the Lagrangian's Hessian in the order of `Shooting.hessian_pattern`."""
+
+    def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
+        """Return the entries at a point, for multipliers of cost and gaps."""
+        ...
+
+
+class GaussNewton:
+    """Gauss-Newton Hessian: products of first derivatives, which each pass computes."""
+
+    def __init__(self, problem: Shooting) -> None:
+        self._problem = problem
+
+    def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:  # noqa: ARG002
+        """Return the entries at a point."""
+        return np.asarray(lam_f * self._problem.at(unknowns).hessian)
+
+
+class ExactHessian:
+    """Gauss-Newton Hessian with the omitted part of the parameters' columns, computed every few iterations.
+
+    For white errors these are only the columns of the disturbance gain, because the gain multiplies the errors
+    themselves. For coloured errors they are all columns.
+
+    The Hessian of each part is made convex by itself (`held_up`). Otherwise the solver would shift the Hessian of all
+    parts for one of them.
+    """
+
+    def __init__(self, problem: Shooting) -> None:
+        self._problem = problem
+        self._calls = 0
+        self._coloured = False
+        self._left_out: list[PartHessian] = []
+
+    def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
+        """Return the entries at the solver's next point."""
+        problem, here = self._problem, self._problem.at(unknowns)
+        if not here.sweeps:
+            return np.asarray(lam_f * here.hessian)
+        if self._calls % _REFRESH == 0:
+            self._coloured = self._coloured or neighbours(problem, unknowns) > _COLOURED
+            self._left_out = left_out_columns(problem, unknowns, lam_gaps, everything=self._coloured)
+        self._calls += 1
+        convex = [
+            PartHessian(held_up(own.theta, kept.theta), own.mixed) if own.theta.any() else own
+            for own, kept in zip(self._left_out, gauss_newton_of(problem, here), strict=True)
+        ]
+        return np.asarray(lam_f * (here.hessian + entries_of(problem, convex)))
+
+
+def gauss_newton_of(problem: Shooting, iterate: Iterate) -> list[PartHessian]:
+    """Return the Gauss-Newton Hessian of each part at an evaluated point."""
+    found = []
+    for part, s in zip(problem.parts, iterate.sweeps, strict=True):
+        t = problem.theta_scale[part.index]
+        mixed = s.hessian_mixed * (iterate.factor * t[:, None] * problem.state_scale)
+        found.append(PartHessian(iterate.factor * s.hessian * np.outer(t, t), mixed))
+    return found
+
+
+def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
+    """Return a correction that keeps the Gauss-Newton Hessian convex: negative curvatures change their sign.
+
+    Parameters
+    ----------
+    left_out, gauss_newton : (n, n) array
+        Omitted part and Gauss-Newton Hessian, symmetric. `gauss_newton` has no negative curvature. Directions without
+        curvature get no correction.
+
+    Returns
+    -------
+    (n, n) array
+        Correction. With it, each curvature has its absolute value, but at least `_LEAST` of Gauss-Newton's.
+    """
+    size, axes = np.linalg.eigh(gauss_newton)
+    there = size > _FLAT * size[-1]
+    root = np.sqrt(size[there])
+    inward, outward = axes[:, there] / root, axes[:, there] * root
+    ratio, along = np.linalg.eigh(inward.T @ left_out @ inward)
+    outward = outward @ along
+    return np.asarray((outward * (np.maximum(np.abs(1 + ratio), _LEAST) - 1)) @ outward.T)
+
+
+def neighbours(problem: Shooting, unknowns: FloatArray) -> float:
+    """Return the correlation of neighbouring errors, for the output with the largest one."""
+    theta, starts = problem.unpack(unknowns)
+    errors = problem.errors(problem.values(theta), starts)
+    products = sum(np.einsum("gkyw,gkyw->y", e[:, 1:], e[:, :-1]) for e in errors)
+    squares = sum(np.einsum("gkyw,gkyw->y", e, e) for e in errors)
+    return float(np.max(np.abs(products) / np.maximum(squares, np.finfo(float).tiny)))
+
+
+def left_out_columns(
+    problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray, *, everything: bool = True
+) -> list[PartHessian]:
+    """Return the part of the Hessian of the weighted squares that Gauss-Newton omits, for the parameters of each part.
+
+    The weight of the errors is constant. The cost is the logarithm of the squares. Away from the minimum, the logarithm
+    has less curvature, and for very small squares even negative curvature. This share is omitted.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    unknowns : (n_unknowns,) array
+        Scaled unknowns.
+    lam_gaps : (n_gaps,) array
+        Multipliers of the gaps.
+    everything : bool
+        Whether to compute all columns. If not, parts without ties get the columns of the disturbance gain only, and
+        parts without a gain none.
+
+    Returns
+    -------
+    list of PartHessian
+        Scaled columns of each part; zero when they overflow.
+    """
+    iterate = problem.at(unknowns)
+    kept = gauss_newton_of(problem, iterate)
+    wanted = [
+        range(len(part.predictor.free))
+        if (part.predictor.noise and (everything or part.tie is not None)) or (everything and part.tie is None)
+        else part.predictor.noise
+        for part in problem.parts
+    ]
+    weight = problem.weight(np.asarray(sum(s.error_products for s in iterate.sweeps)))
+    curvatures = [
+        np.diag(gn.theta) / problem.theta_scale[part.index] ** 2 for part, gn in zip(problem.parts, kept, strict=True)
+    ]
+    omitted = omitted_part(problem, *problem.unpack(unknowns), on_ends(problem, lam_gaps), curvatures, weight, wanted)
+    found = []
+    for part, own, (theta, mixed), gn in zip(problem.parts, wanted, omitted, kept, strict=True):
+        scale = problem.theta_scale[part.index]
+        left = PartHessian(np.zeros_like(gn.theta), np.zeros_like(gn.mixed))
+        if part.tie is not None:
+            theta, mixed = part.tie.T @ theta @ part.tie, np.einsum("wjn,jp->wpn", mixed, part.tie)
+        theta = theta * np.outer(scale, scale)
+        mixed = mixed * (scale[:, None] * problem.state_scale)
+        at = list(own) if part.tie is None else list(range(len(part.index)))
+        if np.isfinite(theta).all() and np.isfinite(mixed).all():
+            theta[np.ix_(at, at)] = (theta[np.ix_(at, at)] + theta[np.ix_(at, at)].T) / 2
+            left.theta[:, at], left.mixed[:, at] = theta[:, at], mixed[:, at]
+            left.theta[at] = theta[:, at].T
+        found.append(left)
+    return found
+
+
+def entries_of(problem: Shooting, left_out: Sequence[PartHessian]) -> FloatArray:
+    """Return the entries in the order of `Shooting.hessian_pattern`, summed over all parts."""
+    theta = np.zeros((problem.n_theta, problem.n_theta))
+    for part, own in zip(problem.parts, left_out, strict=True):
+        theta[np.ix_(part.index, part.index)] += own.theta
+    nothing = [np.zeros((len(own.mixed), problem.n_states, problem.n_states)) for own in left_out]
+    return problem.hessian_entries(theta, [own.mixed for own in left_out], nothing)

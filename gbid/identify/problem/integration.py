@@ -1,0 +1,186 @@
+"""Error of the integration of a nonlinear fit, measured at the optimum by halving the step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import ceil
+
+import casadi as ca
+import numpy as np
+
+from gbid.core.arrays import FloatArray
+from gbid.core.notes import FitNote
+from gbid.discretise import Dual
+from gbid.identify.data import FitData
+from gbid.identify.kernel.sample import NonlinearPredictor
+from gbid.identify.problem.nlp import Shooting
+from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations
+from gbid.identify.result import FitResult
+from gbid.structure import NonlinearModel
+from gbid.structure.nonlinear import MOST_STEPS
+
+_TOLERATED = 0.1  # standard deviations
+_AIM = 0.05  # of a finer integration
+_ORDER = 3  # of the less accurate integrator
+_ROUNDS = 3
+
+Box = tuple[FloatArray, FloatArray]
+
+
+def integrated_finely(
+    problem: Shooting, solution: Solution, box: Box, run: Callable[[FloatArray, Shooting], Solution]
+) -> tuple[Shooting, Solution, FloatArray | None]:
+    """Return problem and solution with as many steps of the integrator as the estimates need.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit, linear or not.
+    solution : Solution
+        Its solution.
+    box : (n_unknowns,) array, (n_unknowns,) array
+        Bounds of the unknowns, scaled.
+    run : callable
+        Solves, from a start, a problem.
+
+    Returns
+    -------
+    Shooting
+        The problem with more steps, where those of a structure with ``steps="auto"`` were not enough.
+    Solution
+        Its solution, with the iterations of all.
+    (n_theta,) array or None
+        How far the estimates move when the step of the integrator is halved; None if linear.
+    """
+    own = problem.parts[0].predictor
+    if not isinstance(own, NonlinearPredictor):
+        return problem, solution, None
+    steps, moved = own.steps, _moved(problem, solution.unknowns, box)
+    for _ in range(_ROUNDS):
+        if not (own.adapts and solution.status.success):
+            break
+        off = in_standard_deviations(problem, problem.at(solution.unknowns), moved)
+        if off <= _TOLERATED:
+            break
+        steps = steps * 4 if not np.isfinite(off) else ceil(steps * min(8.0, (off / _AIM) ** (1 / _ORDER)))
+        if steps > MOST_STEPS:
+            break
+        problem = with_steps(problem, steps)
+        found = run(solution.unknowns, problem)
+        solution = replace(found, iterations=solution.iterations + found.iterations)
+        moved = _moved(problem, solution.unknowns, box)
+    return problem, solution, moved[: problem.n_theta] * problem.theta_scale
+
+
+def with_integration_error(result: FitResult, shift: FloatArray | None) -> FitResult:
+    """Return a result with the shift of its estimates in standard deviations, and a note where it matters."""
+    if shift is None:
+        return result
+    std = np.array([result.std[name] for name in result.free])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = np.where(std > 0, shift / std, np.nan)
+    notes = result.notes
+    large = [
+        f"{name} by {abs(off):.2g}" for name, off in zip(result.free, relative, strict=True) if abs(off) > _TOLERATED
+    ]
+    if large and result.success:
+        notes = (
+            *notes,
+            FitNote.INTEGRATION(
+                f"the error of the integration moves estimates, in standard deviations: {', '.join(large)}; take more "
+                "steps in a sample (steps=...), or integrator='implicit'"
+            ),
+        )
+    return replace(result, integration_shift=relative, notes=notes)
+
+
+def with_steps(problem: Shooting, steps: int) -> Shooting:
+    """Return the problem with so many steps of the integrator in a sample."""
+    parts = []
+    for part in problem.parts:
+        assert isinstance(part.predictor, NonlinearPredictor)
+        parts.append(replace(part, predictor=replace(part.predictor, steps=steps)))
+    return replace(problem, parts=tuple(parts), _last={}, _met={})
+
+
+def _moved(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray:
+    """Return the step from the solution to that with half the step; infinite where it cannot be computed."""
+    own = problem.parts[0].predictor
+    assert isinstance(own, NonlinearPredictor)
+    finer = with_steps(problem, 2 * own.steps)
+    try:
+        here = gauss_newton_step(problem, problem.at(unknowns), unknowns, box)
+        return gauss_newton_step(finer, finer.at(unknowns), unknowns, box) - here
+    except (RuntimeError, ValueError):
+        return np.full(len(unknowns), np.inf)
+
+
+# ---- Linear model at the working point of a nonlinear fit, with derivatives by the parameters.
+
+
+def at_working_point(
+    model: NonlinearModel, problem: Shooting, theta: FloatArray, starts: FloatArray, data: FitData
+) -> NonlinearModel:
+    """Return the model with the means over the recordings as its working point, and the steps of the fit.
+
+    Parameters
+    ----------
+    model : NonlinearModel
+        Model at the estimates.
+    problem : Shooting
+        Problem of the fit.
+    theta, starts : (n_p,) and (n_windows, n) array
+        Its solution.
+    data : FitData
+        Data of the fit.
+    """
+    n, values = model.n_states, problem.values(theta)
+    firsts = zip(problem.first_window[:-1], problem.first_window[1:], strict=True)
+    states = [
+        np.concatenate(part.blocks.by_segment(part.kernel.predict(v, part.blocks, starts[a:b]).states))[:, :n]
+        for part, v, (a, b) in zip(problem.parts, values, firsts, strict=True)
+    ]
+    every = np.concatenate(states)
+    inputs = np.concatenate([record.inputs for record in data.records])
+    if not np.isfinite(every).all():
+        return replace(model, steps=values[0].steps)
+    size = np.sqrt(np.mean(every**2, axis=0))
+    return replace(
+        model,
+        steps=values[0].steps,
+        working_state=every.mean(axis=0),
+        working_input=inputs.mean(axis=0),
+        state_size=np.where(size > 0, size, 1.0),
+    )
+
+
+def linearised(model: NonlinearModel, names: Sequence[str], free: Sequence[str]) -> list[Dual]:
+    """Return A, B, C and D at the working point with their derivatives, the working point as it is.
+
+    Parameters
+    ----------
+    model : NonlinearModel
+        The model.
+    names : sequence of str
+        Names of the parameters of its structure.
+    free : sequence of str
+        Parameters of the derivatives; zero for those that are none of the structure.
+    """
+    x, u, p = (ca.SX.sym("s", size) for size in (model.n_states, len(model.input_names), len(names)))
+    found = []
+    for output in model.function(x, u, p):
+        for at in (x, u):
+            slopes = ca.densify(ca.jacobian(output, at))
+            function = ca.Function("m", [x, u, p], [slopes, ca.densify(ca.jacobian(slopes, p))])
+            value, by = (
+                np.asarray(m, float) for m in function(model.working_state, model.working_input, model.parameters)
+            )
+            value = value.reshape(slopes.shape)
+            every = by.T.reshape(len(names), *value.shape[::-1]).transpose(0, 2, 1)  # CasADi stacks columns
+            own = np.zeros((len(free), *value.shape))
+            for i, name in enumerate(free):
+                if name in names:
+                    own[i] = every[names.index(name)]
+            found.append(Dual(value, own))
+    return found

@@ -1,0 +1,817 @@
+"""Sparsity patterns of the Jacobian of the gaps and of the Hessian of the shooting problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import repeat
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from gbid.core.arrays import FloatArray, IntArray
+from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.kernel.sums import Kernel, Sweep, spectral_radius, tied
+from gbid.identify.predictor import GeneralPredictor, Predictor, PredictorValues
+
+# ---- Parts of the shooting problem: groups of records, prior knowledge, and values at a point.
+
+
+@dataclass(frozen=True, eq=False)
+class RecordGroup:
+    """Segments with the same predictor and the same values of its parameters.
+
+    Attributes
+    ----------
+    predictor : GeneralPredictor
+        Predictor of all segments.
+    blocks : Blocks
+        The segments, cut into blocks.
+    index : (n_p,) integer array
+        Positions of the predictor's parameters in those of the problem.
+    kernel : Kernel
+        Kernel of the recursion over the blocks.
+    tie : (n_own, n_p) array or None
+        Matrix of parameters that are linear in those of the problem, ``own = tie @ theta[index]``; None when they are
+        equal to those of `index`.
+    """
+
+    predictor: GeneralPredictor
+    blocks: Blocks
+    index: IntArray
+    kernel: Kernel
+    tie: FloatArray | None = None
+
+    def own(self, theta: FloatArray) -> FloatArray:
+        """Return the values of the predictor's parameters for parameters of the problem."""
+        return theta[self.index] if self.tie is None else np.asarray(self.tie @ theta[self.index])
+
+    @property
+    def noise(self) -> IntArray:
+        """Which of the problem's parameters only the disturbance gain depends on."""
+        rows = list(self.predictor.noise)
+        if self.tie is None:
+            return self.index[rows]
+        return self.index[np.flatnonzero(self.tie[rows].any(axis=0))]
+
+    def within_bounds(self, theta: FloatArray) -> bool:
+        """Return whether tied parameters are inside the predictor's bounds; bounds of unknowns do not ensure it."""
+        if self.tie is None:
+            return True
+        free = self.predictor.free
+        return all(q.lower <= v <= q.upper for q, v in zip(free, self.own(theta).tolist(), strict=True))
+
+
+class Iterate(NamedTuple):
+    """Values at one point for the solver, in scaled units.
+
+    Attributes
+    ----------
+    cost : float
+        Cost.
+    gradient : (n_unknowns,) array
+        Gradient of the cost.
+    gaps : (n_gaps,) array
+        Gaps between windows.
+    jacobian : (n_nonzeros,) array
+        Entries of the Jacobian of the gaps, in the order of its pattern.
+    hessian : (n_nonzeros,) array
+        Entries of the upper triangle of the Hessian, in the order of its pattern.
+    sweeps : tuple of Sweep
+        Results of the pass for each part, in physical units; empty where the problem has no value.
+    factor : float
+        Factor from the sums of a sweep to the scale of the cost.
+    extra_rows, extra_slopes : (n_rows,) and (n_rows, n_used) array
+        Constraints of the caller and their derivatives by the unknowns that they use.
+    rate : float
+        Largest growth of a small deviation in a sample; infinite where the predictor overflows.
+    """
+
+    cost: float
+    gradient: FloatArray
+    gaps: FloatArray
+    jacobian: FloatArray
+    hessian: FloatArray
+    sweeps: tuple[Sweep, ...]
+    factor: float
+    extra_rows: FloatArray = np.zeros(0)
+    extra_slopes: FloatArray = np.zeros((0, 0))
+    rate: float = np.inf
+
+
+class GroupGradient(NamedTuple):
+    """What a part adds to the gradient of the Lagrangian, without the prior.
+
+    Attributes
+    ----------
+    theta : (n_p,) array
+        By parameters: those at the part's `index`, or the predictor's own.
+    starts : (n_windows, n) array
+        By its windows' starts; that another window is to end there is left out.
+    """
+
+    theta: FloatArray
+    starts: FloatArray
+
+
+class Prior(NamedTuple):
+    """Prior knowledge of parameters: independent normal distributions.
+
+    Attributes
+    ----------
+    mean : (n_p,) array
+        Means.
+    information : (n_p,) array
+        Inverse variances; zero without prior knowledge.
+    """
+
+    mean: FloatArray
+    information: FloatArray
+
+
+def tied_limits(parts: Sequence[RecordGroup], theta_scale: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the linear constraints that are bounds of tied parameters, which are sums of several unknowns.
+
+    Returns
+    -------
+    (n_limits, n_theta) array
+        Matrix from the scaled unknowns to the parameters in units of their own scales.
+    (n_limits,) array, (n_limits,) array
+        Lower and upper bounds.
+    """
+    rows, lower, upper = [], [], []
+    for part in parts:
+        if part.tie is None:
+            continue
+        for q, tie in zip(part.predictor.free, part.tie, strict=True):
+            row = np.zeros(len(theta_scale))
+            row[part.index] = tie * theta_scale[part.index]
+            size = float(np.abs(row).max())
+            if size > 0 and np.isfinite([q.lower, q.upper]).any():
+                rows.append(row / size)
+                lower.append(q.lower / size)
+                upper.append(q.upper / size)
+    return np.array(rows).reshape(-1, len(theta_scale)), np.array(lower), np.array(upper)
+
+
+LinksByPart = list[tuple[IntArray, IntArray, RecordGroup]]
+"""Links that start in each part: row numbers, first windows, and the part."""
+
+
+class Pattern(NamedTuple):
+    """Nonzeros of a sparse matrix in column order, and the order that brings computed entries there."""
+
+    shape: tuple[int, int]
+    rows: IntArray
+    columns: IntArray
+    order: IntArray
+
+
+def jacobian_pattern(
+    links: IntArray,
+    links_by_part: LinksByPart,
+    n: int,
+    n_theta: int,
+    n_unknowns: int,
+) -> Pattern:
+    """Return where the gaps depend on the parameters of a window, its start, and the next start.
+
+    Parameters
+    ----------
+    links : (n_links, 2) integer array
+    links_by_part : sequence of (rows, windows, RecordGroup)
+        Links that start in each part, and their first windows.
+    n, n_theta, n_unknowns : int
+        Number of states, parameters and unknowns.
+    """
+    rows, columns = [], []
+    for link_rows, windows, part in links_by_part:
+        own = (link_rows[:, None] * n + np.arange(n))[:, :, None]
+        rows += [own.repeat(len(part.index), 2), own.repeat(n, 2)]
+        columns += [
+            np.broadcast_to(part.index, rows[-2].shape),
+            np.broadcast_to((n_theta + windows[:, None] * n + np.arange(n))[:, None, :], rows[-1].shape),
+        ]
+    rows.append(np.arange(len(links) * n))
+    columns.append((n_theta + links[:, 1:] * n + np.arange(n)).ravel())
+    return _in_column_order((len(links) * n, n_unknowns), rows, columns)
+
+
+def hessian_pattern(
+    parts: Sequence[RecordGroup],
+    first_window: IntArray,
+    theta_pairs: tuple[IntArray, IntArray],
+    n: int,
+    n_unknowns: int,
+    places: IntArray | None = None,
+) -> Pattern:
+    """Return where the upper triangle of the Hessian has entries, an arrow.
+
+    Parameters
+    ----------
+    parts : sequence of RecordGroup
+    first_window : (n_parts + 1,) integer array
+    theta_pairs : (n_pairs,) integer array, (n_pairs,) integer array
+        Pairs of parameters that meet in some part.
+    n, n_unknowns : int
+        Number of states and of unknowns.
+    places : (n_used,) integer array, optional
+        Unknowns that meet in extra terms. What they add to the pattern are the last entries before the order.
+    """
+    rows, columns = [theta_pairs[0]], [theta_pairs[1]]
+    upper, n_theta = np.triu_indices(n), n_unknowns - int(first_window[-1]) * n
+    for part, first, last in zip(parts, first_window[:-1], first_window[1:], strict=True):
+        base = n_theta + np.arange(first, last) * n
+        shape = (last - first, len(part.index), n)
+        rows += [np.broadcast_to(part.index[None, :, None], shape), base[:, None] + upper[0]]
+        columns += [np.broadcast_to((base[:, None] + np.arange(n))[:, None, :], shape), base[:, None] + upper[1]]
+    if places is not None:
+        have = np.concatenate([np.ravel(r) + n_unknowns * np.ravel(c) for r, c in zip(rows, columns, strict=True)])
+        low, high = pairs_of(places)
+        new = ~np.isin(low + n_unknowns * high, have)
+        rows.append(low[new])
+        columns.append(high[new])
+    return _in_column_order((n_unknowns, n_unknowns), rows, columns)
+
+
+def pairs_of(places: IntArray) -> tuple[IntArray, IntArray]:
+    """Return rows and columns, in the upper triangle, of all pairs of unknowns, in the order of ``triu_indices``."""
+    i, j = np.triu_indices(len(places))
+    return np.minimum(places[i], places[j]), np.maximum(places[i], places[j])
+
+
+def theta_pairs(parts: Sequence[RecordGroup], n_theta: int) -> tuple[IntArray, IntArray]:
+    """Return the pairs of parameters that are in the same part, upper triangle."""
+    meet = np.eye(n_theta, dtype=bool)
+    for part in parts:
+        meet[np.ix_(part.index, part.index)] = True
+    rows, columns = np.nonzero(np.triu(meet))
+    return rows, columns
+
+
+def links_by_part(links: IntArray, parts: Sequence[RecordGroup], first_window: IntArray) -> LinksByPart:
+    """Return the links that start in each part: row numbers, first windows, and the part."""
+    result = []
+    for part, first, last in zip(parts, first_window[:-1], first_window[1:], strict=True):
+        own = np.flatnonzero((links[:, 0] >= first) & (links[:, 0] < last))
+        result.append((own, links[own, 0], part))
+    return result
+
+
+def _in_column_order(shape: tuple[int, int], rows: list[IntArray], columns: list[IntArray]) -> Pattern:
+    """Order entries by column, then row."""
+    row = np.concatenate([np.ravel(part) for part in rows]).astype(np.int64)
+    column = np.concatenate([np.ravel(part) for part in columns]).astype(np.int64)
+    order = np.lexsort((row, column))
+    return Pattern(shape, row[order], column[order], order)
+
+
+# ---- Distance of predictors from instability, which a disturbance gain can reduce.
+
+EDGE = 0.02
+"""Of the model's own margin: a gain that leaves no more is no estimate."""
+CLEAR = 0.2
+"""Of the same: a gain that leaves more can be started from."""
+
+
+def near_instability(predictor: Predictor, own: FloatArray, share: float) -> bool:
+    """Return whether the disturbance gain leaves at most a share of the stability margin of the model.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        The predictor.
+    own : (n_own,) array
+        Values of its parameters.
+    share : float
+        The share.
+    """
+    still = np.array(own, float)
+    still[[i for i in predictor.noise if i not in predictor.walks]] = 0.0  # a slow random walk is a valid estimate
+    margin = 1 - spectral_radius([predictor.at(still)])
+    return (margin > 0 or not predictor.walks) and 1 - spectral_radius([predictor.at(own)]) <= share * margin
+
+
+# ---- Further cost and constraints of a caller, on parameters and initial states, in the problem of a fit.
+
+
+class ExtraValues(NamedTuple):
+    """Values of extra terms at a point, in physical units.
+
+    Attributes
+    ----------
+    cost : float
+        Extra cost, a negative log-likelihood.
+    gradient, hessian : (n_used,) and (n_used, n_used) array
+        Its derivatives by the unknowns that are used.
+    rows, slopes : (n_rows,) and (n_rows, n_used) array
+        Constraints, divided by their size, and their derivatives.
+    """
+
+    cost: float
+    gradient: FloatArray
+    hessian: FloatArray
+    rows: FloatArray
+    slopes: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ExtraTerms:
+    """Extra cost and constraints.
+
+    Attributes
+    ----------
+    cost : casadi.Function
+        ``(v) -> (f, gradient, Hessian)`` of the unknowns that are used.
+    rows : casadi.Function
+        ``(v) -> (c, Jacobian)``.
+    curvature : casadi.Function
+        ``(v, lam) -> `` Hessian of ``lam' c``.
+    used : (n_used,) integer array
+        Positions of these unknowns among all parameters and, after them, the initial states of all records.
+    windows : (n_records,) integer array
+        First window of each record.
+    size : (n_rows,) array
+        Size of each constraint, by which it is divided for the solver.
+    lower, upper : (n_rows,) array
+        Bounds of the constraints, divided by it.
+    names : tuple of str
+        Constraints as the caller wrote them.
+    """
+
+    cost: ca.Function
+    rows: ca.Function
+    curvature: ca.Function
+    used: IntArray
+    windows: IntArray
+    size: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    names: tuple[str, ...]
+
+    def moved_to(self, windows: IntArray) -> ExtraTerms:
+        """Return the same terms where the first window of each record has another number."""
+        return replace(self, windows=windows)
+
+    def at(self, theta: FloatArray, starts: FloatArray) -> ExtraValues:
+        """Return the values for parameters (n_p,) and window starts (n_windows, n)."""
+        v = self._point(theta, starts)
+        cost, gradient, hessian = (np.asarray(m, float) for m in self.cost(v))
+        rows, slopes = (np.asarray(m, float) for m in self.rows(v))
+        slopes = slopes.reshape(len(self.size), len(self.used))
+        return ExtraValues(
+            float(cost.item()), gradient.ravel(), hessian, rows.ravel() / self.size, slopes / self.size[:, None]
+        )
+
+    def bent(self, theta: FloatArray, starts: FloatArray, multipliers: FloatArray) -> FloatArray:
+        """Return the Hessian of the constraints times these multipliers, (n_used, n_used)."""
+        return np.asarray(self.curvature(self._point(theta, starts), multipliers / self.size), float)
+
+    def violation(self, rows: FloatArray) -> float:
+        """Return how far constraints (n_rows,) are beyond their bounds at most."""
+        return float(np.maximum(self.lower - rows, rows - self.upper).max(initial=0.0))
+
+    def off_bound(self, rows: FloatArray, near: float) -> FloatArray:
+        """Return how far each constraint is from the bound that it lies on, (n_rows,); NaN where it lies on none."""
+        below, above = rows - self.lower, rows - self.upper
+        return np.where(below < near, below, np.where(above > -near, above, np.nan))
+
+    def _point(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
+        return np.concatenate([theta, starts[self.windows].ravel()])[self.used]
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedTerms:
+    """Extra terms among the scaled unknowns of a problem.
+
+    Attributes
+    ----------
+    terms : ExtraTerms
+        The terms.
+    places : (n_used,) integer array
+        Positions of the used unknowns among all unknowns.
+    scale : (n_used,) array
+        Their scales.
+    unit : float
+        Ratio of the cost of the problem to a negative log-likelihood.
+    """
+
+    terms: ExtraTerms
+    places: IntArray
+    scale: FloatArray
+    unit: float
+
+    @classmethod
+    def among(cls, terms: ExtraTerms, theta_scale: FloatArray, state_scale: FloatArray, size: float) -> PlacedTerms:
+        """Return the terms in a problem with these scales, whose cost times `size` is a negative log-likelihood."""
+        n_theta, n = len(theta_scale), len(state_scale)
+        starts = n_theta + terms.windows[:, None] * n + np.arange(n)
+        places = np.concatenate([np.arange(n_theta), starts.ravel()])[terms.used]
+        scale = np.concatenate([theta_scale, np.tile(state_scale, len(terms.windows))])[terms.used]
+        return cls(terms, places, scale, 1 / size)
+
+    def added(self, found: Iterate, theta: FloatArray, starts: FloatArray, pattern: Pattern) -> Iterate:
+        """Return the values at a point with those of the extra terms."""
+        extra, gradient = self.terms.at(theta, starts), found.gradient.copy()
+        gradient[self.places] += self.unit * extra.gradient * self.scale
+        return found._replace(
+            cost=found.cost + self.unit * extra.cost,
+            gradient=gradient,
+            hessian=found.hessian + self._entries(self.unit * extra.hessian, pattern),
+            extra_rows=extra.rows,
+            extra_slopes=extra.slopes * self.scale,
+        )
+
+    def without_value(self, found: Iterate) -> Iterate:
+        """Return the values at a point without value, with those of the extra terms."""
+        rows, used = len(self.terms.size), len(self.places)
+        return found._replace(extra_rows=np.full(rows, np.nan), extra_slopes=np.full((rows, used), np.nan))
+
+    def curvature(self, theta: FloatArray, starts: FloatArray, multipliers: FloatArray, pattern: Pattern) -> FloatArray:
+        """Return what the constraints add to the entries of the Hessian of the Lagrangian."""
+        return self._entries(self.terms.bent(theta, starts, multipliers), pattern)
+
+    def _entries(self, block: FloatArray, pattern: Pattern) -> FloatArray:
+        """Return a Hessian by the used unknowns, (n_used, n_used), as entries in the order of a pattern."""
+        (low, high), n = pairs_of(self.places), pattern.shape[0]
+        found = np.zeros(len(pattern.rows))
+        where = np.searchsorted(pattern.rows + n * pattern.columns, low + n * high)
+        found[where] = (block * np.outer(self.scale, self.scale))[np.triu_indices(len(block))]
+        return found
+
+
+def compiled_terms(
+    symbols: ca.SX,
+    cost: ca.SX,
+    constraints: list[tuple[float, ca.SX, float]],
+    windows: IntArray,
+    at: Callable[[ExtraTerms], FloatArray],
+) -> ExtraTerms:
+    """Return the extra terms of expressions in the symbols of all parameters and initial states.
+
+    Parameters
+    ----------
+    symbols : casadi.SX
+        Parameters and initial states of all records, (n_all, 1).
+    cost : casadi.SX
+        Extra cost.
+    constraints : list of (lower, expression, upper)
+        Constraints.
+    windows : (n_records,) integer array
+        First window of each record.
+    at : callable
+        Returns scaled slopes of the constraints at the start, which are their sizes.
+    """
+    rows = ca.vertcat(*(each for _, each, _ in constraints)) if constraints else ca.SX(0, 1)
+    used = np.flatnonzero(np.array(ca.DM(ca.jacobian_sparsity(ca.vertcat(cost, rows), symbols), 1.0)).any(axis=0))
+    v, lam = symbols[used.tolist()] if len(used) else ca.SX(0, 1), ca.SX.sym("lam", rows.numel())
+    H, g = ca.hessian(cost, v)
+    bent = ca.hessian(ca.dot(lam, rows), v)[0] if constraints else ca.SX(len(used), len(used))
+
+    def function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+        return ca.Function(name, arguments, [ca.densify(each) for each in results], {"cse": True})
+
+    terms = ExtraTerms(
+        function("cost", [v], [cost, g, H]),
+        function("rows", [v], [rows, ca.jacobian(rows, v)]),
+        function("curvature", [v, lam], [bent]),
+        used,
+        windows,
+        np.ones(len(constraints)),
+        np.array([lower for lower, _, _ in constraints], float),
+        np.array([upper for _, _, upper in constraints], float),
+        tuple(str(each) for _, each, _ in constraints),
+    )
+    size = np.linalg.norm(at(terms), axis=1)
+    size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    return replace(terms, size=size, lower=terms.lower / size, upper=terms.upper / size)
+
+
+# ---- Multiple-shooting problem of a prediction-error fit: cost, constraints and their derivatives as numbers.
+#
+# Unknowns are the free parameters and the state at the start of each window. The cost is the prediction error of Eq.
+# 15,
+# or the log-determinant of its covariance. Constraints require that each window ends at the start state of the next
+# one.
+# Unknowns and constraints are scaled to the order of one. One pass over the samples gives all values of an iterate.
+
+Criterion = Literal["trace", "det"]
+_ROUNDING = 1e-13  # floor of the cost, as a part of the outputs' power
+_WELL_BELOW = 0.01  # part of that floor that a fit without errors reaches with its next step
+
+
+@dataclass(frozen=True, eq=False)
+class Shooting:
+    """Nonlinear programme of a fit.
+
+    Attributes
+    ----------
+    parts : tuple of RecordGroup
+        Groups of records.
+    links : (n_links, 2) integer array
+        Pairs of windows, counted over all parts. The first must end at the start state of the second.
+    criterion : {"trace", "det"}
+        Cost: weighted trace or determinant of the covariance of the errors.
+    output_weights : (n_y,) array
+        Weights of the squared errors in the trace; for the determinant the scale of each output.
+    output_scale : float
+        Total weighted standard deviation of the outputs.
+    theta_scale : (n_p,) array
+        Scales of the parameters.
+    state_scale : (n,) array
+        Scales of the states.
+    prior : Prior
+        Prior knowledge of the parameters.
+    extra : ExtraTerms or None
+        Further cost and constraints of the caller.
+    stable_only : bool
+        Whether unstable predictors are invalid: over a finite record they can have smaller errors than the stable one.
+    """
+
+    parts: tuple[RecordGroup, ...]
+    links: IntArray
+    criterion: Criterion
+    output_weights: FloatArray
+    output_scale: float
+    theta_scale: FloatArray
+    state_scale: FloatArray
+    prior: Prior
+    extra: ExtraTerms | None = None
+    stable_only: bool = False
+    _last: dict[bytes, Iterate] = field(default_factory=dict)
+    _met: dict[bytes, list[Any]] = field(default_factory=dict)
+
+    @property
+    def n_theta(self) -> int:
+        """Number of free parameters."""
+        return len(self.theta_scale)
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return len(self.state_scale)
+
+    @cached_property
+    def n_windows(self) -> int:
+        """Number of shooting windows."""
+        return sum(part.blocks.n_windows for part in self.parts)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns: free parameters and window starts."""
+        return self.n_theta + self.n_windows * self.n_states
+
+    @property
+    def n_gaps(self) -> int:
+        """Number of scalar gap constraints."""
+        return len(self.links) * self.n_states
+
+    @cached_property
+    def n_samples(self) -> int:
+        """Number of samples in the cost."""
+        return sum(part.blocks.n_samples for part in self.parts)
+
+    @cached_property
+    def first_window(self) -> IntArray:
+        """First window of each part, and the number of windows, shape (n_parts + 1,)."""
+        return np.concatenate([[0], np.cumsum([part.blocks.n_windows for part in self.parts])]).astype(np.int64)
+
+    def pack(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
+        """Return the scaled unknowns of parameters (n_p,) and window starts (n_windows, n)."""
+        return np.concatenate([theta / self.theta_scale, (starts / self.state_scale).ravel()])
+
+    def unpack(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return parameters (n_p,) and window starts (n_windows, n) in physical units."""
+        starts = unknowns[self.n_theta :].reshape(self.n_windows, self.n_states) * self.state_scale
+        return unknowns[: self.n_theta] * self.theta_scale, starts
+
+    def values(self, theta: FloatArray) -> list[Any]:
+        """Return the predictors of all parts; equal ones are computed once, and the last ones are stored."""
+        point = theta.tobytes()
+        if point in self._met:
+            return self._met[point]
+        met, result = dict[tuple[int, bytes], Any](), []
+        for part in self.parts:
+            own = part.own(theta)
+            key = (id(part.predictor), own.tobytes())
+            if key not in met:
+                met[key] = part.predictor.at(own)
+            result.append(met[key])
+        self._met.clear()
+        self._met[point] = result
+        return result
+
+    def valid_values(self, theta: FloatArray) -> list[Any] | None:
+        """Return the predictors of all parts; None beyond the bounds of tied parameters, or for an unstable one."""
+        values = self.values(theta)
+        return None if self._refused(theta, self._rate_alone(values)) else values
+
+    def _rate_alone(self, values: list[Any]) -> float:
+        """Return the growth of linear predictors; NaN for others, which grow only in a pass."""
+        return self.growth(values, ()) if isinstance(values[0], PredictorValues) else np.nan
+
+    def _refused(self, theta: FloatArray, rate: float) -> bool:
+        return (self._watched and rate > 1) or not all(part.within_bounds(theta) for part in self.parts)
+
+    def sweeps(self, values: list[Any], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
+        """Return the sums of one pass over every part, for window starts (n_windows, n)."""
+        each = self._each(values, starts)
+        return [tied(part.kernel.sweep(v, part.blocks, own, weight), part.tie) for v, part, own in each]
+
+    def errors(self, values: list[Any], starts: FloatArray) -> list[FloatArray]:
+        """Return the prediction errors of every part in blocks; zero for samples that are not in the cost."""
+        return [part.kernel.predict(v, part.blocks, own).errors for v, part, own in self._each(values, starts)]
+
+    def _each(self, values: list[Any], starts: FloatArray) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
+        return zip(values, self.parts, np.split(starts, self.first_window[1:-1]), strict=True)
+
+    def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
+        """Return ``sum e e'`` over all parts, (n_y, n_y)."""
+        each = self._each(values, starts)
+        return np.asarray(sum(part.kernel.products(v, part.blocks, own).sum(axis=0) for v, part, own in each))
+
+    def weight(self, error_products: FloatArray) -> FloatArray:
+        """Return the weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
+        if self.criterion == "trace":
+            total = self.output_weights @ np.diag(error_products) + self._floor
+            return np.asarray(np.diag(self.output_weights) / total)
+        return np.asarray(np.linalg.inv(error_products + np.diag(self._floors)))
+
+    def cost(self, error_products: FloatArray) -> float:
+        """Return half the logarithm of the weighted trace or determinant of ``sum e e'`` over the outputs' power.
+
+        The logarithm does not change the optimum. It makes the solver's tolerance relative to the remaining errors.
+        """
+        if self.criterion == "trace":
+            return 0.5 * float(np.log((self.output_weights @ np.diag(error_products) + self._floor) / self._power))
+        units = np.sqrt(self.output_weights / self._power)
+        return 0.5 * float(np.linalg.slogdet((error_products + np.diag(self._floors)) * np.outer(units, units))[1])
+
+    def at(self, unknowns: FloatArray) -> Iterate:
+        """Return the values at a point."""
+        return self.of(*self.unpack(unknowns))
+
+    def of(self, theta: FloatArray, starts: FloatArray) -> Iterate:
+        """Return the values at a point in physical units; those of the last two points are stored."""
+        key = theta.tobytes() + starts.tobytes()
+        if key not in self._last:
+            self._last[key] = self._evaluate(theta, starts)
+            if len(self._last) > 2:
+                self._last.pop(next(iter(self._last)))
+        return self._last[key]
+
+    @cached_property
+    def noise(self) -> tuple[int, ...]:
+        """Indices of the parameters on which only disturbance gains depend."""
+        return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
+
+    @property
+    def _watched(self) -> bool:
+        return bool(self.noise) and self.stable_only
+
+    def parts_at_edge(self, theta: FloatArray) -> Iterator[bool]:
+        """Yield for each part whether it is so close to instability that its disturbance gain is no valid estimate."""
+        pairs = ((part.predictor, part.own(theta)) for part in self.parts)
+        return (self._watched and isinstance(p, Predictor) and near_instability(p, own, EDGE) for p, own in pairs)
+
+    def rate(self, theta: FloatArray, starts: FloatArray) -> float:
+        """Return the growth of a small deviation in a sample at a point; for linear predictors without a pass."""
+        alone = self._rate_alone(self.values(theta))
+        return self.of(theta, starts).rate if np.isnan(alone) else alone
+
+    def growth(self, values: list[Any], sweeps: Sequence[Sweep]) -> float:
+        """Return the largest growth of a small deviation in a sample, over all parts; of some kernels from a pass."""
+        each = zip(self.parts, values, sweeps or repeat(None), strict=False)
+        return max(part.kernel.growth(v, part.blocks, own, self.state_scale) for part, v, own in each)
+
+    @cached_property
+    def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Linear constraints: bounds of tied parameters, see `tied_limits`."""
+        return tied_limits(self.parts, self.theta_scale)
+
+    @cached_property
+    def jacobian_pattern(self) -> Pattern:
+        """Sparsity pattern of the Jacobian of the gaps: parameters of a window, its start, and the next start."""
+        return jacobian_pattern(self.links, self._links_by_part, self.n_states, self.n_theta, self.n_unknowns)
+
+    @cached_property
+    def hessian_pattern(self) -> Pattern:
+        """Sparsity pattern of the upper triangle of the Hessian: an arrow."""
+        sizes, meet = (self.n_states, self.n_unknowns), None if self.placed is None else self.placed.places
+        return hessian_pattern(self.parts, self.first_window, self._theta_pairs, *sizes, meet)
+
+    @property
+    def exact_cost(self) -> float:
+        """Largest cost at which all errors are rounding, as for simulated data without noise."""
+        return self.cost(np.diag(self._floors) * _WELL_BELOW * self.n_samples / self.likelihood_size)
+
+    @property
+    def _power(self) -> float:
+        return self.n_samples * self.output_scale**2
+
+    @property
+    def _floor(self) -> float:
+        """Power of rounding errors; added to the squares, it keeps the logarithm finite for data without noise."""
+        return _ROUNDING * self._power
+
+    @property
+    def _floors(self) -> FloatArray:
+        return self._floor / self.output_weights
+
+    @property
+    def likelihood_size(self) -> float:
+        """Ratio of the negative log-likelihood to the cost."""
+        return self.n_samples * (len(self.output_weights) if self.criterion == "trace" else 1)
+
+    @cached_property
+    def _links_by_part(self) -> LinksByPart:
+        return links_by_part(self.links, self.parts, self.first_window)
+
+    @cached_property
+    def _theta_pairs(self) -> tuple[IntArray, IntArray]:
+        return theta_pairs(self.parts, self.n_theta)
+
+    @cached_property
+    def placed(self) -> PlacedTerms | None:
+        """Extra terms among the unknowns of this problem."""
+        scales = self.theta_scale, self.state_scale, self.likelihood_size
+        return None if self.extra is None else PlacedTerms.among(self.extra, *scales)
+
+    def _evaluate(self, theta: FloatArray, starts: FloatArray) -> Iterate:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a bad trial point: the solver steps back
+            values = self.values(theta)
+            rate = self._rate_alone(values)
+            if self._refused(theta, rate):
+                return self._invalid(rate)
+            if self.criterion == "trace":  # the weight is one factor, applied after the pass
+                W = np.diag(self.output_weights)
+                sweeps = self.sweeps(values, starts, W / self._power)
+                products = np.asarray(sum(s.error_products for s in sweeps))
+                factor = self._power / (float(np.trace(W @ products)) + self._floor)
+            else:
+                products = self.error_products(values, starts)
+                if not np.isfinite(products).all():
+                    return self._invalid(rate)
+                sweeps, factor = self.sweeps(values, starts, self.weight(products)), 1.0
+            rate = self.growth(values, sweeps) if np.isnan(rate) else rate
+            if self._refused(theta, rate):
+                return self._invalid(np.inf)
+            return self._assembled(theta, starts, sweeps, products, factor)._replace(rate=rate)
+
+    def _assembled(
+        self, theta: FloatArray, starts: FloatArray, sweeps: list[Sweep], products: FloatArray, factor: float
+    ) -> Iterate:
+        """Return the iterate, with the sums of the parts in place and scaled."""
+        t, x = self.theta_scale, self.state_scale
+        gradient, hessian = np.zeros(self.n_theta), np.zeros((self.n_theta, self.n_theta))
+        starts_gradient, mixed, own, jacobian = [], [], [], []
+        ends = np.concatenate([s.end for s in sweeps])
+        for s, part, (_, windows, _), first in zip(
+            sweeps, self.parts, self._links_by_part, self.first_window[:-1], strict=True
+        ):
+            gradient[part.index] += s.gradient
+            hessian[np.ix_(part.index, part.index)] += s.hessian
+            starts_gradient.append(s.gradient_start * (factor * x))
+            mixed.append(s.hessian_mixed * (factor * t[part.index, None] * x))
+            own.append(s.hessian_start * (factor * np.outer(x, x)))
+            local = windows - first
+            jacobian += [
+                (s.end_theta[local] / x[:, None] * t[part.index]).ravel(),
+                (s.end_start[local] / x[:, None] * x).ravel(),
+            ]
+        away, known = theta - self.prior.mean, self.prior.information / self.likelihood_size
+        gradient, hessian = factor * gradient + known * away, factor * hessian + np.diag(known)
+        gaps = (ends[self.links[:, 0]] - starts[self.links[:, 1]]) / x
+        jacobian_entries = np.concatenate([*jacobian, np.full(self.n_gaps, -1.0)])
+        found = Iterate(
+            self.cost(products) + 0.5 * float(known @ away**2),
+            np.concatenate([gradient * t, np.concatenate(starts_gradient).ravel()]),
+            gaps.ravel(),
+            jacobian_entries[self.jacobian_pattern.order],
+            self.hessian_entries(hessian * np.outer(t, t), mixed, own),
+            tuple(sweeps),
+            factor,
+        )
+        return found if self.placed is None else self.placed.added(found, theta, starts, self.hessian_pattern)
+
+    def hessian_entries(
+        self, theta: FloatArray, mixed: Sequence[FloatArray], starts: Sequence[FloatArray]
+    ) -> FloatArray:
+        """Return the entries in the order of `hessian_pattern`; zero for those of extra terms.
+
+        `theta` (n_theta, n_theta) is the block of the parameters. For each part, `mixed` (n_windows, n_p, n) is the
+        block of parameters and window starts, and `starts` (n_windows, n, n) that of the window starts.
+        """
+        rows, columns = np.triu_indices(self.n_states)
+        each = zip(mixed, starts, strict=True)
+        arrow = [entries for m, own in each for entries in (m.ravel(), own[:, rows, columns].ravel())]
+        flat, order = np.concatenate([theta[self._theta_pairs], *arrow]), self.hessian_pattern.order
+        return np.asarray(np.pad(flat, (0, len(order) - len(flat)))[order] if self.extra else flat[order])
+
+    def _invalid(self, rate: float) -> Iterate:
+        sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows))
+        gradient, gaps, jacobian, hessian = (np.full(size, np.nan) for size in sizes)
+        found = Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan, rate=np.inf if np.isnan(rate) else rate)
+        return found if self.placed is None else self.placed.without_value(found)

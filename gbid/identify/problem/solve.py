@@ -1,0 +1,798 @@
+"""Python functions as CasADi callbacks."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import MatrixRankWarning, splu
+
+from gbid.core.arrays import FloatArray, IntArray, one_solver
+from gbid.core.errors import GbidError, UsageError
+from gbid.identify.problem.hessian import Curvature, ExactHessian, GaussNewton, in_one_window, in_windows
+from gbid.identify.problem.nlp import Iterate, Pattern, Shooting
+from gbid.identify.status import FitStatus
+
+
+@dataclass
+class Trouble:
+    """Points of the solver at which a callback had no value.
+
+    An exception inside of a callback would be printed with a traceback and all values of the point. A point at which
+    the model overflows has no value instead, and the solver steps back. Any other exception is a defect, and kept.
+
+    Attributes
+    ----------
+    points : int
+        Number of points at which the cost has no finite value.
+    defect : Exception or None
+        First exception that is not numerical.
+    most : float
+        How many times the largest gap of the first point, or one if that is larger, a gap may become. A point with a
+        larger one has no value either.
+    first : float or None
+        Largest gap of the first point.
+    """
+
+    points: int = 0
+    defect: Exception | None = None
+    most: float = np.inf
+    first: float | None = None
+
+    def too_far(self, gap: float) -> bool:
+        """Return whether a point with this largest gap is too far from where the solver began."""
+        if self.first is None:
+            self.first = gap
+        return gap > self.most * max(1.0, self.first)
+
+
+class Oracle(ca.Callback):
+    """CasADi callback of a Python function with named arguments and their shapes.
+
+    The function gets the nonzeros of its arguments and returns those of its results, as arrays in column order. They
+    are views of CasADi's own memory: copies into its matrices and back took longer than what is between them.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        inputs: Sequence[tuple[str, ca.Sparsity]],
+        outputs: Sequence[tuple[str, ca.Sparsity]],
+        function: Callable[..., Sequence[FloatArray | float]],
+        trouble: Trouble,
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._inputs, self._outputs, self._call, self._trouble = inputs, outputs, function, trouble
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self._inputs)
+
+    def get_n_out(self) -> int:
+        return len(self._outputs)
+
+    def get_name_in(self, i: int) -> str:
+        return self._inputs[i][0]
+
+    def get_name_out(self, i: int) -> str:
+        return self._outputs[i][0]
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return self._inputs[i][1]
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return self._outputs[i][1]
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]) -> int:
+        """Write the results that are wanted; an argument that is not given is zero."""
+        given = [
+            np.zeros(sparsity.nnz()) if own is None else np.frombuffer(own)
+            for own, (_, sparsity) in zip(arguments, self._inputs, strict=True)
+        ]
+        found: Sequence[FloatArray | float] = [np.nan] * len(results)
+        try:
+            found = self._call(*given)
+        except (ArithmeticError, np.linalg.LinAlgError, GbidError):  # a model that overflows, a delay below zero
+            pass
+        except Exception as error:
+            self._trouble.defect = self._trouble.defect or error
+        for own, values in zip(results, found, strict=True):
+            if own is not None and len(own):
+                np.frombuffer(own)[:] = values
+        return 0
+
+
+# ---- Cost, constraints and their derivatives as functions of CasADi, for the solver and for users of CasADi.
+
+
+class NlpFunctions(NamedTuple):
+    """Functions of the scaled unknowns, with the names that ``casadi.nlpsol`` wants. They must outlive the solver.
+
+    Attributes
+    ----------
+    value : casadi.Function
+        ``(x) -> (f, g)``: cost and constraints. The constraints are the gaps, the bounds of tied parameters, and those
+        of the caller.
+    gradient : casadi.Function
+        ``(x, p) -> (f, grad_f_x)``.
+    jacobian : casadi.Function
+        ``(x, p) -> (g, jac_g_x)``.
+    hessian : casadi.Function
+        ``(x, p, lam_f, lam_g) -> triu_hess_gamma_x_x``: upper triangle of the Hessian.
+    lower, upper : (n_constraints,) array
+        Bounds of the constraints.
+    """
+
+    value: ca.Function
+    gradient: ca.Function
+    jacobian: ca.Function
+    hessian: ca.Function
+    lower: FloatArray
+    upper: FloatArray
+
+    @property
+    def derivatives(self) -> dict[str, Any]:
+        """Options of ``casadi.nlpsol`` for these derivatives instead of its own."""
+        return {"no_nlp_grad": True, "grad_f": self.gradient, "jac_g": self.jacobian, "hess_lag": self.hessian}
+
+
+def nlp_functions(problem: Shooting, curvature: Curvature, trouble: Trouble) -> NlpFunctions:
+    """Return the functions of a problem.
+
+    Parameters
+    ----------
+    problem : Shooting
+        The problem.
+    curvature : Curvature
+        Hessian of cost and gaps.
+    trouble : Trouble
+        Notes the points without a value, and defects.
+    """
+    n, m, extra, placed = problem.n_unknowns, problem.n_gaps, problem.extra, problem.placed
+    vector, scalar, empty = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
+    limits = problem.limits[0]
+    n_extra = 0 if extra is None else len(extra.lower)
+    columns = np.zeros(0, int) if placed is None else placed.places
+    jacobian, order = _stacked(problem.jacobian_pattern, limits, n_extra, columns)
+    bounds = limits[limits != 0]
+    constraints, hessian = ca.Sparsity.dense(m + len(limits) + n_extra, 1), _sparsity(problem.hessian_pattern)
+    point = [("x", vector), ("p", empty)]
+    multipliers = [("lam_f", scalar), ("lam_g", constraints)]
+
+    def held(x: FloatArray) -> FloatArray:
+        here = problem.at(x)
+        return np.concatenate([here.gaps, limits @ x[: problem.n_theta], here.extra_rows])
+
+    def slopes(x: FloatArray) -> FloatArray:
+        here = problem.at(x)
+        return np.concatenate([here.jacobian, bounds, here.extra_slopes.ravel()])[order]
+
+    def cost(x: FloatArray) -> list[FloatArray | float]:
+        found = np.nan
+        try:
+            here = problem.at(x)
+            found = np.nan if trouble.too_far(float(np.abs(here.gaps).max(initial=0.0))) else here.cost
+            return [found, held(x)]
+        finally:
+            trouble.points += not np.isfinite(found)
+
+    def second(x: FloatArray, lam_f: FloatArray, lam_g: FloatArray) -> FloatArray:
+        entries = curvature(x, float(lam_f[0]), lam_g[:m])
+        if placed is not None and n_extra:
+            last = lam_g[len(lam_g) - n_extra :]
+            entries = entries + placed.curvature(*problem.unpack(x), last, problem.hessian_pattern)
+        return entries
+
+    value = Oracle("nlp", [("x", vector)], [("f", scalar), ("g", constraints)], cost, trouble)
+    gradient = Oracle(
+        "grad_f",
+        point,
+        [("f", scalar), ("grad_f_x", vector)],
+        lambda x, _p: [problem.at(x).cost, problem.at(x).gradient],
+        trouble,
+    )
+    jac = Oracle(
+        "jac_g",
+        point,
+        [("g", constraints), ("jac_g_x", jacobian)],
+        lambda x, _p: [held(x), slopes(x)],
+        trouble,
+    )
+    hess = Oracle(
+        "hess_lag",
+        point + multipliers,
+        [("triu_hess_gamma_x_x", hessian)],
+        lambda x, _p, lam_f, lam_g: [second(x, lam_f, lam_g)],
+        trouble,
+    )
+    _, lowest, highest = problem.limits
+    closed = np.zeros(m)
+    ends = [(lowest, highest)] if extra is None else [(lowest, highest), (extra.lower, extra.upper)]
+    lower, upper = (np.concatenate([closed, *(pair[side] for pair in ends)]) for side in (0, 1))
+    return NlpFunctions(value, gradient, jac, hess, lower, upper)
+
+
+def _stacked(gaps: Pattern, limits: FloatArray, n_extra: int, used: IntArray) -> tuple[ca.Sparsity, IntArray]:
+    """Return the sparsity of gaps over limits over further constraints, and the order of their entries in it.
+
+    The entries are those of the gaps in the order of their pattern, the nonzeros of the limits row by row, and the
+    slopes of the further constraints by the `used` unknowns row by row.
+    """
+    own, of = np.nonzero(limits)
+    further = np.arange(n_extra).repeat(len(used))
+    rows = np.concatenate([gaps.rows, gaps.shape[0] + own, gaps.shape[0] + len(limits) + further])
+    columns = np.concatenate([gaps.columns, of, np.tile(used, n_extra)])
+    order = np.lexsort((rows, columns))
+    shape = gaps.shape[0] + len(limits) + n_extra, gaps.shape[1]
+    return _sparsity(Pattern(shape, rows[order], columns[order], order)), order
+
+
+def _sparsity(pattern: Pattern) -> ca.Sparsity:
+    """Return the pattern as CasADi keeps it: columns with rows in order."""
+    counts = np.bincount(pattern.columns, minlength=pattern.shape[1])
+    return ca.Sparsity(*pattern.shape, [0, *np.cumsum(counts).tolist()], pattern.rows.tolist())
+
+
+# ---- First-order optimality of a point of the shooting problem, in standard deviations of the estimates.
+#
+# The measure is the length of the Gauss-Newton step that would come next, with the linearised gaps closed and the
+# active
+# bounds kept. It is zero at a stationary point, whatever the Hessian. It does not depend on units or scales.
+
+_ROUNDING = 1e-12  # of a curvature: for unknowns that the data do not tell
+_UNSEEN = 1e-10  # of the largest curvature
+_AT_BOUND = 1e-4  # scaled
+
+
+def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArray, FloatArray]) -> float:
+    """Return the length of the next Gauss-Newton step in standard deviations of the estimates.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    unknowns : (n_unknowns,) array
+        Scaled unknowns.
+    box : (n_unknowns,) array, (n_unknowns,) array
+        Their bounds, scaled.
+
+    Returns
+    -------
+    float
+        Infinite where the problem has no value or the step cannot be computed; zero where all errors are rounding.
+    """
+    iterate = problem.at(unknowns)
+    if not (np.isfinite(iterate.cost) and np.isfinite(iterate.gradient).all() and np.isfinite(iterate.hessian).all()):
+        return np.inf
+    if problem.extra is None and iterate.cost <= problem.exact_cost:
+        return 0.0
+    try:
+        step = gauss_newton_step(problem, iterate, unknowns, box)
+    except (RuntimeError, ValueError, MatrixRankWarning):  # singular
+        return np.inf
+    return in_standard_deviations(problem, iterate, step)
+
+
+def in_standard_deviations(problem: Shooting, iterate: Iterate, moved: FloatArray) -> float:
+    """Return the length of a step (n_unknowns,) in the metric of the information at a point."""
+    pattern, entries = problem.hessian_pattern, iterate.hessian
+    twice = np.where(pattern.rows == pattern.columns, 1.0, 2.0)
+    square = float((twice * entries * moved[pattern.rows] * moved[pattern.columns]).sum())
+    return float(np.sqrt(max(square, 0.0) * problem.likelihood_size)) if np.isfinite(square) else np.inf
+
+
+def gauss_newton_step(
+    problem: Shooting, iterate: Iterate, x: FloatArray, box: tuple[FloatArray, FloatArray]
+) -> FloatArray:
+    """Return the step (n_unknowns,) from the sparse system of the optimality conditions."""
+    met, off = _active_rows(problem, iterate, x)
+    active, of = np.nonzero(met)
+    n, m = problem.n_unknowns, problem.n_gaps + len(met)
+    upper, across = problem.hessian_pattern, problem.jacobian_pattern
+    free = np.concatenate([(x > box[0] + _AT_BOUND) & (x < box[1] - _AT_BOUND), np.ones(m, dtype=bool)])
+    # Each unknown in units of its own curvature, each constraint in units of its largest entry.
+    beside = upper.rows != upper.columns
+    size = np.zeros(n)
+    size[upper.rows[~beside]] = iterate.hessian[~beside]
+    seen = size > _UNSEEN * size.max()  # the state in a stretch that is left out has no curvature of its own
+    size = np.where(seen, 1 / np.sqrt(np.where(seen, size, 1.0)), 1.0)
+    bound = np.concatenate([across.rows, problem.n_gaps + active]), np.concatenate([across.columns, of])
+    slopes = np.concatenate([iterate.jacobian, met[active, of]]) * size[bound[1]]
+    largest = np.zeros(m)
+    np.maximum.at(largest, bound[0], np.abs(slopes))
+    largest = np.where(largest > 0, largest, 1.0)
+    entries = iterate.hessian * size[upper.rows] * size[upper.columns]
+    own = np.zeros(n)
+    own[upper.rows[~beside]] = entries[~beside]
+    every, scaled = np.arange(n + m), slopes / largest[bound[0]]
+    parts = [
+        (upper.rows[beside], upper.columns[beside], entries[beside]),
+        (n + bound[0], bound[1], scaled),
+    ]
+    rows, columns, entries = (np.concatenate(each) for each in zip(*parts, strict=True))
+    kept = free[rows] & free[columns]
+    rows, columns, entries = rows[kept], columns[kept], entries[kept]
+    diagonal = np.concatenate([np.where(free[:n], own + _ROUNDING, 1.0), np.full(m, -_ROUNDING)])
+    matrix = coo_array(
+        (
+            np.concatenate([entries, entries, diagonal]),
+            (np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])),
+        ),
+        shape=(n + m, n + m),
+    )
+    matrix.has_canonical_format = True  # each entry once: no search for others
+    matrix = matrix.tocsc()
+    matrix.has_canonical_format = matrix.has_sorted_indices = True  # the factorisation needs no order in a column
+    slope = np.concatenate([iterate.gradient * size, np.concatenate([iterate.gaps, off]) / largest])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", MatrixRankWarning)
+        factors = splu(matrix)
+    return np.asarray(size * factors.solve(np.where(free, -slope, 0.0))[:n])
+
+
+def _active_rows(problem: Shooting, iterate: Iterate, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return slopes of active constraints, (n_active, n_unknowns), and how far each is from its bound, (n_active,)."""
+    limits, low, high = problem.limits
+    values = limits @ x[: problem.n_theta]
+    own = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
+    rows = np.pad(own, ((0, 0), (0, problem.n_unknowns - problem.n_theta)))
+    off = np.zeros(len(own))
+    if problem.placed is None:
+        return rows, off
+    distance = problem.placed.terms.off_bound(iterate.extra_rows, _AT_BOUND)
+    active = ~np.isnan(distance)
+    further = np.zeros((int(active.sum()), problem.n_unknowns))
+    further[:, problem.placed.places] = iterate.extra_slopes[active]
+    return np.vstack([rows, further]), np.concatenate([off, distance[active]])
+
+
+# ---- Watch over the iterations of the solver: progress, stopping rules, Ctrl-C.
+
+Stop = Literal["tolerance", "paper"]
+PAPER_TOLERANCE = 1e-4
+_GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
+_STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
+PATIENCE = 5  # iterations that a predictor may be unstable on the way, where its start was so too, or stand still
+_STEP_AHEAD = 1e-2  # of the same: what Gauss-Newton may still want, which is a part of what is needed or more
+_NEAR = 50.0  # standard deviations, and the gap that goes with it: the basin of the minimum is reached
+_NEAR_GAP = 0.1
+_AHEAD = 7  # iterations that justify a change of method
+_STEP_BEFORE = 1e-2
+_LOOKED_AT = [ca.nlpsol_out().index(name) for name in ("f", "x", "g")]
+_EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One iteration of a solver, for a progress line.
+
+    Attributes
+    ----------
+    iteration : int
+        From zero, the start.
+    cost : float
+        Scaled cost.
+    gap : float
+        Largest gap between windows, in units of the states' size.
+    step : float
+        Relative change of the scaled parameters since the last iteration.
+    sigma : float
+        The last step of all unknowns in standard deviations of the estimate.
+    """
+
+    iteration: int
+    cost: float
+    gap: float
+    step: float
+    sigma: float
+
+
+@dataclass
+class Interrupt:
+    """Why the solver is to end at once, from outside of it.
+
+    An exception inside of a callback would be printed by CasADi and lost.
+
+    Attributes
+    ----------
+    error : BaseException or None
+        KeyboardInterrupt after Ctrl-C, or what a progress function raised.
+    """
+
+    error: BaseException | None = None
+
+
+class Watch(ca.Callback):
+    """Callback of each iteration: it reports progress, applies the stopping rules, and ends the solver on Ctrl-C."""
+
+    def __init__(
+        self,
+        problem: Shooting,
+        stop: Stop,
+        progress: Callable[[Progress], None] | None,
+        interrupt: Interrupt,
+        box: tuple[FloatArray, FloatArray],
+        *,
+        earlier: Sequence[Progress] = (),
+        changes_over: bool = False,
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._problem, self._stop, self._progress, self.interrupt = problem, stop, progress, interrupt
+        n, m = (
+            problem.n_unknowns,
+            problem.n_gaps + len(problem.limits[0]) + (0 if problem.extra is None else len(problem.extra.size)),
+        )
+        sizes = {"f": 1, "x": n, "g": m, "lam_x": n, "lam_g": m, "lam_p": 0}
+        self._shapes = [
+            ca.Sparsity.dense(sizes[name], 1) if name != "lam_p" else ca.Sparsity(0, 0)
+            for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))
+        ]
+        self.history: list[Progress] = []
+        self._box, self._earlier, self._changes_over = box, tuple(earlier), changes_over
+        self.settled = False
+        self.exact = False
+        self.at_rest = False
+        self.creeping = False
+        self.unstable = 0
+        self.stuck = 0
+        self.rest = np.zeros(0), np.inf
+        self._previous: FloatArray | None = None
+        self._sigma = np.inf
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return len(self._shapes)
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return self._shapes[i]
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]) -> int:
+        """Look at an iterate, in CasADi's own memory, and write whether the solver is to end."""
+        f, x, g = (np.frombuffer(own) if own else np.zeros(0) for own in map(arguments.__getitem__, _LOOKED_AT))
+        ended = self._look(float(f[0]), x.copy(), g)
+        if results[0] is not None:
+            np.frombuffer(results[0])[:] = ended
+        return 0
+
+    def _look(self, cost: float, x: FloatArray, g: FloatArray) -> bool:
+        extra = self._problem.extra
+        gaps = g[: self._problem.n_gaps]
+        step = sigma = np.inf
+        if self._previous is not None:
+            moved, n_theta = x - self._previous, self._problem.n_theta
+            step = float(np.linalg.norm(moved[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
+            sigma = in_standard_deviations(self._problem, self._problem.at(x), moved)
+        gap = float(np.abs(gaps).max(initial=0.0))
+        if extra is not None:
+            gap = max(gap, extra.violation(g[len(g) - len(extra.size) :]))
+        done = max(len(self._earlier) - 1, 0)  # where the last solver ended is where this one starts
+        now = Progress(done + len(self.history), cost, gap, step, sigma)
+        self.history.append(now)
+        if self._progress is not None and not (self._earlier and len(self.history) == 1):
+            try:
+                self._progress(now)
+            except BaseException as error:  # raised again outside of the solver
+                self.interrupt.error = error
+                return True
+        self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
+        self.exact = extra is None and now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
+        # A step may be small by chance, where the solver has just cut it: the one before must have been small, too.
+        small = sigma < _STEP_TOLERANCE and self._sigma < _STEP_BEFORE and now.gap < _GAP_TOLERANCE
+        still = small and self._stop == "tolerance"
+        self.at_rest = still and self._nothing_to_gain(x)
+        self.stuck = self.stuck + 1 if still and not self.at_rest else 0
+        near = sigma < _NEAR and now.gap < _NEAR_GAP
+        self.creeping = self._changes_over and near and _iterations_ahead(sigma, self._sigma) > _AHEAD
+        self.creeping = self.creeping and self._radius(x) < 1
+        self._previous, self._sigma = x, sigma
+        self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
+        ended = self.settled or self.exact or self.at_rest or self.creeping
+        given_up = max(self.unstable, self.stuck) >= PATIENCE
+        return self.interrupt.error is not None or ended or given_up
+
+    def _nothing_to_gain(self, x: FloatArray) -> bool:
+        """Return whether a Gauss-Newton step from here would be very small.
+
+        Small steps of the solver may mean a wrong Hessian or a line search that stalls, not a minimum. Near an unstable
+        predictor there is no minimum, which the result reports.
+        """
+        if any(self._problem.parts_at_edge(self._problem.unpack(x)[0])):
+            return True
+        self.rest = x, distance_from_rest(self._problem, x, self._box)
+        return self.rest[1] < _STEP_AHEAD
+
+    def _radius(self, x: FloatArray) -> float:
+        return self._problem.at(x).rate
+
+
+def _iterations_ahead(sigma: float, before: float) -> float:
+    """Return the number of iterations until steps are below the tolerance, at the rate of the last step."""
+    if not sigma < before:
+        return np.inf
+    return float(np.log(max(sigma / _STEP_TOLERANCE, 1.0)) / np.log(before / max(sigma, 1e-300)))
+
+
+# ---- IPOPT on the shooting problem.
+
+IpoptOptions = Mapping[str, str | float]
+"""Options of IPOPT by name; a whole number is a number, too."""
+
+_TOLERANCE = 1e-6  # of IPOPT on the scaled optimality conditions
+_REST = 0.1  # standard deviations that the next step of a solution may still be long
+_REST_BY_PAPER = 1.0  # the same for the paper's rule, which stops earlier
+_FARTHEST = 1e9  # times the largest gap of the start: what IPOPT tries beyond takes MUMPS seconds to factorise
+_TIGHTER = 1e-4  # of the tolerance, for a solution that has not come to rest
+
+_BY_IPOPT = {
+    "Solve_Succeeded": FitStatus.CONVERGED,
+    "Solved_To_Acceptable_Level": FitStatus.CONVERGED_ACCEPTABLY,
+    "Feasible_Point_Found": FitStatus.CONVERGED,
+    "Maximum_Iterations_Exceeded": FitStatus.ITERATION_LIMIT,
+    "Restoration_Failed": FitStatus.GAPS_OPEN,
+    "Infeasible_Problem_Detected": FitStatus.GAPS_CONTRADICT,
+    "Search_Direction_Becomes_Too_Small": FitStatus.STEPS_TOO_SMALL,
+    "Diverging_Iterates": FitStatus.DIVERGED,
+    "Invalid_Number_Detected": FitStatus.PREDICTOR_OVERFLOWS,
+    "Error_In_Step_Computation": FitStatus.NO_STEP,
+}
+"""Of IPOPT's return statuses; all others are its own failures."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Last iterate of the solver, and the reason why it stopped.
+
+    Attributes
+    ----------
+    unknowns : (n_unknowns,) array
+        Scaled unknowns.
+    status : FitStatus
+        Reason.
+    iterations : int
+        Number of iterations.
+    history : tuple of Progress
+        Progress of each iteration.
+    rest : float
+        First-order optimality: length of the Gauss-Newton step that would come next, in standard deviations.
+    overflows : int
+        Number of points that the solver tried where the model has no finite value; it steps back from them.
+    """
+
+    unknowns: FloatArray
+    status: FitStatus
+    iterations: int
+    history: tuple[Progress, ...]
+    rest: float = np.inf
+    overflows: int = 0
+
+
+def solve(
+    problem: Shooting,
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    *,
+    stop: Stop = "tolerance",
+    max_iterations: int = 100,
+    progress: Callable[[Progress], None] | None = None,
+    ipopt: IpoptOptions | None = None,
+) -> Solution:
+    """Minimise the cost with all gaps closed.
+
+    Gauss-Newton in windows finds the basin. Where it creeps there, as with errors that are coloured, each segment
+    becomes one window, and the Hessian gets what Gauss-Newton leaves out (`ExactHessian`).
+
+    At the end the first-order optimality is checked. A solution that has not come to rest is solved on, with a tighter
+    tolerance; one that still has not is no success.
+
+    Parameters
+    ----------
+    problem : Shooting
+    start, lower, upper : (n_unknowns,) array
+        Start and bounds, scaled.
+    stop : {"tolerance", "paper"}
+        IPOPT's own test or a step far below the estimates' standard deviations, whichever is met first; or the
+        paper's: the relative change of the parameters below 1e-4 (Sec. 3.6).
+    max_iterations : int
+    progress : callable, optional
+        Called with each `Progress`.
+    ipopt : dict, optional
+        Options of IPOPT that replace those of this module.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C, once the iteration under way has ended.
+    Exception
+        What `progress` raises.
+    """
+    given = ipopt or {}
+    with _interruptible() as interrupt:
+        watch = Watch(problem, stop, progress, interrupt, (lower, upper), changes_over=True)
+        first = _run(problem, watch, (start, lower, upper), _TOLERANCE, max_iterations, GaussNewton(problem), given)
+        if not watch.creeping:
+            return _at_rest(
+                problem, first, (lower, upper), interrupt, stop, max_iterations, progress, GaussNewton, given
+            )
+        joined, kept = in_one_window(problem)
+        box = (first.unknowns[kept], lower[kept], upper[kept])
+        watch = Watch(joined, stop, progress, interrupt, box[1:], earlier=first.history)
+        left = max_iterations - first.iterations
+        last = _run(joined, watch, box, _TOLERANCE, left, ExactHessian(joined), given)
+        last = _at_rest(joined, last, box[1:], interrupt, stop, left, progress, ExactHessian, given)
+    return replace(
+        last,
+        unknowns=in_windows(problem, joined, last.unknowns),
+        iterations=first.iterations + last.iterations,
+        overflows=first.overflows + last.overflows,
+        history=(*first.history, *last.history[1:]),
+    )
+
+
+def _at_rest(
+    problem: Shooting,
+    solution: Solution,
+    box: tuple[FloatArray, FloatArray],
+    interrupt: Interrupt,
+    stop: Stop,
+    max_iterations: int,
+    progress: Callable[[Progress], None] | None,
+    curvature: Callable[[Shooting], Curvature],
+    ipopt: IpoptOptions,
+) -> Solution:
+    """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
+    known = np.isfinite(solution.rest)  # the watch has looked already
+    rest = solution.rest if known else distance_from_rest(problem, solution.unknowns, box)
+    if not solution.status.success or rest <= _REST or any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0])):
+        return replace(solution, rest=rest)
+    if solution.status is FitStatus.CONVERGED_BY_PAPER_RULE:
+        return replace(solution, rest=rest, status=solution.status if rest <= _REST_BY_PAPER else FitStatus.STALLED)
+    left = max(1, max_iterations - solution.iterations)
+    watch = Watch(problem, stop, progress, interrupt, box, earlier=solution.history)
+    last = _run(problem, watch, (solution.unknowns, *box), _TOLERANCE * _TIGHTER, left, curvature(problem), ipopt)
+    rest = distance_from_rest(problem, last.unknowns, box)
+    status = FitStatus.STALLED if last.status.success and rest > _REST else last.status
+    return replace(
+        last,
+        status=status,
+        rest=rest,
+        iterations=solution.iterations + last.iterations,
+        overflows=solution.overflows + last.overflows,
+        history=(*solution.history, *last.history[1:]),
+    )
+
+
+def _run(
+    problem: Shooting,
+    watch: Watch,
+    box: tuple[FloatArray, FloatArray, FloatArray],
+    tolerance: float,
+    max_iterations: int,
+    curvature: Curvature,
+    ipopt: IpoptOptions,
+) -> Solution:
+    """Run IPOPT once from a start within bounds."""
+    start, lower, upper = box
+    trouble = Trouble(most=_FARTHEST)
+    solver, functions = _ipopt(problem, watch, tolerance, max_iterations, curvature, trouble, ipopt)
+    if watch.interrupt.error is None:
+        with one_solver():
+            result = solver(x0=start, lbx=lower, ubx=upper, lbg=functions.lower, ubg=functions.upper)
+    if watch.interrupt.error is not None:
+        raise watch.interrupt.error
+    if trouble.defect is not None:
+        raise trouble.defect
+    unknowns = np.asarray(result["x"], float).ravel()
+    status = _status(str(solver.stats()["return_status"]), watch)
+    if not np.isfinite(unknowns).all():
+        unknowns, status = np.asarray(start, float), FitStatus.OVERFLOW
+    iterations = int(solver.stats()["iter_count"])
+    rest = watch.rest[1] if np.array_equal(watch.rest[0], unknowns) else np.inf
+    return Solution(unknowns, status, iterations, tuple(watch.history), rest, trouble.points)
+
+
+def _ipopt(
+    problem: Shooting,
+    watch: Watch,
+    tolerance: float,
+    max_iterations: int,
+    curvature: Curvature,
+    trouble: Trouble,
+    ipopt: IpoptOptions,
+) -> tuple[ca.Function, NlpFunctions]:
+    """Build the solver; also return the callbacks, which must outlive it."""
+    functions = nlp_functions(problem, curvature, trouble)
+    x = ca.MX.sym("x", problem.n_unknowns)
+    f, g = functions.value(x)
+    options: dict[str, Any] = {
+        **functions.derivatives,
+        "iteration_callback": watch,
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": tolerance,
+            "constr_viol_tol": tolerance,
+            "dual_inf_tol": tolerance,
+            "acceptable_tol": 10 * tolerance,
+            "acceptable_iter": 15,
+            "max_iter": max_iterations,
+            "nlp_scaling_method": "none",
+            "mu_init": 1e-6,
+            "bound_push": 1e-8,
+            "bound_frac": 1e-8,
+            "bound_relax_factor": 0.0,
+            "mumps_pivot_order": 0,  # approximate minimum degree: analysed sooner, and as good for an arrow
+            **ipopt,
+        },
+    }
+    try:
+        return ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options), functions
+    except RuntimeError as error:
+        if not ipopt:
+            raise
+        raise UsageError(f"ipopt = {dict(ipopt)}: {str(error).splitlines()[-1].strip()}") from None
+
+
+def _status(by_ipopt: str, watch: Watch) -> FitStatus:
+    """Return the status: the reason of the watch if it stopped the solver, else that of IPOPT."""
+    if by_ipopt == "User_Requested_Stop":
+        if watch.settled:
+            return FitStatus.CONVERGED_BY_PAPER_RULE
+        if watch.unstable >= PATIENCE:
+            return FitStatus.UNSTABLE_PREDICTOR
+        if watch.stuck >= PATIENCE:
+            return FitStatus.STEPS_TOO_SMALL
+        if watch.at_rest:
+            return FitStatus.CONVERGED
+        if watch.exact:
+            return FitStatus.CONVERGED_AT_ROUNDING
+    return _BY_IPOPT.get(by_ipopt, FitStatus.SOLVER_FAILED)
+
+
+@contextmanager
+def _interruptible() -> Iterator[Interrupt]:
+    """Return a context in which Ctrl-C ends the solver at its next iteration instead of within a callback.
+
+    Nothing changes where Ctrl-C is ignored already, as in a worker process, which its runner stops.
+    """
+    interrupt = Interrupt()
+    heard = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) != signal.SIG_IGN
+    if not heard:
+        yield interrupt
+        return
+
+    def note(_signal: int, _frame: Any) -> None:
+        interrupt.error = KeyboardInterrupt()
+
+    previous = signal.signal(signal.SIGINT, note)
+    try:
+        yield interrupt
+    finally:
+        signal.signal(signal.SIGINT, previous)

@@ -1,0 +1,314 @@
+"""Initial states of the recordings of a fit: estimated, fixed, or functions of the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from gbid.core.arrays import BoolArray, FloatArray, IntArray
+from gbid.core.errors import DataError, UsageError
+from gbid.core.notes import FitNote
+from gbid.discretise import Hold
+from gbid.identify.data import FitData, moves
+from gbid.identify.disturbances import Disturbances
+from gbid.identify.problem.nlp import Shooting
+from gbid.structure import (
+    AnyStructure,
+    ClosedLoop,
+    LinearStructure,
+    NonlinearStructure,
+    Parameter,
+    ScheduledStructure,
+    anatomy,
+    model_of,
+)
+
+OwnState = Literal["estimated", "zero", "structure"] | Sequence[float | Literal["estimated", "structure"]]
+InitialState = Literal["auto"] | OwnState | Mapping[str, OwnState]
+
+
+@dataclass(frozen=True, eq=False)
+class InitialStates:
+    """Initial states of all recordings.
+
+    Attributes
+    ----------
+    values : (n_records, n) array
+        Fixed values; NaN where a state is estimated or a function of the parameters.
+    released : (n_records, n) boolean array
+        States that are functions of the parameters: ``x0`` of the structure. Together with the inputs of the model they
+        act like an impulse at the first sample, whose response starts from there.
+    word : {"estimated", "zero", "structure", "given"}
+        The common choice for all recordings; "given" when there are several.
+    notes : tuple of str
+        What was chosen for the caller.
+    """
+
+    values: FloatArray
+    released: BoolArray
+    word: Literal["estimated", "zero", "structure", "given"]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def known(self) -> BoolArray:
+        """States that are no unknowns of their own, (n_records, n)."""
+        return ~np.isnan(self.values) | self.released
+
+    @property
+    def shooting(self) -> FloatArray:
+        """Fixed states of the shooting problem, (n_records, n); NaN where one is free, zero before an impulse."""
+        return np.where(self.released, 0.0, self.values)
+
+
+def initial_states(
+    structure: AnyStructure, parameters: Sequence[Parameter], asked: InitialState, recordings: Sequence[str]
+) -> InitialStates:
+    """Return the initial states that a caller asked for.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the fit.
+    parameters : sequence of Parameter
+        Parameters, with the fixed values of the caller.
+    asked : {"auto", "estimated", "zero", "structure"}, sequence or dict
+        As for `gbid.fit`.
+    recordings : sequence of str
+        Names of the recordings, by which a dict gives them.
+
+    Raises
+    ------
+    UsageError
+        When a word, a number of states or a recording is wrong, or the structure has no ``x0``.
+    DataError
+        When a free parameter acts only through initial states that are given otherwise.
+    """
+    own_parts = anatomy(structure)
+    n, stated = own_parts.n_states, bool(own_parts.in_x0)
+    notes: tuple[str, ...] = ()
+    if isinstance(asked, str) and asked == "auto":
+        asked = "structure" if stated else "estimated"
+        rest = structure.forgotten_states if isinstance(structure, ClosedLoop) and not stated else ()
+        if rest:
+            asked = [0.0 if i in rest else "estimated" for i in range(n)]
+            notes = (FitNote.AT_REST(f"{len(rest)} states that are soon forgotten are zero at the first sample"),)
+    own = asked if isinstance(asked, Mapping) else dict.fromkeys(recordings, asked)
+    if set(own) != set(recordings):
+        wrong = ", ".join(sorted(set(own) ^ set(recordings)))
+        raise UsageError(f"initial_state: give one for each recording of the fit and for no other; wrong: {wrong}")
+    rows = [_entries(own[name], n) for name in recordings]
+    released = np.array([[entry == "structure" for entry in row] for row in rows], bool).reshape(-1, n)
+    values = np.array([[np.nan if isinstance(e, str) else e for e in row] for row in rows], float).reshape(-1, n)
+    if released.any() and not stated:
+        raise UsageError(
+            f"initial_state = 'structure', but structure {structure.name!r} states none; add x0 to its matrices(p), or "
+            "x0=... to a nonlinear structure"
+        )
+    lit = [own_parts.in_x0[i] for i in np.flatnonzero(released.any(axis=0))]
+    dark = frozenset().union(*own_parts.in_x0) - own_parts.in_equations.union(*lit)
+    lost = [q.name for q in parameters if not q.fixed and q.name in dark]
+    if lost:
+        raise DataError(
+            f"initial_state: no recording begins at the state of which {', '.join(lost)} is a parameter; fix each "
+            "(fixed=...), or use initial_state='structure'"
+        )
+    word = asked if isinstance(asked, str) else "given"
+    return InitialStates(values, released, word, notes)  # type: ignore[arg-type]  # `_entries` has refused other words
+
+
+def released_states(problem: Shooting, theta: FloatArray, record_window: IntArray) -> FloatArray:
+    """Return what the structure's ``x0`` adds to the initial state of each record, (n_records, n).
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    theta : (n_p,) array
+        Free parameters.
+    record_window : (n_records,) integer array
+        First window of each record.
+    """
+    parts = [problem.parts[k] for k in np.searchsorted(problem.first_window, record_window, side="right") - 1]
+    return np.array([part.predictor.released_state(part.own(theta)) for part in parts])
+
+
+def _entries(state: OwnState, n: int) -> Sequence[float | str]:
+    """Return a number or a word for each state."""
+    if isinstance(state, str):
+        words: dict[str, float | str] = {"estimated": "estimated", "zero": 0.0, "structure": "structure"}
+        if state not in words:
+            raise UsageError(f"initial_state = {state!r}; choose 'estimated', 'zero', 'structure' or give the state")
+        return [words[state]] * n
+    if np.shape(state) != (n,):
+        raise UsageError(f"initial_state has shape {np.shape(state)}; the structure has {n} states")
+    for entry in state:
+        if isinstance(entry, str) and entry not in ("estimated", "structure"):
+            raise UsageError(f"initial_state: state {entry!r}; give a number, 'estimated' or 'structure'")
+        if not isinstance(entry, str) and not np.isfinite(float(entry)):
+            raise UsageError(f"initial_state = {state}; it must be finite")
+    return [entry if isinstance(entry, str) else float(entry) for entry in state]
+
+
+# ---- Inputs that do not move: a free decay, or a constant force.
+
+
+def without_inputs(structure: AnyStructure) -> AnyStructure:
+    """Return a structure without its inputs, for free decays: the states, outputs and the disturbance gain remain."""
+    if not anatomy(structure).n_inputs or isinstance(structure, ScheduledStructure):
+        return structure
+    if isinstance(structure, NonlinearStructure):
+        full, still = structure, ca.SX.zeros(len(structure.inputs))
+        return NonlinearStructure(
+            full.name,
+            full.parameters,
+            full.states,
+            lambda x, _, p: full.dynamics(x, still, p),
+            lambda x, _, p: full.output(x, still, p),
+            (),
+            full.outputs,
+            intersample=full.intersample,
+            disturbance_gain=full.disturbance_gain,
+            x0=full.x0,
+            integrator=full.integrator,
+            steps=full.steps,
+        )
+    linear = structure
+
+    def matrices(p: Any) -> Mapping[str, Any]:
+        own = linear.matrices(p)
+        return {letter: own[letter] for letter in ("A", "C", "K", "x0", "feedback") if letter in own}
+
+    return LinearStructure(
+        structure.name, structure.parameters, matrices, (), structure.outputs, intersample=structure.intersample
+    )
+
+
+def check_inputs_suffice(
+    structure: AnyStructure, data: FitData, parameters: Sequence[Parameter], *, no_inputs: bool
+) -> None:
+    """Check that no free parameter acts only through inputs that do not move.
+
+    An input that is zero in all recordings determines neither its gain nor its delay. A constant input determines its
+    gain, but not its delay.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the fit, with its inputs.
+    data : FitData
+        Data of the fit.
+    parameters : sequence of Parameter
+        Parameters, with the fixed values of the caller.
+    no_inputs : bool
+        Whether the fit uses no input at all.
+
+    Raises
+    ------
+    DataError
+        When a free parameter is not determined; names it and the inputs.
+    """
+    still = ~np.any([moves(record.inputs) for record in data.records], axis=0)
+    if not (still.any() or no_inputs):
+        return
+    whole = anatomy(structure)
+    n_u = whole.n_inputs
+    if no_inputs:
+        zero = still = np.ones(n_u, bool)
+    elif n_u == len(data.input_names):
+        zero = still & np.all([record.inputs[0] == 0 for record in data.records], axis=0)
+    else:
+        return  # another check reports the number of inputs
+    driven, moving = np.flatnonzero(~zero).tolist(), np.flatnonzero(~still).tolist()
+    begins = frozenset().union(*whole.in_x0)
+    dark = (whole.in_equations | begins) - (anatomy(structure, driven, moving).in_equations | begins)
+    lost = [q.name for q in parameters if not q.fixed and q.name in dark]
+    if lost:
+        quiet = ", ".join(name for name, rests in zip(data.input_names, still, strict=False) if rests)
+        what = "without an input" if no_inputs else f"no recording moves {quiet}:"
+        raise DataError(
+            f"{what} the data do not determine {', '.join(lost)}; fix each (fixed=...), or add a recording with an "
+            "input that moves"
+        )
+
+
+def decay_notes(data: FitData) -> tuple[str, ...]:
+    """Return notes on inputs that do not move in a recording: a fit takes it as it is."""
+    return tuple(
+        FitNote.STEADY_INPUT(
+            f"recording {record.name!r}: input {name!r} is {column[0]:g} throughout, "
+            + ("a free decay" if column[0] == 0 else "a constant force")
+        )
+        for record in data.records
+        for name, column in zip(data.input_names, record.inputs.T, strict=True)
+        if not moves(column)
+    )
+
+
+# ---- Start values of disturbances, and data without them for start values of a model.
+
+_RUNAWAY = 1e3  # size of a simulation, in that of the outputs, beyond which the model counts as unstable
+
+
+def disturbance_starts(
+    disturbances: Disturbances,
+    structure: AnyStructure,
+    begin: Mapping[str, float],
+    data: FitData,
+    intersample: Hold | Sequence[Hold],
+) -> list[dict[str, float]]:
+    """Return start values for each record: least squares on the residuals of a simulation of the model.
+
+    Parameters
+    ----------
+    disturbances : Disturbances
+        The disturbances.
+    structure : Structure
+        Structure of the fit.
+    begin : dict of str to float
+        Start values of its parameters.
+    data : FitData
+        Data of the fit.
+    intersample : {"zoh", "foh"} or sequence of these
+        Behaviour of the inputs between samples.
+
+    Returns
+    -------
+    list of dict of str to float
+        Coefficients and gains by name. The offset is that of the median, because the first samples contain the
+        response to the initial state. An unstable model counts as zero.
+    """
+    gains = {q.name: float(q.start or 0.0) for q in disturbances.walk_gains(data.sample_time)}
+    if not disturbances.terms:
+        return [gains for _ in data.records]
+    model, starts = model_of(structure, begin), []
+    for record in data.records:
+        left = record.outputs - model.simulate(record.inputs, data.sample_time, intersample=intersample)
+        if not np.abs(left).max() < _RUNAWAY * np.abs(record.outputs).max():
+            left = record.outputs
+        columns = disturbances.regressors(record.n_samples, data.sample_time)
+        found = disturbances.closest(left, columns)
+        rest = np.median(left - columns @ found.T, axis=0)
+        found[:, 0] += rest * [trend.n_terms > 0 for trend in disturbances.trends]
+        values = found[disturbances.places].tolist()
+        starts.append({**gains, **{term.name: v for term, v in zip(disturbances.terms, values, strict=True)}})
+    return starts
+
+
+def without_disturbances(disturbances: Disturbances, data: FitData) -> FitData:
+    """Return the data less drift and hum, which would spoil start values that are found in the data.
+
+    The fit itself uses the data as they are. Offsets alone are left, because start values do not depend on them.
+    """
+    known = disturbances.instead_of_walks(2)
+    if known.n_columns < 2:
+        return data
+    records = []
+    for record in data.records:
+        columns = known.regressors(record.n_samples, data.sample_time)
+        course = columns @ known.closest(record.outputs, columns).T
+        records.append(replace(record, outputs=record.outputs - course))
+    return replace(data, records=tuple(records))

@@ -1,1 +1,0 @@
-"""Robust loss of a fit: outliers weigh less."""

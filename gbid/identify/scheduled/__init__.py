@@ -1,1 +1,0 @@
-"""Fits of structures whose parameters follow signals of the recordings."""

@@ -1,0 +1,381 @@
+"""Course of the scheduling variables in each recording, and its pieces with constant parameters."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.notes import FitNote
+from gbid.discretise import Hold
+from gbid.identify.data import FitData, Record
+from gbid.identify.kernel.linear import EngineName
+from gbid.identify.predictor import Focus
+from gbid.identify.problem.assemble import Ties, assemble, automatic_window, build_problem, full_start, unknown_bounds
+from gbid.identify.problem.solve import solve
+from gbid.identify.start.start import Begin, begin_values
+from gbid.recording import Recording
+from gbid.structure import AnyStructure, Parameter, Structure
+from gbid.structure.scheduled import Schedule, ScheduledStructure, coefficient_names
+
+_DARK = 1e-7  # terms are not determined when a singular value is below this share of the largest
+
+
+@dataclass(frozen=True, eq=False)
+class Courses:
+    """Scheduling variables of the recordings of a fit.
+
+    Attributes
+    ----------
+    schedule : Schedule
+        Terms of the surfaces over the range of the recordings.
+    values : tuple of (n_samples, n_variables) array
+        Variables of each recording.
+    edges : tuple of tuple of int
+        For each recording the first samples of its pieces after the first one.
+    """
+
+    schedule: Schedule
+    values: tuple[FloatArray, ...]
+    edges: tuple[tuple[int, ...], ...]
+
+    @property
+    def terms(self) -> list[FloatArray]:
+        """Mean of the terms in each piece of each recording, (n_pieces, n_terms).
+
+        The mean of a term, not the term of the mean: a parameter that is linear in the terms has its mean there.
+        """
+        return [
+            np.add.reduceat(self.schedule.terms(own), [0, *edges]) / np.diff([0, *edges, len(own)])[:, None]
+            for own, edges in zip(self.values, self.edges, strict=True)
+        ]
+
+    def ties(self, parameters: Sequence[Parameter]) -> Ties:
+        """Return the map from coefficients to the parameters of each piece.
+
+        Parameters
+        ----------
+        parameters : sequence of Parameter
+            Parameters of the scheduled structure, with the coefficients among them.
+        """
+        k, m = len(self.schedule.surfaces), len(self.schedule.exponents)
+        rows = np.concatenate(self.terms)
+        maps = np.zeros((len(rows), k, k * m))
+        for i in range(k):
+            maps[:, i, i * m : (i + 1) * m] = rows
+        names = [name for key in self.schedule.surfaces for name in self.schedule.names(key)]
+        known = {q.name: q for q in parameters}
+        return Ties(
+            self.schedule.surfaces, tuple(known[name] for name in names), maps, (), np.zeros((k, 0)), self.edges
+        )
+
+
+def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording]) -> Courses:
+    """Return the course of the scheduling variables, from signals or conditions of the recordings.
+
+    Raises
+    ------
+    DataError
+        When a recording has neither, or the courses do not determine the terms.
+    """
+    values = tuple(np.column_stack([_variable(r, name) for name in structure.scheduling]) for r in recordings)
+    together = np.concatenate(values)
+    edges = tuple(
+        _edges(own, max(2, round(structure.piece_s / r.sample_time))) for own, r in zip(values, recordings, strict=True)
+    )
+    schedule = Schedule(
+        structure.scheduling,
+        tuple(together.min(axis=0).tolist()),
+        tuple(together.max(axis=0).tolist()),
+        structure.surfaces,
+        structure.exponents,
+        sum(len(own) + 1 for own in edges),
+        structure.pade_order,
+    )
+    courses = Courses(schedule, values, edges)
+    size = np.linalg.svd(np.concatenate(courses.terms), compute_uv=False)
+    if len(size) < len(schedule.exponents) or size[-1] < _DARK * size[0]:
+        ranges = ", ".join(
+            f"{name} from {low:g} to {high:g}"
+            for name, low, high in zip(schedule.variables, schedule.low, schedule.high, strict=True)
+        )
+        raise DataError(
+            f"{structure.name}: the recordings ({ranges}) do not determine the {len(schedule.exponents)} terms of "
+            f"order {structure.order}; add recordings in which the variables change differently, or lower the order"
+        )
+    return courses
+
+
+def _variable(recording: Recording, name: str) -> FloatArray:
+    """Return a scheduling variable of a recording, (n_samples,)."""
+    if name in recording.signals:
+        found = recording.signal(name)
+        if found.shape[1] != 1 or not np.isfinite(found).all():
+            raise DataError(f"recording {recording.name!r}: signal {name!r} must be one channel of finite numbers")
+        return found[:, 0]
+    if name not in recording.conditions:
+        raise DataError(
+            f"recording {recording.name!r} has neither a signal nor a condition {name!r}, which the parameters follow; "
+            "add one"
+        )
+    return np.full(recording.n_samples, float(recording.conditions[name]))
+
+
+def _edges(values: FloatArray, longest: int) -> tuple[int, ...]:
+    """Return the first samples of all pieces but the first; a constant course is one piece."""
+    n = len(values)
+    if not np.ptp(values, axis=0).any():
+        return ()
+    count = -(-n // longest)
+    return tuple((np.arange(1, count) * n // count).tolist())
+
+
+# ---- Fit of a structure with constant parameters to a part of a recording, for start values: estimates and variances.
+
+_ITERATIONS = 30
+
+
+class PartFit(NamedTuple):
+    """Estimates of the parameters by name, and their variances; zero for fixed ones."""
+
+    values: dict[str, float]
+    variances: dict[str, float]
+
+
+def fit_part(
+    structure: Structure,
+    parameters: tuple[Parameter, ...],
+    part: FitData,
+    intersample: Hold | Sequence[Hold],
+    focus: Focus,
+    engine: EngineName,
+    asked: Set[str],
+) -> PartFit | None:
+    """Return the estimates from a part of a recording; None when the solver does not converge.
+
+    The arguments are those of `gbid.fit`. The variances are those of white errors with known initial states: they only
+    weight the estimates of several parts.
+    """
+    begin = begin_values(structure, parameters, part, intersample, asked, from_data=False).values
+    assembly = assemble(
+        structure,
+        parameters,
+        begin,
+        part,
+        intersample=intersample,
+        focus=focus,
+        horizon=1,
+        local={},
+        left_out={},
+        window=automatic_window(part, focus),
+        engine=engine,
+    )
+    problem, unknowns = build_problem(assembly, part, "det", None, full_start(assembly, begin), {}, scaling=True)
+    lower, upper = unknown_bounds(problem, assembly)
+    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, stop="paper", max_iterations=_ITERATIONS)
+    theta, starts = problem.unpack(solution.unknowns)
+    values = problem.values(theta)
+    products = problem.error_products(values, starts)
+    if not (solution.status.success and np.isfinite(products).all()):
+        return None
+    weight = np.asarray(problem.n_samples * np.linalg.inv(products), np.float64)
+    hessian = np.zeros((len(theta), len(theta)))
+    for own, sums in zip(problem.parts, problem.sweeps(values, starts, weight), strict=True):
+        hessian[np.ix_(own.index, own.index)] += sums.hessian
+    known = dict(zip((q.name for q in assembly.free), theta.tolist(), strict=True))
+    spread = dict(zip(known, _inverse_diagonal(hessian).tolist(), strict=True))
+    return PartFit({**begin, **known}, {**dict.fromkeys(begin, 0.0), **spread})
+
+
+def _inverse_diagonal(hessian: FloatArray) -> FloatArray:
+    """Return the diagonal of the inverse of an information matrix; large where it is almost singular."""
+    size = 1 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    values, vectors = np.linalg.eigh(hessian * np.outer(size, size))
+    return np.asarray((vectors**2 / np.maximum(values, 1e-12 * values[-1])).sum(axis=1) * size**2)
+
+
+# ---- Start values of surfaces: fits to parts of the recordings, and a polynomial through their estimates.
+
+_LENGTH_S, _SHORTEST, _MOST = 1.0, 200, 12  # usual part [s], samples of the shortest, and most parts of a recording
+_HUBER = 1.5
+_ROUNDS = 10
+
+
+def scheduled_start(
+    structure: ScheduledStructure,
+    parameters: Sequence[Parameter],
+    data: FitData,
+    courses: Courses,
+    intersample: Hold | Sequence[Hold],
+    focus: Focus,
+    engine: EngineName,
+    asked: Set[str],
+) -> Begin:
+    """Return the start values of all parameters.
+
+    Each part of a recording is fitted as if the variables were constant at their mean. Robust least squares through
+    these estimates, weighted by their variances, give the coefficients.
+
+    Parameters
+    ----------
+    structure : ScheduledStructure
+        Structure of the fit.
+    parameters : sequence of Parameter
+        Its parameters, with fixed values and starts of the caller.
+    data : FitData
+        Data of the fit.
+    courses : Courses
+        Their scheduling variables.
+    intersample : {"zoh", "foh"} or sequence of these
+        Behaviour of the inputs between samples.
+    focus, engine
+        As for `gbid.fit`.
+    asked : set of str
+        Parameters whose value comes from the caller.
+
+    Raises
+    ------
+    DataError
+        When too few parts can be fitted.
+    """
+    coefficients = {name for key in structure.surfaces for name in courses.schedule.names(key)}
+    stated = {q.name: q.start for q in parameters if q.start is not None and (q.fixed or q.name in coefficients)}
+    if all(q.start is not None for q in parameters):
+        values = {q.name: float(q.start or 0.0) for q in parameters}
+        return Begin(values, {name: "user" if name in asked else "structure" for name in values}, ())
+    known = {q.name: q for q in parameters}
+    own = tuple(known.get(q.name, q) for q in structure.base.parameters)
+    found: list[PartFit] = []
+    at: list[FloatArray] = []
+    failure = "they are too short"
+    needed = -(-2 * len(courses.schedule.exponents) // len(data.records))
+    for record, course in zip(data.records, courses.values, strict=True):
+        seconds = record.n_samples * data.sample_time
+        count = int(np.clip(max(seconds // _LENGTH_S, needed), 1, min(_MOST, max(1, record.n_samples // _SHORTEST))))
+        edges = (np.arange(count + 1) * record.n_samples // count).tolist()
+        for a, b in itertools.pairwise(edges):
+            inputs, outputs = (rows[a:b] - rows[a:b].mean(axis=0) for rows in (record.inputs, record.outputs))
+            part = replace(data, records=(Record(record.name, inputs, outputs),))
+            try:
+                made = fit_part(structure.base, own, part, intersample, focus, engine, asked)
+            except (GbidError, np.linalg.LinAlgError) as error:
+                failure = str(error)
+                continue
+            if made is not None:
+                found.append(made)
+                at.append(courses.schedule.terms(course[a:b]).mean(axis=0))
+    terms, m = np.array(at), len(courses.schedule.exponents)
+    if len(found) < m or np.linalg.matrix_rank(terms, 1e-6) < m:
+        raise DataError(
+            f"{structure.name}: {len(found)} parts of the recordings could be fitted alone, too few for {m} terms "
+            f"({failure}); give start values (start=...), or longer recordings"
+        )
+    begun: dict[str, float] = {}
+    every = np.concatenate(courses.terms)
+    for q in own:
+        values_of = np.array([each.values[q.name] for each in found])
+        if q.name in structure.surfaces:
+            std = np.sqrt([each.variances[q.name] for each in found])
+            surface = _inside(_robust(terms, values_of, std), every, q)
+            begun |= dict(zip(courses.schedule.names(q.name), surface.tolist(), strict=True))
+        else:
+            begun[q.name] = float(np.median(values_of))
+    values = {q.name: float(np.clip(stated.get(q.name, begun[q.name]), q.lower, q.upper)) for q in parameters}
+    note = f"start values: surfaces through fits to {len(found)} parts of the recordings with constant parameters"
+    origin = {name: "user" if name in asked else "data" for name in values}
+    return Begin(values, origin, (FitNote.STARTS_FROM_DATA(note),))
+
+
+def _robust(terms: FloatArray, values: FloatArray, std: FloatArray) -> FloatArray:
+    """Return coefficients by weighted least squares in which values far from the surface count less (Huber)."""
+    std = np.maximum(std, 0.3 * np.median(std)) if (std > 0).any() else np.ones(len(values))
+    weight = 1 / std
+    for _ in range(_ROUNDS):
+        coefficients = np.linalg.lstsq(terms * weight[:, None], values * weight, rcond=None)[0]
+        away = np.abs(values - terms @ coefficients) / std
+        size = 1.4826 * float(np.median(away))
+        weight = np.sqrt(np.minimum(1.0, _HUBER * size / np.maximum(away, 1e-300))) / std
+    return np.asarray(coefficients)
+
+
+def _inside(coefficients: FloatArray, terms: FloatArray, q: Parameter) -> FloatArray:
+    """Return the coefficients of a surface, flattened towards its mean where it leaves the bounds of its parameter."""
+    values = terms @ coefficients
+    mean = float(np.clip(np.median(values), q.lower, q.upper))
+    width = np.where(values < mean, mean - q.lower, q.upper - mean)
+    away = np.abs(values - mean)
+    share = float(np.min(np.where(away > 0, 0.9 * width / np.maximum(away, 1e-300), np.inf), initial=1.0))
+    flat = np.zeros_like(coefficients)
+    flat[0] = mean
+    return np.asarray(flat + min(share, 1.0) * (coefficients - flat))
+
+
+# ---- What a fit hands to the assembly: a structure with its own parameters, and what they are tied to.
+
+
+@dataclass(frozen=True)
+class TiedEquations:
+    """Structure with constant parameters, and its ties to the parameters of the fit.
+
+    Attributes
+    ----------
+    structure : AnyStructure
+        Equations.
+    parameters : tuple of Parameter
+        Parameters of the equations.
+    begin : dict of str to float
+        Start values of these, at the mean of the courses.
+    ties : Ties or None
+        How they follow from the parameters of the fit; None where they are the same.
+    """
+
+    structure: AnyStructure
+    parameters: tuple[Parameter, ...]
+    begin: Mapping[str, float]
+    ties: Ties | None
+
+
+def tied_equations(
+    structure: AnyStructure,
+    parameters: tuple[Parameter, ...],
+    begin: Mapping[str, float],
+    courses: Courses | None,
+) -> TiedEquations:
+    """Return the equations of a fit; `parameters` and `begin` are those of its structure."""
+    if not isinstance(structure, ScheduledStructure):
+        return TiedEquations(structure, parameters, begin, None)
+    assert courses is not None
+    names = courses.schedule.names
+    coefficients = {name for key in structure.surfaces for name in names(key)}
+    if held := [q.name for q in parameters if q.fixed and q.name in coefficients]:
+        raise UsageError(
+            f"fixed: {', '.join(held)}; coefficients of surfaces are estimated. Leave a parameter out of the surfaces "
+            "(gbid.scheduled(..., surfaces=[...])) to fix it"
+        )
+    mean = np.concatenate(courses.terms).mean(axis=0)
+    at_mean = {key: float(mean @ [begin[name] for name in names(key)]) for key in structure.surfaces}
+    known = {q.name: q for q in parameters}
+    own = tuple(
+        replace(q, start=float(np.clip(at_mean[q.name], q.lower, q.upper))) if q.name in at_mean else known[q.name]
+        for q in structure.base.parameters
+    )
+    values = {q.name: at_mean[q.name] if q.name in at_mean else begin[q.name] for q in own}
+    return TiedEquations(structure.base, own, values, courses.ties(parameters))
+
+
+def centre_tie(structure: AnyStructure, predictor: Sequence[Parameter], free: Sequence[str]) -> FloatArray | None:
+    """Return the matrix from the free parameters of a fit to those of a predictor in the middle of the range.
+
+    Only the first coefficient of each surface counts there. None for a structure with constant parameters.
+    """
+    if not isinstance(structure, ScheduledStructure):
+        return None
+    place = {name.partition("[")[0]: i for i, name in reversed(list(enumerate(free)))}
+    own = [q.name for q in predictor]
+    names = [coefficient_names(name, 1)[0] if name in structure.surfaces else name for name in own]
+    return np.eye(len(free))[[place[name] for name in names]]

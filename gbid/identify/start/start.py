@@ -1,0 +1,796 @@
+"""Start values of an actuator of second order from data, by least squares in the frequency domain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from functools import singledispatch
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+from scipy.linalg import solve_discrete_are
+
+from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.errors import DataError, UsageError
+from gbid.core.notes import FitNote
+from gbid.discretise import Hold, check_holds, discretise, hold_response
+from gbid.identify.data import FitData, Record, column_means, moves
+from gbid.identify.kernel.linear import EngineName
+from gbid.identify.predictor import build_predictor
+from gbid.identify.problem.assemble import assemble, automatic_window, build_problem, full_start, unknown_bounds
+from gbid.identify.problem.solve import solve
+from gbid.identify.problem.states import without_inputs
+from gbid.identify.start.black_box import BlackBox, Target, black_box, match
+from gbid.structure import (
+    ClosedLoop,
+    LinearModel,
+    LinearStructure,
+    NonlinearStructure,
+    Parameter,
+    PiezoPair,
+    Plant,
+    RotorBearing,
+    Structure,
+    evaluate,
+    symbolic_matrices,
+)
+from gbid.structure.built_in import AXES, PAIRS
+
+# ---- Spectra of records, and complex equations as real ones.
+
+
+def spectrum_of(values: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
+    """Return angular frequencies (n_f,) [rad/s] and transforms (n_f, n) of a record's samples without the mean."""
+    transform = np.fft.rfft(values - column_means(values), axis=0) * sample_time
+    return np.asarray(2 * np.pi * np.fft.rfftfreq(len(values), sample_time), float), transform
+
+
+def as_real(values: ComplexArray) -> FloatArray:
+    """Return real parts above imaginary parts, (2 n, n_columns), of complex equations (n, n_columns)."""
+    return np.vstack([values.real, values.imag])
+
+
+def lag_start(records: tuple[Record, ...], channel: int, sample_time: float) -> tuple[float, float, float]:
+    """Return poles [rad/s] and gain of ``u + a1 ud + a2 udd = kappa r`` with r constant between samples."""
+    rows: list[ComplexArray] = []
+    targets: list[ComplexArray] = []
+    laplace: list[ComplexArray] = []
+    n_records = len(records)
+    for i, record in enumerate(records):
+        omega, R = spectrum_of(record.inputs[:, [channel]], sample_time)
+        _, U = spectrum_of(record.outputs[:, [channel]], sample_time)
+        keep = (omega > 0) & (omega < 0.4 * np.pi / sample_time)
+        s = 1j * omega[keep, None]
+        held = R[keep] * (1 - np.exp(-s * sample_time)) / (s * sample_time)
+        ends = np.zeros((len(s), 2 * n_records), complex)
+        ends[:, 2 * i : 2 * i + 2] = np.hstack([np.ones_like(s), s])
+        rows.append(np.hstack([held, -s * U[keep], -(s**2) * U[keep], ends]))
+        targets.append(U[keep])
+        laplace.append(np.asarray(s, complex))
+    base, target, s = (np.concatenate(parts) for parts in (rows, targets, laplace))
+    a1 = a2 = gain = 0.0
+    for _ in range(4):  # Sanathanan-Koerner: weights 1 / last denominator, for the output error
+        weight = 1 / (1 + a1 * s + a2 * s**2)
+        columns = as_real(base * weight)
+        size = np.linalg.norm(columns, axis=0)
+        gain, a1, a2 = (np.linalg.lstsq(columns / size, as_real(target * weight)[:, 0], rcond=None)[0] / size)[:3]
+    return (*_real_poles(a1, a2, sample_time), float(gain))
+
+
+def _real_poles(a1: float, a2: float, sample_time: float) -> tuple[float, float]:
+    """Return slow and fast pole of ``1 + a1 s + a2 s^2``; the nearest real stable pair for other poles."""
+    fastest = 10 / sample_time
+    a1 = max(a1, 2 / fastest)
+    if a2 <= 0:
+        return float(np.clip(1 / a1, 1.0, fastest)), fastest
+    root = a1**2 - 4 * a2
+    if root <= 0:
+        middle = 1 / np.sqrt(a2)
+        return float(0.8 * middle), float(1.25 * middle)
+    slow, fast = 2 / (a1 + np.sqrt(root)), (a1 + np.sqrt(root)) / (2 * a2)
+    return float(min(slow, fastest)), float(min(fast, fastest))
+
+
+# ---- Start values of a rotor bearing from data, by least squares in the frequency domain.
+#
+# A model ``sum_i theta_i R_i(s) = 0`` is linear in its coefficients for given delays. A fit then is a least-squares
+# problem over some hundred frequencies. The ends of a record add a polynomial in s to the transform of a derivative;
+# the
+# polynomial is estimated together with the coefficients.
+
+_REGULAR = 1e-10  # determinant of two columns, as a part of that of orthogonal ones, above which they are told apart
+_FREQUENCIES = 800  # largest number in the band of the resonance; modes are much wider than their distance
+_ENOUGH = 50_000  # largest number of samples of a record for start values; the fit uses all
+
+
+def _resonance_band(spectra: list[tuple[FloatArray, ComplexArray, ComplexArray]]) -> tuple[float, float]:
+    """Return the band around the resonance [rad/s], which contains the two modes, from frequencies and transforms.
+
+    Its centre is the peak of ``|P|^2 / |U|``, the geometric mean of power and gain. Power alone may have a peak where
+    the input is strong: a PRBS has little power at the inverse of its hold time. Gain alone may have one where both are
+    noise.
+    """
+    totals: dict[int, FloatArray] = {}
+    resolution = 2.0  # Hz: smooths the spectrum, and is small compared with the frequencies of the modes
+    for omega, U, P in spectra:
+        bins = (omega / (2 * np.pi * resolution)).astype(int)
+        binned = np.array([np.bincount(bins, (np.abs(values) ** 2).sum(1)) for values in (U, P)])
+        totals[binned.shape[1]] = totals.get(binned.shape[1], np.zeros_like(binned)) + binned
+    drive, response = totals[max(totals)]
+    response[: int(10 / resolution)] = 0.0  # excludes drift and creep
+    amplitude = np.sqrt(drive)
+    strength = response / (amplitude + 1e-3 * amplitude.max()) if amplitude.any() else response  # a free decay has none
+    peak = 2 * np.pi * resolution * (int(np.argmax(strength)) + 0.5)
+    return 0.3 * peak, 2.5 * peak
+
+
+def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_time: float) -> dict[str, float]:
+    """Return K, D and B by least squares for given delays; a grid and a simplex search find the two delays."""
+    records = tuple(Record(r.name, r.inputs[:_ENOUGH], r.outputs[:_ENOUGH]) for r in records)
+    spectra = [(*spectrum_of(r.inputs, sample_time), spectrum_of(r.outputs, sample_time)[1]) for r in records]
+    low, high = _resonance_band(spectra)
+    known, targets, drives, omegas = [], [], [], []
+    n_records = len(records)
+    for i, (omega, U, P) in enumerate(spectra):
+        band = np.flatnonzero((omega >= low) & (omega <= high))
+        keep = band[:: max(1, len(band) * n_records // _FREQUENCIES)]
+        s = 1j * omega[keep, None]
+        ends = np.zeros((len(s), 2 * n_records), complex)
+        ends[:, 2 * i : 2 * i + 2] = np.hstack([np.ones_like(s), s])
+        known.append(np.hstack([P[keep], s * P[keep], ends]) / s**2)
+        targets.append(P[keep])
+        drives.append(U[keep] / s**2)
+        omegas.append(omega[keep])
+    omega = np.concatenate(omegas)
+    if len(omega) < 20:
+        raise DataError(
+            f"recording {records[0].name!r}: only {len(omega)} frequencies around the resonance; record for longer"
+        )
+    base, target = (as_real(np.concatenate(parts)) for parts in (known, targets))
+    # Columns of s-powers differ by orders of magnitude; scaled, the projection is exact to rounding.
+    size = np.linalg.norm(base, axis=0)
+    basis, triangle = np.linalg.qr(base / size)
+    rest = target - basis @ (basis.T @ target)
+    if not any(moves(record.inputs).any() for record in records):  # free decays: no delays, no gains
+        rest_of_base = np.linalg.lstsq(base / size, target, rcond=None)[0] / size[:, None]
+        return _named(structure, rest_of_base)
+    complex_drive = np.concatenate(drives)
+
+    def delayed(tau: FloatArray) -> FloatArray:
+        return as_real(complex_drive * np.exp(-1j * omega[:, None] * tau))
+
+    def unexplained(columns: FloatArray) -> float:
+        """Return the residual of two projected columns, up to a constant."""
+        share, own = columns.T @ rest, columns.T @ columns
+        (a, b), (_, c) = own
+        regular = a * c - b * b > _REGULAR * a * c
+        gain = np.array([[c, -b], [-b, a]]) @ share / (a * c - b * b) if regular else np.linalg.lstsq(own, share)[0]
+        return -float((share * gain).sum())
+
+    def misfit(tau: FloatArray) -> float:
+        columns = delayed(tau)
+        return unexplained(columns - basis @ (basis.T @ columns))
+
+    bounds = {q.name: (q.lower, q.upper) for q in structure.parameters}
+    longest = min(0.5 * np.pi / high * 2, bounds["tau_x"][1])
+    grid = np.linspace(0.0, longest, 7)
+    sampled = [delayed(np.array([a, a])) for a in grid]  # both axes at once: pairs of delays share their columns
+    sampled = [columns - basis @ (basis.T @ columns) for columns in sampled]
+    pairs = [(i, j) for i in range(len(grid)) for j in range(len(grid))]
+    scores = [unexplained(np.column_stack([sampled[i][:, 0], sampled[j][:, 1]])) for i, j in pairs]
+    at = pairs[int(np.argmin(scores))]
+    first = grid[at[0]], grid[at[1]]
+    step = grid[1] / 2
+    simplex = np.array([first, (first[0] + step, first[1]), (first[0], first[1] + step)])
+    options = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": np.inf, "maxiter": 200}
+    tau = scipy.optimize.minimize(misfit, first, method="Nelder-Mead", options=options).x
+    tau = np.array(
+        [np.clip(t, 2 * bounds[f"tau_{a}"][0], bounds[f"tau_{a}"][1]) for t, a in zip(tau, AXES, strict=True)]
+    )
+
+    columns = delayed(tau)
+    projected = columns - basis @ (basis.T @ columns)
+    gain = np.asarray(np.linalg.lstsq(projected, rest, rcond=None)[0])
+    rest_of_base = np.linalg.solve(triangle, basis.T @ (target - columns @ gain)) / size[:, None]
+    delays = {f"tau_{axis}": float(t) for axis, t in zip(AXES, tau, strict=True)}
+    return {**_named(structure, rest_of_base, gain), **delays}
+
+
+def _named(structure: RotorBearing, motion: FloatArray, gain: FloatArray | None = None) -> dict[str, float]:
+    """Return all parameters by name, zero for those not found, from coefficients of displacement, speed and input."""
+    found = dict.fromkeys((q.name for q in structure.parameters), 0.0)
+    matrices = {"k": motion[:2].T, "d": motion[2:4].T} | ({} if gain is None else {"b": gain.T})
+    for letter, matrix in matrices.items():
+        found |= {f"{letter}_{pair}": float(v) for pair, v in zip(PAIRS, matrix.ravel(), strict=True)}
+    return found
+
+
+# ---- Start values of a structure: those that it states, and for the built-in ones those found in the data.
+
+
+@singledispatch
+def start_values(structure: Any, data: FitData, given: Mapping[str, float]) -> dict[str, float]:  # noqa: ARG001
+    """Return start values of all parameters that have none.
+
+    Parameters
+    ----------
+    structure : Structure
+        A built-in structure; a user's structure must state its start values.
+    data : FitData
+        Data of the fit.
+    given : dict of str to float
+        Known values (fixed, or start values of the user).
+
+    Returns
+    -------
+    dict of str to float
+        Values by name, with those of `given`.
+
+    Raises
+    ------
+    UsageError
+        When there is no method to find start values for the structure.
+    """
+    return _as_given(structure, given)
+
+
+@start_values.register
+def _(structure: RotorBearing, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    data = _without_unbalance(structure, data)
+    _check_channels(structure, data.records, 2, 2)
+    return {**bearing_start(structure, data.records, data.sample_time), **given}
+
+
+@start_values.register
+def _(structure: PiezoPair, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    if not data.records[0].inputs.size:
+        return _as_given(structure, given)
+    _check_channels(structure, data.records, 2, 2)
+    found: dict[str, float] = {}
+    for i, axis in enumerate(AXES):
+        slow, fast, gain = lag_start(data.records, i, data.sample_time)
+        found |= {f"p1_{axis}": slow, f"p2_{axis}": fast, f"kappa_{axis}": gain}
+    return {**{q.name: found.get(q.name, 0.0) for q in structure.parameters}, **given}
+
+
+@start_values.register
+def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    if not data.records[0].inputs.size:
+        return _as_given(structure, given)
+    data = _without_unbalance(structure.bearing, data)
+    _check_channels(structure, data.records, 2, 2 * len(structure.outputs))
+    if "u" in structure.outputs:
+        actuator_records = tuple(Record(r.name, r.inputs, r.outputs[:, :2]) for r in data.records)
+        bearing_records = tuple(Record(r.name, r.outputs[:, :2], r.outputs[:, 2:]) for r in data.records)
+        actuators = start_values(structure.actuators, _like(data, actuator_records), {})
+        found = {**actuators, **bearing_start(structure.bearing, bearing_records, data.sample_time)}
+        return {**found, **given}
+    needed = [q.name for q in structure.actuators.parameters if q.name not in given]
+    if needed:
+        raise UsageError(
+            f"structure {structure.name!r} from r to p alone does not determine the actuators: "
+            f"fix {', '.join(needed)} (fixed=...) or add u to the outputs"
+        )
+    model = evaluate(structure.actuators, given)
+    records = tuple(
+        Record(r.name, model.simulate(r.inputs, data.sample_time, intersample="zoh"), r.outputs) for r in data.records
+    )
+    return {**bearing_start(structure.bearing, records, data.sample_time), **given}
+
+
+def has_own_method(structure: Any) -> bool:
+    """Return whether there is a method to find start values that was made for the structure."""
+    return start_values.dispatch(type(structure)) is not start_values.dispatch(object)
+
+
+def _as_given(structure: Any, given: Mapping[str, float]) -> dict[str, float]:
+    missing = [q.name for q in structure.parameters if q.name not in given]
+    if missing:
+        nonlinear = isinstance(structure, NonlinearStructure)
+        why = ": nonlinear structures have no search for start values in the data" if nonlinear else ""
+        raise UsageError(
+            f"structure {structure.name!r}: no start value for {', '.join(missing)}; give each a start{why}"
+        )
+    return dict(given)
+
+
+def _check_channels(structure: Any, records: tuple[Record, ...], n_inputs: int, n_outputs: int) -> None:
+    found = records[0].inputs.shape[1], records[0].outputs.shape[1]
+    if found not in {(n_inputs, n_outputs), (0, n_outputs)}:  # none: a free decay
+        raise UsageError(
+            f"structure {structure.name!r} has {n_inputs} inputs and {n_outputs} outputs; "
+            f"the recordings give {found[0]} and {found[1]}"
+        )
+
+
+def _without_unbalance(bearing: RotorBearing, data: FitData) -> FitData:
+    """Return the data without the last two inputs when they are the unbalance, which start values do not need."""
+    if not (bearing.unbalance and data.records[0].inputs.shape[1] == 4):
+        return data
+    return _like(data, tuple(Record(r.name, r.inputs[:, :2], r.outputs) for r in data.records))
+
+
+def _like(data: FitData, records: tuple[Record, ...]) -> FitData:
+    return FitData(records, data.sample_time, (), (), ())
+
+
+# ---- Data of the plant within a closed loop, for start values: what the controller did is known from what it measured.
+
+
+def plant_data(loop: ClosedLoop, data: FitData, gains: Mapping[str, float]) -> FitData:
+    """Return the data of a loop with the inputs of its plant in place of what was injected.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        The loop.
+    data : FitData
+        What was injected, and what was recorded.
+    gains : dict of str to float
+        Gains of a controller that is a structure, under their names in the loop.
+    """
+    return replace(data, records=tuple(_of_plant(loop, record, data.sample_time, gains) for record in data.records))
+
+
+def _of_plant(loop: ClosedLoop, record: Record, sample_time: float, gains: Mapping[str, float]) -> Record:
+    controller = loop.controller_model(gains)
+    heard = record.outputs[:, list(loop.measured)]
+    w = record.inputs if record.inputs.size else np.zeros((record.n_samples, 1))
+    if loop.injected == "set point":
+        heard = heard - w
+    own: FloatArray = controller.simulate(heard, sample_time, intersample="foh" if controller.dt is None else "zoh")
+    return replace(record, inputs=own if loop.injected == "set point" else own + w)
+
+
+# ---- Start values of any linear structure from its data: a subspace estimate, matched to the structure.
+
+_FREQUENCIES_SUBSPACE_START = 80
+_HIGHEST = 0.4  # highest frequency, as a part of the sampling frequency
+_STARTS = 30  # largest number of starts of the match
+_DECADES = 3.0  # range of the random starts of a parameter without bounds, to both sides of its scale
+_LONGEST_DELAY = 30  # range of the random starts of a delay without a bound, in samples
+_ACCURACY = 1e-3  # smallest relative standard deviation that is believed
+
+
+@dataclass(frozen=True, eq=False)
+class SubspaceStart:
+    """Start values that were found by a subspace estimate.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        Start values of the parameters that were not fixed.
+    order, lags : int
+        Order of the black-box model, and number of past samples of its regression.
+    misfit : float
+        Part of the response of the black-box model that the structure does not explain, from 0 to 1.
+    """
+
+    values: dict[str, float]
+    order: int
+    lags: int
+    misfit: float
+
+
+def subspace_start(
+    structure: Structure,
+    data: FitData,
+    parameters: Sequence[Parameter],
+    intersample: Hold | Sequence[Hold],
+    seed: int = 0,
+) -> SubspaceStart:
+    """Return start values of a linear structure from the data alone.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure.
+    data : FitData
+        Data of the fit: recordings with inputs that move, in open or closed loop, or free decays.
+    parameters : sequence of Parameter
+        Parameters of the structure, with fixed values and bounds. A stated start is one of many starts of the match.
+    intersample : {"zoh", "foh"} or sequence of these
+        Hold of the inputs.
+    seed : int
+        Seed of the random starts of the match.
+
+    Returns
+    -------
+    SubspaceStart
+        Start values. Parameters of the disturbance gain alone start at zero, or at the bound next to it.
+
+    Raises
+    ------
+    DataError
+        When the recordings are too short.
+
+    Notes
+    -----
+    A black-box model takes no start values. The structure is matched to its response, which has no noise and costs no
+    pass over the samples, so that many starts are cheap.
+    """
+    fixed = {q.name: float(q.start) for q in parameters if q.fixed and q.start is not None}
+    predictor = build_predictor(structure, fixed, data.sample_time, intersample, "simulation")
+    known = {q.name: q for q in parameters}
+    free = [known[q.name] for q in predictor.free]
+    holds = check_holds(intersample, predictor.n_inputs)
+    decays = not any(moves(r.inputs).any() for r in data.records)
+    records = [Record(r.name, r.inputs[:, :0], r.outputs) for r in data.records] if decays else data.records
+    found = black_box(records, predictor.n_states, feedthrough=not decays and _acts_at_once(structure, holds))
+    target = _target(found, data, holds, decays)
+    bounds = np.array([(q.lower, q.upper) for q in free], float).reshape(-1, 2)
+    starts = _draw(free, bounds, _delay_names(structure), target, data.sample_time, seed)
+    best = match(predictor, target, starts, bounds[:, 0], bounds[:, 1])
+    values = {q.name: float(v) for q, v in zip(free, best.theta, strict=True)}
+    unused = {name: float(np.clip(0.0, known[name].lower, known[name].upper)) for name in predictor.unused}
+    return SubspaceStart({**unused, **values}, len(found.A), found.lags, min(best.misfit, 1.0))
+
+
+def _acts_at_once(structure: Structure, holds: Sequence[Hold]) -> bool:
+    """Return whether inputs act on the outputs of the same sample: by a feedthrough, or by a straight line to it."""
+    return "foh" in holds or symbolic_matrices(structure)[1].D.nnz() > 0
+
+
+def _delay_names(structure: Structure) -> set[str]:
+    return {symbol.name() for symbol in ca.symvar(symbolic_matrices(structure)[1].delay)}
+
+
+def _target(found: BlackBox, data: FitData, holds: Sequence[Hold], decays: bool) -> Target:
+    h = data.sample_time
+    values, vectors = np.linalg.eig(found.A.astype(complex))
+    with np.errstate(divide="ignore"):
+        poles = np.log(values) / h
+    poles = np.where(np.isfinite(poles), poles, -np.pi / h)  # a pole at zero: faster than the samples
+    f = _frequencies(poles, data)
+    s = 2j * np.pi * f
+    if decays:
+        amplitudes = np.linalg.solve(vectors, found.first_states.T)
+        response = np.einsum("yn,fn,nr->fyr", found.C @ vectors, 1 / (s[:, None] - poles), amplitudes)
+        std = np.zeros(response.shape)
+    else:
+        response, std = found.response(np.exp(s * h))
+        held = hold_response(f * h, holds)[:, None, :]
+        response, std = response / held, std / np.abs(held)
+    size = np.sqrt((np.abs(response) ** 2).mean(0, keepdims=True))
+    # An accuracy that is not believed: else the most accurate frequencies would be all that is matched.
+    weight = 1 / np.sqrt(std**2 + (_ACCURACY * np.abs(response)) ** 2 + (_ACCURACY**2 * size) ** 2)
+    return Target(np.asarray(s, complex), np.asarray(response, complex), weight, poles, decays)
+
+
+def _frequencies(poles: ComplexArray, data: FitData) -> FloatArray:
+    """Return frequencies [Hz] with logarithmic spacing, and more around the poles of the black-box model."""
+    high = _HIGHEST / data.sample_time
+    longest = max(r.n_samples for r in data.records) * data.sample_time
+    low = min(max(1 / longest, 0.05 * float(np.abs(poles).min()) / (2 * np.pi)), 0.1 * high)
+    pairs = poles[poles.imag > 0]
+    spread = np.array([-3.0, -1.5, -0.7, -0.3, 0.0, 0.3, 0.7, 1.5, 3.0])
+    around = (pairs.imag[:, None] + np.abs(pairs.real)[:, None] * spread).ravel() / (2 * np.pi)
+    inside = around[(around > low) & (around < high)]
+    return np.unique(np.concatenate([np.geomspace(low, high, _FREQUENCIES_SUBSPACE_START), inside]))
+
+
+def _draw(
+    free: Sequence[Parameter], bounds: FloatArray, delays: set[str], target: Target, sample_time: float, seed: int
+) -> Iterator[FloatArray]:
+    """Yield starts of the match: the stated one, then random ones between the bounds or over many decades."""
+    random = np.random.default_rng(seed)
+    lower, upper = bounds.T
+    stated = np.array([np.nan if q.start is None else q.start for q in free], float)
+    late = np.array([q.name in delays for q in free], bool)
+    low = np.where(late, np.maximum(lower, 0.0), lower)
+    high = np.where(late, np.minimum(upper, _LONGEST_DELAY * sample_time), upper)
+    between = np.isfinite(low) & np.isfinite(high)
+    low, high = np.where(between, low, 0.0), np.where(between, high, 1.0)
+    scale = np.where(np.isfinite(stated) & (stated != 0), np.abs(stated), 1.0)
+    rate = float(np.exp(np.log(np.maximum(np.abs(target.poles), 1e-12)).mean()))
+    first = np.where(between, 0.5 * (low + high), np.where(upper <= 0, -1.0, 1.0))
+    yield np.clip(np.where(np.isfinite(stated), stated, first), lower, upper)
+    for _ in range(_STARTS - 1):
+        powers = rate ** random.choice(
+            [0, 1, 2], len(scale)
+        )  # a damping has the size of the rate, a stiffness its square
+        size = np.where(random.random(len(scale)) < 0.5, scale, powers)
+        size = size * 10.0 ** random.uniform(-_DECADES, _DECADES, len(scale))
+        sign = np.where(lower >= 0, 1.0, np.where(upper <= 0, -1.0, random.choice([-1.0, 1.0], len(scale))))
+        yield np.clip(np.where(between, random.uniform(low, high), sign * size), lower, upper)
+
+
+# ---- Start values of a fit and where they come from: the caller, the structure, or the data.
+
+_POOR = 0.3  # smallest misfit of a match that may lead to a wrong minimum
+
+
+@dataclass(frozen=True)
+class Begin:
+    """Start values of a fit.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        Start values of all parameters, within their bounds.
+    origin : dict of str to str
+        Origin of each: ``"data"``, ``"user"`` or ``"structure"``.
+    notes : tuple of str
+        How values were found in the data, where a structure has no method of its own.
+    """
+
+    values: dict[str, float]
+    origin: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def begin_values(
+    structure: Any,
+    parameters: Sequence[Parameter],
+    data: FitData,
+    intersample: Hold | Sequence[Hold],
+    asked: Set[str],
+    *,
+    from_data: bool,
+) -> Begin:
+    """Return the start values of a fit.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the fit.
+    parameters : sequence of Parameter
+        Parameters, with the starts, fixed values and bounds of the caller.
+    data : FitData
+        Data of the fit.
+    intersample : {"zoh", "foh"} or sequence of these
+        Hold of the inputs.
+    asked : set of str
+        Parameters whose value comes from the caller.
+    from_data : bool
+        Whether all start values are found in the data, also those that are stated.
+
+    Returns
+    -------
+    Begin
+
+    Raises
+    ------
+    UsageError, DataError
+        When start values are missing and cannot be found in the data.
+    """
+    if isinstance(structure, ClosedLoop):
+        return _of_loop(structure, parameters, data, asked, from_data=from_data)
+    stated = {q.name: q.start for q in parameters if q.start is not None and (q.fixed or not from_data)}
+    notes: tuple[str, ...] = ()
+    missing = [q.name for q in parameters if q.name not in stated]
+    if missing and not has_own_method(structure) and hasattr(structure, "matrices"):
+        own: Any = structure if data.input_names else without_inputs(structure)
+        found = subspace_start(own, data, parameters, intersample)
+        values = {**found.values, **stated}
+        notes = (_note(found, missing),)
+    else:
+        values = start_values(structure, data, stated)
+    within = {
+        q.name: values[q.name] if q.name in stated else float(np.clip(values[q.name], q.lower, q.upper))
+        for q in parameters
+    }
+    given = {name: "user" if name in asked else "structure" for name in stated}
+    return Begin(within, {q.name: given.get(q.name, "data") for q in parameters}, notes)
+
+
+def _of_loop(
+    loop: ClosedLoop, parameters: Sequence[Parameter], data: FitData, asked: Set[str], *, from_data: bool
+) -> Begin:
+    """Return the start values of a loop: those of its plant, whose inputs are known from what the controller did."""
+    own = {gain.name for gain in loop.gains}
+    gains = {q.name: q.start for q in parameters if q.name in own and q.start is not None}
+    missing = [name for name in own if name not in gains]
+    if missing:
+        raise UsageError(f"{loop.name}: no start value for {', '.join(sorted(missing))}; give each a start")
+    rest = [q for q in parameters if q.name not in own]
+    plant = loop.structure
+    if from_data or any(q.start is None for q in rest):
+        data = plant_data(loop, data, gains)
+    begin = begin_values(plant, rest, data, plant.intersample, asked, from_data=from_data)
+    origin = {name: "user" if name in asked else "structure" for name in gains}
+    return Begin({**begin.values, **gains}, {**begin.origin, **origin}, begin.notes)
+
+
+def _note(found: SubspaceStart, missing: Sequence[str]) -> str:
+    listed = ", ".join(missing) if len(missing) <= 8 else f"{len(missing)} parameters"
+    note = (
+        f"start values of {listed}: from the data, by a subspace model with {found.order} states; the structure "
+        f"explains {100 * (1 - found.misfit):.1f} % of its response"
+    )
+    doubt = "; that is little: try fit_multistart" if found.misfit > _POOR else ""
+    return FitNote.STARTS_FROM_DATA(f"{note}{doubt}")
+
+
+# ---- Observer of a structure: the steady Kalman filter for assumed noise.
+#
+# A predictor with this gain is stable for any detectable model, also for an unstable plant. Its errors depend smoothly
+# on
+# the parameters, so that a fit with it converges from far away.
+
+_LONGEST = 256  # samples of the observer's memory
+_FLAT = 1e-12  # smallest information on a state, as a part of the largest
+
+
+def observer_gain(model: LinearModel, sample_time: float, noise: FloatArray, reach: float) -> FloatArray | None:
+    """Return the disturbance gain K of the steady Kalman filter for assumed noise.
+
+    The measurement noise is as given. The process noise of a sample is what makes the filter's memory about as long as
+    `reach` over the model's fastest rate: the covariance of a state that is known from so many samples alone, over
+    their number.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Model in continuous time; its own disturbance gain is not used.
+    sample_time : float
+        Time between samples [s].
+    noise : (n_outputs,) array
+        Assumed standard deviations of the measurement noise.
+    reach : float
+        Memory, in units of the time constant of the fastest mode.
+
+    Returns
+    -------
+    (n, n_outputs) array or None
+        Gain in continuous time; with a hold of one sample it is the filter's gain. None when the outputs do not observe
+        an unstable state.
+    """
+    n = len(model.A)
+    fastest = float(np.abs(np.linalg.eigvals(model.A)).max()) * sample_time
+    memory = int(np.clip(reach / max(fastest, 1e-12), 2 * n, _LONGEST))
+    held = discretise(model.A, np.eye(n), sample_time, ["zoh"] * n)
+    F = held.F
+    seen, rows = np.zeros((n, n)), model.C / noise[:, None]
+    for _ in range(memory):
+        seen += rows.T @ rows
+        rows = rows @ F
+    if not np.isfinite(seen).all():
+        return None
+    scale = np.sqrt(np.maximum(np.diag(seen), np.finfo(float).tiny))
+    size, axes = np.linalg.eigh(seen / np.outer(scale, scale))
+    Q = axes / np.maximum(size, _FLAT * size[-1]) @ axes.T / memory  # of states in units of 1 / scale
+    step, out = F * scale[:, None] / scale, model.C / noise[:, None] / scale
+    try:
+        P = solve_discrete_are(step.T, out.T, Q, np.eye(len(noise)))
+        filtered = np.linalg.solve(out @ P @ out.T + np.eye(len(noise)), out @ P @ step.T).T
+        return np.asarray(np.linalg.solve(held.G_now, filtered / scale[:, None] / noise))
+    except (np.linalg.LinAlgError, ValueError):  # scipy's error for eigenvalues that cannot be told apart
+        return None
+
+
+def with_gain(structure: Structure, gain: FloatArray) -> LinearStructure:
+    """Return a structure with a given disturbance gain, (n, n_outputs), in place of its own."""
+
+    def matrices(p: Any) -> Mapping[str, Any]:
+        return {**structure.matrices(p), "K": gain}
+
+    return LinearStructure(
+        structure.name,
+        structure.parameters,
+        matrices,
+        structure.inputs,
+        structure.outputs,
+        intersample=structure.intersample,
+    )
+
+
+def gain_parameters(
+    structure: Structure, parameters: tuple[Parameter, ...], values: Mapping[str, float], gain: FloatArray
+) -> dict[str, float]:
+    """Return free parameters of the disturbance gain with which it is nearest to a given one, within their bounds.
+
+    Parameters
+    ----------
+    structure : Structure
+    parameters : tuple of Parameter
+        Parameters with the fixed values and bounds of the fit.
+    values : dict of str to float
+        Values of the other parameters.
+    gain : (n, n_outputs) array
+        Gain to come near to, by least squares relative to its entries.
+
+    Returns
+    -------
+    dict of str to float
+        Empty for a structure without parameters of its own for the gain.
+    """
+    p, m = symbolic_matrices(structure)
+    elsewhere = {symbol.name() for symbol in ca.symvar(ca.veccat(*m.besides_gain))}
+    names = {symbol.name() for symbol in ca.symvar(m.K)} - elsewhere
+    own = [i for i, q in enumerate(parameters) if not q.fixed and q.name in names]
+    if not own:
+        return {}
+    at = np.array([values[q.name] for q in parameters], float)
+    entries = ca.vec(ca.densify(m.K))
+    function = ca.Function("gain", [p], [entries, ca.densify(ca.jacobian(entries, p))])
+    wanted = gain.T.ravel()  # CasADi stacks columns
+    weight = 1 / (np.abs(wanted) + 1e-3 * np.abs(wanted).max() + np.finfo(float).tiny)
+    for _ in range(3):  # one is enough where the gain is linear in its parameters
+        there, slopes = (np.asarray(v, float) for v in function(at))
+        step = np.linalg.lstsq(slopes[:, own] * weight[:, None], (wanted - there[:, 0]) * weight, rcond=None)[0]
+        at[own] = np.clip(at[own] + step, [parameters[i].lower for i in own], [parameters[i].upper for i in own])
+    return {parameters[i].name: float(at[i]) for i in own}
+
+
+# ---- Start values of a fit whose own start is unstable: those of a fit with a steady observer.
+
+_REACHES = (0.3, 1.0, 3.0)  # memory of the observers, in time constants: the first one trusts the start values little
+_NOISE = 0.1  # assumed standard deviation of the noise, as a part of that of the output
+_MOST = 50  # iterations; start values need not be exact
+
+
+def settled_start(
+    structure: Structure,
+    parameters: tuple[Parameter, ...],
+    begin: Mapping[str, float],
+    data: FitData,
+    *,
+    intersample: Hold | Sequence[Hold],
+    left_out: Mapping[str, Sequence[tuple[int, int]]],
+    engine: EngineName,
+) -> dict[str, float] | None:
+    """Return start values from fits with a steady observer in place of the structure's own disturbance gain.
+
+    The observer is a steady Kalman filter for assumed noise. With it the predictor is stable, whatever the start. It
+    is computed anew, with a longer memory, at what each fit found. Free parameters of the structure's own
+    disturbance gain come near to that of the observer.
+
+    Parameters
+    ----------
+    structure, parameters, data, intersample, left_out, engine
+        As in `gbid.identify.problem.assemble.assemble`.
+    begin : dict of str to float
+        Start values of all parameters.
+
+    Returns
+    -------
+    dict of str to float or None
+        Start values of all parameters; None when the outputs do not observe an unstable state.
+    """
+    spread = np.sqrt(np.mean([np.var(record.outputs, axis=0) for record in data.records], axis=0))
+    values: dict[str, float] = dict(begin)
+    for reach in _REACHES:
+        gain = observer_gain(evaluate(structure, values), data.sample_time, _NOISE * spread, reach)
+        if gain is None:
+            return None
+        values = _fitted(
+            with_gain(structure, gain), parameters, values, data, 1 / spread**2, intersample, left_out, engine
+        )
+    gain = observer_gain(evaluate(structure, values), data.sample_time, _NOISE * spread, _REACHES[-1])
+    return values if gain is None else {**values, **gain_parameters(structure, parameters, values, gain)}
+
+
+def _fitted(
+    observed: Structure,
+    parameters: tuple[Parameter, ...],
+    values: Mapping[str, float],
+    data: FitData,
+    weights: Sequence[float],
+    intersample: Hold | Sequence[Hold],
+    left_out: Mapping[str, Sequence[tuple[int, int]]],
+    engine: EngineName,
+) -> dict[str, float]:
+    """Return the values of a fit with an observer; those given where it ends nowhere."""
+    assembly = assemble(
+        observed,
+        parameters,
+        values,
+        data,
+        intersample=intersample,
+        focus="prediction",
+        horizon=1,
+        local={},
+        left_out=left_out,
+        window=automatic_window(data, "prediction"),
+        engine=engine,
+    )
+    problem, unknowns = build_problem(assembly, data, "trace", weights, full_start(assembly, values), {}, True)
+    lower, upper = unknown_bounds(problem, assembly)
+    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, max_iterations=_MOST)
+    theta, _ = problem.unpack(solution.unknowns)
+    if not np.isfinite(theta).all():
+        return dict(values)
+    return {**values, **{q.name: float(v) for q, v in zip(assembly.free, theta, strict=True)}}

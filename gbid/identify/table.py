@@ -1,0 +1,500 @@
+"""Table of many fits: the result of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.core import hdf5
+from gbid.core.arrays import BoolArray, FloatArray, IntArray
+from gbid.core.brief import Brief, Description, brief, counted
+from gbid.core.errors import UsageError
+from gbid.core.extras import data_frame
+from gbid.core.hdf5 import Stored
+from gbid.core.tables import Table, plain_table
+from gbid.identify.result import FitResult
+
+TextArray = npt.NDArray[np.str_]
+
+_PARAMETER = ("values", "std")
+_MODE = ("mode_frequency_hz", "mode_frequency_std_hz", "mode_damping", "mode_damping_std")
+_GAIN = ("static_gain", "static_gain_std")
+
+
+@dataclass(frozen=True, eq=False)
+class FitTable(Brief):
+    """Table with one row for each fit of a campaign, with failed fits.
+
+    n rows, k parameters, m modes, g static gains, q outputs. The columns are those of all fits in the table. Values
+    that a fit does not have are nan. A failed fit has nan in all columns and its reason in `status`.
+
+    Attributes
+    ----------
+    fit : (n,) array of str
+        Name of the fit in the experiment, e.g. ``"bearing"``.
+    model : (n,) array of str
+        Name of the model: that of its recording, or ``"together"``.
+    structure : (n,) array of str
+        Name of the structure; empty for a failed fit.
+    recordings : tuple of tuple of str
+        Recordings of each row.
+    pressure_bar, speed_rpm : (n,) array
+        Operating point [bar], [rpm]; nan when it is unknown or the recordings have several.
+    parameter_names : tuple of str, k
+        Names of the parameters.
+    units : tuple of str, k
+        Units of the parameters.
+    values : (n, k) array
+        Estimates and fixed values, with the delays (``tau_x`` [s]).
+    std : (n, k) array
+        Standard deviations as in `gbid.FitResult.std`: 0 fixed, nan none.
+    covariance : (n, k, k) array
+        Covariance to use (`gbid.FitResult.covariance`); rows and columns of fixed parameters are 0.
+    mode_frequency_hz, mode_frequency_std_hz : (n, m) array
+        Natural frequencies in rising order, and their standard deviations [Hz].
+    mode_damping, mode_damping_std : (n, m) array
+        Damping factors, and their standard deviations.
+    gain_names : tuple of str, g
+        Names of the static gains: ``"u_x to p_x"`` and so on.
+    static_gain, static_gain_std : (n, g) array
+        Static gains, and their standard deviations.
+    output_names : tuple of str, q
+        Names of the outputs.
+    fit_percent : (n, q) array
+        Fit percent; for a fit to several recordings the smallest of them.
+    success : (n,) array of bool
+        Whether the fit exists and converged.
+    status : (n,) array of str
+        Status of the fit, or reason of its failure.
+    notes : tuple of tuple of str
+        Notes of each fit.
+    iterations : (n,) array of int
+        Numbers of iterations.
+    wall_time_s : (n,) array
+        Computing times [s].
+    """
+
+    fit: Annotated[TextArray, Stored("", "name of the fit", "n")]
+    model: Annotated[TextArray, Stored("", "which model of the fit", "n")]
+    structure: Annotated[TextArray, Stored("", "name of the structure", "n")]
+    recordings: Annotated[tuple[tuple[str, ...], ...], Stored("", "recordings fitted to, one a line", "n")]
+    pressure_bar: Annotated[FloatArray, Stored("bar", "supply pressure", "n")]
+    speed_rpm: Annotated[FloatArray, Stored("rpm", "shaft speed", "n")]
+    parameter_names: Annotated[tuple[str, ...], Stored(shape="k")]
+    units: Annotated[tuple[str, ...], Stored(shape="k")]
+    values: Annotated[FloatArray, Stored("as attribute units of the root", "estimates, fits by parameters", "n k")]
+    std: Annotated[
+        FloatArray, Stored("as attribute units of the root", "standard deviations; 0 fixed, nan none", "n k")
+    ]
+    covariance: Annotated[
+        FloatArray,
+        Stored("as attribute units of the root", "covariance to trust, fits by parameters by parameters", "n k k"),
+    ]
+    mode_frequency_hz: Annotated[FloatArray, Stored("Hz", "natural frequencies", "n m")]
+    mode_frequency_std_hz: Annotated[FloatArray, Stored("Hz", "standard deviations of the natural frequencies", "n m")]
+    mode_damping: Annotated[FloatArray, Stored("1", "damping factors", "n m")]
+    mode_damping_std: Annotated[FloatArray, Stored("1", "standard deviations of the damping factors", "n m")]
+    gain_names: Annotated[tuple[str, ...], Stored(shape="g")]
+    static_gain: Annotated[FloatArray, Stored("", "static gains, fits by gains", "n g")]
+    static_gain_std: Annotated[FloatArray, Stored("", "standard deviations of the static gains", "n g")]
+    output_names: Annotated[tuple[str, ...], Stored(shape="q")]
+    fit_percent: Annotated[FloatArray, Stored("%", "fit, fits by outputs", "n q")]
+    success: Annotated[BoolArray, Stored("1", "whether the fit is there and converged", "n")]
+    status: Annotated[TextArray, Stored("", "status of the fit, or why it failed", "n")]
+    notes: Annotated[tuple[tuple[str, ...], ...], Stored("", "what a reader should know, one a line", "n")]
+    iterations: Annotated[IntArray, Stored("1", "iterations of the solver", "n")]
+    wall_time_s: Annotated[FloatArray, Stored("s", "time that the fit took", "n")]
+
+    def _brief(self) -> Description:
+        converged = [name for name, success in zip(self.fit.tolist(), self.success, strict=True) if success]
+        return brief(
+            self,
+            f"{len(self)} fits, {len(converged)} converged",
+            fit=counted(self.fit.tolist()),
+            success=counted(converged),
+            pressure_bar=self.pressure_bar,
+            speed_rpm=self.speed_rpm,
+            parameter_names=", ".join(self.parameter_names),
+            output_names=self.output_names,
+            fit_percent=self.fit_percent,
+        )
+
+    def __len__(self) -> int:
+        return len(self.fit)
+
+    def parameter(self, name: str) -> FloatArray:
+        """Return the estimates of one parameter, (n,).
+
+        Parameters
+        ----------
+        name : str
+            Name of the parameter.
+
+        Raises
+        ------
+        UsageError
+            When no fit of the table has the parameter.
+        """
+        if name not in self.parameter_names:
+            raise UsageError(f"no parameter {name!r} in the table; there are {', '.join(self.parameter_names)}")
+        return self.values[:, self.parameter_names.index(name)]
+
+    def covariance_of(self, names: Sequence[str]) -> FloatArray:
+        """Return covariances of some parameters in the given order, (n, len(names), len(names)).
+
+        Parameters
+        ----------
+        names : sequence of str
+            Names of the parameters.
+
+        Raises
+        ------
+        UsageError
+            When no fit of the table has one of the parameters.
+        """
+        for name in names:
+            self.parameter(name)
+        at = [self.parameter_names.index(name) for name in names]
+        return self.covariance[:, at][:, :, at]
+
+    def select(
+        self,
+        mask: npt.ArrayLike | None = None,
+        *,
+        fit: str | None = None,
+        pressure_bar: float | None = None,
+        speed_rpm: float | None = None,
+        success: bool | None = None,
+    ) -> FitTable:
+        """Return a table of some rows, with the columns that these rows have.
+
+        Parameters
+        ----------
+        mask : (n,) array of bool, optional
+            Rows to keep.
+        fit : str, optional
+            Name of a fit of the experiment.
+        pressure_bar, speed_rpm : float, optional
+            Pressure [bar] or speed [rpm] of the rows.
+        success : bool, optional
+            True for fits that converged, False for the others.
+
+        Returns
+        -------
+        FitTable
+            The selected rows.
+
+        Raises
+        ------
+        UsageError
+            When the fit is not in the table, or the mask has another length.
+        """
+        keep = np.ones(len(self), dtype=bool) if mask is None else np.asarray(mask)
+        if keep.dtype != bool or keep.shape != (len(self),):
+            raise UsageError(f"mask: expected {len(self)} values true or false, found {keep.dtype} {keep.shape}")
+        if fit is not None:
+            if fit not in self.fit:
+                raise UsageError(f"no fit {fit!r} in the table; there are {', '.join(dict.fromkeys(self.fit))}")
+            keep = keep & (self.fit == fit)
+        if pressure_bar is not None:
+            keep = keep & np.isclose(self.pressure_bar, pressure_bar)
+        if speed_rpm is not None:
+            keep = keep & np.isclose(self.speed_rpm, speed_rpm)
+        if success is not None:
+            keep = keep & (self.success == success)
+        rows = np.flatnonzero(keep)
+        chosen: dict[str, Any] = {}
+        for field in fields(self):
+            values = getattr(self, field.name)
+            if isinstance(values, np.ndarray):
+                chosen[field.name] = values[rows]
+            elif field.name in ("recordings", "notes"):
+                chosen[field.name] = tuple(values[i] for i in rows)
+        return replace(self, **chosen)._without_empty_columns()
+
+    def row(self, fit: str, model: str) -> dict[str, Any]:
+        """Return one row as a dict, with the names of `columns`.
+
+        Parameters
+        ----------
+        fit : str
+            Name of the fit in the experiment.
+        model : str
+            Name of the recording, or of the group that was fitted together.
+
+        Raises
+        ------
+        UsageError
+            When there is no such row.
+        """
+        found = np.flatnonzero((self.fit == fit) & (self.model == model))
+        if not found.size:
+            raise UsageError(f"no model {model!r} of fit {fit!r} in the table")
+        return {name: values[found[0]] for name, (values, _) in self.columns().items()}
+
+    def columns(self) -> Mapping[str, tuple[npt.NDArray[Any], str]]:
+        """Return all columns in order, each with its unit; these are the columns of the CSV file.
+
+        Returns
+        -------
+        dict of str to (array, str)
+            ``k_xx`` and ``k_xx_std``, ``mode1_frequency_hz``, ``gain_u_x_to_p_x``, ``fit_percent_p_x`` and so on.
+        """
+        found: dict[str, tuple[npt.NDArray[Any], str]] = {
+            "fit": (self.fit, ""),
+            "model": (self.model, ""),
+            "structure": (self.structure, ""),
+            "recordings": (_joined(self.recordings, " "), ""),
+            "pressure_bar": (self.pressure_bar, "bar"),
+            "speed_rpm": (self.speed_rpm, "rpm"),
+            "success": (self.success, ""),
+            "status": (self.status, ""),
+            "iterations": (self.iterations, ""),
+        }
+        for j, name in enumerate(self.output_names):
+            found[f"fit_percent_{name}"] = (self.fit_percent[:, j], "%")
+        for j, (name, unit) in enumerate(zip(self.parameter_names, self.units, strict=True)):
+            found[name] = (self.values[:, j], unit)
+            found[f"{name}_std"] = (self.std[:, j], unit)
+        for j in range(self.mode_frequency_hz.shape[1]):
+            for attribute in _MODE:
+                unit = "Hz" if attribute.endswith("_hz") else "1"
+                name = attribute.replace("mode_", f"mode{j + 1}_")
+                found[name] = (getattr(self, attribute)[:, j], unit)
+        for j, name in enumerate(self.gain_names):
+            column = f"gain_{name.replace(' ', '_')}"
+            found[column] = (self.static_gain[:, j], "")
+            found[f"{column}_std"] = (self.static_gain_std[:, j], "")
+        found["notes"] = (_joined(self.notes, "; "), "")
+        found["wall_time_s"] = (self.wall_time_s, "s")
+        return found
+
+    def to_frame(self) -> Any:
+        """Return the table as a data frame, with the columns of the CSV file.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        found = self.columns()
+        return data_frame(
+            {name: values for name, (values, _) in found.items()},
+            units={name: unit for name, (_, unit) in found.items()},
+        )
+
+    def _without_empty_columns(self) -> FitTable:
+        p, m, g, q = (
+            np.flatnonzero(np.isfinite(block).any(axis=0))
+            for block in (self.values, self.mode_frequency_hz, self.static_gain, self.fit_percent)
+        )
+        chosen: dict[str, Any] = {name: getattr(self, name)[:, p] for name in _PARAMETER}
+        chosen |= {name: getattr(self, name)[:, m] for name in _MODE}
+        chosen |= {name: getattr(self, name)[:, g] for name in _GAIN}
+        return replace(
+            self,
+            **chosen,
+            covariance=self.covariance[:, p][:, :, p],
+            fit_percent=self.fit_percent[:, q],
+            parameter_names=tuple(self.parameter_names[i] for i in p),
+            units=tuple(self.units[i] for i in p),
+            gain_names=tuple(self.gain_names[i] for i in g),
+            output_names=tuple(self.output_names[i] for i in q),
+        )
+
+
+def _joined(texts: Sequence[Sequence[str]], by: str) -> TextArray:
+    return np.array([by.join(each) for each in texts], dtype=str)
+
+
+# ---- Tables of fits in HDF5 and CSV; docs/file-formats.md describes tree and columns.
+
+KIND = hdf5.FileKind("table", "make the table anew with `gbid batch` or `gbid run`")
+
+
+def save_table(table: FitTable, path: str | Path, overwrite: bool = False) -> None:
+    """Write a table of fits to an HDF5 file.
+
+    Parameters
+    ----------
+    table : FitTable
+        The table.
+    path : path
+        The file.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set.
+    DataError
+        When the file cannot be written.
+    """
+    hdf5.save(table, path, KIND, overwrite)
+
+
+def load_table(path: str | Path) -> FitTable:
+    """Return the table of a campaign, ``results/<name>/table.h5``.
+
+    Parameters
+    ----------
+    path : path
+        The HDF5 file. The CSV file has no covariances and cannot be loaded.
+
+    Returns
+    -------
+    FitTable
+        The table.
+
+    Raises
+    ------
+    DataError
+        When the file is missing, damaged, incomplete or of another kind.
+    """
+    return hdf5.load(path, KIND, FitTable)
+
+
+def csv_table(fits: FitTable) -> Table:
+    """Return the columns of a table of fits for a CSV file, with a note on units; nan becomes a missing value."""
+    columns = fits.columns()
+    units = ", ".join(f"{name} [{unit}]" for name, (_, unit) in columns.items() if unit)
+    values = [[None if value != value else value for value in array.tolist()] for array, _ in columns.values()]
+    rows = list(zip(*values, strict=True))
+    return plain_table(list(columns), rows, [f"units, SI where none is given: {units}"])
+
+
+# ---- Table of fits from their results.
+
+
+@dataclass(frozen=True, eq=False)
+class TableEntry(Brief):
+    """Source of one row of a table of fits.
+
+    Attributes
+    ----------
+    fit, model : str
+        Names of the fit and of its model.
+    recordings : tuple of str
+        Recordings of the model.
+    conditions : dict of str to float
+        Operating point: ``pressure_bar`` [bar] and ``speed_rpm`` [rpm], if they are known.
+    result : FitResult or None
+        The result; None for a fit without one.
+    failure : str
+        Reason of a missing result, which becomes the status.
+    """
+
+    fit: str
+    model: str
+    recordings: tuple[str, ...]
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    result: FitResult | None = None
+    failure: str = ""
+
+
+def tabulate(entries: Sequence[TableEntry]) -> FitTable:
+    """Return a table of fits with one row for each entry, in their order.
+
+    Parameters
+    ----------
+    entries : sequence of TableEntry
+        Sources of the rows.
+
+    Returns
+    -------
+    FitTable
+        The table.
+    """
+    results = [entry.result for entry in entries]
+    there = [result for result in results if result is not None]
+    units = {name: unit for result in reversed(there) for name, unit in result.units.items()}
+    names = _union(result.parameters for result in there)
+    outputs = _union(result.model.output_names for result in there)
+    gains = _union(_gain_names(result) for result in there)
+    modes = [np.array(r.model.modes(), dtype=float).reshape(-1, 2) if r is not None else None for r in results]
+    n_modes = max((found.shape[0] for found in modes if found is not None), default=0)
+
+    n, k = len(entries), len(names)
+    values, std = _nan(n, k), _nan(n, k)
+    covariance = _nan(n, k, k)
+    frequency, frequency_std, damping, damping_std = (_nan(n, n_modes) for _ in range(4))
+    gain, gain_std = _nan(n, len(gains)), _nan(n, len(gains))
+    percent = _nan(n, len(outputs))
+    at = {name: j for j, name in enumerate(names)}
+    for i, (result, found) in enumerate(zip(results, modes, strict=True)):
+        if result is None or found is None:
+            continue
+        own = [at[name] for name in result.parameters]
+        free = [at[name] for name in result.free]
+        values[i, own] = list(result.parameters.values())
+        std[i, own] = [result.std[name] for name in result.parameters]
+        covariance[np.ix_([i], own, own)] = 0.0
+        covariance[np.ix_([i], free, free)] = result.covariance
+        m = found.shape[0]
+        frequency[i, :m], damping[i, :m] = found.T
+        if result.modes_std.shape == (m, 2):
+            frequency_std[i, :m], damping_std[i, :m] = result.modes_std.T
+        columns = [gains.index(name) for name in _gain_names(result)]
+        if columns:
+            gain[i, columns], gain_std[i, columns] = result.model.static_gain().ravel(), result.static_gain_std.ravel()
+        percent[i, [outputs.index(name) for name in result.model.output_names]] = result.fit_percent.min(axis=0)
+    return FitTable(
+        fit=np.array([entry.fit for entry in entries], dtype=str),
+        model=np.array([entry.model for entry in entries], dtype=str),
+        structure=np.array([r.structure if r else "" for r in results], dtype=str),
+        recordings=tuple(tuple(entry.recordings) for entry in entries),
+        pressure_bar=_condition(entries, "pressure_bar"),
+        speed_rpm=_condition(entries, "speed_rpm"),
+        parameter_names=names,
+        units=tuple(units[name] for name in names),
+        values=values,
+        std=std,
+        covariance=covariance,
+        mode_frequency_hz=frequency,
+        mode_frequency_std_hz=frequency_std,
+        mode_damping=damping,
+        mode_damping_std=damping_std,
+        gain_names=gains,
+        static_gain=gain,
+        static_gain_std=gain_std,
+        output_names=outputs,
+        fit_percent=percent,
+        success=np.array([r is not None and r.success for r in results], dtype=bool),
+        status=np.array([e.result.status if e.result else e.failure for e in entries], dtype=str),
+        notes=tuple(r.notes if r else () for r in results),
+        iterations=np.array([r.iterations if r else 0 for r in results], dtype=np.int64),
+        wall_time_s=np.array([r.wall_time_s if r else np.nan for r in results], dtype=float),
+    )
+
+
+def _gain_names(result: FitResult) -> tuple[str, ...]:
+    """Return the names of the static gains, by outputs, then inputs; empty for a model with a pole at zero."""
+    model = result.model
+    try:
+        model.static_gain()
+    except UsageError:
+        return ()
+    return tuple(f"{source} to {output}" for output in model.output_names for source in model.input_names)
+
+
+def _union(names: Iterable[Iterable[str]]) -> tuple[str, ...]:
+    """Return all names, each once, in the order of their first occurrence."""
+    return tuple(dict.fromkeys(name for each in names for name in each))
+
+
+def _condition(entries: Sequence[TableEntry], name: str) -> FloatArray:
+    return np.array([entry.conditions.get(name, np.nan) for entry in entries], dtype=float)
+
+
+def _nan(*shape: int) -> FloatArray:
+    return np.full(shape, np.nan)

@@ -1,1 +1,0 @@
-"""Table of many fits, and its file."""

@@ -1,0 +1,773 @@
+"""Autoregressive model of residuals: their colour, exactly and without a longest lag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import cho_factor, eigh, solve_triangular
+from scipy.special import chdtrc
+
+from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from gbid.core.errors import UsageError
+from gbid.identify.data import column_means
+from gbid.identify.kernel.blocks import Blocks, Prediction
+from gbid.identify.kernel.sums import Kernel, Linked
+from gbid.identify.predictor import PredictorValues
+
+_LONGEST = 150  # largest order of the model
+_FLOOR = 1e-9  # power of white noise added to the past, as a part of the whole; it keeps smooth residuals regular
+_SAMPLES_A_COEFFICIENT = 20  # samples for each coefficient of the largest order, and for each output
+
+
+class ErrorModel(NamedTuple):
+    """Vector autoregression ``e[k] = sum_i a[i] e[k-i] + w[k]`` with white w.
+
+    Attributes
+    ----------
+    coefficients : (order, n_y, n_y) array
+        Matrices a of the lags 1, 2, ...
+    innovation : (n_y, n_y) array
+        Covariance of w.
+    """
+
+    coefficients: FloatArray
+    innovation: FloatArray
+
+    @property
+    def order(self) -> int:
+        """Number of lags."""
+        return len(self.coefficients)
+
+    def root(self, size: int) -> FloatArray:
+        """Return factors L of the spectrum, ``S = L L*``, at the frequencies of a real transform of `size` samples.
+
+        Returns
+        -------
+        (size // 2 + 1, n_y, n_y) complex array
+            ``L = (1 - sum_i a[i] exp(-j w i))^-1 chol(innovation)``.
+        """
+        n_y = len(self.innovation)
+        lags = np.concatenate([np.eye(n_y)[None], -self.coefficients])
+        return np.asarray(np.tensordot(_inverses(rfft(lags, size, axis=0)), np.linalg.cholesky(self.innovation), 1))
+
+    def spectrum(self, frequencies: FloatArray) -> FloatArray:
+        """Return the spectrum at frequencies (n,) in radians per sample, (n, n_y, n_y) complex."""
+        lags = np.concatenate([np.eye(len(self.innovation))[None], -self.coefficients])
+        turns = np.vander(np.exp(-1j * frequencies), len(lags), increasing=True)
+        root = np.tensordot(_inverses(np.tensordot(turns, lags, 1)), np.linalg.cholesky(self.innovation), 1)
+        return np.asarray(root @ root.conj().transpose(0, 2, 1))
+
+
+def longest_order(n_samples: int, n_y: int) -> int:
+    """Return the largest order that is tried for so many samples."""
+    return int(np.clip(n_samples // (_SAMPLES_A_COEFFICIENT * n_y), 0, _LONGEST))
+
+
+def lag_products(stretches: list[FloatArray], longest: int) -> tuple[FloatArray, int]:
+    """Return ``sum_k e[k-i] e[k-j]'`` for all pairs of lags up to the longest, over stretches without a gap.
+
+    Parameters
+    ----------
+    stretches : list of (n_samples, n_y) array
+        Residuals; stretches that are not longer than `longest` do not count.
+    longest : int
+        Largest lag.
+
+    Returns
+    -------
+    (longest + 1, longest + 1, n_y, n_y) array
+        The sums, each over the same samples k.
+    int
+        Number of these samples.
+    """
+    n_y = stretches[0].shape[1]
+    total, count = np.zeros((longest + 1, longest + 1, n_y, n_y)), 0
+    for e in stretches:
+        n = len(e)
+        if n <= longest:
+            continue
+        M = np.empty_like(total)
+        size = next_fast_len(n + longest, real=True)
+        now, all_of = (
+            rfft(np.ascontiguousarray(part.T), size) for part in (np.pad(e[longest:], ((longest, 0), (0, 0))), e)
+        )
+        M[0] = irfft(now[:, None] * all_of.conj(), size)[:, :, : longest + 1].transpose(2, 0, 1)
+        first, last = e[longest - 1 :: -1] if longest else e[:0], e[: n - longest - 1 : -1] if longest else e[:0]
+        M[1:, 0] = M[0, 1:].transpose(0, 2, 1)
+        # One lag more in both: one sample enters in front, and one leaves at the end.
+        every = np.stack([first.ravel(), last.ravel()])
+        for i, signed in enumerate(np.stack([first, -last], axis=2)):
+            change = (signed @ every).reshape(n_y, longest, n_y).transpose(1, 0, 2)
+            np.add(M[i, :-1], change, out=M[i + 1, 1:])
+        total, count = total + M, count + n - longest
+    return total, count
+
+
+def error_model(products: FloatArray, count: int) -> ErrorModel:
+    """Return the model by least squares, its order by the corrected criterion of Akaike.
+
+    Parameters
+    ----------
+    products : (longest + 1, longest + 1, n_y, n_y) array
+        Sums from `lag_products`.
+    count : int
+        Number of samples in the sums.
+
+    Returns
+    -------
+    ErrorModel
+        The model. The residuals of a single output are used in both directions of time.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When the sums are not finite.
+
+    Notes
+    -----
+    One Cholesky factor gives all orders (Luetkepohl, New Introduction to Multiple Time Series Analysis, Secs. 3.2 and
+    4.3; Hurvich and Tsai, 1989, for the criterion).
+    """
+    if not np.isfinite(products).all():  # residuals so large that their squares overflow
+        raise np.linalg.LinAlgError("the residuals overflow")
+    longest, n_y = len(products) - 1, products.shape[2]
+    if n_y == 1:
+        products = (products + products[::-1, ::-1]) / 2
+    covariances = [products[0, 0] / count]
+    whitened = factor = np.zeros((0, n_y))
+    if longest:
+        past = products[1:, 1:].transpose(0, 2, 1, 3).reshape(longest * n_y, longest * n_y)
+        present = products[1:, 0].reshape(longest * n_y, n_y)
+        past = past + _FLOOR * np.diag(np.diag(past) + np.finfo(float).tiny)
+        factor = cho_factor(past, lower=True)[0]
+        whitened = solve_triangular(factor, present, lower=True)
+        explained = np.cumsum(np.einsum("mka,mkb->mab", *2 * [whitened.reshape(longest, n_y, n_y)]), axis=0)
+        covariances += list((products[0, 0] - explained) / count)
+    orders = np.arange(longest + 1)
+    spare = count - n_y * (orders + 1) - 1
+    _, logs = np.linalg.slogdet(np.array(covariances))
+    with np.errstate(invalid="ignore"):
+        criterion = count * logs + 2 * orders * n_y**2 * count / np.maximum(spare, 1e-3)
+    order = int(np.nanargmin(np.where(np.isfinite(criterion), criterion, np.inf)))
+    k = order * n_y
+    solved = solve_triangular(factor[:k, :k], whitened[:k], lower=True, trans="T") if order else whitened[:0]
+    return ErrorModel(solved.reshape(order, n_y, n_y).transpose(0, 2, 1), covariances[order])
+
+
+def _inverses(matrices: FloatArray) -> FloatArray:
+    """Return the inverses of many small matrices; those of one or two rows written out."""
+    n = matrices.shape[-1]
+    if n == 1:
+        return 1 / matrices
+    if n > 2:
+        return np.asarray(np.linalg.inv(matrices))
+    (a, b), (c, d) = matrices.transpose(1, 2, 0)
+    return np.asarray((np.array([[d, -b], [-c, a]]) / (a * d - b * c)).transpose(2, 0, 1))
+
+
+# ---- Share of the disturbance gain in the covariance of the gradient, when errors are coloured.
+
+_UNIFORM = 256  # frequencies from 0 to pi
+_NEAR = np.geomspace(0.1, 100.0, 14)  # distances of further frequencies from a pole, in units of its half width
+
+
+def feedback_term(v: PredictorValues, model: ErrorModel, weight: FloatArray) -> FloatArray | None:
+    """Return what the feedback of errors adds to the covariance of the gradient, for each sample.
+
+    Parameters
+    ----------
+    v : PredictorValues
+        One-step predictor whose last regressors are the measured outputs.
+    model : ErrorModel
+        Model of the errors.
+    weight : (n_y, n_y) array
+        Weight W of the errors.
+
+    Returns
+    -------
+    (n_p, n_p) array or None
+        The term; None for a model that is unstable without its predictor.
+
+    Notes
+    -----
+    A disturbance gain feeds the errors back into the sensitivities, ``psi_i = G_i e + ...``. The gradient is then
+    quadratic in the errors. For Gaussian errors with spectrum S its covariance is, besides the sum over
+    ``psi_i' W E[e e'] W psi_j``, the mean over frequencies of ``trace(W G_i S W G_j S)`` (Isserlis, 1918). It is zero
+    for white errors, because G_i contains only earlier errors.
+    """
+    n, n_y = v.F.shape[0], v.C.shape[0]
+    gain, gain_slopes = v.G[:, -n_y:], v.dG[:, :, -n_y:]
+    own = v.F + gain @ v.C
+    poles = np.concatenate([np.linalg.eigvals(own), np.linalg.eigvals(v.F)])
+    if np.abs(poles).max() >= 1:
+        return None
+    w = _frequencies(poles)
+    z = np.exp(1j * w)[:, None, None]
+    state = np.linalg.solve(z * np.eye(n) - own, np.broadcast_to(gain + 0j, (len(w), n, n_y)))
+    output = v.C @ state + np.eye(n_y)
+    onto = np.linalg.solve(z * np.eye(n) - v.F.T, np.broadcast_to(v.C.T + 0j, (len(w), n, n_y))).transpose(0, 2, 1)
+    spectrum = model.spectrum(w)
+    terms = []
+    for dF, dG, dC in zip(v.dF, gain_slopes, v.dC, strict=True):
+        response = dC @ state + onto @ (dF @ state + dG @ output)
+        terms.append(weight @ response @ spectrum)
+    found = np.array(terms)
+    steps = np.diff(w, prepend=w[0]) / 2 + np.diff(w, append=w[-1]) / 2
+    return np.asarray(np.einsum("ifab,jfba,f->ij", found, found, steps, optimize=True).real / np.pi)
+
+
+def _frequencies(poles: FloatArray) -> FloatArray:
+    """Return frequencies from 0 to pi, close together near the poles."""
+    angles, widths = np.abs(np.angle(poles)), 1 - np.abs(poles)
+    near = angles[:, None] + widths[:, None] * np.concatenate([-_NEAR, [0.0], _NEAR])
+    grid = np.concatenate([np.linspace(0, np.pi, _UNIFORM), near.ravel()])
+    return np.unique(grid[(grid >= 0) & (grid <= np.pi)])
+
+
+# ---- Sensitivities of the predictions, sample by sample, by parameters and initial states.
+
+
+class RecordSensitivities(NamedTuple):
+    """Errors of a record, and the sensitivities of its predictions.
+
+    Attributes
+    ----------
+    columns : (n_columns,) integer array
+        Unknowns on which the record depends, among all parameters and, after them, the initial states of all records.
+    psi : (n_y, n_columns, n_samples) array
+        Derivatives of the predictions; zero for samples that are left out.
+    errors : (n_samples, n_y) array
+        Prediction errors; zero for samples that are left out.
+    counted : (n_samples,) boolean array
+        Whether a sample is in the cost.
+    feedback : (PredictorValues, (n_p,) integer array) or None
+        Predictor that feeds measured outputs back, and its parameters among `columns`; None without feedback.
+    """
+
+    columns: IntArray
+    psi: FloatArray
+    errors: FloatArray
+    counted: BoolArray
+    feedback: tuple[PredictorValues, IntArray] | None = None
+
+
+class SegmentSensitivities(NamedTuple):
+    """The same for one segment, by the parameters of its predictor and, after them, the state at its start."""
+
+    psi: FloatArray
+    errors: FloatArray
+    counted: BoolArray
+
+
+def of_segment(
+    kernel: Kernel, v: Any, blocks: Blocks, prediction: Prediction, linked: Linked, segment: int
+) -> SegmentSensitivities:
+    """Return the sensitivities of one segment of a part.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        Kernel of the part.
+    v
+        Its predictor at the parameters.
+    blocks : Blocks
+        The segments of the part, each as one window.
+    prediction : Prediction
+        States and errors from the starts of the blocks.
+    linked : Linked
+        Sensitivities of the starts of the blocks.
+    segment : int
+        Position of the segment.
+
+    Returns
+    -------
+    SegmentSensitivities
+        Sensitivities, errors, and which samples count.
+    """
+    first = int(blocks.window_first[segment])
+    stop = first + int(blocks.window_size[segment])
+    n_y = blocks.y.shape[2]
+    psi = kernel.sensitivities(v, blocks, prediction, linked, slice(first, stop))
+    n_samples = int(blocks.size[first:stop].sum())
+    return SegmentSensitivities(
+        psi.reshape(n_y, psi.shape[0] // n_y, -1)[:, :, :n_samples],
+        blocks.by_segment(prediction.errors)[segment],
+        blocks.by_segment(blocks.used[:, :, None])[segment][:, 0] > 0,
+    )
+
+
+def tied_sensitivities(own: SegmentSensitivities, tie: FloatArray | None) -> SegmentSensitivities:
+    """Return sensitivities by the parameters to which those of the predictor are tied; see `RecordGroup`."""
+    if tie is None:
+        return own
+    n = len(tie)
+    by_theta = np.einsum("op,yot->ypt", tie, own.psi[:, :n], optimize=True)
+    return own._replace(psi=np.concatenate([by_theta, own.psi[:, n:]], axis=1))
+
+
+def tied_values(v: PredictorValues, tie: FloatArray | None) -> PredictorValues:
+    """Return a predictor with derivatives by the parameters to which its own are tied."""
+    if tie is None:
+        return v
+    dF, dG, dC, dH = (np.tensordot(tie.T, slope, 1) for slope in (v.dF, v.dG, v.dC, v.dH))
+    return v._replace(dF=dF, dG=dG, dC=dC, dH=dH)
+
+
+def joined_segments(
+    segments: list[tuple[SegmentSensitivities, IntArray, FloatArray]],
+    feedback: tuple[PredictorValues, IntArray] | None,
+) -> RecordSensitivities:
+    """Return the sensitivities of a record from those of its segments, in the order of time.
+
+    Parameters
+    ----------
+    segments : list of (SegmentSensitivities, (n_p,) integer array, (n, n_all) array)
+        Each segment with the positions of its parameters, and the sensitivity of its start by all unknowns.
+    feedback : (PredictorValues, (n_p,) integer array), optional
+        Predictor with feedback of measured outputs, and the positions of its parameters.
+
+    Returns
+    -------
+    RecordSensitivities
+        Sensitivities by the unknowns that matter.
+    """
+    if len(segments) == 1:  # its start is the initial state itself
+        own, index, start = segments[0]
+        columns = np.concatenate([index, np.flatnonzero(start.any(axis=0))])
+        among = None if feedback is None else (feedback[0], np.arange(len(index)))
+        return RecordSensitivities(columns, own.psi, own.errors, own.counted, among)
+    n_all = segments[0][2].shape[1]
+    touched = np.zeros(n_all, bool)
+    for _, index, start in segments:
+        touched[index] = True
+        touched |= start.any(axis=0)
+    columns = np.flatnonzero(touched)
+    place = np.cumsum(touched) - 1
+    stretches = []
+    for own, index, start in segments:
+        n_p = len(index)
+        psi = start[:, columns].T @ own.psi[:, n_p:]
+        psi[:, place[index]] += own.psi[:, :n_p]
+        stretches.append(psi)
+    return RecordSensitivities(
+        columns,
+        np.concatenate(stretches, axis=2),
+        np.concatenate([own.errors for own, _, _ in segments]),
+        np.concatenate([own.counted for own, _, _ in segments]),
+        None if feedback is None else (feedback[0], place[feedback[1]]),
+    )
+
+
+# ---- Covariance of the gradient for coloured errors: exact for a model of the errors of each record.
+
+_ROUNDS = 2  # rounds in which the part of the errors that the fit took away is given back
+_LEAST = 0.1  # part of the covariance of the gradient that feedback of errors leaves at least
+_APART = 4096  # samples, beyond which errors are not correlated
+_AT_ONCE = 4096  # frequencies whose products are made together, in memory that is soon used again
+_LONG = 10_000  # samples of a record for which this part is negligible
+
+
+def score_covariance(
+    records: Iterable[RecordSensitivities], weight: FloatArray, root: FloatArray, kept: IntArray
+) -> tuple[FloatArray, list[ErrorModel]]:
+    """Return the covariance of ``sum psi' W e`` for errors of the colour that the residuals have.
+
+    Parameters
+    ----------
+    records : iterable of RecordSensitivities
+        Sensitivities and residuals.
+    weight : (n_y, n_y) array
+        Weight W of the errors.
+    root : (n_kept, n) array
+        Root R of the inverse of the Gauss-Newton Hessian, ``R R' = H^-1``.
+    kept : (n_kept,) integer array
+        The unknowns that count as estimated.
+
+    Returns
+    -------
+    (n, n) array
+        The covariance of the gradient J in coordinates in which the Hessian is one, ``R' J R``.
+    list of ErrorModel
+        The model of each record.
+
+    Notes
+    -----
+    With the spectrum S of an autoregressive model, and the transforms Psi of the sensitivities, the covariance is
+    ``mean over frequencies of Psi* W S W Psi``: it has no longest lag, as sums of products of neighbouring gradients
+    have. The residuals lack what the fit explains of the errors. For narrow-band sensitivities, as those of lightly
+    damped modes, this is a notch in their spectrum just where S counts. So the expected products of the part that is
+    missing, ``psi C psi'`` with the covariance C of the estimates, are added to those of the residuals.
+    """
+    return covariance_of(map(partial(transformed, kept=kept), records), weight, root)
+
+
+def covariance_of(
+    transforms: Iterable[Transform], weight: FloatArray, root: FloatArray
+) -> tuple[FloatArray, list[ErrorModel]]:
+    """Return the same as `score_covariance` from sensitivities that are transformed already."""
+    n_kept = len(root)
+    models, short = [], []
+    long = np.zeros((2, n_kept, n_kept))  # of sensitivities as they are, and what feedback of errors changes
+    for i, transform in enumerate(transforms):
+        products, count = _products(transform)
+        models.append(error_model(products, count))
+        if len(transform.errors) > _LONG:
+            _add(long, transform, models[i], weight)
+        else:
+            short.append((i, transform, products, count))
+    found = _joined(long, root)
+    for again in range(_ROUNDS + 1 if short else 0):
+        C, total = root @ found @ root.T, long.copy()
+        for i, transform, products, count in short:
+            if again:
+                models[i] = error_model(products + _taken(transform, C, len(products) - 1), count)
+            _add(total, transform, models[i], weight)
+        found = _joined(total, root)
+    return found, models
+
+
+def _joined(total: FloatArray, root: FloatArray) -> FloatArray:
+    """Return the sum of both parts; of the first, feedback leaves at least a part.
+
+    The sum is a covariance where the residuals are what their model says. At a point that is no minimum they are not.
+    """
+    linear, change = root.T @ total @ root
+    if not np.isfinite(linear).all():
+        raise np.linalg.LinAlgError("the covariance of the gradient overflows")
+    if not change.any():
+        return np.asarray(linear)
+    share, axes = eigh(change, linear + 1e-12 * np.trace(linear) * np.eye(len(linear)))
+    onto = linear @ axes
+    return np.asarray(linear + (onto * np.maximum(share, _LEAST - 1)) @ onto.T)
+
+
+class Transform(NamedTuple):
+    """Errors of a record, and the Fourier transform of the sensitivities of its predictions.
+
+    Attributes
+    ----------
+    psi : (n_y, n_columns, size // 2 + 1) complex array
+    columns : (n_columns,) integer array
+        Their places among the unknowns that are kept.
+    size : int
+        Number of samples with padding.
+    feedback : tuple or None
+        Predictor with feedback; which of its parameters are kept; their places.
+    errors : (n_samples, n_y) array
+        Prediction errors; zero for samples that are left out.
+    counted : (n_samples,) boolean array
+        Whether a sample is in the cost.
+    """
+
+    psi: ComplexArray
+    columns: IntArray
+    size: int
+    feedback: tuple[PredictorValues, IntArray, IntArray] | None
+    errors: FloatArray
+    counted: BoolArray
+
+
+def transformed(record: RecordSensitivities, kept: IntArray) -> Transform:
+    """Return the transform of the sensitivities by the unknowns that count as estimated, (n_kept,) integers."""
+    place = np.searchsorted(kept, record.columns)
+    own = np.flatnonzero(kept[np.minimum(place, len(kept) - 1)] == record.columns)
+    n = len(record.errors)
+    size = next_fast_len(n + min(n, _APART), real=True)
+    psi = record.psi if len(own) == len(place) else record.psi[:, own]
+    feedback = _feedback(record, place, own)
+    onto = np.fft.rfft(psi, size)  # pads row by row; that of scipy copies all rows first
+    return Transform(onto, place[own], size, feedback, record.errors, record.counted)
+
+
+def _feedback(
+    record: RecordSensitivities, place: IntArray, own: IntArray
+) -> tuple[PredictorValues, IntArray, IntArray] | None:
+    if record.feedback is None:
+        return None
+    v, columns = record.feedback
+    which = np.flatnonzero(np.isin(columns, own))
+    return v, which, place[columns[which]]
+
+
+def _products(record: Transform) -> tuple[FloatArray, int]:
+    """Return the products of residuals at all pairs of lags, over the stretches in which all samples count."""
+    edges = np.flatnonzero(np.diff(record.counted)) + 1
+    stretches = [
+        e
+        for e, counted in zip(np.split(record.errors, edges), np.split(record.counted, edges), strict=True)
+        if counted[0]
+    ]
+    longest = longest_order(int(record.counted.sum()), record.errors.shape[1])
+    longest = min(longest, max(map(len, stretches)) // 2)
+    return lag_products(stretches, longest)
+
+
+def _add(total: FloatArray, transform: Transform, model: ErrorModel, weight: FloatArray) -> None:
+    """Add the covariance of the gradient of a record."""
+    psi, own, size = transform.psi, transform.columns, transform.size
+    found = np.zeros((len(own), len(own)))
+    factors = _weighted(model, weight, size)
+    for first in range(0, psi.shape[2], _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        for row in factors[:, :, some]:
+            coloured = row[0] * psi[0, :, some]
+            for factor, slopes in zip(row[1:], psi[1:, :, some], strict=True):
+                coloured += factor * slopes
+            parts = coloured.view(float)
+            found += parts @ parts.T
+    total[0][np.ix_(own, own)] += 2 / size * found
+    if transform.feedback is not None and model.order:
+        v, which, places = transform.feedback
+        term = feedback_term(v, model, weight)
+        if term is not None:
+            total[1][np.ix_(places, places)] += transform.counted.sum() * term[np.ix_(which, which)]
+
+
+def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> FloatArray:
+    """Return ``L* W`` at each frequency, (n_y, n_y, n_frequencies), of half the power at frequency zero."""
+    onto = np.einsum("fba,bc->acf", model.root(size).conj(), weight, optimize=True)
+    onto[:, :, 0] /= np.sqrt(2)
+    if size % 2 == 0:
+        onto[:, :, -1] /= np.sqrt(2)
+    return np.asarray(onto)
+
+
+def _taken(transform: Transform, C: FloatArray, longest: int) -> FloatArray:
+    """Return the expected products, at all pairs of lags, of the part of the errors that the fit explained."""
+    psi, own, size = transform.psi, transform.columns, transform.size
+    scale = np.sqrt(np.maximum(np.diag(C)[own], np.finfo(float).tiny))
+    values, axes = np.linalg.eigh(C[np.ix_(own, own)] / np.outer(scale, scale))
+    part = (scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))).T @ psi
+    spectrum = np.einsum("amf,bmf->fab", part, part.conj(), optimize=True)
+    lags = irfft(spectrum, size, axis=0)[: longest + 1]  # sums of q[k] q[k - lag]'
+    i, j = np.indices((longest + 1, longest + 1))
+    return np.asarray(np.where((j >= i)[..., None, None], lags[abs(j - i)], lags[abs(j - i)].transpose(0, 1, 3, 2)))
+
+
+# ---- Bootstrap of the standard deviations: the whole way from errors to intervals, again and again, for drawn errors.
+
+StdName = Literal["auto", "bootstrap"]
+DRAWS = 200
+"""Number of draws by default."""
+_FEWEST = 50  # draws from which a quantile of 95 % can be read
+_LEVEL = 0.95  # of the intervals that are to hold
+_QUANTILE = 1.959963984540054  # of the normal distribution, for this level
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """Bootstrap of the standard deviations.
+
+    Attributes
+    ----------
+    draws : int
+        Number of draws.
+    seed : int
+        Seed of the random numbers.
+    """
+
+    draws: int
+    seed: int
+
+
+def asked_bootstrap(std: StdName, draws: int | None, seed: int | None) -> Bootstrap | None:
+    """Return the bootstrap that is asked for, None for ``std="auto"``.
+
+    Raises
+    ------
+    UsageError
+        When a word or number is wrong, or is given without the bootstrap.
+    """
+    if std not in ("auto", "bootstrap"):
+        raise UsageError(f"std = {std!r}; choose 'auto' or 'bootstrap'")
+    if std == "auto":
+        for name, value in (("bootstrap_draws", draws), ("bootstrap_seed", seed)):
+            if value is not None:
+                raise UsageError(f"{name} is for std = 'bootstrap'; give that, too")
+        return None
+    draws, seed = DRAWS if draws is None else draws, 0 if seed is None else seed
+    if draws < _FEWEST:
+        raise UsageError(f"bootstrap_draws = {draws}; a 95 % quantile needs at least {_FEWEST} draws")
+    if seed < 0:
+        raise UsageError(f"bootstrap_seed = {seed}; it must be 0 or above")
+    return Bootstrap(draws, seed)
+
+
+class Estimator(NamedTuple):
+    """Linearised estimator: ``psi' W e`` to changes of the unknowns.
+
+    Attributes
+    ----------
+    weight : (n_y, n_y) array
+        Weight W of the errors.
+    root : (n_kept, n) array
+        Root R of the inverse of the Gauss-Newton Hessian.
+    onto : (n_kept, n) array
+        Takes ``R' psi' W e`` to the unknowns.
+    known : (n, n) array
+        Covariance of what the priors add to ``R' psi' W e``.
+    blurred : (n,) boolean array
+        Coordinates of the root that rounding has blurred; they are left out.
+    """
+
+    weight: FloatArray
+    root: FloatArray
+    onto: FloatArray
+    known: FloatArray
+    blurred: BoolArray
+
+
+def bootstrap_factors(
+    transforms: list[Transform], models: list[ErrorModel], estimator: Estimator, bootstrap: Bootstrap
+) -> FloatArray:
+    """Return the factors by which robust standard deviations are to be multiplied, (n_kept,).
+
+    Parameters
+    ----------
+    transforms : list of Transform
+        Sensitivities of each record.
+    models : list of ErrorModel
+        Model of the errors of each record.
+    estimator : Estimator
+        Linearised estimator.
+    bootstrap : Bootstrap
+        Number of draws and seed.
+
+    Notes
+    -----
+    Studentised sieve bootstrap (Buehlmann, Sieve bootstrap for time series, Bernoulli 3, 1997; Efron and Tibshirani, An
+    Introduction to the Bootstrap, Sec. 12.5). Normal errors are drawn from the autoregression of each record. One
+    Gauss-Newton step fits them. From its residuals comes a new autoregression, and from that a robust standard
+    deviation, as for the data. The factor is the 95 % quantile of the ratio of step to standard deviation, over that of
+    the normal distribution. So it contains that the standard deviation itself is estimated, and how far it is off.
+    Feedback of errors into sensitivities is not drawn.
+    """
+    random = np.random.default_rng(bootstrap.seed)
+    plain = [t._replace(feedback=None) for t in transforms]
+    slopes = [irfft(t.psi, t.size)[..., : len(t.errors)] for t in plain]
+    roots = [model.root(t.size) for model, t in zip(models, plain, strict=True)]
+    prior = np.linalg.cholesky(estimator.known + 1e-30 * np.eye(len(estimator.known)))
+    ratios = np.empty((bootstrap.draws, len(estimator.onto)))
+    for ratio in ratios:
+        drawn = [_drawn(root, t, random) for root, t in zip(roots, plain, strict=True)]
+        score = np.zeros(len(estimator.root))
+        for e, psi, t in zip(drawn, slopes, plain, strict=True):
+            score[t.columns] += np.einsum("amk,ka->m", psi, e @ estimator.weight, optimize=True)
+        z = np.where(estimator.blurred, 0.0, estimator.root.T @ score + prior @ random.normal(size=len(prior)))
+        step = estimator.onto @ z
+        left = [
+            t._replace(errors=e - np.einsum("amk,m->ka", psi, step[t.columns], optimize=True))
+            for e, psi, t in zip(drawn, slopes, plain, strict=True)
+        ]
+        J = covariance_of(left, estimator.weight, estimator.root)[0] + estimator.known
+        J[estimator.blurred] = J[:, estimator.blurred] = 0.0
+        variance = np.einsum("im,mn,in->i", estimator.onto, J, estimator.onto)
+        ratio[:] = np.abs(step) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+    factors = np.quantile(ratios, _LEVEL, axis=0) / _QUANTILE
+    return np.where(factors > 0, factors, 1.0)
+
+
+def _drawn(root: FloatArray, t: Transform, random: np.random.Generator) -> FloatArray:
+    """Return errors of a record with a spectrum, (n_samples, n_y); zero for samples that are left out."""
+    white = rfft(random.normal(size=(t.size, root.shape[-1])), axis=0)
+    e = irfft(np.einsum("fab,fb->fa", root, white), t.size, axis=0)[: len(t.errors)]
+    return np.asarray(e * t.counted[:, None])
+
+
+# ---- Whiteness test of residuals.
+
+LAGS = 25
+"""Number of lags of the test."""
+_FEW = 64  # largest number of lags for which products are faster than transforms
+
+
+class Whiteness(NamedTuple):
+    """Result of the portmanteau test of residuals (Ljung and Box, 1978).
+
+    Attributes
+    ----------
+    statistic : (n_y,) array
+        Test statistic of each output.
+    p_value : (n_y,) array
+        Probability of a larger statistic for white residuals.
+    lags : int
+        Number of lags.
+    """
+
+    statistic: FloatArray
+    p_value: FloatArray
+    lags: int
+
+
+def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
+    """Return the correlation of two signals, ``sum_k a[k] b[k+l] / sqrt(sum a^2 sum b^2)``, for lags 0 to `lags`.
+
+    Parameters
+    ----------
+    first, second : (n_samples,) array
+        Signals; their means are not removed.
+    lags : int
+        Largest lag.
+
+    Returns
+    -------
+    (lags + 1,) array
+        Correlation at each lag.
+    """
+    own = first is second
+    first = np.ascontiguousarray(first)
+    second = first if own else np.ascontiguousarray(second)
+    if lags <= _FEW:
+        size = len(first)
+        product = np.array([first[: size - lag] @ second[lag:] if lag < size else 0.0 for lag in range(lags + 1)])
+    else:
+        n = next_fast_len(len(first) + lags + 1, real=True)
+        ahead = rfft(first, n)
+        behind = ahead if own else rfft(second, n)
+        product = irfft(np.conj(ahead) * behind, n)[: lags + 1]
+    scale = np.sqrt(float(first @ first) * float(second @ second))
+    return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)
+
+
+class _Autocorrelation(NamedTuple):
+    """Autocorrelation of the residuals of one record about their means."""
+
+    n_samples: int
+    rho: FloatArray  # (n_y, lags), from lag 1
+
+
+def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
+    """Return the whiteness test of the residuals of one or several records.
+
+    Parameters
+    ----------
+    errors : list of (n_samples, n_y) array
+        Residuals of each record.
+    lags : int
+        Number of lags.
+
+    Returns
+    -------
+    Whiteness
+        Statistic and p-value of each output.
+    """
+    return _portmanteau([_autocorrelation(record, lags) for record in errors], lags)
+
+
+def _autocorrelation(errors: FloatArray, lags: int) -> _Autocorrelation:
+    centred = errors - column_means(errors)
+    return _Autocorrelation(len(errors), np.array([correlation(channel, channel, lags)[1:] for channel in centred.T]))
+
+
+def _portmanteau(records: list[_Autocorrelation], lags: int) -> Whiteness:
+    """Sum up the statistic of Ljung and Box over the records that are long enough."""
+    used = [(n, rho[:, :lags]) for n, rho in records if n > 2 * lags]
+    statistic = np.zeros(len(records[0].rho))
+    for n, rho in used:
+        statistic += n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum(axis=1)
+    return Whiteness(statistic, np.asarray(chdtrc(lags * max(1, len(used)), statistic)), lags)

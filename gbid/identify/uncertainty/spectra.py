@@ -1,0 +1,341 @@
+"""Frequency response measured from recordings: averaged spectra, coherence and standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.brief import Brief, Description, brief
+from gbid.core.errors import DataError, UsageError
+from gbid.core.extras import Pictured
+from gbid.core.tables import Column, Entry, Table
+from gbid.discretise import check_holds, hold_response
+from gbid.identify.data import select
+from gbid.recording import Recording
+from gbid.structure import as_names
+
+_SEGMENTS = 12  # usual number of segments of the shortest recording, which overlap by half
+_CORRELATED = 1 / 18  # twice the squared correlation of the spectra of neighbouring Hann segments (Welch, 1967)
+_NUMBERS = ("frequency_hz", "magnitude", "magnitude_std", "phase_deg", "coherence")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredResponse(Brief, Pictured):
+    """Frequency response that was estimated from recordings without a model.
+
+    Attributes
+    ----------
+    frequency_hz : (n,) array
+        Frequencies [Hz].
+    response : (n, n_outputs, n_inputs) complex array
+        Estimated frequency response.
+    std : (n, n_outputs, n_inputs) array
+        Standard deviation of its magnitude, and of its phase times the magnitude.
+    coherence : (n, n_outputs) array
+        Part of the power of each output that the inputs explain (multiple coherence), from 0 to 1.
+    input_names, output_names : tuple of str
+        Names of the channels.
+    averages : float
+        Equivalent number of independent segments.
+    """
+
+    frequency_hz: FloatArray
+    response: ComplexArray
+    std: FloatArray
+    coherence: FloatArray
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    averages: float
+
+    def _brief(self) -> Description:
+        about = f"{len(self.frequency_hz)} frequencies, {self.averages:.1f} averages"
+        return brief(self, about, input_names=self.input_names, output_names=self.output_names)
+
+    def table(self) -> Table:
+        """Return the numbers as a table, with a row for each output, input and frequency."""
+        columns = [Column("output"), Column("input"), *(Column(name, format=8) for name in _NUMBERS)]
+        rows: list[list[Entry]] = [
+            [output, source, *(float(value) for value in (f, abs(h), std, np.degrees(np.angle(h)), coherence))]
+            for i, output in enumerate(self.output_names)
+            for j, source in enumerate(self.input_names)
+            for f, h, std, coherence in zip(
+                self.frequency_hz, self.response[:, i, j], self.std[:, i, j], self.coherence[:, i], strict=True
+            )
+        ]
+        return Table("measured frequency response", columns, rows)
+
+    def to_frame(self) -> Any:
+        """Return the table as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return self.table().to_frame()
+
+
+def measured_response(
+    recordings: Recording | Sequence[Recording],
+    inputs: str | Sequence[str],
+    outputs: str | Sequence[str],
+    *,
+    resolution_hz: float | None = None,
+    intersample: str | Sequence[str] | None = "zoh",
+    reference: str | Sequence[str] = (),
+) -> MeasuredResponse:
+    """Return the frequency response between signals of recordings, by averaged spectra (Welch).
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of Recording
+        Recordings with the same channels and sample time; their spectra are averaged.
+    inputs, outputs : str or sequence of str
+        Signals (``"p"``) or channels (``"p.x"``).
+    resolution_hz : float, optional
+        Distance of the frequencies [Hz]; by default that of about twelve segments in the shortest recording. A
+        resonance narrower than two such distances is shown too low and too wide.
+    intersample : {"zoh", "foh"}, sequence of these, or None
+        Behaviour of each input between samples. Its effect is divided out, so that the response is that of the
+        continuous-time model, as far as this has rolled off at half the sampling frequency. None leaves the response of
+        the samples as it is.
+    reference : str or sequence of str
+        Signals that excite a closed loop from outside, as many as inputs. In a loop the inputs contain the noise of
+        the outputs; the reference does not, and removes this bias.
+
+    Returns
+    -------
+    MeasuredResponse
+
+    Raises
+    ------
+    DataError
+        When a recording lacks a signal, sample times differ, recordings are too short for the resolution, or the inputs
+        do not excite independently.
+    UsageError
+        When there are not as many reference channels as inputs, or the resolution is not positive.
+
+    Notes
+    -----
+    With the spectral matrices S of Hann segments that overlap by half, ``H = S_yu S_uu^-1``, or
+    ``H = S_yr S_ur^-1`` with a reference (Ljung, System Identification, Sec. 6.4; Pintelon and Schoukens, 2012,
+    Sec. 2.6). The variance of an entry is ``(1 - coherence) S_yy [S_uu^-1] / averages`` for the complex value.
+    """
+    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    u, y, names = _channels(several, inputs, outputs)
+    r = [select(rec, as_names(reference))[0] for rec in several] if reference else u
+    n_u, n_y, h = u[0].shape[1], y[0].shape[1], several[0].sample_time
+    if r[0].shape[1] != n_u:
+        raise UsageError(f"reference has {r[0].shape[1]} channels for {n_u} inputs; give as many")
+    length = _segment_length(several, resolution_hz)
+    joined = [np.hstack(parts) for parts in zip(u, y, r, strict=True)]
+    S, count = _spectra(joined, length)
+    at_u, at_y, at_r = slice(0, n_u), slice(n_u, n_u + n_y), slice(n_u + n_y, None)
+    keep = slice(1, length // 2)
+    f = np.asarray(np.fft.rfftfreq(length, h)[keep], float)
+    S = S[keep]
+    averages = count / (1 + _CORRELATED * (count - 1) / count)
+    try:
+        response = S[:, at_y, at_r] @ np.linalg.inv(S[:, at_u, at_r])
+        inverse = np.linalg.inv(S[:, at_u, at_u])
+    except np.linalg.LinAlgError:
+        raise DataError(
+            "the inputs do not excite independently at some frequency; record with independent inputs"
+        ) from None
+    explained = np.einsum("fyu,fuv,fyv->fy", S[:, at_y, at_u], inverse, S[:, at_y, at_u].conj()).real
+    power = np.einsum("fyy->fy", S[:, at_y, at_y]).real
+    with np.errstate(divide="ignore", invalid="ignore"):
+        coherence = np.clip(explained / power, 0.0, 1.0)
+    left = power - np.clip(explained, 0.0, power)
+    cost = np.einsum("fuu->fu", inverse).real
+    variance = left[:, :, None] * cost[:, None, :] / (2 * max(averages - n_u, 1.0))
+    hold: ComplexArray = np.ones((len(f), 1, n_u), complex)
+    if intersample is not None:
+        hold = hold_response(f * h, check_holds(intersample, n_u))[:, None, :]
+    return MeasuredResponse(
+        frequency_hz=f,
+        response=np.asarray(response / hold, complex),
+        std=np.sqrt(variance) / np.abs(hold),
+        coherence=coherence,
+        input_names=tuple(names[0]),
+        output_names=tuple(names[1]),
+        averages=averages,
+    )
+
+
+def _channels(
+    recordings: Sequence[Recording], inputs: str | Sequence[str], outputs: str | Sequence[str]
+) -> tuple[list[FloatArray], list[FloatArray], tuple[list[str], list[str]]]:
+    if not recordings:
+        raise DataError("no recordings; give at least one")
+    first, u, y = recordings[0], [], []
+    names: tuple[list[str], list[str]] = ([], [])
+    for recording in recordings:
+        if not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
+            raise DataError(
+                f"recordings {first.name!r} and {recording.name!r} have different sample times: "
+                f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one"
+            )
+        values, u_names, _ = select(recording, as_names(inputs))
+        u.append(values)
+        values, y_names, _ = select(recording, as_names(outputs))
+        y.append(values)
+        if names[1] and names != (u_names, y_names):
+            raise DataError(f"recordings {first.name!r} and {recording.name!r} have different channels")
+        names = (u_names, y_names)
+    return u, y, names
+
+
+def _segment_length(recordings: Sequence[Recording], resolution_hz: float | None) -> int:
+    shortest = min(recordings, key=lambda recording: recording.n_samples)
+    if resolution_hz is None:
+        return max(16, 2 * (shortest.n_samples // (_SEGMENTS + 1)))
+    if not resolution_hz > 0:
+        raise UsageError(f"resolution_hz = {resolution_hz}; it must be a positive number")
+    length = max(8, round(1 / (resolution_hz * shortest.sample_time)))
+    if length > shortest.n_samples:
+        seconds = shortest.n_samples * shortest.sample_time
+        raise DataError(
+            f"recording {shortest.name!r} lasts {seconds:g} s, too short for resolution_hz = {resolution_hz:g}; "
+            f"take at least {1 / seconds:.3g} Hz"
+        )
+    return length
+
+
+def _spectra(records: Sequence[FloatArray], length: int) -> tuple[ComplexArray, int]:
+    """Return the mean spectral matrices (n_f, n, n) of all segments, and the number of segments."""
+    window = np.hanning(length + 1)[:-1, None]
+    total = np.zeros((length // 2 + 1, records[0].shape[1], records[0].shape[1]), complex)
+    count = 0
+    for record in records:
+        for first in range(0, len(record) - length + 1, max(1, length // 2)):
+            piece = record[first : first + length]
+            transform = np.fft.rfft((piece - piece.mean(0)) * window, axis=0)
+            total += transform[:, :, None] * transform[:, None, :].conj()
+            count += 1
+    return np.asarray(total / max(count, 1), complex), count
+
+
+# ---- Delay between two signals, from the correlation of the output with the whitened input.
+
+_ORDER = 30  # largest order of the whitening filter
+_LEVEL = 4.0  # smallest correlation that counts, in standard deviations: by chance one in 16 000 lags
+
+
+@dataclass(frozen=True, eq=False)
+class DelayEstimate(Brief):
+    """Delay from an input to an output, by correlation.
+
+    Attributes
+    ----------
+    delay_s : float
+        Largest delay that the correlation allows [s]: the output has not begun to move before.
+    lag : int
+        First lag at which the output follows the input [samples]. An input that is held between samples reaches the
+        next sample at the earliest, so that ``delay_s`` is ``lag - 1`` samples.
+    lags : (n,) array
+        Lags [samples].
+    correlation : (n,) array
+        Correlation of the whitened input with the output that was filtered in the same way. It has the shape of the
+        impulse response.
+    limit : float
+        Absolute value above which a correlation counts.
+    input_name, output_name : str
+        Names of the channels.
+    """
+
+    delay_s: float
+    lag: int
+    lags: FloatArray
+    correlation: FloatArray
+    limit: float
+    input_name: str
+    output_name: str
+
+    def _brief(self) -> Description:
+        about = f"{self.input_name} to {self.output_name}, {self.delay_s:.6g} s ({self.lag - 1} samples)"
+        return brief(self, about, lag=self.lag, limit=self.limit)
+
+
+def estimate_delay(
+    recording: Recording, input: str = "u", output: str = "y", *, longest_s: float | None = None
+) -> DelayEstimate:
+    """Return the delay from an input to an output, by the correlation of the output with the whitened input.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording in open loop, in which the input moves.
+    input, output : str
+        One signal or channel (``"p.x"``) each.
+    longest_s : float, optional
+        Longest delay that is looked for [s]; by default a tenth of the recording.
+
+    Returns
+    -------
+    DelayEstimate
+        Delay in whole samples. The delay lies in the sample that begins there, or earlier when the output begins so
+        slowly that its beginning is lost in the noise. A fit with an exact delay (``B_delayed`` and ``delay``) gives
+        the rest.
+
+    Raises
+    ------
+    DataError
+        When the recording lacks a signal or the output does not follow the input.
+    UsageError
+        When a name stands for several channels, or the longest delay is not positive.
+
+    Notes
+    -----
+    An autoregression makes the input white, and the same filter is applied to the output. Their correlation is then the
+    impulse response up to a factor (Box and Jenkins, Time Series Analysis, Sec. 11.2). Without a connection its
+    standard deviation is one over the root of the number of samples.
+    """
+    (u, u_name), (y, y_name) = (_one_channel(recording, name) for name in (input, output))
+    n = len(u)
+    most = n // 10 if longest_s is None else round(longest_s / recording.sample_time)
+    if most < 1 or most > n // 2:
+        half = n * recording.sample_time / 2
+        raise UsageError(f"longest_s = {longest_s}: choose between one sample and half of the recording, {half:g} s")
+    order = min(_ORDER, n // 20)
+    past = np.column_stack([u[order - i : n - i] for i in range(1, order + 1)])
+    weights = np.linalg.lstsq(past, u[order:], rcond=1e-8)[0]
+    white = u[order:] - past @ weights
+    follow = y[order:] - np.column_stack([y[order - i : n - i] for i in range(1, order + 1)]) @ weights
+    white, follow = white - white.mean(), follow - follow.mean()
+    size = float(np.linalg.norm(white) * np.linalg.norm(follow))
+    if size == 0:
+        raise DataError(f"recording {recording.name!r}: {u_name!r} or {y_name!r} does not move")
+    correlation = np.array([white[: len(white) - k] @ follow[k:] for k in range(most + 1)]) / size
+    limit = _LEVEL / np.sqrt(len(white))
+    above = np.flatnonzero(np.abs(correlation) > limit)
+    if not len(above):
+        raise DataError(
+            f"recording {recording.name!r}: {y_name!r} does not follow {u_name!r} within "
+            f"{most * recording.sample_time:g} s; look further (longest_s), or excite more"
+        )
+    lag = int(above[0])
+    return DelayEstimate(
+        delay_s=max(lag - 1, 0) * recording.sample_time,
+        lag=lag,
+        lags=np.arange(most + 1, dtype=float),
+        correlation=correlation,
+        limit=float(limit),
+        input_name=u_name,
+        output_name=y_name,
+    )
+
+
+def _one_channel(recording: Recording, name: str) -> tuple[FloatArray, str]:
+    values, labels, _ = select(recording, (name,))
+    if len(labels) != 1:
+        raise UsageError(f"{name!r} has {len(labels)} channels, {', '.join(labels)}; name one, as '{name}.x'")
+    return values[:, 0] - values[:, 0].mean(), labels[0]

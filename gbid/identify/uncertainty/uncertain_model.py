@@ -1,0 +1,119 @@
+"""Linear model with the uncertainty of its parameters, which is what a picture of a model needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Protocol, runtime_checkable
+
+import numpy as np
+
+from gbid.core.arrays import FloatArray
+from gbid.core.brief import Brief
+from gbid.core.errors import UsageError
+from gbid.core.hdf5 import Stored
+from gbid.structure import LinearModel
+
+
+def _by_free(letter: str, shape: str) -> Stored:
+    return Stored("", f"derivatives of {letter} by the free parameters", f"free {shape}")
+
+
+@dataclass(frozen=True, eq=False)
+class ModelSlopes(Brief):
+    """Derivatives of the matrices of a continuous-time model by the free parameters of a fit.
+
+    Attributes
+    ----------
+    A : (n_free, n, n) array
+        Derivatives of the state matrix.
+    B, B_delayed : (n_free, n, n_inputs) array
+        Derivatives of the input matrices of prompt and delayed inputs.
+    C : (n_free, n_outputs, n) array
+        Derivatives of the output matrix.
+    D : (n_free, n_outputs, n_inputs) array
+        Derivatives of the feedthrough.
+    delay : (n_free, n_inputs) array
+        Derivatives of the input delays [s].
+    K : (n_free, n, n_outputs) array or None
+        Derivatives of the disturbance gain; None for a nonlinear structure and in a file of an earlier version.
+    """
+
+    A: Annotated[FloatArray, _by_free("A", "states states")]
+    B: Annotated[FloatArray, _by_free("B", "states inputs")]
+    C: Annotated[FloatArray, _by_free("C", "outputs states")]
+    D: Annotated[FloatArray, _by_free("D", "outputs inputs")]
+    B_delayed: Annotated[FloatArray, _by_free("B_delayed", "states inputs")]
+    delay: Annotated[FloatArray, _by_free("the delays", "inputs")]
+    K: Annotated[FloatArray | None, _by_free("K", "states outputs")] = None
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainModel(Brief):
+    """Linear model whose matrices depend on parameters with a covariance.
+
+    Attributes
+    ----------
+    model : LinearModel
+        The model at the estimates.
+    slopes : ModelSlopes or None
+        Derivatives of its matrices; None for a model without uncertainty.
+    covariance : (n_free, n_free) array or None
+        Covariance of the parameters.
+    """
+
+    model: LinearModel
+    slopes: ModelSlopes | None = None
+    covariance: FloatArray | None = None
+
+    def known(self) -> tuple[ModelSlopes, FloatArray] | None:
+        """Return derivatives and covariance, or None where one of them is missing or not finite."""
+        if self.slopes is None or self.covariance is None or not np.isfinite(self.covariance).all():
+            return None
+        return self.slopes, self.covariance
+
+
+@runtime_checkable
+class HasUncertainModel(Protocol):
+    """Result that has a model with its uncertainty, such as `FitResult`."""
+
+    @property
+    def uncertain_model(self) -> UncertainModel:
+        """The model at the estimates, with derivatives and covariance."""
+        ...
+
+
+ModelLike = LinearModel | UncertainModel | HasUncertainModel
+"""Anything of which curves can be drawn: a `LinearModel`, a `FitResult`, or an `UncertainModel`."""
+
+
+def as_uncertain(source: ModelLike) -> UncertainModel:
+    """Return the model of a source with its uncertainty; a plain model has none.
+
+    Parameters
+    ----------
+    source : LinearModel, FitResult or UncertainModel
+        The source.
+
+    Returns
+    -------
+    UncertainModel
+
+    Raises
+    ------
+    UsageError
+        For anything else.
+    """
+    if isinstance(source, UncertainModel):
+        return source
+    if isinstance(source, LinearModel):
+        return UncertainModel(source)
+    if isinstance(source, HasUncertainModel):
+        return source.uncertain_model
+    raise UsageError(f"{type(source).__name__} has no linear model; give a LinearModel or a FitResult")
+
+
+def std_of(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return standard deviations from derivatives (n_free, ...) and the covariance of the parameters."""
+    flat = slopes.reshape(len(slopes), -1)
+    variance = np.einsum("pi,pq,qi->i", flat, covariance, flat, optimize=True)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(slopes.shape[1:]))

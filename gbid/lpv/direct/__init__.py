@@ -1,1 +1,0 @@
-"""Surfaces over pressure and speed, fitted directly to the recordings."""

@@ -1,0 +1,348 @@
+"""Even samples from samples whose times jitter: band-limited interpolation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import DataError, UsageError
+from gbid.recording.mapping import ImportMapping
+from gbid.recording.text_files import FileColumn, file_unit, unit_factor
+
+DEGREE = 9
+"""Degree of the interpolating splines. With rising degree they approach the interpolation by sinc functions. At this
+one the error is below 2e-5 of a sine of a fifth of the sampling rate, at a jitter of 10 % of the sample time."""
+FEW_LEVELS = 16
+"""A signal with at most this number of distinct values is a command that is held; it keeps its values."""
+_BEYOND = 0.1  # largest extrapolation at the end, in sample times
+_TURN = 2 * np.pi
+
+
+def jitter_ppm(time: FloatArray) -> float:
+    """Return the rms deviation of sample times from even ones, in millionths of the sample time."""
+    index = np.arange(len(time), dtype=float)
+    slope, offset = np.polyfit(index, time, 1)
+    return float(1e6 * np.std(time - slope * index - offset) / slope)
+
+
+def resampled(values: FloatArray, unit: str, time: FloatArray, sample_time: float) -> FloatArray:
+    """Return signals at even times, from the first to the last time.
+
+    Parameters
+    ----------
+    values : (n_samples, n_channels) array
+        Signals at the times of the file.
+    unit : str
+        Their unit. An angle in rad is unwrapped for the interpolation and wrapped again.
+    time : (n_samples,) array
+        Times of the file [s], rising.
+    sample_time : float
+        Time between the even samples [s].
+    """
+    grid = time[0] + sample_time * np.arange(int((time[-1] - time[0]) / sample_time + _BEYOND) + 1)
+    out = np.empty((len(grid), values.shape[1]))
+    nearest = np.clip(np.searchsorted((time[1:] + time[:-1]) / 2, grid), 0, len(time) - 1)
+    degree = min(DEGREE, len(time) - 1)
+    for k, column in enumerate(values.T):
+        if len(np.unique(column)) <= FEW_LEVELS:
+            out[:, k] = column[nearest]
+            continue
+        wraps = unit == "rad" and bool((np.abs(np.diff(column)) > np.pi).any())
+        smooth = np.unwrap(column) if wraps else column
+        even = scipy.interpolate.make_interp_spline(time, smooth, k=degree - 1 + degree % 2)(grid)
+        low = 0.0 if column.min() >= 0 else -np.pi
+        out[:, k] = np.mod(even - low, _TURN) + low if wraps else even
+    return out
+
+
+# ---- Steps of a time column: gaps, doubled samples and jitter.
+
+MAX_JITTER = 0.01
+"""Largest relative deviation of a time step from the median step that is taken as rounding of the time column."""
+MAX_RESAMPLED = 0.2
+"""Largest relative deviation of a time step from the median step for which samples are interpolated."""
+_GAP = 1.5  # a step is a gap from here on, in median steps
+_NAMED = 3  # largest number of faults that are named
+_DOUBLED = 0.05  # share of equal times from which the column is called rounded
+
+
+@dataclass(frozen=True)
+class ClockPiece:
+    """Samples of a file that one even clock describes.
+
+    Attributes
+    ----------
+    rows : (n_samples,) array of int
+        Numbers of the samples, from 0.
+    number, of : int
+        Number of the piece from 1, and how many there are.
+    faults : tuple of str
+        Gaps and doubled samples of the whole file.
+    """
+
+    rows: np.ndarray[tuple[int], np.dtype[np.intp]]
+    number: int = 1
+    of: int = 1
+    faults: tuple[str, ...] = ()
+
+
+def even_step(values: FloatArray, tolerance: float = MAX_JITTER) -> float | None:
+    """Return the median step of a column that rises in even steps, as a time column does; otherwise None.
+
+    Parameters
+    ----------
+    values : (n_samples,) array
+        The column.
+    tolerance : float
+        Largest relative deviation of a step from the median step.
+    """
+    steps = np.diff(values)
+    if not steps.size or not np.isfinite(steps).all():
+        return None
+    median = float(np.median(steps))
+    even = median > 0 and bool((np.abs(steps - median) <= tolerance * median).all())
+    return median if even else None
+
+
+def largest_deviation(time: FloatArray) -> float:
+    """Return the largest relative deviation of a time step from the median step."""
+    steps = np.diff(time)
+    median = np.median(steps)
+    return float(np.max(np.abs(steps - median)) / median)
+
+
+def even_pieces(
+    path: Path, what: str, time: FloatArray, columns: Mapping[str, FloatArray], start: int
+) -> list[ClockPiece]:
+    """Return the pieces without gap of a recording; doubled samples are left out.
+
+    A sample is doubled when it has the time and the values of the one before. A gap is a step of more than 1.5 median
+    steps, a step back, or two samples of one time with different values.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file, for messages.
+    what : str
+        Name of the time column, for messages.
+    time : (n_samples,) array
+        Times [s].
+    columns : dict of str to (n_samples,) array
+        All columns of the import.
+    start : int
+        Number of the first sample in the file.
+
+    Returns
+    -------
+    list of ClockPiece
+        In the order of time, without pieces of one sample.
+
+    Raises
+    ------
+    DataError
+        When the times do not rise, or when many are equal.
+    """
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    if median <= 0 or np.mean(steps == 0) > _DOUBLED:
+        k = int(np.flatnonzero(steps <= 0)[0])
+        raise DataError(
+            f"{path}: time column {what!r} does not rise at sample {start + k + 1}: step {steps[k]:g} s "
+            f"({np.sum(steps <= 0)} such steps); name the right column, or give sample_time_s instead if only the "
+            "column is rounded"
+        )
+    same = steps == 0
+    for values in columns.values():
+        same &= np.diff(values) == 0
+    kept = np.flatnonzero(np.concatenate([[True], ~same]))
+    steps = np.diff(time[kept])
+    at = np.flatnonzero((steps <= 0) | (steps > _GAP * median))
+    faults = [_gap(float(steps[k]), median, float(time[kept[k]]), start + int(kept[k])) for k in at[:_NAMED]]
+    if len(at) > _NAMED:
+        faults.append(f"{len(at) - _NAMED} more gaps")
+    doubled = np.flatnonzero(same) + 1
+    if doubled.size:
+        faults.append(f"{doubled.size} doubled samples left out, the first is sample {start + doubled[0]}")
+    edges = [0, *(at + 1).tolist(), len(kept)]
+    pieces = [kept[a:b] for a, b in pairwise(edges) if b - a > 1]
+    if not pieces:
+        raise DataError(f"{path}: time column {what!r} does not rise evenly anywhere; name the right column")
+    return [ClockPiece(rows, i, len(pieces), tuple(faults)) for i, rows in enumerate(pieces, start=1)]
+
+
+def _gap(step: float, median: float, time: float, sample: int) -> str:
+    after = f"after sample {sample} ({time:g} s)"
+    if step <= 0:
+        return f"the clock goes back by {-step:g} s {after}" if step < 0 else f"two samples of one time {after}"
+    missing = step / median - 1
+    if abs(missing - round(missing)) < MAX_RESAMPLED:
+        return f"{round(missing)} samples missing {after}"
+    return f"a gap of {step:g} s {after}"
+
+
+# ---- Sample time of an import: from the mapping, from a time column, or as the file states it.
+
+MAX_DISAGREEMENT = 1e-3
+"""Largest relative difference between sample_time_s, the time column and what the file states."""
+_ADJUSTED = 1e-4  # largest relative difference to a round sample time that interpolation corrects
+_LISTED = 6  # largest number of pieces that are listed
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Clock of an imported recording.
+
+    Attributes
+    ----------
+    rows : (n_samples,) array of int
+        Samples to take, counted from the first of the range.
+    sample_time : float
+        Time between samples [s].
+    time : (n_samples,) array or None
+        Times at which the samples were taken [s], where they jitter so much that signals must be interpolated.
+    remarks : tuple of str
+        What was found and done.
+    """
+
+    rows: np.ndarray[tuple[int], np.dtype[np.intp]]
+    sample_time: float
+    time: FloatArray | None = None
+    remarks: tuple[str, ...] = ()
+
+
+def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], start: int) -> Clock:
+    """Return the samples to take and their sample time; check that all that give one agree.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file, for messages.
+    mapping : ImportMapping
+        The mapping of the import.
+    columns : dict of str to FileColumn
+        Columns by reference.
+    start : int
+        Number of the first sample, for messages.
+
+    Raises
+    ------
+    DataError
+        When the clock is too uneven, or when two sources of the sample time contradict each other.
+    UsageError
+        When nothing gives the sample time, when the unit of the time column is not a unit of time, or when there is no
+        piece of that number.
+    """
+    if mapping.time is None:
+        if mapping.piece is not None:
+            raise UsageError(f"{path}: piece needs the time column, which shows the gaps; name it (time: ...)")
+        n = len(next(iter(columns.values())).values)
+        return Clock(np.arange(n), untimed_sample_time(path, mapping, columns))
+    time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
+    if len(time) < 2:
+        raise DataError(f"{path}: time column {mapping.time!r} has one sample; at least two make a sample time")
+    found = even_pieces(path, mapping.time, time, {name: c.values for name, c in columns.items()}, start)
+    taken, remarks = _chosen(path, mapping, found, time, start)
+    time = time[taken.rows]
+    uneven = largest_deviation(time)
+    if uneven > MAX_RESAMPLED:
+        raise DataError(
+            f"{path}: time column {mapping.time!r}: steps differ from the median step by up to {uneven:.0%}; "
+            f"samples can be interpolated up to {MAX_RESAMPLED:.0%}. If the samples were taken evenly and only their "
+            "time stamps are late, leave time out and give sample_time_s; otherwise let the clock of the converter "
+            "time them"
+        )
+    # Rounded to twelve digits: rounding in the column would make equal sample times differ in the last bits.
+    mean = float(f"{(time[-1] - time[0]) / (len(time) - 1):.12g}")
+    if mapping.sample_time is not None and abs(mean - mapping.sample_time) > MAX_DISAGREEMENT * mapping.sample_time:
+        raise DataError(
+            f"{path}: sample_time_s = {mapping.sample_time:g} s, but time column {mapping.time!r} has steps of "
+            f"{mean:g} s; correct or leave out one of them"
+        )
+    jitters = uneven > MAX_JITTER
+    # What the times leave open: their rounding over the whole length, or nothing that interpolation does not correct.
+    open_share = _ADJUSTED if jitters else uneven / (len(time) - 1)
+    sample_time = _round_time(mean, open_share) if mapping.sample_time is None else mapping.sample_time
+    if not jitters:
+        return Clock(taken.rows, sample_time, None, remarks)
+    text = (
+        f"time jitters by {jitter_ppm(time):.0f} ppm of the sample time (rms): signals interpolated to even times by "
+        "band-limited interpolation"
+    )
+    return Clock(taken.rows, sample_time, time - time[0], (*remarks, text))
+
+
+def _round_time(mean: float, share: float) -> float:
+    """Return the nearest round sample time or rate within a relative distance, so that files of one logger agree."""
+    candidates = [float(f"{mean:.4g}"), 1 / float(f"{1 / mean:.4g}")]
+    nearest = min(candidates, key=lambda each: abs(each - mean))
+    return nearest if abs(nearest - mean) <= share * mean else mean
+
+
+def _chosen(
+    path: Path, mapping: ImportMapping, found: list[ClockPiece], time: FloatArray, start: int
+) -> tuple[ClockPiece, tuple[str, ...]]:
+    """Return the piece that the mapping names, else the longest, with what was found and done."""
+    if mapping.piece is not None and mapping.piece > len(found):
+        raise UsageError(f"{path}: piece: there is no piece {mapping.piece}; the clock has {len(found)} without gap")
+    taken = found[mapping.piece - 1] if mapping.piece else max(found, key=lambda each: len(each.rows))
+    if taken.of == 1:
+        return taken, taken.faults
+    listed = ", ".join(
+        f"{q.number}: samples {start + q.rows[0]} to {start + q.rows[-1]}, {time[q.rows[-1]] - time[q.rows[0]]:.4g} s"
+        for q in found[:_LISTED]
+    )
+    more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
+    which = "the one asked for" if mapping.piece else "the longest; piece: ... takes another"
+    text = f"{taken.of} pieces without gap ({listed}{more}), of which piece {taken.number} is taken ({which})"
+    return taken, (*taken.faults, text)
+
+
+def untimed_sample_time(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> float:
+    """Return the sample time [s] of an import without time column: that of the mapping, or as the file states it.
+
+    Raises
+    ------
+    DataError
+        When columns have different sample times, or when mapping and file contradict each other.
+    UsageError
+        When neither gives one.
+    """
+    stated = {name: column.sample_time for name, column in columns.items() if column.sample_time is not None}
+    if not stated:
+        if mapping.sample_time is None:
+            raise UsageError(
+                f"{path}: neither sample_time_s nor time is given, and the file states no sample time; "
+                "give the sample time or the time column"
+            )
+        return mapping.sample_time
+    first = min(stated.values())
+    if max(stated.values()) - first > MAX_DISAGREEMENT * first:
+        text = ", ".join(f"{name} {value:g} s" for name, value in stated.items())
+        raise DataError(f"{path}: columns have different sample times: {text}; import columns of one rate together")
+    if mapping.sample_time is None:
+        return float(f"{first:.12g}")  # times that are stored with rounding give equal sample times
+    if abs(first - mapping.sample_time) > MAX_DISAGREEMENT * mapping.sample_time:
+        raise DataError(
+            f"{path}: sample_time_s = {mapping.sample_time:g} s, but the file states {first:g} s; leave it out"
+        )
+    return mapping.sample_time
+
+
+def time_factor(path: Path, mapping: ImportMapping, column: FileColumn) -> float:
+    """Return the number of seconds in one unit of the time column.
+
+    Raises
+    ------
+    DataError
+        When file and mapping give different units.
+    UsageError
+        When the unit is not a unit of time.
+    """
+    what = f"time column {mapping.time!r}"
+    return unit_factor(path, what, file_unit(path, what, mapping.time_unit, column.unit) or "s", "s")

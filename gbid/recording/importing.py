@@ -1,0 +1,339 @@
+"""Import of a file of another program as a Recording."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gbid.core.apart import read_apart
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import DataError, UsageError
+from gbid.core.names import given_path
+from gbid.core.units import SIGNALS
+from gbid.recording.clock import read_clock, resampled, time_factor, untimed_sample_time
+from gbid.recording.formats import file_formats
+from gbid.recording.mapping import ImportMapping, SignalMapping, TextOptions
+from gbid.recording.readers import FileChannel, FileFormat
+from gbid.recording.recording import Recording
+from gbid.recording.text_files import FileColumn, file_unit, unit_factor
+
+_OF_TEXT = ("read", "channels", "peek", "layout")  # functions of a format that take the layout of a text file
+
+
+def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any]) -> Recording:
+    """Return a recording read from a file of another program: csv, npz, mat, HDF5, TDMS, MDF, Parquet or Feather.
+
+    Parameters
+    ----------
+    path : path
+        The file; its ending decides the reader.
+    mapping : ImportMapping or dict
+        Columns, units and sample time of the signals. A dict has the keys of `ImportMapping`, as in an experiment
+        YAML.
+
+    Returns
+    -------
+    Recording
+        Known signals in SI units, others in the unit of the file. The provenance has ``source_file``,
+        ``source_sha256`` and ``source_samples``, and ``import_remarks`` on gaps, doubled samples and jitter.
+
+    Raises
+    ------
+    UsageError
+        When the mapping is malformed or its units do not fit, or when the package that reads the format is not
+        installed.
+    DataError
+        When the file cannot be read or does not contain what the mapping names. The text gives file, column and
+        value.
+    """
+    path = given_path(path)
+    file_format(path)  # an unknown ending is reported first
+    try:
+        mapping = mapping if isinstance(mapping, ImportMapping) else ImportMapping.from_dict(mapping)
+    except UsageError as error:
+        raise UsageError(f"import mapping of {path}: {error}") from None
+    reader = file_format(path, mapping.text_options).read
+    try:
+        with path.open("rb") as handle:
+            digest = hashlib.file_digest(handle, "sha256").hexdigest()
+        columns = reader(path, mapping.all_columns())
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+    start, stop = sample_range(path, mapping, columns)
+    columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
+    check_finite(path, columns, start)
+    clock = read_clock(path, mapping, columns, start)
+    columns = {name: c._replace(values=c.values[clock.rows]) for name, c in columns.items()}
+    first, last = start + int(clock.rows[0]), start + int(clock.rows[-1])
+    signals, units = {}, {}
+    for name, signal in mapping.signals.items():
+        signals[name], units[name] = _signal(path, name, signal, columns)
+        if clock.time is not None:
+            signals[name] = resampled(signals[name], units[name], clock.time, clock.sample_time)
+    remarks = {"import_remarks": "; ".join(clock.remarks)} if clock.remarks else {}
+    try:
+        return Recording(
+            signals,
+            clock.sample_time,
+            conditions=mapping.conditions,
+            name=mapping.name or path.stem,
+            units=units,
+            channels={name: s.channels for name, s in mapping.signals.items() if s.channels},
+            provenance={
+                "source_file": path.name,
+                "source_sha256": digest,
+                "source_samples": f"{first} to {last + 1}",
+                **remarks,
+            },
+        )
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+
+
+def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:
+    """Return the format of a file, chosen by its ending; libraries that may crash run in a process of their own.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+    options : TextOptions, optional
+        Layout of a text file, as far as it is given.
+
+    Raises
+    ------
+    DataError
+        When the ending is unknown.
+    UsageError
+        When a layout of text is given for a file of another kind.
+    """
+    known = file_formats()
+    found = known.get(path.suffix.lower())
+    if found is None:
+        raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(known)}")
+    given = options.given() if options else []
+    if given and found.layout is None:
+        raise UsageError(f"{path}: {given[0]} is for text files such as csv; leave it out")
+    if options and found.layout is not None:
+        bound: dict[str, Any] = {
+            key: partial(each, options=options) for key in _OF_TEXT if (each := getattr(found, key)) is not None
+        }
+        found = replace(found, **bound)
+    if not found.may_crash:
+        return found
+    return replace(found, read=partial(read_apart, found.read), channels=partial(read_apart, found.channels))
+
+
+def sample_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, int]:
+    """Return the first sample of an import and the one after the last; check that all columns have the same length.
+
+    Raises
+    ------
+    DataError
+        When the columns differ in length, or when the range is empty or beyond the end.
+    """
+    lengths = {name: len(column.values) for name, column in columns.items()}
+    n = next(iter(lengths.values()))
+    if set(lengths.values()) != {n}:
+        text = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise DataError(f"{path}: columns have different numbers of samples: {text}")
+    start, stop = mapping.samples or _from_times(path, mapping, columns, n)
+    stop = n if stop is None else stop
+    if not start < stop <= n:
+        raise DataError(f"{path}: samples {start} to {stop} are not within its {n} samples")
+    return start, stop
+
+
+def _from_times(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], n: int) -> tuple[int, int | None]:
+    """Return the first sample at or after from_s, and the first one at or after to_s."""
+    if mapping.from_s is None and mapping.to_s is None:
+        return 0, None
+    if mapping.time is None:
+        time = untimed_sample_time(path, mapping, columns) * np.arange(n)
+    else:
+        time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
+        time = np.maximum.accumulate(time - time[0])
+    step = float(time[-1]) / max(1, n - 1)
+    for key, value in (("from_s", mapping.from_s), ("to_s", mapping.to_s)):
+        if value is not None and value > time[-1] + step:
+            raise DataError(f"{path}: {key} = {value:g} s is beyond its end at {time[-1]:.6g} s; correct it")
+    start, stop = (int(np.searchsorted(time, (t or 0.0) - 1e-6 * step)) for t in (mapping.from_s, mapping.to_s))
+    return start, None if mapping.to_s is None else stop
+
+
+def check_finite(path: Path, columns: dict[str, FileColumn], start: int) -> None:
+    """Refuse columns with values that are not finite; `start` is the number of their first sample."""
+    for name, (values, *_) in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise DataError(
+                f"{path}: column {name!r} holds {bad.size} values that are not finite, the first "
+                f"{values[bad[0]]} at sample {start + bad[0]}; leave those samples out or repair them"
+            )
+
+
+def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, FileColumn]) -> tuple[FloatArray, str]:
+    """Return the values (n_samples, n_channels) of a signal in the unit to be stored, and that unit."""
+    known = SIGNALS.get(name)
+    stored = known.unit if known and signal.stored_unit is None else signal.stored_unit
+    units = {}
+    for column in signal.columns:
+        what = f"signal {name!r}, column {column!r}"
+        unit = file_unit(path, what, signal.unit, columns[column].unit)
+        if unit is None and stored:
+            instead = f"; {_another(name, '...')}" if known and signal.stored_unit is None else ""
+            text = f"{path}: {what} has no unit; give unit in the mapping (it is stored in {stored}){instead}"
+            raise UsageError(text)
+        units[column] = unit or ""
+    if stored is None:
+        stored = units[signal.columns[0]]
+    values = []
+    for column in signal.columns:
+        try:
+            factor = unit_factor(path, f"signal {name!r}, column {column!r}", units[column], stored)
+        except UsageError as error:
+            if known is None or signal.stored_unit is not None:
+                raise
+            raise UsageError(f"{error}; {_another(name, units[column])}") from None
+        values.append(columns[column].values * factor)
+    return np.column_stack(values), stored
+
+
+def _another(name: str, unit: str) -> str:
+    """Return what to do when a signal has the name of one of the rig, and is another quantity."""
+    known = SIGNALS[name]
+    return f"if it is not the {known.long_name} [{known.unit}], rename the signal, or give stored_unit: {unit or '...'}"
+
+
+# ---- Look into a file before its import: its channels; its completeness, length and sample time.
+
+_ALIKE = 2e-3  # largest relative difference between the mean step and that of the first rows of a clock without gap
+
+
+@dataclass(frozen=True)
+class Peek:
+    """Number of samples and sample time of a file.
+
+    Attributes
+    ----------
+    n_samples : int
+        Number of samples that the recording will have.
+    sample_time : float
+        Time between samples [s].
+    """
+
+    n_samples: int
+    sample_time: float
+
+
+def list_channels(path: Path, options: TextOptions | None = None) -> list[FileChannel]:
+    """Return all channels of a file of another program, with their names, lengths, units and sample times.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file; its ending decides the reader.
+    options : TextOptions, optional
+        Layout of a text file, as far as it is given.
+
+    Returns
+    -------
+    list of FileChannel
+        In the order of the file. Names are those that a mapping takes.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read, is damaged or of another kind.
+    UsageError
+        When the package that reads the format is not installed.
+    """
+    try:
+        return file_format(path, options).channels(path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def read_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any]:
+    """Return the layout of a text file as it is given or found: encoding, delimiter, decimal sign and lines.
+
+    Returns
+    -------
+    dict
+        Empty for a file of another kind.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read as text.
+    """
+    layout = file_format(path, options).layout
+    return {} if layout is None else layout(path)
+
+
+def peek(path: Path, mapping: ImportMapping) -> Peek:
+    """Return the length and sample time of a file that is to be imported, without importing it.
+
+    Of a csv file the header, the first rows and the last one are read, unless they show a gap of the clock. Of other
+    files the columns are read.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+    mapping : ImportMapping
+        The mapping of the import.
+
+    Returns
+    -------
+    Peek
+
+    Raises
+    ------
+    DataError
+        When the file is truncated or of another kind, or when it lacks a column or the requested samples.
+    UsageError
+        When the unit of the time column is not a unit of time.
+    """
+    try:
+        kind = file_format(path, mapping.text_options)
+        if kind.peek is not None:
+            found = _from_ends(path, mapping, *kind.peek(path, mapping.all_columns()))
+            if found is not None:
+                return found
+        columns = kind.read(path, mapping.all_columns())
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+    start, stop = sample_range(path, mapping, columns)
+    columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
+    if mapping.time is not None:
+        check_finite(path, {mapping.time: columns[mapping.time]}, start)
+    clock = read_clock(path, mapping, columns, start)
+    return Peek(len(clock.rows), clock.sample_time)
+
+
+def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, FileColumn]) -> Peek | None:
+    """Return length and sample time by the first rows and the last one; None where they show a gap of the clock."""
+    if mapping.time is None:
+        sample_time = untimed_sample_time(path, mapping, columns)
+    else:
+        time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
+        sample_time = float(time[-1] - time[0]) / (n - 1)
+        steps = np.diff(time[:-1])
+        typical = float(np.median(steps)) if steps.size else sample_time
+        if mapping.piece is not None or not abs(sample_time - typical) <= _ALIKE * typical:
+            return None
+        sample_time = mapping.sample_time or sample_time
+    times = (mapping.from_s or 0.0, math.inf if mapping.to_s is None else mapping.to_s)
+    start, stop = mapping.samples or (min(n, math.ceil(t / sample_time - 1e-6)) if t < math.inf else n for t in times)
+    stop = n if stop is None else stop
+    if not start < stop <= n:
+        raise DataError(f"{path}: samples {start} to {stop} are not within its {n} samples; correct them")
+    return Peek(stop - start, sample_time)

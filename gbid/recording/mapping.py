@@ -1,0 +1,295 @@
+"""Import mapping: column, unit and sample time of each signal in a file."""
+
+from __future__ import annotations
+
+import codecs
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from gbid.core.errors import UsageError
+
+# ---- What a user says about the layout of a text file; the rest is found in the file.
+
+DELIMITERS = (",", ";", "\t", " ")
+"""Delimiters that are tried, in this order; the blank stands for any number of blanks and tabs."""
+DECIMALS = (".", ",")
+"""Decimal signs that are tried, in this order."""
+
+
+@dataclass(frozen=True)
+class TextOptions:
+    r"""Layout of a text file, as far as a user gives it.
+
+    Parameters
+    ----------
+    encoding : str, optional
+        Encoding as Python names it: ``"utf-8"``, ``"cp1252"``, ``"utf-16"``.
+    decimal : str, optional
+        Decimal sign, ``"."`` or ``","``.
+    delimiter : str, optional
+        Character between the cells: ``","``, ``";"``, ``"\t"``, or ``" "`` for any number of blanks.
+    header_line : int, optional
+        Number of the line with the names of the columns, counted from 1.
+
+    Raises
+    ------
+    UsageError
+        When a value is not possible.
+    """
+
+    encoding: str | None = None
+    decimal: str | None = None
+    delimiter: str | None = None
+    header_line: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.encoding is not None:
+            try:
+                codecs.lookup(self.encoding)
+            except (LookupError, TypeError):
+                raise UsageError(
+                    f"encoding: {self.encoding!r} is not known; write utf-8, cp1252 or utf-16, for example"
+                ) from None
+        if self.decimal is not None and self.decimal not in DECIMALS:
+            raise UsageError(f"decimal: expected '.' or ',', found {self.decimal!r}")
+        if self.delimiter is not None and not (isinstance(self.delimiter, str) and len(self.delimiter) == 1):
+            raise UsageError(f"delimiter: expected one character such as ';', found {self.delimiter!r}")
+        line = self.header_line
+        if line is not None and (isinstance(line, bool) or not isinstance(line, int) or line < 1):
+            raise UsageError(f"header_line: expected the number of a line, counted from 1, found {line!r}")
+
+    def given(self) -> list[str]:
+        """Return the names of the options that are given."""
+        return [each.name for each in fields(self) if getattr(self, each.name) is not None]
+
+
+@dataclass(frozen=True)
+class SignalMapping:
+    """Columns of a file that make up one signal of a recording.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        Columns in the order of the channels, one for each channel. In a csv file these are names in the header line.
+        In an npz or mat file they are variables (``"u_x"``) or columns of an (n_samples, n_channels) array
+        (``"noise[0]"``, counted from 0). Fields of a MATLAB struct or object have dotted names (``"data.u[0]"``).
+        `gbid import --peek FILE` shows the names of any file.
+    unit : str, optional
+        Unit of the numbers in the file. When it is not given, the unit in the csv header is used.
+    stored_unit : str, optional
+        Unit in the recording. When it is not given, it is the SI unit of a signal of the rig (`gbid.core.units.SIGNALS`),
+        otherwise the unit of the file.
+    channels : tuple of str, optional
+        Names of the channels; when not given, the default names of `Recording`.
+
+    Raises
+    ------
+    UsageError
+        When an entry has the wrong type.
+    """
+
+    columns: tuple[str, ...]
+    unit: str | None = None
+    stored_unit: str | None = None
+    channels: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", _words("columns", self.columns))
+        if self.channels is not None:
+            object.__setattr__(self, "channels", _words("channels", self.channels))
+            if len(self.channels) != len(self.columns):
+                raise UsageError(f"{len(self.columns)} columns but {len(self.channels)} channels; give one name each")
+        for key in ("unit", "stored_unit"):
+            _check_text(key, getattr(self, key))
+
+    @classmethod
+    def from_dict(cls, entries: Mapping[str, Any]) -> SignalMapping:
+        """Return the mapping given by a plain dict with the same keys; an unknown key raises UsageError.
+
+        Parameters
+        ----------
+        entries : dict
+            Keys and values as in the YAML.
+        """
+        _check_keys(entries, [f.name for f in fields(cls)], needed=["columns"])
+        return cls(**entries)
+
+
+@dataclass(frozen=True)
+class ImportMapping:
+    """Mapping from the columns of a file to the signals of a recording, for `import_recording`.
+
+    Parameters
+    ----------
+    signals : dict of str to SignalMapping
+        Signals of the recording by name. Plain dicts of the same form are accepted.
+    sample_time : float, optional
+        Time between samples [s].
+    time : str, optional
+        Column of the sample times, named as in `SignalMapping.columns`. One of `sample_time` and `time` must be given,
+        unless the file itself states the sample time of its channels (TDMS, MDF). Where several give it, they must
+        agree within 0.1 %, and `sample_time` is stored.
+    time_unit : str, optional
+        Unit of the time column. When it is not given, it is the unit in the csv header, otherwise ``"s"``.
+    conditions : dict of str to float, optional
+        Operating point and other constants of the experiment.
+    name : str, optional
+        Name of the recording; by default the name of the file without its ending.
+    samples : tuple of int and (int or None), optional
+        First sample and the one after the last, counted from 0; None is the end of the file.
+    from_s, to_s : float, optional
+        The same as times [s] after the first sample of the file, instead of `samples`.
+    piece : int, optional
+        Number of the piece to take, from 1, where gaps of the time column cut the file into pieces; by default the
+        longest.
+    encoding, decimal, delimiter, header_line : optional
+        Layout of a text file, where it is not to be found in the file; see `TextOptions`.
+
+    Raises
+    ------
+    UsageError
+        When an entry is missing, has the wrong type, or contradicts another one.
+    """
+
+    signals: Mapping[str, SignalMapping]
+    sample_time: float | None = None
+    time: str | None = None
+    time_unit: str | None = None
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    name: str | None = None
+    samples: tuple[int, int | None] | None = None
+    from_s: float | None = None
+    to_s: float | None = None
+    piece: int | None = None
+    encoding: str | None = None
+    decimal: str | None = None
+    delimiter: str | None = None
+    header_line: int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "signals", _signals(self.signals))
+        if not isinstance(self.conditions, Mapping):
+            raise UsageError(f"conditions: expected names with numbers, found {self.conditions!r}")
+        object.__setattr__(self, "conditions", dict(self.conditions))
+        for key, value in self.conditions.items():
+            if not _is_number(value):
+                raise UsageError(f"conditions: {key}: expected a number, found {value!r}")
+        if self.sample_time is not None and not (_is_number(self.sample_time) and self.sample_time > 0):
+            raise UsageError(f"sample_time_s: expected a positive number of seconds, found {self.sample_time!r}")
+        if self.time is None and self.time_unit is not None:
+            raise UsageError("time_unit is given without time; name the time column or leave the unit out")
+        for key in ("time", "time_unit", "name"):
+            _check_text(key, getattr(self, key))
+        if self.samples is not None:
+            object.__setattr__(self, "samples", _sample_range(self.samples))
+        for key in ("from_s", "to_s"):
+            value = getattr(self, key)
+            if value is not None and not (_is_number(value) and value >= 0):
+                raise UsageError(f"{key}: expected a number of seconds from 0, found {value!r}")
+        if self.samples is not None and (self.from_s is not None or self.to_s is not None):
+            raise UsageError("samples is given beside from_s or to_s; keep one way")
+        if self.to_s is not None and self.to_s <= (self.from_s or 0.0):
+            raise UsageError(f"to_s: expected a time after from_s, found {self.to_s!r}")
+        if self.piece is not None and not (type(self.piece) is int and self.piece >= 1):
+            raise UsageError(f"piece: expected a number from 1, found {self.piece!r}")
+        _ = self.text_options  # its checks
+
+    @property
+    def text_options(self) -> TextOptions:
+        """Layout of a text file, as far as it is given."""
+        return TextOptions(self.encoding, self.decimal, self.delimiter, self.header_line)
+
+    @classmethod
+    def from_dict(cls, entries: Mapping[str, Any]) -> ImportMapping:
+        """Return the mapping given by a plain dict, as in an experiment YAML.
+
+        Parameters
+        ----------
+        entries : dict
+            Arguments of `ImportMapping` by name; ``sample_time_s`` is accepted for ``sample_time``.
+
+        Raises
+        ------
+        UsageError
+            When a key is unknown, given twice or missing, or when a value has the wrong type.
+        """
+        known = [f.name for f in fields(cls)]
+        _check_keys(entries, [*known, "sample_time_s"], needed=["signals"])
+        entries = dict(entries)
+        if "sample_time_s" in entries:
+            if "sample_time" in entries:
+                raise UsageError("sample_time and sample_time_s are both given; keep one")
+            entries["sample_time"] = entries.pop("sample_time_s")
+        if entries.get("conditions", {}) is None:
+            del entries["conditions"]  # an empty block in YAML
+        return cls(**entries)
+
+    def all_columns(self) -> list[str]:
+        """Return the names of all columns, each once, with the time column first."""
+        named = [column for signal in self.signals.values() for column in signal.columns]
+        return list(dict.fromkeys([*([self.time] if self.time else []), *named]))
+
+
+def nearest(name: str, known: Iterable[str], limit: int = 30) -> str:
+    """Return the end of a message about an unknown name: the most similar name and the known names."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1)
+    meant = f"did you mean {close[0]!r}? " if close else ""
+    listed = ", ".join(known[:limit]) + (f" and {len(known) - limit} more" if len(known) > limit else "")
+    return f"{meant}there is {listed or 'nothing'}"
+
+
+def _signals(signals: object) -> dict[str, SignalMapping]:
+    if not isinstance(signals, Mapping) or not signals:
+        raise UsageError(f"signals: expected at least one signal with its columns, found {signals!r}")
+    result = {}
+    for name, entry in signals.items():
+        if not isinstance(entry, SignalMapping | Mapping):
+            raise UsageError(f"signals: {name}: expected columns and unit, found {entry!r}")
+        try:
+            result[name] = entry if isinstance(entry, SignalMapping) else SignalMapping.from_dict(entry)
+        except UsageError as error:
+            raise UsageError(f"signals: {name}: {error}") from None
+    return result
+
+
+def _sample_range(samples: object) -> tuple[int, int | None]:
+    match samples:
+        case (int(start), None) if start >= 0:
+            return start, None
+        case (int(start), int(stop)) if 0 <= start < stop:
+            return start, stop
+    raise UsageError(
+        "samples: expected first and end, two whole numbers counted from 0 with first < end (or null for the "
+        f"end of the file), found {samples!r}"
+    )
+
+
+def _words(key: str, value: object) -> tuple[str, ...]:
+    words = (value,) if isinstance(value, str) else value
+    if not isinstance(words, list | tuple) or not words or not all(isinstance(w, str) and w for w in words):
+        raise UsageError(f"{key}: expected a list of names, found {value!r}")
+    return tuple(words)
+
+
+def _check_text(key: str, value: object) -> None:
+    if value is not None and not isinstance(value, str):
+        raise UsageError(f"{key}: expected text, found {value!r}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _check_keys(entries: object, known: list[str], needed: list[str]) -> None:
+    if not isinstance(entries, Mapping):
+        raise UsageError(f"expected keys and values, found {entries!r}")
+    for key in entries:
+        if key not in known:
+            raise UsageError(f"unknown key {key!r}; {nearest(str(key), known)}")
+    for key in needed:
+        if key not in entries:
+            raise UsageError(f"key {key!r} is missing")

@@ -1,0 +1,248 @@
+"""Canvas of all figures: style, sizes for a two-column report, lines that differ also in grey, units in labels."""
+
+from __future__ import annotations
+
+import re
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeAlias, TypeVar
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from gbid.core.errors import UsageError
+from gbid.core.names import printable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+# ---- Style of the figures, and how they are written. Nothing here touches pyplot, so nothing is left behind.
+
+Drawn: TypeAlias = "Figure | Axes | npt.NDArray[np.object_]"
+"""What a picture function returns."""
+
+STYLE = Path(__file__).with_name("gbid.mplstyle")
+"""Style of all figures."""
+_SYMBOL = re.compile(r"([A-Za-z])(?:_([A-Za-z0-9]{1,12}))?")
+_LONGEST = 48
+
+
+def figure_of(drawn: Drawn) -> Figure:
+    """Return the figure of what a picture function returned.
+
+    Parameters
+    ----------
+    drawn : matplotlib Figure, Axes, or array of Axes
+        A figure, or axes of one.
+    """
+    found: Any = drawn.flat[0] if isinstance(drawn, np.ndarray) else drawn
+    while not isinstance(found, Figure):  # axes, or axes in a subfigure
+        found = found.figure
+    return found
+
+
+def save_figure(figure: Drawn, path: Path, *, kind: str | None = None, note: str = "") -> None:
+    """Write a figure as png, pdf or svg, the same bytes each time.
+
+    Parameters
+    ----------
+    figure : matplotlib Figure, Axes, or array of Axes
+        A figure, or what a picture function returned.
+    path : path
+    kind : {"png", "pdf", "svg"}, optional
+        The ending of the path decides when left out.
+    note : str
+        A remark that travels inside the file.
+    """
+    kind = kind or path.suffix.lstrip(".")
+    notes: dict[str, dict[str, str | None]] = {
+        "png": {"Comment": note},
+        "pdf": {"Keywords": note, "CreationDate": None},
+        "svg": {"Description": note, "Date": None},
+    }
+    metadata: Mapping[str, str | None] = notes.get(kind, {})
+    with mpl.rc_context(rc={"svg.hashsalt": "gbid"}, fname=STYLE), missing_letters_as_boxes():
+        figure_of(figure).savefig(path, format=kind, metadata=dict(metadata))
+
+
+@contextmanager
+def missing_letters_as_boxes() -> Iterator[None]:
+    """Return a context in which letters that the font lacks are drawn as boxes without a warning for each."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
+        yield
+
+
+def plain_label(text: str) -> str:
+    """Return free text for a figure: it is drawn as it is, also where it looks like mathematics, and cut when long."""
+    text = printable(text)
+    text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+    return text.replace("$", r"\$")
+
+
+def symbol(name: str) -> str:
+    """Return the name of a channel as the paper writes it: ``p_x`` with an index. Other names stay as they are."""
+    found = _SYMBOL.fullmatch(name)
+    if found is None:
+        return plain_label(name)
+    return f"${found[1]}_{{{found[2]}}}$" if found[2] else f"${found[1]}$"
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+LayoutName = Literal["constrained"]
+
+ONE_COLUMN, TWO_COLUMNS = 3.35, 6.9
+"""Widths of figures in a report of two columns [inch]."""
+
+BLACK, BLUE, RED, GREEN, PINK, GREY = "#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8c8c8c"
+"""Colours that colour-blind readers can distinguish (Okabe and Ito), and a grey."""
+
+SERIES: tuple[dict[str, Any], ...] = (
+    {"color": BLACK, "linestyle": "-", "marker": "o"},
+    {"color": RED, "linestyle": (0, (5, 1.5)), "marker": "s"},
+    {"color": BLUE, "linestyle": (0, (1, 1)), "marker": "^"},
+    {"color": GREEN, "linestyle": "-.", "marker": "D"},
+    {"color": PINK, "linestyle": (0, (7, 1.5, 1, 1.5, 1, 1.5)), "marker": "v"},
+)
+"""Styles of the curves of one figure: each has its own colour, dashes and marker."""
+
+
+_COLOURS = (
+    *("text.color", "figure.facecolor", "axes.facecolor", "axes.edgecolor", "axes.labelcolor", "axes.titlecolor"),
+    *("xtick.color", "ytick.color", "xtick.labelcolor", "ytick.labelcolor", "legend.labelcolor"),
+)
+
+
+@contextmanager
+def own_style() -> Iterator[None]:
+    """Return a context with the style of gbid; the settings of matplotlib are restored afterwards.
+
+    The colours of paper and ink are those of the reader who works with pyplot, so that pictures fit a dark style. A
+    program that does not use pyplot, as the command line, draws on white.
+    """
+    now: Any = mpl.rcParams
+    own: Any = {key: now[key] for key in _COLOURS} if "matplotlib.pyplot" in sys.modules else {}
+    with mpl.rc_context(rc=own, fname=STYLE):
+        yield
+
+
+def styled(draw: Callable[P, R]) -> Callable[P, R]:
+    """Return a function that draws in the style of gbid."""
+
+    @wraps(draw)
+    def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
+        with own_style():
+            return draw(*args, **kwargs)
+
+    return wrapper
+
+
+_MAKER: ContextVar[Callable[..., Figure]] = ContextVar("maker", default=Figure)
+
+
+def new_figure(size: tuple[float, float]) -> Figure:
+    """Return a new figure of a size [inch]: one of its own, or within `shown_by_pyplot` one of pyplot."""
+    return _MAKER.get()(figsize=size, layout="constrained")
+
+
+@contextmanager
+def shown_by_pyplot() -> Iterator[None]:
+    """Return a context in which the new figure belongs to pyplot, so that notebooks and ``plt.show()`` show it.
+
+    pyplot makes it before the style of gbid holds: its first figure chooses the backend, and turns interactive mode on
+    in a notebook. Within the style this would be taken back at its end.
+    """
+    from matplotlib import pyplot  # nobody else imports it: it keeps figures, and opens windows
+
+    figure = pyplot.figure()
+
+    def made(figsize: tuple[float, float], layout: LayoutName) -> Figure:
+        figure.set_size_inches(figsize)
+        figure.set_layout_engine(layout)
+        return figure
+
+    token = _MAKER.set(made)
+    try:
+        yield
+    except BaseException:
+        pyplot.close(figure)
+        raise
+    finally:
+        _MAKER.reset(token)
+
+
+def panels(
+    ax: Axes | Sequence[Axes] | None,
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    size: tuple[float, float],
+    **options: Any,
+) -> tuple[Figure, list[Axes]]:
+    """Return the axes that were given, or those of a new figure with panels.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes, sequence of them, or None
+        Axes to draw into; None makes a figure.
+    rows, columns : int
+        Numbers of rows and columns of panels.
+    size : (width, height)
+        Size of a new figure [inch].
+    **options
+        Options of ``Figure.subplots``.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+        The figure of the axes.
+    axes : list of matplotlib Axes
+        Axes by rows.
+
+    Raises
+    ------
+    UsageError
+        When there are too few axes.
+    """
+    if ax is None:
+        figure = new_figure(size)
+        return figure, list(figure.subplots(rows, columns, squeeze=False, **options).ravel())
+    given = list(np.ravel(np.array(ax, dtype=object)))
+    if len(given) < rows * columns:
+        raise UsageError(f"{len(given)} axes for {rows * columns} panels; give one for each, or none")
+    return figure_of(given[0]), given
+
+
+def ink() -> str:
+    """Return the colour of the text: black, and light where the reader has chosen a dark style of matplotlib."""
+    return str(mpl.rcParams["text.color"])
+
+
+def series(i: int, **changes: Any) -> dict[str, Any]:
+    """Return the style of the i-th curve with changes; a property that is changed to None is left out."""
+    style = {**SERIES[i % len(SERIES)], **changes}
+    if style.get("color") == BLACK:
+        style["color"] = ink()
+    return {key: value for key, value in style.items() if value is not None}
+
+
+def letter(axes: Sequence[Axes]) -> None:
+    """Write the names a), b), ... above the panels."""
+    for ax, name in zip(axes, "abcdefghijkl", strict=False):
+        ax.set_title(f"{name})", loc="left", pad=4)
+
+
+def legend_above(figure: Figure, ax: Axes, columns: int = 6, title: str = "") -> None:
+    """Put one legend for all panels above them, where it covers no curve, under a title if there is one."""
+    handles, labels = ax.get_legend_handles_labels()
+    place: dict[str, Any] = {"loc": "outside upper center", "ncols": min(columns, len(labels)), "handlelength": 2.8}
+    figure.legend(handles, labels, title=title or None, title_fontsize=9, **place)

@@ -1,0 +1,479 @@
+"""Section on the controller: comparison of designs, Pareto front, pictures of each, and the gain explorer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from gbid.control import HalfSine, close_loop, impact_response
+from gbid.control.assess import FIGURES as FIGURES_POINT_ASSESSMENT
+from gbid.control.assess import TunedDesign
+from gbid.control.loop.sensitivity import sensitivity_data
+from gbid.core.arrays import point_label
+from gbid.core.errors import GbidError, UsageError
+from gbid.core.tables import Column, Entry, Table, shown_unit
+from gbid.lpv import LPVFit
+from gbid.lpv.model import TERMS
+from gbid.report.control_tables import (
+    IMPACT_FIGURES,
+    caps_table,
+    comparison_table,
+    cycle_documents,
+    cycle_summary,
+    goals_table,
+    impact_document,
+    loop_documents,
+    loop_tables,
+    promises_table,
+)
+from gbid.report.impact_pictures import ImpactCurves, impact_loops_data, plot_impact, plot_impact_loops
+from gbid.report.loop_pictures import (
+    damping_map_data,
+    designs_pareto_data,
+    plot_damping_map,
+    plot_magnitudes,
+    plot_pareto,
+    plot_robustness_price,
+    plot_root_locus,
+    root_locus_data,
+    sensitivity_curves,
+)
+from gbid.report.page import Block, Fold, Gallery, Listed, PageSection, Pictures, Shown, Words, explorer_part
+from gbid.report.read import AssessedDesign, Results, conditions_words
+from gbid.report.surface_pictures import modes_data, plot_over_pressure, plot_surfaces, surfaces_data
+from gbid.structure import KEY_PARAMETERS, LinearModel
+
+# ---- Pictures of a design at its worst operating point: root locus, damping map, sensitivities, impact responses.
+
+_GRID = 11
+_FACTORS = np.linspace(0.0, 1.3, 66)
+_SHOWN_S = 0.1
+
+
+def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
+    """Return pictures of a design at its worst operating point, and of its damping over the operating range."""
+    worst, point = design.figures.worst["damping"]
+    row = int(np.flatnonzero((design.figures.points == point).all(axis=1))[0])
+    place, plant, controller = point_label(*point), design.plant.plant_at(*point), design.at(point)
+    title = f"{design.name}, {place}"
+    locus = root_locus_data(
+        plant, lambda f: replace(controller, C=f * controller.C, D=f * controller.D), _FACTORS, title=title
+    )
+    curves = sensitivity_curves(sensitivity_data(plant, controller, np.geomspace(5.0, 1000.0, 300)), title)
+    peak, control = (design.figures.at(row)[name] for name in ("peak_output", "peak_control"))
+    alt = f"Sensitivities of {title}: peak of S_o {peak:.2f}, of K S_o {control:.2f}"
+    words = f"at its worst operating point, {place}: smallest damping factor {worst:.3f}"
+    shown: list[Block] = [
+        Shown(pictures.picture(plot_root_locus(locus), f"Root locus over a factor on the gains of {title}")),
+        _damping_map(pictures, design),
+        *(_impact(pictures, design, plant, controller, place, axis) for axis in "xy"),
+    ]
+    return [
+        Words(f"Pictures of {design.name}, {words}."),
+        Gallery(shown),
+        Shown(pictures.picture(plot_magnitudes(curves), alt)),
+    ]
+
+
+def _damping_map(pictures: Pictures, design: AssessedDesign) -> Block:
+    data = damping_map_data(design.plant, design.at, n=_GRID, points=design.figures.points, title=design.name)
+    alt = (
+        f"Smallest damping factor of {design.name} over pressure and speed, from {data.damping.min():.3f} to "
+        f"{data.damping.max():.3f}; operating points marked"
+    )
+    return Shown(pictures.picture(plot_damping_map(data), alt))
+
+
+def _impact(
+    pictures: Pictures, design: AssessedDesign, plant: LinearModel, controller: LinearModel, place: str, axis: str
+) -> Block:
+    impact = design.impact.towards({"x": 0.0, "y": 90.0}[axis])
+    opened, closed = (impact_response(plant, k, impact, duration_s=_SHOWN_S) for k in (None, controller))
+    if not (len(opened.time_s) and len(closed.time_s)):
+        return Words(f"No impact response along {axis} at {place}: the loop is not stable.", "bad")
+    i = "xy".index(axis)
+    data = ImpactCurves(
+        opened.time_s,
+        {"open loop": opened.p[:, i], f"{design.name}": closed.p[:, i]},
+        {"force": opened.force_n},
+        axis,
+        f"{place}, impact along {axis}",
+    )
+    alt = (
+        f"Disc position {axis} after an impact of {impact.peak_n:g} N along {axis} at {place}: open loop up to "
+        f"{1e6 * opened.peak_p_m:.1f} µm, closed loop up to {1e6 * closed.peak_p_m:.1f} µm"
+    )
+    return Shown(pictures.picture(plot_impact(data), alt))
+
+
+# ---- Blocks on the results of the tuning: objective, active limits, goals, promises, notes, and the Pareto front.
+
+
+def held_back(design: TunedDesign) -> list[str]:
+    """Return the warnings of a design: limits that are not met, and gains on their bounds."""
+    result = design.result
+    found = []
+    if not result.success:
+        found.append(f"{result.status}, limits exceeded by {100 * result.violation:.2g} %")
+    stuck = [text for text in result.active if text.endswith("bound")]
+    if stuck:
+        found.append(f"limited by {', '.join(stuck)}; wider bounds may damp more")
+    found += [f"under the cap {cap:g}: {entry.status}" for cap, entry in design.front if not entry.success]
+    return found
+
+
+def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
+    """Return blocks with the tuning result of each design, and all designs over robustness and damping."""
+    tuned = results.designs.found
+    blocks: list[Block] = [Words(f"{name}: {text}", "warn") for name, text in results.designs.missing.items()]
+    if not tuned:
+        return blocks
+    rows = []
+    for name, design in tuned.items():
+        result, unit = design.result, " 1/s" if design.result.objective == "decay" else ""
+        worst = f"{result.worst.frequency_hz:.1f} Hz, damping {result.worst.damping:.3f}, {result.worst.where}"
+        held = ", ".join(result.active) or "–"
+        rows.append((name, str(result.status), f"{result.value:.4f}{unit}", worst, held, result.verified_on))
+        blocks += [Words(f"{name}: {text}", "warn") for text in held_back(design)]
+    columns = ("design", "status", "aim reached", "worst mode", "limited by", "checked")
+    blocks.append(Table("What the tuning found", [Column(name) for name in columns], rows))
+    tables = (goals_table(tuned), caps_table(tuned), promises_table(tuned))
+    blocks += [table for table in tables if table is not None]
+    if any(design.promises for design in tuned.values()):
+        words = "Promised objective of robust designs over the probability; the table above has its numbers"
+        blocks.append(Shown(pictures.picture(plot_robustness_price(tuned), words)))
+    notes = [f"{name}: {note}" for name, design in tuned.items() for note in design.result.notes]
+    if notes:
+        blocks.append(Listed(notes))
+    try:
+        data = designs_pareto_data(tuned)
+    except GbidError as error:
+        return [*blocks, Words(f"The Pareto front cannot be drawn: {error}", "warn")]
+    reached = "; ".join(
+        f"{label} "
+        + ", ".join(f"{z:.3f} at {peak:.2f}" for peak, z in zip(data.peak_sensitivity[label], damping, strict=True))
+        for label, damping in data.damping.items()
+    )
+    alt = f"Smallest damping factor over the peak of the output sensitivity: {reached}"
+    return [*blocks, Shown(pictures.picture(plot_pareto(data), alt))]
+
+
+TITLE = "Controller"
+_BY_POINT = (
+    ("damping", "", "damping", 1.0, ".3f"),
+    ("peak S_o", "", "peak_output", 1.0, ".3f"),
+    ("peak K S_o", "", "peak_control", 1.0, ".3f"),
+    ("static S_o", "", "static_amplification", 1.0, ".2f"),
+    ("slowest decay", "Hz", "slowest_decay_hz", 1.0, ".1f"),
+    ("disc", "µm", "impact_p_m", 1e6, ".2f"),
+    ("stack", "µm", "stack_travel_m", 1e6, ".2f"),
+    ("sampled damping", "", "sampled_damping", 1.0, ".3f"),
+)
+"""Heading, unit, figure, factor and format of the table by operating point."""
+
+
+def controller_section(results: Results, pictures: Pictures) -> PageSection:
+    """Return the section with the tuned and published designs, and the figures that the tuning stored."""
+    designs, model, words = results.assessed, results.loop_model, loop_words(results)
+    blocks: list[Block] = []
+    if model is None and not designs:
+        return PageSection("controller", TITLE, [Words(words, "warn")])
+    if not results.designs.found:
+        text = "This experiment designed no controller; the gains shown are those that came with the machine."
+        blocks.append(Words(text))
+    for group in dict.fromkeys(design.group for design in designs):
+        blocks += _compared([design for design in designs if design.group == group])
+    blocks += tuned_blocks(results, pictures)
+    try:
+        blocks += [block for design in designs if design.came for block in _modes(results, design)][:1]
+    except GbidError as error:  # surfaces without physical meaning at some point
+        blocks.append(Words(f"modes cannot be compared: {error}", "warn"))
+    for i, design in enumerate(designs):
+        try:
+            drawn = [*design_pictures(pictures, design), _by_point(design)]
+        except GbidError as error:
+            drawn = [Words(f"{design.name} cannot be drawn: {error}", "warn")]
+        blocks += drawn if i == 0 else [Fold(f"Pictures of {design.name}", drawn)]
+    if model is not None:
+        impact = designs[0].impact if designs else HalfSine()
+        shown = [(design.name, design.structure, design.figures.gains) for design in designs]
+        blocks.append(explorer_part(model, words, model.operating_points, shown, impact))
+    return PageSection("controller", TITLE, blocks)
+
+
+def loop_words(results: Results) -> str:
+    """Return a description of the model on which the explorer closes loops, or the reason why there is none."""
+    model, surfaces = results.loop_model, results.surfaces
+    for item, fit in surfaces.items():
+        if fit.model is model:
+            return f"the surfaces {item} of this experiment"
+    if model is not None:
+        why = "have no actuators (lpv: actuators)" if surfaces else "were not drawn here"
+        return f"the model {model.name} behind the virtual rig, because surfaces {why}"
+    if surfaces:
+        return "The surfaces have no actuators, so no loop can be closed; add lpv: actuators."
+    return "No loop can be closed: there are no surfaces over pressure and speed (section lpv)."
+
+
+def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
+    first = designs[0]
+    points = first.figures.points
+    where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
+    words = conditions_words(first.impact, first.sample_time, first.method)
+    gains = [
+        f"{d.name}: " + ", ".join(f"{key} = {value:.4g}" for key, value in d.figures.gains.items()) for d in designs
+    ]
+    title = f"Designs on {first.plant.name}, worst over {where}"
+    return [comparison_table(title, [design.figures for design in designs], words), Listed(gains)]
+
+
+def _modes(results: Results, design: AssessedDesign) -> list[Block]:
+    """Return a table of the modes in the paper, and those of this model with the published gains."""
+    source = design.plant if design.plant.reference_modes else results.rig
+    rows = []
+    for known in source.reference_modes if source is not None else ():
+        point = (known.pressure_bar, known.speed_rpm)
+        if known.kind != "expected" or not design.plant.domain.contains(*point):
+            continue
+        plant = design.plant.plant_at(*point)
+        found = (close_loop(plant, design.at(point)) if known.loop == "closed" else plant).modes()
+        for k, (frequency, damping) in enumerate(known.modes):
+            rows.append(
+                (
+                    f"{point_label(*point)}, {known.loop} loop, mode {k + 1}",
+                    found[k][0] if k < len(found) else None,
+                    frequency,
+                    found[k][1] if k < len(found) else None,
+                    damping,
+                    known.source,
+                )
+            )
+    if not rows:
+        return []
+    columns = [
+        Column("where"),
+        *(Column(name, "Hz", ".1f") for name in ("frequency", "paper")),
+        *(Column(name, format=".3f") for name in ("damping", "paper")),
+        Column("source"),
+    ]
+    return [Table("Modes with the published gains, beside the paper's", columns, rows)]
+
+
+def _by_point(design: AssessedDesign) -> Block:
+    rows = [
+        (
+            point_label(*point),
+            *(factor * figures[FIGURES_POINT_ASSESSMENT.index(name)] for _, _, name, factor, _ in _BY_POINT),
+        )
+        for point, figures in zip(design.figures.points, design.figures.figures.tolist(), strict=True)
+    ]
+    columns = [Column("operating point"), *(Column(name, unit, form) for name, unit, _, _, form in _BY_POINT)]
+    return Fold(f"{design.name} at each operating point", [Table(design.name, columns, rows)])
+
+
+# ---- Section on the identification-for-control cycle: its rounds.
+
+_INCOMPLETE = "the cycle is not complete; run `gbid cycle` or `gbid run`"
+
+
+def cycle_section(results: Results) -> PageSection | None:
+    """Return the section with the rounds of the cycle; None when the experiment has none."""
+    if results.experiment.spec.cycle is None:
+        return None
+    rows = results.cycle
+    if not rows:
+        asked = not results.experiment.spec.cycle.in_run
+        text = "`gbid cycle` runs the rounds; `gbid run` leaves them out" if asked else _INCOMPLETE
+        return PageSection("cycle", "Cycle", [Words(text, "" if asked else "warn")])
+    return PageSection("cycle", "Cycle", [cycle_summary(cycle_documents(rows))])
+
+
+# ---- Section on the impacts: modes identified from hammer impacts, compared with the model and the paper.
+
+TITLE_IMPACTS_SECTION = "Impacts"
+_QUANTITIES = (("frequency", " [Hz]", ".1f"), ("damping", "", ".3f"))
+
+
+def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
+    """Return the section with the impact studies; None when the experiment has none."""
+    section = results.experiment.spec.impacts
+    if section is None:
+        return None
+    blocks: list[Block] = [Words(why, "warn") for why in results.studies.missing.values()]
+    came = results.rig.reference_modes if results.rig is not None else ()
+    published = [modes for modes in came if modes.loop == "open" or section.controller == "paper"]
+    modes: list[list[str]] = []
+    responses: list[list[Entry]] = []
+    impacts: list[list[str]] = []
+    for name, study in results.studies.found.items():
+        document = impact_document(name, study, results.experiment.results, published)
+        where = f"{point_label(document['pressure_bar'], document['speed_rpm'])}, {document['loop']} loop"
+        paper = document["published"].get("measured")
+        modes += [_mode(where, row, None if paper is None else paper[row["mode"] - 1]) for row in document["modes"]]
+        for row in document["responses"]:
+            impacts.append([row["recording"], where, *(_figure(row, *figure) for figure in IMPACT_FIGURES)])
+            scale = f"{row['force_scale [1/kg]']:.4f} ± {row['force_scale_std [1/kg]']:.4f}"
+            responses.append([row["recording"], where, row["impacts"], scale, row["fit_along [%]"]])
+        blocks += [Words(f"{where}: {note}", "warn") for note in document["notes"]]
+        if not document["success"]:
+            tone = "" if study.ringdown.aperiodic else "bad"
+            blocks.append(Words(f"{where}: {document['status']}", tone))
+    if modes:
+        heads = [
+            f"{word} {what}{unit}"
+            for what, unit, _ in _QUANTITIES
+            for word in ("expected", "sampled loop", "from impacts", "paper's")
+        ]
+        caption = "Modes expected from the model, expected of the sampled loop, and obtained from the impacts"
+        blocks.insert(0, Table(caption, [Column("where"), *(Column(head, format=4) for head in heads)], modes))
+    if responses:
+        place = [Column("recording"), Column("where")]
+        columns = [
+            *place,
+            Column("impacts", format="d"),
+            Column("force scale", "1/kg"),
+            Column("fit along the impact", "%", ".1f"),
+        ]
+        blocks.append(Table("Measured against simulated responses", columns, responses))
+        columns = [*place, Column("disc up to", "µm"), Column("over after", "ms"), Column("piezo up to", "µm")]
+        caption = "After an impact: mean ± standard deviation, simulated in brackets; over: 95 % of the energy"
+        blocks.append(Table(caption, columns, impacts))
+    return PageSection("impacts", TITLE_IMPACTS_SECTION, [*_pictured(pictures, results), *blocks])
+
+
+def _pictured(pictures: Pictures, results: Results) -> list[Block]:
+    """Return pictures of the responses of all loops to the same impact, for each operating point."""
+    blocks: list[Block] = []
+    for loops in map(results.labelled, results.loops):
+        conditions = next(iter(loops.values())).conditions
+        where = point_label(conditions["pressure_bar"], conditions["speed_rpm"])
+        alt = (
+            f"Disc on the rig at {where} after the same impact along x and along y: {', '.join(loops)}; lines are "
+            "means over the impacts, bands a standard deviation"
+        )
+        try:
+            blocks.append(Shown(pictures.picture(plot_impact_loops(impact_loops_data(loops)), alt)))
+        except UsageError as error:
+            blocks.append(Words(f"{where}: {error}", "warn"))
+    return blocks
+
+
+def _figure(row: Mapping[str, Any], name: str, unit: str, factor: float) -> str:
+    measured, std, simulated = (factor * row[f"{name}{suffix} [{unit}]"] for suffix in ("", "_std", "_simulated"))
+    return f"{measured:.2f} ± {std:.2f} ({simulated:.2f})"
+
+
+def _mode(where: str, row: Mapping[str, Any], paper: Any) -> list[str]:
+    cells = [f"{where}, mode {row['mode']}"]
+    for column, (what, unit, form) in enumerate(_QUANTITIES):
+        known = [row.get(f"{word}_{what}{unit}") for word in ("expected", "running", "obtained", "obtained")]
+        std = row.get(f"obtained_{what}_std{unit}")
+        texts = ["–" if value is None or value != value else format(value, form) for value in known]
+        if std is not None and std == std:
+            texts[2] = f"{known[2]:{form}} ± {std:.1g}"
+        texts[3] = "–" if paper is None else format(paper[column], form)
+        cells += texts
+    return cells
+
+
+# ---- Section on recordings in closed loop: what the loop costs in precision.
+
+
+def loops_section(results: Results) -> PageSection | None:
+    """Return the section with standard deviations in the loop and without; None when no fit stands beside another."""
+    fits = results.experiment.spec.fits.values()
+    if not any(fit.loop is not None and fit.loop.beside for fit in fits):
+        return None
+    tables = loop_tables(loop_documents(results.loop_costs))
+    if not tables:
+        return PageSection("loops", "Loops", [Words("the comparison is not made yet; run `gbid run`", "warn")])
+    return PageSection("loops", "Loops", tables)
+
+
+# ---- Section on the surfaces over pressure and speed, with the estimates.
+
+_GROUPS = {
+    "stiffness": ("k_xx", "k_xy", "k_yx", "k_yy"),
+    "damping": ("d_xx", "d_xy", "d_yx", "d_yy"),
+    "piezo influence": ("b_xx", "b_xy", "b_yx", "b_yy"),
+    "delays": ("tau_x", "tau_y"),
+}
+_MODES: dict[Literal["frequency", "damping"], str] = {
+    "frequency": "natural frequencies",
+    "damping": "damping factors",
+}
+LACK = 0.01
+"""Probability below which the lack of fit of the surfaces is significant."""
+
+
+def surfaces_section(results: Results, pictures: Pictures) -> PageSection:
+    """Return the section with each surface fit."""
+    title = "Surfaces over pressure and speed"
+    if results.experiment.spec.lpv is None:
+        return PageSection("surfaces", title, [Words("This experiment draws no surfaces (it has no section lpv).")])
+    if not results.surfaces:
+        text = "Not drawn with the present fits; `gbid lpv` does it, or says why it cannot."
+        return PageSection("surfaces", title, [Words(text, "warn")])
+    blocks: list[Block] = []
+    for item, fit in results.surfaces.items():
+        blocks += _drawn(item, fit, pictures, results.published)
+    return PageSection("surfaces", title, blocks)
+
+
+def _drawn(item: str, fit: LPVFit, pictures: Pictures, published: bool) -> list[Block]:
+    asked = ", ".join(f"{key} {value}" for key, value in fit.options.items())
+    n, points = len(fit.estimates.recordings), fit.estimates.points
+    text = (
+        f"{item}: through {n} recordings at {len(np.unique(points, axis=0))} operating points ({asked}); {fit.status}."
+    )
+    blocks: list[Block] = [Words(text, "" if fit.success else "bad")]
+    lacking = [key for key, p in zip(KEY_PARAMETERS, fit.lack_of_fit, strict=True) if p < LACK]
+    if lacking:
+        blocks.append(Words(f"The surfaces miss the means of {', '.join(lacking)} by more than chance.", "warn"))
+    rows: list[tuple[Entry, ...]] = []
+    for d in fit.deviations:
+        factor, unit = shown_unit(d.unit)
+        paper = [factor * d.published_rms] if published else []
+        rows.append((d.name, unit, factor * d.rms, *paper, factor * d.largest, d.recording))
+    heads = ("rms", *(["paper's rms"] if published else []), "largest")
+    columns = [Column(""), Column("unit"), *(Column(name, format=3) for name in heads), Column("where")]
+    blocks.append(Table("What the estimates lie off the surfaces", columns, rows))
+    estimates = {key: fit.estimates.values[:, i] for i, key in enumerate(KEY_PARAMETERS)}
+    for i, (word, names) in enumerate(_GROUPS.items()):
+        data = surfaces_data(fit.model, names, points=points, estimates=estimates, n=11)
+        alt = f"{item}: {word} over injection pressure and speed as surfaces, {n} estimates on stems"
+        shown = Shown(pictures.picture(plot_surfaces(data), alt))
+        blocks.append(shown if i == 0 else Fold(f"{item}: {word}", [shown]))
+    for what, word in _MODES.items():
+        try:
+            panels = modes_data(fit.model, what)
+        except GbidError as error:  # surfaces without physical meaning at some point
+            blocks.append(Words(f"{item}: {word} cannot be drawn: {error}", "warn"))
+            continue
+        alt = f"{item}: {word} of the two modes of the open loop over pressure, at three speeds"
+        blocks.append(Fold(f"{item}: {word}", [Shown(pictures.picture(plot_over_pressure(panels), alt))]))
+    std = np.sqrt(np.diag(fit.covariance)).reshape(-1, len(TERMS))
+    table = Table(
+        "Coefficients, SI per kg, per bar and rpm; in brackets the standard deviation",
+        [Column("parameter"), *(Column(term, format=4) for term in TERMS)],
+        [
+            (key, *(f"{c:.4g} ({s:.1g})" for c, s in zip(fit.model.coefficients[key], row, strict=True)))
+            for key, row in zip(KEY_PARAMETERS, std, strict=True)
+        ],
+    )
+    blocks.append(Fold(f"{item}: coefficients", [table]))
+    if fit.outliers:
+        listed = [
+            f"{o.recording}: {o.parameter} by {o.standardised:+.1f} robust standard deviations" for o in fit.outliers
+        ]
+        blocks += [
+            Words(f"Far off a surface lie {len(listed)} of the estimates:", "warn"),
+            Fold("Outliers", [Listed(listed)]),
+        ]
+    notes = [*fit.notes, *(f"left out: {text}" for text in fit.estimates.left_out)]
+    if notes:
+        blocks.append(Listed(notes))
+    return blocks

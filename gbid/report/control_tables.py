@@ -1,0 +1,480 @@
+"""Documents and tables of impacts, like Tables 3 and 4 of the paper: expected from the model, and identified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gbid.control.assess import COLUMNS, DesignFigures, TunedDesign
+from gbid.control.assess import FIGURES as FIGURES_POINT_ASSESSMENT
+from gbid.control.impact.half_sine import HalfSine
+from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows
+from gbid.control.tuning.result import GainResult
+from gbid.core.arrays import point_label
+from gbid.core.tables import Cell, Column, Entry, Table, formatted
+from gbid.experiment.run import Outcome
+from gbid.experiment.stages.cycle import CycleRow
+from gbid.experiment.stages.loop import LoopCostRow
+from gbid.lpv import ReferenceModes
+from gbid.report.read import Row, conditions_words
+
+IMPACT_FIGURES = (("peak", "m", 1e6), ("decay", "s", 1e3), ("piezo", "m", 1e6))
+"""Figures of impacts in the rows of responses: name, unit, factor to the unit of tables."""
+_PAPER = ("open", "closed")
+"""Loops in Tables 3 and 4."""
+
+
+class _ModeQuantity(NamedTuple):
+    """Quantity of a mode: symbol and unit, key in documents, column of published values, decimals."""
+
+    words: str
+    sign: str
+    unit: str
+    key: str
+    column: int
+    digits: int
+
+    def of(self, document: Row, mode: int, entry: str) -> Any:
+        """Return the value of a mode of a study; None without such a mode."""
+        name = entry.format(self.key) + (f" [{self.unit}]" if self.unit else "")
+        return next((row[name] for row in document["modes"] if row["mode"] == mode), None)
+
+
+_QUANTITIES = (
+    _ModeQuantity("natural frequencies", "ω", "Hz", "frequency", 0, 1),
+    _ModeQuantity("damping factors", "ζ", "", "damping", 1, 3),
+)
+# Heading, entry of a mode with the key of the quantity, and number of further decimals.
+_LINES = (
+    ("expected from model", "expected_{}", 0),
+    ("expected, sampled loop", "running_{}", 0),
+    ("obtained from the impacts", "obtained_{}", 2),
+    ("  standard deviation", "obtained_{}_std", 2),
+)
+
+
+def impact_document(name: str, study: ImpactStudy, path: Path, published: Sequence[ReferenceModes] = ()) -> Row:
+    """Return the document of an impact study as plain values.
+
+    Parameters
+    ----------
+    name : str
+        Name of the study.
+    study : ImpactStudy
+        The study.
+    path : path
+        File of the study.
+    published : sequence of ReferenceModes
+        Published modes of the machine; those of this operating point and loop are added.
+    """
+    ring = study.ringdown
+    here = [
+        m
+        for m in published
+        if (m.pressure_bar, m.speed_rpm) == (study.conditions["pressure_bar"], study.conditions["speed_rpm"])
+        and m.loop == study.loop
+    ]
+    return {
+        "name": name,
+        "path": str(path),
+        **study.conditions,
+        "loop": study.loop,
+        "model": study.model,
+        "controller": study.controller,
+        "status": ring.status,
+        "success": ring.success,
+        "notes": list(ring.notes),
+        "impacts": ring.n_impacts,
+        "lag_rates": ring.lag_rates.tolist(),
+        "residual_rms": ring.residual_rms.tolist(),
+        "modes": mode_rows(study),
+        "published": {m.kind: [list(mode) for mode in m.modes] for m in here if m.kind in ("expected", "measured")},
+        "responses": response_rows(study),
+    }
+
+
+def impact_tables(documents: Sequence[Row]) -> list[Table]:
+    """Return tables of frequencies, damping factors, force scaling and figures, for each operating point.
+
+    Parameters
+    ----------
+    documents : sequence of dict
+        Documents of `impact_document`.
+    """
+    tables = []
+    for pressure, speed in dict.fromkeys((d["pressure_bar"], d["speed_rpm"]) for d in documents):
+        here = {d["loop"]: d for d in documents if (d["pressure_bar"], d["speed_rpm"]) == (pressure, speed)}
+        where = point_label(pressure, speed)
+        paper = {loop: document for loop, document in here.items() if loop in _PAPER}
+        tables += [_quantity_table(where, paper, quantity) for quantity in _QUANTITIES if paper]
+        for loop, document in here.items():
+            if loop not in paper:
+                shown = [(f"{q.sign}{mode}", document, mode, q) for q in _QUANTITIES for mode in (1, 2)]
+                tables.append(_mode_table(f"{where}: {loop}", shown))
+        tables.append(_response_table(where, list(here.values())))
+        tables.append(_impact_figures_table(where, list(here.values())))
+    return tables
+
+
+def _quantity_table(where: str, here: Mapping[str, Row], quantity: _ModeQuantity) -> Table:
+    """Return the table of natural frequencies or damping factors in open and closed loop, with those of the paper."""
+    shown = [
+        (f"{quantity.sign}{mode},{'ol' if loop == 'open' else 'cl'}", here[loop], mode, quantity)
+        for mode in (1, 2)
+        for loop in _PAPER
+        if loop in here
+    ]
+    more: list[list[Entry]] = []
+    for words, kind in (("paper: expected from model", "expected"), ("paper: obtained experimentally", "measured")):
+        modes = [document["published"].get(kind) for _, document, *_ in shown]
+        if any(known is not None for known in modes):
+            values = [
+                known and known[mode - 1][quantity.column] for known, (*_, mode, _) in zip(modes, shown, strict=True)
+            ]
+            more.append([words, *(formatted(value, f".{quantity.digits}f") for value in values)])
+    return _mode_table(f"{where}: {quantity.words}", shown, more)
+
+
+def _mode_table(
+    title: str, shown: Sequence[tuple[str, Row, int, _ModeQuantity]], more: Sequence[list[Entry]] = ()
+) -> Table:
+    """Return the table of expected and identified modes; a column is a quantity of one mode of one study."""
+    rows: list[list[Entry]] = []
+    closed = any(document["controller"] for _, document, *_ in shown)
+    for words, entry, decimals in _LINES:
+        if closed or "running" not in entry:
+            cells = (
+                formatted(q.of(document, mode, entry), f".{q.digits + decimals}f") for _, document, mode, q in shown
+            )
+            rows.append([words, *cells])
+    columns = [Column(heading, quantity.unit, 4) for heading, _, _, quantity in shown]
+    return Table(title, [Column(""), *columns], [*rows, *more])
+
+
+def _response_table(where: str, documents: Sequence[Row]) -> Table:
+    """Return the table of measured and simulated responses."""
+    columns = {
+        "recording": Column("recording"),
+        "impacts": Column("impacts", format="d"),
+        "force_scale [1/kg]": Column("g_f", "1/kg", ".4f"),
+        "force_scale_std [1/kg]": Column("std", format=".4f"),
+        "fit_along [%]": Column("fit along\nthe impact", "%", ".2f"),
+        "fit_x [%]": Column("fit x", "%", ".2f"),
+        "fit_y [%]": Column("fit y", "%", ".2f"),
+    }
+    rows = [[row[key] for key in columns] for document in documents for row in document["responses"]]
+    return Table(f"{where}: measured against simulated responses, p = g_f G f", list(columns.values()), rows)
+
+
+def _impact_figures_table(where: str, documents: Sequence[Row]) -> Table:
+    """Return the table of measured and simulated motion of disc and piezos, with the notes of all tables."""
+    columns = [Column("recording")]
+    for name, unit in (("disc up to\n", "um"), ("over after\n", "ms"), ("piezo up to\n", "um")):
+        columns += [Column(name, unit, ".2f"), Column("std", format=".2f"), Column("simulated", format=".2f")]
+    keys = [
+        (f"{name}{suffix} [{unit}]", factor)
+        for name, unit, factor in IMPACT_FIGURES
+        for suffix in ("", "_std", "_simulated")
+    ]
+    rows: list[list[Entry]] = [
+        [row["recording"], *(None if row[key] is None else factor * row[key] for key, factor in keys)]
+        for document in documents
+        for row in document["responses"]
+    ]
+    notes = []
+    for document in documents:
+        notes += [f"note, {document['loop']} loop: {note}" for note in document["notes"]]
+        notes += [] if document["success"] else [f"{document['loop']} loop: {document['status']}"]
+    return Table(f"{where}: after an impact, mean over the impacts", columns, rows, ["", *notes] if notes else ())
+
+
+# ---- Documents and tables of tuned designs and of the published controller.
+
+
+def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDesign]) -> list[Row]:
+    """Return the documents of tuned designs as plain values; failed ones are left out."""
+    paths = {(o.stage, o.item): str(o.path) for o in outcomes if o.state != "failed"}
+    return [
+        {
+            "design": name,
+            "path": paths["tune", name],
+            "controller": paths.get(("controller", name)),
+            "plant": design.plant,
+            "structure": design.performance[0].structure,
+            **_result_row(design.result),
+            "points": [list(point) for point in design.result.points],
+            "sample_time_s": design.sample_time,
+            "method": design.method,
+            "impact": {"peak_n": design.impact.peak_n, "duration_s": design.impact.duration_s},
+            "performance": [_performance_row(performance) for performance in design.performance],
+            "pareto": [{"cap": cap, **_result_row(result)} for cap, result in design.front],
+            "promises": [{**promise._asdict(), "holds": promise.holds} for promise in design.promises],
+        }
+        for name, design in designs.items()
+    ]
+
+
+def tuning_tables(documents: Sequence[Row]) -> list[Table]:
+    """Return tables that compare designs at the same points of the same plant, with their gains below.
+
+    Parameters
+    ----------
+    documents : sequence of dict
+        Documents of `tuning_documents`.
+    """
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for document in documents:
+        impact = tuple(document["impact"].values())
+        points = tuple(map(tuple, document["points"]))
+        alike = document["plant"], points, impact, document["sample_time_s"], document["method"]
+        groups.setdefault(alike, []).append(document)
+    tables = []
+    for (plant, points, impact, sample_time, method), group in groups.items():
+        where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
+        note = conditions_words(HalfSine(*impact), sample_time, method)
+        shown = [document["performance"][0] for document in group] + group[0]["performance"][1:]
+        worst = {row["name"]: {name: found["value"] for name, found in row["worst"].items()} for row in shown}
+        notes = [note, *(line for document in group for line in ("", *_lines(document)))]
+        tables.append(_compared(f"{plant}, worst over {where}", worst, notes))
+    return tables
+
+
+def comparison_table(title: str, performances: Sequence[DesignFigures], note: str) -> Table:
+    """Return the table of the worst figures of designs with equal assessment, a row for each figure.
+
+    Parameters
+    ----------
+    title : str
+        Title of the table.
+    performances : sequence of DesignFigures
+        Performance of the designs.
+    note : str
+        Conditions, from `gbid.report.read.conditions_words`.
+    """
+    worst = {p.name: {name: value for name, (value, _) in p.worst.items()} for p in performances}
+    return _compared(title, worst, [note])
+
+
+def _compared(title: str, worst: Mapping[str, Mapping[str, float]], notes: Sequence[str]) -> Table:
+    rows = [
+        [heading, *(formatted(factor * figures[name], form) for figures in worst.values())]
+        for heading, name, factor, form in COLUMNS
+    ]
+    return Table(title, [Column("figure"), *(Column(name, format=4) for name in worst)], rows, notes)
+
+
+def _lines(document: Row) -> list[str]:
+    gains = ", ".join(f"{name} = {value:.5g}" for name, value in document["gains"].items())
+    held = f"; limited by {', '.join(document['active'])}" if document["active"] else ""
+    unit = " 1/s" if document["objective"] == "decay" else ""
+    worst = document["worst"]
+    lines = [
+        f"{document['design']} ({document['structure']}): {gains}",
+        f"  {document['status']}: {document['objective']} {document['value']:.4f}{unit}{held}",
+        f"  worst mode: {worst['frequency_hz']:.1f} Hz, damping {worst['damping']:.4f}, at {worst['where']}",
+        f"  checked: {document['verified_on']}",
+        *(f"  note: {note}" for note in document["notes"]),
+    ]
+    for row in document["goals"]:
+        kind = "objective" if row["soft"] else "limit"
+        lines.append(f"  {kind} on {row['name']}: {row['excess']:+.4f} beyond it, at {row['where']}")
+    for row in document["promises"]:
+        lines.append(
+            f"  with probability {row['probability']:g}: {row['promised']:.4f}, limits kept with at least "
+            f"{row['keeps_limits']:.3f}; nominal design {row['of_nominal']:.4f}, {row['limits_of_nominal']:.3f}"
+        )
+    for row in document["pareto"]:
+        found = f"{row['value']:.4f}" if row["success"] else row["status"]
+        lines.append(f"  peak of S_o at most {row['cap']:g}: {row['objective']} {found}")
+    if document["controller"]:
+        lines.append(f"  controller: {document['controller']}")
+    return lines
+
+
+def _result_row(result: GainResult) -> Row:
+    names = ("value", "objective", "status", "success", "violation", "verified_on")
+    peaks = ("peak_sensitivity", "peak_control", "static_amplification")
+    return {
+        "gains": dict(result.gains),
+        **{name: getattr(result, name) for name in (*names, *peaks)},
+        "worst": {
+            "where": result.worst.where,
+            "frequency_hz": result.worst.frequency_hz,
+            "damping": result.worst.damping,
+        },
+        "active": list(result.active),
+        "goals": [asdict(figure) for figure in result.goals],
+        "notes": list(result.notes),
+    }
+
+
+def _performance_row(performance: DesignFigures) -> Row:
+    return {
+        "name": performance.name,
+        "structure": performance.structure,
+        "gains": dict(performance.gains),
+        "worst": {
+            figure: {"value": value, "pressure_bar": point[0], "speed_rpm": point[1]}
+            for figure, (value, point) in performance.worst.items()
+        },
+        "points": [
+            {
+                "pressure_bar": float(p),
+                "speed_rpm": float(n),
+                **dict(zip(FIGURES_POINT_ASSESSMENT, map(float, row), strict=True)),
+            }
+            for (p, n), row in zip(performance.points, performance.figures, strict=True)
+        ],
+    }
+
+
+# ---- Tables of what designs reached of their goals, under caps on the peak of S_o, and promise on drawn plants.
+
+
+def goals_table(designs: Mapping[str, TunedDesign]) -> Table | None:
+    """Return the table of the goals of designs that have a figure of their own; None when there are none."""
+    rows = [
+        (name, figure.name, "objective" if figure.soft else "limit", figure.excess, figure.where)
+        for name, design in designs.items()
+        for figure in design.result.goals
+    ]
+    note = "excess: logarithm of the value over its limit, of damping factors the limit minus the value; met at most 0"
+    columns = [Column("design"), Column("goal"), Column("kind"), Column("excess", format="+.4f"), Column("where")]
+    return Table("Goals of the designs", columns, rows, [note]) if rows else None
+
+
+def caps_table(designs: Mapping[str, TunedDesign]) -> Table | None:
+    """Return the table of what each design reaches under each cap on the peak of S_o; None without caps."""
+    caps = sorted({cap for design in designs.values() for cap, _ in design.front})
+    rows = []
+    for name, design in designs.items():
+        under = dict(design.front)
+        if under:
+            results = [under.get(cap) for cap in caps]
+            structure = design.performance[0].structure if design.performance else ""
+            rows.append((name, structure, *(r.value if r and r.success else None for r in results)))
+    columns = [Column("design"), Column("structure"), *(Column(f"peak {cap:g}", format=".4f") for cap in caps)]
+    return Table("Aim reached under caps on the peak of S_o", columns, rows) if rows else None
+
+
+def promises_table(designs: Mapping[str, TunedDesign]) -> Table | None:
+    """Return the table of the promises of robust designs, beside the nominal designs; None without any."""
+    rows = [
+        (name, p.probability, p.promised, p.keeps_limits, p.of_nominal, p.limits_of_nominal, p.plants, p.fresh)
+        for name, design in designs.items()
+        for p in design.promises
+    ]
+    if not rows:
+        return None
+    columns = [
+        Column("design"),
+        Column("probability", format="g"),
+        Column("promised", format=".4f"),
+        Column("keeps limits", format=".3f"),
+        Column("nominal design", format=".4f"),
+        Column("its limits", format=".3f"),
+        Column("plants", format="d"),
+        Column("fresh", format="d"),
+    ]
+    promises = [p for design in designs.values() for p in design.promises]
+    confidence = ", ".join(f"{100 * c:g} %" for c in sorted({p.confidence for p in promises}))
+    note = (
+        f"promised: reached with the probability, at a confidence of {confidence}, on fresh drawn plants that the "
+        "design has not seen; keeps limits: lower bound of the probability; "
+        "plants: drawn plants for which it was optimised"
+    )
+    return Table("Robust designs", columns, rows, [note])
+
+
+# ---- Tables of recordings in closed loop: what the loop costs in precision, and the rounds of the cycle.
+
+_INTERVAL, _DIGITS = 1.96, 2
+_STDS = ("std", "std_beside")
+
+
+def loop_documents(rows: Sequence[LoopCostRow]) -> list[Row]:
+    """Return the rows as plain values, with the ratio of the standard deviations."""
+    return [{**asdict(row), "ratio": row.std / row.std_beside} for row in rows]
+
+
+def loop_tables(documents: Sequence[Row]) -> list[Table]:
+    """Return a table for each fit in a loop and operating point.
+
+    Parameters
+    ----------
+    documents : sequence of dict
+        Documents of `loop_documents`.
+    """
+    tables = []
+    for (fit, point), group in groupby(documents, key=lambda row: (row["fit"], row["point"])):
+        rows = list(group)
+        columns = [Column("parameter"), *(Column(name, format=_DIGITS) for name in ("std in the loop", "std without"))]
+        cells = [
+            [row["parameter"], *(formatted(row[key], _DIGITS, row["unit"]) for key in _STDS), row["ratio"]]
+            for row in rows
+        ]
+        title = f"{fit}, {point}: what the loop costs in precision, beside {rows[0]['beside']}"
+        tables.append(Table(title, [*columns, Column("ratio", format=".2f")], cells, _cost_notes(rows[0])))
+    return tables
+
+
+def _cost_notes(row: Row) -> list[str]:
+    notes = []
+    for words, end in (("in the loop", ""), ("without", "_beside")):
+        peak = formatted(row[f"peak{end}"], _DIGITS, row["peak_unit"])
+        shown = peak.text if isinstance(peak, Cell) else "?"
+        count, length = row[f"recordings{end}"], row[f"duration{end}_s"]
+        notes.append(f"{words}: {count} fits, recordings of {length:g} s, {row['peak_of']} up to {shown}")
+    return [
+        *notes,
+        "medians over the converged fits; above a ratio of 1 the loop costs precision, below it gains",
+    ]
+
+
+def cycle_documents(rows: Sequence[CycleRow]) -> list[Row]:
+    """Return the rows of a cycle as plain values."""
+    return [asdict(row) for row in rows]
+
+
+def cycle_summary(documents: Sequence[Row]) -> Table:
+    """Return the table of the rounds.
+
+    Parameters
+    ----------
+    documents : sequence of dict
+        Documents of `cycle_documents`.
+    """
+    columns = [
+        Column("round", format="d"),
+        Column("where"),
+        Column("recordings", format="d"),
+        Column("std of frequencies", "Hz"),
+        Column("std of dampings"),
+        Column("promised", format=".3f"),
+        Column("expected", format=".3f"),
+        Column("reached, 95 %"),
+    ]
+    notes = (
+        "std: of both modes of the bearing without controller, by the surfaces of the round; promised: smallest "
+        "damping of the design over all points and plants; expected: of the sampled loop at this point, by the "
+        "surfaces; reached: smaller damping of both modes of the loop on the rig, measured by impacts",
+    )
+    return Table("Rounds of the cycle", columns, [_cells(CycleRow(**document)) for document in documents], notes)
+
+
+def _cells(row: CycleRow) -> list[str | int | float]:
+    damping, std = row.reached
+    reached = f"{damping:.4f} ± {_INTERVAL * std:.4f}" if row.converged else "ring-downs not fitted"
+    return [
+        row.round,
+        point_label(row.pressure_bar, row.speed_rpm),
+        row.recordings,
+        f"{row.model_frequency_1_hz_std:.3f}, {row.model_frequency_2_hz_std:.3f}",
+        f"{row.model_damping_1_std:.5f}, {row.model_damping_2_std:.5f}",
+        row.promised_damping,
+        row.expected_damping,
+        reached,
+    ]

@@ -1,1 +1,0 @@
-"""Figures of the closed loop and of impacts."""

@@ -1,1 +1,0 @@
-"""Figures of recordings, characterisations, fits and their validation."""

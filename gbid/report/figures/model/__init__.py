@@ -1,1 +1,0 @@
-"""Figures of a linear model with its uncertainty, for any model and fit."""

@@ -1,1 +1,0 @@
-"""Figures of the LPV model over pressure and speed."""

@@ -1,0 +1,538 @@
+"""Tables of a fit: parameters, modes, static gains, and a summary in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from math import floor, log10
+from pathlib import Path
+
+import numpy as np
+
+from gbid.characterise import PiezoCurve, StaticMap
+from gbid.core.arrays import point_label
+from gbid.core.tables import (
+    Cell,
+    Column,
+    Entry,
+    Table,
+    engineering,
+    exponent_of,
+    finite_or_none,
+    formatted,
+    probability,
+    shown_unit,
+)
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.run import Outcome
+from gbid.lpv import LPVFit
+from gbid.lpv.model import PUBLISHED_LARGEST_GAIN
+from gbid.report.read import Row
+from gbid.structure import KEY_PARAMETERS
+from gbid.validate import NominalActuator, ValidationSummary
+
+# ---- Summary of a fit in words.
+
+Line = tuple[str, str]
+"""Heading and text of a line."""
+
+_MINIMA = 6  # largest number of minima that are listed
+_FAR = 5.0  # smallest deviation from the truth, in standard deviations, that noise does not explain
+
+
+def summary_lines(document: Row) -> Iterator[Line]:
+    """Yield the lines of the summary: fit percent, weights, residuals, start, status of the solver, and notes.
+
+    Parameters
+    ----------
+    document : dict
+        Document of `gbid.report.read.fit_document`.
+
+    Yields
+    ------
+    (word, text)
+        Heading and text of each line.
+    """
+    own = "one step ahead" if document["options"].get("focus") == "prediction" else "simulated"
+    horizon = int(document["options"].get("horizon", "1"))
+    own = f"{horizon} steps ahead" if horizon > 1 else own
+    for recording in document["recordings"]:
+        fits = [row for row in document["fit_percent"] if row["recording"] == recording]
+        text = ", ".join(f"{row['output']} {row['fit_percent']:.2f} %" for row in fits)
+        yield "fit", f"{text} ({own}, on {recording})"
+    if len(document["whiteness"]) > 1:
+        det = document["options"].get("criterion") == "det"
+        yield "outputs", "weighted by the covariance of their errors (det)" if det else "squared errors summed (trace)"
+    yield "residuals", residuals_line(document)
+    yield "start", start_line(document)
+    if document["multi_start"]:
+        yield "starts", starts_line(document["multi_start"])
+    condition = "" if document["condition"] is None else f", condition {document['condition']:.1g}"
+    text = f"{document['status']}; {document['iterations']} iterations, {document['wall_time_s']:.2f} s{condition}"
+    yield "solver", text
+    yield from (("note", note) for note in document["notes"])
+    far = [row for row in document["parameters"] if abs(row["deviation_std"] or 0.0) > _FAR]
+    if far:
+        names = ", ".join(f"{row['parameter']} ({row['deviation_std']:+.0f})" for row in far)
+        text = f"many standard deviations from the truth: {names}; a bias of structure, hold or prefilter, not noise"
+        yield "note", text
+
+
+def residuals_line(document: Row) -> str:
+    """Return the whiteness of each output with its p-value, as text."""
+    words = []
+    level = 0.01 / max(1, len(document["whiteness"]))  # shared by the outputs, as the fit shares it
+    for row in document["whiteness"]:
+        p = row["p_value"]
+        if p is None:
+            words.append(f"{row['output']} unknown")
+        else:
+            words.append(f"{row['output']} {'white' if p >= level else 'not white'} ({probability(p)})")
+    return ", ".join(words)
+
+
+def start_line(document: Row) -> str:
+    """Return the numbers of start values by origin; those of the user are listed by name."""
+    rows = [row for row in document["parameters"] if not row["fixed"]]
+    words = {"data": "from the data", "structure": "from the structure", "user": "given"}
+    parts = []
+    for origin, word in words.items():
+        names = [row["parameter"] for row in rows if row["start_origin"] == origin]
+        if names:
+            listed = f" ({', '.join(names)})" if origin == "user" or len(names) <= 4 else ""
+            parts.append(f"{len(names)} {word}{listed}")
+    return ", ".join(parts)
+
+
+def starts_line(row: Row) -> str:
+    """Return the number of starts that led to the best loss, and the minima with their losses, as text."""
+    spread = "-" if row["spread"] is None else f"{row['spread']:.4g}"
+    text = (
+        f"{row['starts']} (seed {row['seed']}): {row['converged']} converged, {row['agreed']} ended at the best; "
+        f"largest over smallest loss {spread}"
+    )
+    minima = list(zip(row["minima"], row["minima_starts"], strict=True))
+    if len(minima) < 2:
+        return text
+    shown = ", ".join(f"{loss:.5g} ({count})" for loss, count in minima[:_MINIMA])
+    more = f", {len(minima) - _MINIMA} more" if len(minima) > _MINIMA else ""
+    return f"{text}; {len(minima)} minima, loss (starts): {shown}{more}"
+
+
+# Heading, unit, entries of the row, and smallest number of decimals of a mode.
+_MODE = (
+    ("frequency\n", "Hz", "frequency_hz", "frequency_std_hz", "true_frequency_hz", 2),
+    ("damping\nfactor", "", "damping", "damping_std", "true_damping", 4),
+)
+
+
+def fit_tables(title: str, document: Row) -> list[Table]:
+    """Return the tables of a fit: parameters, modes, static gain and summary.
+
+    Parameters
+    ----------
+    title : str
+        Title of the first table.
+    document : dict
+        Document of `gbid.report.read.fit_document`.
+    """
+    tables = [parameter_table(title, document["parameters"], document["trusted"])]
+    if document["modes"]:
+        tables.append(mode_table(document["modes"]))
+    if document["static_gain"]:
+        tables.append(gain_table(document["static_gain"]))
+    return [*tables, Table("", [Column(""), Column("", wrap=True)], list(summary_lines(document)))]
+
+
+def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
+    """Return the table of estimates, standard deviations and truth; the numbers of a row have one power of ten."""
+    with_truth = any(row["truth"] is not None for row in rows)
+    columns = [Column("parameter"), Column("estimate", format=5), Column(f"std\n({trusted})", format=2)]
+    if with_truth:
+        columns += [Column("truth", format=5), Column("off by", format="+.2f"), Column("in std", format="+.1f")]
+    laid: list[list[Entry]] = []
+    for row in rows:
+        factor, unit = shown_unit(row["unit"])
+        estimate, spread = factor * row["estimate"], factor * (row["std"] or 0.0)
+        exponent = exponent_of(max(abs(estimate), spread))
+        std = Cell(None, "fixed") if row["fixed"] else _in_power(row["std"], 2, exponent, factor)
+        cells = [row["parameter"], _in_power(row["estimate"], _digits(estimate, spread), exponent, factor), std]
+        if with_truth:
+            off = formatted(row["deviation_percent"], "+.2f", "%")
+            cells += [_in_power(row["truth"], 5, exponent, factor), off, row["deviation_std"]]
+        laid.append([*cells, unit])
+    return Table(title, [*columns, Column("unit")], laid)
+
+
+def mode_table(rows: Sequence[Row]) -> Table:
+    """Return the table of natural frequencies and damping factors."""
+    with_truth = any(row["true_frequency_hz"] is not None for row in rows)
+    columns = [Column("mode")]
+    for heading, unit, *_, least in _MODE:
+        form = f".{least}f"
+        columns += [Column(heading, unit, form), Column("std", format=form)]
+        columns += [Column("truth", format=form)] if with_truth else []
+    laid: list[list[Entry]] = []
+    for row in rows:
+        laid.append([str(row["mode"])])
+        for *_, key, std, true, least in _MODE:
+            own = f".{_decimals(row[std], least)}f"
+            laid[-1] += [formatted(row[name], own) for name in (key, std, *([true] if with_truth else []))]
+    return Table("", columns, laid)
+
+
+def gain_table(rows: Sequence[Row]) -> Table:
+    """Return the table of static gains; those that are zero by structure are left out."""
+    with_truth = any(row["truth"] is not None for row in rows)
+    columns = [Column("static gain"), Column("value", format=5), Column("std", format=2)]
+    laid: list[list[Entry]] = []
+    for row in rows:
+        if row["gain"] != 0 or row["std"]:
+            exponent = exponent_of(row["gain"])
+            cells = [_in_power(row["gain"], 5, exponent), _in_power(row["std"], 2, exponent)]
+            cells += [_in_power(row["truth"], 5, exponent)] if with_truth else []
+            laid.append([f"{row['input']} to {row['output']}", *cells])
+    return Table("", [*columns, *([Column("truth", format=5)] if with_truth else [])], laid)
+
+
+def _in_power(value: float | None, digits: int, exponent: int, factor: float = 1.0) -> Entry:
+    """Return a cell in a given power of ten, so that the numbers of a row can be compared."""
+    return None if value is None else Cell(factor * value, engineering(factor * value, digits, exponent))
+
+
+def _digits(estimate: float, std: float) -> int:
+    """Return the number of significant digits of an estimate: five, or enough to show its standard deviation."""
+    if estimate == 0 or abs(estimate) >= std:
+        return 5
+    return max(1, 2 + floor(log10(abs(estimate))) - floor(log10(std)))
+
+
+def _decimals(std: float | None, least: int) -> int:
+    """Return the number of decimals that show two digits of a standard deviation."""
+    return least if not std else min(max(least, 1 - floor(log10(std))), 7)
+
+
+# ---- Tables of a campaign: states of the items of each stage, and a summary of the fits.
+
+_STATES = ("made", "kept", "failed", "not_converged")
+_COUNTS = ("fits", "converged", "missing")
+
+
+def campaign_tables(document: Row) -> list[Table]:
+    """Return the tables of the stages and of the fits of a campaign; empty tables are left out."""
+    heads = [Column("stage"), *(Column(state.replace("_", " "), format="d") for state in _STATES)]
+    stages = [[stage, *(counts[state] for state in _STATES)] for stage, counts in document["stages"].items()]
+    columns = [
+        Column("fit"),
+        *(Column(name, format="d") for name in _COUNTS),
+        Column("median", "%"),
+        Column("worst", "%", ".1f", missing=""),
+        Column("of", missing=""),
+    ]
+    fits = []
+    for row in document["fits"]:
+        medians = ", ".join(f"{output} {value:.1f}" for output, value in row["median_fit_percent"].items())
+        fits.append([row["fit"], *(row[name] for name in _COUNTS), medians, row["worst_fit_percent"], row["worst"]])
+    return [table for table in (Table("", heads, stages), Table("", columns, fits)) if table.rows]
+
+
+# ---- Documents and tables of a cross-validation, for each pair and in summary, and of the nominal actuator.
+
+_POINTS = 30  # largest number of operating points that have their own rows
+_PERCENT = (Column("fit\n", "%", ".2f"), Column("+-\n", "%", ".2g"), Column("least\n", "%", ".2f"))
+
+
+def crossval_table(title: str, rows: Sequence[Row]) -> Table:
+    """Return the table of the fit percent of each model on each recording, and of the residual tests."""
+    columns = [
+        *map(Column, ("model of", "on", "output")),
+        Column("fit\n", "%", ".2f"),
+        Column("largest\nerror", format=2),
+        Column("residuals\nwhite", format="s"),
+        Column("follow"),
+    ]
+    missed = any(row["missed"] for row in rows)
+    laid: list[list[Entry]] = []
+    for row in rows:
+        cells = [*(row[key] for key in ("model", "recording", "output", "fit_percent"))]
+        cells += [formatted(row["infinity_norm"], 2, row["unit"]), row["residuals_white"]]
+        cells += [", ".join(row["residuals_follow"]) or None]
+        cells += [f"below {row['minimum_percent']:g} %" if row["missed"] else ""] if missed else []
+        laid.append(cells)
+    return Table(f"{title}, cross-validation, simulated", [*columns, *([Column("")] if missed else [])], laid)
+
+
+def summary_document(fit: str, summary: ValidationSummary, path: Path) -> Row:
+    """Return the summary of a cross-validation as plain values, with histograms."""
+    return {"fit": fit, **asdict(summary), "path": str(path)}
+
+
+def validation_table(document: Row) -> Table:
+    """Return the table of mean and std of the fit percent of each output, over all pairs and by operating point.
+
+    Parameters
+    ----------
+    document : dict
+        Document of `summary_document`.
+    """
+    title = (
+        f"{document['fit']}, cross-validation: {document['n_models']} models, "
+        f"{document['n_recordings']} recordings, {document['n_pairs']} pairs"
+    )
+    columns = [
+        *(Column(""), Column("output"), Column("pairs", format="d")),
+        *_PERCENT,
+        Column("largest\nerror", format=2),
+        Column("worst pair"),
+    ]
+    outputs = list(enumerate(zip(document["output_names"], document["output_units"], strict=True)))
+    rows: list[list[Entry]] = []
+    for j, (output, unit) in outputs:
+        worst = next((pair for pair in document["worst"] if pair["output"] == output), None)
+        numbers = (document["n_pairs"], *(document[name][j] for name in ("mean", "std", "least")))
+        largest = formatted(document["infinity_norm_max"][j], 2, unit)
+        pair = f"{worst['model']} on {worst['recording']}" if worst else None
+        rows.append(["all" if j == 0 else "", output, *numbers, largest, pair])
+    for point in document["points"] if 1 < len(document["points"]) <= _POINTS else ():
+        place = point_label(point["pressure_bar"], point["speed_rpm"])
+        for j, (output, unit) in outputs:
+            largest = formatted(point["infinity_norm"][j], 2, unit)
+            numbers = (point["n_pairs"], point["mean"][j], point["std"][j])
+            rows.append([place if j == 0 else "", output, *numbers, "", largest, ""])
+    return Table(title, columns, rows)
+
+
+def nominal_document(fit: str, nominal: NominalActuator, path: Path) -> Row:
+    """Return the nominal actuator as plain values, with the outliers and their reasons."""
+    return {
+        "fit": fit,
+        "model": nominal.name,
+        "parameters": nominal.parameters,
+        "std": nominal.std,
+        "chosen_from": len(nominal.models),
+        "distance": float(nominal.distances.min()),
+        "outliers": [{**asdict(outlier), "reason": outlier.reason} for outlier in nominal.outliers],
+        "left_out": list(nominal.left_out),
+        "path": str(path),
+    }
+
+
+def nominal_table(document: Row) -> Table:
+    """Return the table of poles and gains of the nominal actuator, then of the outliers.
+
+    Parameters
+    ----------
+    document : dict
+        Document of `nominal_document`.
+    """
+    off = bool(document["outliers"] or document["left_out"])
+    columns = [Column("most central model"), Column("parameter"), Column("value", format=".5g")]
+    columns += [Column("std", format=".2g"), *([Column("why")] if off else [])]
+    first = [document["model"], f"of {document['chosen_from']} models"]
+    rows: list[list[Entry]] = [
+        [first[i] if i < len(first) else "", name, value, document["std"][name], *([""] if off else [])]
+        for i, (name, value) in enumerate(document["parameters"].items())
+    ]
+    for outlier in document["outliers"]:
+        rows.append([f"outlier {outlier['model']}", outlier["parameter"], outlier["value"], "", outlier["reason"]])
+    rows += [["left out", "", "", "", text] for text in document["left_out"]]
+    return Table(f"{document['fit']}, nominal actuator", columns, rows)
+
+
+# ---- Tables of the deviations of fits from the surfaces over pressure and speed.
+
+_PUBLISHED = "theisen2016"
+_OUTLIERS = 10  # largest number that is printed; the document contains all
+
+
+def lpv_documents(experiment: Experiment, outcomes: Sequence[Outcome], fits: Mapping[str, LPVFit]) -> list[Row]:
+    """Return documents of the surfaces of an experiment, with the paper's figures for the paper's machine."""
+    published = experiment.spec.rig is not None and experiment.spec.rig.model == _PUBLISHED
+    paths = {outcome.item: outcome.path for outcome in outcomes}
+    return [lpv_document(item, fit, paths[item], published=published) for item, fit in fits.items()]
+
+
+def lpv_document(item: str, fit: LPVFit, path: Path, *, published: bool) -> Row:
+    """Return the document of a surface fit as plain values.
+
+    Parameters
+    ----------
+    item : str
+        Name of the surfaces.
+    fit : LPVFit
+        The fit.
+    path : path
+        The model file.
+    published : bool
+        Whether the machine is that of the paper; figures of the paper are then added.
+    """
+    rows = [asdict(d) for d in fit.deviations]
+    for row in rows:
+        if not published:
+            row["published_rms"] = None
+    return {
+        "item": item,
+        "path": str(path),
+        "model": fit.model.name,
+        "recordings": len(fit.estimates.recordings),
+        "operating_points": len(fit.model.operating_points),
+        "status": fit.status,
+        "success": fit.success,
+        "options": dict(fit.options),
+        "deviations": rows,
+        "published_largest_gain": PUBLISHED_LARGEST_GAIN if published else None,
+        "orders": [{"order": s.order, "score": s.score, "why_not": s.why_not} for s in fit.orders],
+        "coefficients": {key: list(fit.model.coefficients[key]) for key in KEY_PARAMETERS},
+        "coefficients_std": dict(
+            zip(KEY_PARAMETERS, np.sqrt(np.diag(fit.covariance)).reshape(-1, 6).tolist(), strict=True)
+        ),
+        "scatter_std": dict(zip(KEY_PARAMETERS, np.sqrt(np.diag(fit.scatter)).tolist(), strict=True)),
+        "lack_of_fit": dict(zip(KEY_PARAMETERS, fit.lack_of_fit.tolist(), strict=True)),
+        "outliers": [asdict(o) for o in fit.outliers],
+        "left_out": list(fit.estimates.left_out),
+        "notes": list(fit.notes),
+    }
+
+
+def lpv_table(document: Row) -> Table:
+    """Return the table of deviations of one surface fit, with notes on orders and outliers.
+
+    Parameters
+    ----------
+    document : dict
+        Document of `lpv_document`.
+    """
+    with_paper = any(row["published_rms"] is not None for row in document["deviations"])
+    paper = [Column("rms,\npaper", format=".4g")] if with_paper else []
+    columns = [Column(""), Column("rms", format=".4g"), *paper, Column("largest", format=".4g")]
+    rows: list[list[Entry]] = []
+    for row in document["deviations"]:
+        factor, unit = shown_unit(row["unit"])
+        names = ("rms", *(["published_rms"] if with_paper else []), "largest")
+        rows.append([row["name"], *(factor * row[name] for name in names), unit, row["recording"]])
+    title = (
+        f"{document['item']}: {document['recordings']} recordings at {document['operating_points']} operating points, "
+        f"{document['options']['method']}, {document['status']}"
+    )
+    return Table(title, [*columns, Column("unit"), Column("recording")], rows, ["", *_notes(document)])
+
+
+def _notes(document: Row) -> Iterator[str]:
+    orders = [
+        f"{row['order']}: {row['score']:.3f}" if row["why_not"] == "" else f"{row['order']}: not possible"
+        for row in document["orders"]
+    ]
+    if orders:
+        yield f"error at points left out, by order (order 0 = 1): {', '.join(orders)}"
+    for row in document["outliers"][:_OUTLIERS]:
+        yield f"off the surface: {row['recording']}, {row['parameter']}, {row['standardised']:+.1f} std"
+    if len(document["outliers"]) > _OUTLIERS:
+        yield f"off the surface: {len(document['outliers'])} in all; these were the worst"
+    yield from (f"note: {note}" for note in document["notes"])
+    yield f"model: {document['path']}"
+
+
+# ---- Documents (SI units) and tables (micrometres instead of metres) of static maps and piezo curves.
+
+
+def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
+    """Return the document of a static characterisation; unknown values are None.
+
+    Parameters
+    ----------
+    name : str
+        Name of the characterisation.
+    result : StaticMap or PiezoCurve
+        The result.
+
+    Returns
+    -------
+    dict
+        name, kind, recordings, notes, and a row for each gain of a map, or the figures of a curve.
+    """
+    if isinstance(result, PiezoCurve):
+        steps = ~result.saturated
+        return {
+            "name": name,
+            "kind": "piezo",
+            "recordings": [result.name],
+            "channel": result.channel,
+            "units": list(result.units),
+            "hysteresis": finite_or_none(result.hysteresis),
+            "hysteresis_std": finite_or_none(result.hysteresis_std),
+            "hysteresis_at": finite_or_none(result.hysteresis_at),
+            "hysteresis_share": finite_or_none(result.hysteresis_share),
+            "range": [float(result.position.min()), float(result.position.max())],
+            "step_gain": finite_or_none(float(np.mean(result.step_gain[steps]))) if steps.any() else None,
+            "uniformity": finite_or_none(result.uniformity),
+            "creep": finite_or_none(float(np.mean(result.creep[steps]))) if steps.any() else None,
+            "steps": len(result.step),
+            "saturated_steps": [int(i) + 1 for i in np.flatnonzero(result.saturated)],
+            "notes": list(result.notes),
+        }
+    interval = result.interval()
+    return {
+        "name": name,
+        "kind": "bearing",
+        "recordings": list(result.sources),
+        "conditions": dict(result.conditions),
+        "units": list(result.units),
+        "plateaus": len(result.command),
+        "dof": result.dof,
+        "gains": [
+            {
+                "output": output,
+                "input": source,
+                "gain": finite_or_none(result.gain[i, j]),
+                "std": finite_or_none(result.gain_std[i, j]),
+                "lower_95": finite_or_none(interval[i, j, 0]),
+                "upper_95": finite_or_none(interval[i, j, 1]),
+                "rms": finite_or_none(result.rms[i, j]),
+                "largest": finite_or_none(result.largest[i, j]),
+                "hysteresis": finite_or_none(result.hysteresis[i, j]),
+                "hysteresis_std": finite_or_none(result.hysteresis_std[i, j]),
+            }
+            for i, output in enumerate(result.output_names)
+            for j, source in enumerate(result.input_names)
+        ],
+        "offset": result.offset.tolist(),
+        "notes": list(result.notes),
+    }
+
+
+def static_table(document: Row) -> Table:
+    """Return the table of a static characterisation from its document."""
+    title = f"{document['name']}: {', '.join(document['recordings'])}"
+    source, output = document["units"]
+    if document["kind"] == "piezo":
+        columns = [Column(document["channel"]), Column("value", format=3)]
+        rows = [
+            [word, formatted(_times(factor, document[key]), 3, unit)]
+            for word, key, factor, unit in (
+                ("hysteresis", "hysteresis", 1.0, output),
+                ("  its standard error", "hysteresis_std", 1.0, output),
+                ("  over the range", "hysteresis_share", 100.0, "%"),
+                ("creep per step", "creep", 100.0, "%"),
+                ("gain per step", "step_gain", 1.0, f"{output}/{source}"),
+                ("non-uniformity of the steps", "uniformity", 100.0, "%"),
+            )
+        ]
+        return Table(title, columns, rows, document["notes"])
+    factor, unit = shown_unit(output)
+    names = {
+        "rms": "rms off\nlinear\n",
+        "largest": "largest\n",
+        "hysteresis": "hysteresis\n",
+        "hysteresis_std": "its std\n",
+    }
+    columns = [Column("static gain"), Column("value", format=5), Column("std", format=2)]
+    columns += [Column(name, unit, 3) for name in names.values()]
+    gains = [
+        [f"{row['input']} to {row['output']}", row["gain"], row["std"], *(_times(factor, row[key]) for key in names)]
+        for row in document["gains"]
+    ]
+    return Table(title, columns, gains, document["notes"])
+
+
+def _times(factor: float, value: float | None) -> float | None:
+    return None if value is None else factor * value

@@ -1,1 +1,0 @@
-"""Sections of the page, one file each: functions from results to blocks."""

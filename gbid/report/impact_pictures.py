@@ -1,0 +1,329 @@
+"""Impact responses of several loops: mean and standard deviation over the impacts, along x and along y."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.impact.study import ImpactStudy, ImpactValidation
+from gbid.core.arrays import FloatArray, point_label
+from gbid.core.brief import Brief
+from gbid.core.errors import UsageError
+from gbid.report.canvas import TWO_COLUMNS, legend_above, letter, panels, series, styled
+from gbid.report.named import NamedFigure
+from gbid.report.read import Results
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+# ---- Responses of the disc to an impact, with the force (paper, Figs. 22 to 27).
+
+_MICROMETRES = 1e6
+_BEFORE = 25  # number of samples shown before an impact
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactCurves(Brief):
+    """Responses of the disc to impacts.
+
+    Attributes
+    ----------
+    time : (n,) array
+        Time from the impact [s].
+    responses : dict of str to (n,) array
+        Positions [m] by label, as ``{"open loop": ..., "closed loop": ...}``.
+    forces : dict of str to (n,) array
+        Impact forces [N] by label; empty without forces.
+    axis : {"x", "y"}
+        Axis of the impact.
+    title : str
+        Title of the figure, as the operating point.
+    """
+
+    time: FloatArray
+    responses: Mapping[str, FloatArray]
+    forces: Mapping[str, FloatArray] = field(default_factory=dict)
+    axis: str = "x"
+    title: str = ""
+
+
+@styled
+def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+    """Draw impact responses, with the forces below.
+
+    Parameters
+    ----------
+    data : ImpactCurves
+        Data of the figure.
+    ax : sequence of matplotlib Axes, optional
+        Axes of the responses, and axes of the forces if there are any; a new figure when left out.
+
+    Returns
+    -------
+    (n_panels,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When the lengths of a curve and of the time differ.
+    """
+    for label, curve in (*data.responses.items(), *data.forces.items()):
+        if np.shape(curve) != np.shape(data.time):
+            raise UsageError(f"curve {label!r} has shape {np.shape(curve)}, the time {np.shape(data.time)}")
+    rows = 2 if data.forces else 1
+    ratios = {"height_ratios": [2, 1][:rows]}
+    size = (TWO_COLUMNS, 1.1 + 1.35 * rows)
+    figure, axes = panels(ax, rows, 1, size=size, sharex=True, **ratios)
+    labels = list(dict.fromkeys([*data.responses, *data.forces]))
+    for curves, panel, scale in ((data.responses, axes[0], _MICROMETRES), (data.forces, axes[rows - 1], 1.0)):
+        for label, curve in curves.items():
+            style = series(labels.index(label), marker=None, linewidth=1.1)
+            panel.plot(1e3 * data.time, scale * curve, label=label, **style)
+    axes[0].set_ylabel(f"$p_{data.axis}$ [µm]")
+    if data.forces:
+        axes[1].set_ylabel("force [N]")
+        letter(axes)
+    axes[rows - 1].set_xlabel("time [ms]")
+    axes[rows - 1].set_xlim(1e3 * data.time[0], 1e3 * data.time[-1])
+    figure.align_ylabels(axes)
+    legend_above(figure, axes[0], title=data.title)
+    return np.array(axes[:rows], dtype=object)
+
+
+def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal["x", "y"]) -> ImpactCurves:
+    """Return the responses to the first impact in open and closed loop, for `plot_impact` (Figs. 22, 23, 26, 27).
+
+    Parameters
+    ----------
+    open_loop, closed_loop : ImpactStudy
+        Impact studies at one operating point.
+    axis : {"x", "y"}
+        Axis of the impacts.
+
+    Returns
+    -------
+    ImpactCurves
+        Measured positions without their offset, but with unbalance and run-out.
+
+    Raises
+    ------
+    UsageError
+        When a loop has no impact along this axis.
+    """
+    found = {"open loop": validation_along(open_loop, axis), "closed loop": validation_along(closed_loop, axis)}
+    j = "xy".index(axis)
+    starts = {label: max(0, v.windows[0][0] - _BEFORE) for label, v in found.items()}
+    first = found["open loop"]
+    length = min(first.windows[0][1] - starts["open loop"], *(_until_next(v) - starts[k] for k, v in found.items()))
+    parts = {label: slice(start, start + length) for label, start in starts.items()}
+    return ImpactCurves(
+        first.time[parts["open loop"]] - first.time[first.windows[0][0]],
+        {label: v.measured[parts[label], j] for label, v in found.items()},
+        {label: v.force[parts[label], j] for label, v in found.items()},
+        axis,
+        point_label(open_loop.conditions["pressure_bar"], open_loop.conditions["speed_rpm"]),
+    )
+
+
+def impact_validation_data(study: ImpactStudy, axis: Literal["x", "y"]) -> ImpactCurves:
+    """Return measured and simulated response to the first impact, for `plot_impact` (Figs. 24, 25).
+
+    Parameters
+    ----------
+    study : ImpactStudy
+        Impact study.
+    axis : {"x", "y"}
+        Axis of the impacts.
+
+    Returns
+    -------
+    ImpactCurves
+        Responses without unbalance and run-out.
+
+    Raises
+    ------
+    UsageError
+        When the study has no impact along this axis.
+    """
+    v, j = validation_along(study, axis), "xy".index(axis)
+    part = slice(max(0, v.windows[0][0] - _BEFORE), v.windows[0][1])
+    place = point_label(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
+    measured = v.measured[part, j] - v.stationary[part, j]
+    return ImpactCurves(
+        v.time[part] - v.time[v.windows[0][0]],
+        {"measured": measured, "simulated": v.simulated[part, j]},
+        {},
+        axis,
+        f"{place}, {study.loop} loop, fit over all impacts {v.along_percent:.1f} %",
+    )
+
+
+def validation_along(study: ImpactStudy, axis: str) -> ImpactValidation:
+    """Return the validation of the recording with impacts along an axis.
+
+    Raises
+    ------
+    UsageError
+        When the study has none.
+    """
+    for validation in study.validations:
+        if validation.axis == axis:
+            return validation
+    there = ", ".join(v.axis for v in study.validations) or "none"
+    raise UsageError(f"no impact along {axis} in {study.loop} loop; there is {there}")
+
+
+def _until_next(validation: ImpactValidation) -> int:
+    """Return the sample at which the second impact begins, or the end."""
+    return validation.windows[1][0] if len(validation.windows) > 1 else len(validation.time)
+
+
+def _both_loops(axis: Literal["x", "y"], rotating: bool, results: Results) -> ImpactCurves:
+    loops = results.impacts_at(rotating)
+    return impact_data(loops["open"], loops["closed"], axis)
+
+
+def _validated(axis: Literal["x", "y"], results: Results) -> ImpactCurves:
+    return impact_validation_data(results.impacts_at(False)["closed"], axis)
+
+
+_FIGURES_IMPACT_CURVES = (
+    NamedFigure("fig22_impact_x", partial(_both_loops, "x", False), plot_impact),
+    NamedFigure("fig23_impact_y", partial(_both_loops, "y", False), plot_impact),
+    NamedFigure("fig24_impact_model_x", partial(_validated, "x"), plot_impact),
+    NamedFigure("fig25_impact_model_y", partial(_validated, "y"), plot_impact),
+    NamedFigure("fig26_impact_turning_x", partial(_both_loops, "x", True), plot_impact),
+    NamedFigure("fig27_impact_turning_y", partial(_both_loops, "y", True), plot_impact),
+)
+
+
+_BEFORE_S = 5e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactLoops(Brief):
+    """Mean responses of several loops to impacts.
+
+    Attributes
+    ----------
+    time : (n,) array
+        Time from the impact [s].
+    mean, spread : dict of str to (n, 2) array
+        Mean and standard deviation of the position along the impact [m], by loop. The first column is x after impacts
+        along x, the second y after impacts along y; nan for an axis without impacts.
+    title : str
+        Title of the figure.
+    """
+
+    time: FloatArray
+    mean: Mapping[str, FloatArray]
+    spread: Mapping[str, FloatArray]
+    title: str = ""
+
+
+def impact_loops_data(studies: Mapping[str, ImpactStudy], duration_s: float = 0.05) -> ImpactLoops:
+    """Return mean and standard deviation of the impact responses of each loop, for `plot_impact_loops`.
+
+    Parameters
+    ----------
+    studies : dict of str to ImpactStudy
+        Impact studies at one operating point, by the label of the loop.
+    duration_s : float
+        Time shown after an impact [s]; it is shorter when the next impact comes earlier.
+
+    Returns
+    -------
+    ImpactLoops
+        Responses without unbalance and run-out.
+
+    Raises
+    ------
+    UsageError
+        When there are no studies, or when their operating points or sample times differ.
+    """
+    found = list(studies.values())
+    steps = [float(v.time[1] - v.time[0]) for study in found for v in study.validations]
+    if not steps or any(s.conditions != found[0].conditions for s in found) or np.ptp(steps) > 1e-9:
+        raise UsageError("loops to be compared need impacts at one operating point, sampled alike")
+    before = round(_BEFORE_S / steps[0])
+    after = round(duration_s / steps[0])
+    for study in found:
+        for v in study.validations:
+            ends = [*(start for start, _ in v.windows[1:]), len(v.time)]
+            after = min(after, *(end - start for (start, _), end in zip(v.windows, ends, strict=True)))
+            before = min(before, v.windows[0][0])
+    parts = {label: _averaged(study, before, after) for label, study in studies.items()}
+    point = found[0].conditions
+    return ImpactLoops(
+        np.asarray(steps[0] * np.arange(-before, after)),
+        {label: mean for label, (mean, _) in parts.items()},
+        {label: spread for label, (_, spread) in parts.items()},
+        point_label(point["pressure_bar"], point["speed_rpm"]),
+    )
+
+
+def _averaged(study: ImpactStudy, before: int, after: int) -> tuple[FloatArray, FloatArray]:
+    mean, spread = np.full((2, before + after, 2), np.nan)
+    for j, axis in enumerate("xy"):
+        if any(v.axis == axis for v in study.validations):
+            impacts = _cut(validation_along(study, axis), j, before, after)
+            mean[:, j], spread[:, j] = impacts.mean(axis=0), impacts.std(axis=0, ddof=min(1, len(impacts) - 1))
+    return mean, spread
+
+
+def _cut(v: ImpactValidation, j: int, before: int, after: int) -> FloatArray:
+    moved = v.measured[:, j] - v.stationary[:, j]
+    return np.array([moved[start - before : start + after] for start, _ in v.windows])
+
+
+@styled
+def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+    """Draw the impact responses of several loops, along x above and along y below.
+
+    Parameters
+    ----------
+    data : ImpactLoops
+        Data of the figure.
+    ax : sequence of two matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+
+    Returns
+    -------
+    (2,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
+    """
+    figure, axes = panels(ax, 2, 1, size=(TWO_COLUMNS, 4.4), sharex=True)
+    for k, (label, mean) in enumerate(data.mean.items()):
+        style = series(k, marker=None, linewidth=1.2)
+        for j, panel in enumerate(axes[:2]):
+            middle, half = _MICROMETRES * mean[:, j], _MICROMETRES * data.spread[label][:, j]
+            panel.fill_between(1e3 * data.time, middle - half, middle + half, color=style["color"], alpha=0.2, lw=0)
+            panel.plot(1e3 * data.time, middle, label=label, **style)
+    for j, axis in enumerate("xy"):
+        axes[j].set_ylabel(f"$p_{axis}$, impact along {axis} [µm]")
+    letter(axes[:2])
+    axes[1].set_xlabel("time [ms]")
+    axes[1].set_xlim(1e3 * data.time[0], 1e3 * data.time[-1])
+    figure.align_ylabels(axes[:2])
+    legend_above(figure, axes[0], title=data.title)
+    return np.array(axes[:2], dtype=object)
+
+
+def _drawn(loops: Mapping[str, ImpactStudy]) -> npt.NDArray[np.object_]:
+    return plot_impact_loops(impact_loops_data(loops))
+
+
+_FIGURES_IMPACT_BANDS = (
+    NamedFigure("designs_impacts", lambda results: results.beside_at(False), _drawn),
+    NamedFigure("designs_impacts_turning", lambda results: results.beside_at(True), _drawn),
+)
+
+
+FIGURES = (*_FIGURES_IMPACT_CURVES, *_FIGURES_IMPACT_BANDS)

@@ -1,0 +1,754 @@
+"""Damping map: smallest damping factor over pressure and speed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control import sensitivity_data
+from gbid.control.assess import TunedDesign
+from gbid.control.tuning.result import GainResult
+from gbid.core.arrays import ComplexArray, FloatArray, point_label
+from gbid.core.brief import Brief
+from gbid.core.errors import DataError, UsageError
+from gbid.experiment.stages.cycle import CycleRow
+from gbid.report.canvas import (
+    BLACK,
+    GREY,
+    RED,
+    SERIES,
+    TWO_COLUMNS,
+    ink,
+    legend_above,
+    letter,
+    panels,
+    series,
+    styled,
+    symbol,
+)
+from gbid.report.named import NamedFigure
+from gbid.report.read import (
+    Results,
+    comparable_designs,
+    design_performances,
+    published_controller,
+    published_gains,
+    shown_point,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from gbid.control import SensitivityData
+    from gbid.lpv import LPVModel
+    from gbid.structure import LinearModel
+
+
+@dataclass(frozen=True, eq=False)
+class DampingMap(Brief):
+    """Smallest damping factor over the operating range.
+
+    Attributes
+    ----------
+    pressure_bar : (n,) array
+        Injection pressures [bar].
+    speed_rpm : (m,) array
+        Speeds [rpm].
+    damping : (n, m) array
+        Smallest damping factor; negative for an unstable loop.
+    points : (k, 2) array
+        Operating points with a mark: pressure [bar], speed [rpm].
+    title : str
+        Title of the figure.
+    """
+
+    pressure_bar: FloatArray
+    speed_rpm: FloatArray
+    damping: FloatArray
+    points: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    title: str = ""
+
+
+def damping_map_data(
+    model: LPVModel,
+    controller: LinearModel | Callable[[tuple[float, float]], LinearModel] | None = None,
+    *,
+    n: int = 21,
+    points: npt.ArrayLike | None = None,
+    pade_order: int | None = None,
+    title: str = "",
+) -> DampingMap:
+    """Return the smallest damping factor of the modes over the domain of a model.
+
+    Parameters
+    ----------
+    model : LPVModel
+        LPV model.
+    controller : LinearModel or callable, optional
+        Controller from p to r, or a function from ``(pressure_bar, speed_rpm)`` to it; open loop when left out.
+    n : int
+        Number of points in each direction.
+    points : (k, 2) array, optional
+        Operating points with a mark; those of the model when left out.
+    pade_order : int, optional
+        Order of the Padé approximation of the delays; that of the model when left out.
+    title : str
+        Title of the figure.
+
+    Returns
+    -------
+    DampingMap
+        Smallest damping factors; negative for an unstable loop.
+    """
+    from gbid.control import close_loop, smallest_damping
+
+    pressure, speed = (np.linspace(*ends, n) for ends in (model.domain.pressure_bar, model.domain.speed_rpm))
+    damping = np.empty((n, n))
+    for i, bar in enumerate(map(float, pressure)):
+        for j, rpm in enumerate(map(float, speed)):
+            plant = model.plant_at(bar, rpm, pade_order=pade_order)
+            here = controller((bar, rpm)) if callable(controller) else controller
+            damping[i, j] = smallest_damping(plant if here is None else close_loop(plant, here))
+    marked = np.array(model.operating_points if points is None else points, float).reshape(-1, 2)
+    return DampingMap(pressure, speed, damping, marked, title)
+
+
+@styled
+def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
+    """Draw lines of equal damping over pressure and speed; regions of instability are hatched.
+
+    Parameters
+    ----------
+    data : DampingMap
+        Data of the figure.
+    ax : matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
+    """
+    figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
+    grid = (data.pressure_bar, 1e-3 * data.speed_rpm, data.damping.T)
+    shades = panel.contourf(*grid, levels=12, cmap="viridis")
+    lines = panel.contour(*grid, levels=shades.levels, colors="white", linewidths=0.5)
+    panel.clabel(lines, list(lines.levels)[1:-1:2], fmt="%.3g", fontsize=7, inline=True)
+    if (data.damping < 0).any():
+        panel.contourf(*grid, levels=[-np.inf, 0.0], colors="none", hatches=["////"])
+        panel.contour(*grid, levels=[0.0], colors=RED, linewidths=1.4)
+    if len(data.points):
+        look: dict[str, Any] = {
+            "color": BLACK,
+            "markersize": 4.5,
+            "markerfacecolor": "white",
+            "markeredgewidth": 0.8,
+            "clip_on": False,
+        }
+        panel.plot(data.points[:, 0], 1e-3 * data.points[:, 1], "o", **look)
+    bar = figure.colorbar(shades, ax=panel, pad=0.02)
+    bar.set_label("smallest damping factor [-]")
+    bar.ax.tick_params(labelsize=8)
+    panel.set_xlabel("injection pressure [bar]")
+    panel.set_ylabel("speed [1000 rpm]")
+    panel.grid(False)
+    if data.title:
+        panel.set_title(data.title, loc="left", pad=6)
+    return panel
+
+
+# ---- Poles: eigenvalue map, and root locus over a factor on the gains.
+
+
+@dataclass(frozen=True, eq=False)
+class Eigenvalues(Brief):
+    """Poles of several models.
+
+    Attributes
+    ----------
+    poles : dict of str to (n,) complex array
+        Poles by label [rad/s].
+    title : str
+        Title of the figure.
+    """
+
+    poles: Mapping[str, ComplexArray]
+    title: str = ""
+
+
+def eigenvalues_data(models: Mapping[str, LinearModel], title: str = "") -> Eigenvalues:
+    """Return the poles of models.
+
+    Parameters
+    ----------
+    models : dict of str to LinearModel
+        Models by label.
+    title : str
+        Title of the figure.
+
+    Returns
+    -------
+    Eigenvalues
+        Poles by label.
+    """
+    return Eigenvalues({label: model.poles() for label, model in models.items()}, title)
+
+
+@styled
+def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Axes:
+    """Draw poles in the upper half plane, with rays of equal damping.
+
+    Parameters
+    ----------
+    data : Eigenvalues
+        Data of the figure.
+    ax : matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+    largest_hz : float
+        Largest distance from zero of the poles shown [Hz].
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
+    """
+    figure, (panel, *_) = panels(ax, size=(4.6, 3.6))
+    for k, (label, poles) in enumerate(data.poles.items()):
+        near = _hertz(poles)
+        near = near[(np.abs(near) <= largest_hz) & (near.imag >= -1e-9)]
+        look = series(k, linestyle="none", markersize=5, markerfacecolor="none", markeredgewidth=1.1)
+        panel.plot(near.real, near.imag, label=label, **look)
+    _finish_plane(panel, largest_hz)
+    legend_above(figure, panel, columns=4, title=data.title)
+    return panel
+
+
+@dataclass(frozen=True, eq=False)
+class RootLocus(Brief):
+    """Poles of a closed loop over a factor on the controller.
+
+    Attributes
+    ----------
+    factor : (n,) array
+        Factors.
+    poles : (n, n_poles) complex array
+        Poles for each factor [rad/s].
+    label : str
+        Meaning of the factor, for the colour bar.
+    title : str
+        Title of the figure.
+    """
+
+    factor: FloatArray
+    poles: ComplexArray
+    label: str = "factor on the gains [-]"
+    title: str = ""
+
+
+def root_locus_data(
+    plant: LinearModel,
+    controller: Callable[[float], LinearModel],
+    factor: npt.ArrayLike,
+    *,
+    label: str = "factor on the gains [-]",
+    title: str = "",
+) -> RootLocus:
+    """Return the poles of a closed loop over a factor on the controller.
+
+    Parameters
+    ----------
+    plant : LinearModel
+        Plant.
+    controller : callable
+        Function from the factor to the controller, as ``lambda f: p_controller(f * 1.125, f * 0.99)``.
+    factor : (n,) array
+        Factors.
+    label, title : str
+        Meaning of the factor, and title of the figure.
+
+    Returns
+    -------
+    RootLocus
+        Poles for each factor.
+    """
+    from gbid.control import close_loop
+
+    factors = np.atleast_1d(np.asarray(factor, float))
+    poles = np.array([close_loop(plant, controller(float(f))).poles() for f in factors])
+    return RootLocus(factors, poles, label, title)
+
+
+@styled
+def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Axes:
+    """Draw the path of the poles in the upper half plane, from circles to squares.
+
+    Parameters
+    ----------
+    data : RootLocus
+        Data of `root_locus_data`.
+    ax : matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+    largest_hz : float
+        Largest distance from zero of the poles shown [Hz].
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
+    """
+    figure, (panel, *_) = panels(ax, size=(5.2, 3.6))
+    poles = _hertz(data.poles)
+    shown = (np.abs(poles) <= largest_hz) & (poles.imag >= -1e-9)
+    factor = np.broadcast_to(data.factor[:, None], poles.shape)
+    cloud = panel.scatter(poles.real[shown], poles.imag[shown], s=5, c=factor[shown], cmap="viridis", linewidths=0)
+    for row, marker in ((0, "o"), (-1, "s")):
+        at, near = poles[row], shown[row]
+        look: dict[str, Any] = {"color": ink(), "markersize": 5, "markerfacecolor": "none", "linestyle": "none"}
+        label = f"{data.factor[row]:g}"
+        panel.plot(at.real[near], at.imag[near], marker=marker, label=label, **look)
+    bar = figure.colorbar(cloud, ax=panel, pad=0.02)
+    bar.set_label(data.label)
+    _finish_plane(panel, largest_hz)
+    panel.legend(loc="lower left", title="factor", title_fontsize=8)
+    if data.title:
+        panel.set_title(data.title, loc="left", pad=6)
+    return panel
+
+
+def _hertz(poles: ComplexArray) -> ComplexArray:
+    return np.asarray(poles / (2 * np.pi), np.complex128)
+
+
+def _finish_plane(ax: Any, largest_hz: float) -> None:
+    """Draw rays of equal damping, labels with units, and the limit of stability."""
+    ax.axvline(0.0, color=ink(), linewidth=0.9)
+    left, right = ax.get_xlim()
+    left = min(left, -0.05 * largest_hz)
+    right = max(right, 0.02 * largest_hz)
+    top = min(1.05 * largest_hz, 1.15 * ax.get_ylim()[1])
+    written = 0.0
+    for zeta in (0.7, 0.4, 0.2, 0.1, 0.05, 0.02):
+        slope = np.sqrt(1 - zeta**2) / zeta
+        reach = min(-left, top / slope)
+        ax.plot([0, -reach], [0, reach * slope], color=GREY, linewidth=0.6, linestyle=(0, (4, 3)), zorder=0)
+        at_edge = reach < top / slope
+        if at_edge or not written or written - reach > 0.07 * (right - left):  # otherwise the numbers overlap
+            look: dict[str, Any] = {"ha": "left", "va": "top"} if at_edge else {"ha": "center", "va": "bottom"}
+            shift = (2, -3) if at_edge else (0, 1)
+            word = {"fontsize": 7, "color": "#666666", "textcoords": "offset points", "xytext": shift}
+            ax.annotate(f"{zeta:g}", (-reach, reach * slope), **word, **look)
+            written = written if at_edge else reach
+    ax.set_xlim(left, right)
+    ax.set_ylim(-0.02 * top, top)
+    ax.set_xlabel("real part / 2π [Hz]; dashed: equal damping factor")
+    ax.set_ylabel("imaginary part / 2π [Hz]")
+
+
+# ---- Magnitudes over frequency: sensitivities and Bode magnitudes of the loop (paper, Figs. 20 and 21).
+
+_RANGE_DB = 90.0
+
+
+@dataclass(frozen=True, eq=False)
+class MagnitudeCurves(Brief):
+    """Frequency responses of several transfer functions, with a panel for each pair of channels.
+
+    Attributes
+    ----------
+    frequency_hz : (n,) array
+        Frequencies [Hz].
+    responses : dict of str to (n, n_outputs, n_inputs) complex array
+        Frequency responses by label of the legend.
+    output_names, input_names : tuple of str
+        Names of the channels.
+    title : str
+        Title of the figure, as operating point and controller.
+    """
+
+    frequency_hz: FloatArray
+    responses: Mapping[str, ComplexArray]
+    output_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    title: str = ""
+
+
+def sensitivity_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
+    """Return the sensitivities ``S_o`` and ``K_pl S_o`` of a loop (Fig. 20).
+
+    Parameters
+    ----------
+    data : SensitivityData
+        Result of `gbid.control.sensitivity_data`.
+    title : str
+        Title of the figure, as operating point and controller.
+
+    Returns
+    -------
+    MagnitudeCurves
+        Frequency responses.
+    """
+    curves = {"output sensitivity $S_o$": data.output, "controller sensitivity $K_{pl} S_o$": data.control}
+    return MagnitudeCurves(data.frequency_hz, curves, data.output_names, data.output_names, title)
+
+
+def bode_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
+    """Return the transfer functions ``G`` of the open loop and ``S_o G`` of the closed loop (Fig. 21).
+
+    Parameters
+    ----------
+    data : SensitivityData
+        Result of `gbid.control.sensitivity_data`.
+    title : str
+        Title of the figure, as operating point and controller.
+
+    Returns
+    -------
+    MagnitudeCurves
+        Frequency responses.
+    """
+    curves = {"open loop $G$": data.open_loop, "closed loop $S_o G$": data.plant}
+    return MagnitudeCurves(data.frequency_hz, curves, data.output_names, data.input_names, title)
+
+
+@styled
+def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> npt.NDArray[np.object_]:
+    """Draw magnitudes over frequency, in decibels relative to 1 m/m.
+
+    Parameters
+    ----------
+    data : MagnitudeCurves
+        Data of `sensitivity_curves` or `bode_curves`.
+    ax : array of matplotlib Axes, optional
+        Axes with a row for each output and a column for each input; a new figure when left out.
+
+    Returns
+    -------
+    (n_outputs, n_inputs) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When the shape of a response does not fit the channels and frequencies.
+    """
+    shape = (len(data.frequency_hz), len(data.output_names), len(data.input_names))
+    for label, response in data.responses.items():
+        if response.shape != shape:
+            raise UsageError(f"response {label!r} has shape {response.shape}, expected {shape}")
+    rows, columns = shape[1:]
+    size = (TWO_COLUMNS, 0.7 + 1.9 * rows)
+    figure, axes = panels(ax, rows, columns, size=size, sharex=True, sharey=True)  # type: ignore[arg-type]
+    for i, output in enumerate(data.output_names):
+        for j, source in enumerate(data.input_names):
+            panel = axes[columns * i + j]
+            panel.axhline(0.0, color=GREY, linewidth=0.7)
+            for k, (label, response) in enumerate(data.responses.items()):
+                with np.errstate(divide="ignore"):
+                    level = 20 * np.log10(np.abs(response[:, i, j]))
+                level = np.where(np.isfinite(level), level, np.nan)
+                panel.semilogx(data.frequency_hz, level, label=label, **series(k, marker=None))
+            panel.set_title(f"{symbol(source)} to {symbol(output)}", loc="right", pad=4)
+            panel.set_xlim(data.frequency_hz[0], data.frequency_hz[-1])
+            if j == 0:
+                panel.set_ylabel("magnitude [dB re 1 m/m]")
+            if i == rows - 1:
+                panel.set_xlabel("frequency [Hz]")
+    with np.errstate(divide="ignore"):
+        top = 10 * np.ceil(max(2 * np.log10(np.abs(response).max()) for response in data.responses.values()))
+    axes[0].set_ylim(top - _RANGE_DB, top + 3)
+    letter(axes)
+    legend_above(figure, axes[0], title=data.title)
+    return np.array(axes[: rows * columns], dtype=object).reshape(rows, columns)
+
+
+def _loop(
+    curves: Callable[[SensitivityData, str], MagnitudeCurves],
+    results: Results,
+) -> MagnitudeCurves:
+    """Return curves of the identified model in the loop with the published controller."""
+    point = shown_point(results.identified)
+    plant, d = results.identified.plant_at(*point), published_gains(results.machine)
+    gains = f"$\\kappa_x$ = {d.kappa_x:g}, $\\kappa_y$ = {d.kappa_y:g} m/m, low-pass {d.lowpass_hz:g} Hz"
+    data = sensitivity_data(plant, published_controller(results.machine))
+    return curves(data, f"{point_label(*point)}; {gains}")
+
+
+_FIGURES_MAGNITUDES = (
+    NamedFigure("fig20_sensitivities", partial(_loop, sensitivity_curves), plot_magnitudes),
+    NamedFigure("fig21_bode", partial(_loop, bode_curves), plot_magnitudes),
+)
+
+
+# ---- Pareto front of robustness and damping.
+
+
+@dataclass(frozen=True, eq=False)
+class ParetoCurves(Brief):
+    """Pareto fronts of robustness and damping, and single designs.
+
+    Attributes
+    ----------
+    peak_sensitivity : dict of str to (n,) array
+        Peak of S_o of the designs, by structure of the controller.
+    damping : dict of str to (n,) array
+        Smallest damping factor of the same designs.
+    designs : dict of str to (peak, damping)
+        Single designs with a mark, as the paper's gains.
+    title : str
+        Title of the figure.
+    """
+
+    peak_sensitivity: Mapping[str, FloatArray]
+    damping: Mapping[str, FloatArray]
+    designs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    title: str = ""
+
+
+def pareto_data(
+    designs: Mapping[str, Sequence[tuple[float, float]]],
+    marked: Mapping[str, tuple[float, float]] | None = None,
+    title: str = "",
+) -> ParetoCurves:
+    """Return designs in ascending order of their peak sensitivity.
+
+    Parameters
+    ----------
+    designs : dict of str to sequence of (peak_sensitivity, damping)
+        Designs by structure of the controller.
+    marked : dict of str to (peak_sensitivity, damping), optional
+        Single designs with a mark.
+    title : str
+        Title of the figure.
+
+    Returns
+    -------
+    ParetoCurves
+        Fronts and single designs.
+    """
+    sorted_designs = {label: np.array(sorted(pairs), float).reshape(-1, 2) for label, pairs in designs.items()}
+    peaks = {label: pairs[:, 0] for label, pairs in sorted_designs.items()}
+    damping = {label: pairs[:, 1] for label, pairs in sorted_designs.items()}
+    return ParetoCurves(peaks, damping, dict(marked or {}), title)
+
+
+def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoCurves:
+    """Return the fronts of comparable designs, with the published designs, for `plot_pareto`.
+
+    Parameters
+    ----------
+    designs : dict of str to TunedDesign
+        Designs by name; each has its designs for other limits of the peak sensitivity.
+
+    Returns
+    -------
+    ParetoCurves
+        Fronts by structure; designs that violate a limit are left out.
+
+    Raises
+    ------
+    DataError
+        When there are no designs.
+    """
+    chosen = comparable_designs(designs)
+    fronts: dict[str, list[tuple[float, float]]] = {}
+    for name, design in chosen.items():
+        results = [design.result, *(result for _, result in design.front)]
+        label = design.performance[0].structure if design.performance else name
+        label = name if label in fronts else label
+        fronts[label] = [_place(result) for result in results if result.success and result.peak_sensitivity is not None]
+    first, marked = next(iter(chosen.values())), {}
+    runs = first.result.sample_time is not None
+    figures = ("sampled_peak_output", "sampled_damping") if runs else ("peak_output", "damping")
+    for performance in design_performances(designs)[len(chosen) :]:
+        peak, damping = (performance.worst[figure][0] for figure in figures)
+        if np.isfinite([peak, damping]).all():
+            marked[performance.name] = (peak, damping)
+    title = f"{first.plant}, worst of {len(first.result.points)} operating points"
+    if first.result.sample_time is not None:
+        title += f", sampled at {1e3 * first.result.sample_time:g} ms"
+    return pareto_data(fronts, marked, title)
+
+
+def _place(result: GainResult) -> tuple[float, float]:
+    assert result.peak_sensitivity is not None
+    return result.peak_sensitivity, result.value
+
+
+@styled
+def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Axes:
+    """Draw the smallest damping factor over the peak of the output sensitivity.
+
+    Parameters
+    ----------
+    data : ParetoCurves
+        Data of the figure.
+    ax : matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
+    """
+    many = len(data.peak_sensitivity) > len(SERIES)  # too many lines for a legend among them
+    _figure, (panel, *_) = panels(ax, size=(5.9 if many else 4.6, 3.1))
+    for k, (label, peak) in enumerate(data.peak_sensitivity.items()):
+        order = np.argsort(peak)
+        values = np.asarray(data.damping[label], float)[order]
+        hollow: dict[str, Any] = (
+            {} if k % (2 * len(SERIES)) < len(SERIES) else {"markerfacecolor": "white"}
+        )  # colours come again
+        panel.plot(np.asarray(peak, float)[order], values, label=label, markersize=3.5, **series(k), **hollow)
+    for k, (label, (peak_so, damping)) in enumerate(data.designs.items()):
+        look: dict[str, Any] = {"color": ink(), "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.3}
+        panel.plot(peak_so, damping, "*sPX"[k % 4], label=label, **look)
+    panel.set_xlabel("peak of the output sensitivity $S_o$ [-]")
+    panel.set_ylabel("smallest damping factor [-]")
+    panel.set_ylim(bottom=0.0)
+    panel.legend(**({"loc": "center left", "bbox_to_anchor": (1.02, 0.5)} if many else {"loc": "best"}))
+    if data.title:
+        panel.set_title(data.title, loc="left", pad=4)
+    return panel
+
+
+_FIGURES_PARETO_CURVES = (
+    NamedFigure("designs_pareto", lambda results: results.tuned, lambda tuned: plot_pareto(designs_pareto_data(tuned))),
+)
+
+
+# ---- Price of robustness: what designs promise over the probability with which it holds.
+
+
+@styled
+def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = None) -> Axes:
+    """Draw the promised objective of robust designs over the probability, beside that of the nominal design.
+
+    Parameters
+    ----------
+    designs : dict of str to TunedDesign
+        Designs by name; those without promises are left out.
+    ax : matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
+
+    Raises
+    ------
+    DataError
+        When no design has promises.
+    """
+    robust = {name: design for name, design in designs.items() if design.promises}
+    if not robust:
+        raise DataError("no design is robust; write robust: {probability: 0.95, price: [0.5, 0.8]} in its section")
+    _, (panel, *_) = panels(ax, size=(4.6, 3.1))
+    for k, (name, design) in enumerate(robust.items()):
+        look = series(k)
+        at = [p.probability for p in design.promises]
+        panel.plot(at, [p.promised for p in design.promises], label=name, **look)
+        plain = [p.of_nominal for p in design.promises]
+        words = f"{name} for the nominal plant (limits kept: {100 * design.promises[0].limits_of_nominal:.0f} %)"
+        panel.plot(at, plain, label=words, **{**look, "linestyle": ":", "markerfacecolor": "none"})
+    unit = {"damping": "promised damping factor [-]", "decay": "promised decay [1/s]"}
+    objectives = {design.result.objective for design in robust.values()}
+    panel.set_xlabel("probability [-]")
+    panel.set_ylabel(unit.get(objectives.pop(), "promised objective") if len(objectives) == 1 else "promised objective")
+    panel.legend(loc="best")
+    return panel
+
+
+_FIGURES_ROBUSTNESS_PRICE = (
+    NamedFigure(
+        "designs_robust",
+        lambda results: results.tuned,
+        plot_robustness_price,
+    ),
+)
+
+
+# ---- Identification-for-control cycle: damping and certainty over the rounds.
+
+_INTERVAL = 1.96  # standard deviations of an interval of 95 %
+_APART = 0.06  # of the points of one round, so that their intervals do not cover each other
+
+
+@styled
+def plot_cycle(rows: Sequence[CycleRow], ax: Sequence[Axes] | None = None) -> Axes:
+    """Draw what each round of a cycle gains: damping of the loop measured by impacts, and certainty of the model.
+
+    Parameters
+    ----------
+    rows : sequence of CycleRow
+        Rounds and operating points.
+    ax : sequence of matplotlib Axes, optional
+        Two axes to draw into; a new figure when left out.
+
+    Returns
+    -------
+    matplotlib Axes
+        The first axes; ``axes.figure`` is the figure.
+
+    Raises
+    ------
+    DataError
+        When there are no rows.
+    """
+    if not rows:
+        raise DataError("no rounds of a cycle; run `gbid cycle` or `gbid run`")
+    _, (damping, certainty, *_) = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.9))
+    points = list(dict.fromkeys((row.pressure_bar, row.speed_rpm) for row in rows))
+    for i, point in enumerate(points):
+        own = [row for row in rows if (row.pressure_bar, row.speed_rpm) == point]
+        at = np.array([row.round for row in own])
+        look = series(i)
+        away = _APART * (i - (len(points) - 1) / 2)
+        reached, std = np.array([row.reached for row in own]).T
+        bars = {**look, "linestyle": "none", "capsize": 2.5, "elinewidth": 0.9}
+        damping.errorbar(at + away, reached, _INTERVAL * std, label=point_label(*point), **bars)
+        expected = [row.expected_damping for row in own]
+        line = {**look, "marker": None, "linewidth": 0.8}
+        damping.plot(at + away, expected, **line)
+        first = own[0]
+        for name, mark in (("damping", "full"), ("frequency", "none")):
+            stds = [_relative(row, name) / _relative(first, name) for row in own]
+            certainty.plot(at + away, stds, **{**look, "fillstyle": mark}, label=f"{name}, {point_label(*point)}")
+    promised = {row.round: row.promised_damping for row in rows}
+    damping.plot(list(promised), list(promised.values()), color=GREY, linewidth=0.8, label="promised by the design")
+    damping.set_ylabel("smallest damping factor [-]")
+    certainty.set_ylabel("std of the model, round 0 = 1 [-]")
+    certainty.set_ylim(bottom=0)
+    for panel in (damping, certainty):
+        panel.set_xlabel("round")
+        panel.set_xticks(sorted(promised))
+        panel.legend(loc="best", fontsize="small")
+    letter((damping, certainty))
+    return damping
+
+
+def _relative(row: CycleRow, name: str) -> float:
+    """Return the root mean square of the standard deviations of both modes of the bearing."""
+    if name == "damping":
+        return float(np.hypot(row.model_damping_1_std, row.model_damping_2_std))
+    return float(np.hypot(row.model_frequency_1_hz_std, row.model_frequency_2_hz_std))
+
+
+_FIGURES_CYCLE_ROUNDS = (
+    NamedFigure(
+        "cycle",
+        lambda results: results.cycle,
+        plot_cycle,
+        words="Rounds of the cycle: smallest damping of the loop on the rig with 95 % intervals, lines as expected "
+        "from the surfaces of the round; standard deviations of the modes of the bearing, relative to round 0",
+        section="cycle",
+    ),
+)
+
+
+FIGURES = (*_FIGURES_MAGNITUDES, *_FIGURES_PARETO_CURVES, *_FIGURES_ROBUSTNESS_PRICE, *_FIGURES_CYCLE_ROUNDS)

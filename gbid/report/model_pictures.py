@@ -1,0 +1,733 @@
+"""Bode diagram of models with confidence bands, and of a measured frequency response over it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from gbid.control import ISO_LIMITS, Sensitivities, SensitivityZones, sensitivity_zones
+from gbid.core.arrays import ComplexArray, FloatArray, one_of_each_pair
+from gbid.core.brief import Brief
+from gbid.core.errors import UsageError
+from gbid.core.tables import shown_unit
+from gbid.identify import select
+from gbid.identify.uncertainty.curves import (
+    LEVEL,
+    Bode,
+    Excited,
+    PoleZero,
+    TimeResponse,
+    bode,
+    default_grid,
+    ellipse,
+    pole_zero,
+    quantile,
+    time_response,
+)
+from gbid.identify.uncertainty.spectra import MeasuredResponse
+from gbid.identify.uncertainty.uncertain_model import ModelLike, UncertainModel, as_uncertain
+from gbid.recording import Recording
+from gbid.report.canvas import GREY, RED, TWO_COLUMNS, ink, legend_above, panels, plain_label, series, styled, symbol
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+# ---- Logarithmic axis of frequencies with plain numbers.
+
+
+def frequency_axis(ax: Axes, low: float, high: float) -> None:
+    """Set the limits of a logarithmic frequency axis [Hz], with ticks that are readable for short and long ranges."""
+    ax.set_xlim(low, high)
+    subs = (1.0, 2.0, 5.0) if high < 300 * low else (1.0,)
+    ax.xaxis.set_major_locator(LogLocator(subs=subs))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+# ---- Models of a figure: one or several, with their labels.
+
+Sources = ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]
+"""A `LinearModel` or `FitResult`, several of them, or several by label."""
+
+
+def labelled(sources: Sources) -> dict[str, UncertainModel]:
+    """Return the models of a figure by label; without labels, by their names, numbered where they are equal.
+
+    Parameters
+    ----------
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them
+        The models.
+
+    Returns
+    -------
+    dict of str to UncertainModel
+
+    Raises
+    ------
+    UsageError
+        When there is no model, when one of them is something else, or when their channels differ in number.
+    """
+    if isinstance(sources, Mapping):
+        found = {label: as_uncertain(source) for label, source in sources.items()}
+    else:
+        models = [as_uncertain(s) for s in (sources if isinstance(sources, Sequence) else [sources])]
+        names = [m.model.name for m in models]
+        numbered = [f"{name} ({i})" if names.count(name) > 1 else name for i, name in enumerate(names, 1)]
+        found = dict(zip(numbered, models, strict=True))
+    if not found:
+        raise UsageError("no model to draw; give at least one")
+    shapes = {label: m.model.D.shape for label, m in found.items()}
+    if len(set(shapes.values())) > 1:
+        listed = ", ".join(f"{label} {n_y} x {n_u}" for label, (n_y, n_u) in shapes.items())
+        raise UsageError(f"models with different numbers of outputs and inputs in one figure: {listed}")
+    return found
+
+
+_MEASURED: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.0, "color": GREY, "zorder": 1}
+_HEIGHTS = {"magnitude": 1.5, "phase": 1.0, "coherence": 0.7}  # inch
+
+
+def bode_data(sources: Sources, frequency_hz: npt.ArrayLike | None = None) -> dict[str, Bode]:
+    """Return the frequency responses of models at the same frequencies, for `plot_bode`.
+
+    Parameters
+    ----------
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them
+        The models, all with the same number of inputs and outputs.
+    frequency_hz : (n,) array, optional
+        Frequencies above zero [Hz]; by default those that show the poles of all models.
+
+    Returns
+    -------
+    dict of str to Bode
+        Responses with standard deviations, by label.
+
+    Raises
+    ------
+    UsageError
+        When the models differ in the number of channels, or a frequency is not above zero.
+    """
+    models = labelled(sources)
+    if frequency_hz is None:
+        frequency_hz = _common_grid(models)
+    return {label: bode(model, frequency_hz) for label, model in models.items()}
+
+
+def _common_grid(models: Mapping[str, UncertainModel]) -> FloatArray:
+    """Return frequencies that show the poles of all models [Hz]."""
+    return np.unique(np.concatenate([default_grid(m.model) for m in models.values()]))
+
+
+@styled
+def plot_bode(
+    sources: Sources | MeasuredResponse,
+    ax: Axes | npt.ArrayLike | None = None,
+    *,
+    frequency_hz: npt.ArrayLike | None = None,
+    measured: MeasuredResponse | None = None,
+    level: float = LEVEL,
+) -> npt.NDArray[np.object_]:
+    """Draw magnitude and phase of models with confidence bands, and a measured response with its coherence over them.
+
+    Parameters
+    ----------
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them; or MeasuredResponse
+        The models. Those of a fit have confidence bands. A measured response may stand alone.
+    ax : array of matplotlib Axes, optional
+        Axes with a column for each input, and for each output a row of magnitudes and one of phases; with `measured`
+        also one of coherences. A new figure when left out.
+    frequency_hz : (n,) array, optional
+        Frequencies above zero [Hz]; by default those that show the poles, within the band of the measurement.
+    measured : MeasuredResponse, optional
+        Result of `gbid.measured_response`. Values with a standard deviation above half their magnitude are left out.
+    level : float
+        Probability of the confidence bands.
+
+    Returns
+    -------
+    (n_rows, n_inputs) array of matplotlib Axes
+        The axes; ``axes[0, 0].figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When there are too few axes, or when the measurement has other channels than the models.
+    """
+    shape: Bode | MeasuredResponse
+    if isinstance(sources, MeasuredResponse):
+        measured, curves, shape = sources, {}, sources
+    else:
+        curves = bode_data(sources, _within(measured, sources) if frequency_hz is None else frequency_hz)
+        shape = next(iter(curves.values()))
+    n_y, n_u = shape.response.shape[1:]
+    if measured is not None and measured.response.shape[1:] != (n_y, n_u):
+        raise UsageError(
+            f"the measured response has {' x '.join(map(str, measured.response.shape[1:]))} outputs and inputs, the "
+            f"models have {n_y} x {n_u}"
+        )
+    kinds = ("magnitude", "phase", "coherence") if measured is not None else ("magnitude", "phase")
+    heights = [_HEIGHTS[kind] for kind in kinds] * n_y
+    size = (max(TWO_COLUMNS, 2.6 * n_u) if n_u > 1 else 4.6, 0.8 + sum(heights))
+    figure, given = panels(
+        ax,  # type: ignore[arg-type]
+        len(heights),
+        n_u,
+        size=size,
+        sharex=True,
+        gridspec_kw={"height_ratios": heights},
+    )
+    axes = np.array(given[: len(heights) * n_u], dtype=object).reshape(len(heights), n_u)
+    for i in range(n_y):
+        for j in range(n_u):
+            column = axes[len(kinds) * i : len(kinds) * (i + 1), j]
+            for k, (label, curve) in enumerate(curves.items()):
+                _draw(column[0], column[1], curve, i, j, level, label, series(k, marker=None))
+            if measured is not None:
+                _draw_measured(column, measured, next(iter(curves.values()), None), i, j)
+            column[0].set_title(
+                f"{symbol(shape.input_names[j])} to {symbol(shape.output_names[i])}", loc="right", pad=4
+            )
+            for panel, kind in zip(column, kinds, strict=True):
+                if j == 0:
+                    panel.set_ylabel("phase [°]" if kind == "phase" else kind)
+    for j, panel in enumerate(axes[-1]):
+        panel.set_xlabel("frequency [Hz]")
+        for each in axes[:, j]:
+            frequency_axis(each, shape.frequency_hz[0], shape.frequency_hz[-1])
+    if len(curves) + (measured is not None) > 1 or any(curve.has_band for curve in curves.values()):
+        legend_above(figure, axes[0, 0], columns=4)
+    return axes
+
+
+def _draw(
+    magnitude: Axes, phase: Axes, curve: Bode, i: int, j: int, level: float, label: str, style: dict[str, Any]
+) -> None:
+    f = curve.frequency_hz
+    magnitude.loglog(f, curve.magnitude[:, i, j], label=label, **style)
+    phase.semilogx(f, curve.phase_deg[:, i, j], **style)
+    _degrees(phase)
+    if not curve.has_band:
+        return
+    band: dict[str, Any] = {"color": style["color"], "alpha": 0.25, "linewidth": 0}
+    low, high = (side[:, i, j] for side in curve.magnitude_band(level))
+    shown = _within_decades(curve.magnitude[:, i, j])
+    magnitude.fill_between(f, np.clip(low, *shown), np.clip(high, *shown), label=f"{100 * level:g} %", **band)
+    low, high = (side[:, i, j] for side in curve.phase_band(level))
+    middle = curve.phase_deg[:, i, j]
+    phase.fill_between(f, np.maximum(low, middle - 180), np.minimum(high, middle + 180), **band)
+
+
+def _within(measured: MeasuredResponse | None, sources: Sources) -> FloatArray | None:
+    """Return frequencies that show the poles of all models within the band of a measurement [Hz]."""
+    if measured is None:
+        return None
+    grid = _common_grid(labelled(sources))
+    low, high = measured.frequency_hz[[0, -1]]
+    return np.unique(np.concatenate([grid[(grid > low) & (grid < high)], [low, high]]))
+
+
+def _draw_measured(
+    column: npt.NDArray[np.object_], measured: MeasuredResponse, model: Bode | None, i: int, j: int
+) -> None:
+    f, value = measured.frequency_hz, measured.response[:, i, j]
+    clear = measured.std[:, i, j] < 0.5 * np.abs(value)
+    limits = column[0].get_ylim()  # those of the model: where there is only noise, the points lie anywhere
+    look = _MEASURED if model is not None else {**_MEASURED, "color": ink()}
+    column[0].loglog(f[clear], np.abs(value[clear]), label="measured", **look)
+    phase = np.degrees(np.unwrap(np.angle(value)))
+    if model is not None:
+        column[0].set_ylim(0.5 * limits[0], 2 * limits[1])
+        near = np.interp(f, model.frequency_hz, model.phase_deg[:, i, j])
+        phase = phase + 360 * np.round((near - phase) / 360)  # on the turn of the model
+    column[1].semilogx(f[clear], phase[clear], **look)
+    _degrees(column[1])
+    column[2].semilogx(f, measured.coherence[:, i], color=GREY, linewidth=0.9)
+    column[2].set_ylim(0.0, 1.05)
+
+
+def _degrees(ax: Axes) -> None:
+    """Put the ticks of a phase at parts of a turn."""
+    ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 1.8, 4.5, 9, 10]))
+
+
+def _within_decades(magnitude: FloatArray) -> tuple[float, float]:
+    """Return limits for a band, so that one that is very wide somewhere does not flatten the curve."""
+    positive = magnitude[magnitude > 0]
+    return (0.01 * float(positive.min()), 100 * float(positive.max())) if len(positive) else (1e-300, 1e300)
+
+
+# ---- Campbell diagram: natural frequencies over speed with their uncertainty, and the orders of the rotation.
+
+
+@dataclass(frozen=True, eq=False)
+class Campbell(Brief):
+    """Natural frequencies of models over speed.
+
+    Attributes
+    ----------
+    speed_rpm : (n,) array
+        Speeds [rpm], ascending.
+    frequency_hz, std_hz : (n, n_modes) array
+        Natural frequencies and their standard deviations [Hz]; nan where a model has fewer modes or no uncertainty.
+    damping : (n, n_modes) array
+        Damping factors.
+    """
+
+    speed_rpm: FloatArray
+    frequency_hz: FloatArray
+    std_hz: FloatArray
+    damping: FloatArray
+
+
+def campbell_data(models: Mapping[float, ModelLike]) -> Campbell:
+    """Return the natural frequencies of models over speed, for `plot_campbell`.
+
+    Parameters
+    ----------
+    models : dict of float to LinearModel or FitResult
+        Models by speed [rpm].
+
+    Returns
+    -------
+    Campbell
+
+    Raises
+    ------
+    UsageError
+        When there is no model.
+    """
+    if not models:
+        raise UsageError("no model to draw; give at least one by its speed in rpm")
+    speeds = sorted(models)
+    rows = []
+    for speed in speeds:
+        found = pole_zero(models[speed])
+        keep = np.flatnonzero(one_of_each_pair(found.poles))
+        poles = found.poles[keep]
+        towards = np.column_stack([poles.real, poles.imag]) / np.abs(poles)[:, None]
+        variance = np.einsum("ia,iab,ib->i", towards, found.pole_covariance[keep], towards)
+        rows.append((np.abs(poles) / (2 * np.pi), np.sqrt(variance) / (2 * np.pi), -poles.real / np.abs(poles)))
+    most = max(len(row[0]) for row in rows)
+    columns = np.full((3, len(rows), most), np.nan)
+    for i, row in enumerate(rows):
+        columns[:, i, : len(row[0])] = row
+    return Campbell(np.array(speeds, float), *columns)
+
+
+@styled
+def plot_campbell(
+    models: Mapping[float, ModelLike] | Campbell,
+    ax: Axes | None = None,
+    *,
+    orders: Sequence[float] = (1.0, 2.0),
+    level: float = LEVEL,
+) -> Axes:
+    """Draw a Campbell diagram: natural frequencies over speed, and lines of the orders of the rotation.
+
+    Parameters
+    ----------
+    models : dict of float to LinearModel or FitResult, or Campbell
+        Models by speed [rpm]. Those of fits have error bars.
+    ax : matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+    orders : sequence of float
+        Multiples of the rotation that are drawn.
+    level : float
+        Probability of the error bars.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When there is no model.
+    """
+    data = models if isinstance(models, Campbell) else campbell_data(models)
+    _, (axes, *_) = panels(ax, size=(4.6, 3.4))
+    for k, column in enumerate(data.frequency_hz.T):
+        style = series(k)
+        half = quantile(level) * data.std_hz[:, k]
+        axes.errorbar(
+            data.speed_rpm,
+            column,
+            yerr=np.where(np.isfinite(half), half, 0.0),
+            capsize=2,
+            markersize=4,
+            clip_on=False,
+            **style,
+        )
+    top = 1.15 * float(np.nanmax(data.frequency_hz)) if np.isfinite(data.frequency_hz).any() else 1.0
+    last = float(data.speed_rpm[-1])
+    for order in orders:
+        axes.plot([0, last], [0, order * last / 60], color=GREY, linewidth=0.9, zorder=0)
+        at = min(last, 60 * top / order) if order else last
+        axes.annotate(f"{order:g}X", (0.97 * at, 0.97 * order * at / 60), alpha=0.7, ha="right", va="bottom")
+    axes.set_ylim(0.0, top)
+    axes.set_xlim(min(0.0, float(data.speed_rpm[0])), 1.02 * last if last > 0 else 1.0)
+    axes.set_xlabel("speed [rpm]")
+    axes.set_ylabel("natural frequency [Hz]")
+    return axes
+
+
+# ---- Sensitivity of the axes of a loop over the zones of ISO 14839-3.
+
+_SHADES = {"A": 0.0, "B": 0.13, "C": 0.27, "D": 0.45}  # opacity of a grey, on any background
+
+
+@styled
+def plot_iso_zones(loop: Sensitivities | SensitivityZones, ax: Axes | None = None) -> Axes:
+    """Draw the sensitivity of each axis of a loop over the zones A to D of ISO 14839-3.
+
+    Parameters
+    ----------
+    loop : Sensitivities or SensitivityZones
+        Result of `gbid.sensitivities` or `gbid.control.sensitivity_zones`.
+    ax : matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
+    """
+    data = loop if isinstance(loop, SensitivityZones) else sensitivity_zones(loop)
+    figure, (axes, *_) = panels(ax, size=(4.6, 3.2))
+    low, high = float(data.frequency_hz[0]), float(data.frequency_hz[-1])
+    top = max(6.0, 1.1 * float(np.max(data.magnitude)))
+    floor = 0.0
+    for zone, limit in ISO_LIMITS.items():
+        ceiling = min(limit, top)
+        axes.axhspan(floor, ceiling, color="0.5", alpha=_SHADES[zone], linewidth=0, zorder=0)
+        axes.text(0.985, 0.5 * (floor + ceiling), zone, transform=axes.get_yaxis_transform(), ha="right", va="center")
+        floor = ceiling
+    for k, axis in enumerate(data.axes):
+        label = f"{symbol(axis)}: peak {data.peak[k]:.2f}, zone {data.zone[k]}"
+        axes.semilogx(data.frequency_hz, data.magnitude[:, k], label=label, **series(k, marker=None))
+    frequency_axis(axes, low, high)
+    axes.set_ylim(0.0, top)
+    axes.grid(False)
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel("sensitivity [-]")
+    legend_above(figure, axes, columns=2)
+    return axes
+
+
+# ---- Orbit of a shaft: its two displacements against each other, and the mean over its revolutions.
+
+_SECTORS = 90  # of a revolution, for its mean
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit(Brief):
+    """Orbit of a shaft about its mean position.
+
+    Attributes
+    ----------
+    xy : (n, 2) array
+        Displacements less their means.
+    mean : (n_sectors, 2) array
+        Mean over the revolutions, from shaft angle 0 on; empty without an angle that turns.
+    names : (str, str)
+        Names of the two channels.
+    unit : str
+        Their unit.
+    """
+
+    xy: FloatArray
+    mean: FloatArray
+    names: tuple[str, str]
+    unit: str
+
+
+def orbit_data(
+    recording: Recording, signal: str = "p", *, angle: str = "phi", from_s: float = 0.0, to_s: float | None = None
+) -> Orbit:
+    """Return the orbit of a shaft, for `plot_orbit`.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording with two displacements.
+    signal : str
+        Signal with two channels.
+    angle : str
+        Signal of the shaft angle [rad]. Without it, or when the shaft does not turn, there is no mean.
+    from_s, to_s : float
+        Time range [s]; to the end when left out.
+
+    Returns
+    -------
+    Orbit
+
+    Raises
+    ------
+    UsageError
+        When the signal has not two channels, or the range holds no samples.
+    """
+    values, names, units = select(recording, (signal,))
+    if len(names) != 2:
+        raise UsageError(f"an orbit needs two channels; {signal!r} of recording {recording.name!r} has {len(names)}")
+    first = round(from_s / recording.sample_time)
+    last = recording.n_samples if to_s is None else round(to_s / recording.sample_time)
+    xy = values[first:last]
+    if not 0 <= first < last or len(xy) < 2:
+        raise UsageError(f"from_s = {from_s:g} to to_s = {to_s}: no samples of recording {recording.name!r} in there")
+    xy = xy - xy.mean(0)
+    mean = np.zeros((0, 2))
+    if angle in recording.signals:
+        turned = recording.signal(angle)[first:last, 0]
+        if np.ptp(np.unwrap(turned)) > 4 * np.pi:
+            sector = (np.mod(turned, 2 * np.pi) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+            counts = np.bincount(sector, minlength=_SECTORS)
+            seen = counts > 0  # a clock in step with the shaft leaves sectors without a sample
+            mean = np.column_stack([np.bincount(sector, column, _SECTORS)[seen] / counts[seen] for column in xy.T])
+    return Orbit(xy, mean, (names[0], names[1]), units[0])
+
+
+@styled
+def plot_orbit(recording: Recording | Orbit, ax: Axes | None = None, *, signal: str = "p") -> Axes:
+    """Draw the orbit of a shaft, with the mean over its revolutions and a dot at shaft angle zero.
+
+    Parameters
+    ----------
+    recording : Recording or Orbit
+        Recording with two displacements, or the result of `orbit_data`.
+    ax : matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+    signal : str
+        Signal with two channels.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When the signal has not two channels.
+    """
+    data = recording if isinstance(recording, Orbit) else orbit_data(recording, signal)
+    factor, unit = shown_unit(data.unit)
+    _, (axes, *_) = panels(ax, size=(3.6, 3.6))
+    axes.plot(*(factor * data.xy.T), color=GREY, linewidth=0.5)
+    if len(data.mean):
+        closed = factor * np.vstack([data.mean, data.mean[:1]])
+        axes.plot(*closed.T, **series(0, marker=None))
+        axes.plot(*closed[0], "o", color=RED, markersize=5)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(f"{symbol(data.names[0])} [{plain_label(unit or '-')}]")
+    axes.set_ylabel(f"{symbol(data.names[1])} [{plain_label(unit or '-')}]")
+    return axes
+
+
+# ---- Poles and zeros of models with confidence ellipses.
+
+_MARKS = (("x", "o"), ("+", "s"), ("1", "^"), ("2", "D"), ("3", "v"))  # poles and zeros of each model
+
+
+def pole_data(sources: Sources) -> dict[str, PoleZero]:
+    """Return poles and zeros of models, for `plot_poles`.
+
+    Parameters
+    ----------
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them
+        The models.
+
+    Returns
+    -------
+    dict of str to PoleZero
+        Poles and zeros with covariances, by label.
+
+    Raises
+    ------
+    UsageError
+        When the models differ in the number of channels.
+    """
+    return {label: pole_zero(model) for label, model in labelled(sources).items()}
+
+
+@styled
+def plot_poles(sources: Sources, ax: Axes | None = None, *, level: float = LEVEL, zeros: bool = True) -> Axes:
+    """Draw poles (crosses) and zeros (open marks) of models, with the confidence ellipses of those of a fit.
+
+    Parameters
+    ----------
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them
+        The models.
+    ax : matplotlib Axes, optional
+        Axes to draw into; a new figure when left out.
+    level : float
+        Probability of the confidence regions.
+    zeros : bool
+        Whether zeros are drawn.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When the models differ in the number of channels.
+    """
+    data = pole_data(sources)
+    figure, (axes, *_) = panels(ax, size=(4.6, 3.6))
+    axes.axvline(0.0, color=GREY, linewidth=0.8)
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    for k, (label, found) in enumerate(data.items()):
+        color, (cross, ring) = series(k)["color"], _MARKS[k % len(_MARKS)]
+        axes.plot(found.poles.real, found.poles.imag, cross, color=color, label=label, markersize=7)
+        _ellipses(axes, found.poles, found.pole_covariance, level, color)
+        if zeros and len(found.zeros):
+            axes.plot(found.zeros.real, found.zeros.imag, ring, color=color, markersize=6, fillstyle="none")
+            _ellipses(axes, found.zeros, found.zero_covariance, level, color)
+    axes.set_xlabel("real part [1/s]")
+    axes.set_ylabel("imaginary part [rad/s]")
+    if len(data) > 1:
+        legend_above(figure, axes)
+    return axes
+
+
+def _ellipses(axes: Axes, places: ComplexArray, covariance: FloatArray, level: float, color: str) -> None:
+    for place, cov in zip(places, covariance, strict=True):
+        if np.isfinite(cov).all():
+            edge = ellipse(cov, level)
+            axes.plot(place.real + edge[:, 0], place.imag + edge[:, 1], color=color, linewidth=0.8)
+
+
+# ---- Step and impulse responses of models with confidence bands.
+
+
+def response_data(sources: Sources, kind: Excited = "step", duration_s: float | None = None) -> dict[str, TimeResponse]:
+    """Return step or impulse responses of models over the same time, for `plot_step` and `plot_impulse`.
+
+    Parameters
+    ----------
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them
+        The models, all with the same number of inputs and outputs.
+    kind : {"step", "impulse"}
+        What each input does at time zero.
+    duration_s : float, optional
+        Time until which responses are computed [s]; by default until the slowest has settled.
+
+    Returns
+    -------
+    dict of str to TimeResponse
+        Responses with standard deviations, by label.
+
+    Raises
+    ------
+    UsageError
+        When the models differ in the number of channels, a model is discrete, or the duration is not positive.
+    """
+    models = labelled(sources)
+    if duration_s is None:
+        duration_s = max(float(time_response(m.model, kind).time_s[-1]) for m in models.values())
+    return {label: time_response(model, kind, duration_s) for label, model in models.items()}
+
+
+@styled
+def plot_step(
+    sources: Sources,
+    ax: Axes | npt.ArrayLike | None = None,
+    *,
+    duration_s: float | None = None,
+    level: float = LEVEL,
+) -> npt.NDArray[np.object_]:
+    """Draw the responses of models to a unit step of each input, with confidence bands.
+
+    Parameters
+    ----------
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them
+        The models. Those of a fit have confidence bands.
+    ax : array of matplotlib Axes, optional
+        Axes with a row for each output and a column for each input; a new figure when left out.
+    duration_s : float, optional
+        Time until which responses are drawn [s]; by default until the slowest has settled.
+    level : float
+        Probability of the confidence bands.
+
+    Returns
+    -------
+    (n_outputs, n_inputs) array of matplotlib Axes
+        The axes; ``axes[0, 0].figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When there are too few axes, and as for `response_data`.
+    """
+    return _plot(response_data(sources, "step", duration_s), ax, level)
+
+
+@styled
+def plot_impulse(
+    sources: Sources,
+    ax: Axes | npt.ArrayLike | None = None,
+    *,
+    duration_s: float | None = None,
+    level: float = LEVEL,
+) -> npt.NDArray[np.object_]:
+    """Draw the responses of models to a unit impulse of each input, with confidence bands.
+
+    Parameters
+    ----------
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them
+        The models. Those of a fit have confidence bands.
+    ax : array of matplotlib Axes, optional
+        Axes with a row for each output and a column for each input; a new figure when left out.
+    duration_s : float, optional
+        Time until which responses are drawn [s]; by default until the slowest has settled.
+    level : float
+        Probability of the confidence bands.
+
+    Returns
+    -------
+    (n_outputs, n_inputs) array of matplotlib Axes
+        The axes; ``axes[0, 0].figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When there are too few axes, and as for `response_data`.
+    """
+    return _plot(response_data(sources, "impulse", duration_s), ax, level)
+
+
+def _plot(curves: dict[str, TimeResponse], ax: Axes | npt.ArrayLike | None, level: float) -> npt.NDArray[np.object_]:
+    first = next(iter(curves.values()))
+    n_y, n_u = first.value.shape[1:]
+    size = (TWO_COLUMNS if n_u > 1 else 4.6, 0.8 + 1.8 * n_y)
+    figure, given = panels(ax, n_y, n_u, size=size, sharex=True)  # type: ignore[arg-type]
+    axes = np.array(given[: n_y * n_u], dtype=object).reshape(n_y, n_u)
+    for i in range(n_y):
+        for j in range(n_u):
+            panel = axes[i, j]
+            panel.axhline(0.0, color=GREY, linewidth=0.7)
+            for k, (label, curve) in enumerate(curves.items()):
+                style = series(k, marker=None)
+                panel.plot(curve.time_s, curve.value[:, i, j], label=label, **style)
+                if curve.has_band:
+                    low, high = (side[:, i, j] for side in curve.band(level))
+                    band = {"color": style["color"], "alpha": 0.25, "linewidth": 0}
+                    panel.fill_between(curve.time_s, low, high, label=f"{100 * level:g} %", **band)
+            panel.set_title(f"{symbol(first.input_names[j])} to {symbol(first.output_names[i])}", loc="right", pad=4)
+            panel.set_xlim(0.0, first.time_s[-1])
+            if j == 0:
+                panel.set_ylabel(f"{first.kind} response")
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]")
+    if len(curves) > 1 or first.has_band:
+        legend_above(figure, axes[0, 0], columns=4)
+    return axes

@@ -1,0 +1,63 @@
+"""Figures by name: each file of this package lists its own, and `gbid figures`, the page and the docs find them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from pkgutil import walk_packages
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from gbid.report.canvas import Drawn, figure_of
+from gbid.report.read import Results
+
+
+@dataclass(frozen=True)
+class NamedFigure:
+    """A figure that is drawn from the results of an experiment.
+
+    A module of this package that has figures gives them as the tuple ``FIGURES``; nothing else has to know of them.
+
+    Attributes
+    ----------
+    name : str
+        Of its files: number in the paper, or what it shows.
+    needs : callable
+        Takes the result that it needs out of `Results`; `DataError` where that is not there.
+    draw : callable
+        Draws it from that result: a picture function, or one that returns a figure.
+    words : str
+        What a reader who cannot see it should know; for the page.
+    section : str
+        Section of the page in which it stands, by id, as ``"surfaces"``; empty when the page does not show it.
+    """
+
+    name: str
+    needs: Callable[[Results], Any]
+    draw: Callable[[Any], Drawn]
+    words: str = ""
+    section: str = ""
+
+    def make(self, results: Results) -> Figure:
+        """Draw the figure.
+
+        Raises
+        ------
+        DataError, UsageError
+            When the results do not allow it, with the reason.
+        """
+        return figure_of(self.draw(self.needs(results)))
+
+
+def named_figures() -> dict[str, NamedFigure]:
+    """Find the figures that the modules of this package list, by name in alphabetical order."""
+    return {figure.name: figure for figure in sorted(_listed(), key=lambda figure: figure.name)}
+
+
+def _listed() -> Iterator[NamedFigure]:
+    from gbid import report as figures
+
+    for module in walk_packages(figures.__path__, f"{figures.__name__}."):
+        yield from getattr(import_module(module.name), "FIGURES", ())

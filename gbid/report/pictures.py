@@ -1,0 +1,156 @@
+"""Picture of a value: which picture function belongs to which type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from functools import partial, singledispatch
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from gbid.control import Sensitivities
+from gbid.core.errors import DataError, UsageError
+from gbid.core.tables import write_csv
+from gbid.experiment.fields import content_key
+from gbid.experiment.run import Job, Outcome, produce
+from gbid.experiment.stages.crossval import bode_of_pair, drawn_pairs, pair_keys, residuals_of_pair, validate_pair
+from gbid.identify import FitResult
+from gbid.identify.uncertainty.spectra import MeasuredResponse
+from gbid.recording import Recording
+from gbid.report.canvas import save_figure, shown_by_pyplot
+from gbid.report.measured_pictures import (
+    plot_recording,
+    plot_residuals,
+    plot_response,
+    residuals_figure,
+    response_figure,
+)
+from gbid.report.model_pictures import plot_bode, plot_iso_zones
+from gbid.structure import LinearModel
+from gbid.validate import ResidualTest, Validation
+
+
+@singledispatch
+def plot(value: Any, ax: Any = None, **options: Any) -> Any:  # noqa: ARG001
+    """Draw the picture that belongs to a value.
+
+    The method ``plot`` of these values does the same. Its figure belongs to ``matplotlib.pyplot``, so that notebooks
+    and ``plt.show()`` show it. Pictures of this function leave nothing behind.
+
+    ======================================  ==================
+    value                                   drawn by
+    ======================================  ==================
+    Recording                               `plot_recording`
+    LinearModel, FitResult                  `plot_bode`
+    MeasuredResponse                        `plot_bode`
+    Validation                              `plot_response`
+    ResidualTest                            `plot_residuals`
+    Sensitivities                           `plot_iso_zones`
+    ======================================  ==================
+
+    Parameters
+    ----------
+    value : one of the types above
+        What to draw.
+    ax : matplotlib Axes or array of them, optional
+        Axes to draw into; a new figure when left out.
+    **options
+        Options of the function that draws.
+
+    Returns
+    -------
+    matplotlib Axes or array of them
+        The axes; their ``figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When no picture belongs to the type.
+    """
+    known = ", ".join(sorted(kind.__name__ for kind in plot.registry if kind is not object))
+    raise UsageError(f"no picture belongs to {type(value).__name__}; there is one for {known}")
+
+
+def shown(value: Any, ax: Any = None, **options: Any) -> Any:
+    """Draw the picture that belongs to a value; a new figure belongs to pyplot, so that a notebook shows it."""
+    with shown_by_pyplot() if ax is None else nullcontext():
+        return plot(value, ax, **options)
+
+
+plot.register(Recording, plot_recording)
+plot.register(LinearModel, plot_bode)
+plot.register(FitResult, plot_bode)
+plot.register(MeasuredResponse, plot_bode)
+plot.register(Validation, plot_response)
+plot.register(ResidualTest, plot_residuals)
+plot.register(Sensitivities, plot_iso_zones)
+
+
+# ---- Stage that draws the figures of an experiment.
+
+FOLDER = "figures"
+
+
+def draw_figures(job: Job) -> list[Outcome]:
+    """Write ``figures/<fit>_<model>_on_<recording>.png``, or further formats, for each fit that is to be shown.
+
+    What is shown are the pairs of the fit's cross-validation; without one, each model on its own recordings. Where
+    the experiment asks for the residuals, they come as ``..._residuals``; Bode diagrams come as ``..._bode``, with the
+    numbers as csv.
+    """
+    outcomes = []
+    for fit, model, recording in drawn_pairs(job):
+        name = f"{fit}_{model}_on_{recording}"
+        try:
+            sources = pair_keys(job, fit, model, recording)
+        except (DataError, OSError) as error:
+            outcomes.append(
+                Outcome("figure", name, job.path(FOLDER, name, ".png"), "failed", str(error), cause="input")
+            )
+            job.reporter.end(outcomes[-1])
+            continue
+        section = job.experiment.spec.figures[fit]
+        pictures = [(name, _response, section.model_dump(exclude={"residuals", "bode", "formats"}))]
+        if section.residuals:
+            pictures.append((f"{name}_residuals", _residuals, {"residuals": True}))
+        if section.bode:
+            pictures.append((f"{name}_bode", _bode, {"bode": True}))
+            path, key = job.path(FOLDER, f"{name}_bode", ".csv"), content_key("figure", {"kind": "csv"}, sources)
+            numbers = partial(_save_bode, job, fit, model, recording, key)
+            outcomes.append(produce(job, "figure", f"{name}_bode.csv", path, key, numbers))
+        for title, draw, settings in pictures:
+            for kind in section.formats:
+                path = job.path(FOLDER, title, f".{kind}")
+                key = content_key("figure", {"kind": kind, **settings}, sources)
+                write = partial(_save, partial(draw, job, fit, model, recording), kind, key)
+                outcomes.append(produce(job, "figure", f"{title}.{kind}", path, key, write))
+    return outcomes
+
+
+def _response(job: Job, fit: str, model: str, recording: str) -> Figure:
+    section = job.experiment.spec.figures[fit]
+    return response_figure(validate_pair(job, fit, model, recording), from_s=section.from_s, to_s=section.to_s)
+
+
+def _residuals(job: Job, fit: str, model: str, recording: str) -> Figure:
+    ahead = "one-step-ahead" if job.experiment.spec.fits[fit].focus == "prediction" else "simulation"
+    title = f"{ahead} residuals of {fit}, model of {model} on {recording}"
+    return residuals_figure(residuals_of_pair(job, fit, model, recording), title=title)
+
+
+def _bode(job: Job, fit: str, model: str, recording: str) -> Figure:
+    result, measured = bode_of_pair(job, fit, model, recording)
+    axes = plot_bode({f"model of {model}": result}, measured=measured)
+    figure: Figure = axes[0, 0].figure
+    return figure
+
+
+def _save_bode(job: Job, fit: str, model: str, recording: str, key: str, part: Path) -> None:
+    result, _ = bode_of_pair(job, fit, model, recording)
+    write_csv(result.bode().table(), part, (f"content_key: {key}",))
+
+
+def _save(draw: Callable[[], Figure], kind: str, key: str, part: Path) -> None:
+    save_figure(draw(), part, kind=kind, note=f"content_key: {key}")

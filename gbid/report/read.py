@@ -1,0 +1,965 @@
+"""Designs with the figures that the tuning stored: comparable designs and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, Generic, Literal, TypeVar
+
+import numpy as np
+
+from gbid.characterise import PiezoCurve, StaticMap
+from gbid.control import HalfSine, Scheduled, controller_at, p_controller
+from gbid.control.assess import DesignFigures, TunedDesign
+from gbid.control.impact.study import ImpactStudy, load_impacts
+from gbid.control.loop.close import Method
+from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.tables import Column, Table, finite_or_none, shown_unit
+from gbid.core.units import conversion_factor
+from gbid.experiment.controllers import (
+    design_structure,
+    impact,
+    peak_cap,
+    published_design,
+    published_structure,
+    sample_time,
+)
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.machine import rig_model, true_model, true_values
+from gbid.experiment.recordings import load_made
+from gbid.experiment.run import Job, Task, standing
+from gbid.experiment.schema import ControllerSection, wanted_signals
+from gbid.experiment.stages.crossval import CrossvalRow, read_crossval, read_summary
+from gbid.experiment.stages.cycle import CycleRow, made_rows
+from gbid.experiment.stages.fit import fit_tasks, load_made_fit
+from gbid.experiment.stages.impact import loops_without_controller, study_tasks
+from gbid.experiment.stages.importing import import_tasks
+from gbid.experiment.stages.loop import LoopCostRow, made_costs
+from gbid.experiment.stages.lpv import read_surfaces
+from gbid.experiment.stages.nominal import nominal_of
+from gbid.experiment.stages.prefilter import FOLDER as PREFILTERED
+from gbid.experiment.stages.prefilter import prefilter_tasks
+from gbid.experiment.stages.rig import rig_tasks
+from gbid.experiment.stages.static import load_made_static, static_tasks
+from gbid.experiment.stages.tune import assess_published, design_plant, read_designs
+from gbid.experiment.structures import make_structure
+from gbid.identify import FitResult
+from gbid.lpv import LPVFit, LPVModel
+from gbid.lpv.model import ProportionalDesign
+from gbid.prefilter import PrefilterReport
+from gbid.prefilter.prefilter import read_report
+from gbid.recording import Recording, find_problems, load_recording
+from gbid.recording.readers import FileChannel
+from gbid.structure import LinearModel
+from gbid.structure.linear import Structure
+from gbid.validate import NominalActuator, ValidationSummary
+
+KEPT = 0.8
+"""Smallest share of its damping that a design keeps when sampled, without a warning."""
+_HOLDS: dict[Method, str] = {"tustin": "Tustin", "zoh": "zero-order hold"}
+
+
+@dataclass(frozen=True, eq=False)
+class AssessedDesign:
+    """Controller with its stored figures, and the conditions of their assessment.
+
+    Attributes
+    ----------
+    name : str
+        Name of the design. With several groups, the name of the published controller contains that of the first design
+        of its group.
+    group : str
+        First design of the group that was assessed under the same conditions.
+    figures : DesignFigures
+        Stored figures.
+    structure : Structure or Scheduled
+        Structure of the controller.
+    plant : LPVModel
+        Plant of the loop.
+    impact : HalfSine
+        Impact of the assessment.
+    sample_time : float
+        Sample time of the controller [s].
+    method : {"tustin", "zoh"}
+        Discretisation of the controller.
+    cap : float or None
+        Cap on the peak of S_o.
+    for_sampling : bool
+        Whether the cap is on the sampled loop, for which the controller was designed.
+    came : bool
+        Whether it is the published controller.
+    """
+
+    name: str
+    group: str
+    figures: DesignFigures
+    structure: Structure | Scheduled
+    plant: LPVModel
+    impact: HalfSine
+    sample_time: float
+    method: Method
+    cap: float | None
+    for_sampling: bool = False
+    came: bool = False
+
+    def at(self, point: tuple[float, float]) -> LinearModel:
+        """Return the controller at an operating point."""
+        return controller_at(self.structure, self.figures.gains, *point)
+
+    def warnings(self) -> list[str]:
+        """Return the warnings of the design: stability, sampling, peak of S_o and travel."""
+        worst = {name: value for name, (value, _) in self.figures.worst.items()}
+        if not self.figures.stable.all():
+            return ["not stable at every operating point"]
+        found = []
+        if not self.figures.sampled_stable.all():
+            found.append(f"sampled loop not stable at every point, {sampling_words(self.sample_time, self.method)}")
+        if worst["sampled_damping"] < KEPT * worst["damping"]:
+            text = f"sampled, its smallest damping factor is {worst['sampled_damping']:.3f}"
+            found.append(f"{text}, not {worst['damping']:.3f}")
+        peak = worst["sampled_peak_output" if self.for_sampling else "peak_output"]
+        if self.cap is not None and peak > self.cap * (1 + 1e-4):
+            found.append(f"peak of S_o {peak:.3f}, above {self.cap:g}")
+        if self.figures.exceeds_travel.any():
+            found.append("the reference impact asks for more travel than a stack has")
+        return found
+
+
+def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[AssessedDesign, ...]:
+    """Return tuned designs with structure and plant, each group followed by its published controller."""
+    experiment, groups = job.experiment, assessed_alike(designs)
+    found: list[AssessedDesign] = []
+    for group in groups:
+        first = next(iter(group))
+        for name, design in group.items():
+            section = experiment.spec.controller[name]
+            plant, _ = design_plant(job, section)
+            sampled = section.design_for == "sampled"
+            conditions = plant, design.impact, design.sample_time, design.method, peak_cap(section), sampled
+            for figures in design.performance[: None if name == first else 1]:
+                came = None if figures is design.performance[0] else published_design(experiment, plant)
+                form = published_structure(came) if came else design_structure(experiment, section, plant.domain)
+                own = name if came is None else figures.name if len(groups) == 1 else f"{figures.name} (as {first})"
+                found.append(AssessedDesign(own, first, figures, form, *conditions, came=came is not None))
+    return tuple(sorted(found, key=lambda q: q.name not in designs))
+
+
+def assessed_published(job: Job, model: LPVModel | None) -> tuple[AssessedDesign, ...]:
+    """Return the published controller of a model, assessed, for an experiment without designs; empty without one."""
+    came = None if model is None else published_design(job.experiment, model)
+    figures = None if model is None else assess_published(job.experiment, model)
+    if model is None or came is None or figures is None:
+        return ()
+    section = ControllerSection()
+    conditions = impact(section), sample_time(job.experiment, section), section.method, peak_cap(section)
+    about = figures.name, figures.name, figures, published_structure(came), model
+    return (AssessedDesign(*about, *conditions, came=True),)
+
+
+def assessed_alike(designs: Mapping[str, TunedDesign]) -> list[dict[str, TunedDesign]]:
+    """Return the designs in groups with equal plant, operating points, impact and sampling."""
+    groups: dict[tuple[object, ...], dict[str, TunedDesign]] = {}
+    for name, design in designs.items():
+        groups.setdefault(_conditions(design), {})[name] = design
+    return list(groups.values())
+
+
+def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDesign]:
+    """Return the designs with the same assessment and objective as the first one.
+
+    Raises
+    ------
+    DataError
+        When there are no designs.
+    """
+    if not designs:
+        raise DataError("there is no tuned design of the present settings and fits; run `gbid tune` or `gbid run`")
+    group = assessed_alike(designs)[0]
+    first = next(iter(group.values()))
+    return {name: design for name, design in group.items() if _aim(design) == _aim(first)}
+
+
+def _conditions(design: TunedDesign) -> tuple[object, ...]:
+    points = tuple(map(tuple, design.performance[0].points)) if design.performance else ()
+    return design.plant, points, design.impact, design.sample_time, design.method
+
+
+def _aim(design: TunedDesign) -> tuple[object, ...]:
+    return design.result.objective, design.result.sample_time
+
+
+def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
+    """Return the performance of comparable designs, the published controller last.
+
+    Raises
+    ------
+    DataError
+        When there are no designs.
+    """
+    chosen = list(comparable_designs(designs).values())
+    return [*(design.performance[0] for design in chosen if design.performance), *chosen[0].performance[1:]]
+
+
+def conditions_words(impact: HalfSine, sample_time: float, method: Method) -> str:
+    """Return impact and sampling of the figures of designs as text."""
+    hit = f"disc and stack under a half-sine impact of {impact.peak_n:g} N, {1e3 * impact.duration_s:g} ms"
+    return f"{hit}; {sampling_words(sample_time, method)} with one sample for computation"
+
+
+def sampling_words(sample_time: float, method: Method) -> str:
+    """Return the sampling of a controller as text."""
+    return f"sampled at {1e3 * sample_time:g} ms ({_HOLDS[method]})"
+
+
+# ---- Document of a fit: plain values in SI units for tables and JSON.
+
+Row = dict[str, Any]
+
+
+def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
+    """Return estimates with standard deviations and, where known, true values.
+
+    Parameters
+    ----------
+    result : FitResult
+        Result of the fit.
+    truth : dict of str to float
+        True values of some parameters; may be empty.
+
+    Returns
+    -------
+    list of dict
+        parameter, estimate, std (the one to use), std_white, std_robust, std_bootstrap (where there is one), truth,
+        deviation_std (in standard deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are
+        None, also the standard deviation of a parameter without one.
+    """
+    rows = []
+    by_kind = {"std_white": result.std_with("white"), "std_robust": result.std_with("robust")}
+    if result.covariance_bootstrap is not None:
+        by_kind["std_bootstrap"] = result.std_with("bootstrap")
+    for name, estimate in result.parameters.items():
+        std, true = result.std[name], truth.get(name)
+        off = None if true is None else estimate - true
+        rows.append(
+            {
+                "parameter": name,
+                "estimate": estimate,
+                "std": finite_or_none(std),
+                **{key: finite_or_none(own[name]) for key, own in by_kind.items()},
+                "truth": true,
+                "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
+                "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
+                "unit": result.units[name],
+                "fixed": name not in result.free,
+                "start": result.start[name],
+                "start_origin": result.start_origin[name],
+            }
+        )
+    return rows
+
+
+def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+    """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
+    modes = result.model.modes()
+    true = truth.modes() if truth is not None else []
+    if len(true) != len(modes):
+        true = []
+    return [
+        {
+            "mode": i + 1,
+            "frequency_hz": frequency,
+            "frequency_std_hz": finite_or_none(result.modes_std[i, 0]),
+            "damping": damping,
+            "damping_std": finite_or_none(result.modes_std[i, 1]),
+            "true_frequency_hz": true[i][0] if true else None,
+            "true_damping": true[i][1] if true else None,
+        }
+        for i, (frequency, damping) in enumerate(modes)
+    ]
+
+
+def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+    """Return static gains with standard deviations and true values; empty for a model with a pole at zero."""
+    model = result.model
+    try:
+        gain = model.static_gain()
+    except UsageError:
+        return []
+    true = truth.static_gain() if truth is not None else None
+    return [
+        {
+            "output": output,
+            "input": source,
+            "gain": float(gain[i, j]),
+            "std": finite_or_none(result.static_gain_std[i, j]),
+            "truth": None if true is None else float(true[i, j]),
+        }
+        for i, output in enumerate(model.output_names)
+        for j, source in enumerate(model.input_names)
+    ]
+
+
+def fit_percent_rows(result: FitResult) -> list[Row]:
+    """Return the fit percent of each output of each recording."""
+    return [
+        {"recording": recording, "output": output, "fit_percent": float(result.fit_percent[i, j])}
+        for i, recording in enumerate(result.recordings)
+        for j, output in enumerate(result.model.output_names)
+    ]
+
+
+def whiteness_rows(result: FitResult) -> list[Row]:
+    """Return the p-value of the whiteness test of each output."""
+    return [
+        {"output": output, "p_value": finite_or_none(p)}
+        for output, p in zip(result.model.output_names, result.whiteness, strict=True)
+    ]
+
+
+def multi_start_row(result: FitResult) -> Row | None:
+    """Return the counts of the fits from several starts; None for a fit from one start."""
+    if result.multi_start is None:
+        return None
+    return {**asdict(result.multi_start), "spread": finite_or_none(result.multi_start.spread)}
+
+
+def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
+    """Return the document of a fit."""
+    return {
+        "structure": result.structure,
+        "recordings": list(result.recordings),
+        "status": result.status,
+        "success": result.success,
+        "iterations": result.iterations,
+        "wall_time_s": result.wall_time_s,
+        "loss": result.loss,
+        "aic": finite_or_none(result.aic),
+        "fpe": finite_or_none(result.fpe),
+        "condition": finite_or_none(result.condition),
+        "trusted": result.trusted,
+        "whiteness": whiteness_rows(result),
+        "multi_start": multi_start_row(result),
+        "options": asdict(result.options),
+        "parameters": parameter_rows(result, truth),
+        "modes": mode_rows(result, true_model),
+        "static_gain": gain_rows(result, true_model),
+        "fit_percent": fit_percent_rows(result),
+        "notes": list(result.notes),
+    }
+
+
+# ---- Existing fits with the documents that tables show.
+
+
+@dataclass(frozen=True, eq=False)
+class MadeFit:
+    """Existing fit.
+
+    Attributes
+    ----------
+    fit, model : str
+        Names of the fit and of its model.
+    point : str
+        Operating point of its recordings; empty when they have several.
+    result : FitResult
+        Result of the fit.
+    document : dict
+        Document of `gbid.report.read.fit_document`, with true values for recordings of the rig.
+    """
+
+    fit: str
+    model: str
+    point: str
+    result: FitResult
+    document: Row
+
+
+def read_fit(job: Job, fit: str, model: str) -> MadeFit:
+    """Return a fit, with true values for recordings of the rig."""
+    result, structure = load_made_fit(job, fit, model), make_structure(job.experiment, fit)
+    truth = true_values(job.experiment, result.recordings, structure)
+    document = fit_document(result, truth, true_model(structure, truth, result.linear_model))
+    points = {job.experiment.recordings[name].point for name in result.recordings}
+    return MadeFit(fit, model, points.pop() if len(points) == 1 else "", result, document)
+
+
+# ---- Controller of the paper on its machine, and the operating point of its figures.
+
+POINT = (6.0, 0.0)
+"""Operating point of static map, controller and impacts in the paper: pressure [bar], speed [rpm]."""
+
+
+def published_gains(machine: LPVModel) -> ProportionalDesign:
+    """Return the published gains and low-pass of a machine.
+
+    Raises
+    ------
+    DataError
+        When the machine has none.
+    """
+    if machine.controller is None:
+        raise DataError(f"machine {machine.name!r} comes with no controller; add one to its model file")
+    return machine.controller
+
+
+def published_controller(machine: LPVModel) -> LinearModel:
+    """Return the controller of `published_gains`."""
+    d = published_gains(machine)
+    return p_controller(d.kappa_x, d.kappa_y, d.lowpass_hz, d.lowpass_order)
+
+
+def shown_point(model: LPVModel) -> tuple[float, float]:
+    """Return the operating point for pictures of the loop: that of the paper if inside the domain, else the first."""
+    return POINT if model.domain.contains(*POINT) else model.operating_points[0]
+
+
+# ---- Signals of the excited recordings: rms, correlation of the excitations, problems.
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingSignals:
+    """Properties of the signals of a recording.
+
+    Attributes
+    ----------
+    name, kind, point : str
+        Name, kind and operating point of the recording.
+    n_samples : int
+        Number of samples.
+    duration : float
+        Duration [s].
+    signals : dict of str to tuple of (channel, rms, largest)
+        Rms and largest absolute value about the mean of each channel, in `units`.
+    units : dict of str to str
+        Units by signal.
+    alike : float or None
+        Correlation of the two channels of the excitation.
+    problems : tuple of str
+        Problems of the signals.
+    """
+
+    name: str
+    kind: str
+    point: str
+    n_samples: int
+    duration: float
+    signals: Mapping[str, tuple[tuple[str, float, float], ...]]
+    units: Mapping[str, str]
+    alike: float | None
+    problems: tuple[str, ...]
+
+
+def read_signals(job: Job, name: str) -> RecordingSignals:
+    """Return the properties of the signals of an existing recording."""
+    planned = job.experiment.recordings[name]
+    recording = load_recording(job.path("recordings", name))
+    named = [signal for signal in recording.signals if signal != "phi"]
+    signals = {
+        signal: tuple(
+            (channel, float(column.std()), float(abs(column - column.mean()).max()))
+            for channel, column in zip(recording.channels[signal], recording.signals[signal].T, strict=True)
+        )
+        for signal in named
+    }
+    meant = "speed" if planned.kind == "run_up" else ""  # the speed of a run-up changes by design
+    problems = tuple(problem.text for problem in find_problems(recording, named) if problem.kind != meant)
+    size = recording.n_samples, recording.duration
+    units, alike = dict(recording.units), _alike(recording)
+    return RecordingSignals(name, planned.kind, planned.point, *size, signals, units, alike, problems)
+
+
+def _alike(recording: Recording) -> float | None:
+    """Return the correlation of the two channels of r, or of u."""
+    for signal in ("r", "u"):
+        values = recording.signals.get(signal)
+        if values is not None and values.shape[1] == 2 and values.std(axis=0).min() > 0:
+            return float(np.asarray(np.corrcoef(values.T))[0, 1])
+    return None
+
+
+# ---- States of the result files of an experiment: existing, failed, missing, or made with other settings.
+
+State = Literal["there", "failed", "missing", "stale"]
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Standing:
+    """State of one planned result file.
+
+    Attributes
+    ----------
+    stage, item : str
+        Names of the stage and of the item.
+    state : {"there", "failed", "missing", "stale"}
+        ``stale``: made with other settings or data.
+    text : str
+        Reason of a missing result, or status of an existing fit.
+    converged : bool
+        False for a fit that did not converge.
+    """
+
+    stage: str
+    item: str
+    state: State
+    text: str = ""
+    converged: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class StageResults(Generic[Value]):
+    """Results of one stage: existing ones, and reasons for missing ones.
+
+    Attributes
+    ----------
+    found : dict of str to value
+        Existing results by name.
+    missing : dict of str to str
+        Reason for each missing result, by name.
+    """
+
+    found: Mapping[str, Value]
+    missing: Mapping[str, str]
+
+
+def read_standings(job: Job) -> tuple[Standing, ...]:
+    """Return the states of recordings, prefiltered recordings and fits, in this order."""
+    tasks = [*rig_tasks(job), *import_tasks(job), *prefilter_tasks(job), *fit_tasks(job)]
+    return tuple(_standing(job, task) for task in tasks)
+
+
+def _standing(job: Job, task: Task) -> Standing:
+    try:
+        outcome = standing(job, task)
+    except UsageError:
+        return Standing(task.stage, task.item, "stale", "made with other settings or data, or by another gbid")
+    if outcome is None:
+        return Standing(task.stage, task.item, "missing", "not made yet")
+    state: State = "failed" if outcome.state == "failed" else "there"
+    return Standing(task.stage, task.item, state, outcome.text, outcome.converged)
+
+
+def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task], Value]) -> StageResults[Value]:
+    """Return the existing results of tasks, and the reasons for missing ones.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    tasks : sequence of Task
+        Tasks of one stage.
+    verb : str
+        Command that makes the results, such as ``"gbid static"``.
+    load : callable
+        Function that loads the result of a task.
+    """
+    found: dict[str, Value] = {}
+    missing: dict[str, str] = {}
+    for task in tasks:
+        try:
+            outcome = standing(job, task)
+            if outcome is None:
+                missing[task.item] = f"{task.stage} {task.item} not there; run `{verb}` or `gbid run`"
+            elif outcome.state == "failed":
+                missing[task.item] = f"{task.stage} {task.item} failed: {outcome.text}"
+            else:
+                found[task.item] = load(task)
+        except GbidError as error:
+            missing[task.item] = str(error)
+    return StageResults(found, missing)
+
+
+# ---- Tables of recordings, of the channels of a file, and of the corrections by the prefilter.
+
+SHOWN_SPIKES = 10
+"""Largest number of spikes whose sample numbers a row lists."""
+
+
+def recording_table(rows: Sequence[Row]) -> Table:
+    """Return the table of recordings with their length and operating point."""
+    columns = [
+        Column("recording"),
+        Column("samples", format="d"),
+        Column("duration", "s", "g"),
+        Column("conditions"),
+        Column("state"),
+    ]
+    laid = []
+    for row in rows:
+        conditions = ", ".join(f"{key} {value:g}" for key, value in row["conditions"].items())
+        laid.append([row["name"], row["samples"], row["duration_s"], conditions, row["state"]])
+    return Table("recordings", columns, laid)
+
+
+def channel_rows(channels: Iterable[FileChannel]) -> list[Row]:
+    """Return the channels of a file of another program as plain values."""
+    return [
+        {
+            "channel": channel.name,
+            "samples": channel.n_samples,
+            "unit": channel.unit,
+            "sample_time_s": channel.sample_time,
+            "rate_hz": None if channel.sample_time is None else 1.0 / channel.sample_time,
+            "step": channel.step,
+            "jitter_ppm": channel.jitter_ppm,
+            "first": list(channel.first),
+            "remark": channel.remark,
+        }
+        for channel in channels
+    ]
+
+
+def channel_table(name: str, rows: Sequence[Row]) -> Table:
+    """Return the table of the channels of a file, from `channel_rows`."""
+    columns = [
+        Column("channel"),
+        Column("samples", format="d"),
+        Column("unit"),
+        Column("sample time", "s", ".6g"),
+        Column("rate", "Hz", ".6g"),
+        Column("first samples"),
+        Column("remark", wrap=True),
+    ]
+    laid = []
+    for row in rows:
+        first = " ".join(f"{value:.5g}" for value in row["first"]) or None
+        remark = row["remark"] or _rising(row)
+        laid.append([row["channel"], row["samples"], row["unit"], row["sample_time_s"], row["rate_hz"], first, remark])
+    return Table(name, columns, laid)
+
+
+def _rising(row: Row) -> str:
+    """Return what is known of a column that may be the time."""
+    if row["step"] is None:
+        return ""
+    rate = ""
+    with suppress(UsageError):
+        rate = f": {1 / (row['step'] * conversion_factor(row['unit'], 's')):.6g} Hz" if row["unit"] else ""
+    if row["jitter_ppm"] is None:
+        return f"rises in even steps of {row['step']:.6g}{rate}"
+    return f"rises in steps of {row['step']:.6g}{rate}, with a jitter of {row['jitter_ppm']:.0f} ppm"
+
+
+def layout_words(layout: Mapping[str, str | int | None]) -> str:
+    """Return the layout of a text file as one line; empty for a file of another kind."""
+    return ", ".join(f"{key.replace('_', ' ')} {value!r}" for key, value in layout.items() if value is not None)
+
+
+def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
+    """Return the corrections of each channel of p by the prefilter as plain values, in the unit of p."""
+    return [
+        {
+            "recording": report.name,
+            "channel": f"p_{channel}",
+            "unit": report.units["p"],
+            "rms_before": float(report.rms_before["p"][i]),
+            "rms_after": float(report.rms_after["p"][i]),
+            "offset": float(report.offsets["p"][i]),
+            "runout_share": float(report.runout_share[i]),
+            "harmonics": [float(amplitude) for amplitude in report.harmonics[:, i]],
+            "spikes": report.spikes[i],
+            "first_spikes": list(report.spike_samples[i][:SHOWN_SPIKES]) if report.spike_samples else [],
+            "notes": list(report.notes),
+        }
+        for report in reports
+        for i, channel in enumerate(report.channels["p"])
+    ]
+
+
+def position_unit(rows: Sequence[Row]) -> tuple[float, str]:
+    """Factor and unit in which rows of the prefilter are shown; as they are where the recordings differ in unit."""
+    units = list(dict.fromkeys(row["unit"] for row in rows))
+    return shown_unit(units[0]) if len(units) == 1 else (1.0, " or ".join(units))
+
+
+def prefilter_table(rows: Sequence[Row]) -> Table:
+    """Return the table of the corrections by the prefilter, from `prefilter_rows`."""
+    factor, unit = position_unit(rows)
+    columns = [
+        Column("recording"),
+        Column(""),
+        Column("rms before\n", unit, ".3f"),
+        Column("after\n", unit, ".3f"),
+        Column("run-out\nshare", format=".1%"),
+        Column("harmonics\n1, 2, 3", unit),
+        Column("spikes", format="d"),
+    ]
+    laid = []
+    for row in rows:
+        harmonics = " ".join(f"{factor * amplitude:.2f}" for amplitude in row["harmonics"][:3]) or None
+        sizes = (factor * row["rms_before"], factor * row["rms_after"])
+        laid.append([row["recording"], row["channel"], *sizes, row["runout_share"], harmonics, row["spikes"]])
+    return Table("prefilter", columns, laid)
+
+
+# ---- Results of an experiment: each is loaded at its first use; nothing is computed.
+
+PUBLISHED = "theisen2016"
+Kind = TypeVar("Kind", StaticMap, PiezoCurve)
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """Stored results of an experiment.
+
+    Properties with a plural name return what exists, and may be empty. Those of a single result raise `DataError` when
+    it is missing or outdated; the text says what to do.
+
+    Parameters
+    ----------
+    job : Job
+        The job; its engine is not used.
+    """
+
+    job: Job
+
+    @property
+    def experiment(self) -> Experiment:
+        """The experiment."""
+        return self.job.experiment
+
+    # ------------------------------------------------------------ machine
+
+    @cached_property
+    def rig(self) -> LPVModel | None:
+        """Model behind the rig; None for recordings of a real machine."""
+        return None if self.experiment.spec.rig is None else rig_model(self.experiment)
+
+    @property
+    def machine(self) -> LPVModel:
+        """Model behind the rig, which must exist."""
+        if self.rig is None:
+            raise DataError("this experiment has no virtual rig, so there is no description of the machine")
+        return self.rig
+
+    @property
+    def published(self) -> bool:
+        """Whether the machine is that of the paper."""
+        return self.rig is not None and self.rig.name == PUBLISHED
+
+    # ------------------------------------------------------------ recordings and fits
+
+    @cached_property
+    def standings(self) -> tuple[Standing, ...]:
+        """States of recordings, prefiltered recordings and fits, in this order."""
+        return read_standings(self.job)
+
+    @cached_property
+    def recordings(self) -> tuple[RecordingSignals, ...]:
+        """Signals of the existing excited recordings."""
+        there = {f.item for f in self.standings if f.stage in ("rig", "import") and f.state == "there"}
+        planned = self.experiment.recordings.items()
+        return tuple(read_signals(self.job, name) for name, q in planned if q.excited and name in there)
+
+    @cached_property
+    def prefiltered(self) -> list[Row]:
+        """Corrections by the prefilter, for each channel."""
+        there = [f.item for f in self.standings if f.stage == "prefilter" and f.state == "there"]
+        return [row for item in there for row in prefilter_rows([read_report(self.job.path(PREFILTERED, item))])]
+
+    @cached_property
+    def fits(self) -> tuple[MadeFit, ...]:
+        """Existing fits."""
+        there = [f.item.partition("/") for f in self.standings if f.stage == "fit" and f.state == "there"]
+        return tuple(read_fit(self.job, fit, model) for fit, _, model in there)
+
+    def fit_with(self, structure: str) -> str:
+        """Return the name of the first fit with a structure."""
+        for name, section in self.experiment.spec.fits.items():
+            if section.structure == structure:
+                return name
+        raise DataError(f"no fit with structure {structure!r}; add one to section 'fits'")
+
+    # ------------------------------------------------------------ cross-validation and nominal actuator
+
+    @cached_property
+    def crossval(self) -> dict[str, tuple[list[CrossvalRow], ValidationSummary]]:
+        """Rows and summary of each existing cross-validation, by fit."""
+        found = {}
+        for name in self.experiment.spec.crossval:
+            rows = read_crossval(self.job, name)
+            summary = read_summary(self.job, name) if rows else None
+            if summary is not None:
+                found[name] = rows, summary
+        return found
+
+    def summary(self, structure: str) -> ValidationSummary:
+        """Return the cross-validation of the first fit with a structure."""
+        name = self.fit_with(structure)
+        if name not in self.experiment.spec.crossval:
+            raise DataError(f"no cross-validation of fit {name!r}; add it to section 'crossval'")
+        if name not in self.crossval:
+            raise DataError(f"the cross-validation of fit {name!r} is missing; run `gbid crossval` or `gbid run`")
+        return self.crossval[name][1]
+
+    @cached_property
+    def nominal(self) -> NominalActuator:
+        """The nominal actuator."""
+        return nominal_of(self.job)[0]
+
+    # ------------------------------------------------------------ surfaces
+
+    @cached_property
+    def surfaces(self) -> dict[str, LPVFit]:
+        """Existing surfaces over pressure and speed, by item."""
+        return read_surfaces(self.job)
+
+    @property
+    def surface_fit(self) -> LPVFit:
+        """Surfaces fitted to the fits."""
+        if self.experiment.spec.lpv is None:
+            raise DataError("no section 'lpv'; add one")
+        return _first(self.surfaces.values(), "there are no surfaces of the present fits; run `gbid lpv` or `gbid run`")
+
+    @property
+    def identified(self) -> LPVModel:
+        """Identified model of bearing and actuators."""
+        model = self.surface_fit.model
+        if not model.actuators:
+            raise DataError("the surfaces have no actuators; write `actuators: nominal` into section 'lpv'")
+        return model
+
+    # ------------------------------------------------------------ static characterisation
+
+    @cached_property
+    def statics(self) -> StageResults[StaticMap | PiezoCurve]:
+        """Static characterisations."""
+        return read_tasks(self.job, static_tasks(self.job), "gbid static", lambda t: load_made_static(self.job, t.item))
+
+    @property
+    def static_map(self) -> StaticMap:
+        """First static characterisation of the bearing."""
+        return next(iter(self._statics("bearing", StaticMap).values()))
+
+    @property
+    def piezos(self) -> list[tuple[PiezoCurve, Recording, str, str | None]]:
+        """Characterised piezos with recording, and signal and channel of the command."""
+        found = []
+        for name, curve in self._statics("piezo", PiezoCurve).items():
+            section = self.experiment.spec.static[name]
+            recording = load_made(self.job, self.experiment.matching(section.recordings)[0])
+            found.append((curve, recording, wanted_signals(section)["command"], section.command_channel))
+        return found
+
+    def _statics(self, kind: str, result: type[Kind]) -> dict[str, Kind]:
+        """Return all characterisations of a kind; at least one must be planned, and all must exist."""
+        asked = [name for name, section in self.experiment.spec.static.items() if section.kind == kind]
+        if not asked:
+            raise DataError(f"no static characterisation with kind: {kind}; add one to section 'static'")
+        _all_there({name: why for name, why in self.statics.missing.items() if name in asked})
+        return {name: q for name, q in self.statics.found.items() if isinstance(q, result)}
+
+    # ------------------------------------------------------------ designs and impacts
+
+    @cached_property
+    def designs(self) -> StageResults[TunedDesign]:
+        """Tuned designs."""
+        try:
+            return StageResults(*read_designs(self.job))
+        except GbidError as error:
+            return StageResults({}, dict.fromkeys(self.experiment.spec.controller, str(error)))
+
+    @property
+    def tuned(self) -> Mapping[str, TunedDesign]:
+        """Tuned designs by name, at least one."""
+        if not self.experiment.spec.controller:
+            raise DataError("no section 'controller'; add one")
+        if not self.designs.found:
+            raise DataError("; ".join(f"design {name}: {why}" for name, why in self.designs.missing.items()))
+        return self.designs.found
+
+    @cached_property
+    def assessed(self) -> tuple[AssessedDesign, ...]:
+        """Tuned designs and published controllers with their stored figures."""
+        if self.experiment.spec.controller:
+            return assessed_designs(self.job, self.designs.found)
+        return assessed_published(self.job, self.loop_model)
+
+    @property
+    def loop_model(self) -> LPVModel | None:
+        """Model for closed loops: the surfaces, else the model behind the rig, if they have actuators."""
+        models = [*(fit.model for fit in self.surfaces.values()), *([self.rig] if self.rig else [])]
+        return next((model for model in models if model.actuators), None)
+
+    @cached_property
+    def studies(self) -> StageResults[ImpactStudy]:
+        """Impact studies; loops without controller are among the missing."""
+        if self.experiment.spec.impacts is None:
+            return StageResults({}, {})
+        try:
+            idle = loops_without_controller(self.experiment)
+            found = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda task: load_impacts(task.path))
+        except UsageError as error:  # their controller or model is missing
+            return StageResults({}, {"impacts": str(error)})
+        return StageResults(
+            found.found, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **found.missing}
+        )
+
+    @cached_property
+    def loop_costs(self) -> list[LoopCostRow]:
+        """Standard deviations in the loop beside those without controller; empty while they are not made."""
+        return made_costs(self.job)
+
+    @cached_property
+    def cycle(self) -> list[CycleRow]:
+        """Rounds of the identification-for-control cycle; empty while it is not complete."""
+        return made_rows(self.job)
+
+    @property
+    def loops(self) -> list[dict[str, ImpactStudy]]:
+        """Impact studies by loop, for each operating point."""
+        points: dict[tuple[float, float], dict[str, ImpactStudy]] = {}
+        for study in self.studies.found.values():
+            point = study.conditions["pressure_bar"], study.conditions["speed_rpm"]
+            points.setdefault(point, {})[study.loop] = study
+        return list(points.values())
+
+    def impacts_at(self, rotating: bool) -> dict[str, ImpactStudy]:
+        """Return the impact studies of both loops at the first operating point at rest, or with a turning shaft."""
+        there = [loops for loops in self.loops if {"open", "closed"} <= set(loops)]
+        return self._loops_at(there, rotating, "in open and closed loop ")
+
+    def beside_at(self, rotating: bool) -> dict[str, ImpactStudy]:
+        """Return the impact studies with further controllers at such a point, by their labels in figures."""
+        return self._loops_at(self.beside, rotating, "")
+
+    @property
+    def beside(self) -> list[dict[str, ImpactStudy]]:
+        """Impact studies of the points with further controllers, by their labels in figures."""
+        self._need_impacts()
+        points = [self.labelled(loops) for loops in self.loops if set(loops) - {"open", "closed"}]
+        if not points:
+            raise DataError("no impacts with further controllers; name some under 'beside' in section 'impacts'")
+        return points
+
+    def labelled(self, loops: Mapping[str, ImpactStudy]) -> dict[str, ImpactStudy]:
+        """Return the impact studies of one point by their labels in figures."""
+        section = self.experiment.spec.impacts
+        paper = "published gains" if section is not None and section.controller == "paper" else "closed loop"
+        names = {"open": "open loop", "closed": paper}
+        return {names.get(loop, loop): study for loop, study in loops.items()}
+
+    def _loops_at(self, points: list[dict[str, ImpactStudy]], rotating: bool, what: str) -> dict[str, ImpactStudy]:
+        self._need_impacts()
+        there = (q for q in points if bool(next(iter(q.values())).conditions["speed_rpm"]) == rotating)
+        why = "".join(f"; {text}" for text in self.studies.missing.values())
+        return _first(there, f"no impacts {what}{'with a turning shaft' if rotating else 'at rest'}{why}")
+
+    def _need_impacts(self) -> None:
+        if self.experiment.spec.impacts is None:
+            raise DataError("no section 'impacts'; add one")
+        if not self.studies.found:
+            _all_there(self.studies.missing)
+
+
+def _first(values: Iterable[Value], otherwise: str) -> Value:
+    for value in values:
+        return value
+    raise DataError(otherwise)
+
+
+def _all_there(missing: Mapping[str, str]) -> None:
+    if missing:
+        raise DataError("; ".join(missing.values()))

@@ -1,0 +1,657 @@
+"""Section on the fits: overview, worst and best fits, failures, and each fit."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from gbid.characterise import PiezoCurve, StaticMap
+from gbid.core.arrays import point_label
+from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.tables import Cell, Column, Entry, Table, engineering, formatted, shown_unit
+from gbid.experiment.experiment import recordings_of
+from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
+from gbid.report.control_sections import LACK, held_back
+from gbid.report.fit_tables import static_document, summary_lines
+from gbid.report.measured_pictures import (
+    crossval_data,
+    nominal_data,
+    piezo_data,
+    plot_actuator_parameters,
+    plot_fit_histogram,
+    plot_piezo_hysteresis,
+    plot_piezo_staircase,
+    static_map_figure,
+)
+from gbid.report.page import (
+    Block,
+    Fold,
+    Link,
+    Listed,
+    PageSection,
+    Pictures,
+    Shown,
+    Templated,
+    Words,
+    fit_href,
+    in_units,
+    point_words,
+    trace,
+)
+from gbid.report.paper import paper_numbers
+from gbid.report.read import MadeFit, Results, Standing, position_unit
+from gbid.validate import ValidationSummary
+
+_NAMED = 5
+
+
+def fits_section(results: Results) -> PageSection:
+    """Return the section with a summary of the fits and each of them."""
+    title = "Fits"
+    if not results.experiment.spec.fits:
+        return PageSection("fits", title, [Words("This experiment asks for no fits.")])
+    blocks: list[Block] = []
+    lost = lost_fits(results)
+    if lost:
+        rows = [(Cell(f.item, href=f"#fit&{f.item.replace('/', '%2F')}"), f.state, f.text) for f in lost]
+        blocks.append(Table("Fits that are not there", [Column("fit"), Column("state"), Column("reason")], rows))
+    for name in results.experiment.spec.fits:
+        there = [q for q in results.fits if q.fit == name]
+        if there:
+            blocks += _overview(results, name, there)
+    blocks += _notes(results.fits)
+    data = fit_data(results)
+    if data["fits"]:
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for key, document in data["fits"].items():
+            groups.setdefault(key.partition("/")[0], []).append((key, document["label"]))
+        blocks.append(Templated("fit.html.j2", {"groups": groups, "data": data}))
+    return PageSection("fits", title, blocks)
+
+
+def lost_fits(results: Results) -> list[Standing]:
+    """Return the planned fits without result."""
+    return [f for f in results.standings if f.stage == "fit" and f.state != "there"]
+
+
+def fit_data(results: Results) -> dict[str, Any]:
+    """Return the data that the script of the page shows of each fit."""
+    fits: dict[str, Any] = {}
+    for q in results.fits:
+        fits[f"{q.fit}/{q.model}"] = {**_document(results, q), **_curves(results, q)}
+    for f in lost_fits(results):
+        empty: dict[str, Any] = {"parameters": [], "modes": [], "gains": [], "facts": [], "traces": [], "no_trace": ""}
+        title = {"title": f.item, "label": f"{f.item.partition('/')[2]}: {f.state}", "state": "bad"}
+        fits[f.item] = {**empty, **title, "status": f"{f.state}: {f.text}"}
+    order = {name: i for i, name in enumerate(results.experiment.spec.fits)}
+    return {"fits": dict(sorted(fits.items(), key=lambda item: order[item[0].partition("/")[0]]))}
+
+
+def _smallest(q: MadeFit) -> float:
+    return float(q.result.fit_percent.min()) if q.result.fit_percent.size else float("nan")
+
+
+def _place(results: Results, q: MadeFit) -> str:
+    return point_words(results.experiment, q.result.recordings[0]) if q.point else "several"
+
+
+def _overview(results: Results, name: str, there: Sequence[MadeFit]) -> list[Block]:
+    outputs = there[0].result.model.output_names
+    focus = there[0].result.options.focus
+    own = "one step ahead" if focus == "prediction" else focus
+    by_point: dict[str, list[MadeFit]] = {}
+    for q in there:
+        by_point.setdefault(_place(results, q), []).append(q)
+    rows: list[list[Entry]] = []
+    for point, fits in by_point.items():
+        worst = min(fits, key=_smallest)
+        medians = [median(float(q.result.fit_percent[:, j].mean()) for q in fits) for j in range(len(outputs))]
+        link = Cell(f"{worst.model} ({_smallest(worst):.2f} %)", href=fit_href(name, worst.model))
+        rows.append([point, len(fits), sum(q.result.success for q in fits), *medians, link])
+    columns = [
+        Column("operating point"),
+        *(Column(name, format="d") for name in ("fits", "converged")),
+        *(Column(output, "%", ".2f") for output in outputs),
+        Column("worst"),
+    ]
+    caption = f"{name}: median fit on its own recording ({own}), by operating point"
+    blocks: list[Block] = [Table(caption, columns, rows)]
+    if len(there) > 2 * _NAMED:
+        ordered = sorted(there, key=_smallest)
+        for word, chosen in (("worst", ordered[:_NAMED]), ("best", ordered[: -_NAMED - 1 : -1])):
+            items = [
+                Link(f"{q.model}: {_smallest(q):.2f} % at {_place(results, q)}", fit_href(name, q.model))
+                for q in chosen
+            ]
+            blocks.append(Fold(f"{name}: the {word} {_NAMED}", [Listed(items)]))
+    stuck = [q for q in there if not q.result.success]
+    if stuck:
+        blocks.append(Words(f"{name}, not converged: {len(stuck)} of {len(there)} fits", "bad"))
+        blocks.append(Listed([Link(f"{q.model}: {q.result.status}", fit_href(name, q.model)) for q in stuck]))
+    return blocks
+
+
+def _notes(fits: Sequence[MadeFit]) -> list[Block]:
+    """Return the notes of the fits, each once, with the number of fits that have it."""
+    carried: dict[str, list[MadeFit]] = {}
+    for q in fits:
+        for note in q.result.notes:
+            carried.setdefault(f"{q.fit}: {note}", []).append(q)
+    if not carried:
+        return []
+    items = [
+        Link(f"{text} ({len(there)} {'fit' if len(there) == 1 else 'fits'})", fit_href(there[0].fit, there[0].model))
+        for text, there in sorted(carried.items(), key=lambda item: -len(item[1]))
+    ]
+    return [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])]
+
+
+def _document(results: Results, q: MadeFit) -> dict[str, Any]:
+    document, names = q.document, ", ".join(q.result.recordings)
+    place = _place(results, q)
+    state = "bad" if not q.result.success else "warn" if q.result.notes else "good"
+    return {
+        "title": f"{q.fit}, {q.model}: {place}" + (f" ({names})" if names != q.model else ""),
+        "label": f"{place}: {q.model} ({_smallest(q):.2f} %)",
+        "state": state,
+        "status": _status(q),
+        "parameters": [_parameter(row) for row in document["parameters"]],
+        "modes": [
+            [
+                str(row["mode"]),
+                *_pair(row["frequency_hz"], row["frequency_std_hz"]),
+                *_pair(row["damping"], row["damping_std"]),
+            ]
+            for row in document["modes"]
+        ],
+        "gains": [
+            [f"{row['output']} from {row['input']}", *_pair(row["gain"], row["std"])] for row in document["static_gain"]
+        ],
+        "facts": [list(line) for line in summary_lines(document)],
+    }
+
+
+def _curves(results: Results, q: MadeFit) -> dict[str, Any]:
+    """Return measured and simulated curves on the recordings of a fit, or the reason why there are none."""
+    shown, traces, reason = results.experiment.spec.figures.get(q.fit), [], ""
+    for recording in recordings_of(results.experiment, q.fit, q.model):
+        try:
+            validation = validate_pair(results.job, q.fit, q.model, recording)
+        except (DataError, UsageError, OSError) as error:  # UsageError: of a scheduled structure
+            reason = str(error)
+        else:
+            traces.append(trace(validation, shown.from_s if shown else None))
+    return {"traces": traces, "no_trace": reason}
+
+
+def _status(q: MadeFit) -> str:
+    if not q.result.success:
+        return q.result.status[:1].upper() + q.result.status[1:]
+    return "Converged, with notes below." if q.result.notes else "Converged."
+
+
+def _parameter(row: dict[str, Any]) -> list[str]:
+    factor, unit = shown_unit(row["unit"])
+    estimate, std = _pair(factor * row["estimate"], None if row["std"] is None else factor * row["std"])
+    truth = "–" if row["truth"] is None else engineering(factor * row["truth"])
+    off = "–" if row["deviation_std"] is None else f"{row['deviation_std']:+.1f}".replace("-", "−")
+    return [row["parameter"], estimate, "fixed" if row["fixed"] else std, unit or "–", truth, off]
+
+
+def _pair(value: float, std: float | None) -> tuple[str, str]:
+    return engineering(value), "–" if std is None else engineering(std, 2)
+
+
+# ---- Sections on the cross-validation and the nominal actuator.
+
+_PAPERS = {"rotor_bearing": "bearing", "piezo_pair": "actuator"}
+"""Names of the fits of a structure in the list of the paper."""
+_HISTOGRAM = 6  # smallest number of pairs for a histogram
+_LISTED = 40
+
+
+def validation_section(results: Results, pictures: Pictures) -> PageSection:
+    """Return the section with the fit of models on recordings to which they were not fitted."""
+    asked = results.experiment.spec.crossval
+    if not asked:
+        return PageSection("validation", "Cross-validation", [Words("This experiment asks for no cross-validation.")])
+    blocks: list[Block] = []
+    for name in asked:
+        if name not in results.crossval:
+            blocks.append(Words(f"{name}: not validated with the present fits; `gbid crossval` does it.", "warn"))
+            continue
+        rows, summary = results.crossval[name]
+        blocks += _validated(results, pictures, name, rows, summary)
+    return PageSection("validation", "Cross-validation", blocks)
+
+
+def _validated(
+    results: Results, pictures: Pictures, name: str, rows: Sequence[CrossvalRow], summary: ValidationSummary
+) -> list[Block]:
+    paper = _paper(results.experiment.spec.fits[name].structure, summary) if results.published else {}
+    table: list[list[Entry]] = []
+    for j, (output, unit) in enumerate(zip(summary.output_names, summary.output_units, strict=True)):
+        poor = next(pair for pair in summary.worst if pair.output == output)
+        spread = "–" if np.isnan(summary.std[j]) else f"{summary.std[j]:.2g}"
+        table.append(
+            [
+                output,
+                f"{summary.mean[j]:.2f} ± {spread}",
+                *([paper[output]] if paper else []),
+                float(summary.least[j]),
+                formatted(float(summary.infinity_norm_max[j]), ".3g", unit),
+                Cell(f"model of {poor.model} on {poor.recording}", href=fit_href(name, poor.model)),
+            ]
+        )
+    columns = [
+        Column("output"),
+        Column("fit, mean ± std", "%"),
+        *([Column("paper", "%")] if paper else []),
+        Column("least", "%", ".2f"),
+        Column("largest error", format=3),
+        Column("worst pair"),
+    ]
+    words = (
+        f"{name}: {summary.n_models} models on {summary.n_recordings} recordings, {summary.n_pairs} pairs, simulated"
+    )
+    blocks: list[Block] = [Table(words, columns, table)]
+    if paper:
+        words = (
+            "The paper's figures are those of 86 recordings of the real machine; noise and scatter of this rig differ."
+        )
+        blocks.append(Words(words))
+    if summary.n_pairs >= _HISTOGRAM:
+        means = "; ".join(f"{o} {m:.2f} %" for o, m in zip(summary.output_names, summary.mean, strict=True))
+        picture = pictures.picture(
+            plot_fit_histogram(crossval_data(summary)), f"{name}: histograms of the cross-validation fit, means {means}"
+        )
+        blocks.append(Shown(picture))
+    missed = [row for row in rows if row.missed]
+    if missed:
+        text = f"{name}: {len(missed)} of {len(rows)} stay below the {missed[0].minimum_percent:g} % asked for."
+        blocks.append(Words(text, "bad"))
+    worst = sorted(rows, key=lambda row: row.fit_percent)[:_LISTED]
+    whole = "all pairs" if len(rows) <= _LISTED else f"the worst {_LISTED} of {len(rows)}"
+    pairs = Table(
+        f"{name}, {whole}",
+        [
+            *map(Column, ("model of", "on", "output")),
+            Column("fit", "%", ".2f"),
+            Column("largest error", format=3),
+            Column("residuals"),
+        ],
+        [
+            (
+                Cell(row.model, href=fit_href(name, row.model)),
+                row.recording,
+                row.output,
+                row.fit_percent,
+                formatted(row.infinity_norm, ".3g", row.unit),
+                {None: "not tested", True: "white", False: "not white"}[row.residuals_white]
+                + (f", follow {', '.join(row.residuals_follow)}" if row.residuals_follow else ""),
+            )
+            for row in worst
+        ],
+    )
+    blocks.append(Fold(f"{name}: {whole}", [pairs]))
+    if len(summary.points) > 1:
+        points = Table(
+            f"{name}, by operating point",
+            [
+                Column("operating point"),
+                Column("pairs", format="d"),
+                *(Column(output, "%", ".2f") for output in summary.output_names),
+            ],
+            [
+                (
+                    point_label(point.pressure_bar, point.speed_rpm)
+                    if point.pressure_bar == point.pressure_bar
+                    else None,
+                    point.n_pairs,
+                    *map(float, point.mean),
+                )
+                for point in summary.points
+            ],
+        )
+        blocks.append(Fold(f"{name}: by operating point", [points]))
+    return blocks
+
+
+def _paper(structure: str, summary: ValidationSummary) -> dict[str, str]:
+    """Return the fit percent in the paper for its 86 recordings (Sec. 3.8, Figs. 9 and 10), by output."""
+    word = _PAPERS.get(structure)
+    known = {number.id: number.value for number in paper_numbers()} if word else {}
+    ids = {output: [f"{word}_{what}_{output[-1]}" for what in ("mean", "std")] for output in summary.output_names}
+    if not all(key in known for keys in ids.values() for key in keys):
+        return {}
+    return {output: f"{known[mean]:g} ± {known[std]:g}" for output, (mean, std) in ids.items()}
+
+
+def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
+    """Return the section with the nominal actuator; None when the experiment has none."""
+    section = results.experiment.spec.nominal
+    if section is None:
+        return None
+    title, fit = "Nominal actuator", section.fit
+    try:
+        nominal = results.nominal
+    except GbidError as error:
+        return PageSection("actuator", title, [Words(f"There is none: {error}", "warn")])
+    names = nominal.parameter_names
+    alt = (
+        f"Gains and poles of {len(nominal.models)} actuator models; the nominal one is {nominal.name}, "
+        f"{len(nominal.outliers)} values lie off"
+    )
+    table = Table(
+        "Parameters of the nominal actuator",
+        [
+            Column("parameter"),
+            Column("value", format=".5g"),
+            Column("std", format=".2g"),
+            Column("median of all", format=".5g"),
+        ],
+        [
+            (
+                name,
+                nominal.parameters[name],
+                nominal.std[name],
+                float(np.median(nominal.values[:, i])),
+            )
+            for i, name in enumerate(names)
+        ],
+    )
+    chosen = Link(f"{nominal.name}, the most central of {len(nominal.models)} models", fit_href(fit, nominal.name))
+    blocks: list[Block] = [
+        Listed([chosen]),
+        table,
+        Shown(pictures.picture(plot_actuator_parameters(nominal_data(nominal)), alt)),
+    ]
+    if nominal.outliers:
+        listed = [Link(f"{o.model}: {o.reason}", fit_href(fit, o.model)) for o in nominal.outliers]
+        blocks += [Words(f"{len(listed)} values lie off those of the others:", "warn"), Listed(listed)]
+    if nominal.left_out:
+        blocks += [Words("Left out:"), Listed(nominal.left_out)]
+    return PageSection("actuator", title, blocks)
+
+
+# ---- Section on the data: excitation, problems of signals, corrections of the prefilter.
+
+ALIKE = 0.5
+"""Correlation of the two excitations above which their effects can hardly be separated."""
+WORSE = 1e-3
+"""Share of the variance by which a run-out map may increase the position before the page lists it."""
+
+
+def quality_section(results: Results) -> PageSection:
+    """Return the section with the recordings, their problems, and the corrections by the prefilter."""
+    blocks: list[Block] = []
+    recordings = results.recordings
+    if not recordings:
+        blocks.append(Words("There is no excited recording yet."))
+        return PageSection("data", "Data quality", blocks)
+    problems = [text for q in recordings for text in q.problems]
+    if problems:
+        blocks += [Words(f"{len(problems)} problems found in {len(recordings)} recordings:", "bad"), Listed(problems)]
+    else:
+        text = f"{len(recordings)} excited recordings checked: no dead, saturated or swapped channel, no rub."
+        blocks.append(Words(text, "good"))
+    alike = [q for q in recordings if q.alike is not None and abs(q.alike) > ALIKE]
+    for q in alike:
+        blocks.append(Words(f"{q.name}: the excitations of x and y are correlated ({q.alike:+.2f})", "warn"))
+    rows = []
+    for q in recordings:
+        spread = [
+            ", ".join(f"{channel} {in_units(rms, q.units[signal])}" for channel, rms, _ in q.signals[signal])
+            if signal in q.signals
+            else None
+            for signal in _signals(results)
+        ]
+        length = f"{q.duration:g} s, {q.n_samples}"
+        rows.append((q.name, point_words(results.experiment, q.name), length, *spread, q.alike))
+    headings = [f"{name}, rms" for name in _signals(results)]
+    table = Table(
+        "Excited recordings: rms about the mean of each channel, correlation of the two excitations",
+        [
+            *map(Column, ("recording", "operating point", "length, samples", *headings)),
+            Column("correlation x, y", format="+.3f"),
+        ],
+        rows,
+    )
+    blocks.append(Fold(f"Excitation of {len(rows)} recordings", [table]) if len(rows) > 12 else table)
+    blocks += _prefilter(results)
+    return PageSection("data", "Data quality", blocks)
+
+
+def _signals(results: Results) -> list[str]:
+    return list(dict.fromkeys(signal for q in results.recordings for signal in q.signals))
+
+
+def _prefilter(results: Results) -> list[Block]:
+    section = results.experiment.spec.prefilter
+    if section is None:
+        return [Words("No prefilter: the recordings were fitted as they are.")]
+    rows = results.prefiltered
+    if not rows:
+        return [Words("The prefilter has not run yet.", "warn")]
+    worse = [row for row in rows if row["runout_share"] < -WORSE]
+    median = "none" if section.median == 1 else f"{section.median} samples"
+    spikes, mean = ("replaced" if section.spikes else "kept"), ("removed" if section.remove_mean else "kept")
+    words = f"Run-out map: {section.method}; spikes: {spikes}; median: {median}; mean {mean}."
+    factor, unit = position_unit(rows)
+    table = Table(
+        "What the prefilter took out of the disc position",
+        [
+            Column("recording"),
+            Column("channel"),
+            Column("rms before", unit, 4),
+            Column("rms after", unit, 4),
+            Column("offset", unit, 4),
+            Column("run-out share", "%", ".2f"),
+            Column("spikes", format="d"),
+        ],
+        [
+            (
+                row["recording"],
+                row["channel"],
+                *(factor * row[key] for key in ("rms_before", "rms_after", "offset")),
+                100 * row["runout_share"],
+                row["spikes"],
+            )
+            for row in rows
+        ],
+    )
+    blocks: list[Block] = [Words(words)]
+    if worse:
+        names = ", ".join(dict.fromkeys(row["recording"] for row in worse))
+        blocks.append(Words(f"The run-out map made the position larger in {names}: it may not belong to them.", "warn"))
+    carried: dict[str, set[str]] = {}
+    for row in rows:
+        for note in row["notes"]:
+            carried.setdefault(note, set()).add(row["recording"])
+    every = len({row["recording"] for row in rows})
+    if carried:
+        blocks.append(Listed([f"{len(names)} of {every} recordings: {note}" for note, names in carried.items()]))
+    blocks.append(Fold(f"Prefilter, {len(rows)} channels", [table]) if len(rows) > 12 else table)
+    return blocks
+
+
+# ---- Section on the static characterisation: map from piezos to disc, and hysteresis of the stacks.
+
+_MICROMETRES = 1e6
+
+
+def static_section(results: Results, pictures: Pictures) -> PageSection | None:
+    """Return the section with the first static map and all piezos; None when the experiment has none."""
+    kinds = [section.kind for section in results.experiment.spec.static.values()]
+    if not kinds:
+        return None
+    blocks: list[Block] = []
+    for kind, show in (("bearing", _map), ("piezo", _piezos)):
+        if kind in kinds:
+            try:
+                blocks += show(results, pictures)
+            except (DataError, UsageError) as error:
+                blocks.append(Words(str(error), "warn"))
+    return PageSection("static", "Static characterisation", blocks)
+
+
+def _map(results: Results, pictures: Pictures) -> list[Block]:
+    found: StaticMap = results.static_map
+    known = {"pressure_bar", "speed_rpm"} <= set(found.conditions)
+    place = point_label(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""
+    rows = [
+        (
+            f"{row['input']} to {row['output']}",
+            *(row[key] for key in ("gain", "std")),
+            *(None if row[key] is None else _MICROMETRES * row[key] for key in ("rms", "largest", "hysteresis")),
+        )
+        for row in static_document("", found)["gains"]
+    ]
+    columns = [
+        Column("static gain"),
+        Column("value", format=4),
+        Column("std", format=2),
+        *(Column(name, "µm", 3) for name in ("rms off linear", "largest", "hysteresis")),
+    ]
+    alt = f"Steady disc position over piezo position, {place}: rising and falling plateaus with a straight line"
+    blocks: list[Block] = [
+        Shown(pictures.picture(static_map_figure(found), alt)),
+        Table(f"From piezo to disc, {len(found.command)} plateaus, {place}", columns, rows),
+    ]
+    return [*blocks, Listed(found.notes)] if found.notes else blocks
+
+
+def _piezos(results: Results, pictures: Pictures) -> list[Block]:
+    found = results.piezos
+    data = [piezo_data(*parts) for parts in found]
+    curves: list[PiezoCurve] = [curve for curve, *_ in found]
+    said = ", ".join(f"{_MICROMETRES * c.hysteresis:.2f} µm {_how(c)}" for c in curves)
+    rows = [
+        (
+            f"{curve.channel}, {_how(curve)}",
+            f"{_MICROMETRES * curve.hysteresis:.3f} ± {_MICROMETRES * curve.hysteresis_std:.1g}",
+            100 * curve.hysteresis_share,
+            100 * curve.uniformity,
+        )
+        for curve in curves
+    ]
+    columns = [
+        Column("piezo"),
+        Column("hysteresis", "µm"),
+        *(Column(name, "%", ".2f") for name in ("of its range", "steps not alike by")),
+    ]
+    over_time = pictures.picture(plot_piezo_staircase(data), "Staircase of the piezo over time")
+    return [
+        Shown(pictures.picture(plot_piezo_hysteresis(data), f"Hysteresis of the piezo: {said}")),
+        Table("Staircases of a piezo", columns, rows),
+        Fold("Staircases over time", [Shown(over_time)]),
+    ]
+
+
+def _how(curve: PiezoCurve) -> str:
+    return "in open loop" if curve.units[0] == "V" else "with its controller"
+
+
+# ---- Summary at the top of the page: warnings, numbers of results, and parts that were not done.
+
+_STAGES = {"rig": "recordings", "import": "recordings", "prefilter": "prefiltered", "fit": "fits"}
+
+
+def warnings(results: Results) -> list[Link]:
+    """Return the warnings of all results, each with a link to its section."""
+    found = [
+        Link(f"{f.stage} {f.item}: {f.text}", "#data")
+        for f in results.standings
+        if f.stage != "fit" and f.state == "failed"
+    ]
+    lost = Counter(f.state for f in lost_fits(results))
+    found += [Link(f"{n} {_fits(n)} {_LOST[state]}", "#fits") for state, n in lost.items()]
+    problems = sum(len(q.problems) for q in results.recordings)
+    if problems:
+        found.append(Link(f"{problems} problems in the signals of the recordings", "#data"))
+    stuck = sum(not q.result.success for q in results.fits)
+    if stuck:
+        found.append(Link(f"{stuck} {_fits(stuck)} did not converge", "#fits"))
+    for name, (rows, summary) in results.crossval.items():
+        missed = sum(row.missed for row in rows)
+        if missed:
+            found.append(Link(f"{name}: {missed} validations below the minimum asked for", "#validation"))
+        coloured = sum(row.residuals_white is False for row in rows)
+        if coloured:
+            tested = sum(row.residuals_white is not None for row in rows)
+            found.append(Link(f"{name}: residuals of {coloured} of {tested} validations are not white", "#validation"))
+        found += [Link(f"{name}: {text}", "#validation") for text in summary.failed]
+    for name in results.experiment.spec.crossval:
+        if name not in results.crossval:
+            found.append(Link(f"{name}: not validated with the present fits", "#validation"))
+    if results.experiment.spec.nominal is not None:
+        found += _of_nominal(results)
+    if results.experiment.spec.lpv is not None and not results.surfaces:
+        found.append(Link("no surfaces were drawn with the present fits", "#surfaces"))
+    for item, fit in results.surfaces.items():
+        if (fit.lack_of_fit < LACK).any():
+            found.append(Link(f"surfaces {item} miss the means of some parameters by more than chance", "#surfaces"))
+        if not fit.success:
+            found.append(Link(f"surfaces {item}: {fit.status}", "#surfaces"))
+        if fit.outliers:
+            found.append(Link(f"surfaces {item}: far off lie {len(fit.outliers)} of the estimates", "#surfaces"))
+    for design in results.assessed:
+        found += [Link(f"controller {design.name}: {text}", "#controller") for text in design.warnings()]
+    found += [Link(f"controller {name}: {text}", "#controller") for name, text in results.designs.missing.items()]
+    for name, made in results.designs.found.items():
+        found += [Link(f"controller {name}: {text}", "#controller") for text in held_back(made)]
+    return found
+
+
+def _of_nominal(results: Results) -> list[Link]:
+    try:
+        outliers = results.nominal.outliers
+    except GbidError as error:
+        return [Link(f"no nominal actuator: {error}", "#actuator")]
+    return [Link(f"{len(outliers)} actuator parameters lie off the others", "#actuator")] if outliers else []
+
+
+_LOST = {"failed": "failed", "missing": "not made yet", "stale": "made with other settings or data"}
+
+
+def _fits(n: int) -> str:
+    return "fit" if n == 1 else "fits"
+
+
+def summary_section(results: Results, found: list[Link]) -> PageSection:
+    """Return the section with warnings first, then the numbers of results."""
+    blocks: list[Block] = []
+    if found:
+        blocks += [Words(f"{len(found)} {'thing' if len(found) == 1 else 'things'} to look at:", "warn"), Listed(found)]
+    else:
+        blocks.append(Words("Nothing to warn of.", "good"))
+    counts: dict[str, Counter[str]] = {}
+    for f in results.standings:
+        counts.setdefault(_STAGES[f.stage], Counter())[f.state] += 1
+    states = ("there", "failed", "missing", "stale")
+    rows: list[tuple[Entry, ...]] = [(stage, *(count[state] for state in states)) for stage, count in counts.items()]
+    heads = ("there", "failed", "not made", "of other settings")
+    blocks.append(Table("Results", [Column("stage"), *(Column(head, format="d") for head in heads)], rows))
+    return PageSection("summary", "At a glance", blocks)
+
+
+def not_done(results: Results) -> list[str]:
+    """Return the parts of the method that the experiment does not use."""
+    spec = results.experiment.spec
+    missing = [
+        ("prefilter", spec.prefilter is not None, "run-out, offset and spikes were not removed from the recordings"),
+        ("static", bool(spec.static), "no static characterisation from staircases"),
+        ("crossval", bool(spec.crossval), "no model was validated on recordings to which it was not fitted"),
+        ("nominal", spec.nominal is not None, "no nominal actuator was chosen"),
+        ("lpv", spec.lpv is not None, "no surfaces over pressure and speed"),
+    ]
+    texts = [f"{text} (no section {name})" for name, there, text in missing if not there]
+    if not results.designs.found:
+        texts.append("no controller was designed")
+    if not results.assessed:
+        texts.append("no controller was assessed")
+    return texts

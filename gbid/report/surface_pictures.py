@@ -1,0 +1,486 @@
+"""Quantities of the LPV model over injection pressure, with a curve for each speed (paper, Figs. 14 to 18)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.ticker import MaxNLocator
+
+from gbid.core.arrays import FloatArray, point_label
+from gbid.core.brief import Brief
+from gbid.core.errors import UsageError
+from gbid.core.tables import exponent_of
+from gbid.lpv import CHARACTERISTICS, LPVFit
+from gbid.report.canvas import BLUE, RED, TWO_COLUMNS, ink, legend_above, letter, panels, series, styled, symbol
+from gbid.report.named import NamedFigure
+from gbid.report.read import Results
+from gbid.structure import KEY_PARAMETERS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from gbid.lpv import LPVModel
+    from gbid.structure import LinearModel
+
+
+Estimates = Mapping[str, npt.ArrayLike]
+_Speeds = Sequence[float]
+_PAIRS = ("xx", "xy", "yx", "yy")
+_MODES = {"frequency": "omega", "damping": "zeta"}
+
+
+@dataclass(frozen=True, eq=False)
+class PressurePanel(Brief):
+    """Quantity over injection pressure, with estimates.
+
+    Attributes
+    ----------
+    name : str
+        Key of the quantity, as ``frequency_1``.
+    label : str
+        Label of the axis, with unit.
+    pressure_bar : (n_pressures,) array
+        Injection pressures [bar].
+    speed_rpm : (n_speeds,) array
+        Speeds [rpm].
+    values : (n_speeds, n_pressures) array
+        Values of the model.
+    points : (n_points, 2) array
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : (n_points,) array
+        Estimates at these points.
+    """
+
+    name: str
+    label: str
+    pressure_bar: FloatArray
+    speed_rpm: FloatArray
+    values: FloatArray
+    points: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+
+def delays_data(
+    model: LPVModel,
+    *,
+    sample_time: float = 2e-4,
+    speeds_rpm: _Speeds = (0.0, 4000.0, 6000.0),
+    points: npt.ArrayLike | None = None,
+    estimates: Estimates | None = None,
+) -> list[PressurePanel]:
+    """Return the delays in samples (Figs. 14, 15).
+
+    Parameters
+    ----------
+    model : LPVModel
+        LPV model.
+    sample_time : float
+        Sample time of the recordings [s].
+    speeds_rpm : sequence of float
+        Speeds [rpm].
+    points : (n_points, 2) array, optional
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : dict of str to (n_points,) array, optional
+        Estimates of ``tau_x``, ``tau_y`` [s].
+
+    Returns
+    -------
+    list of PressurePanel
+        Panels of ``tau_x`` and ``tau_y`` [samples].
+    """
+    kilohertz = 1e-3 / sample_time
+    labels = {f"tau_{axis}": f"$\\tau_{axis}$ [samples at {kilohertz:g} kHz]" for axis in "xy"}
+    found = {name: np.asarray(values, float) / sample_time for name, values in (estimates or {}).items()}
+
+    def at(bar: float, rpm: float) -> Sequence[float]:
+        values = model.key_parameters(bar, rpm)
+        return [float(values[name]) / sample_time for name in labels]
+
+    return _panels(model, labels, at, speeds_rpm, points, found)
+
+
+def modes_data(
+    model: LPVModel,
+    what: Literal["frequency", "damping"] = "frequency",
+    *,
+    speeds_rpm: _Speeds = (0.0, 4000.0, 6000.0),
+    points: npt.ArrayLike | None = None,
+    estimates: Estimates | None = None,
+) -> list[PressurePanel]:
+    """Return natural frequencies or damping factors of the two modes of the shaft (Figs. 16, 17).
+
+    Parameters
+    ----------
+    model : LPVModel
+        LPV model.
+    what : {"frequency", "damping"}
+        Quantity.
+    speeds_rpm : sequence of float
+        Speeds [rpm].
+    points : (n_points, 2) array, optional
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : dict of str to (n_points,) array, optional
+        Estimates of ``frequency_1``, ``frequency_2`` [Hz], or of ``damping_1``, ``damping_2``.
+
+    Returns
+    -------
+    list of PressurePanel
+        Panel of each mode, in ascending order of frequency.
+
+    Raises
+    ------
+    UsageError
+        When the model has fewer than two modes at a point.
+    """
+    greek, unit, index = ("\\omega", "Hz", 0) if what == "frequency" else ("\\zeta", "-", 1)
+    word = "natural frequency" if what == "frequency" else "damping factor"
+    labels = {f"{what}_{i}": f"{word} ${greek}_{i}$ [{unit}]" for i in (1, 2)}
+
+    def at(bar: float, rpm: float) -> Sequence[float]:
+        modes = model.at(bar, rpm).modes()
+        if len(modes) < 2:
+            raise UsageError(f"{model.name} at {point_label(bar, rpm)} has {len(modes)} modes; two are drawn")
+        return [mode[index] for mode in modes[:2]]
+
+    return _panels(model, labels, at, speeds_rpm, points, estimates)
+
+
+def static_gains_data(
+    model: LPVModel,
+    *,
+    speeds_rpm: _Speeds = (0.0, 4000.0, 6000.0),
+    points: npt.ArrayLike | None = None,
+    estimates: Estimates | None = None,
+) -> list[PressurePanel]:
+    """Return the static gains from u to p (Fig. 18).
+
+    Parameters
+    ----------
+    model : LPVModel
+        LPV model.
+    speeds_rpm : sequence of float
+        Speeds [rpm].
+    points : (n_points, 2) array, optional
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : dict of str to (n_points,) array, optional
+        Estimates of ``g_xx``, ``g_xy``, ``g_yx``, ``g_yy`` [m/m].
+
+    Returns
+    -------
+    list of PressurePanel
+        Panel of each gain.
+    """
+    labels = {f"g_{i}{j}": f"static gain $g_{{{i}{j}}}$ [m/m]" for i in "xy" for j in "xy"}
+
+    def at(bar: float, rpm: float) -> Sequence[float]:
+        bearing: LinearModel = model.at(bar, rpm)
+        return [float(gain) for gain in bearing.static_gain().ravel()]
+
+    return _panels(model, labels, at, speeds_rpm, points, estimates)
+
+
+@styled
+def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+    """Draw a curve of the model for each speed, with the estimates as marks of the same colour.
+
+    Parameters
+    ----------
+    data : sequence of PressurePanel
+        Panels of `delays_data`, `modes_data` or `static_gains_data`.
+    ax : sequence of matplotlib Axes, optional
+        Axes for each panel; a new figure when left out.
+
+    Returns
+    -------
+    (n_panels,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
+    """
+    rows = -(-len(data) // 2)
+    figure, axes = panels(ax, rows, min(2, len(data)), size=(TWO_COLUMNS, 0.5 + 2.15 * rows), sharex=True)
+    for i, (panel, quantity) in enumerate(zip(axes, data, strict=False)):
+        for k, speed in enumerate(quantity.speed_rpm):
+            line = series(k, marker=None)
+            panel.plot(quantity.pressure_bar, quantity.values[k], label=f"model, {speed:g} rpm", **line)
+            there = quantity.points[:, 1] == speed
+            if there.any():
+                marks = series(k, linestyle="none", markersize=4.5, markerfacecolor="none", markeredgewidth=0.9)
+                panel.plot(
+                    quantity.points[there, 0], quantity.estimates[there], label=f"estimates, {speed:g} rpm", **marks
+                )
+        panel.set_ylabel(quantity.label)
+        if i >= len(data) - 2:
+            panel.set_xlabel("injection pressure [bar]")
+    if len(data) > 1:
+        letter(axes[: len(data)])
+    legend_above(figure, axes[0], columns=max(1, len(data[0].speed_rpm)))
+    return np.array(axes[: len(data)], dtype=object)
+
+
+def _panels(
+    model: LPVModel,
+    labels: Mapping[str, str],
+    at: Callable[[float, float], Sequence[float]],
+    speeds_rpm: _Speeds,
+    points: npt.ArrayLike | None,
+    estimates: Estimates | None,
+) -> list[PressurePanel]:
+    pressure = np.linspace(*model.domain.pressure_bar, 25)
+    speeds = np.asarray(speeds_rpm, float)
+    values = np.array([[at(float(bar), float(rpm)) for bar in pressure] for rpm in speeds])
+    where = np.zeros((0, 2)) if points is None else np.atleast_2d(np.asarray(points, float))
+    panels_made = []
+    for i, (name, label) in enumerate(labels.items()):
+        found: Any = np.asarray((estimates or {}).get(name, np.zeros(0)), float)
+        if len(found) not in (0, len(where)):
+            raise UsageError(f"{name}: {len(found)} estimates for {len(where)} points; give one for each")
+        marked = where if len(found) else np.zeros((0, 2))
+        panels_made.append(PressurePanel(name, label, pressure, speeds, values[:, :, i], marked, found))
+    return panels_made
+
+
+def fit_over_pressure_data(
+    fit: LPVFit, what: Literal["delay", "frequency", "damping", "gain"], *, sample_time: float = 2e-4
+) -> list[PressurePanel]:
+    """Return delays, modes or static gains with the estimates, for `plot_over_pressure` (Figs. 14 to 18).
+
+    Parameters
+    ----------
+    fit : LPVFit
+        Fit of an LPV model.
+    what : {"delay", "frequency", "damping", "gain"}
+        Quantity.
+    sample_time : float
+        Unit of the delays: sample time of the recordings [s].
+
+    Returns
+    -------
+    list of PressurePanel
+        Panels of the quantity.
+    """
+    found = dict(zip(CHARACTERISTICS, fit.characteristics[0].T, strict=True))
+    points = fit.estimates.points
+    speeds = [float(speed) for speed in np.unique(points[:, 1])]
+    if what == "delay":
+        estimates = {name: found[name] for name in ("tau_x", "tau_y")}
+        return delays_data(fit.model, sample_time=sample_time, speeds_rpm=speeds, points=points, estimates=estimates)
+    if what == "gain":
+        estimates = {f"g_{pair}": found[f"g_{pair}"] for pair in _PAIRS}
+        return static_gains_data(fit.model, speeds_rpm=speeds, points=points, estimates=estimates)
+    estimates = {f"{what}_{i}": found[f"{_MODES[what]}_{i}"] for i in (1, 2)}
+    return modes_data(fit.model, what, speeds_rpm=speeds, points=points, estimates=estimates)
+
+
+def _panels_of(
+    what: Literal["delay", "frequency", "damping", "gain"], results: Results, only: str | None = None
+) -> list[PressurePanel]:
+    rig = results.experiment.spec.rig
+    data = fit_over_pressure_data(results.surface_fit, what, sample_time=rig.sample_time_s if rig else 2e-4)
+    return [panel for panel in data if only in (None, panel.name)]
+
+
+_FIGURES_OVER_PRESSURE = (
+    NamedFigure("fig14_delay_x", partial(_panels_of, "delay", only="tau_x"), plot_over_pressure),
+    NamedFigure("fig15_delay_y", partial(_panels_of, "delay", only="tau_y"), plot_over_pressure),
+    NamedFigure("fig16_natural_frequencies", partial(_panels_of, "frequency"), plot_over_pressure),
+    NamedFigure("fig17_damping_factors", partial(_panels_of, "damping"), plot_over_pressure),
+    NamedFigure("fig18_static_gains", partial(_panels_of, "gain"), plot_over_pressure),
+)
+
+
+# ---- Key parameters over injection pressure and speed, with the estimates on stems (paper, Figs. 11 to 13).
+
+_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@dataclass(frozen=True, eq=False)
+class Surface(Brief):
+    """Key parameter over the operating range, with estimates.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit of the parameter.
+    pressure_bar : (n_pressures,) array
+        Injection pressures [bar].
+    speed_rpm : (n_speeds,) array
+        Speeds [rpm].
+    values : (n_pressures, n_speeds) array
+        Values of the model.
+    points : (n_points, 2) array
+        Operating points of the estimates: pressure [bar], speed [rpm].
+    estimates : (n_points,) array
+        Estimates at these points.
+    at_points : (n_points,) array
+        Values of the model at these points.
+    """
+
+    name: str
+    unit: str
+    pressure_bar: FloatArray
+    speed_rpm: FloatArray
+    values: FloatArray
+    points: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
+    at_points: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+
+def surfaces_data(
+    model: LPVModel,
+    names: Sequence[str] = ("k_xx", "k_xy", "k_yx", "k_yy"),
+    *,
+    points: npt.ArrayLike | None = None,
+    estimates: Mapping[str, npt.ArrayLike] | None = None,
+    n: int = 21,
+) -> list[Surface]:
+    """Return key parameters over the domain of a model.
+
+    Parameters
+    ----------
+    model : LPVModel
+        LPV model.
+    names : sequence of str
+        Names of the key parameters.
+    points : (n_points, 2) array, optional
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : dict of str to (n_points,) array, optional
+        Estimates by name of the parameter.
+    n : int
+        Number of grid points in each direction.
+
+    Returns
+    -------
+    list of Surface
+        Surface of each parameter.
+
+    Raises
+    ------
+    UsageError
+        When a name is not that of a key parameter, or when the numbers of estimates and points differ.
+    """
+    pressure, speed = (np.linspace(*ends, n) for ends in (model.domain.pressure_bar, model.domain.speed_rpm))
+    grid = model.key_parameters(pressure[:, None], speed[None, :])
+    unknown = [name for name in names if name not in grid]
+    if unknown:
+        raise UsageError(f"no key parameter {unknown[0]!r}; there is {', '.join(grid)}")
+    where = np.zeros((0, 2)) if points is None else np.atleast_2d(np.asarray(points, float))
+    there = model.key_parameters(where[:, 0], where[:, 1], extrapolate=True) if len(where) else {}
+    surfaces = []
+    for name in names:
+        values = np.broadcast_to(np.asarray(grid[name], float), (n, n))
+        found = np.asarray((estimates or {}).get(name, np.zeros(0)), float)
+        if len(found) not in (0, len(where)):
+            raise UsageError(f"{name}: {len(found)} estimates for {len(where)} points; give one for each")
+        marked, at = (where, np.asarray(there[name], float)) if len(found) else (np.zeros((0, 2)), np.zeros(0))
+        surfaces.append(Surface(name, _UNITS[name.split("_")[0]], pressure, speed, values, marked, found, at))
+    return surfaces
+
+
+@styled
+def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
+    """Draw a surface for each parameter, with the estimates on stems.
+
+    Marks of the estimates are filled above the surface and open below it.
+
+    Parameters
+    ----------
+    data : sequence of Surface
+        Surfaces of `surfaces_data`.
+    ax : sequence of three-dimensional Axes, optional
+        Axes for each surface; a new figure when left out.
+
+    Returns
+    -------
+    (n_surfaces,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
+
+    Raises
+    ------
+    UsageError
+        When the axes are two-dimensional, or when there are too few.
+    """
+    columns = min(2, len(data))
+    rows = -(-len(data) // columns)
+    size = (TWO_COLUMNS, 2.9 * rows)
+    _figure, axes = (
+        panels(ax, rows, columns, size=size, subplot_kw={"projection": "3d"})
+        if ax is None
+        else panels(ax, len(data), size=size)
+    )
+    for panel, surface in zip(axes, data, strict=False):
+        if not hasattr(panel, "plot_surface"):
+            raise UsageError("surfaces need three-dimensional axes; make them with projection='3d'")
+        _plot_surface(panel, surface)
+    for panel in axes[len(data) :]:
+        panel.set_axis_off()
+    return np.array(axes[: len(data)], dtype=object)
+
+
+def _plot_surface(ax: Any, surface: Surface) -> None:
+    exponent = exponent_of(float(np.abs(np.concatenate([surface.values.ravel(), surface.estimates])).max()))
+    scale = 10.0**-exponent
+    pressure, speed = np.meshgrid(surface.pressure_bar, 1e-3 * surface.speed_rpm, indexing="ij")
+    look = {"color": BLUE, "alpha": 0.3, "edgecolor": "#33505f", "linewidth": 0.25, "rcount": 11, "ccount": 11}
+    ax.plot_surface(pressure, speed, scale * surface.values, **look)
+    for (bar, rpm), value, at in zip(surface.points, surface.estimates, surface.at_points, strict=True):
+        x, y = [bar, bar], [1e-3 * rpm, 1e-3 * rpm]
+        ax.plot(x, y, [scale * at, scale * value], color=RED, linewidth=0.8)
+        fill = RED if value >= at else "white"
+        ax.plot(
+            x[:1], y[:1], [scale * value], "o", markersize=3.2, color=RED, markerfacecolor=fill, markeredgewidth=0.8
+        )
+    unit = f"10{str(exponent).translate(_SUPERSCRIPTS)} {surface.unit}" if exponent else surface.unit
+    ax.set_title(f"{symbol(surface.name)} [{unit}]", color=ink(), y=1.0, pad=0)
+    ax.set_xlabel("pressure [bar]", labelpad=-4)
+    ax.set_ylabel("speed [1000 rpm]", labelpad=-4)
+    ax.tick_params(pad=-2, labelsize=7)
+    ax.tick_params(axis="z", pad=2)
+    ax.xaxis.set_major_locator(_few())
+    ax.yaxis.set_major_locator(_few())
+    ax.zaxis.set_major_locator(_few())
+    ax.view_init(elev=24, azim=-128)
+    ax.set_box_aspect((1.0, 1.0, 0.8), zoom=0.9)
+
+
+def _few() -> Any:
+
+    return MaxNLocator(5)
+
+
+def fit_surfaces_data(fit: LPVFit, letter: Literal["k", "d", "b"]) -> list[Surface]:
+    """Return stiffness, damping or input gain with the estimates, for `plot_surfaces` (Figs. 11 to 13).
+
+    Parameters
+    ----------
+    fit : LPVFit
+        Fit of an LPV model.
+    letter : {"k", "d", "b"}
+        First letter of the parameters: stiffness, damping or input gain.
+
+    Returns
+    -------
+    list of Surface
+        Surfaces of the four parameters.
+    """
+    names = [f"{letter}_{pair}" for pair in _PAIRS]
+    estimates = dict(zip(KEY_PARAMETERS, fit.estimates.values.T, strict=True))
+    return surfaces_data(fit.model, names, points=fit.estimates.points, estimates=estimates)
+
+
+def _drawn(letter: Literal["k", "d", "b"], fit: LPVFit) -> npt.NDArray[np.object_]:
+    return plot_surfaces(fit_surfaces_data(fit, letter))
+
+
+_FIGURES_SURFACE_PANELS = (
+    NamedFigure("fig11_stiffness", lambda results: results.surface_fit, partial(_drawn, "k")),
+    NamedFigure("fig12_damping", lambda results: results.surface_fit, partial(_drawn, "d")),
+    NamedFigure("fig13_input_gain", lambda results: results.surface_fit, partial(_drawn, "b")),
+)
+
+
+FIGURES = (*_FIGURES_OVER_PRESSURE, *_FIGURES_SURFACE_PANELS)

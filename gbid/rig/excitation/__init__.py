@@ -1,1 +1,0 @@
-"""Excitation of the virtual rig: PRBS, staircases, hammer impacts and run-ups."""

@@ -1,0 +1,630 @@
+"""Machine of the virtual rig, given by its true parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.core.arrays import FloatArray, frequencies_and_dampings
+from gbid.core.brief import Brief
+from gbid.core.errors import UsageError
+from gbid.rig.piezo import PiezoStacks
+from gbid.rig.sensors import SensorChain
+
+# ---- Effects of a real rotor beyond Eq. 5: flexible shaft, stiffening film, whirl, noise and contact.
+
+
+def need_finite(owner: str, part: object, positive: tuple[str, ...] = (), not_negative: tuple[str, ...] = ()) -> None:
+    """Check that fields of a value are finite and have the right sign.
+
+    Raises
+    ------
+    UsageError
+        When a field is not finite, or is negative, or is zero although it must be positive.
+    """
+    for name in (*positive, *not_negative):
+        value = getattr(part, name)
+        if not np.isfinite(value) or value < 0 or (value == 0 and name in positive):
+            words = "positive" if name in positive else "at least zero"
+            raise UsageError(f"{owner}: {name} = {value}; give a finite number, {words}")
+
+
+@dataclass(frozen=True)
+class FlexibleMode:
+    r"""Bending mode of the shaft that the model of Eq. 5 does not have, equal in x and y.
+
+    .. math:: \ddot \eta + 2 \zeta \omega \dot\eta + \omega^2 \eta = m\, a, \qquad p = q + \eta
+
+    Here a is the sum of all forces per moving mass (film, unbalance, impacts). Below omega the mode only adds
+    compliance.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Natural frequency [Hz].
+    damping : float
+        Damping ratio zeta.
+    share : float
+        Modal participation m: acceleration of the disc by this mode over that by the mode of the model.
+    """
+
+    frequency_hz: float = 480.0
+    damping: float = 0.01
+    share: float = 0.3
+
+    def __post_init__(self) -> None:
+        need_finite("flexible mode", self, ("frequency_hz", "damping"), ("share",))
+
+
+@dataclass(frozen=True)
+class FilmStiffening:
+    """Gas film whose stiffness grows with the distance from the centre: ``K (1 + |q|^2/l^2)`` in place of ``K``.
+
+    It is given by the deviation that a staircase shows (Sec. 3.1). Where a linear film would let the disc rest at
+    `at`, the disc rests short of it by `deviation`. The best straight line through a staircase has smaller errors.
+    The static error in the paper is below 0.95 um.
+
+    Parameters
+    ----------
+    deviation, at : float
+        Deviation from the linear position, and the linear position itself [m].
+
+    Raises
+    ------
+    UsageError
+        When the deviation is not below `at`.
+    """
+
+    deviation: float = 0.9e-6
+    at: float = 8e-6
+
+    def __post_init__(self) -> None:
+        need_finite("stiffening", self, ("at",), ("deviation",))
+        if self.deviation >= self.at:
+            raise UsageError(f"stiffening: deviation = {self.deviation} m; it must lie below at = {self.at} m")
+
+    @property
+    def inverse_square_length(self) -> float:
+        """1/l^2 [1/m^2], the coefficient of the stiffening."""
+        rest = self.at - self.deviation
+        return self.deviation / rest**3
+
+
+@dataclass(frozen=True)
+class NonSynchronous:
+    r"""Non-synchronous whirl: small slow deviations of the orbit near 4000 rpm (Sec. 4).
+
+    A force per mass -K w(t) acts on the rotor. It would move the disc quasi-statically by
+
+    .. math:: w = s(n)\, \mathrm{Re}/\mathrm{Im}\left(z(t) e^{i \rho \phi}\right), \quad
+              s(n) = \text{size} \cdot e^{-(n - n_0)^2 / (2 \Delta n^2)}
+
+    Here z is a complex first-order random process of unit variance and the given bandwidth.
+
+    Parameters
+    ----------
+    size : float
+        Largest rms value of ``|w|`` over the speed [m].
+    peak_rpm, width_rpm : float
+        n_0 and Delta n, centre and width of the speed range [rpm].
+    ratio : float
+        rho, whirl frequency over shaft frequency.
+    bandwidth_hz : float
+        Corner frequency of z [Hz].
+    """
+
+    size: float = 0.3e-6
+    peak_rpm: float = 4000.0
+    width_rpm: float = 500.0
+    ratio: float = 0.95
+    bandwidth_hz: float = 1.0
+
+    def __post_init__(self) -> None:
+        need_finite("non-synchronous", self, ("width_rpm", "bandwidth_hz"), ("size", "peak_rpm", "ratio"))
+
+    def size_at(self, speed: FloatArray) -> FloatArray:
+        """Return s at given speeds [rad/s], shape of `speed` [m]."""
+        rpm = np.abs(speed) * (30.0 / np.pi)
+        return np.asarray(self.size * np.exp(-0.5 * ((rpm - self.peak_rpm) / self.width_rpm) ** 2))
+
+
+@dataclass(frozen=True)
+class ProcessNoise:
+    """Broadband force noise on the rotor, white up to about the sampling frequency, independent in x and y.
+
+    Parameters
+    ----------
+    density : float
+        Square root of the one-sided power density of the acceleration [m/s^2 per sqrt(Hz)].
+    """
+
+    density: float = 0.01
+
+    def __post_init__(self) -> None:
+        need_finite("process noise", self, (), ("density",))
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Contact of disc and bearing beyond the clearance: a stiff wall without friction.
+
+    Parameters
+    ----------
+    stiffness : float
+        Contact force per depth [N/m].
+    damping : float
+        Contact force per speed into the wall [N s/m]. The wall never pulls.
+    """
+
+    stiffness: float = 1e8
+    damping: float = 5e3
+
+    def __post_init__(self) -> None:
+        need_finite("contact", self, ("stiffness",), ("damping",))
+
+
+# ---- Effect of the rig that a recording can be made with: additional forces on the rotor, or deviations of the
+# sensors.
+
+
+@dataclass(frozen=True, eq=False)
+class RigRun(Brief):
+    """Run of the rig, as an effect sees it: n samples from the start of the settling time, and one more.
+
+    Attributes
+    ----------
+    time : (n + 1,) array
+        Time from the start of the logger [s]; negative while the rig settles.
+    angle, speed : (n + 1,) array
+        Angle of the shaft [rad] and its speed [rad/s].
+    conditions : dict of str to float
+        The operating point.
+    random : numpy.random.Generator
+        Random numbers of this effect in this recording.
+    """
+
+    time: FloatArray
+    angle: FloatArray
+    speed: FloatArray
+    conditions: Mapping[str, float]
+    random: np.random.Generator
+
+
+@dataclass(frozen=True)
+class RigEffect:
+    """Base of the effects in ``gbid/rig/effects``; a subclass overrides one of its methods or several.
+
+    Attributes
+    ----------
+    name : str
+        Name in the YAML, under ``rig: effects:``.
+    """
+
+    name: str = field(default="", init=False)
+
+    def force(self, run: RigRun) -> FloatArray | None:  # noqa: ARG002  # for subclasses
+        """Return an additional force per moving mass at the samples of `run`, (n + 1, 2) [m/s^2]."""
+        return None
+
+    def reading(self, run: RigRun) -> FloatArray | None:  # noqa: ARG002
+        """Return what is added to the readings of p at the samples of `run`, (n + 1, 2) [m].
+
+        A controller sees it, too.
+        """
+        return None
+
+
+def fixed_array(owner: str, name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """Return a read-only float array of a given shape.
+
+    Raises
+    ------
+    UsageError
+        When the shape differs or a number is not finite.
+    """
+    array = np.array(values, dtype=float)
+    if array.shape != shape:
+        raise UsageError(f"{owner}: {name} has shape {array.shape}, expected {shape}")
+    if not np.isfinite(array).all():
+        raise UsageError(f"{owner}: {name} = {array.tolist()} holds a value that is not finite")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class RotorBearingTruth(Brief):
+    r"""True parameters of rotor and gas bearing at one operating point (paper, Eqs. 5 to 8), with exact delays.
+
+    .. math:: \ddot p = K p + D \dot p + B u_\tau, \quad u_\tau = [u_x(t - \tau_x), u_y(t - \tau_y)]
+
+    All are per kg of moving mass, with the sign of the paper: stiffness and damping have negative diagonals.
+
+    Parameters
+    ----------
+    stiffness : (2, 2) array
+        K [N/(kg m)].
+    damping : (2, 2) array
+        D [N s/(kg m)].
+    input_gain : (2, 2) array
+        B [N/(kg m)].
+    delay : (2,) array
+        tau [s], at least zero. It need not be a multiple of the sample time.
+
+    Raises
+    ------
+    UsageError
+        When shapes are wrong, values are not finite, or a delay is negative.
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+    input_gain: FloatArray
+    delay: FloatArray
+
+    def __post_init__(self) -> None:
+        for name, shape in (
+            ("stiffness", (2, 2)),
+            ("damping", (2, 2)),
+            ("input_gain", (2, 2)),
+            ("delay", (2,)),
+        ):
+            value = fixed_array("rotor bearing", name, getattr(self, name), shape)
+            object.__setattr__(self, name, value)
+        if (self.delay < 0).any():
+            raise UsageError(f"rotor bearing: delay = {self.delay.tolist()} s; delays cannot be negative")
+
+    @classmethod
+    def from_parameters(cls, key_parameters: Mapping[str, Any]) -> RotorBearingTruth:
+        """Return the rotor and bearing with parameters given by name.
+
+        Parameters
+        ----------
+        key_parameters : dict of str to float
+            ``k_xx`` to ``b_yy`` per kg, and ``tau_x``, ``tau_y`` [s], in SI units. Other entries are ignored.
+
+        Raises
+        ------
+        UsageError
+            When a parameter is missing.
+        """
+        named = _by_name("rotor bearing", key_parameters, _BEARING)
+        K, D, B = (np.reshape([named[f"{letter}_{pair}"] for pair in _PAIRS], (2, 2)) for letter in "kdb")
+        return cls(K, D, B, np.array([named["tau_x"], named["tau_y"]]))
+
+    def key_parameters(self) -> dict[str, float]:
+        """Return the fourteen key parameters by name, ``k_xx`` to ``tau_y``, SI per kg."""
+        matrices = zip("kdb", (self.stiffness, self.damping, self.input_gain), strict=True)
+        named = {f"{a}_{pair}": float(v) for a, m in matrices for pair, v in zip(_PAIRS, m.ravel(), strict=True)}
+        return {**named, "tau_x": float(self.delay[0]), "tau_y": float(self.delay[1])}
+
+    def check_stable(self) -> None:
+        """Check that the rotor is stable without control.
+
+        Raises
+        ------
+        UsageError
+            When an eigenvalue of [0 I; K D] has no negative real part.
+        """
+        matrix = np.block([[np.zeros((2, 2)), np.eye(2)], [self.stiffness, self.damping]])
+        worst = max(np.linalg.eigvals(matrix), key=lambda s: float(s.real))
+        if worst.real >= 0:
+            raise UsageError(
+                f"rotor bearing: unstable, eigenvalue {worst:.4g} 1/s; without a controller "
+                "the rig simulates stable points only"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class ActuatorTruth(Brief):
+    r"""True parameters of the controlled piezo pairs, from reference r to position difference u (paper, Eq. 12).
+
+    .. math:: G_{a,j}(s) = \frac{\kappa_j}{(s/p_{1,j} + 1)(s/p_{2,j} + 1)}
+
+    There is one pair per axis j.
+
+    Parameters
+    ----------
+    slow_pole, fast_pole : (2,) array
+        p_1 and p_2 of x and y [rad/s], positive.
+    gain : (2,) array
+        kappa of x and y [m/m].
+
+    Raises
+    ------
+    UsageError
+        When shapes are wrong, values are not finite, or a pole is not positive.
+    """
+
+    slow_pole: FloatArray
+    fast_pole: FloatArray
+    gain: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("slow_pole", "fast_pole", "gain"):
+            object.__setattr__(self, name, fixed_array("actuator", name, getattr(self, name), (2,)))
+        for name in ("slow_pole", "fast_pole"):
+            if (getattr(self, name) <= 0).any():
+                raise UsageError(f"actuator: {name} = {getattr(self, name).tolist()} rad/s; it must be positive")
+
+
+@dataclass(frozen=True)
+class Unbalance:
+    """Mass unbalance of the rotor: a force that rotates with the shaft.
+
+    Its acceleration is eccentricity * Omega^2 and points at the shaft angle phi + `phase`. It acts on x and y.
+
+    Parameters
+    ----------
+    eccentricity : float
+        Unbalance over moving mass, m_u e_u / M [m]. The default is a well balanced rotor (about ISO 21940
+        grade G 1 at 6000 rpm). This close to the resonances its orbit still has a radius of 3 to 4 um.
+    phase : float
+        Angle of the unbalance on the shaft [rad].
+    """
+
+    eccentricity: float = 1.5e-6
+    phase: float = 0.7
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.eccentricity, self.phase]).all() and self.eccentricity >= 0):
+            raise UsageError(
+                f"unbalance: eccentricity = {self.eccentricity} m, phase = {self.phase} rad; "
+                "give finite numbers, the eccentricity at least zero"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Machine(Brief):
+    """Machine of the virtual test rig at one operating point.
+
+    Parameters
+    ----------
+    rotor_bearing : RotorBearingTruth
+        Rotor and gas bearing.
+    actuator : ActuatorTruth or PiezoStacks
+        Piezo pairs, either as linear filters (Table 2) or as four nonlinear stacks.
+    unbalance : Unbalance
+        Mass unbalance.
+    sensors : SensorChain
+        Noise, run-out, offsets and encoder.
+    clearance : float
+        Radial clearance of the bearing [m]; 25 um in the paper, Sec. 2.
+    moving_mass : float
+        Mass that an impact accelerates [kg]. The disc and the shaft of Table 1 rotate about the ball bearing at the
+        other end of the shaft, which makes 1.5 kg + 2.04 kg/3 at the disc.
+    flexible_mode, stiffening, non_synchronous, process_noise : optional
+        Effects of a real rotor beyond Eq. 5; none by default.
+    contact : Contact
+        Contact of disc and bearing at the end of the clearance.
+    effects : tuple of RigEffect
+        Further effects, made by `gbid.rig.rig_effect`.
+    """
+
+    rotor_bearing: RotorBearingTruth
+    actuator: ActuatorTruth | PiezoStacks
+    unbalance: Unbalance = field(default_factory=Unbalance)
+    sensors: SensorChain = field(default_factory=SensorChain)
+    clearance: float = 25e-6
+    moving_mass: float = 2.18
+    flexible_mode: FlexibleMode | None = None
+    stiffening: FilmStiffening | None = None
+    non_synchronous: NonSynchronous | None = None
+    process_noise: ProcessNoise | None = None
+    contact: Contact = field(default_factory=Contact)
+    effects: tuple[RigEffect, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, unit in (("clearance", "m"), ("moving_mass", "kg")):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise UsageError(f"machine: {name} = {value} {unit}; it must be positive")
+
+    @property
+    def travel(self) -> float:
+        """Largest ``|r|`` that a controller may command [m]; half of 45 um for linear actuators."""
+        return self.actuator.travel if isinstance(self.actuator, PiezoStacks) else 22.5e-6
+
+    def beyond_closed_form(self) -> list[str]:
+        """Return the names of the parts that have no solution in closed form and need time stepping."""
+        parts = {
+            "piezo stacks": isinstance(self.actuator, PiezoStacks),
+            "flexible mode": self.flexible_mode is not None,
+            "stiffening": self.stiffening is not None,
+            "non-synchronous motion": self.non_synchronous is not None,
+            "process noise": self.process_noise is not None,
+        }
+        forces = [effect.name for effect in self.effects if type(effect).force is not RigEffect.force]
+        return [*(name for name, there in parts.items() if there), *forces]
+
+    @classmethod
+    def from_parameters(
+        cls,
+        key_parameters: Mapping[str, Any],
+        actuators: Mapping[str, float] | PiezoStacks,
+        unbalance: Unbalance | None = None,
+        sensors: SensorChain | None = None,
+        clearance: float = 25e-6,
+        **parts: Any,
+    ) -> Machine:
+        """Return a machine with parameters given by name, as in `gbid.LPVModel` and `gbid.FitResult`.
+
+        Parameters
+        ----------
+        key_parameters : dict of str to float
+            ``k_xx`` to ``b_yy`` per kg, ``tau_x`` and ``tau_y`` [s]. Other entries are ignored.
+        actuators : dict of str to float, or PiezoStacks
+            ``p1_x``, ``p2_x`` [rad/s], ``kappa_x`` [m/m] and the same of y; other entries are ignored. Or the four
+            stacks.
+        unbalance, sensors, clearance, **parts
+            Arguments of `Machine`; the defaults of `Machine` when not given.
+
+        Returns
+        -------
+        Machine
+
+        Raises
+        ------
+        UsageError
+            When a parameter is missing or has a wrong value.
+        """
+        return cls(
+            RotorBearingTruth.from_parameters(key_parameters),
+            actuators if isinstance(actuators, PiezoStacks) else _linear_actuator(actuators),
+            Unbalance() if unbalance is None else unbalance,
+            SensorChain() if sensors is None else sensors,
+            clearance,
+            **parts,
+        )
+
+
+_PAIRS = ("xx", "xy", "yx", "yy")
+_BEARING = (*(f"{letter}_{pair}" for letter in "kdb" for pair in _PAIRS), "tau_x", "tau_y")
+_ACTUATOR = ("p1", "p2", "kappa")
+_ACTUATORS = tuple(f"{name}_{axis}" for name in _ACTUATOR for axis in "xy")
+
+
+def _linear_actuator(actuators: Mapping[str, float]) -> ActuatorTruth:
+    piezo = _by_name("actuator", actuators, _ACTUATORS)
+    return ActuatorTruth(*(np.array([piezo[f"{name}_x"], piezo[f"{name}_y"]]) for name in _ACTUATOR))
+
+
+def _by_name(owner: str, given: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, float]:
+    missing = [name for name in names if name not in given]
+    if missing:
+        raise UsageError(f"{owner}: no value for {', '.join(missing)}")
+    return {name: float(np.asarray(given[name])) for name in names}
+
+
+# ---- Scatter of the true parameters from recording to recording (paper, Secs. 3.7 and 4).
+
+_TRIES = 200
+
+
+@dataclass(frozen=True)
+class Scatter:
+    r"""Random differences of rotor and bearing between recordings at one operating point.
+
+    The paper gives the scatter of its estimates for delays, natural frequencies, damping factors and static gains.
+    These quantities are drawn from independent normal distributions. The fourteen key parameters follow from them: the
+    eigenvectors of the rotor are kept and its eigenvalues are moved,
+    :math:`[K\ D] = \Psi \Lambda^2 [\Psi; \Psi\Lambda]^{-1}`, and :math:`B = -K G_{dc}`.
+
+    A draw is rejected and repeated when a mode has less damping than `minimum_damping` (or than half of its true
+    damping, if that is less), or when a delay is below `minimum_delay` (same rule). So no draw is unstable. At points
+    with little damping this puts the mean slightly above the truth.
+
+    Parameters
+    ----------
+    share : float
+        Factor on all standard deviations. The figures of the paper are deviations of estimates from a polynomial and
+        contain its lack of fit, so the default is one half.
+    delay : (2,) tuple
+        Standard deviations of tau_x, tau_y [s]; 0.088 and 0.041 ms, Sec. 4.
+    frequency_hz : (2,) tuple
+        Standard deviations of omega_1, omega_2 [Hz]; 1.13 and 0.58, Sec. 4.
+    damping : (2,) tuple
+        Standard deviations of zeta_1, zeta_2; 0.0104 and 0.0063, Sec. 4.
+    static_gain : (4,) tuple
+        Standard deviations of g_xx, g_xy, g_yx, g_yy [m/m]; Sec. 4.
+    minimum_damping : float
+        Smallest damping factor of a draw.
+    minimum_delay : float
+        Smallest delay of a draw [s].
+    """
+
+    share: float = 0.5
+    delay: tuple[float, float] = (0.088e-3, 0.041e-3)
+    frequency_hz: tuple[float, float] = (1.13, 0.58)
+    damping: tuple[float, float] = (0.0104, 0.0063)
+    static_gain: tuple[float, float, float, float] = (0.0031, 0.0022, 0.0027, 0.0031)
+    minimum_damping: float = 0.01
+    minimum_delay: float = 20e-6
+
+    def __post_init__(self) -> None:
+        for name, n in (("delay", 2), ("frequency_hz", 2), ("damping", 2), ("static_gain", 4)):
+            value = tuple(float(v) for v in getattr(self, name))
+            if len(value) != n or not np.isfinite(value).all() or min(value) < 0:
+                raise UsageError(f"scatter: {name} = {value}; give {n} finite numbers of at least zero")
+            object.__setattr__(self, name, value)
+        for name in ("share", "minimum_damping", "minimum_delay"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise UsageError(f"scatter: {name} = {value}; give a finite number of at least zero")
+
+
+def scatter_random(seed: int, name: str, conditions: Mapping[str, float]) -> np.random.Generator:
+    """Return the random generator of a recording, which depends on seed, name and operating point.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the recording.
+    name : str
+        Name of the recording.
+    conditions : dict of str to float
+        Operating point of the recording.
+    """
+    point = ",".join(f"{key}={float(conditions[key])!r}" for key in sorted(conditions))
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(f"scatter {name} {point}".encode())))
+
+
+def scattered(truth: RotorBearingTruth, scatter: Scatter, random: np.random.Generator) -> tuple[RotorBearingTruth, int]:
+    """Return the random rotor and bearing of one recording.
+
+    Parameters
+    ----------
+    truth : RotorBearingTruth
+        The machine without scatter.
+    scatter : Scatter
+        Standard deviations and limits.
+    random : numpy.random.Generator
+        Source of random numbers; see `scatter_random`.
+
+    Returns
+    -------
+    RotorBearingTruth
+        Stable rotor and bearing.
+    int
+        Number of rejected draws.
+
+    Raises
+    ------
+    UsageError
+        When a mode does not oscillate, or when all draws are rejected.
+    """
+    frequency, damping, shapes = _modes(truth)
+    gain = -np.linalg.solve(truth.stiffness, truth.input_gain)
+    floor = np.minimum(scatter.minimum_damping, 0.5 * damping)
+    floor_delay = np.minimum(scatter.minimum_delay, 0.5 * truth.delay)
+    for thrown in range(_TRIES):
+        z = scatter.share * random.standard_normal(10)
+        new_frequency = frequency + z[:2] * scatter.frequency_hz
+        new_damping = damping + z[2:4] * scatter.damping
+        delay = truth.delay + z[4:6] * scatter.delay
+        if (new_damping < floor).any() or (new_damping >= 1).any() or (new_frequency <= 0).any():
+            continue
+        if (delay < floor_delay).any():
+            continue
+        omega = 2 * np.pi * new_frequency
+        half = omega * (-new_damping + 1j * np.sqrt(1 - new_damping**2))
+        values = np.concatenate([half, half.conj()])
+        KD = (shapes * values**2) @ np.linalg.inv(np.vstack([shapes, shapes * values]))
+        K, D = KD.real[:, :2], KD.real[:, 2:]
+        G = gain + np.reshape(z[6:] * scatter.static_gain, (2, 2))
+        return replace(truth, stiffness=K, damping=D, input_gain=-K @ G, delay=delay), thrown
+    raise UsageError(f"scatter: no acceptable draw in {_TRIES}; lower share = {scatter.share}")
+
+
+def _modes(truth: RotorBearingTruth) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Return natural frequencies [Hz], damping factors and mode shapes (2, 4) of both modes, lower frequency first."""
+    values, vectors = np.linalg.eig(np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]]))
+    upper = np.flatnonzero(values.imag > 0)
+    if len(upper) != 2:
+        raise UsageError("scatter: the rotor has a mode that does not oscillate; it cannot be scattered by frequency")
+    upper = upper[np.argsort(np.abs(values[upper]))]
+    half, shapes = values[upper], vectors[:2, upper]
+    return *frequencies_and_dampings(half).T, np.hstack([shapes, shapes.conj()])

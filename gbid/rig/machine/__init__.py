@@ -1,1 +1,0 @@
-"""Machine of the virtual rig: true parameters, piezo stacks, sensors, and scatter between recordings."""

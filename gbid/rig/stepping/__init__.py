@@ -1,1 +1,0 @@
-"""Motion of the machine, by time stepping or in closed form."""

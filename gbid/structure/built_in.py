@@ -1,0 +1,357 @@
+"""Structure of the rotor on its controllable gas bearing (paper, Sec. 3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import inf
+from typing import Any, Literal
+
+import casadi as ca
+
+from gbid.core.brief import Brief
+from gbid.core.errors import UsageError
+from gbid.discretise import Hold
+from gbid.structure.delay import pade_delay
+from gbid.structure.linear import as_names
+from gbid.structure.parameter import Parameter, Values
+
+AXES = ("x", "y")
+PAIRS = ("xx", "xy", "yx", "yy")
+DisturbanceGain = Literal["full", "diagonal", "states", "none"]
+Film = Literal["linear", "stiffening"]
+STIFFENING = "stiffening"
+"""Name of the parameter of a stiffening film, 1/l^2 [1/m^2]."""
+
+KEY_PARAMETERS = (
+    *(f"{letter}_{pair}" for letter in "kdb" for pair in PAIRS),
+    *(f"tau_{axis}" for axis in AXES),
+)
+"""The fourteen parameters that are compared across recordings (paper, Sec. 3.6)."""
+
+_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)"}
+
+
+@dataclass(frozen=True)
+class RotorBearing(Brief):
+    """Rotor and gas bearing: two coupled degrees of freedom with two input delays.
+
+    ``pdd = K p + D pd + B u(t - tau)`` per unit mass (Eqs. 5 to 7), with delays as Pade all-pass filters (Eq. 9). The
+    states are ``[p_x, p_y, pd_x, pd_y, delay states]`` (Eq. 10). Disturbances enter the velocity rows through ``B_d``
+    (Eqs. 7, 11). The input is u, the output is p.
+
+    Parameters
+    ----------
+    pade_order : int
+        Order of the approximation of the delays; the paper uses 1.
+    delay : {"pade", "exact"}
+        Delays as all-pass filters of `pade_order`, or exact for any fraction of a sample. With exact delays there are
+        no delay states, and simulation and frequency response of the model use the exact delay.
+    disturbance_gain : {"full", "diagonal", "states", "none"}
+        Entries of ``B_d`` that are estimated: all four, two, or none. With "states" disturbances also enter the
+        position rows through ``B_p`` (bp_xx to bp_yy [1/s]), as in a steady-state Kalman filter. This is for a rotor
+        with process noise.
+    film : {"linear", "stiffening"}
+        Stiffness of the film. With "stiffening" it grows with the distance from the centre, ``K (1 + s |p|^2) p``, with
+        one more parameter ``stiffening`` s [1/m^2] (`gbid.rig.FilmStiffening`). The fit is then nonlinear. `matrices`
+        are those of small amplitudes.
+    unbalance : bool
+        Whether a mass unbalance acts on the rotor, with the unknowns e_cos and e_sin [m]. A second input "unbalance"
+        then has the channels Omega^2 cos(phi) and Omega^2 sin(phi), see `gbid.with_unbalance`. It is for recordings in
+        which the speed changes, where no map over the shaft angle removes the response to it.
+
+    Raises
+    ------
+    UsageError
+        When an option is unknown.
+    """
+
+    pade_order: int = 1
+    delay: Literal["pade", "exact"] = "pade"
+    disturbance_gain: DisturbanceGain = "full"
+    film: Film = "linear"
+    unbalance: bool = False
+    name: str = "rotor_bearing"
+    inputs: tuple[str, ...] = ("u",)
+    outputs: tuple[str, ...] = ("p",)
+    intersample: Hold = "foh"
+
+    def __post_init__(self) -> None:
+        if self.unbalance and self.inputs == ("u",):
+            object.__setattr__(self, "inputs", ("u", "unbalance"))
+        if self.pade_order < 1:
+            raise UsageError(f"{self.name}: pade_order = {self.pade_order}; it must be at least 1")
+        if self.delay not in ("pade", "exact"):
+            raise UsageError(f"{self.name}: delay = {self.delay!r}; choose 'pade' or 'exact'")
+        if self.disturbance_gain not in ("full", "diagonal", "states", "none"):
+            raise UsageError(
+                f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; "
+                "choose 'full', 'diagonal', 'states' or 'none'"
+            )
+        if self.film not in ("linear", "stiffening"):
+            raise UsageError(f"{self.name}: film = {self.film!r}; choose 'linear' or 'stiffening'")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness k, damping d and input gain b per unit mass, delays tau, stiffening, disturbance gains bd, bp."""
+        coefficients = [Parameter(f"{letter}_{pair}", unit=_UNITS[letter]) for letter in "kdb" for pair in PAIRS]
+        # A negative delay has an unstable Pade pole, and a zero delay has none. The lower bound is far below a sample.
+        delays = [Parameter(f"tau_{axis}", lower=5e-6, upper=5e-3, unit="s") for axis in AXES]
+        gains = [
+            Parameter(name, 0.0, -inf, inf, unit="1/s" if name.startswith("bp") else "1/s^2")
+            for name in self._gain_names()
+        ]
+        rotating = [Parameter(f"e_{part}", 0.0, unit="m") for part in ("cos", "sin") if self.unbalance]
+        film = [Parameter(STIFFENING, 0.0, unit="1/m^2")] if self.film == "stiffening" else []
+        return (*coefficients, *delays, *film, *rotating, *gains)
+
+    def matrices(self, p: Values) -> dict[str, Any]:
+        """Return the matrices of Eq. 10, or of Eqs. 6 and 7 with exact delays."""
+        found = self._of_bearing(p)
+        if not self.unbalance:
+            return found
+        n = found["A"].shape[0]
+        turned = ca.vertcat(ca.horzcat(p["e_cos"], -p["e_sin"]), ca.horzcat(p["e_sin"], p["e_cos"]))
+        found["B"] = ca.horzcat(found["B"], ca.vertcat(ca.SX(2, 2), turned, ca.SX(n - 4, 2)))
+        found["D"] = ca.SX(2, 4)
+        if self.delay == "exact":
+            found["B_delayed"] = ca.horzcat(found["B_delayed"], ca.SX(n, 2))
+            found["delay"] = ca.vertcat(found["delay"], ca.SX.zeros(2, 1))
+        return found
+
+    def _of_bearing(self, p: Values) -> dict[str, Any]:
+        """Return the matrices without unbalance."""
+        stiffness, damping, input_gain = (square(p, letter) for letter in "kdb")
+        if self.delay == "exact":
+            zero, eye = ca.SX(2, 2), ca.SX.eye(2)
+            return {
+                "A": ca.blockcat([[zero, eye], [stiffness, damping]]),
+                "B": ca.SX(4, 2),
+                "B_delayed": ca.vertcat(zero, input_gain),
+                "delay": ca.vertcat(p["tau_x"], p["tau_y"]),
+                "C": ca.horzcat(eye, zero),
+                "D": zero,
+                "K": self._gain(p),
+            }
+        n_tau = self.pade_order
+        delays = [pade_delay(p[f"tau_{axis}"], n_tau) for axis in AXES]
+        A_tau, B_tau, C_tau, D_tau = (ca.diagcat(*(getattr(delay, letter) for delay in delays)) for letter in "ABCD")
+        zero, eye = ca.SX(2, 2), ca.SX.eye(2)
+        A = ca.blockcat(
+            [
+                [ca.horzcat(zero, eye), ca.SX(2, 2 * n_tau)],
+                [ca.horzcat(stiffness, damping), input_gain @ C_tau],
+                [ca.SX(2 * n_tau, 4), A_tau],
+            ]
+        )
+        B = ca.vertcat(zero, input_gain @ D_tau, B_tau)
+        C = ca.horzcat(eye, ca.SX(2, 2 + 2 * n_tau))
+        return {"A": A, "B": B, "C": C, "D": zero, "K": ca.vertcat(self._gain(p), ca.SX(2 * n_tau, 2))}
+
+    @property
+    def forgotten_states(self) -> tuple[int, ...]:
+        """States of the Padé filters, which forget their start within milliseconds; none with exact delays."""
+        return () if self.delay == "exact" else tuple(range(4, 4 + 2 * self.pade_order))
+
+    def _gain_names(self) -> list[str]:
+        velocities = [f"bd_{pair}" for pair in PAIRS]
+        return {
+            "full": velocities,
+            "diagonal": ["bd_xx", "bd_yy"],
+            "states": [*(f"bp_{pair}" for pair in PAIRS), *velocities],
+            "none": [],
+        }[self.disturbance_gain]
+
+    def _gain(self, p: Values) -> Any:
+        """Return the disturbance gain of positions and velocities, (4, 2)."""
+        entries = [[p.get(f"{letter}_{axis}{error}", 0) for error in AXES] for letter in ("bp", "bd") for axis in AXES]
+        return ca.sparsify(ca.SX(ca.vertcat(*(ca.horzcat(*row) for row in entries))))
+
+
+def square(p: Values, letter: str) -> Any:
+    """Return the 2x2 matrix of the entries ``letter_xx`` to ``letter_yy``."""
+    xx, xy, yx, yy = (p[f"{letter}_{pair}"] for pair in PAIRS)
+    return ca.vertcat(ca.horzcat(xx, xy), ca.horzcat(yx, yy))
+
+
+# ---- Structure of two pairs of PD-controlled piezo actuators (paper, Sec. 3.3).
+
+
+@dataclass(frozen=True)
+class PiezoPair(Brief):
+    """Piezo pairs with the transfer function ``kappa / ((s/p1 + 1) (s/p2 + 1))`` per axis, from r to u (Eqs. 12 to 14).
+
+    The input is the position reference r, the output the position difference u. The states are
+    ``[output of the slow pole, u]`` for x, then for y.
+
+    Parameters
+    ----------
+    disturbance_gain : {"none", "full"}
+        ``"full"``: the disturbance d_a acts on the states of its own axis with gains to be estimated (Eq. 14).
+        ``"none"``: it acts on the output only, as in the parameter list of Eq. 13.
+    """
+
+    disturbance_gain: Literal["none", "full"] = "none"
+    name: str = "piezo_pair"
+    inputs: tuple[str, ...] = ("r",)
+    outputs: tuple[str, ...] = ("u",)
+    intersample: Hold = "zoh"
+
+    def __post_init__(self) -> None:
+        if self.disturbance_gain not in ("none", "full"):
+            raise UsageError(f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; choose 'none' or 'full'")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Slow pole p1, fast pole p2 and gain kappa of each axis."""
+        parameters = []
+        for axis in AXES:
+            parameters += [Parameter(f"{pole}_{axis}", lower=1.0, upper=1e6, unit="rad/s") for pole in ("p1", "p2")]
+            parameters.append(Parameter(f"kappa_{axis}", unit="m/m"))
+        if self.disturbance_gain == "full":
+            parameters += [Parameter(f"bd{i}_{axis}", 0.0, unit="1/s") for axis in AXES for i in (1, 2)]
+        return tuple(parameters)
+
+    def matrices(self, p: Values) -> dict[str, Any]:
+        """Return A, B, C, D and K for parameters by name."""
+        blocks = [self._axis(p, axis) for axis in AXES]
+        return {letter: ca.diagcat(*(block[letter] for block in blocks)) for letter in "ABCDK"}
+
+    def _axis(self, p: Values, axis: str) -> dict[str, ca.SX]:
+        slow, fast = p[f"p1_{axis}"], p[f"p2_{axis}"]
+        A = ca.vertcat(ca.horzcat(-slow, 0), ca.horzcat(fast, -fast))
+        B = ca.vertcat(slow * p[f"kappa_{axis}"], 0)
+        K = ca.vertcat(*(p.get(f"bd{i}_{axis}", 0) for i in (1, 2)))
+        return {
+            "A": ca.sparsify(A),
+            "B": ca.sparsify(B),
+            "C": ca.SX([[0, 1]]),
+            "D": ca.SX(1, 1),
+            "K": ca.SX(K),
+        }
+
+
+# ---- Structure of actuators and rotor-bearing in series (paper, Eqs. 3 and 20).
+
+
+@dataclass(frozen=True)
+class Plant(Brief):
+    """Plant ``G = G_rb G_act``: from the references r to the piezo positions u and the disc position p.
+
+    The references are really held between samples, so zero-order hold is exact for this structure. The states are
+    those of the actuators, then those of the rotor-bearing.
+
+    Parameters
+    ----------
+    bearing : RotorBearing
+        Structure of rotor and bearing.
+    actuators : PiezoPair
+        Structure of the actuators.
+    outputs : ("u", "p") or ("p",)
+        Output signals. From r to p alone only the product of actuator gain and input gain can be identified, so a fit
+        must then fix the parameters of the actuators (``fit(..., fixed={...})``).
+    """
+
+    bearing: RotorBearing = field(default_factory=RotorBearing)
+    actuators: PiezoPair = field(default_factory=PiezoPair)
+    outputs: tuple[str, ...] = ("u", "p")
+    name: str = "plant"
+    inputs: tuple[str, ...] = ("r",)
+    intersample: Hold | tuple[Hold, ...] = "zoh"
+
+    def __post_init__(self) -> None:
+        if self.bearing.unbalance and self.inputs == ("r",):
+            object.__setattr__(self, "inputs", ("r", "unbalance"))
+            object.__setattr__(self, "intersample", ("zoh", "zoh", "foh", "foh"))
+        outputs: str | Sequence[str] = self.outputs
+        object.__setattr__(self, "outputs", as_names(outputs))
+        if self.outputs not in (("u", "p"), ("p",)):
+            raise UsageError(f"{self.name}: outputs = {self.outputs}; choose ('u', 'p') or ('p',)")
+        if self.bearing.film != "linear":
+            raise UsageError(f"{self.name}: film = {self.bearing.film!r} is for fits of the bearing alone, from u to p")
+        if self.actuators.disturbance_gain != "none":
+            raise UsageError(f"{self.name}: the actuators' disturbance gain must be 'none' in series")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the actuators, then those of the rotor-bearing."""
+        return (*self.actuators.parameters, *self.bearing.parameters)
+
+    @property
+    def forgotten_states(self) -> tuple[int, ...]:
+        """States of the delays, and of actuators that no output shows: they forget their start within milliseconds."""
+        n_a = 4
+        if self.bearing.delay == "exact":  # see `_with_exact_delay`
+            return tuple(range(n_a, 2 * n_a) if self._explains_u else range(n_a))
+        shown = () if self._explains_u else range(n_a)
+        return (*shown, *(n_a + i for i in self.bearing.forgotten_states))
+
+    def matrices(self, p: Values) -> dict[str, Any]:
+        """Return the matrices A, B, C, D and K of the series connection."""
+        act, whole = self.actuators.matrices(p), self.bearing.matrices(p)
+        rb = {**whole, "B": whole["B"][:, :2], "D": whole["D"][:, :2]}
+        if self.bearing.delay == "exact":
+            rb |= {"B_delayed": whole["B_delayed"][:, :2], "delay": whole["delay"][:2]}
+            found = self._with_exact_delay(act, rb)
+        else:
+            found = self._with_pade(act, rb)
+        return _with_forces(found, whole["B"][:, 2:]) if self.bearing.unbalance else found
+
+    def _with_pade(self, act: dict[str, Any], rb: dict[str, Any]) -> dict[str, Any]:
+        """Return the series connection with the delays of the bearing as states."""
+        n_a, n_b = act["A"].shape[0], rb["A"].shape[0]
+        A = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B"] @ act["C"], rb["A"]]])
+        to_u = ca.horzcat(act["C"], ca.SX(2, n_b))
+        to_p = ca.horzcat(rb["D"] @ act["C"], rb["C"])
+        return {
+            "A": A,
+            "B": ca.vertcat(act["B"], ca.SX(n_b, 2)),
+            "C": ca.vertcat(to_u, to_p) if self._explains_u else to_p,
+            "D": ca.SX(len(self.outputs) * 2, 2),
+            "K": self._disturbance_gain(n_a, rb["K"]),
+        }
+
+    def _with_exact_delay(self, act: dict[str, Any], rb: dict[str, Any]) -> dict[str, Any]:
+        """Return the series connection with the delays moved to the references.
+
+        Each delay commutes with the actuator of its axis. When u is an output as well, the actuators occur twice,
+        once without and once with the delay.
+        """
+        n_a, n_b = act["A"].shape[0], rb["A"].shape[0]
+        late = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B_delayed"] @ act["C"], rb["A"]]])
+        late_B = ca.vertcat(act["B"], ca.SX(n_b, 2))
+        to_p = ca.horzcat(ca.SX(2, n_a), rb["C"])
+        n_prompt = n_a if self._explains_u else 0
+        n = n_prompt + n_a + n_b
+        if not self._explains_u:
+            A, B, B_delayed, C = late, ca.SX(n, 2), late_B, to_p
+        else:
+            A = ca.diagcat(act["A"], late)
+            B = ca.vertcat(act["B"], ca.SX(n_a + n_b, 2))
+            B_delayed = ca.vertcat(ca.SX(n_a, 2), late_B)
+            C = ca.diagcat(act["C"], to_p)
+        K = self._disturbance_gain(n_prompt + n_a, rb["K"])
+        D = ca.SX(len(self.outputs) * 2, 2)
+        return {"A": A, "B": B, "B_delayed": B_delayed, "delay": rb["delay"], "C": C, "D": D, "K": K}
+
+    @property
+    def _explains_u(self) -> bool:
+        return "u" in self.outputs
+
+    def _disturbance_gain(self, n_before: int, K: ca.SX) -> ca.SX:
+        """Return the gain of the disturbance of the bearing, for all states and outputs."""
+        below = ca.vertcat(ca.SX(n_before, 2), K)
+        return ca.horzcat(ca.SX(below.shape[0], 2), below) if self._explains_u else below
+
+
+def _with_forces(found: dict[str, Any], forces: ca.SX) -> dict[str, Any]:
+    """Return the matrices with further inputs that act on the states of the bearing, which are the last."""
+    n, m = found["A"].shape[0], forces.shape[1]
+    acting = ca.vertcat(ca.SX(n - forces.shape[0], m), forces)
+    more = {"B": ca.horzcat(found["B"], acting), "D": ca.horzcat(found["D"], ca.SX(found["D"].shape[0], m))}
+    if "delay" in found:
+        more |= {
+            "B_delayed": ca.horzcat(found["B_delayed"], ca.SX(n, m)),
+            "delay": ca.vertcat(found["delay"], ca.SX.zeros(m, 1)),
+        }
+    return {**found, **more}

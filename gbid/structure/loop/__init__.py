@@ -1,1 +1,0 @@
-"""Closed loop of a structure and a controller, as a structure."""

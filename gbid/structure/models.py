@@ -1,0 +1,646 @@
+"""Checks of the fields of a linear model, and the read-only arrays and names that it keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.core.arrays import ComplexArray, FloatArray, oscillatory_modes, poles_of_samples
+from gbid.core.brief import Brief, Description, brief
+from gbid.core.errors import UsageError
+from gbid.core.extras import Pictured, extra_package
+from gbid.core.hdf5 import Stored
+from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
+
+# ---- Protocol of a state-space model, for functions that need only its matrices and names.
+
+
+class StateSpace(Protocol):
+    """Matrices and names of a `LinearModel`."""
+
+    @property
+    def A(self) -> FloatArray:
+        """State matrix (n, n)."""
+        ...
+
+    @property
+    def B(self) -> FloatArray:
+        """Input matrix (n, n_inputs)."""
+        ...
+
+    @property
+    def C(self) -> FloatArray:
+        """Output matrix (n_outputs, n)."""
+        ...
+
+    @property
+    def D(self) -> FloatArray:
+        """Feedthrough (n_outputs, n_inputs)."""
+        ...
+
+    @property
+    def K(self) -> FloatArray | None:
+        """Disturbance gain (n, n_outputs)."""
+        ...
+
+    @property
+    def dt(self) -> float | None:
+        """Sample time [s]; None in continuous time."""
+        ...
+
+    @property
+    def B_delayed(self) -> FloatArray | None:
+        """Input matrix of delayed inputs (n, n_inputs)."""
+        ...
+
+    @property
+    def delay(self) -> FloatArray | None:
+        """Exact delays (n_inputs,) [s]."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """Name of the model."""
+        ...
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        ...
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        ...
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        ...
+
+
+# ---- Preparation of a simulation over sampled inputs: state transition, forcing and initial state.
+
+
+def sampled_run(
+    model: StateSpace,
+    inputs: npt.ArrayLike,
+    sample_time: float | None,
+    initial_state: npt.ArrayLike | None,
+    intersample: str | Sequence[str],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the recursion ``x[k+1] = F x[k] + f[k]`` of a simulation, after a check of its inputs.
+
+    Parameters
+    ----------
+    model : StateSpace
+        The model.
+    inputs : (n_samples, n_inputs) array
+        Input signals.
+    sample_time : float, optional
+        Time between samples [s]; a discrete model has its own.
+    initial_state : (n,) array, optional
+        State at the first sample; zero when not given.
+    intersample : {"zoh", "foh"} or sequence of these
+        Inter-sample behaviour of the inputs.
+
+    Returns
+    -------
+    F : (n, n) array
+        State transition.
+    f : (n_samples, n) array
+        Effect of the inputs on the state, with delayed inputs.
+    inputs : (n_samples, n_inputs) array
+        Inputs as a float array.
+    initial_state : (n,) array
+        State at the first sample.
+
+    Raises
+    ------
+    UsageError
+        As for `LinearModel.simulate`.
+    """
+    u = channels(model.name, "inputs", inputs, model.B.shape[1])
+    if model.dt is None:
+        if sample_time is None:
+            raise UsageError(f"model {model.name!r} is continuous: give the sample time [s]")
+        check_sample_time(model.name, sample_time)
+        F, now, following = discretise(np.array(model.A), np.array(model.B), sample_time, intersample)
+    else:
+        if sample_time is not None and not np.isclose(sample_time, model.dt, rtol=1e-9):
+            raise UsageError(f"model {model.name!r} has sample time {model.dt} s, not {sample_time} s")
+        if any(hold != "zoh" for hold in check_holds(intersample, model.B.shape[1])):
+            raise UsageError(f"model {model.name!r} is discrete: its inputs cannot be interpolated")
+        F, now, following = model.A, model.B, np.zeros_like(model.B)
+    x0 = np.zeros(len(model.A)) if initial_state is None else np.asarray(initial_state, float)
+    if x0.shape != (len(model.A),):
+        raise UsageError(f"model {model.name!r}: initial_state has shape {x0.shape}, expected ({len(model.A)},)")
+    forcing = u @ now.T
+    forcing[:-1] += u[1:] @ following.T
+    if model.delay is not None and sample_time is not None:
+        forcing += _delayed_forcing(model, u, sample_time, check_holds(intersample, u.shape[1]))
+    return F, forcing, u, x0
+
+
+def _delayed_forcing(model: StateSpace, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
+    """Return the effect of the delayed inputs on the state; before the record they have their first value."""
+    assert model.delay is not None
+    assert model.B_delayed is not None
+    forcing = np.zeros((len(u), len(model.A)))
+    for i, hold in enumerate(holds):
+        taps = delayed_taps(np.array(model.A), model.B_delayed[:, [i]], float(model.delay[i]), sample_time, hold)
+        for j, column in enumerate(taps.columns):
+            rows = np.clip(np.arange(len(u)) - taps.shift + 1 - j, 0, len(u) - 1)
+            forcing += u[rows, i : i + 1] @ column.T
+    return forcing
+
+
+def channels(model: str, what: str, values: npt.ArrayLike, count: int, n_samples: int | None = None) -> FloatArray:
+    """Return signals as finite numbers, (n_samples, count); one channel may come as (n_samples,).
+
+    Parameters
+    ----------
+    model, what : str
+        Name of the model and word for the signals, for the text of an error.
+    values : array
+        The signals.
+    count : int
+        Number of channels.
+    n_samples : int, optional
+        Number of samples; any when left out.
+
+    Raises
+    ------
+    UsageError
+        For another shape, or values that are not finite.
+    """
+    found = np.asarray(values, float)
+    if found.ndim == 1 and count == 1:
+        found = found[:, None]
+    if found.ndim != 2 or found.shape[1] != count or n_samples not in (None, len(found)):
+        expected = "n_samples" if n_samples is None else n_samples
+        raise UsageError(f"model {model!r}: {what} have shape {found.shape}, expected ({expected}, {count})")
+    if not np.isfinite(found).all():
+        raise UsageError(f"model {model!r}: {what} hold values that are not finite")
+    return found
+
+
+def check_sample_time(model: str, sample_time: float) -> None:
+    """Refuse sample times that are not positive numbers."""
+    if not (np.isfinite(sample_time) and sample_time > 0):
+        raise UsageError(f"model {model!r}: sample time {sample_time} s; it must be a positive number")
+
+
+def checked_fields(model: StateSpace) -> dict[str, Any]:
+    """Return the matrices of a model as read-only arrays, its delays, and its names with those that were not given.
+
+    Raises
+    ------
+    UsageError
+        As `LinearModel`.
+    """
+    if model.dt is not None:
+        check_sample_time(model.name, model.dt)
+    given = {letter: getattr(model, letter) for letter in "ABCDK"}
+    matrices = {letter: np.atleast_2d(np.array(m, float)) for letter, m in given.items() if m is not None}
+    n, n_u, n_y = matrices["A"].shape[0], matrices["B"].shape[1], matrices["C"].shape[0]
+    expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y)}
+    for letter, matrix in matrices.items():
+        if matrix.shape != expected[letter]:
+            raise UsageError(f"model {model.name!r}: {letter} has shape {matrix.shape}, expected {expected[letter]}")
+        if not np.isfinite(matrix).all():
+            raise UsageError(f"model {model.name!r}: {letter} holds entries that are not finite")
+    arrays = {**matrices, **_checked_delay(model, n, n_u)}
+    for array in arrays.values():
+        array.setflags(write=False)
+    counts = {"input_names": (n_u, "u"), "output_names": (n_y, "y"), "state_names": (n, "x")}
+    return {**arrays, **{field: _names(model, field, *default) for field, default in counts.items()}}
+
+
+def _checked_delay(model: StateSpace, n: int, n_u: int) -> dict[str, FloatArray]:
+    if (model.delay is None) != (model.B_delayed is None):
+        raise UsageError(f"model {model.name!r}: give both delay and B_delayed, or neither")
+    if model.delay is None:
+        return {}
+    delay, B_delayed = np.array(model.delay, float), np.array(model.B_delayed, float)
+    if delay.shape != (n_u,) or B_delayed.shape != (n, n_u):
+        raise UsageError(
+            f"model {model.name!r}: delay has shape {delay.shape} and B_delayed {B_delayed.shape}, "
+            f"expected {(n_u,)} and {(n, n_u)}"
+        )
+    if model.dt is not None:
+        raise UsageError(f"model {model.name!r}: exact delays are possible in continuous time only")
+    if not (np.isfinite(B_delayed).all() and np.isfinite(delay).all() and (delay >= 0).all()):
+        raise UsageError(f"model {model.name!r}: delays must be finite and not negative, B_delayed finite")
+    return {"delay": delay, "B_delayed": B_delayed}
+
+
+def _names(model: StateSpace, field: str, count: int, letter: str) -> tuple[str, ...]:
+    names = tuple(getattr(model, field)) or tuple(f"{letter}{i + 1}" for i in range(count))
+    if len(names) != count:
+        raise UsageError(f"model {model.name!r}: {field} has {len(names)} names for {count}")
+    return names
+
+
+# ---- Poles, static gain and frequency response of a linear model.
+
+
+def continuous_poles(model: StateSpace) -> ComplexArray:
+    """Return the poles in continuous time [rad/s], shape (n,), by rising magnitude."""
+    poles = np.linalg.eigvals(model.A).astype(complex)
+    if model.dt is not None:
+        poles = poles_of_samples(poles, model.dt)
+    return poles[np.lexsort((poles.imag, np.abs(poles)))]
+
+
+def static_gain(model: StateSpace) -> FloatArray:
+    """Return the static gain, shape (n_outputs, n_inputs); see `LinearModel.static_gain`."""
+    system = -model.A if model.dt is None else np.eye(len(model.A)) - model.A
+    if len(model.A) and np.linalg.cond(system) > 1e15:
+        raise UsageError(f"model {model.name!r} has an integrator, so it has no static gain")
+    B = model.B if model.B_delayed is None else model.B + model.B_delayed
+    return np.asarray(model.C @ np.linalg.solve(system, B) + model.D)
+
+
+def frequency_response(model: StateSpace, frequency_hz: npt.ArrayLike) -> ComplexArray:
+    """Return the frequency response (n_frequencies, n_outputs, n_inputs); see `LinearModel.frequency_response`."""
+    s = 2j * np.pi * np.atleast_1d(np.asarray(frequency_hz, float))
+    if not np.isfinite(s).all():
+        raise UsageError(f"model {model.name!r}: frequency_hz holds values that are not finite")
+    B = np.broadcast_to(model.B, (len(s), *model.B.shape)).astype(complex)
+    if model.delay is not None:
+        B = B + model.B_delayed * np.exp(-s[:, None] * model.delay)[:, None]
+    if model.dt is not None:
+        s = np.exp(s * model.dt)
+    system = s[:, None, None] * np.eye(len(model.A)) - model.A
+    try:
+        states = np.linalg.solve(system, B)
+    except np.linalg.LinAlgError:
+        raise UsageError(f"model {model.name!r} has a pole at one of the given frequencies") from None
+    return np.asarray(model.C @ states + model.D)
+
+
+# ---- Conversion of linear models to objects of other libraries, and back.
+
+
+def scipy_state_space(model: StateSpace) -> Any:
+    """Return the model as ``scipy.signal.StateSpace``; see `LinearModel.to_scipy`."""
+    from scipy import signal
+
+    _refuse_delays(model, "scipy")
+    matrices = (np.array(m) for m in (model.A, model.B, model.C, model.D))
+    return signal.StateSpace(*matrices, **({} if model.dt is None else {"dt": model.dt}))
+
+
+def control_state_space(model: StateSpace) -> Any:
+    """Return the model as ``control.StateSpace``; see `LinearModel.to_control`."""
+    control = extra_package("control", "control", f"model {model.name!r}: conversion to python-control")
+    _refuse_delays(model, "python-control")
+    return control.StateSpace(
+        *(np.array(m) for m in (model.A, model.B, model.C, model.D)),
+        0 if model.dt is None else model.dt,
+        inputs=_labels(model.input_names),
+        outputs=_labels(model.output_names),
+        states=_labels(model.state_names),
+        name=model.name,
+        remove_useless_states=False,
+    )
+
+
+def from_state_space(system: Any, name: str | None) -> dict[str, Any]:
+    """Return the fields of a `LinearModel` given by a state-space system; see `LinearModel.from_control`."""
+    if not all(hasattr(system, part) for part in ("A", "B", "C", "D", "dt", "input_labels")):
+        raise UsageError(
+            f"a {type(system).__name__} is not a state-space system of python-control; "
+            "convert it first, control.ss(system)"
+        )
+    if system.dt is None or isinstance(system.dt, bool):
+        raise UsageError(
+            f"system {system.name!r} has dt = {system.dt}, which is not a sample time; "
+            "set system.dt to 0 for continuous time, or to the sample time in seconds"
+        )
+    return {
+        **{letter: np.asarray(getattr(system, letter), float) for letter in "ABCD"},
+        "dt": None if system.dt == 0 else float(system.dt),
+        "input_names": tuple(system.input_labels),
+        "output_names": tuple(system.output_labels),
+        "state_names": tuple(system.state_labels),
+        "name": system.name if name is None else name,
+    }
+
+
+def _refuse_delays(model: StateSpace, library: str) -> None:
+    if model.delay is not None:
+        raise UsageError(
+            f"model {model.name!r} has exact delays, which {library} does not support; "
+            "replace them by Pade approximations first: with_pade(model, order)"
+        )
+
+
+def _labels(names: tuple[str, ...]) -> list[str]:
+    """Return names without dots, which python-control reserves for itself."""
+    return [name.replace(".", "_") for name in names]
+
+
+# ---- Linear model with numeric matrices: the result of a fit and the plant of a control loop.
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel(Brief, Pictured):
+    """State-space model ``xd = A x + B u + K e``, ``y = C x + D u + e``, or the same in discrete time.
+
+    Parameters
+    ----------
+    A : (n, n) array
+        State matrix.
+    B : (n, n_inputs) array
+        Input matrix.
+    C : (n_outputs, n) array
+        Output matrix.
+    D : (n_outputs, n_inputs) array
+        Feedthrough.
+    K : (n, n_outputs) array, optional
+        Disturbance gain (paper, Eq. 6: ``B_d``).
+    dt : float, optional
+        Sample time [s]; None for continuous time.
+    input_names, output_names, state_names : tuple of str, optional
+        Names of the channels and states.
+    name : str, optional
+        Name of the model.
+    B_delayed : (n, n_inputs) array, optional
+        Input matrix of the delayed inputs: ``xd = A x + B u + B_delayed u(t - delay)``.
+    delay : (n_inputs,) array, optional
+        Exact input delays [s]; continuous time only.
+
+    Raises
+    ------
+    UsageError
+        When shapes do not fit together, when an entry is not finite, or when the sample time is not positive.
+    """
+
+    A: Annotated[FloatArray, Stored("SI", "A of the model")]
+    B: Annotated[FloatArray, Stored("SI", "B of the model")]
+    C: Annotated[FloatArray, Stored("SI", "C of the model")]
+    D: Annotated[FloatArray, Stored("SI", "D of the model")]
+    K: Annotated[FloatArray | None, Stored("SI", "K of the model")] = None
+    dt: float | None = None
+    input_names: tuple[str, ...] = ()
+    output_names: tuple[str, ...] = ()
+    state_names: tuple[str, ...] = ()
+    name: str = "model"
+    B_delayed: Annotated[FloatArray | None, Stored("SI", "B_delayed of the model")] = None
+    delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
+
+    def __post_init__(self) -> None:
+        for field, value in checked_fields(self).items():
+            object.__setattr__(self, field, value)
+
+    @property
+    def summary(self) -> str:
+        """Name, number of states and kind of time, on one line."""
+        time = "continuous time" if self.dt is None else f"samples of {self.dt:g} s"
+        return f"{self.name}, {len(self.A)} states, {time}" + (", exact delays" if self.delay is not None else "")
+
+    def _brief(self) -> Description:
+        modes = [f"{frequency:.2f} Hz, damping {damping:.4f}" for frequency, damping in self.modes()]
+        delay = {} if self.delay is None else {"delay": self.delay}
+        return brief(
+            self, self.summary, input_names=self.input_names, output_names=self.output_names, **delay, modes=modes
+        )
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return int(self.A.shape[0])
+
+    def poles(self) -> ComplexArray:
+        """Return the poles in continuous time [rad/s], shape (n,), by rising magnitude."""
+        return continuous_poles(self)
+
+    def is_stable(self) -> bool:
+        """Return whether the model is asymptotically stable."""
+        eigenvalues = np.linalg.eigvals(self.A)
+        return bool((eigenvalues.real < 0).all() if self.dt is None else (np.abs(eigenvalues) < 1).all())
+
+    def modes(self) -> list[tuple[float, float]]:
+        """Return the oscillatory modes as (natural frequency [Hz], damping factor [-]), by rising frequency.
+
+        A complex pair ``lambda`` has the natural frequency ``|lambda| / 2 pi`` and the damping factor
+        ``-Re(lambda) / |lambda|``. Real poles are not modes; `poles` returns them, too.
+        """
+        return [(frequency, damping) for frequency, damping in oscillatory_modes(self.poles()).tolist()]
+
+    def static_gain(self) -> FloatArray:
+        """Return the static gain, shape (n_outputs, n_inputs).
+
+        Raises
+        ------
+        UsageError
+            When the model has an integrator (a pole at zero) and therefore no static gain.
+        """
+        return static_gain(self)
+
+    def frequency_response(self, frequency_hz: npt.ArrayLike) -> ComplexArray:
+        """Return the frequency response, shape (n_frequencies, n_outputs, n_inputs).
+
+        Parameters
+        ----------
+        frequency_hz : (n_frequencies,) array
+            Frequencies [Hz].
+
+        Raises
+        ------
+        UsageError
+            When a frequency is not finite, or when an undamped pole lies exactly on it.
+        """
+        return frequency_response(self, frequency_hz)
+
+    def discretise(self, sample_time: float) -> LinearModel:
+        """Return the discrete-time model for zero-order hold of inputs and disturbance.
+
+        Parameters
+        ----------
+        sample_time : float
+            Sample time [s].
+
+        Raises
+        ------
+        UsageError
+            When the model is discrete already, or when it has exact delays (see `with_pade`).
+        """
+        self._require_continuous()
+        if self.delay is not None:
+            raise UsageError(
+                f"model {self.name!r} has exact delays; "
+                "replace them by Pade approximations first: with_pade(model, order)"
+            )
+        check_sample_time(self.name, sample_time)
+        B = self.B if self.K is None else np.hstack([self.B, self.K])
+        F, G, _ = discretise(np.array(self.A), B, sample_time, "zoh")
+        n_u = self.B.shape[1]
+        return replace(self, A=F, B=G[:, :n_u], K=None if self.K is None else G[:, n_u:], dt=sample_time)
+
+    def simulate(
+        self,
+        inputs: npt.ArrayLike,
+        sample_time: float | None = None,
+        *,
+        initial_state: npt.ArrayLike | None = None,
+        intersample: str | Sequence[str] = "zoh",
+    ) -> FloatArray:
+        """Return the response to sampled inputs.
+
+        Parameters
+        ----------
+        inputs : (n_samples, n_inputs) array
+            Input signals.
+        sample_time : float, optional
+            Time between samples [s]; a discrete model has its own.
+        initial_state : (n,) array, optional
+            State at the first sample; zero when not given.
+        intersample : {"zoh", "foh"} or sequence of these
+            Inter-sample behaviour of the inputs; for a discrete model it was fixed by its discretisation.
+
+        Returns
+        -------
+        (n_samples, n_outputs) array
+            Output signals.
+
+        Raises
+        ------
+        UsageError
+            When shapes do not fit, when an input is not finite, when the sample time is missing or differs, or when
+            `intersample` is given for a discrete model.
+        """
+        F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
+        return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+
+    def predict(
+        self,
+        inputs: npt.ArrayLike,
+        outputs: npt.ArrayLike,
+        sample_time: float | None = None,
+        *,
+        initial_state: npt.ArrayLike | None = None,
+        intersample: str | Sequence[str] = "zoh",
+    ) -> FloatArray:
+        """Return one-step-ahead predictions of the outputs from measured inputs and outputs (paper, Eq. 10).
+
+        Without a disturbance gain this is the simulation.
+
+        Parameters
+        ----------
+        inputs : (n_samples, n_inputs) array
+            Input signals.
+        outputs : (n_samples, n_outputs) array
+            Measured outputs.
+        sample_time : float, optional
+            Time between samples [s]; a discrete model has its own.
+        initial_state : (n,) array, optional
+            State at the first sample; zero when not given.
+        intersample : {"zoh", "foh"} or sequence of these
+            Inter-sample behaviour of the inputs.
+
+        Returns
+        -------
+        (n_samples, n_outputs) array
+            Predicted outputs.
+
+        Raises
+        ------
+        UsageError
+            As for `simulate`, or when the outputs do not fit.
+        """
+        F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
+        y = channels(self.name, "outputs", outputs, len(self.C), len(u))
+        if self.K is not None:
+            gain = np.array(self.K)
+            if self.dt is None and sample_time is not None:
+                gain = discretise(np.array(self.A), gain, sample_time, "zoh").G_now
+            F, forcing = F - gain @ self.C, forcing + (y - u @ self.D.T) @ gain.T
+        return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+
+    def to_scipy(self) -> Any:
+        """Return the model as ``scipy.signal.StateSpace``, without names and disturbance gain.
+
+        Raises
+        ------
+        UsageError
+            When the model has exact delays; replace them first with `with_pade`.
+        """
+        return scipy_state_space(self)
+
+    def to_control(self) -> Any:
+        """Return the model as ``control.StateSpace`` with its names, without the disturbance gain.
+
+        Dots in names become underscores, because python-control reserves the dot.
+
+        Raises
+        ------
+        UsageError
+            When the model has exact delays (replace them first with `with_pade`), or when python-control is not
+            installed: install the extra ``gbid[control]``.
+        """
+        return control_state_space(self)
+
+    @classmethod
+    def from_control(cls, system: Any, name: str | None = None) -> LinearModel:
+        """Return the model of a state-space system of python-control.
+
+        Parameters
+        ----------
+        system : control.StateSpace
+            The system.
+        name : str, optional
+            Name of the model; by default that of the system.
+
+        Returns
+        -------
+        LinearModel
+
+        Raises
+        ------
+        UsageError
+            When it is another type of system, or when its ``dt`` is None or True and the sample time is therefore
+            unknown.
+        """
+        return cls(**from_state_space(system, name))
+
+    def _require_continuous(self) -> None:
+        if self.dt is not None:
+            raise UsageError(f"model {self.name!r} is discrete already (sample time {self.dt} s)")
+
+
+# ---- Frequency grid adapted to the poles of a model.
+
+
+def frequency_grid(model: LinearModel, n: int = 400) -> FloatArray:
+    """Return frequencies with logarithmic spacing, and dense around each oscillatory pole.
+
+    Parameters
+    ----------
+    model : LinearModel
+        The model.
+    n : int
+        Number of frequencies with logarithmic spacing.
+
+    Returns
+    -------
+    (n_frequencies,) array
+        Frequencies from 0 [Hz], ascending, up to ten times the fastest pole or half the sampling frequency.
+    """
+    poles = model.poles()
+    rates = np.abs(poles)[np.isfinite(poles) & (np.abs(poles) > 0)] / (2 * np.pi)
+    slowest, fastest = (rates.min(), rates.max()) if len(rates) else (0.1, 10.0)
+    nyquist = inf if model.dt is None else 0.5 / model.dt
+    even = np.geomspace(slowest / 30, min(10 * fastest, nyquist), n)
+    pairs = poles[np.isfinite(poles) & (poles.imag > 0)]
+    spread = np.concatenate([-np.geomspace(0.05, 5, 8)[::-1], [0.0], np.geomspace(0.05, 5, 8)])
+    around = (pairs.imag[:, None] + np.abs(pairs.real)[:, None] * spread).ravel() / (2 * np.pi)
+    grid = np.unique(np.concatenate([[0.0], even, around, rates]))
+    return np.asarray(grid[(grid >= 0) & (grid <= nyquist)])

@@ -1,1 +1,0 @@
-"""Nonlinear structures: equations of a user, their symbols, and the model at given parameters."""

@@ -1,1 +1,0 @@
-"""Linear models in numbers: matrices, simulation, frequency response, and the objects of other libraries."""

@@ -1,1 +1,0 @@
-"""Structures whose parameters are polynomials in signals of the recording."""
