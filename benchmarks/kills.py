@@ -118,7 +118,7 @@ class Case:
 
 def write_experiment(folder: Path, count: int, more: str) -> Path:
     """Write an experiment on files of a mass on a spring, one second or less each."""
-    from gbid.cli.files import write_example_data
+    from gbid.cli.templates import write_example_data
 
     (folder / "data").mkdir(parents=True)
     for i in range(1, count + 1):

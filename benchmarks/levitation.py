@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import gbid
-from gbid.cli.files import write_held_bearing
+from gbid.cli.templates import write_held_bearing
 from gbid.core.files import share_folder
 from gbid.structure import load_structure
 

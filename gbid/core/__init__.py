@@ -1,1 +1,1 @@
-"""What every room uses: arrays, errors, units, tables, notes, files."""
+"""What every package uses: arrays, errors, units, tables, notes, files."""

@@ -104,7 +104,8 @@ def squarings_for(matrices: Iterable[FloatArray]) -> int:
     int
         The largest number that any of them needs.
     """
-    return max((_squarings(np.asarray(Z, float)) for Z in matrices), default=0)
+    with np.errstate(over="ignore", invalid="ignore"):  # a power that overflows needs none
+        return max((_squarings(np.asarray(Z, float)) for Z in matrices), default=0)
 
 
 def _squarings(Z: FloatArray) -> int:

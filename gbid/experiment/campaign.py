@@ -19,9 +19,9 @@ from pathlib import Path
 from gbid.core.errors import DataError, UsageError
 from gbid.core.files import find_stale_parts, remove_stale_parts
 from gbid.core.tables import write_csv
+from gbid.experiment.engines import make_engine
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import content_key, stored_key
-from gbid.experiment.pool import make_engine
 from gbid.experiment.run import (
     FOLDER,
     Job,
@@ -257,7 +257,7 @@ def working(
     reporter : Reporter, optional
         Receiver of the progress; none by default.
     engine, workers, scheduler
-        Options of `gbid.experiment.pool.make_engine`.
+        Options of `gbid.experiment.engines.make_engine`.
     shared : bool
         Whether other shards may use the folder at the same time.
 

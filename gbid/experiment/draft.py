@@ -381,11 +381,11 @@ def _field(tokens: list[str], at: int) -> str:
     before = next((t for t in reversed(tokens[:at]) if t[0].isalnum()), "")
     after = next((t for t in tokens[at + 1 :] if t[0].isalnum()), "")
     direct = tokens[at + 1] if at + 1 < len(tokens) else ""
-    for field, (left, right) in (("pressure_bar", _PRESSURE), ("speed_rpm", _SPEED)):
+    for quantity, (left, right) in (("pressure_bar", _PRESSURE), ("speed_rpm", _SPEED)):
         if after in right and (direct == after or not direct.isalnum()):
-            return field
+            return quantity
         if before in left:
-            return field
+            return quantity
     return "nr"
 
 

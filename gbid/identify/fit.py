@@ -27,7 +27,7 @@ from gbid.identify.request import check_choices, request
 from gbid.identify.restarts import Attempt, Plan, best_attempt, lowest_of_several, strongly_coloured
 from gbid.identify.result import FitOptions, FitResult, StdKind
 from gbid.identify.robust import LossName, Reweighted, reweighted_solution, robust_loss
-from gbid.identify.start.scheduled import centre_tie
+from gbid.identify.start.scheduled_start import centre_tie
 from gbid.identify.start.start import settled_start
 from gbid.identify.uncertainty.coloured import Bootstrap, StdName, asked_bootstrap, whiteness_test
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance, model_spreads

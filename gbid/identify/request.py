@@ -40,7 +40,7 @@ from gbid.identify.problem.states import (
     without_disturbances,
     without_inputs,
 )
-from gbid.identify.start.scheduled import Courses, read_courses, scheduled_start, tied_equations
+from gbid.identify.start.scheduled_start import Courses, read_courses, scheduled_start, tied_equations
 from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
 from gbid.structure import (

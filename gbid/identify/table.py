@@ -209,12 +209,12 @@ class FitTable(Brief):
             keep = keep & (self.success == success)
         rows = np.flatnonzero(keep)
         chosen: dict[str, Any] = {}
-        for field in fields(self):
-            values = getattr(self, field.name)
+        for column in fields(self):
+            values = getattr(self, column.name)
             if isinstance(values, np.ndarray):
-                chosen[field.name] = values[rows]
-            elif field.name in ("recordings", "notes"):
-                chosen[field.name] = tuple(values[i] for i in rows)
+                chosen[column.name] = values[rows]
+            elif column.name in ("recordings", "notes"):
+                chosen[column.name] = tuple(values[i] for i in rows)
         return replace(self, **chosen)._without_empty_columns()
 
     def row(self, fit: str, model: str) -> dict[str, Any]:

@@ -80,8 +80,8 @@ class SignalMapping:
     unit : str, optional
         Unit of the numbers in the file. When it is not given, the unit in the csv header is used.
     stored_unit : str, optional
-        Unit in the recording. When it is not given, it is the SI unit of a signal of the rig (`gbid.core.units.SIGNALS`),
-        otherwise the unit of the file.
+        Unit in the recording. When it is not given, it is the SI unit of a signal of the rig
+        (`gbid.core.units.SIGNALS`), otherwise the unit of the file.
     channels : tuple of str, optional
         Names of the channels; when not given, the default names of `Recording`.
 

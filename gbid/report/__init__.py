@@ -19,7 +19,6 @@ _MODULES = (
     "surface_pictures",
 )
 """Modules of `gbid.report` with the public names."""
-_PACKAGES: tuple[str, ...] = ()
 
 __all__ = [
     "ActuatorParameters",
@@ -100,9 +99,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the figures, or a package of the report, at the first use of one (PEP 562)."""
-    if name in _PACKAGES:
-        return import_module(f"gbid.report.{name}")
+    """Import the figures at the first use of one (PEP 562)."""
     if name in __all__:
         for module in _MODULES:
             found = getattr(import_module(f"gbid.report.{module}"), name, None)

@@ -88,7 +88,7 @@ def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None
         The axes; ``axes.flat[0].figure`` is the figure.
     """
     figure, axes = panels(ax, 3, 2, size=(TWO_COLUMNS, 5.0), sharex=True)
-    for i, (name, symbol, unit, scale) in enumerate(_ROWS):
+    for i, (name, letters, unit, scale) in enumerate(_ROWS):
         for j, axis in enumerate("xy"):
             panel, values = axes[2 * i + j], scale * np.asarray(data.values[f"{name}_{axis}"], float)
             number = np.arange(1, len(values) + 1)
@@ -100,7 +100,7 @@ def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None
                 panel.axhline(values[k], color=GREY, linewidth=0.9, linestyle=(0, (5, 1.5)), zorder=0)
                 ring: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.1}
                 panel.plot(number[k], values[k], "o", color=ink(), label=f"nominal, no. {k + 1}", **ring)
-            panel.set_ylabel(f"${symbol % axis}$ [{unit}]")
+            panel.set_ylabel(f"${letters % axis}$ [{unit}]")
             panel.ticklabel_format(axis="y", useOffset=False)
     for panel in axes[4:6]:
         panel.set_xlabel("recording")
@@ -619,16 +619,16 @@ def plot_residuals(test: ResidualTest, ax: Sequence[Sequence[Axes]] | None = Non
         n_rows, n_columns = len(test.output_names), 1 + len(test.input_names)
         return np.array(residuals_figure(test).axes[: n_rows * n_columns], dtype=object).reshape(n_rows, n_columns)
     axes, rows = ax, residuals_data(test)
-    if len(axes) < len(rows) or any(len(row) < len(panels) for row, panels in zip(axes, rows, strict=False)):
+    if len(axes) < len(rows) or any(len(row) < len(tests) for row, tests in zip(axes, rows, strict=False)):
         raise UsageError(f"residuals need {len(rows)} rows of {len(rows[0])} axes")
-    for j, panels in enumerate(rows):
-        for i, panel in enumerate(panels):
+    for j, tests in enumerate(rows):
+        for i, panel in enumerate(tests):
             _plot_panel(panel, axes[j][i])
         white = "white" if test.white[j] else "not white"
         _say(axes[j][0], f"{white}, {probability(test.p_white[j])}")
         for panel_ax, source, p in zip(axes[j][1:], test.input_names, test.p_independent[j], strict=False):
             _say(panel_ax, f"{'follow' if source in test.follows[j] else 'independent'}, {probability(p)}")
-        axes[j][0].set_ylabel(symbol(panels[0].output))
+        axes[j][0].set_ylabel(symbol(tests[0].output))
     for i, panel in enumerate(rows[0]):
         _milliseconds_above(axes[0][i], panel)
         axes[0][i].set_title("autocorrelation" if i == 0 else f"correlation with {symbol(panel.against)}", pad=8)
@@ -764,8 +764,8 @@ def plot_response(
         axes[i].set_title(f"fit {validation.fit_percent[i]:.1f} %", loc="right", pad=3)
     if len(axes) > n_outputs and validation.input_names:
         _plot_inputs(validation, axes[n_outputs], shown)
-    for ax, letter in zip(axes, "abcdefgh", strict=False):
-        ax.set_title(f"{letter})", loc="left", pad=3)
+    for ax, mark in zip(axes, "abcdefgh", strict=False):
+        ax.set_title(f"{mark})", loc="left", pad=3)
     _legend_above(axes[0])
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], time[-1])

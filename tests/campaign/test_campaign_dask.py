@@ -13,8 +13,9 @@ from experiment_files import gbid
 
 from gbid.core.errors import GbidError, NoSpaceError, UsageError
 from gbid.experiment.campaign import run_campaign, working
+from gbid.experiment.engines import make_engine
 from gbid.experiment.load import load_experiment
-from gbid.experiment.pool import ATTEMPTS, make_engine
+from gbid.experiment.pool import ATTEMPTS
 from gbid.experiment.run import Job, run_tasks
 
 distributed = pytest.importorskip("distributed", reason="distributed is not installed (gbid[dask])")

@@ -60,7 +60,7 @@ def test_help_imports_nothing_heavy_and_commands_nothing_they_may_not_need():
         "heavy = ['casadi', 'numpy', 'scipy', 'matplotlib', 'h5py', 'pydantic', 'ruamel', 'rich']\n"
         "found = [name for name in heavy if name in sys.modules]\n"
         "assert not found, found\n"
-        "import gbid.experiment.pool\n"  # what every command and worker imports
+        "import gbid.experiment.campaign\n"  # what every command and worker imports
         "heavy = ['matplotlib', *(f'scipy.{part}' for part in ('optimize', 'signal', 'stats', 'ndimage'))]\n"
         "found = [name for name in heavy if name in sys.modules]\n"
         "assert not found, found\n"

@@ -1,1 +1,1 @@
-"""Tune."""
+"""Gains that are optimised: goals, plants, search, certificates."""

@@ -27,7 +27,7 @@ _ONE = h5py.h5s.create(h5py.h5s.SCALAR)
 
 
 class DamagedError(DataError):
-    """Error for an entry that is missing or of the wrong type; `gbid.core.hdf5.reading` adds the file and what to do."""
+    """An entry is missing or of the wrong type; `gbid.core.hdf5.reading` adds the file and what to do."""
 
 
 def add_dataset(
