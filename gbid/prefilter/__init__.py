@@ -1,9 +1,5 @@
 """Prefilter (paper, Sec. 3.5): map of run-out and unbalance, removal of spikes and offsets, running median."""
 
-import sys
-from types import ModuleType
-from typing import Any
-
 from gbid.prefilter.identify_runout import (
     IndexAlignment,
     RunoutComparison,
@@ -44,13 +40,3 @@ __all__ = [
     "runout_residual",
     "save_prefilter",
 ]
-
-
-class _CallablePackage(ModuleType):
-    """Package type that can be called, because `gbid.prefilter` is both this package and the public function in it."""
-
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        return prefilter(*args, **kwargs)
-
-
-sys.modules[__name__].__class__ = _CallablePackage

@@ -29,7 +29,7 @@ from gbid.structure import Structure
 DOCS = ROOT / "docs"
 PAGES = sorted(p for p in DOCS.rglob("*.md") if not {"_build", "jupyter_execute"} & set(p.relative_to(DOCS).parts))
 LINKED = [*PAGES, ROOT / "README.md", ROOT / "CHANGELOG.md"]
-PUBLIC = [name for name in gbid.__all__ if name != "__version__"]
+PUBLIC = [name for name in gbid.__all__ if name != "__version__" and not inspect.ismodule(getattr(gbid, name))]
 
 
 def relative(path: Path) -> str:
@@ -204,8 +204,7 @@ API = re.findall(r"^\.\. auto(?:function|class):: (\S+)$", API_TEXT, re.MULTILIN
 def public(name: str) -> Any:
     """What a directive of the API page names."""
     module, _, attribute = name.replace("::", ".").rpartition(".")
-    value = getattr(importlib.import_module(module), attribute)
-    return getattr(value, attribute) if inspect.ismodule(value) else value  # gbid.prefilter, the callable package
+    return getattr(importlib.import_module(module), attribute)
 
 
 def methods(cls: type) -> dict[str, Any]:

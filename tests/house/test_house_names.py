@@ -7,6 +7,8 @@ from collections import Counter, defaultdict
 import pytest
 from places import ROOT
 
+import gbid
+
 PACKAGE = ROOT / "gbid"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if "_share" not in path.parts)
 READS_OLD_FILES = ("gbid/control/impact/study.py",)
@@ -30,15 +32,26 @@ def test_no_file_name_is_used_three_times() -> None:
 
 
 def test_no_package_has_the_name_of_a_function_beside_it() -> None:
-    """``gbid.control.tune`` is the function: a package of that name could not be reached through its parent."""
+    """``gbid.control.tune`` is the function: a package of that name could not be reached through its parent.
+
+    At the top the stub decides: ``gbid.prefilter`` is the function, and ``from gbid.prefilter import ...`` the package.
+    """
     hidden = []
     for init in PACKAGE.rglob("__init__.py"):
         folders = {path.parent.name for path in init.parent.glob("*/__init__.py")}
         for node in ast.walk(ast.parse(init.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module != "gbid":
                 hidden += [f"{init.parent.name}.{a.name}" for a in node.names if a.name in folders]
-    # The verb and the room of the same name at the top: the module can be called like the function.
-    assert [name for name in hidden if name != "gbid.prefilter"] == []
+    assert hidden == []
+
+
+def test_a_public_name_stands_in_one_list() -> None:
+    """In the stub ``gbid/__init__.pyi``, once; what it names is defined there, and Python reads no other list."""
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text(encoding="utf-8"))
+    names = [alias.name for node in ast.walk(stub) if isinstance(node, ast.ImportFrom) for alias in node.names]
+    assert sorted(names) == gbid.__all__
+    assert "gbid." not in (PACKAGE / "__init__.py").read_text(encoding="utf-8")
+    assert all(hasattr(gbid, name) for name in names)
 
 
 @pytest.mark.parametrize("word", ["blow", "polish", "shake", "one-shot", "worth_"])

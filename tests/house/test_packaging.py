@@ -27,6 +27,7 @@ def test_every_experiment_is_in_the_wheel_and_no_result_of_one():
 def test_the_package_brings_its_types_and_its_style():
     assert WHEEL["packages"] == ["gbid"]
     assert (ROOT / "gbid" / "py.typed").is_file()
+    assert (ROOT / "gbid" / "__init__.pyi").is_file()
     assert (ROOT / "gbid" / "report" / "gbid.mplstyle").is_file()
     assert (share_folder("models") / "theisen2016.yaml").is_file()
     assert (share_folder("experiments") / "quickstart.yaml").is_file()

@@ -1,0 +1,117 @@
+"""Public names of gbid, and the files that define them: the one list, which Python and type checkers read."""
+
+from . import (
+    characterise as characterise,
+    control as control,
+    core as core,
+    discretise as discretise,
+    excite as excite,
+    experiment as experiment,
+    export as export,
+    identify as identify,
+    lpv as lpv,
+    recording as recording,
+    report as report,
+    rig as rig,
+    structure as structure,
+    validate as validate,
+)
+from ._version import __version__ as __version__
+from .characterise import (
+    PiezoCurve as PiezoCurve,
+    StaticMap as StaticMap,
+    characterise_piezo as characterise_piezo,
+    characterise_staircase as characterise_staircase,
+)
+from .control import (
+    GainResult as GainResult,
+    ParetoFront as ParetoFront,
+    Uncertainty as Uncertainty,
+    close_loop as close_loop,
+    compare_designs as compare_designs,
+    controller_structure as controller_structure,
+    fit_ringdown as fit_ringdown,
+    load_controller as load_controller,
+    maximise_damping as maximise_damping,
+    pareto as pareto,
+    save_controller as save_controller,
+    sensitivities as sensitivities,
+    validate_impact as validate_impact,
+)
+from .control.assess import assess as assess
+from .control.tuning.tune import tune as tune
+from .excite import (
+    Excitation as Excitation,
+    ExcitationLimits as ExcitationLimits,
+    KnownModel as KnownModel,
+    design_excitation as design_excitation,
+)
+from .export.matlab import save_mat as save_mat
+from .export.ross import from_ross as from_ross
+from .export.tables import save_csv as save_csv
+from .identify import (
+    DelayEstimate as DelayEstimate,
+    FitProblem as FitProblem,
+    FitResult as FitResult,
+    FitTable as FitTable,
+    MeasuredResponse as MeasuredResponse,
+    MultiStart as MultiStart,
+    Progress as Progress,
+    estimate_delay as estimate_delay,
+    fit_multistart as fit_multistart,
+    fit_problem as fit_problem,
+    load_fit as load_fit,
+    load_table as load_table,
+    measured_response as measured_response,
+    save_fit as save_fit,
+)
+from .identify.fit import fit as fit
+from .lpv import (
+    LPVFit as LPVFit,
+    LPVModel as LPVModel,
+    fit_lpv as fit_lpv,
+    fit_lpv_direct as fit_lpv_direct,
+    load_lpv_fit as load_lpv_fit,
+    load_model as load_model,
+    lpv_of as lpv_of,
+    save_lpv_fit as save_lpv_fit,
+)
+from .prefilter.identify_runout import (
+    align_index as align_index,
+    compare_runout as compare_runout,
+    identify_runout as identify_runout,
+)
+from .prefilter.prefilter import OnlinePrefilter as OnlinePrefilter, prefilter as prefilter
+from .recording import (
+    Recording as Recording,
+    import_recording as import_recording,
+    load_recording as load_recording,
+    save_recording as save_recording,
+    with_unbalance as with_unbalance,
+)
+from .structure import (
+    ClosedLoop as ClosedLoop,
+    LinearModel as LinearModel,
+    LinearStructure as LinearStructure,
+    NonlinearModel as NonlinearModel,
+    NonlinearStructure as NonlinearStructure,
+    Parameter as Parameter,
+    PiezoPair as PiezoPair,
+    Plant as Plant,
+    RotorBearing as RotorBearing,
+    ScheduledStructure as ScheduledStructure,
+    casadi_functions as casadi_functions,
+    scheduled as scheduled,
+    with_pade as with_pade,
+)
+from .validate import (
+    NominalActuator as NominalActuator,
+    ResidualTest as ResidualTest,
+    ValidationScores as ValidationScores,
+    ValidationSummary as ValidationSummary,
+    check_residuals as check_residuals,
+    cross_validate as cross_validate,
+    cross_validate_many as cross_validate_many,
+    nominal_actuator as nominal_actuator,
+    summarise as summarise,
+)
