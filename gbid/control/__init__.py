@@ -1,9 +1,7 @@
 """Control: controllers, closed loops, tuning of gains, impacts, and the assessment of designs."""
 
 from gbid.control.assess import Assessment, Comparison, PointAssessment, assess, compare_designs
-from gbid.control.controllers.built_in.biquad import BiquadStructure
-from gbid.control.controllers.built_in.p import PStructure
-from gbid.control.controllers.built_in.pd import PDStructure
+from gbid.control.controllers.built_in import BiquadStructure, PDStructure, PStructure
 from gbid.control.controllers.file import ControllerDesign, load_controller, save_controller
 from gbid.control.controllers.scheduled import Scheduled, controller_at, scheduled
 from gbid.control.controllers.structures import controller_model, controller_structure, p_controller

@@ -13,7 +13,7 @@ from scipy.stats import binom
 import gbid
 from gbid.control import find_impacts
 from gbid.control.impact.measured import pulse_forcing, pulses_of
-from gbid.control.impact.ringdown import RingProblem, Scale, autocovariance, ring_data, sandwich
+from gbid.control.impact.ringdown import RingProblem, Scale, covariance_of_sum, ring_data
 from gbid.core.errors import DataError, UsageError
 
 H = 2e-4
@@ -195,8 +195,7 @@ def test_residuals_that_remember() -> None:
     w = random.standard_normal((40000, 1))
     for k in range(1, len(w)):
         w[k] = pole * w[k - 1] + w[k]
-    memory = autocovariance([w], [np.ones(len(w), bool)], 100)
-    mean = sandwich([np.full((1000, 1, 1), 1e-3)], memory)[0, 0]
+    mean = covariance_of_sum([np.full((1000, 1, 1), 1e-3)], [w], [np.ones(len(w), bool)], 2e-4)
     assert mean == pytest.approx(1 / (1 - pole) ** 2 / 1000, rel=0.1)
 
 

@@ -1,11 +1,11 @@
-"""Low-pass filter in series with each axis of a controller (paper, Eq. 21)."""
+"""Parts of the built-in controllers: gains and filter of an axis, low-pass (paper, Eq. 21), sections of filters."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,9 @@ from gbid.core.errors import UsageError
 from gbid.discretise import Hold
 from gbid.structure import Parameter
 from gbid.structure.parameter import Values
+
+System = tuple[Any, Any, Any, Any]
+"""A, B, C, D as casadi.SX."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +48,11 @@ class Lowpass:
         if not is_whole(self.order, 0):
             raise UsageError(f"{where}: order = {self.order}; it must be a whole number, at least 0")
 
-    def matrices(self) -> tuple[Any, Any, Any, Any]:
+    def matrices(self) -> System:
         """Return A (n, n), B (n, 1), C (1, n), D (1, 1) as casadi.SX."""
         n, corner = self.order, 2 * np.pi * self.corner_hz
-        chain = ca.sparsify(
-            ca.SX(ca.DM(np.eye(n, k=-1) - np.eye(n)))
-        )  # the output of each stage is the input of the next
+        # the output of each stage is the input of the next
+        chain = ca.sparsify(ca.SX(ca.DM(np.eye(n, k=-1) - np.eye(n))))
         first, last = ca.SX(n, 1), ca.SX(1, n)
         if n:
             first[0], last[n - 1] = corner, 1.0
@@ -67,13 +69,14 @@ NOT_OPTIONS = ("name", "inputs", "outputs", "intersample", "speed_rpm")
 
 
 class AxisGain(NamedTuple):
-    """A gain that each axis has: name, start, bounds and unit."""
+    """A gain that each axis has: name, start, bounds and unit; whether it is one of the filter's poles."""
 
     name: str
     start: float
     lower: float
     upper: float
     unit: str
+    of_poles: bool = False
 
 
 def gain_name(name: str, axis: str) -> str:
@@ -86,11 +89,21 @@ def inside(value: float, bounds: tuple[float, float]) -> float:
     return min(max(value, bounds[0]), bounds[1])
 
 
+def gain_within(name: str, start: float, bounds: tuple[float, float], unit: str, of_poles: bool = False) -> AxisGain:
+    """Gain with the start value within its bounds that is nearest to a given one."""
+    return AxisGain(name, inside(start, bounds), *bounds, unit, of_poles)
+
+
+def symmetric_gain(name: str, limit: float, unit: str = "m/m", start: float = 0.0) -> AxisGain:
+    """Gain of a bounded magnitude."""
+    return gain_within(name, start, (-limit, limit), unit)
+
+
 def pole_gains(frequency_khz: tuple[float, float], damping: tuple[float, float]) -> tuple[AxisGain, AxisGain]:
-    """Return the gains of a pair of poles: its frequency [kHz] and its damping factor, within their bounds."""
+    """Gains of a pair of poles: its frequency [kHz] and its damping factor, within their bounds."""
     return (
-        AxisGain("frequency", inside(0.15, frequency_khz), *frequency_khz, "kHz"),
-        AxisGain("damping", inside(0.7, damping), *damping, ""),
+        gain_within("frequency", 0.15, frequency_khz, "kHz", of_poles=True),
+        gain_within("damping", 0.7, damping, "", of_poles=True),
     )
 
 
@@ -99,6 +112,8 @@ class PerAxis(ABC):
     """Base class of the built-in structures: one filter per axis in series with a low-pass.
 
     A structure gives the gains of an axis (`_axis_gains`) and the filter that they make (`_filter`); the rest is here.
+    In a full structure (`crossed`) the filter of each input drives the references of all axes: ``kappa_xy`` goes from
+    p_y to r_x, and gains of poles belong to an input, ``frequency_x``.
 
     Parameters
     ----------
@@ -121,6 +136,7 @@ class PerAxis(ABC):
     outputs: tuple[str, ...] = OUTPUTS
     intersample: Hold = "foh"
     axes: tuple[str, ...] = AXES
+    crossed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         axes = tuple(self.axes) if isinstance(self.axes, Iterable) else ()
@@ -143,16 +159,20 @@ class PerAxis(ABC):
         """Return the gains of an axis."""
 
     @abstractmethod
-    def _filter(self, gain: Mapping[str, Any], lowpass: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:
+    def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
         """Return A, B, C, D of one axis for its gains and its low-pass."""
+
+    def _gain_name(self, gain: AxisGain, to: str, of: str) -> str:
+        """Name of a gain in the filter from an input to an output."""
+        return f"{gain.name}_{to}{of}" if self.crossed and not gain.of_poles else gain_name(gain.name, of)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Gains of all axes, by kind; the corner frequency is last when it is tuned."""
         gains = [
-            Parameter(gain_name(gain.name, axis), gain.start, gain.lower, gain.upper, unit=gain.unit)
+            Parameter(name, gain.start, gain.lower, gain.upper, unit=gain.unit)
             for gain in self._axis_gains()
-            for axis in self.axes
+            for name in dict.fromkeys(self._gain_name(gain, to, of) for to in self.axes for of in self.axes)
         ]
         if self.tune_corner:
             gains.append(Parameter("lowpass_khz", self.lowpass_hz / 1e3, 0.05, 2.5, unit="kHz"))
@@ -161,10 +181,20 @@ class PerAxis(ABC):
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return A, B, C and D for gains by name."""
         corner = p["lowpass_khz"] * 1e3 if self.tune_corner else self.lowpass_hz
-        lowpass = Lowpass(corner, self.order).matrices()
-        names = [gain.name for gain in self._axis_gains()]
-        axes = [self._filter({name: p[gain_name(name, axis)] for name in names}, lowpass) for axis in self.axes]
-        return {letter: ca.diagcat(*(axis[i] for axis in axes)) for i, letter in enumerate("ABCD")}
+        lowpass, gains = Lowpass(corner, self.order).matrices(), self._axis_gains()
+        columns = []
+        for of in self.axes:
+            filters = [
+                self._filter({gain.name: p[self._gain_name(gain, to, of)] for gain in gains}, lowpass)
+                for to in (self.axes if self.crossed else (of,))
+            ]
+            A, B = filters[0][:2]  # the filters to all outputs have the same
+            columns.append((A, B, ca.vertcat(*(f[2] for f in filters)), ca.vertcat(*(f[3] for f in filters))))
+        join = ca.horzcat if self.crossed else ca.diagcat
+        return {
+            letter: (ca.diagcat if letter in "AB" else join)(*(column[i] for column in columns))
+            for i, letter in enumerate("ABCD")
+        }
 
     def _check_bounds(self, lower: float, upper: float) -> None:
         for name, value in (("lower", lower), ("upper", upper)):
@@ -189,56 +219,7 @@ class PerAxis(ABC):
             object.__setattr__(self, name, (float(pair[0]), float(pair[1])))
 
 
-# ---- Full controllers with cross-coupling: every output from the filters of all inputs.
-
-
-@dataclass(frozen=True)
-class Crossed(PerAxis):
-    """Base class of the full structures: the filter of each input drives the references of all axes.
-
-    `_axis_gains` are those of an input, once for each axis: ``frequency_x``. `_crossed_gains` are those from an input
-    to an output, output first: ``kappa_xy`` goes from p_y to r_x.
-    """
-
-    @abstractmethod
-    def _crossed_gains(self) -> tuple[AxisGain, ...]:
-        """Return the gains from an input to an output."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Gains from inputs to outputs, then those of the inputs; the corner frequency is last when it is tuned."""
-        pairs = [f"{to}{of}" for to in self.axes for of in self.axes]
-        crossed = [
-            Parameter(f"{gain.name}_{pair}", gain.start, gain.lower, gain.upper, unit=gain.unit)
-            for gain in self._crossed_gains()
-            for pair in pairs
-        ]
-        return (*crossed, *super().parameters)
-
-    def matrices(self, p: Values) -> dict[str, Any]:
-        """Return A, B, C and D for gains by name."""
-        corner = p["lowpass_khz"] * 1e3 if self.tune_corner else self.lowpass_hz
-        lowpass = Lowpass(corner, self.order).matrices()
-        columns = []
-        for of in self.axes:
-            own = {gain.name: p[gain_name(gain.name, of)] for gain in self._axis_gains()}
-            # the filters to all outputs have equal A and B
-            rows = [
-                self._filter({**own, **{g.name: p[f"{g.name}_{to}{of}"] for g in self._crossed_gains()}}, lowpass)
-                for to in self.axes
-            ]
-            columns.append(
-                (rows[0][0], rows[0][1], ca.vertcat(*(r[2] for r in rows)), ca.vertcat(*(r[3] for r in rows)))
-            )
-        A, B = (ca.diagcat(*(column[i] for column in columns)) for i in (0, 1))
-        C, D = (ca.horzcat(*(column[i] for column in columns)) for i in (2, 3))
-        return {"A": A, "B": B, "C": C, "D": D}
-
-
 # ---- Sections of filters as symbolic state-space models, and their series connection.
-
-System = tuple[Any, Any, Any, Any]
-"""A, B, C, D as casadi.SX."""
 
 
 def second_order(b: Sequence[Any], frequency_khz: Any, damping: Any) -> System:

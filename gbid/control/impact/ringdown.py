@@ -54,6 +54,14 @@ class Scale:
         A[2:, :2], A[2:, 2:] = -theta[:4].reshape(2, 2), -theta[4:8].reshape(2, 2)
         return A
 
+    def mechanical(self, theta: FloatArray) -> FloatArray:
+        """Return [K D] in 1/s^2 and 1/s."""
+        return np.hstack([-theta[:4].reshape(2, 2) * self.rate**2, -theta[4:8].reshape(2, 2) * self.rate])
+
+    def mean_rate(self, theta: FloatArray) -> float:
+        """Return the mean magnitude of the eigenvalues [rad/s]."""
+        return float(np.abs(eigenvalues_of(self.mechanical(theta))).mean())
+
     def free(self, theta: FloatArray, n: int) -> FloatArray:
         """Return the free responses, shape (n, 2, 4): one for each initial state."""
         return _powers(expm(self.matrix(theta) * self.rate * self.sample_time), n)[:, :2]
@@ -380,11 +388,9 @@ class RingProblem:
     def _alive(self, theta: FloatArray) -> int:
         """Return the number of samples until the slowest free response is below 1e-6 of its start."""
         slowest = self.scale.rate * float(-np.linalg.eigvals(self.scale.matrix(theta)).real.max())
-        return (
-            max(_SHORTEST_SEPARABLE, ceil(_DIED_OUT / (slowest * self.scale.sample_time)))
-            if slowest > 1e-3
-            else sys.maxsize
-        )
+        if slowest <= 1e-3:
+            return sys.maxsize
+        return max(_SHORTEST_SEPARABLE, ceil(_DIED_OUT / (slowest * self.scale.sample_time)))
 
 
 class _Projector:
@@ -542,8 +548,7 @@ def schwarz(problem: RingProblem, solved: SeparableFit) -> float:
 
 def _best_rate(problem: RingProblem, solved: SeparableFit) -> complex:
     """Return the rate of the decay that reduces the residuals most, with the two modes as they are."""
-    K, D = solved.theta[:4].reshape(2, 2), solved.theta[4:N_MECHANICAL].reshape(2, 2)
-    middle = problem.scale.rate * float(np.abs(eigenvalues_of(-np.hstack([K, D]))).mean())
+    middle = problem.scale.mean_rate(solved.theta)
 
     def rate_of(v: FloatArray) -> complex:
         size, damping = np.exp(v[0]), float(np.clip(v[1], *_DAMPING))
@@ -615,8 +620,7 @@ def fit_lags(
 
 def lag_rates(problem: RingProblem, solved: SeparableFit, count: int) -> FloatArray:
     """Return the rates of a number of lags, in geometric steps around the modes [1/s]."""
-    K, D = solved.theta[:4].reshape(2, 2), solved.theta[4:N_MECHANICAL].reshape(2, 2)
-    middle = problem.scale.rate * float(np.abs(eigenvalues_of(-np.hstack([K, D]))).mean())
+    middle = problem.scale.mean_rate(solved.theta)
     steps = np.geomspace(_SLOWEST, _FASTEST, count) if count > 1 else np.array([np.sqrt(_SLOWEST * _FASTEST)])
     return np.asarray(middle * steps)
 
@@ -648,56 +652,41 @@ MEMORY_S = 20e-3
 """Longest correlation time of the residuals that is taken into account [s]: two periods of the slowest mode."""
 
 
-def autocovariance(residuals: Sequence[FloatArray], used: Sequence[BoolArray], n_lags: int) -> FloatArray:
-    """Return the autocovariance of residuals up to a number of lags, pooled over recordings.
-
-    Parameters
-    ----------
-    residuals : sequence of (n_samples, n_channels) array
-        Residuals of each recording; zero where not used.
-    used : sequence of (n_samples,) bool array
-        Samples that are used.
-    n_lags : int
-        Largest lag [samples].
-
-    Returns
-    -------
-    (n_lags + 1, n_channels, n_channels) array
-        Entry [l, i, j] is E[e_i(t + l) e_j(t)], with the triangular weights of Bartlett, which keep the whole matrix
-        positive semidefinite (Newey and West 1987).
-    """
-    n = residuals[0].shape[1]
-    total, count = np.zeros((n_lags + 1, n, n)), 0
-    for e, mask in zip(residuals, used, strict=True):
-        for lag in range(min(n_lags, len(e) - 1) + 1):
-            total[lag] += e[lag:].T @ e[: len(e) - lag]
-        count += int(mask.sum())
-    weights = 1 - np.arange(n_lags + 1) / (n_lags + 1)
-    return np.asarray(total * weights[:, None, None] / max(count, 1))
-
-
-def sandwich(influence: Sequence[FloatArray], covariance: FloatArray) -> FloatArray:
+def covariance_of_sum(
+    influence: Sequence[FloatArray], residuals: Sequence[FloatArray], used: Sequence[BoolArray], sample_time: float
+) -> FloatArray:
     r"""Return the covariance of :math:`\sum_t J(t)^T e(t)` for stationary e and independent recordings.
+
+    The autocovariance of e up to `MEMORY_S` has the triangular weights of Bartlett: the matrix stays positive
+    semidefinite (Newey and West 1987).
 
     Parameters
     ----------
     influence : sequence of (n_samples, n_channels, n_parameters) array
         J of each recording, zero where samples are not used.
-    covariance : (n_lags + 1, n_channels, n_channels) array
-        Autocovariance from `autocovariance`.
+    residuals : sequence of (n_samples, n_channels) array
+        Residuals e, zero where not used.
+    used : sequence of (n_samples,) bool array
+        Samples that are used.
+    sample_time : float
+        Time between samples [s].
 
     Returns
     -------
     (n_parameters, n_parameters) array
         Covariance of the sum.
     """
-    n_parameters = influence[0].shape[2]
+    n_parameters, n_lags = influence[0].shape[2], round(MEMORY_S / sample_time)
+    count = max(sum(int(mask.sum()) for mask in used), 1)
     total = np.zeros((n_parameters, n_parameters))
-    for J in influence:
-        for lag, gamma in enumerate(covariance[: len(J)]):
-            late, early = J[lag:].reshape(-1, n_parameters), np.matmul(gamma, J[: len(J) - lag])
-            part = late.T @ early.reshape(-1, n_parameters)
-            total += part if lag == 0 else part + part.T
+    for lag in range(n_lags + 1):
+        products = sum(e[lag:].T @ e[: len(e) - lag] for e in residuals if len(e) > lag)
+        gamma = np.atleast_2d(products) * (1 - lag / (n_lags + 1)) / count
+        for J in influence:
+            if len(J) > lag:
+                late, early = J[lag:].reshape(-1, n_parameters), np.matmul(gamma, J[: len(J) - lag])
+                part = late.T @ early.reshape(-1, n_parameters)
+                total += part if lag == 0 else part + part.T
     return total
 
 
@@ -795,8 +784,7 @@ class RingDown(Brief):
 
 def two_modes(theta: FloatArray, scale: Scale) -> FloatArray:
     """Return frequency 1, damping 1, frequency 2, damping 2; nan when a pair of poles is real."""
-    mechanical = np.hstack([-theta[:4].reshape(2, 2) * scale.rate**2, -theta[4:8].reshape(2, 2) * scale.rate])
-    modes = oscillatory_modes(eigenvalues_of(mechanical))
+    modes = oscillatory_modes(eigenvalues_of(scale.mechanical(theta)))
     return modes.ravel() if len(modes) == 2 else np.full(4, np.nan)
 
 
@@ -809,10 +797,9 @@ def two_modes(theta: FloatArray, scale: Scale) -> FloatArray:
 #     p(t) = q(t) + \sum_l R_l \int_{-\infty}^t \rho_l e^{-\rho_l (t - s)} f(s)\, ds
 #            + p_0 + \sum_n c_n \cos n\phi + s_n \sin n\phi, \quad \ddot q = K q + D \dot q
 #
-# K, D and the lags are common to all impacts. Each impact has its own initial state. Each recording has its own offset
-# and, when the shaft turns, harmonics of the shaft angle. So unbalance and run-out are estimated together with the
-# modes
-# and are not filtered out before (Figs. 26, 27).
+# K, D and the lags are common to all impacts. Each impact has an initial state. Each recording has an offset and, when
+# the shaft turns, harmonics of the shaft angle. So unbalance and run-out are estimated together with the modes and are
+# not filtered out before (Figs. 26, 27).
 
 
 def fit_ringdown(
@@ -866,7 +853,7 @@ def fit_ringdown(
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
     _check_arguments(group, lags, harmonics, skip_s, start)
     h = group[0].sample_time
-    forces = [_force(rec, force, axis) for rec in group]
+    forces = [force_of(rec, force, axis) if force and rec.signal(force).any() else None for rec in group]
     found = [() if f is None else find_impacts(f, h, rec.name) for rec, f in zip(group, forces, strict=True)]
     if not any(found):
         if lags not in ("auto", 0):
@@ -894,13 +881,6 @@ def fit_ringdown(
         solved = problem.solve(solved.theta)
         rms = _channel_rms(problem, solved)
     return _result(problem, solved, group, rms * unit, found, max(counts))
-
-
-def _force(recording: Recording, force: str | tuple[()], axis: str | None) -> FloatArray | None:
-    """Return the force, (n_samples, 2) [N]; None for a free decay."""
-    if not force:
-        return None
-    return force_of(recording, force, axis) if recording.signal(force).any() else None
 
 
 def _check_arguments(
@@ -940,10 +920,8 @@ def _guesses(
     if start is None:
         return start_candidates(data, h, None)
     rate = 2 * np.pi * float(np.mean([f for f, _ in start]))
-    K = [(2 * np.pi * f / rate) ** 2 for f, _ in start]
-    D = [2 * z * 2 * np.pi * f / rate for f, z in start]
-    own = np.array([K[0], 0, 0, K[1], D[0], 0, 0, D[1]])
-    return [(rate, own), *start_candidates(data, h, rate)]
+    (k_x, d_x), (k_y, d_y) = (((2 * np.pi * f / rate) ** 2, 2 * z * 2 * np.pi * f / rate) for f, z in start)
+    return [(rate, np.array([k_x, 0, 0, k_y, d_x, 0, 0, d_y])), *start_candidates(data, h, rate)]
 
 
 def _channel_rms(problem: RingProblem, solved: SeparableFit) -> FloatArray:
@@ -957,8 +935,8 @@ def _covariance(problem: RingProblem, solved: SeparableFit) -> FloatArray:
     slopes, residuals = solved.at.slopes, solved.at.residuals
     stacked = np.concatenate([s.reshape(-1, s.shape[-1]) for s in slopes])
     bread = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
-    memory = autocovariance(residuals, [d.used for d in problem.data], round(MEMORY_S / problem.scale.sample_time))
-    return np.asarray(bread @ sandwich(slopes, memory) @ bread)
+    used = [d.used for d in problem.data]
+    return np.asarray(bread @ covariance_of_sum(slopes, residuals, used, problem.scale.sample_time) @ bread)
 
 
 def _result(
@@ -970,7 +948,7 @@ def _result(
     harmonics: int,
 ) -> RingDown:
     theta, scale, covariance = solved.theta, problem.scale, _covariance(problem, solved)
-    K, D = -theta[:4].reshape(2, 2) * scale.rate**2, -theta[4:8].reshape(2, 2) * scale.rate
+    K, D = np.hsplit(scale.mechanical(theta), 2)
     modes = two_modes(theta, scale)
     spread = np.full((4, 4), np.nan)
     status = RingDownStatus.CONVERGED if solved.converged else RingDownStatus.NOT_CONVERGED

@@ -13,14 +13,12 @@ import numpy as np
 from gbid.control.impact.half_sine import force_response
 from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
 from gbid.control.impact.ringdown import (
-    MEMORY_S,
     RingDown,
     RingDownStatus,
-    autocovariance,
+    covariance_of_sum,
     fit_ringdown,
     harmonics_for,
     quiet_basis,
-    sandwich,
 )
 from gbid.control.loop.close import close_loop, force_entry, sample_plant
 from gbid.control.loop.sampled import exact_plant
@@ -225,8 +223,7 @@ def _scale_std(
 ) -> float:
     """Return the standard deviation of g_f from the residuals and from the noise of the force."""
     used = np.ones(len(free), dtype=bool)
-    memory = autocovariance([residual], [used], round(MEMORY_S / h))
-    from_position = float(sandwich([free[:, :, None]], memory)[0, 0]) / float((free**2).sum()) ** 2
+    from_position = covariance_of_sum([free[:, :, None]], [residual], [used], h).item() / float((free**2).sum()) ** 2
     for impact in impacts:
         used[impact.start : impact.stop + 1] = False
     noise = float(np.sqrt(np.mean(force[used] ** 2)))

@@ -1,1 +1,0 @@
-"""Built-in structures with cross-coupling between the axes."""
