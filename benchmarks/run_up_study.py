@@ -86,7 +86,7 @@ def surfaces(recordings: Sequence[Recording], piece_s: float = PIECE_S) -> LPVFi
     """Return the surfaces of a fit to recordings along courses."""
     bearing = gbid.RotorBearing(delay="exact", disturbance_gain="none", unbalance=True)
     structure = gbid.scheduled(gbid.Plant(bearing), piece_s=piece_s)
-    result = gbid.fit(structure, recordings, focus="simulation", offsets=True)
+    result = gbid.fit(structure, recordings, focus="simulation", trend="offset")
     return gbid.lpv_of(result)
 
 
@@ -144,7 +144,7 @@ def campaign(seed: int) -> float:
         machine = replace(machine, sensors=SensorChain(**NOISE, runout_amplitude=none, runout_phase=none))
         point = {"pressure_bar": pressure, "speed_rpm": speed}
         made = record(machine, Prbs(5.0), conditions=point, seed=seed, name="campaign")
-        found = gbid.fit(gbid.Plant(bearing), made, focus="simulation", offsets=True)
+        found = gbid.fit(gbid.Plant(bearing), made, focus="simulation", trend="offset")
         own = [found.free.index(key) for key in KEY_PARAMETERS]
         X = np.kron(np.eye(14), regressors([pressure], [speed]))
         A += count * X.T @ np.linalg.inv(found.covariance_white[np.ix_(own, own)]) @ X

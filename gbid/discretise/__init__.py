@@ -11,7 +11,6 @@ from gbid.discretise.exact import (
     discretise,
     exponentials,
     hold_response,
-    look_ahead,
     propagate,
     squarings_for,
 )
@@ -30,7 +29,6 @@ __all__ = [
     "discretise",
     "exponentials",
     "hold_response",
-    "look_ahead",
     "one_step",
     "propagate",
     "side_by_side",

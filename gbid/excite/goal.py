@@ -442,13 +442,11 @@ def expected_covariance(known: KnownModel, inputs: FloatArray, sample_time: floa
             data,
             intersample=known.intersample,
             focus=known.focus,
-            horizon=1,
             local={},
             left_out={},
             window=None,
-            engine="auto",
         )
-        problem, unknowns = build_problem(assembly, data, "det", None, full_start(assembly, begin), {}, True)
+        problem, unknowns = build_problem(assembly, data, "det", None, full_start(assembly, begin), {})
         problem, kept = in_one_window(problem)
         theta, starts = problem.unpack(unknowns[kept])
         starts = np.zeros_like(starts)

@@ -307,7 +307,6 @@ class FitSection(Section):
     focus: Literal["prediction", "simulation"] = "prediction"
     intersample: Holds | None = None
     criterion: Literal["auto", "trace", "det"] = "auto"
-    horizon: Count = 1
     output_weights: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     window: Annotated[
         int | Literal["auto"] | None,
@@ -316,7 +315,6 @@ class FitSection(Section):
     ] = "auto"
     stop: Literal["tolerance", "paper"] = "tolerance"
     max_iterations: Count = 100
-    engine: Literal["auto", "compiled", "numpy"] = "auto"
     start: Annotated[
         dict[Text, Number] | Literal["data"],
         BeforeValidator(_start),
@@ -326,7 +324,6 @@ class FitSection(Section):
     bounds: dict[Text, tuple[Number | None, Number | None]] = Field(default_factory=dict)
     prior: dict[Text, PriorSection] = Field(default_factory=dict)
     local: dict[Text, Literal["recording", "operating_point"]] = Field(default_factory=dict)
-    offsets: Switch = False
     robust: Literal["huber", "student"] | None = None
     robust_threshold: Positive | None = None
     std: Literal["auto", "bootstrap"] = "auto"

@@ -255,11 +255,11 @@ def fit_disturbances(experiment: Experiment, fit: str, structure: AnyStructure) 
     Raises
     ------
     UsageError
-        When trend, hum or offsets do not fit each other or the outputs. A frequency is compared with the sample time
+        When trend or hum do not fit each other or the outputs. A frequency is compared with the sample time
         later, with the recordings.
     """
     section, labels = experiment.spec.fits[fit], tuple(output_labels(experiment, fit, structure))
-    return asked_disturbances(section.trend, section.hum, section.offsets, labels, 0.0, section.focus)
+    return asked_disturbances(section.trend, section.hum, labels, 0.0, section.focus)
 
 
 def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -209,12 +209,11 @@ HIGHEST_DEGREE = 9
 def asked_disturbances(
     trend: TrendName | Mapping[str, TrendName],
     hum: float | Sequence[float],
-    offsets: bool,
     outputs: tuple[str, ...],
     sample_time: float,
     focus: str,
 ) -> Disturbances:
-    """Return the disturbances for the options `trend`, `hum` and `offsets` of `gbid.fit`.
+    """Return the disturbances for the options `trend` and `hum` of `gbid.fit`.
 
     Parameters
     ----------
@@ -222,8 +221,6 @@ def asked_disturbances(
         Trend of all outputs, or of each output channel by name.
     hum : float or sequence of float
         Frequencies [Hz].
-    offsets : bool
-        Whether offsets are estimated: the same as the trend ``"offset"``.
     outputs : tuple of str
         Names of the output channels.
     sample_time : float
@@ -241,18 +238,15 @@ def asked_disturbances(
     UsageError
         When an option is unknown or does not fit the data.
     """
-    if offsets and trend != "none":
-        raise UsageError(f"offsets = True with trend = {trend!r}; offsets mean trend = 'offset': give trend alone")
-    chosen = "offset" if offsets else trend
-    if isinstance(chosen, Mapping):
-        unknown = [name for name in chosen if name not in outputs]
+    if isinstance(trend, Mapping):
+        unknown = [name for name in trend if name not in outputs]
         if unknown:
             raise UsageError(
                 f"trend names {unknown[0]!r}, which is no output of the fit; they are {', '.join(outputs)}"
             )
-        trends = tuple(_trend(chosen.get(name, "none")) for name in outputs)
+        trends = tuple(_trend(trend.get(name, "none")) for name in outputs)
     else:
-        trends = (_trend(chosen),) * len(outputs)
+        trends = (_trend(trend),) * len(outputs)
     if focus == "simulation" and any(each.random_walk for each in trends):
         raise UsageError("trend = 'random walk' is for focus = 'prediction'; give a degree for a simulation")
     frequencies = (hum,) if isinstance(hum, int | float) else tuple(hum)

@@ -15,7 +15,6 @@ from gbid.core.notes import FitNote
 from gbid.discretise import Hold, check_holds
 from gbid.identify.data import FitData, column_means
 from gbid.identify.disturbances import TrendName
-from gbid.identify.kernel.linear import EngineName
 from gbid.identify.predictor import Focus
 from gbid.identify.problem.asked import Constraints, ExtraCost, extra_notes
 from gbid.identify.problem.assemble import Assembly, Scope, automatic_window, window_length
@@ -112,7 +111,7 @@ def outcome(
     settled = np.hstack([states.known, np.zeros((n_records, problem.n_states - n_states), bool)])
     by_record = _by_record(problem, errors, assembly)
     whole = np.asarray(sum(e.T @ e for e in every))
-    worse = bool(finite) and explains_nothing(problem, whole, _counted_outputs(data, counted, options.horizon))
+    worse = bool(finite) and explains_nothing(problem, whole, _counted_outputs(data, counted))
     white = whiteness_test(by_record)
     sound = bool(finite) and not worse
     coloured = not (sound and (white.p_value >= _COLOURED / len(white.p_value)).all())
@@ -181,7 +180,7 @@ def outcome(
         initial_states=first_states[:, : assembly.n_states],
         loss=float(np.trace(mean_square) if problem.criterion == "trace" else np.linalg.det(mean_square)),
         error_covariance=mean_square,
-        fit_percent=_fit_percent(data, every, counted, options.horizon),
+        fit_percent=_fit_percent(data, every, counted),
         aic=n * log_det + 2 * k,
         fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
         condition=found.condition,
@@ -195,7 +194,7 @@ def outcome(
             *_notes(assembly, begin, free, on_bound, found, trusted, coloured),
             *_doubts(problem, theta, structure, assembly, found),
             *(may_cover_less(found.models, model.modes(), data.sample_time, n) if coloured else ()),
-            *(feedback_notes(data.records, by_record) if coloured and finite and options.horizon == 1 else ()),
+            *(feedback_notes(data.records, by_record) if coloured and finite else ()),
             *_edge_note(at_edge),
             *_light_note(light),
         ),
@@ -364,18 +363,18 @@ def _standard_deviations(
     return std
 
 
-def _fit_percent(data: FitData, errors: list[FloatArray], counted: list[FloatArray], horizon: int) -> FloatArray:
+def _fit_percent(data: FitData, errors: list[FloatArray], counted: list[FloatArray]) -> FloatArray:
     rows = []
-    for e, y in zip(errors, _counted_outputs(data, counted, horizon), strict=True):
+    for e, y in zip(errors, _counted_outputs(data, counted), strict=True):
         left, whole = (np.linalg.norm(np.ascontiguousarray(part.T), axis=1) for part in (e, y - column_means(y)))
         rows.append(100 * (1 - left / whole))
     return np.array(rows)
 
 
-def _counted_outputs(data: FitData, counted: list[FloatArray], horizon: int) -> list[FloatArray]:
+def _counted_outputs(data: FitData, counted: list[FloatArray]) -> list[FloatArray]:
     """Return the outputs of each record that are in the cost, (n_samples, n_y)."""
     pairs = zip(data.records, counted, strict=True)
-    return [r.outputs[horizon - 1 :].compress(used[:, 0] > 0, axis=0) for r, used in pairs]
+    return [r.outputs.compress(used[:, 0] > 0, axis=0) for r, used in pairs]
 
 
 _ENOUGH_ITERATIONS = 50  # with fewer, what the caller wants is the way from the start, not another start
@@ -391,7 +390,6 @@ def fit(
     focus: Focus = "prediction",
     intersample: Hold | Sequence[Hold] | None = None,
     criterion: Criterion | Literal["auto"] = "auto",
-    horizon: int = 1,
     output_weights: Sequence[float] | None = None,
     start: Mapping[str, float] | Literal["data"] | None = None,
     fixed: Mapping[str, float] | None = None,
@@ -400,7 +398,6 @@ def fit(
     extra_cost: ExtraCost | None = None,
     constraints: Constraints | None = None,
     local: Mapping[str, Scope] | None = None,
-    offsets: bool = False,
     robust: LossName | None = None,
     robust_threshold: float | None = None,
     std: StdName = "auto",
@@ -413,8 +410,6 @@ def fit(
     window: int | Literal["auto"] | None = "auto",
     stop: Stop = "tolerance",
     max_iterations: int = 100,
-    scaling: bool = True,
-    engine: EngineName = "auto",
     progress: Callable[[Progress], None] | None = None,
     ipopt: IpoptOptions | None = None,
 ) -> FitResult:
@@ -438,8 +433,6 @@ def fit(
     criterion : {"auto", "trace", "det"}
         Mean squared error summed over outputs (the paper's), or determinant of the mean square matrix of the errors,
         which weights each output by its errors. "auto" is "det" for several outputs without `output_weights`.
-    horizon : int
-        Number of steps of the prediction; 1 in the paper.
     output_weights : sequence of float, optional
         Weight of the squared error of each output in the trace; default ones.
     start : dict of str to float, or "data", optional
@@ -459,8 +452,6 @@ def fit(
         ``constraints(p, x0)`` returns a list of ``(lower, expression, upper)``. Equal bounds are an equation.
     local : dict of str to {"recording", "operating_point"}, optional
         Parameters with a separate value for each recording or operating point.
-    offsets : bool
-        Whether a constant offset of each output is estimated for each recording; the same as ``trend="offset"``.
     robust : {"huber", "student"}, optional
         Loss for data with outliers; by default squared errors. A sample counts less the larger its errors are compared
         with the others. The loss and `error_covariance` of the result are those of all samples, as without it.
@@ -495,10 +486,6 @@ def fit(
         change below 1e-4.
     max_iterations : int
         Largest number of iterations.
-    scaling : bool
-        Whether unknowns are scaled to the order of one; false is for tests only.
-    engine : {"auto", "compiled", "numpy"}
-        Engine of the pass over the samples; "auto" compiles it if there is a C compiler.
     progress : callable, optional
         Function that is called with a `Progress` at each iteration. What it raises ends the fit, and is raised again.
     ipopt : dict, optional
@@ -531,7 +518,6 @@ def fit(
             "focus": focus,
             "intersample": intersample,
             "criterion": criterion,
-            "horizon": horizon,
             "output_weights": output_weights,
             "start": start,
             "fixed": fixed,
@@ -540,13 +526,10 @@ def fit(
             "extra_cost": extra_cost,
             "constraints": constraints,
             "local": local,
-            "offsets": offsets,
             "trend": trend,
             "hum": hum,
             "initial_state": initial_state,
             "left_out": left_out,
-            "scaling": scaling,
-            "engine": engine,
         },
     )
     structure, data, first = asked.structure, asked.data, asked.first
@@ -576,7 +559,6 @@ def fit(
             inputs=asked.inputs,
             outputs=asked.outputs,
             focus=focus,
-            horizon=horizon,
             intersample=check_holds(asked.intersample, len(data.input_names)),
             criterion=asked.criterion,
             stop=stop,
@@ -615,7 +597,7 @@ def fit(
         ):
             return None  # an observer is for linear models in continuous time, with constant parameters
         own, hold = (structure, asked.parameters, begin, asked.undisturbed), asked.intersample
-        moved = settled_start(*own, intersample=hold, left_out=left_out or {}, engine=engine)
+        moved = settled_start(*own, intersample=hold, left_out=left_out or {})
         return moved and {q.name: float(np.clip(moved[q.name], q.lower, q.upper)) for q in asked.parameters}
 
     usual = automatic_window(data, focus)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.discretise import Dual, Hold, check_holds, constant, delayed_taps, discretise, look_ahead, side_by_side
+from gbid.discretise import Dual, Hold, check_holds, constant, delayed_taps, discretise, side_by_side
 from gbid.identify.disturbances import UNDISTURBED, Disturbances, disturbing_columns, with_random_walks
 from gbid.structure import Matrices, Parameter, Structure, symbolic_matrices
 from gbid.structure.linear import ControlLaw, HeldFeedback, LoopParts
@@ -44,8 +44,6 @@ class GeneralPredictor(ABC):
         Disturbances of the outputs. Their coefficients are the last free parameters.
     walks : tuple of int
         Positions of the free parameters that are gains of random walks. The last states are their offsets.
-    horizon : int
-        Number of steps of the prediction.
     sample_time : float
         Time between samples [s].
     released : bool
@@ -66,7 +64,6 @@ class GeneralPredictor(ABC):
     feeds_back: bool
     disturbances: Disturbances
     walks: tuple[int, ...]
-    horizon: int
     sample_time: float
     released: bool
     spare: int = field(default=0, kw_only=True)
@@ -83,12 +80,12 @@ class GeneralPredictor(ABC):
         return self.released or not driven
 
     def regressors(self, inputs: FloatArray, outputs: FloatArray, shift: tuple[int, ...]) -> FloatArray:
-        """Return the regressors ``z`` of one record, shape (n_samples - horizon + 1, n_z).
+        """Return the regressors ``z`` of one record, shape (n_samples, n_z).
 
         Row k contains, in this order: prompt inputs ``u[k]``; ``u[k+1]`` of those under first-order hold; for each
         delayed input its samples around ``k - shift``; those of trends and hum; an impulse at the first sample;
-        ``y[k]`` if the disturbance gain is used; and all but the last again for a longer horizon. Before the record an
-        input is constant at its first sample. After it the input is constant at its last sample, without effect.
+        ``y[k]`` if the disturbance gain is used. Before the record an input is constant at its first sample. After it
+        the input is constant at its last sample, without effect.
         """
         n = len(inputs)
 
@@ -106,14 +103,9 @@ class GeneralPredictor(ABC):
             parts.append(self.disturbances.regressors(n, self.sample_time))
         if self._has_impulse:
             parts.append(np.eye(n, 1))
-        now = np.hstack(parts)
-        z = [now, outputs] if self.feeds_back else [now]
-        rows = n - self.horizon + 1
-        return np.hstack([part[:rows] for part in z] + [now[i : i + rows] for i in range(1, self.horizon)])
-
-    def targets(self, outputs: FloatArray) -> FloatArray:
-        """Return the outputs that the rows of `regressors` predict, shape (n_samples - horizon + 1, n_outputs)."""
-        return outputs[self.horizon - 1 :]
+        if self.feeds_back:
+            parts.append(outputs)
+        return np.hstack(parts)
 
     @abstractmethod
     def at(self, theta: FloatArray) -> Any:
@@ -137,7 +129,7 @@ Focus = Literal["prediction", "simulation"]
 class PredictorValues(NamedTuple):
     """Matrices of the predictor at one parameter vector.
 
-    ``x[k+1] = F x[k] + G z[k]``, ``yhat[k + horizon - 1] = C x[k] + H z[k]`` with the regressors of
+    ``x[k+1] = F x[k] + G z[k]``, ``yhat[k] = C x[k] + H z[k]`` with the regressors of
     `Predictor.regressors`, and the derivatives with respect to the free parameters.
 
     Attributes
@@ -222,11 +214,9 @@ class Predictor(GeneralPredictor):
         if self._has_impulse:
             drive, feed = side_by_side([drive, F @ x0]), side_by_side([feed, C @ x0])
         if not self.feeds_back:
-            parts: tuple[Dual, Dual, Dual, Dual] = (F, drive, C, feed)
-        else:
-            none = constant(np.zeros((n_y, n_y)), len(self.free))
-            parts = (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none]))
-        return (look_ahead(parts, F, drive, C, feed, self.horizon) if self.horizon > 1 else parts), shift
+            return (F, drive, C, feed), shift
+        none = constant(np.zeros((n_y, n_y)), len(self.free))
+        return (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none])), shift
 
     def _values(self, parts: Sequence[Dual], shift: list[int]) -> PredictorValues:
         F, G, C, H = parts
@@ -329,7 +319,6 @@ def build_predictor(
     focus: Focus,
     *,
     disturbances: Disturbances = UNDISTURBED,
-    horizon: int = 1,
     released: Sequence[bool] = (),
 ) -> Predictor:
     """Return the predictor of a structure for a fit.
@@ -348,8 +337,6 @@ def build_predictor(
         Whether the disturbance gain feeds measured outputs back (Eqs. 10, 15), or the model is simulated without them.
     disturbances : Disturbances
         Trends and hum of the outputs, estimated along.
-    horizon : int
-        Number of steps of the prediction.
     released : sequence of bool
         States of the structure that begin at its ``x0``; empty when this is so for no state of any record.
 
@@ -417,7 +404,6 @@ def build_predictor(
         feeds_back=K.nnz() > 0 or (bool(law) and focus == "prediction"),
         disturbances=disturbances,
         walks=walks,
-        horizon=horizon,
         sample_time=sample_time,
         released=any(released),
         _function=function,

@@ -15,7 +15,6 @@ from gbid.core.errors import UsageError
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import Disturbances, TrendName, asked_disturbances
-from gbid.identify.kernel.linear import EngineName
 from gbid.identify.predictor import Focus
 from gbid.identify.problem.asked import Constraints, ExtraCost, with_extra_terms
 from gbid.identify.problem.assemble import (
@@ -62,7 +61,6 @@ class RequestOptions(TypedDict, total=False):
     focus: Focus
     intersample: Hold | Sequence[Hold] | None
     criterion: Criterion | Literal["auto"]
-    horizon: int
     output_weights: Sequence[float] | None
     start: Mapping[str, float] | Literal["data"] | None
     fixed: Mapping[str, float] | None
@@ -71,13 +69,10 @@ class RequestOptions(TypedDict, total=False):
     extra_cost: ExtraCost | None
     constraints: Constraints | None
     local: Mapping[str, Scope] | None
-    offsets: bool
     trend: TrendName | Mapping[str, TrendName]
     hum: float | Sequence[float]
     initial_state: InitialState
     left_out: Mapping[str, Sequence[tuple[int, int]]] | None
-    scaling: bool
-    engine: EngineName
 
 
 class Posed(NamedTuple):
@@ -166,21 +161,18 @@ class Request:
             self.data,
             intersample=self.intersample,
             focus=self.focus,
-            horizon=asked.get("horizon", 1),
             disturbances=self.disturbances,
             released=self.states.released,
             local=asked.get("local") or {},
             left_out=asked.get("left_out") or {},
             window=window,
-            engine=asked.get("engine", "auto"),
             ties=stated.ties,
         )
         model = stated.structure, stated.begin
         per_record = disturbance_starts(self.disturbances, *model, self.data, self.intersample)
         begin = full_start(assembly, own, per_record)
         weights, prior = asked.get("output_weights"), asked.get("prior") or {}
-        scaling = asked.get("scaling", True)
-        problem, unknowns = build_problem(assembly, self.data, self.criterion, weights, begin, prior, scaling)
+        problem, unknowns = build_problem(assembly, self.data, self.criterion, weights, begin, prior)
         extra = asked.get("extra_cost"), asked.get("constraints")
         problem = with_extra_terms(problem, assembly, self.data, self.states, used, unknowns, *extra)
         return Posed(used, assembly, begin, problem, unknowns, *unknown_bounds(problem, assembly, self.states))
@@ -194,9 +186,9 @@ def request(structure: AnyStructure, recordings: Recording | Sequence[Recording]
     UsageError, DataError
         As for `gbid.fit`.
     """
-    focus, horizon, start = options.get("focus", "prediction"), options.get("horizon", 1), options.get("start")
+    focus, start = options.get("focus", "prediction"), options.get("start")
     wanted, fixed = options.get("criterion", "auto"), options.get("fixed") or {}
-    _check(focus, wanted, horizon)
+    _check(focus, wanted)
     recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
     inputs, outputs, hold = options.get("inputs"), options.get("outputs"), options.get("intersample")
     in_names = as_names(structure.inputs if inputs is None else inputs)
@@ -205,7 +197,7 @@ def request(structure: AnyStructure, recordings: Recording | Sequence[Recording]
     given = _given_starts(start)
     from_data = isinstance(start, str)
     parameters = _with_options(structure.parameters, given, fixed, options.get("bounds") or {}, from_data=from_data)
-    data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
+    data = gather(recordings, in_names, out_names, minimum=len(parameters) + 10)
     stated, structure = structure, equations_of(structure)
     courses = read_courses(structure, recordings) if isinstance(structure, ScheduledStructure) else None
     if courses is not None and not in_names:
@@ -215,12 +207,12 @@ def request(structure: AnyStructure, recordings: Recording | Sequence[Recording]
     states = initial_states(structure, parameters, options.get("initial_state", "auto"), names)
     if wanted == "auto":
         wanted = "det" if len(data.output_names) > 1 and options.get("output_weights") is None else "trace"
-    trend, hum, offsets = options.get("trend", "none"), options.get("hum", ()), options.get("offsets", False)
-    disturbances = asked_disturbances(trend, hum, offsets, data.output_names, data.sample_time, focus)
+    trend, hum = options.get("trend", "none"), options.get("hum", ())
+    disturbances = asked_disturbances(trend, hum, data.output_names, data.sample_time, focus)
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
         if isinstance(structure, ScheduledStructure) and courses is not None:
-            how = hold, focus, options.get("engine", "auto"), {*given, *fixed}
+            how = hold, focus, {*given, *fixed}
             first = scheduled_start(structure, parameters, undisturbed, courses, *how)
         else:
             first = begin_values(stated, parameters, undisturbed, hold, {*given, *fixed}, from_data=from_data)
@@ -251,17 +243,13 @@ def check_choices(choices: Mapping[str, tuple[str, tuple[str, ...]]]) -> None:
             raise UsageError(f"{name} = {value!r}; choose {', '.join(others)} or {last}")
 
 
-def _check(focus: str, criterion: str, horizon: int) -> None:
+def _check(focus: str, criterion: str) -> None:
     check_choices(
         {
             "focus": (focus, ("prediction", "simulation")),
             "criterion": (criterion, ("auto", "trace", "det")),
         }
     )
-    if horizon < 1:
-        raise UsageError(f"horizon = {horizon}; it must be at least 1")
-    if horizon > 1 and focus == "simulation":
-        raise UsageError("horizon is for focus = 'prediction'; a simulation has no horizon")
 
 
 def _with_gain_held(structure: AnyStructure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
@@ -438,9 +426,9 @@ def fit_problem(
     window : int, None or "auto"
         Number of samples in a shooting window, as for `gbid.fit`.
     **options
-        Options of `gbid.fit` that settle the problem: inputs, outputs, focus, intersample, criterion, horizon,
-        output_weights, start, fixed, bounds, prior, extra_cost, constraints, local, offsets, trend, hum, initial_state,
-        left_out, scaling, engine.
+        Options of `gbid.fit` that settle the problem: inputs, outputs, focus, intersample, criterion, output_weights,
+        start, fixed, bounds, prior, extra_cost, constraints, local, trend, hum, initial_state,
+        left_out.
 
     Returns
     -------

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -20,7 +18,7 @@ from gbid.core.extras import Pictured
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.tables import Column, Entry, Table, html_table
 from gbid.discretise import Hold
-from gbid.identify.disturbances import Disturbances, Trend
+from gbid.identify.disturbances import Disturbances
 from gbid.identify.kernel.linear import RunEngine
 from gbid.identify.predictor import Focus
 from gbid.identify.problem.nlp import Criterion
@@ -46,8 +44,6 @@ class FitOptions:
         Signals or channels, as the caller named them.
     focus : {"prediction", "simulation"}
         Focus of the errors.
-    horizon : int
-        Number of steps of the prediction.
     intersample : tuple of {"zoh", "foh"}
         Behaviour between samples of each input channel.
     criterion : {"trace", "det"}
@@ -73,7 +69,6 @@ class FitOptions:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     focus: Focus
-    horizon: int
     intersample: tuple[Hold, ...]
     criterion: Criterion
     stop: Stop
@@ -124,7 +119,7 @@ class StartsTried:
     spread : float
         Largest over smallest converged loss; inf when none converged.
     minima : tuple of float
-        Losses of the distinct minima, by rising loss; empty in a file of gbid 0.1.0.
+        Losses of the distinct minima, by rising loss.
     minima_starts : tuple of int
         Number of starts that led to each of these minima.
     """
@@ -402,36 +397,6 @@ class FitResult(Brief, Pictured):
 # ---- Fit results in HDF5; docs/file-formats.md describes the tree.
 
 
-def _from_schema_1(file: h5py.File) -> None:
-    """Convert options, other starts and status, which were texts in gbid 0.1.0."""
-    options = json.loads(hdf5.read_text(file, "options"))
-    hold = options["intersample"].split()
-    local_names = json.loads(hdf5.read_text(file, "local_names"))
-    own = {full: name for names in local_names.values() for name, full in names.items()}
-    estimated = {own.get(name, name) for name in hdf5.read_texts(file["parameters"], "free")}
-    inputs, outputs = (hdf5.read_texts(file["model"], name) for name in ("input_names", "output_names"))
-    asked = FitOptions(
-        inputs=tuple(options["inputs"].split()),
-        outputs=tuple(options["outputs"].split()),
-        horizon=int(options["horizon"]),
-        intersample=tuple(hold * len(inputs) if len(hold) == 1 else hold),
-        disturbances=_offsets(outputs, all(f"offset_{name}" in estimated for name in outputs)),
-        robust=None,
-        window=None if options["window"] == "one per recording" else int(options["window"]),
-        **{key: options[key] for key in ("focus", "criterion", "stop", "initial_state", "engine")},
-    )
-    hdf5.write_fields(file.create_group("options"), asked)
-    if "starts" in options:
-        seed, converged, agreed = (int(options[f"starts_{key}"]) for key in ("seed", "converged", "agreed"))
-        tried = StartsTried(int(options["starts"]), seed, converged, agreed, float(options["starts_spread"]))
-        hdf5.write_fields(file.create_group("multi_start"), tried)
-    file.attrs["status"] = status_of_text(hdf5.read_text(file, "status"), success=bool(file.attrs["success"])).value
-
-
-def _offsets(outputs: Sequence[str], estimated: bool) -> Disturbances:
-    return Disturbances(tuple(outputs), (Trend(int(estimated)),) * len(outputs))
-
-
 def status_of_text(text: str, *, success: bool) -> FitStatus:
     """Return the status of a text. Version 0.1.0 added further words; for these it is the nearest status."""
     if text in list(FitStatus):
@@ -442,7 +407,7 @@ def status_of_text(text: str, *, success: bool) -> FitStatus:
     return FitStatus(stem) if stem in list(FitStatus) else FitStatus.SOLVER_FAILED
 
 
-KIND = hdf5.FileKind("fit", "make the fit anew", (_from_schema_1,))
+KIND = hdf5.FileKind("fit", "make the fit anew", (None, None))
 
 
 def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: str = "") -> None:

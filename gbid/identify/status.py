@@ -27,7 +27,7 @@ class FitStatus(StrEnum):
     )
     WORSE_THAN_CONSTANT = (
         "not converged: the errors are larger than about the mean of the outputs; try other start values "
-        "(fit_multistart), or estimate offsets (offsets=True)"
+        "(fit_multistart), or estimate offsets (trend='offset')"
     )
     NOT_DETERMINED = "not determined: a free parameter has no standard deviation; fix or bound what the notes name"
     STEPS_TOO_SMALL = "not converged: steps became too small; a parameter may not be determined"

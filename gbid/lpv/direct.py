@@ -21,7 +21,6 @@ from gbid.core.notes import SurfaceNote
 from gbid.discretise import Hold
 from gbid.identify.data import Channels, FitData, gather_own
 from gbid.identify.fit import fit
-from gbid.identify.kernel.linear import EngineName
 from gbid.identify.predictor import Focus, build_predictor, noise_names
 from gbid.identify.problem.assemble import (
     OwnStructure,
@@ -249,7 +248,6 @@ def own_gains(
     recordings: Sequence[Recording],
     focus: Focus,
     hold: Hold | Sequence[Hold] | None,
-    engine: EngineName,
 ) -> Gains:
     """Return the disturbance gains of each recording, fitted with all other parameters fixed at the start.
 
@@ -278,7 +276,6 @@ def own_gains(
             fixed={**surface, **known},
             window=None,
             max_iterations=_ITERATIONS,
-            engine=engine,
         )
         found = np.array([own.parameters[q.name] for q in predictor.free])
         told = own.success and not near_instability(predictor, found, CLEAR)
@@ -299,7 +296,6 @@ class How:
 
     focus: Focus
     hold: Hold | Sequence[Hold] | None
-    engine: EngineName
     max_iterations: int
     progress: Callable[[Progress], None] | None
 
@@ -355,18 +351,16 @@ def solve_for(
             data,
             intersample=each[0].intersample,
             focus=how.focus,
-            horizon=1,
             local=local,
             left_out={},
             window=None,  # the start is near the solution: windows within a recording are not needed
-            engine=how.engine,
             ties=ties,
             own=each,
         )
         full = full_start(assembly, begin, gains.values)
         full |= dict(zip((q.name for q in ties.shared), shared.tolist(), strict=True))
         prior = {q.name: (0.0, 1.0) for q in ties.own}
-        problem, unknowns = build_problem(assembly, data, "trace", None, full, prior, scaling=True)
+        problem, unknowns = build_problem(assembly, data, "trace", None, full, prior)
         lower, upper = unknown_bounds(problem, assembly)
         position = {q.name: i for i, q in enumerate(assembly.free)}
         places = [[position[names[key]] for key in local if key in names] for names in assembly.record_names]
@@ -577,7 +571,6 @@ def fit_lpv_direct(
     fixed: Mapping[str, float] | None = None,
     scatter: bool = True,
     max_iterations: int = 100,
-    engine: EngineName = "auto",
     name: str = "",
     progress: Callable[[Progress], None] | None = None,
 ) -> LPVFit:
@@ -608,8 +601,6 @@ def fit_lpv_direct(
         is strongly biased, because a resonance that moves between recordings then looks like damping.
     max_iterations : int
         Largest number of iterations of each solution.
-    engine : {"auto", "compiled", "numpy"}
-        Engine of the pass over the samples.
     name : str, optional
         Name of the model; by default that of `start`.
     progress : callable, optional
@@ -639,7 +630,7 @@ def fit_lpv_direct(
     setting = set_up(recordings, model, structures, fixed or {})
     channels = [Channels(as_names(one.inputs), as_names(one.outputs)) for one in structures]
     data = gather_own(recordings, channels, minimum=_SHORTEST)
-    how = How(focus, intersample, engine, max_iterations, progress)
+    how = How(focus, intersample, max_iterations, progress)
     known = start.scatter if scatter and isinstance(start, LPVFit) else np.zeros((len(KEY_PARAMETERS),) * 2)
     if negative := _negative_delay(setting, setting.start):
         raise DataError(
@@ -647,7 +638,7 @@ def fit_lpv_direct(
             "start from another model, or use longer recordings"
         )
     with one_blas_thread():
-        gains = own_gains(setting, recordings, focus, intersample, engine)
+        gains = own_gains(setting, recordings, focus, intersample)
         shared, S = setting.start, _padded(known, len(setting.names))
         iterations, ended = 0, ""
         for round_ in range(1, _ROUNDS + 1):

@@ -54,8 +54,6 @@ def summary_lines(document: Row) -> Iterator[Line]:
         Heading and text of each line.
     """
     own = "one step ahead" if document["options"].get("focus") == "prediction" else "simulated"
-    horizon = int(document["options"].get("horizon", "1"))
-    own = f"{horizon} steps ahead" if horizon > 1 else own
     for recording in document["recordings"]:
         fits = [row for row in document["fit_percent"] if row["recording"] == recording]
         text = ", ".join(f"{row['output']} {row['fit_percent']:.2f} %" for row in fits)

@@ -177,7 +177,7 @@ def test_ctrl_c_in_a_terminal(tmp_path, line):
 @PROC
 @pytest.mark.parametrize("sent", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP])
 def test_workers_end_within_two_seconds_of_their_runner(tmp_path, sent):
-    path = write_springs(tmp_path, 4, fit="focus: simulation, engine: numpy, multi_start: {starts: 3000}")  # minutes
+    path = write_springs(tmp_path, 4, fit="focus: simulation, multi_start: {starts: 3000}")  # minutes
 
     def hear():  # under nohup the tests, and what they start, would be deaf to SIGHUP
         signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -214,7 +214,7 @@ def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
     from gbid.report.fit_tables import crossval_table, fit_tables
     from gbid.report.read import prefilter_table
 
-    path = write_quick(tmp_path, ("{structure: piezo_pair}", "{structure: plant, offsets: true}"))
+    path = write_quick(tmp_path, ("{structure: piezo_pair}", "{structure: plant, trend: offset}"))
     job = Job(load_experiment(path))
     run_stage(job, RIG)
     outcomes = [*run_stage(job, PREFILTER), *run_stage(job, FIT)]
@@ -402,9 +402,9 @@ def test_own_recordings_template_runs_as_it_is(tmp_path, capsys):
     ("line", "changes"),
     [
         ("rig p5_n6000_still1: made", [("duration_s: 1.0", "duration_s: 8.0")]),
-        (  # the fit follows: on a long record and with the slow engine, so that it is still under way
+        (  # the fit follows: on a long record and from many starts, so that it is still under way
             "prefilter map p5_n6000: made",
-            [("duration_s: 1.0", "duration_s: 15.0"), ("stop: paper", "engine: numpy")],
+            [("duration_s: 1.0", "duration_s: 15.0"), ("stop: paper", "multi_start: {starts: 300}")],
         ),
     ],
 )

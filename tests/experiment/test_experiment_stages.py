@@ -252,10 +252,10 @@ def test_fit_to_all_recordings_together(tmp_path):
 
 
 OPTIONS = (
-    "{structure: piezo_pair, horizon: 2, output_weights: [1.0, 2.0], prior: {p1_x: {value: 3000, std: 1.0e4}}, "
+    "{structure: piezo_pair, output_weights: [1.0, 2.0], prior: {p1_x: {value: 3000, std: 1.0e4}}, "
     "options: {disturbance_gain: none}, trend: {u_x: 2, u_y: linear}, hum: 50, robust: student, robust_threshold: 5, "
     "std: bootstrap, bootstrap_draws: 300, bootstrap_seed: 7, initial_state: zero, "
-    "engine: numpy, window: 400, ipopt: {max_iter: 30, linear_solver: mumps}, "
+    "window: 400, ipopt: {max_iter: 30, linear_solver: mumps}, "
     "left_out: {p5_n6000_prbs1: [[0.1, 0.1503], [0.5, 0.6]]}, bounds: {p2_x: [null, 2.0e4]}}"
 )
 
@@ -269,13 +269,12 @@ def test_every_option_of_a_fit_reaches_it(tmp_path):
     functions = {"progress", "extra_cost", "constraints"}  # of Python
     known = set(inspect.signature(fit).parameters) - {"structure", "recordings", "scaling"} - functions
     assert set(found) == known
-    assert {key: found[key] for key in ("horizon", "output_weights", "prior", "initial_state")} == {
-        "horizon": 2,
+    assert {key: found[key] for key in ("output_weights", "prior", "initial_state")} == {
         "output_weights": (1.0, 2.0),
         "prior": {"p1_x": (3000.0, 1e4)},
         "initial_state": "zero",
     }
-    assert (found["engine"], found["window"], found["bounds"]) == ("numpy", 400, {"p2_x": (-np.inf, 2e4)})
+    assert (found["window"], found["bounds"]) == (400, {"p2_x": (-np.inf, 2e4)})
     # a sample at the end counts again: 0.1503 s lies between samples 751 and 752
     assert found["left_out"] == {"p5_n6000_prbs1": [(500, 752), (2500, 3000)]}
     assert (found["robust"], found["robust_threshold"]) == ("student", 5.0)

@@ -37,7 +37,7 @@ def test_each_kind_is_used_and_explained(kind):
 
 def test_notes_of_a_fit_have_codes_that_are_explained():
     rec = simulated(MODE, MODE_AT, levels(300), noise=0.3)
-    result = fit(MODE, rec, focus="simulation", bounds={"g": (0.0, 1.0)}, engine="numpy")
+    result = fit(MODE, rec, focus="simulation", bounds={"g": (0.0, 1.0)})
     assert len(result.notes) >= 2
     for note in result.notes:
         assert explain(re.search(r"\[(GB\d{3})\]$", note)[1]).title

@@ -54,11 +54,6 @@ def test_options_of_a_structure_are_checked(change, text):
         _made(lambda x, u, p: [x[1], -p.k * x[0]], **change)
 
 
-def test_a_horizon_is_for_linear_structures():
-    with pytest.raises(UsageError, match="nonlinear structures predict one step ahead"):
-        gbid.fit(DUFFING, duffing_recording(0, n=100), horizon=3)
-
-
 def test_parameters_without_effect_in_the_data_are_named():
     def spring(x, u, p):
         return [x[1], u[0] - 0.2 * x[1] - p.k * x[0] - 0.5 * x[0] ** 3 + p.w * (p.k - p.k)]
@@ -104,7 +99,7 @@ def test_random_starts_of_equations_without_a_value_there_are_counted_as_such():
         return [x[1], u[0] - 0.2 * x[1] - ca.sqrt(p.k) * x[0]]
 
     structure = _made(spring, parameters=[Parameter("k", 1.0)])
-    found = gbid.fit_multistart(structure, duffing_recording(0, n=100), starts=5, reach=3.0, seed=1, engine="numpy")
+    found = gbid.fit_multistart(structure, duffing_recording(0, n=100), starts=5, reach=3.0, seed=1)
     assert 0 < np.isnan(found.losses).sum() < 4  # negative k
     assert found.best.multi_start.starts == 5
     assert sorted(i for m in found.minima for i in m.starts) == np.flatnonzero(~np.isnan(found.losses)).tolist()
@@ -121,5 +116,5 @@ def test_one_state_and_one_dimensional_signals():
     model = nonlinear_model(leak, {"k": 1.3}, steps=4)
     y = model.simulate(u[:, 0], 0.1)
     np.testing.assert_array_equal(model.predict(u[:, 0], y[:, 0], 0.1), y)
-    result = gbid.fit(leak, gbid.Recording({"u": u, "y": y}, 0.1, name="leak"), engine="numpy")
+    result = gbid.fit(leak, gbid.Recording({"u": u, "y": y}, 0.1, name="leak"))
     assert result.parameters["k"] == pytest.approx(1.3, rel=1e-3)

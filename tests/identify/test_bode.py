@@ -120,7 +120,7 @@ def test_parameters_of_other_recordings_do_not_widen_the_band():
         simulated(MODE, {**MODE_AT, "g": g}, levels(300, seed=i), noise=0.3, name=f"r{i}")
         for i, g in enumerate((2.0, 1.0))
     ]
-    result = fit(MODE, recs, focus="simulation", local={"g": "recording"}, start=MODE_AT, offsets=True)
+    result = fit(MODE, recs, focus="simulation", local={"g": "recording"}, start=MODE_AT, trend="offset")
     other = result.free.index("g[r1]")
     assert not any(getattr(result.model_slopes, m)[other].any() for m in "ABCD")
     gain = result.bode([1e-6])

@@ -119,13 +119,12 @@ def problem():
         data,
         intersample="foh",
         focus="prediction",
-        horizon=1,
         local={},
         left_out={"run-4": [(700, 900)]},
         window=100,
         engine="numpy",
     )
-    return build_problem(assembly, data, "trace", None, begin, {}, scaling=True)
+    return build_problem(assembly, data, "trace", None, begin, {})
 
 
 def test_windows_joined_and_cut_again_are_the_same_problem(problem):

@@ -68,7 +68,7 @@ def test_a_trend_goes_through_the_predictor():
     """With a disturbance gain measured outputs are fed back: a trend that were subtracted late would show."""
     rec = innovations(EVERY, EVERY_AT, levels(N, 2, hold=3), noise=[0.2, 0.1])
     course = np.column_stack([1.0 + 0.5 * T, np.sin(2 * np.pi * 0.9 * H * np.arange(N))])
-    result = fit(EVERY, shifted(rec, course), start=EVERY_AT, trend={"y_1": "linear"}, hum=[0.9], horizon=3)
+    result = fit(EVERY, shifted(rec, course), start=EVERY_AT, trend={"y_1": "linear"}, hum=[0.9])
     truth = {**EVERY_AT, "offset_y_1": 1.0, "trend1_y_1": 0.5, "hum0.9_cos_y_2": 0.0, "hum0.9_sin_y_2": 1.0}
     assert result.success
     assert "trend1_y_2" not in result.parameters
@@ -110,13 +110,13 @@ def test_random_walks_do_not_spoil_the_standard_deviations():
     assert all(each.success for each in fits)
     off = np.array([away(each, truth) for each in fits])
     assert 0.7 < np.sqrt((off**2).mean()) < 1.3
-    blind = fit(MODE, walking(0, 0.02), offsets=True, focus="simulation")
+    blind = fit(MODE, walking(0, 0.02), trend="offset", focus="simulation")
     assert blind.std["g"] > 2 * fits[0].std["g"]
 
 
 def test_the_walking_model_predicts_as_the_fit_did():
     rec = walking(5, 0.02, n=1200)
-    result = fit(MODE, rec, trend="random walk", engine="numpy", window=None)
+    result = fit(MODE, rec, trend="random walk", window=None)
     model = with_walking_offsets(result.model, result.options.disturbances, result.parameters)
     assert model.n_states == 3
     first = [*result.initial_states[0], 2.0]
@@ -128,7 +128,7 @@ def test_the_walking_model_predicts_as_the_fit_did():
 def test_the_walking_model_keeps_delays():
     delayed = gbid.LinearModel([[-2.0]], [[0.0]], [[1.0]], [[0.0]], B_delayed=[[2.0]], delay=[0.3])
     model = with_walking_offsets(
-        delayed, asked_disturbances("random walk", (), False, ("y",), H, "prediction"), {"walk_y": 0.1}
+        delayed, asked_disturbances("random walk", (), ("y",), H, "prediction"), {"walk_y": 0.1}
     )
     np.testing.assert_array_equal(model.B_delayed, [[2.0], [0.0]])
     u = levels(200)
@@ -146,13 +146,6 @@ def test_results_come_back_from_their_file(tmp_path):
     assert again.options == result.options
     assert again.options.disturbances.trends == (Trend(0), Trend(0, random_walk=True))
     assert dict(again.parameters) == dict(result.parameters)
-
-
-def test_offsets_are_the_trend_of_that_name():
-    rec = shifted(mode_data(), 4.0)
-    one, other = fit(MODE, rec, offsets=True), fit(MODE, rec, trend="offset")
-    assert one.options == other.options
-    assert dict(one.parameters) == dict(other.parameters)
 
 
 def test_samples_left_out_are_no_obstacle():
@@ -192,7 +185,6 @@ def test_start_values_of_a_bearing_are_found_beside_a_drift():
         ({"trend": 12}, "a degree from 0 to 9"),
         ({"trend": True}, "trend = True"),
         ({"trend": {"p": "linear"}}, "trend names 'p', which is no output of the fit; they are y"),
-        ({"trend": "linear", "offsets": True}, "offsets mean trend = 'offset'"),
         ({"trend": "random walk", "focus": "simulation"}, "is for focus = 'prediction'"),
         ({"hum": 50.0}, "hum = 50.0 Hz; give frequencies above 0 and below 5 Hz"),
         ({"hum": [1.0, 1.0]}, "given twice"),

@@ -1,4 +1,4 @@
-"""Options of the fit: local parameters, offsets, priors, initial states, gaps, horizon, weights, starts."""
+"""Options of the fit: local parameters, offsets, priors, initial states, gaps, weights, starts."""
 
 from dataclasses import replace
 
@@ -13,22 +13,16 @@ from fit_cases import (
     MODE_AT,
     TS,
     H,
-    fit_data,
     innovations,
     levels,
     piezo_motion,
-    predicted,
     simulated,
-    smooth,
 )
 
 from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
-from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sums import residuals
-from gbid.identify.predictor import build_predictor
 from gbid.recording import Recording
-from gbid.structure import LinearModel, LinearStructure, Parameter, Plant, RotorBearing, evaluate
+from gbid.structure import LinearStructure, Parameter, Plant, RotorBearing, evaluate
 
 LAG = LinearStructure(
     "lag",
@@ -138,7 +132,7 @@ def test_wrong_local_parameters_are_refused(what):
 
 
 @pytest.mark.parametrize(
-    "options", [{"local": {"b": "recording"}}, {"offsets": True}, {"left_out": {"data": [(5, 9)]}}]
+    "options", [{"local": {"b": "recording"}}, {"trend": "offset"}, {"left_out": {"data": [(5, 9)]}}]
 )
 def test_recordings_that_are_told_apart_by_name_must_have_their_own(options):
     with pytest.raises(UsageError, match="several recordings are named 'data'"):
@@ -155,7 +149,7 @@ def test_offsets_of_each_recording():
     for i, (name, offset) in enumerate(offsets.items()):
         rec = lag_data(seed=i, name=name)
         recs.append(rec.with_signals(y=rec.signal("y") + offset))
-    result = fit(LAG, recs, focus="simulation", offsets=True)
+    result = fit(LAG, recs, focus="simulation", trend="offset")
     assert result.free == ("a", "b", "offset_y[r0]", "offset_y[r1]")
     truth = {**LAG_AT, **{f"offset_y[{name}]": value for name, value in offsets.items()}}
     assert np.abs(away(result, truth, result.free)).max() < 4
@@ -163,7 +157,7 @@ def test_offsets_of_each_recording():
     assert fit(LAG, recs, focus="simulation").loss > 10 * result.loss
     # What does not touch the dynamics does not move them either: a shift of the data is a shift of the offset.
     moved = [rec.with_signals(y=rec.signal("y") + 100.0) for rec in recs]
-    again = fit(LAG, moved, focus="simulation", offsets=True)
+    again = fit(LAG, moved, focus="simulation", trend="offset")
     for name in result.free:
         shift = 100.0 * name.startswith("offset")
         assert again.parameters[name] == pytest.approx(result.parameters[name] + shift, abs=1e-3 * result.std[name])
@@ -172,7 +166,7 @@ def test_offsets_of_each_recording():
 def test_offsets_with_a_disturbance_gain():
     rec = innovations(EVERY, EVERY_AT, levels(1500, 2, hold=3), noise=[0.2, 0.1])
     rec = rec.with_signals(y=rec.signal("y") + np.array([3.0, -4.0]))
-    result = fit(EVERY, rec, start=EVERY_AT, offsets=True)
+    result = fit(EVERY, rec, start=EVERY_AT, trend="offset")
     truth = {**EVERY_AT, "offset_y_1": 3.0, "offset_y_2": -4.0}
     assert result.free == tuple(truth)
     assert np.abs(away(result, truth, truth)).max() < 4
@@ -387,80 +381,10 @@ def test_wrong_stretches_are_refused(what):
         fit(MODE, mode_data(300), left_out=left_out)
 
 
-# ---- horizon ----
-
-
-def looking_ahead(structure, values, u, y, x0, hold, horizon):
-    """Brute force: at each sample, the state by the one-step predictor, then on without measurements."""
-    model = evaluate(structure, values)
-    free = replace(model, K=None)
-    rows = []
-    n = model.n_states
-    watch = LinearModel(model.A, model.B, np.eye(n), np.zeros((n, model.B.shape[1])))  # its outputs are the states
-    x = np.asarray(x0, float)
-    gain = model.discretise(H).K
-    for k in range(len(u) - horizon + 1):
-        ahead = free.simulate(u[k : k + horizon], H, initial_state=x, intersample=hold)
-        rows.append(ahead[-1])
-        error = y[k] - ahead[0]
-        if k + 1 < len(u):
-            x = watch.simulate(u[k : k + 2], H, initial_state=x, intersample=hold)[1] + gain @ error
-    return np.array(rows)
-
-
-@pytest.mark.parametrize("horizon", [1, 2, 5])
-@pytest.mark.parametrize("hold", ["zoh", "foh"])
-def test_the_predictor_some_steps_ahead(horizon, hold):
-    u, y, x0 = smooth(70, seed=1), smooth(70, seed=2), np.array([0.4, -1.0])
-    predictor = build_predictor(EVERY, {}, H, hold, "prediction", horizon=horizon)
-    theta = np.array([EVERY_AT[q.name] for q in predictor.free])
-    blocks = cut(fit_data([(u, y)]), predictor, None, longest_block=32)
-    found = y[horizon - 1 :] - blocks.by_segment(residuals(predictor.at(theta), blocks, x0[None]))[0]
-    expected = looking_ahead(EVERY, EVERY_AT, u, y, x0, hold, horizon)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
-    if horizon == 1:
-        model = evaluate(EVERY, EVERY_AT)
-        np.testing.assert_allclose(found, predicted(model, u, y, H, (hold, hold), x0, True), atol=1e-11)
-    # And its derivatives.
-    at = predictor.at(theta)
-    for i in range(len(theta)):
-        step = 1e-6 * np.eye(len(theta))[i]
-        plus, minus = predictor.at(theta + step), predictor.at(theta - step)
-        for letter in "FGCH":
-            difference = (getattr(plus, letter) - getattr(minus, letter)) / 2e-6
-            np.testing.assert_allclose(getattr(at, "d" + letter)[i], difference, rtol=1e-6, atol=1e-8)
-
-
-def test_a_fit_some_steps_ahead():
-    rec = innovations(LAG, {**LAG_AT, "k": 3.0}, levels(1500), noise=[0.3])
-    results = {h: fit(LAG, rec, horizon=h) for h in (1, 4, 12)}
-    for h, result in results.items():
-        assert result.success
-        assert result.options.horizon == h
-        x0 = result.initial_states[0]
-        ahead = looking_ahead(LAG, result.parameters, rec.signal("u"), rec.signal("y"), x0, "zoh", h)
-        error = rec.signal("y")[h - 1 :] - ahead
-        assert result.loss == pytest.approx(float(np.mean(error**2)), rel=1e-9)
-        y = rec.signal("y")[h - 1 :]
-        percent = 100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - y.mean()))
-        assert result.fit_percent[0, 0] == pytest.approx(percent, rel=1e-9)
-        assert np.abs(away(result, {**LAG_AT, "k": 3.0}, ("a", "b"), result.std_with("robust"))).max() < 4.5
-    assert results[1].loss < results[4].loss < results[12].loss
-    assert results[1].loss == pytest.approx(0.09, rel=0.1)
-    # Errors some steps ahead overlap: they cannot be white, and the result says so.
-    assert results[4].trusted == "robust"
-    # Far ahead there is nothing left but the model's own run.
-    own = fit(LAG, rec, focus="simulation").loss
-    assert results[12].loss == pytest.approx(own, rel=0.05)
+# ---- options that are refused ----
 
 
 WRONG = {
-    "horizon": ({"horizon": 0}, "horizon = 0; it must be at least 1"),
-    "horizon of a simulation": ({"horizon": 2, "focus": "simulation"}, "horizon is for focus = 'prediction'"),
-    "horizon and gaps": (
-        {"horizon": 2, "left_out": {"data": [(20, 30)]}},
-        "left_out with a disturbance gain and a horizon beyond 1 is not possible",
-    ),
     "weights": (
         {"output_weights": [1.0, 2.0]},
         r"output_weights = \[1.0, 2.0\]; give one positive number for each of y",
@@ -618,7 +542,7 @@ def test_where_starts_come_from_is_told():
 
 def test_starts_of_local_parameters_have_an_origin_too():
     recs = [lag_data(300, seed=i, name=f"r{i}") for i in range(2)]
-    result = fit(LAG, recs, focus="simulation", local={"b": "recording"}, start={"b": 1.7}, offsets=True)
+    result = fit(LAG, recs, focus="simulation", local={"b": "recording"}, start={"b": 1.7}, trend="offset")
     assert [result.start[f"b[r{i}]"] for i in range(2)] == [1.7, 1.7]
     assert [result.start_origin[f"b[r{i}]"] for i in range(2)] == ["user", "user"]
     # The offset starts where the model at its start leaves it.

@@ -89,7 +89,7 @@ def test_round_trip_with_exact_delays_local_parameters_and_offsets(tmp_path):
         simulated(late, {"a": 2.0, "b": b, "tau": 0.33}, levels(200, seed=i), noise=0.05, seed=i, name=f"é {i}")
         for i, b in enumerate((1.0, 3.0))
     ]
-    made = fit(late, recs, local={"b": "recording"}, offsets=True, start={"a": 1.5})
+    made = fit(late, recs, local={"b": "recording"}, trend="offset", start={"a": 1.5})
     assert made.model.delay is not None
     assert made.local_names["é 1"] == {"b": "b[é 1]", "offset_y": "offset_y[é 1]"}
     save_fit(made, tmp_path / "late.h5")
@@ -167,7 +167,7 @@ DAMAGE = {
     "a focus that is none": (lambda f: f["options"].attrs.__setitem__("focus", "{"), TORN),
     "an unknown status": (lambda f: f.attrs.__setitem__("status", "fine"), TORN),
     "no options": (lambda f: f.__delitem__("options"), "group /options is missing"),
-    "a horizon in words": (lambda f: f["options"].attrs.__setitem__("horizon", "far"), "not whole numbers"),
+    "a window in words": (lambda f: f["options"].attrs.__setitem__("window", "far"), "not whole numbers"),
     "local names are no JSON": (lambda f: f.attrs.__setitem__("local_names", "{"), TORN),
     "a name too few": (lambda f: f["parameters"].attrs.__setitem__("names", ["w", "z"]), TORN),
     "matrices of wrong shape": (lambda f: put(f["model"], "A", np.eye(3)), "damaged fit file: model 'mode': B has"),

@@ -23,7 +23,7 @@ def fits():
     machine = Machine.from_parameters(truth, model.actuators)
     rec = record(machine, Prbs(0.6), conditions=POINT, seed=1, name="run1")
     bearing = gbid.RotorBearing(disturbance_gain="none")
-    common = {"focus": "simulation", "stop": "paper", "engine": "numpy"}
+    common = {"focus": "simulation", "stop": "paper"}
     return {
         "free": gbid.fit(bearing, rec, **common),
         "fixed": gbid.fit(bearing, rec, fixed={"tau_y": truth["tau_y"]}, **common),

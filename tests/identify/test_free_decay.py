@@ -50,10 +50,9 @@ def close(result, names=("k", "d"), true=TRUE):
 
 
 @pytest.mark.parametrize("focus", ["simulation", "prediction"])
-@pytest.mark.parametrize("engine", ["numpy", "auto"])
-def test_structure_without_inputs_fits_two_decays_each_from_its_own_state(focus, engine):
+def test_structure_without_inputs_fits_two_decays_each_from_its_own_state(focus):
     starts = [(1.0, 0.0), (0.0, 40.0)]
-    result = fit(ALONE, [decay(x, f"r{i}", i) for i, x in enumerate(starts)], focus=focus, engine=engine)
+    result = fit(ALONE, [decay(x, f"r{i}", i) for i, x in enumerate(starts)], focus=focus)
     close(result)
     assert np.allclose(result.initial_states, starts, atol=0.1)
     assert result.options.inputs == ()

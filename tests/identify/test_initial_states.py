@@ -39,10 +39,9 @@ def test_zero_is_a_state_of_a_recording():
     assert rest.sample_time == H
 
 
-@pytest.mark.parametrize("engine", ["compiled", "numpy"])
-def test_some_states_are_given_and_others_estimated(engine):
+def test_some_states_are_given_and_others_estimated():
     states = {"a": [2.0, "estimated"], "b": "estimated"}
-    found = fit(MODE, recordings(), initial_state=states, focus="simulation", engine=engine)
+    found = fit(MODE, recordings(), initial_state=states, focus="simulation")
     assert found.options.initial_state == "given"
     assert found.initial_states[0, 0] == 2.0
     both = recordings()
@@ -65,7 +64,7 @@ def test_some_states_are_given_and_others_estimated(engine):
     variance = 2 * best.cost / (len(best.fun) - len(best.x))
     std = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)) * variance)
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_white)), std[:3], rtol=1e-4)
-    free = fit(MODE, both, focus="simulation", engine=engine)
+    free = fit(MODE, both, focus="simulation")
     assert free.aic - found.aic == pytest.approx(
         1200 * np.log(free.error_covariance[0, 0] / found.error_covariance[0, 0]) + 2, abs=1e-6
     )

@@ -1,13 +1,10 @@
 """Names of signals and recordings are free text: they come through fit, validation, tests and file."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from fit_cases import MODE, MODE_AT, levels, simulated
 
 import gbid
-from gbid.core import hdf5
 from gbid.identify import FitStatus
 from gbid.recording import Recording
 
@@ -23,7 +20,7 @@ def renamed(recording, source, target, name):
 def test_any_name_comes_through(source, target, tmp_path):
     plain = [simulated(MODE, MODE_AT, levels(300, seed=i), noise=0.3, seed=i, name=f"{i}") for i in range(2)]
     data = [renamed(r, source, target, f"run; {i}, [x] of 'me'") for i, r in enumerate(plain)]
-    asked = {"offsets": True, "local": {"g": "recording"}}
+    asked = {"trend": "offset", "local": {"g": "recording"}}
     found = gbid.fit(MODE, data, inputs=source, outputs=target, **asked)
     reference = gbid.fit(MODE, plain, **asked)
     assert list(found.parameters.values()) == list(reference.parameters.values())
@@ -47,36 +44,9 @@ def test_a_prior_finds_local_offsets_of_a_bracketed_signal():
     plain = [simulated(MODE, MODE_AT, levels(300, seed=i), noise=0.3, seed=i, name=f"{i}") for i in range(2)]
     data = [renamed(r, "u", "v[2]", r.name) for r in plain]
     prior = {"offset_v[2]": (1.0, 1e-6)}
-    found = gbid.fit(MODE, data, inputs="u", outputs="v[2]", offsets=True, prior=prior)
+    found = gbid.fit(MODE, data, inputs="u", outputs="v[2]", trend="offset", prior=prior)
     assert found.parameters["offset_v[2][0]"] == pytest.approx(1.0, abs=1e-3)
     assert found.parameters["offset_v[2][1]"] == pytest.approx(1.0, abs=1e-3)
-
-
-def test_files_of_0_1_0_open(tmp_path):
-    recording = simulated(MODE, MODE_AT, levels(300), noise=0.3)
-    found = gbid.fit(MODE, recording, offsets=True, window=100)
-    path = tmp_path / "old.h5"
-    gbid.save_fit(found, path)
-    texts = (
-        '{"inputs": "u", "outputs": "y", "focus": "prediction", "horizon": "1", "intersample": "zoh", '
-        '"criterion": "trace", "stop": "tolerance", "initial_state": "estimated", "window": "100", '
-        '"engine": "compiled", "starts": "4", "starts_seed": "5", "starts_converged": "3", "starts_agreed": "2", '
-        '"starts_spread": "inf"}'
-    )
-    with hdf5.changing(path) as file:
-        del file["options"]
-        file.attrs["schema_version"], file.attrs["success"], file.attrs["options"] = 1, True, texts
-        file.attrs["status"] = "converged: the errors are at rounding, with the disturbance gain held"
-    old = gbid.load_fit(path)
-    assert old.options == replace(found.options, engine="compiled")
-    assert old.status is FitStatus.CONVERGED_GAIN_HELD
-    assert (old.multi_start.starts, old.multi_start.seed, old.multi_start.agreed) == (4, 5, 2)
-    assert old.multi_start.spread == np.inf
-    with hdf5.changing(path) as file:
-        file.attrs["options"] = texts.replace('"100"', '"one per recording"')
-        file.attrs["status"], file.attrs["success"] = "not converged: IPOPT says Internal_Error", False
-    assert gbid.load_fit(path).options.window is None
-    assert gbid.load_fit(path).status is FitStatus.SOLVER_FAILED
 
 
 def test_statuses_read_as_text_and_know_success():

@@ -120,7 +120,7 @@ def test_derivatives_are_those_of_central_differences(structure, values, h, hold
 DISTURBED = Disturbances(("p_x", "p_y"), (Trend(1), Trend(0, random_walk=True)), (50.0,))
 
 
-@pytest.mark.parametrize("options", [{}, {"horizon": 3}, {"disturbances": DISTURBED}], ids=["plain", "horizon", "hum"])
+@pytest.mark.parametrize("options", [{}, {"disturbances": DISTURBED}], ids=["plain", "hum"])
 def test_several_points_at_once_are_each_by_itself(options):
     """Exact delays, too; a delay that is moved over a whole sample keeps the regressors of the first point."""
     structure = RotorBearing(delay="exact", disturbance_gain="full")

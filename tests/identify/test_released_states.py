@@ -38,11 +38,10 @@ def decay(seed, name="decay", **other):
     return Recording({"y": y[:, None]}, STEP, name=name)
 
 
-@pytest.mark.parametrize("engine", ["compiled", "numpy"])
 @pytest.mark.parametrize("window", [None, 40])
-def test_a_pendulum_that_is_released_at_rest(engine, window):
+def test_a_pendulum_that_is_released_at_rest(window):
     recording = decay(0)
-    found = fit(PENDULUM, recording, engine=engine, window=window)
+    found = fit(PENDULUM, recording, window=window)
     t, y = STEP * np.arange(COUNT), recording.signal("y")[:, 0]
     best = least_squares(lambda x: y - swing(*x, t), list(TRUTH.values()), x_scale=[5, 0.02, 1], xtol=1e-14, ftol=1e-14)
     assert found.success
@@ -102,13 +101,11 @@ def driven(seed=3, count=400, noise=0.05, name="driven"):
     return Recording({"u": u, "y": y}, H, name=name)
 
 
-@pytest.mark.parametrize("engine", ["compiled", "numpy"])
 @pytest.mark.parametrize(
     "options",
     [
         {},
         {"intersample": "foh"},
-        {"horizon": 3},
         {"focus": "simulation"},
         {"left_out": {"driven": [(0, 3), (50, 60)]}},
         {"trend": "random walk"},
@@ -116,11 +113,11 @@ def driven(seed=3, count=400, noise=0.05, name="driven"):
         {"window": 50, "criterion": "det"},
     ],
 )
-def test_a_fixed_function_is_a_given_state(options, engine):
+def test_a_fixed_function_is_a_given_state(options):
     """Without a free parameter in x0 the fit is that with the same numbers as a given state."""
     held = {"a": 0.8, "start": 2.5}
-    by_structure = fit(EVERYTHING, driven(), fixed=held, engine=engine, **options)
-    given = fit(EVERYTHING, driven(), fixed=held, initial_state=[2.5, 2.0], engine=engine, **options)
+    by_structure = fit(EVERYTHING, driven(), fixed=held, **options)
+    given = fit(EVERYTHING, driven(), fixed=held, initial_state=[2.5, 2.0], **options)
     assert by_structure.success
     np.testing.assert_allclose(by_structure.initial_states, [[2.5, 2.0]])
     assert by_structure.loss == pytest.approx(given.loss, rel=1e-9)

@@ -47,8 +47,8 @@ def ramp(noise: float = 1e-3, n: int = 1500) -> gbid.Recording:
 
 def test_constant_surfaces_are_the_fit_with_constant_parameters():
     """Of order 0 the pieces share their parameters: nothing but the cuts differs from a usual fit."""
-    plain = gbid.fit(BASE, ramp(), engine="numpy")
-    result = gbid.fit(gbid.scheduled(BASE, "gap", order=0, piece_s=0.3), ramp(), engine="numpy")
+    plain = gbid.fit(BASE, ramp())
+    result = gbid.fit(gbid.scheduled(BASE, "gap", order=0, piece_s=0.3), ramp())
     assert result.success
     assert result.options.schedule.pieces == 5
     for name in ("k", "d", "b"):
@@ -60,7 +60,7 @@ def test_constant_surfaces_are_the_fit_with_constant_parameters():
 
 def test_surface_of_a_ramp_is_found_and_shorter_pieces_are_nearer():
     found = {
-        piece: gbid.fit(gbid.scheduled(BASE, "gap", surfaces=["k"], order=1, piece_s=piece), ramp(1e-5), engine="numpy")
+        piece: gbid.fit(gbid.scheduled(BASE, "gap", surfaces=["k"], order=1, piece_s=piece), ramp(1e-5))
         for piece in (0.2, 0.05)
     }
     errors = {}
@@ -70,7 +70,7 @@ def test_surface_of_a_ramp_is_found_and_shorter_pieces_are_nearer():
         errors[piece] = abs(k[0] - 4400.0) + abs(k[1] + 800.0)
     assert errors[0.05] < 10.0
     assert errors[0.05] < 0.7 * errors[0.2]
-    noisy = gbid.fit(gbid.scheduled(BASE, "gap", surfaces=["k"], order=1, piece_s=0.05), ramp(), engine="numpy")
+    noisy = gbid.fit(gbid.scheduled(BASE, "gap", surfaces=["k"], order=1, piece_s=0.05), ramp())
     for name, true in (("k_0", 4400.0), ("k_1", -800.0), ("d", 8.0), ("b", 5000.0)):
         assert abs(noisy.parameters[name] - true) < 4 * noisy.std[name]
 
@@ -97,7 +97,7 @@ def test_what_courses_do_not_determine_is_named():
 
 
 def test_result_of_a_schedule_is_no_model_of_a_recording():
-    result = gbid.fit(gbid.scheduled(BASE, "gap", order=0, piece_s=0.3), ramp(), engine="numpy", max_iterations=1)
+    result = gbid.fit(gbid.scheduled(BASE, "gap", order=0, piece_s=0.3), ramp(), max_iterations=1)
     with pytest.raises(UsageError, match="middle of their range"):
         gbid.cross_validate(result, ramp())
     with pytest.raises(UsageError, match="fourteen key parameters"):

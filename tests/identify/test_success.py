@@ -66,7 +66,7 @@ def test_errors_larger_than_about_the_mean_are_no_success():
     result = fit(problem.structure, recording, focus="simulation", fixed={"a": 3.0})
     assert result.status is FitStatus.WORSE_THAN_CONSTANT
     assert result.trusted == "robust"
-    assert fit(problem.structure, recording, focus="simulation", fixed={"a": 3.0}, offsets=True).success
+    assert fit(problem.structure, recording, focus="simulation", fixed={"a": 3.0}, trend="offset").success
 
 
 def test_an_undetermined_parameter_is_no_success_and_named():

@@ -62,7 +62,7 @@ def test_a_disturbance_gain_that_does_not_stabilise_is_replaced_by_that_of_an_ob
 
 @pytest.mark.parametrize("name", ["spring", "two_masses", "cross_coupled", "delayed_mode"])
 @pytest.mark.parametrize(
-    "more", [{}, {"initial_state": "zero"}, {"offsets": True}], ids=["free state", "state of zero", "offsets"]
+    "more", [{}, {"initial_state": "zero"}, {"trend": "offset"}], ids=["free state", "state of zero", "offsets"]
 )
 def test_covariance_by_windows_is_that_of_whole_records(name, more, monkeypatch):
     """For a stable model both exist, and are equal."""

@@ -82,7 +82,6 @@ def test_derivatives_by_tied_unknowns_are_those_of_differences(one_point):
         data,
         intersample="foh",
         focus="prediction",
-        horizon=1,
         local=gains,
         left_out={},
         window=200,
@@ -90,7 +89,7 @@ def test_derivatives_by_tied_unknowns_are_those_of_differences(one_point):
         ties=ties,
     )
     full = full_start(assembly, begin) | {q.name: q.start for q in shared}
-    problem, x = build_problem(assembly, data, "trace", None, full, {"off_1": (0.0, 1.0)}, scaling=True)
+    problem, x = build_problem(assembly, data, "trace", None, full, {"off_1": (0.0, 1.0)})
     assert problem.n_theta == 5 + 3 * 4 + 3 * 2
     x = x + 1e-3 * rng.normal(size=len(x))
     here = problem.at(x)
@@ -149,7 +148,7 @@ def test_recordings_have_structures_of_their_own(one_point):
     bearing = RotorBearing(disturbance_gain="none")
     start, options = constant(truth_at(5.0, 4000.0)), {"focus": "simulation", "scatter": False}
     own = {one_point[0].name: EXACT, one_point[1].name: bearing, one_point[2].name: bearing}
-    mixed = gbid.fit_lpv_direct(one_point, start, structure=own, fixed=FIXED, engine="numpy", **options)
+    mixed = gbid.fit_lpv_direct(one_point, start, structure=own, fixed=FIXED, **options)
     halves = [
         gbid.fit(EXACT, one_point[:1], focus="simulation", fixed=FIXED, criterion="trace"),
         gbid.fit(bearing, one_point[1:], focus="simulation", criterion="trace"),
@@ -186,7 +185,6 @@ def test_recordings_in_open_and_in_closed_loop_share_surfaces(one_point):
         focus="simulation",
         fixed=FIXED,
         scatter=False,
-        engine="numpy",
     )
     assert found.success
     std = np.sqrt(np.diag(found.covariance)).reshape(14, 6)[:, 0]

@@ -111,7 +111,7 @@ def test_campaign_of_full_length_recovers_the_truth():
         if point not in maps:
             maps[point] = gbid.identify_runout([record(made, Stationary(5.0), name=f"still {point}", **how)])
         raw = record(made, Prbs(5.0), name=f"{point} {i}", scatter=scatter, **how)
-        fits.append(gbid.fit(plant, gbid.prefilter(raw, maps[point])[0], offsets=True))
+        fits.append(gbid.fit(plant, gbid.prefilter(raw, maps[point])[0], trend="offset"))
     assert all(f.success for f in fits)
     two = gbid.fit_lpv(fits, [point for point, _ in CAMPAIGN], actuators=FIXED)
     _, z = errors(two)

@@ -59,7 +59,7 @@ def test_recordings_of_the_rig_have_its_units():
 def test_what_is_shown_has_the_units_of_the_recording(tmp_path):
     for units, shown in (({}, "-"), ({"u": "V", "p": "rad/s"}, "rad/s")):
         rec = drive(units)
-        found = gbid.fit(first_order(), rec, offsets=True)
+        found = gbid.fit(first_order(), rec, trend="offset")
         offset = next(unit for name, unit in found.units.items() if name.startswith("offset_p"))
         assert offset == units.get("p", "")
 

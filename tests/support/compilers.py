@@ -3,6 +3,7 @@
 import ctypes
 import os
 import shutil
+from contextlib import contextmanager
 
 import pytest
 
@@ -19,6 +20,16 @@ def value_of(library, name):
     function = getattr(library, f"gbid_test_{name}")
     function.restype = ctypes.c_double
     return function()
+
+
+@contextmanager
+def no_compiler():
+    """A machine without a C compiler: what is portable runs."""
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("CC", "/nonexistent/cc")
+        forget_libraries()
+        yield
+    forget_libraries()
 
 
 def forget_libraries():

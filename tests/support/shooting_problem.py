@@ -28,9 +28,8 @@ def problem(engine="numpy", criterion="trace", **options):
         data,
         intersample="foh",
         focus="prediction",
-        horizon=1,
         engine=engine,
         **settings,
     )
     begin = {q.name: BEGIN.get(q.name.partition("[")[0], 1e-7) for q in assembly.free}
-    return build_problem(assembly, data, criterion, [1.0, 2.0], begin, {"k_xx": (-6e5, 1e3)}, scaling=True)
+    return build_problem(assembly, data, criterion, [1.0, 2.0], begin, {"k_xx": (-6e5, 1e3)})

@@ -33,7 +33,7 @@ def test_the_test_of_independence_keeps_its_level(hold, memory):
 def model():
     """A fit with an offset, its parameters the truth but for noise."""
     recording = simulated(MODE, MODE_AT, levels(2000), name="first")
-    return fit(MODE, with_offset(recording, 3.0, 1), focus="simulation", offsets=True)
+    return fit(MODE, with_offset(recording, 3.0, 1), focus="simulation", trend="offset")
 
 
 def with_offset(recording, offset, seed):

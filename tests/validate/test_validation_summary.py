@@ -70,7 +70,7 @@ def plainly(result, recording, left_out=()):
     ("structure", "options"),
     [
         (PiezoPair(), {}),
-        (PiezoPair(), {"offsets": True}),
+        (PiezoPair(), {"trend": "offset"}),
         (PiezoPair(), {"trend": 3, "hum": [50.0, 131.0]}),
         (RotorBearing(), {"max_iterations": 2}),
         (RotorBearing(), {"intersample": "zoh", "focus": "simulation", "max_iterations": 2}),
@@ -146,7 +146,7 @@ def test_stretches_left_out_do_not_count():
 
 
 def test_offsets_are_those_of_the_samples_that_count(recordings):
-    result = fit(PiezoPair(), recordings[0], offsets=True)
+    result = fit(PiezoPair(), recordings[0], trend="offset")
     signal = result.options.outputs[0]
     wrong = recordings[1].signal(signal).copy()
     wrong[500:900] += 10 * np.ptp(wrong, axis=0)

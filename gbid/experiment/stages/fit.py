@@ -204,8 +204,6 @@ def focus_sees_options(experiment: Experiment) -> Found:
     for name, section in experiment.spec.fits.items():
         if section.focus != "simulation":
             continue
-        if section.horizon > 1:
-            yield ("fits", name, "horizon"), "a horizon is for focus: prediction; a simulation has no horizon"
         known = _known(experiment, name)
         if known is None:
             continue
@@ -302,14 +300,6 @@ def stretches_left_out_exist(experiment: Experiment) -> Found:
                         (*where, i),
                         f"{end:g} s is beyond the end of the recording, {rig.duration_s:g} s; end it there",
                     )
-        known = _known(experiment, name)
-        if known is not None and section.left_out and section.horizon > 1 and section.focus == "prediction":
-            parts, _ = known
-            if parts.has_gain and not parts.gain_only <= set(section.fixed):
-                yield (
-                    ("fits", name, "left_out"),
-                    "needs a horizon of 1, or a structure without disturbance gain; change one of them",
-                )
 
 
 def _known(experiment: Experiment, fit: str) -> tuple[Anatomy, AnyStructure] | None:
@@ -338,8 +328,8 @@ OPTION_CHECKS: tuple[Check, ...] = (
 FOLDER = "fits"
 _OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples")
 _AS_THEY_ARE = (
-    *("inputs", "outputs", "focus", "criterion", "horizon", "output_weights", "window", "stop", "max_iterations"),
-    *("engine", "start", "fixed", "local", "offsets", "trend", "hum", "robust", "robust_threshold"),
+    *("inputs", "outputs", "focus", "criterion", "output_weights", "window", "stop", "max_iterations"),
+    *("start", "fixed", "local", "trend", "hum", "robust", "robust_threshold"),
     *("std", "bootstrap_draws", "bootstrap_seed", "ipopt"),
 )
 

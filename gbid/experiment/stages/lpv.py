@@ -173,7 +173,6 @@ class Surfaces:
             focus=spec.focus,
             intersample=hold,
             fixed=spec.fixed,
-            engine=spec.engine,
             name=f"{experiment.spec.name}{DIRECT}",
             progress=self._job.reporter.iteration,
         )

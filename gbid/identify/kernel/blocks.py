@@ -189,12 +189,11 @@ def cut(
     if isinstance(data, FitData):
         data = [Segment(record.inputs, record.outputs) for record in data.records]
     segments = tuple(data)
-    targets = [segment.part(predictor.targets(segment.outputs)) for segment in segments]
+    targets = [segment.part(segment.outputs) for segment in segments]
     longest = max(len(target) for target in targets)
     window = longest if window is None else min(window, longest)
     per_window = -(-window // longest_block)
     length = -(-window // per_window)
-    counts = [_of_targets(segment, segment.counts, predictor) for segment in segments]
     first: list[int] = []
     size: list[int] = []
     segment_first: list[int] = []
@@ -211,42 +210,40 @@ def cut(
     block_size += [0] * (y.shape[0] * lanes - len(block_size))
     return Blocks(
         y,
-        _use(segments, predictor, length, lanes),
+        _use(segments, length, lanes),
         np.array(block_size),
         per_window,
         np.array(first),
         np.array(size),
         np.array(segment_first),
-        int(sum(count.sum() for count in counts)),
+        int(sum(_of_samples(segment, segment.counts).sum() for segment in segments)),
         predictor,
         segments,
     )
 
 
 def reweighted(blocks: Blocks, weights: Sequence[FloatArray]) -> Blocks:
-    """Return the same blocks with other weights of the squared errors: one array for the targets of each segment."""
+    """Return the same blocks with other weights of the squared errors: one array for each segment."""
     segments = []
     for segment, own in zip(blocks.segments, weights, strict=True):
         full = np.ones(len(segment.outputs))
-        segment.part(blocks.predictor.targets(full[:, None]))[:, 0] = own  # a view of `full`
+        segment.part(full)[:] = own
         segments.append(replace(segment, weights=full))
-    used = _use(segments, blocks.predictor, blocks.length, blocks.lanes)
+    used = _use(segments, blocks.length, blocks.lanes)
     return replace(blocks, segments=tuple(segments), used=used)
 
 
-def _use(segments: Sequence[Segment], predictor: GeneralPredictor, length: int, lanes: int) -> FloatArray:
+def _use(segments: Sequence[Segment], length: int, lanes: int) -> FloatArray:
     """Return the roots of the weights of samples in groups of blocks, (n_groups, length, lanes)."""
     rows = [
-        _of_targets(segment, segment.counts, predictor) * np.sqrt(_of_targets(segment, segment.weights, predictor))
-        for segment in segments
+        _of_samples(segment, segment.counts) * np.sqrt(_of_samples(segment, segment.weights)) for segment in segments
     ]
     return np.ascontiguousarray(_in_groups(rows, length, lanes)[:, :, 0])
 
 
-def _of_targets(segment: Segment, values: FloatArray | None, predictor: GeneralPredictor) -> FloatArray:
-    """Return values of the samples of a record for the targets of a segment, (n, 1); ones where there are none."""
-    whole = np.ones(len(segment.outputs)) if values is None else values
-    return segment.part(predictor.targets(whole[:, None]))
+def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
+    """Return values of the samples of a record for those of a segment, (n, 1); ones where there are none."""
+    return segment.part(np.ones(len(segment.outputs)) if values is None else values)[:, None]
 
 
 def _in_groups(parts: Sequence[FloatArray], length: int, lanes: int) -> FloatArray:

@@ -301,7 +301,6 @@ def build_nonlinear_predictor(
     focus: Focus,
     *,
     disturbances: Disturbances = UNDISTURBED,
-    horizon: int = 1,
     released: Sequence[bool] = (),
 ) -> NonlinearPredictor:
     """Return the predictor of a nonlinear structure for a fit; arguments as for `build_predictor`.
@@ -311,10 +310,8 @@ def build_nonlinear_predictor(
     Raises
     ------
     UsageError
-        When no free parameter remains, or for a horizon beyond one.
+        When no free parameter remains.
     """
-    if horizon > 1:
-        raise UsageError(f"horizon = {horizon}: nonlinear structures predict one step ahead; leave it out")
     own = symbolic_equations(structure)
     n, n_y = own.x.numel(), own.y.numel()
     gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
@@ -390,7 +387,6 @@ def build_nonlinear_predictor(
         feeds_back=full_K.nnz() > 0,
         disturbances=disturbances,
         walks=walks,
-        horizon=1,
         sample_time=sample_time,
         released=any(released),
         functions=sample_functions(equations),

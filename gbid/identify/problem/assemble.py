@@ -114,7 +114,6 @@ def any_predictor(
     focus: Focus,
     *,
     disturbances: Disturbances,
-    horizon: int,
     released: Sequence[bool],
 ) -> GeneralPredictor:
     """Return the predictor of a structure of either kind for a fit; see `build_predictor`.
@@ -130,7 +129,6 @@ def any_predictor(
             intersample,
             focus,
             disturbances=disturbances,
-            horizon=horizon,
             released=released,
         )
     assert not isinstance(structure, ScheduledStructure)  # a fit poses its base
@@ -141,7 +139,6 @@ def any_predictor(
         intersample,
         focus,
         disturbances=disturbances,
-        horizon=horizon,
         released=released,
     )
 
@@ -226,8 +223,6 @@ def stretches(record: Record, ranges: Sequence[tuple[int, int]], predictor: Gene
         raise DataError(f"recording {record.name!r}: all samples are left out")
     if not predictor.feeds_back:
         return [Stretch(Segment(record.inputs, record.outputs, counts), False)]
-    if predictor.horizon > 1:
-        raise UsageError("left_out with a disturbance gain and a horizon beyond 1 is not possible; choose one")
     edges = [0, *(np.flatnonzero(np.diff(counts)) + 1).tolist(), n]
     return [
         Stretch(Segment(record.inputs, record.outputs, counts, start=a, stop=b), counts[a] == 0)
@@ -393,11 +388,10 @@ def assemble(
     *,
     intersample: Hold | Sequence[Hold],
     focus: Focus,
-    horizon: int,
     local: Mapping[str, Scope],
     left_out: Mapping[str, Sequence[tuple[int, int]]],
     window: int | None,
-    engine: EngineName,
+    engine: EngineName = "auto",
     disturbances: Disturbances = UNDISTURBED,
     released: BoolArray | None = None,
     ties: Ties | None = None,
@@ -431,7 +425,6 @@ def assemble(
             models[model].intersample,
             kind,
             disturbances=disturbances,
-            horizon=horizon,
             released=released,
         )
         known = {q.name: q for q in parameters}
@@ -605,7 +598,6 @@ def build_problem(
     output_weights: Sequence[float] | None,
     begin: Mapping[str, float],
     prior: Mapping[str, tuple[float, float]],
-    scaling: bool,
 ) -> tuple[Shooting, FloatArray]:
     """Scale the unknowns, and find window starts for the start values.
 
@@ -613,7 +605,7 @@ def build_problem(
     ----------
     assembly : Assembly
     data : FitData
-    criterion, output_weights, prior, scaling
+    criterion, output_weights, prior
         As for `gbid.fit`.
     begin : dict of str to float
         Start values by full name.
@@ -655,8 +647,6 @@ def build_problem(
             curvature[part.index] += unit * np.diag(s.hessian)
     magnitude = np.where(theta != 0, np.abs(theta), 1.0)
     theta_scale = np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), magnitude)
-    if not scaling:
-        theta_scale, state_scale = ones, np.ones(n)
     problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, _last={}, _met={})
     return replace(problem, stable_only=problem.growth(values, sweeps) <= 1), problem.pack(theta, starts)
 

@@ -14,7 +14,6 @@ from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, Record
-from gbid.identify.kernel.linear import EngineName
 from gbid.identify.predictor import Focus
 from gbid.identify.problem.assemble import Ties, assemble, automatic_window, build_problem, full_start, unknown_bounds
 from gbid.identify.problem.solve import solve
@@ -153,7 +152,6 @@ def fit_part(
     part: FitData,
     intersample: Hold | Sequence[Hold],
     focus: Focus,
-    engine: EngineName,
     asked: Set[str],
 ) -> PartFit | None:
     """Return the estimates from a part of a recording; None when the solver does not converge.
@@ -169,13 +167,11 @@ def fit_part(
         part,
         intersample=intersample,
         focus=focus,
-        horizon=1,
         local={},
         left_out={},
         window=automatic_window(part, focus),
-        engine=engine,
     )
-    problem, unknowns = build_problem(assembly, part, "det", None, full_start(assembly, begin), {}, scaling=True)
+    problem, unknowns = build_problem(assembly, part, "det", None, full_start(assembly, begin), {})
     lower, upper = unknown_bounds(problem, assembly)
     solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, stop="paper", max_iterations=_ITERATIONS)
     theta, starts = problem.unpack(solution.unknowns)
@@ -213,7 +209,6 @@ def scheduled_start(
     courses: Courses,
     intersample: Hold | Sequence[Hold],
     focus: Focus,
-    engine: EngineName,
     asked: Set[str],
 ) -> Begin:
     """Return the start values of all parameters.
@@ -233,7 +228,7 @@ def scheduled_start(
         Their scheduling variables.
     intersample : {"zoh", "foh"} or sequence of these
         Behaviour of the inputs between samples.
-    focus, engine
+    focus
         As for `gbid.fit`.
     asked : set of str
         Parameters whose value comes from the caller.
@@ -262,7 +257,7 @@ def scheduled_start(
             inputs, outputs = (rows[a:b] - rows[a:b].mean(axis=0) for rows in (record.inputs, record.outputs))
             part = replace(data, records=(Record(record.name, inputs, outputs),))
             try:
-                made = fit_part(structure.base, own, part, intersample, focus, engine, asked)
+                made = fit_part(structure.base, own, part, intersample, focus, asked)
             except (GbidError, np.linalg.LinAlgError) as error:
                 failure = str(error)
                 continue

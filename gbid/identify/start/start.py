@@ -17,7 +17,6 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold, check_holds, discretise, hold_response
 from gbid.identify.data import FitData, Record, column_means, moves
-from gbid.identify.kernel.linear import EngineName
 from gbid.identify.predictor import build_predictor
 from gbid.identify.problem.assemble import assemble, automatic_window, build_problem, full_start, unknown_bounds
 from gbid.identify.problem.solve import solve
@@ -730,7 +729,6 @@ def settled_start(
     *,
     intersample: Hold | Sequence[Hold],
     left_out: Mapping[str, Sequence[tuple[int, int]]],
-    engine: EngineName,
 ) -> dict[str, float] | None:
     """Return start values from fits with a steady observer in place of the structure's own disturbance gain.
 
@@ -740,7 +738,7 @@ def settled_start(
 
     Parameters
     ----------
-    structure, parameters, data, intersample, left_out, engine
+    structure, parameters, data, intersample, left_out
         As in `gbid.identify.problem.assemble.assemble`.
     begin : dict of str to float
         Start values of all parameters.
@@ -756,9 +754,7 @@ def settled_start(
         gain = observer_gain(evaluate(structure, values), data.sample_time, _NOISE * spread, reach)
         if gain is None:
             return None
-        values = _fitted(
-            with_gain(structure, gain), parameters, values, data, 1 / spread**2, intersample, left_out, engine
-        )
+        values = _fitted(with_gain(structure, gain), parameters, values, data, 1 / spread**2, intersample, left_out)
     gain = observer_gain(evaluate(structure, values), data.sample_time, _NOISE * spread, _REACHES[-1])
     return values if gain is None else {**values, **gain_parameters(structure, parameters, values, gain)}
 
@@ -771,7 +767,6 @@ def _fitted(
     weights: Sequence[float],
     intersample: Hold | Sequence[Hold],
     left_out: Mapping[str, Sequence[tuple[int, int]]],
-    engine: EngineName,
 ) -> dict[str, float]:
     """Return the values of a fit with an observer; those given where it ends nowhere."""
     assembly = assemble(
@@ -781,13 +776,11 @@ def _fitted(
         data,
         intersample=intersample,
         focus="prediction",
-        horizon=1,
         local={},
         left_out=left_out,
         window=automatic_window(data, "prediction"),
-        engine=engine,
     )
-    problem, unknowns = build_problem(assembly, data, "trace", weights, full_start(assembly, values), {}, True)
+    problem, unknowns = build_problem(assembly, data, "trace", weights, full_start(assembly, values), {})
     lower, upper = unknown_bounds(problem, assembly)
     solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, max_iterations=_MOST)
     theta, _ = problem.unpack(solution.unknowns)

@@ -234,7 +234,7 @@ def _sensitivities(
                 problem.parts[k],
             )
             segments.append((tied_sensitivities(own, part.tie), part.index, chains[at][0]))
-            if part.predictor.feeds_back and part.predictor.horizon == 1:
+            if part.predictor.feeds_back:
                 feedback = tied_values(part.kernel.feedback(values[k], cuts[k], predictions[k]), part.tie), part.index
         return joined_segments(segments, feedback)
 

@@ -17,6 +17,7 @@ import casadi as ca
 import h5py
 import numpy as np
 import stored_values
+from fit_cases import MODE, MODE_AT, levels, simulated
 from gain_problems import oscillator
 from scipy.io import savemat
 
@@ -40,7 +41,6 @@ from gbid.recording.importing import list_channels
 from gbid.validate import load_actuators, load_validation_summary
 from gbid.validate.central import ACTUATORS_KIND, save_validation_summary
 
-OLD = Path(__file__).parents[2] / "data" / "gbid_0_1_0.zip"
 _MAPPING = {"sample_time": 1e-3, "signals": {"y": {"columns": ["a", "b"], "unit": "m"}}}
 
 
@@ -140,7 +140,7 @@ def _own_hdf5() -> list[FuzzTarget]:
         ("validation", stored_values.validation_summary(), save_validation_summary, load_validation_summary),
         ("table of fits", stored_values.fit_table(), save_table, gbid.load_table),
         ("surfaces", stored_values.lpv_fit(), gbid.save_lpv_fit, gbid.load_lpv_fit),
-        ("fit", _old_fit(), gbid.save_fit, gbid.load_fit),
+        ("fit", _fit(), gbid.save_fit, gbid.load_fit),
         ("tuned design", _design(), save_tuned, load_tuned),
     )
     targets = []
@@ -249,9 +249,8 @@ def _save_prefilter(runout_map: Any, path: Path) -> None:
     save_prefilter(path, runout_map, (stored_values.report(),))
 
 
-def _old_fit() -> Any:
-    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(OLD) as archive:
-        return gbid.load_fit(Path(archive.extract("fit.h5", folder)))
+def _fit() -> Any:
+    return gbid.fit(MODE, simulated(MODE, MODE_AT, levels(100), noise=0.3))
 
 
 def _design() -> TunedDesign:
