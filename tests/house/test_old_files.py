@@ -75,9 +75,7 @@ def test_old_surfaces_hold_what_was_stored(old):
 
 
 def test_old_fits_are_refused_with_what_to_do(old):
-    with pytest.raises(
-        DataError, match=r"written by an older gbid \(schema_version 1\); remove it and make the fit anew"
-    ):
+    with pytest.raises(DataError, match=r"older gbid \(schema_version 1\); remove it and make the fit anew"):
         gbid.load_fit(old / "fit.h5")
 
 

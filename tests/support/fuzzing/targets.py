@@ -41,6 +41,7 @@ from gbid.recording.importing import list_channels
 from gbid.validate import load_actuators, load_validation_summary
 from gbid.validate.central import ACTUATORS_KIND, save_validation_summary
 
+OLD = Path(__file__).parents[2] / "data" / "gbid_0_1_0.zip"
 _MAPPING = {"sample_time": 1e-3, "signals": {"y": {"columns": ["a", "b"], "unit": "m"}}}
 
 
@@ -166,7 +167,6 @@ def _older_hdf5() -> list[FuzzTarget]:
         "impact": load_impacts,
         "validation_summary": load_validation_summary,
         "table": gbid.load_table,
-        "fit": gbid.load_fit,
     }
     with zipfile.ZipFile(OLD) as archive:
         return [
