@@ -26,7 +26,7 @@ from gbid.cli.options import (
 )
 from gbid.cli.verbs import OR_RUN
 from gbid.core.errors import UsageError
-from gbid.export.targets import export_target, target_names
+from gbid.export.targets import TARGETS, ExportRequest, export_target
 
 if TYPE_CHECKING:
     from gbid.experiment.draft import Draft, DraftOptions
@@ -239,7 +239,7 @@ def import_recordings(
 
 
 def _complete_target(incomplete: str) -> list[str]:
-    return [name for name in target_names() if name.startswith(incomplete)]
+    return [name for name in TARGETS if name.startswith(incomplete)]
 
 
 def export(
@@ -258,7 +258,7 @@ def export(
         typer.Option(
             "--to",
             metavar="TARGET",
-            help=f"What to write: {', '.join(target_names())}.",
+            help=f"What to write: {', '.join(TARGETS)}.",
             autocompletion=_complete_target,
         ),
     ] = "matlab",
@@ -270,9 +270,6 @@ def export(
         Literal["double", "float"] | None,
         typer.Option("--number", help="Type of the numbers in C source; else that of the section target, or double."),
     ] = None,
-    measure: Annotated[
-        bool, typer.Option("--measure", help="Run C source on an emulated Cortex-M4F and write its instructions down.")
-    ] = False,
     mass: Annotated[
         float | None, typer.Option("--mass", metavar="KG", help="Modal mass of the rotor; needed for ross.")
     ] = None,
@@ -289,11 +286,10 @@ def export(
     with guarded(as_json, debug):
         from gbid.cli.printing import print_json, print_notes, tell
         from gbid.experiment.exporting import find_exports, write_exports
-        from gbid.export.target import ExportRequest
 
         export_target(to)
         found = find_exports(source, at, results)
-        request = ExportRequest(output or found.folder, overwrite, at, number, measure, mass)
+        request = ExportRequest(output or found.folder, overwrite, at, number, mass)
         files = [str(path) for path in write_exports(found, to, request)]
         if as_json:
             print_json({"files": files, "left_out": list(found.left_out), "notes": list(found.notes)})

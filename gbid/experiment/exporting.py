@@ -17,8 +17,7 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.experiment.stages.fit import load_made_fit
 from gbid.experiment.stages.prefilter import MAP_FOLDER
-from gbid.export.target import ExportItem, ExportRequest, Point, Surroundings
-from gbid.export.targets import export_target
+from gbid.export.targets import ExportItem, ExportRequest, Point, export_target
 from gbid.identify import load_fit
 from gbid.lpv import LPVModel, load_model
 from gbid.prefilter import RunoutMap, load_prefilter
@@ -84,7 +83,7 @@ def find_exports(source: str, at: Point | None = None, results: Path | None = No
         kind = read_yaml(path).data.get("kind")
         if kind == "controller":
             design = load_controller(path)
-            return Exports(source, (_controller_item(design),), Path(), notes=design.notes)
+            return Exports(source, (ExportItem(_controller_name(design), design),), Path(), notes=design.notes)
         if kind != "lpv_model":
             return _of_experiment(path, at, results)
     model = load_model(source)
@@ -105,8 +104,8 @@ def _of_model(name: str, model: LPVModel, at: Point | None) -> tuple[ExportItem,
     return (bearing, ExportItem(f"{point}_plant", model.plant_at(*at))) if model.actuators else (bearing,)
 
 
-def _controller_item(design: ControllerDesign, around: Surroundings | None = None) -> ExportItem:
-    return ExportItem(identifier(f"controller_{design.name}"), design, around or Surroundings())
+def _controller_name(design: ControllerDesign) -> str:
+    return identifier(f"controller_{design.name}")
 
 
 def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Exports:
@@ -129,11 +128,11 @@ def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Export
         except GbidError as error:
             left_out.append(str(error))
     notes = [note for item in items if isinstance(item.what, LPVModel) for note in item.what.notes]
-    around = Surroundings(made_maps(job), chain_options(job.experiment))
+    maps, options = made_maps(job), chain_options(job.experiment)
     for name in job.experiment.spec.controller:
         try:
             design = _tuned(job, name)
-            items.append(_controller_item(design, around))
+            items.append(ExportItem(_controller_name(design), design, maps, options))
             notes += design.notes
         except GbidError as error:
             left_out.append(str(error))
@@ -193,7 +192,7 @@ def write_exports(found: Exports, to: str, request: ExportRequest) -> list[Path]
     found : Exports
         Models and controllers, from `find_exports`.
     to : str
-        Name of the target, one of `target_names`.
+        Name of the target, one of `gbid.export.targets.TARGETS`.
     request : ExportRequest
         Folder and options.
 
@@ -211,10 +210,10 @@ def write_exports(found: Exports, to: str, request: ExportRequest) -> list[Path]
         When a file cannot be written.
     """
     target = export_target(to)
-    items = [item for item in found.items if isinstance(item.what, target.takes)]
+    items = [item for item in found.items if item.kind in target.takes]
     if not items:
-        takes = ", ".join(_WORDS.get(kind.__name__, kind.__name__) for kind in target.takes)
-        there = ", ".join(dict.fromkeys(_WORDS[type(item.what).__name__] for item in found.items))
+        takes = ", ".join(_WORDS[kind] for kind in target.takes)
+        there = ", ".join(dict.fromkeys(_WORDS[item.kind] for item in found.items))
         raise UsageError(f"{found.source}: --to {to} takes {takes}; here are only {there}: choose another target")
     request = replace(request, beside=found.items)
     return [path for item in items for path in target.write(item, request)]

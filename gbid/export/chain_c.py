@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-import re
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -29,7 +25,6 @@ from gbid.export.chain_python import (
     ChainInput,
     ChainMode,
     ChainOutput,
-    SelfTestRow,
     selftest_rows,
 )
 from gbid.prefilter.runout import COSINE, QUARTER, QUARTERS_PER_RADIAN, SINE, TURN, RunoutMap
@@ -187,7 +182,7 @@ class CompiledChain:
 
     def __init__(self, chain: Chain) -> None:
         plain = replace(chain, name="chain")
-        header, body = render_source("chain.h.j2", plain, measured=()), render_source("chain.c.j2", plain)
+        header, body = render_source("chain.h.j2", plain), render_source("chain.c.j2", plain)
         source = header + body.replace('#include "chain.h"\n', "") + render_source("chain_run.c.j2", plain)
         try:
             self._library = load_library(source, FLAGS)
@@ -263,159 +258,17 @@ def _output(row: FloatArray) -> ChainOutput:
     )
 
 
-# ---- A chain on an emulated microcontroller: it is cross-compiled, tested there, and its instructions are counted.
-
-COMPILER, EMULATOR, SIZE = "arm-none-eabi-gcc", "qemu-system-arm", "arm-none-eabi-size"
-FLAGS_EMULATED = (
-    *("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
-    *("-std=c99", "-O2", "-ffp-contract=off", "-ffreestanding", "-fno-common"),
-)
-"""Flags for a Cortex-M4F: its unit computes in float; numbers of type double are computed by the library of gcc."""
-CLOCK_HZ = 170e6
-"""Clock for which a rate is computed."""
-CYCLES_PER_INSTRUCTION = 2.0
-"""Assumed mean of a Cortex-M4F with wait states of its flash; loads take two cycles, most others one."""
-_SAMPLES = 4000
-_PER_TICK = 40  # 25 MHz SysTick of the board, 1 ns per instruction
-_LINKER = """\
-MEMORY { code (rx) : ORIGIN = 0x00000000, LENGTH = 4M  ram (rw) : ORIGIN = 0x20000000, LENGTH = 4M }
-SECTIONS {
-  .text : { KEEP(*(.vectors)) *(.text*) *(.rodata*) *(.ARM.*) . = ALIGN(8); } > code
-  data_from = LOADADDR(.data);
-  .data : { data_to = .; *(.data*) . = ALIGN(8); data_end = .; } > ram AT > code
-  .bss : { *(.bss*) *(COMMON) . = ALIGN(8); bss_end = .; } > ram
-  stack_top = ORIGIN(ram) + LENGTH(ram);
-}
-ENTRY(start)
-"""
-
-
-@dataclass(frozen=True)
-class EmulatedRun:
-    """What a chain does on an emulated Cortex-M4F.
-
-    Attributes
-    ----------
-    wrong_row : int
-        0 when the self-test passed, else the first row that differs.
-    state_bytes, code_bytes, constant_bytes : int
-        Memory of the state, the code and the constant tables of the chain.
-    instructions : float
-        Instructions of one call of the step function for a usual sample.
-    faulty, saturated : float
-        The same for a sample that is not a number, and for one at the limits.
-    """
-
-    wrong_row: int
-    state_bytes: int
-    code_bytes: int
-    constant_bytes: int
-    instructions: float
-    faulty: float
-    saturated: float
-
-    @property
-    def largest_rate_hz(self) -> float:
-        """Rate that the instructions allow at `CLOCK_HZ` with `CYCLES_PER_INSTRUCTION`: computed, not measured."""
-        return CLOCK_HZ / (CYCLES_PER_INSTRUCTION * max(self.instructions, self.faulty, self.saturated))
-
-    def lines(self) -> tuple[str, ...]:
-        """Return the lines of the header."""
-        return (
-            f"Cortex-M4F, gcc -O2, emulated: {self.instructions:.0f} instructions per sample ({self.faulty:.0f} for a "
-            f"faulty one, {self.saturated:.0f} at the limits).",
-            f"Code {self.code_bytes} bytes, constants {self.constant_bytes} bytes, state {self.state_bytes} bytes.",
-            f"Largest rate at {CLOCK_HZ / 1e6:.0f} MHz, computed with {CYCLES_PER_INSTRUCTION:g} cycles per "
-            f"instruction, not measured: {self.largest_rate_hz / 1e3:.0f} kHz.",
-        )
-
-
-def missing_tools() -> tuple[str, ...]:
-    """Return the programs of the cross-compilation and emulation that are not installed."""
-    return tuple(tool for tool in (COMPILER, SIZE, EMULATOR) if shutil.which(tool) is None)
-
-
-def run_emulated(chain: Chain, rows: tuple[SelfTestRow, ...]) -> EmulatedRun:
-    """Return what a chain does on an emulated Cortex-M4F (QEMU, board mps2-an386, one instruction per nanosecond).
-
-    Parameters
-    ----------
-    chain : Chain
-        The chain.
-    rows : tuple of SelfTestRow
-        Rows of the self-test.
-
-    Raises
-    ------
-    UsageError
-        When a program is missing, or when it fails.
-    """
-    missing = missing_tools()
-    if missing:
-        raise UsageError(
-            f"counting instructions needs {', '.join(missing)}; install gcc-arm-none-eabi and qemu-system-arm, or "
-            "leave --measure out"
-        )
-    name = chain.name
-    with tempfile.TemporaryDirectory() as where:
-        folder = Path(where)
-        tolerance = FLOAT_TOLERANCE * chain.options.limit_m
-        for file, template in (
-            (f"{name}.h", "chain.h.j2"),
-            (f"{name}.c", "chain.c.j2"),
-            (f"{name}_selftest.c", "chain_selftest.c.j2"),
-            ("harness.c", "harness.c.j2"),
-        ):
-            text = render_source(template, chain, rows=rows, tolerance=tolerance, measured=())
-            (folder / file).write_text(text, encoding="ascii")
-        (folder / "board.ld").write_text(_LINKER, encoding="ascii")
-        _called(folder, COMPILER, *FLAGS_EMULATED, "-c", f"{name}.c", "-o", "chain.o")
-        sources = ("chain.o", f"{name}_selftest.c", "harness.c")
-        _called(folder, COMPILER, *FLAGS_EMULATED, "-nostdlib", "-T", "board.ld", *sources, "-lgcc", "-o", "chain.elf")
-        sections = _called(folder, SIZE, "-A", "chain.o")
-        machine = ("-M", "mps2-an386", "-icount", "shift=0", "-nographic", "-monitor", "none", "-serial", "null")
-        semihosting = ("-semihosting-config", "enable=on,target=native", "-kernel", "chain.elf")
-        printed = _called(folder, EMULATOR, *machine, *semihosting)
-    found = {word: int(number) for word, number in re.findall(r"^(\w+) (\d+)$", printed, re.MULTILINE)}
-    sizes = {"text": 0, "rodata": 0}
-    for word, number in re.findall(r"^\.(text|rodata)\S*\s+(\d+)", sections, re.MULTILINE):
-        sizes[word] += int(number)
-    each = {kind: (found[kind] - found["loop"]) * _PER_TICK / _SAMPLES for kind in ("usual", "faulty", "saturated")}
-    return EmulatedRun(
-        found["selftest"],
-        found["state"],
-        sizes["text"],
-        sizes["rodata"],
-        each["usual"],
-        each["faulty"],
-        each["saturated"],
-    )
-
-
-def _called(folder: Path, *command: str) -> str:
-    try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=300)
-    except subprocess.TimeoutExpired:
-        raise UsageError(f"{command[0]} did not end within 300 s") from None
-    if done.returncode:
-        said = (done.stderr.strip() or done.stdout.strip() or "nothing").splitlines()[-1]
-        raise UsageError(f"{command[0]} failed on the generated chain: {said}")
-    return done.stdout + done.stderr
-
-
-# ---- Files of a control chain: C source, header, self-test, S-function and notes.
+# ---- Files of a control chain: C source, header, self-test and notes.
 
 _FILES = {
     ".h": "chain.h.j2",
     ".c": "chain.c.j2",
     "_selftest.c": "chain_selftest.c.j2",
-    "_sfun.c": "chain_sfun.c.j2",
     "_notes.md": "chain_notes.md.j2",
 }
-_UNMEASURED = "Instructions per sample: not counted (gbid export --measure counts them on an emulated Cortex-M4F)."
 
 
-def write_chain(chain: Chain, folder: str | Path, *, measure: bool = False, overwrite: bool = False) -> list[Path]:
+def write_chain(chain: Chain, folder: str | Path, *, overwrite: bool = False) -> list[Path]:
     """Write a control chain as C source, and return the paths of the files.
 
     Parameters
@@ -424,21 +277,18 @@ def write_chain(chain: Chain, folder: str | Path, *, measure: bool = False, over
         The chain, from `chain_of`.
     folder : str or path
         Folder of the files. Their names begin with the name of the chain.
-    measure : bool
-        Whether the source is compiled for a Cortex-M4F and run under an emulator: then the header has the instructions
-        per sample. It needs arm-none-eabi-gcc and qemu-system-arm.
     overwrite : bool
         Whether existing files may be replaced.
 
     Returns
     -------
     list of pathlib.Path
-        Header, source, self-test, S-function and notes.
+        Header, source, self-test and notes.
 
     Raises
     ------
     UsageError
-        When a file exists and `overwrite` is not set, or when a program is missing for `measure`.
+        When a file exists and `overwrite` is not set.
     DataError
         When a file cannot be written.
     """
@@ -448,15 +298,6 @@ def write_chain(chain: Chain, folder: str | Path, *, measure: bool = False, over
         if path.exists() and not overwrite:
             raise UsageError(f"{path} exists already; choose another name or ask for overwriting")
     rows = selftest_rows(chain)
-    measured: tuple[str, ...] = (_UNMEASURED,)
-    if measure:
-        run = run_emulated(chain, rows)
-        if run.wrong_row:
-            raise UsageError(
-                f"chain {chain.name!r}: row {run.wrong_row} of its self-test differs on the emulated Cortex-M4F; "
-                "please report it"
-            )
-        measured = run.lines()
     for path, template in paths.items():
         text = render_source(
             template,
@@ -464,7 +305,6 @@ def write_chain(chain: Chain, folder: str | Path, *, measure: bool = False, over
             rows=rows,
             n_rows=len(rows),
             tolerance=FLOAT_TOLERANCE * chain.options.limit_m,
-            measured=measured,
             conditions=_conditions(chain),
         )
         with atomic_path(path, overwrite) as part:

@@ -192,9 +192,9 @@ def test_export_of_an_experiment_takes_its_lpv_models_along(spring, capsys):
     (results / "lpv" / "machine.yaml").write_text(published)
     assert gbid("export", spring, "--overwrite") == 0
     lines = capsys.readouterr().out.splitlines()
-    assert str(results / "export" / "machine.m") in lines
+    assert str(results / "export" / "machine.mat") in lines
     assert gbid("export", results / "fits" / "spring" / "run1.h5", "--output", results / "one") == 0
-    assert (results / "one" / "spring_run1.m").is_file()
+    assert (results / "one" / "spring_run1.mat").is_file()
 
 
 def test_export_says_what_it_cannot_do(tmp_path, capsys):

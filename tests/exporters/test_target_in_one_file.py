@@ -1,4 +1,4 @@
-"""A target of the export is one file in a room: command line and messages find it; controllers leave by it too."""
+"""A target of the export is a function in one file: command line and messages find it; controllers leave by it too."""
 
 from __future__ import annotations
 
@@ -13,22 +13,12 @@ from gbid.cli.main import app
 from gbid.control import controller_structure, scheduled
 from gbid.export import targets
 
-TARGET = '''
-"""Export of the names alone."""
-
-from gbid.export.target import ExportTarget
-from gbid.lpv import LPVModel
-
 
 def write_names(item, request):
     path = request.folder / f"{item.name}.txt"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(", ".join(each.name for each in request.beside))
     return [path]
-
-
-TARGET = ExportTarget("names", (LPVModel,), write_names)
-'''
 
 
 def run(*arguments: object) -> int:
@@ -38,8 +28,7 @@ def run(*arguments: object) -> int:
 
 
 def test_a_new_target_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    (tmp_path / "to_names.py").write_text(TARGET)
-    monkeypatch.setattr(targets, "__path__", [*targets.__path__, str(tmp_path)])
+    monkeypatch.setitem(targets.TARGETS, "names", targets.ExportTarget(write_names, ("LPVModel",)))
     assert run("export", "theisen2016", "--to", "names", "--output", tmp_path / "out") == 0
     assert Path(capsys.readouterr().out.strip()).read_text() == "theisen2016"
     assert run("export", "theisen2016", "--to", "name") == 2

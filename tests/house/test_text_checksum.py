@@ -10,7 +10,6 @@ from gbid.core.tables import plain_table, write_csv
 from gbid.experiment.fields import writing_keyed
 from gbid.export.chain import chain_of
 from gbid.export.chain_c import write_chain
-from gbid.export.matlab import save_mat
 from gbid.lpv import load_model, save_model
 
 MODEL = load_model("theisen2016")
@@ -26,10 +25,6 @@ def model(folder):
     return [folder / "model.yaml"]
 
 
-def matlab(folder):
-    return [save_mat(MODEL, folder / "model.mat")[1]]
-
-
 def table(folder):
     with writing_keyed(folder / "table.csv", "") as part:
         write_csv(plain_table(("a", "b"), [(1.0, 2.5)], ("note",)), part)
@@ -42,7 +37,7 @@ def source(folder):
     return write_chain(chain, folder)
 
 
-@pytest.mark.parametrize("write", [controller, model, matlab, table, source])
+@pytest.mark.parametrize("write", [controller, model, table, source])
 def test_each_writer(write, tmp_path):
     for path in write(tmp_path):
         content = path.read_bytes()

@@ -240,8 +240,7 @@ def test_the_command_line_writes_files_that_ross_reads(tmp_path, capsys):
 
 
 def test_a_model_without_operating_points_is_written_at_the_ends_of_its_domain(tmp_path):
-    from gbid.export.target import ExportItem, ExportRequest
-    from gbid.export.targets.to_ross import write_elements
+    from gbid.export.targets import ExportItem, ExportRequest, write_elements
 
     item = ExportItem("bare", replace(MODEL, operating_points=()))
     files = write_elements(item, ExportRequest(tmp_path, mass_kg=1.0))

@@ -42,13 +42,13 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_one_command_writes_the_chain_of_an_experiment(box: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("export", box, "--to", "c", "--json") == 0
     files = [Path(name) for name in json.loads(capsys.readouterr().out)["files"]]
-    endings = (".h", ".c", "_selftest.c", "_sfun.c", "_notes.md")
+    endings = (".h", ".c", "_selftest.c", "_notes.md")
     assert [file.name for file in files] == [f"controller_feedback{ending}" for ending in endings]
     header = files[0].read_text()
     assert "with the run-out map of: p6_n3000_still" in header
     assert "typedef float controller_feedback_real;" in header
     assert "run-out, unbalance response and offset taken out" in header
-    notes = files[4].read_text()
+    notes = files[3].read_text()
     assert "3 samples in a row beyond 1.5e-05 m: fault 4" in notes
     assert "ramp of 0.1 s" in notes
     assert "at 6 bar, 3000 rpm" in notes

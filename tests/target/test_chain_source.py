@@ -1,8 +1,7 @@
-"""The generated source: compilers, sanitizers, MISRA checker, S-function, and an emulated microcontroller."""
+"""The generated source: compilers, sanitizers, MISRA checker, and an emulated microcontroller."""
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -11,10 +10,10 @@ from pathlib import Path
 import pytest
 from chain_cases import KINDS, design, grid_of_maps, runout_map
 
-from gbid.core.errors import UsageError
+from benchmarks.emulated_chain import missing_tools, run_emulated
 from gbid.export.chain import Chain, ChainOptions, chain_of
-from gbid.export.chain_c import missing_tools, run_emulated, write_chain
-from gbid.export.chain_python import ChainInput, PythonChain, selftest_rows
+from gbid.export.chain_c import write_chain
+from gbid.export.chain_python import selftest_rows
 
 COMPILERS = ("gcc", "clang")
 WARNINGS = ("all", "extra", "conversion", "double-promotion", "shadow", "undef", "error")
@@ -121,73 +120,6 @@ def test_misra_checker(kind: str, tmp_path: Path) -> None:
     assert others == []
 
 
-SIMSTRUC = """\
-#include <string.h>
-typedef double real_T; typedef int int_T; typedef unsigned char uint8_T;
-typedef struct {
-  double u[6]; double y0[4]; double y1[2]; double y2[2]; unsigned char work[4096]; double T; int width;
-} SimStruct;
-#define SS_DOUBLE 0
-#define SS_UINT8 3
-#define SS_DWORK_USED_AS_DSTATE 1
-#define SS_OPTION_EXCEPTION_FREE_CODE 1
-#define ssSetNumSFcnParams(S, n) ((void)(S))
-#define ssGetNumSFcnParams(S) 0
-#define ssGetSFcnParamsCount(S) 0
-#define ssSetNumInputPorts(S, n) ((n) == 1)
-#define ssSetNumOutputPorts(S, n) ((n) == 3)
-#define ssSetInputPortWidth(S, p, n) ((void)(S))
-#define ssSetInputPortDataType(S, p, n) ((void)(S))
-#define ssSetInputPortRequiredContiguous(S, p, n) ((void)(S))
-#define ssSetInputPortDirectFeedThrough(S, p, n) ((void)(S))
-#define ssSetOutputPortWidth(S, p, n) ((void)(S))
-#define ssSetNumSampleTimes(S, n) ((void)(S))
-#define ssSetNumDWork(S, n) ((void)(S))
-#define ssSetDWorkWidth(S, i, n) ((S)->width = (n))
-#define ssSetDWorkDataType(S, i, t) ((void)(S))
-#define ssSetDWorkUsageType(S, i, t) ((void)(S))
-#define ssSetOptions(S, o) ((void)(S))
-#define ssSetSampleTime(S, i, t) ((S)->T = (t))
-#define ssSetOffsetTime(S, i, t) ((void)(S))
-#define ssGetDWork(S, i) ((void *)(S)->work)
-#define ssGetInputPortSignal(S, p) ((const void *)(S)->u)
-#define ssGetOutputPortSignal(S, p) ((void *)((p) == 0 ? (S)->y0 : (p) == 1 ? (S)->y1 : (S)->y2))
-"""
-"""Stub of Simulink's simstruc.h: what the wrapper uses of it, with ports as plain arrays."""
-CALLS = """\
-#include <stdio.h>
-int main(void) {
-  static SimStruct s;
-  mdlInitializeSizes(&s); mdlInitializeSampleTimes(&s); mdlStart(&s);
-  for (int k = 0; k < 4000; k++) {
-    s.u[0] = 1e-6 + 1e-9 * (k % 2); s.u[1] = -2e-6 - 1e-9 * (k % 2); s.u[2] = 0.1 * (k % 60);
-    s.u[3] = 6; s.u[4] = 6000; s.u[5] = 2;
-    mdlOutputs(&s, 0);
-  }
-  mdlTerminate(&s);
-  printf("%d %.17g %.17g %.17g %.17g %.17g\\n", s.width, s.T, s.y0[0], s.y0[1], s.y1[0], s.y2[0]);
-  return 0;
-}
-"""
-
-
-def test_the_s_function_runs_against_a_stub_of_simulink(tmp_path: Path) -> None:
-    cc = compiler("gcc")
-    chain = written(tmp_path, "biquad", "double")
-    (tmp_path / "simstruc.h").write_text(SIMSTRUC)
-    (tmp_path / "cg_sfun.h").write_text(CALLS)
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-I."]
-    done(cc, *flags, "damper_sfun.c", "damper.c", "-o", "sfun", folder=tmp_path)
-    width, sample_time, *values = done("./sfun", folder=tmp_path).split()
-    twin = PythonChain(chain)
-    for k in range(4000):
-        move = 1e-9 * (k % 2)
-        last = twin.step(ChainInput((1e-6 + move, -2e-6 - move), 0.1 * (k % 60), 6.0, 6000.0))
-    assert (int(width), float(sample_time)) == (200, 2e-4)
-    assert [float(v) for v in values] == [last.stack[0], last.stack[1], last.reference[0], 0.0]
-    assert last.reference[0] != 0
-
-
 @pytest.mark.skipif(bool(missing_tools()), reason=f"not installed: {', '.join(missing_tools())}")
 @pytest.mark.parametrize(
     ("kind", "number", "most"),
@@ -204,20 +136,3 @@ def test_it_runs_on_an_emulated_cortex_m4f(kind: str, number: str, most: float) 
         assert abs(run.saturated - run.instructions) < 0.05 * run.instructions
         assert run.faulty < run.instructions
     assert run.code_bytes < 8000
-    assert run.lines()[2].startswith("Largest rate at 170 MHz, computed with 2 cycles per instruction, not measured: ")
-
-
-@pytest.mark.skipif(bool(missing_tools()), reason=f"not installed: {', '.join(missing_tools())}")
-def test_the_header_says_what_was_counted(tmp_path: Path) -> None:
-    chain = chain_of(design("P"), options=ChainOptions(number="float", ramp_s=0.1, fade_s=0.05))
-    write_chain(chain, tmp_path, measure=True)
-    header = (tmp_path / "damper.h").read_text()
-    assert re.search(r"Cortex-M4F, gcc -O2, emulated: \d{3} instructions per sample", header)
-    assert f"Content key of the design: {chain.content_key}" in header
-
-
-def test_no_tools_no_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(os.environ, "PATH", str(tmp_path))
-    chain = chain_of(design("P"), options=ChainOptions(ramp_s=0.01, fade_s=0.01))
-    with pytest.raises(UsageError, match=r"counting instructions needs arm-none-eabi-gcc.*install gcc-arm-none-eabi"):
-        write_chain(chain, tmp_path / "out", measure=True)

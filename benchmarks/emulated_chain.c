@@ -1,7 +1,7 @@
-/* Harness of {{ name }} on a Cortex-M4F: start-up, self-test, count of instructions, results by semihosting. */
-#include "{{ name }}.h"
+/* Harness of chain on a Cortex-M4F: start-up, self-test, count of instructions, results by semihosting. */
+#include "chain.h"
 
-extern int32_t {{ name }}_selftest(void);
+extern int32_t chain_selftest(void);
 extern uint32_t stack_top;
 void start(void);
 void *memcpy(void *to, const void *from, uint32_t n);
@@ -50,31 +50,31 @@ static void print_number(const char *name, uint32_t value)
     print("\n");
 }
 
-__attribute__((noinline)) static void nothing({{ name }}_state *state, const {{ name }}_input *in, {{ name }}_output *out)
+__attribute__((noinline)) static void nothing(chain_state *state, const chain_input *in, chain_output *out)
 {
     __asm__ volatile("" : : "r"(state), "r"(in), "r"(out) : "memory");
 }
 
 /* Ticks of SysTick for SAMPLES samples. kind: 0 usual, 1 faulty, 2 saturated */
-static uint32_t ticks(void (*step)({{ name }}_state *, const {{ name }}_input *, {{ name }}_output *), int kind)
+static uint32_t ticks(void (*step)(chain_state *, const chain_input *, chain_output *), int kind)
 {
-    static {{ name }}_state state;
-    volatile {{ name }}_real zero = {{ 0.0 | number }};
-    {{ name }}_output out;
-    {{ name }}_input in;
+    static chain_state state;
+    volatile chain_real zero = (chain_real)0.0;
+    chain_output out;
+    chain_input in;
     uint32_t first;
     int k;
-    {{ name }}_init(&state);
-    in.position[0] = (kind == 1) ? (zero / zero) : {{ 1e-6 | number }};
-    in.position[1] = {{ 1e-6 | number }};
-    in.angle = {{ 1.0 | number }};
-    in.pressure_bar = {{ bounds[0][1] | number }};
-    in.speed_rpm = {{ bounds[1][1] | number }};
+    chain_init(&state);
+    in.position[0] = (kind == 1) ? (zero / zero) : (chain_real)1e-6;
+    in.position[1] = (chain_real)1e-6;
+    in.angle = (chain_real)1.0;
+    in.pressure_bar = (chain_real)PRESSURE_BAR;
+    in.speed_rpm = (chain_real)SPEED_RPM;
     in.mode = 2;
     first = SYSTICK[2];
     for (k = 0; k < SAMPLES; k++) {
-        in.angle = ((k & 1) != 0) ? {{ 1.0 | number }} : {{ 5.0 | number }};
-        if (kind == 2) { in.position[1] = ((k & 4) != 0) ? {{ 1e-3 | number }} : -{{ 1e-3 | number }}; }
+        in.angle = ((k & 1) != 0) ? (chain_real)1.0 : (chain_real)5.0;
+        if (kind == 2) { in.position[1] = ((k & 4) != 0) ? (chain_real)1e-3 : -(chain_real)1e-3; }
         step(&state, &in, &out);
     }
     return (first - SYSTICK[2]) & 0xFFFFFFU;
@@ -91,12 +91,12 @@ void start(void)
     SYSTICK[1] = 0xFFFFFFU;
     SYSTICK[2] = 0U;
     SYSTICK[0] = 5U;
-    print_number("selftest", (uint32_t){{ name }}_selftest());
-    print_number("state", (uint32_t)sizeof({{ name }}_state));
+    print_number("selftest", (uint32_t)chain_selftest());
+    print_number("state", (uint32_t)sizeof(chain_state));
     print_number("loop", ticks(nothing, 0));
-    print_number("usual", ticks({{ name }}_step, 0));
-    print_number("faulty", ticks({{ name }}_step, 1));
-    print_number("saturated", ticks({{ name }}_step, 2));
+    print_number("usual", ticks(chain_step, 0));
+    print_number("faulty", ticks(chain_step, 1));
+    print_number("saturated", ticks(chain_step, 2));
     (void)semihost(0x18U, (const void *)(uintptr_t)done[0]);
     for (;;) { }
 }

@@ -1,0 +1,289 @@
+"""Targets of `gbid export`: functions that write a model or controller, and their table `TARGETS`.
+
+The command line, its help and its messages find the targets here. What a target needs is imported when it writes, so
+that the help of the command line imports none of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gbid.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from gbid.control import ControllerDesign
+    from gbid.export.chain import ChainOptions, Number
+    from gbid.lpv import LPVModel
+    from gbid.prefilter import RunoutMap
+
+Point = tuple[float, float]
+_N_FREQUENCIES = 400
+
+
+@dataclass(frozen=True, eq=False)
+class ExportItem:
+    """One thing that can be exported.
+
+    Attributes
+    ----------
+    name : str
+        Name of its files without ending: letters, digits and ``_``, a letter first.
+    what : LinearModel, FitResult, LPVModel or ControllerDesign
+        The value.
+    maps : tuple of RunoutMap
+        Run-out maps of the experiment, for a controller.
+    options : ChainOptions, optional
+        Limits, ramps, guards and watchdog, for a controller.
+    """
+
+    name: str
+    what: Any
+    maps: tuple[RunoutMap, ...] = ()
+    options: ChainOptions | None = None
+
+    @property
+    def kind(self) -> str:
+        """Type of the value."""
+        return type(self.what).__name__
+
+
+@dataclass(frozen=True, eq=False)
+class ExportRequest:
+    """What the user asked for.
+
+    Attributes
+    ----------
+    folder : pathlib.Path
+        Folder of the files.
+    overwrite : bool
+        Whether existing files may be replaced.
+    at : (pressure_bar, speed_rpm), optional
+        Operating point.
+    number : {"double", "float"}, optional
+        Type of the numbers in generated source, instead of that in the experiment.
+    mass_kg : float, optional
+        Modal mass, for targets in which a bearing has coefficients in N/m.
+    beside : tuple of ExportItem
+        All items of the source, for a target that joins several of them, as a plant and its controller.
+    """
+
+    folder: Path
+    overwrite: bool = False
+    at: Point | None = None
+    number: Number | None = None
+    mass_kg: float | None = None
+    beside: tuple[ExportItem, ...] = ()
+
+
+@dataclass(frozen=True)
+class ExportTarget:
+    """A program or language that models and controllers are exported to.
+
+    Attributes
+    ----------
+    write : callable
+        From an item and the request to the paths of the files that it wrote. Raises UsageError and DataError.
+    takes : tuple of str
+        Types of values that it writes; other items of the source are passed over.
+    """
+
+    write: Callable[[ExportItem, ExportRequest], list[Path]]
+    takes: tuple[str, ...] = ("LinearModel", "FitResult", "LPVModel", "ControllerDesign")
+
+
+def export_target(name: str) -> ExportTarget:
+    """Target of a name.
+
+    Raises
+    ------
+    UsageError
+        When there is no such target.
+    """
+    if name not in TARGETS:
+        raise UsageError(f"--to {name}: no such target; there are {', '.join(sorted(TARGETS))}")
+    return TARGETS[name]
+
+
+def write_c(item: ExportItem, request: ExportRequest) -> list[Path]:
+    """Write the chain of a controller as C source, from the sensors to the piezo stacks; see `gbid.export.write_chain`.
+
+    Raises
+    ------
+    UsageError
+        When a file exists and `overwrite` is not set, when the controller cannot run on a target, or when there is no
+        run-out map at the chosen operating point.
+    """
+    from gbid.export.chain import ChainOptions, chain_of
+    from gbid.export.chain_c import write_chain
+
+    design = item.what
+    options, maps = item.options or ChainOptions(), item.maps
+    if request.number is not None:
+        options = replace(options, number=request.number)
+    if request.at is not None:
+        design = replace(design, structure=None, models={None: design.at(*request.at)})
+        maps = _maps_at(maps, request.at)
+    chain = chain_of(design, name=item.name, runout_maps=maps, options=options)
+    return write_chain(chain, request.folder, overwrite=request.overwrite)
+
+
+def _maps_at(maps: tuple[RunoutMap, ...], at: Point) -> tuple[RunoutMap, ...]:
+    from gbid.core.arrays import point_label
+    from gbid.prefilter.runout import differing_condition
+
+    conditions = {"pressure_bar": at[0], "speed_rpm": at[1]}
+    chosen = tuple(each for each in maps if differing_condition(each.conditions, conditions) is None)
+    if maps and not chosen:
+        points = ", ".join(
+            point_label(each.conditions.get("pressure_bar", 0.0), each.conditions.get("speed_rpm", 0.0))
+            for each in maps
+        )
+        raise UsageError(
+            f"--at {at[0]:g} {at[1]:g}: no run-out map at this operating point; there are maps at {points}"
+        )
+    return chosen
+
+
+def write_tables(item: ExportItem, request: ExportRequest) -> list[Path]:
+    """Write csv tables of matrices, parameters, coefficients and frequency responses.
+
+    Raises
+    ------
+    UsageError
+        When a file exists and `overwrite` is not set.
+    """
+    import numpy as np
+
+    from gbid.export.tables import save_csv
+
+    def save(name: str, what: Any, **options: Any) -> Path:
+        return save_csv(what, request.folder / f"{name}.csv", overwrite=request.overwrite, **options)
+
+    if item.kind == "LPVModel":
+        return [save(f"{item.name}_coefficients", item.what)]
+    files = [save(f"{item.name}_parameters", item.what)] if item.kind == "FitResult" else []
+    for name, value in _models(item, request).items():
+        model = getattr(value, "linear_model", value)
+        dt = getattr(value, "sample_time", None) or model.dt
+        top = 2500.0 if dt is None else 0.5 / dt
+        frequency = np.geomspace(top / 2500.0, top, _N_FREQUENCIES)
+        files += [save(f"{name}_matrices", model), save(f"{name}_response", model, frequency_hz=frequency)]
+    return files
+
+
+def write_matlab(item: ExportItem, request: ExportRequest) -> list[Path]:
+    """Write mat files.
+
+    Raises
+    ------
+    UsageError
+        When a file exists and `overwrite` is not set.
+    """
+    from gbid.export.matlab import save_mat
+
+    models = _models(item, request).items()
+    return [save_mat(model, request.folder / f"{name}.mat", overwrite=request.overwrite) for name, model in models]
+
+
+def write_yaml(item: ExportItem, request: ExportRequest) -> list[Path]:
+    """Write plain YAML.
+
+    Raises
+    ------
+    UsageError
+        When a file exists and `overwrite` is not set.
+    """
+    from gbid.export.tables import save_yaml
+
+    models = _models(item, request).items()
+    return [save_yaml(model, request.folder / f"{name}.yaml", overwrite=request.overwrite) for name, model in models]
+
+
+def _models(item: ExportItem, request: ExportRequest) -> dict[str, Any]:
+    """Models of an item by name; of a controller the sampled ones, at the chosen point or at all of its file."""
+    design = item.what
+    if item.kind != "ControllerDesign":
+        return {item.name: item.what}
+    points = [point for point in design.models if point is not None]
+    if not points:
+        return {item.name: design.sampled_at()}
+    if request.at is not None:
+        points = [request.at]
+    names = (f"{item.name}_p{p:g}_n{s:g}".replace(".", "_").replace("-", "_") for p, s in points)
+    return {name: design.sampled_at(p, s) for name, (p, s) in zip(names, points, strict=True)}
+
+
+def write_unit(item: ExportItem, request: ExportRequest) -> list[Path]:
+    """Write the co-simulation unit (FMI 2.0) of a plant over pressure and speed, or of a controller with its plant.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set, when the plant of a controller is not found, or when a unit
+        cannot be made.
+    """
+    from gbid.export.fmu import save_fmu
+
+    what = item.what
+    if item.kind == "ControllerDesign":
+        plant, path = _plant_of(what, request), request.folder / f"{item.name}_loop.fmu"
+        return [save_fmu(plant, path, controller=what, overwrite=request.overwrite)]
+    return [save_fmu(what, request.folder / f"{item.name}.fmu", overwrite=request.overwrite)]
+
+
+def _plant_of(design: ControllerDesign, request: ExportRequest) -> LPVModel:
+    """Model for which a controller was designed: one of those beside it, or one that comes with gbid."""
+    from gbid.lpv import load_model
+
+    for item in request.beside:
+        if item.kind == "LPVModel" and item.what.name == design.plant:
+            model: LPVModel = item.what
+            return model
+    try:
+        return load_model(design.plant)
+    except UsageError as error:
+        raise UsageError(
+            f"the plant {design.plant!r} of controller {design.name!r} is not among what is exported: {error}"
+        ) from None
+
+
+def write_elements(item: ExportItem, request: ExportRequest) -> list[Path]:
+    """Write bearing elements of ROSS over speed as TOML, one file for each injection pressure.
+
+    Raises
+    ------
+    UsageError
+        When no mass is given, when ROSS is not installed, or when a file exists and `overwrite` is not set.
+    """
+    from gbid.core.files import atomic_path
+    from gbid.export.ross import bearing_element
+
+    model = item.what
+    if request.mass_kg is None:
+        raise UsageError(f"model {model.name!r} is per unit mass, ROSS needs N/m: give the modal mass with --mass KG")
+    identified = sorted({pressure for pressure, _ in model.operating_points})
+    files = []
+    for pressure in identified or sorted(set(model.domain.pressure_bar)):
+        name = f"{item.name}_p{pressure:g}"
+        element = bearing_element(model, 0, mass_kg=request.mass_kg, pressure_bar=pressure, tag=name)
+        path = request.folder / f"{name}.toml"
+        with atomic_path(path, request.overwrite) as part:
+            written = part.with_suffix(".toml")  # ROSS takes the format from the ending
+            element.save(written)
+            written.replace(part)
+        files.append(path)
+    return files
+
+
+TARGETS = {
+    "c": ExportTarget(write_c, ("ControllerDesign",)),
+    "csv": ExportTarget(write_tables),
+    "fmu": ExportTarget(write_unit, ("LPVModel", "ControllerDesign")),
+    "matlab": ExportTarget(write_matlab),
+    "ross": ExportTarget(write_elements, ("LPVModel",)),
+    "yaml": ExportTarget(write_yaml),
+}
+"""Targets by the word after ``gbid export --to``."""
