@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.case import N_STATES, SAMPLE_TIME, STRUCTURE, Samples
 from gbid.identify.data import gather
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.linear import CompiledEngine, KernelPattern, pattern_of
-from gbid.identify.kernel.sums import block_sums, powers_of, sweep
+from gbid.identify.kernel.compiled_linear import CompiledLinearKernel, KernelPattern
+from gbid.identify.kernel.sums import powers_of
 from gbid.identify.predictor import build_predictor
 from gbid.identify.problem.assemble import automatic_window
 
@@ -66,14 +66,15 @@ def measure_floor(samples: Samples, parameters: Mapping[str, float], repeats: in
     theta = np.array([parameters[q.name] for q in predictor.free])
     v = predictor.at(np.where(theta == 0, 1e-3, theta))
     began = time.perf_counter()
-    engine = CompiledEngine([v])
+    pattern = KernelPattern.of(v)
+    kernel = CompiledLinearKernel(pattern)
     compile_s = time.perf_counter() - began
     blocks = cut(data, predictor, automatic_window(data, "prediction"))
     starts, weight = np.zeros((blocks.n_windows, N_STATES)), np.eye(2)
-    powers = powers_of(v.F, blocks.length)
-    kernel_s = _fastest(lambda: block_sums(v, blocks, starts, weight, powers, engine), repeats)
-    pass_s = _fastest(lambda: sweep(v, blocks, starts, weight, engine), repeats)
-    operations, rate = operations_per_sample(pattern_of(v)), product_rate(repeats)
+    begin, free = kernel.begin(v, blocks, starts), v.C @ powers_of(v.F, blocks.length)[:-1]
+    kernel_s = _fastest(lambda: kernel.sums(v, blocks, begin, np.eye(2), free), repeats)
+    pass_s = _fastest(lambda: kernel.sweep(v, blocks, starts, weight), repeats)
+    operations, rate = operations_per_sample(pattern), product_rate(repeats)
     return Floor(compile_s, operations, rate, operations * len(samples.p) / rate, kernel_s, pass_s)
 
 

@@ -164,6 +164,11 @@ class PredictorValues(NamedTuple):
     dH: FloatArray
     shift: tuple[int, ...]
 
+    @property
+    def n_parameters(self) -> int:
+        """Number of free parameters."""
+        return len(self.dF)
+
 
 class _WithoutErrors(NamedTuple):
     """Structure in discrete time: matrices, initial state, and whole samples in the delays."""

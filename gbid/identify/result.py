@@ -19,7 +19,7 @@ from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.tables import Column, Entry, Table, html_table
 from gbid.discretise import Hold
 from gbid.identify.disturbances import Disturbances
-from gbid.identify.kernel.linear import RunEngine
+from gbid.identify.kernel.choice import RunEngine
 from gbid.identify.predictor import Focus
 from gbid.identify.problem.nlp import Criterion
 from gbid.identify.problem.solve import Stop

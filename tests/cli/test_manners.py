@@ -241,7 +241,7 @@ def test_doctor_has_a_verdict_on_everything(capsys, monkeypatch, tmp_path):
         captured = capsys.readouterr()
     finally:
         find_compiler.cache_clear()
-    assert "gbid: note: C compiler: fits run with the numpy engine" in captured.err
+    assert "gbid: note: C compiler: fits run with the portable pass" in captured.err
 
 
 def test_no_color_takes_the_colours_out(monkeypatch):

@@ -122,7 +122,6 @@ def problem():
         local={},
         left_out={"run-4": [(700, 900)]},
         window=100,
-        engine="numpy",
     )
     return build_problem(assembly, data, "trace", None, begin, {})
 

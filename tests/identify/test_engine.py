@@ -1,4 +1,4 @@
-"""The compiled pass against the numpy one, its cache, and machines without a compiler."""
+"""The compiled kernel against the portable one, its cache, and machines without a compiler."""
 
 import multiprocessing
 import os
@@ -29,15 +29,16 @@ from places import SUPPORT
 
 from gbid.core import compiled as compiling
 from gbid.core import compiled as library
-from gbid.core.errors import UsageError
 from gbid.identify import fit
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import Segment, cut
-from gbid.identify.kernel.linear import CompiledEngine, kernel_source, pattern_of
-from gbid.identify.kernel.sums import block_sums, powers_of, run_with_numpy, starts_of_blocks, sweep
+from gbid.identify.kernel.compiled_linear import CompiledLinearKernel, KernelPattern, kernel_source
+from gbid.identify.kernel.linear import PortableLinearKernel
+from gbid.identify.kernel.sums import Moved
 from gbid.identify.predictor import build_predictor
 from gbid.structure import PiezoPair, Plant, RotorBearing
 
+PORTABLE = PortableLinearKernel()
 GAINS = {"bd_xx": 3e4, "bd_xy": -4e3, "bd_yx": 2e3, "bd_yy": 5e4}
 
 
@@ -66,7 +67,7 @@ def fresh(monkeypatch):
     forget_libraries()
 
 
-# ---- one result, two engines ----
+# ---- one result, two kernels ----
 
 DISTURBED = Disturbances(("a", "b"), (Trend(2), Trend(0, random_walk=True)), (1.3,))
 PLANT = Plant(RotorBearing(delay="exact"))
@@ -127,17 +128,6 @@ def assert_same_sums(found, expected, rtol=1e-10):
         assert not wrong.any(), f"{name}: {np.abs(a - b)[wrong][:3]} of {size[wrong][:3]}"
 
 
-@NEEDS_COMPILER
-@pytest.mark.parametrize("case", CASES)
-def test_the_compiled_pass_is_the_numpy_pass(case, fresh, cache):
-    fresh.setenv("GBID_CACHE_DIR", str(cache))
-    predictor, theta, blocks, starts, weight = problem(case, (300, 131), 50)
-    v = predictor.at(theta)
-    engine = CompiledEngine([v])
-    expected = sweep(v, blocks, starts, weight, run_with_numpy)
-    assert_same_sums(sweep(v, blocks, starts, weight, engine), expected)
-
-
 SHAPES = {
     "one window": ((120,), None, None),
     "one group, full": ((80,), 10, None),
@@ -158,65 +148,59 @@ SHAPES = {
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("case", ["every", "one output"])
 def test_shapes_of_windows(case, shape, fresh, cache):
-    fresh.setenv("GBID_CACHE_DIR", str(cache))
-    predictor, theta, blocks, starts, weight = problem(case, *SHAPES[shape])
-    v = predictor.at(theta)
-    engine = CompiledEngine([v])
-    expected = sweep(v, blocks, starts, weight, run_with_numpy)
-    assert_same_sums(sweep(v, blocks, starts, weight, engine), expected)
-    # Also block by block, padding included: that is what other sums are made of.
-    powers = powers_of(v.F, blocks.length)
-    begin = starts_of_blocks(v, blocks, starts, powers[-1], run_with_numpy)
-    a, _ = block_sums(v, blocks, begin, weight, powers, engine)
-    b, _ = block_sums(v, blocks, begin, weight, powers, run_with_numpy)
-    assert_same_sums(a, b)
+    assert_same_passes(case, SHAPES[shape], fresh, cache)
 
 
 @NEEDS_COMPILER
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("case", ["every", "one output", "plant"])
-def test_the_compiled_adjoint_and_second_pass_are_the_numpy_ones(case, shape, fresh, cache):
+@pytest.mark.parametrize("case", CASES)
+def test_the_compiled_kernel_is_the_portable_one(case, fresh, cache):
+    assert_same_passes(case, ((300, 131), 50), fresh, cache)
+
+
+def assert_same_passes(case, shape, fresh, cache):
+    """All that a kernel answers, compiled and portable."""
     fresh.setenv("GBID_CACHE_DIR", str(cache))
-    predictor, theta, blocks, _, weight = problem(case, *SHAPES[shape])
+    predictor, theta, blocks, starts, weight = problem(case, *shape)
     v = predictor.at(theta)
-    engine = CompiledEngine([v])
+    kernels = CompiledLinearKernel(KernelPattern.of(v)), PORTABLE
+    (found,), (expected,) = (kernel.trace(v, blocks, starts, [weight]) for kernel in kernels)
+    assert_same_sums(found.sums, expected.sums)
+    np.testing.assert_allclose(found.begin, expected.begin, rtol=1e-9, atol=1e-12 * np.abs(expected.begin).max())
+    live = slice(blocks.n_blocks)
+    for a, b in zip(found.linked[:2], expected.linked[:2], strict=True):  # the ends are in the sums
+        np.testing.assert_allclose(a[live], b[live], rtol=1e-9, atol=1e-12 * np.abs(b).max())
     random = np.random.default_rng(8)
-    starts, last = random.normal(size=(2, len(v.F), len(blocks.size)))
-    found, expected = (run.predict(v, blocks, starts) for run in (engine, run_with_numpy))
-    for a, b in zip(found, expected, strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * np.abs(b).max())
-    last[:, blocks.size == 0] = 0
-    engines, weighted = (engine, run_with_numpy), weight @ found.errors
-    back, same = (run.adjoint(v, blocks, weighted, found.states, last) for run in engines)
-    for a, b in zip(back, same, strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * np.abs(b).max())
-    a, b = (run.second(v, blocks, found.states, back.factors) for run in engines)
-    pairs = [(a.products.transpose(0, 2, 1), b.products.transpose(0, 2, 1)), (a.end_theta, b.end_theta)]
-    for own, other in pairs:  # each parameter has a size of its own
-        assert (np.abs(own - other) <= 1e-12 * np.abs(other).max(axis=(0, 1))).all()
-    np.testing.assert_allclose(engine.products(v, blocks, starts), expected.products, rtol=1e-10)
+    ends = random.normal(size=starts.shape)
+    moved = []
+    for column in range(len(theta)):
+        at = theta.copy()
+        at[column] += (step := 1e-6 * (abs(theta[column]) or 1.0))
+        moved.append(Moved(column, step, predictor.at(at)))
+    for a, b in zip(*(kernel.gradient(v, blocks, starts, ends, weight) for kernel in kernels), strict=True):
+        assert (np.abs(a - b) <= 1e-9 * np.abs(b) + 1e-11 * np.abs(b).max(axis=0)).all()
+    second, reference = (kernel.left_out(v, blocks, starts, ends, weight, moved) for kernel in kernels)
+    size = np.sqrt(np.diag(expected.sums.hessian))  # of each parameter; the portable ones are differences of gradients
+    assert (np.abs(second[0] - reference[0]) <= 1e-4 * np.outer(size, size)).all()
+    start = np.sqrt(np.diagonal(expected.sums.hessian_start, axis1=1, axis2=2).max(axis=0))
+    assert (np.abs(second[1] - reference[1]) <= 1e-4 * np.outer(size, start)).all()
     some = slice(blocks.n_blocks // 3, blocks.n_blocks)
-    first = random.normal(size=(some.stop - some.start, len(v.F), len(theta) + len(v.F)))
-    own, other = (run.sensitivities(v, blocks, found, first, some) for run in engines)
-    assert (np.abs(own - other) <= 1e-12 * np.abs(other).max(axis=(1, 2), keepdims=True)).all()
-
-
-def test_the_numpy_pass_in_chunks_is_the_whole(monkeypatch):
-    predictor, theta, blocks, starts, weight = problem("every", (900, 133), 10)
-    v = predictor.at(theta)
-    whole = sweep(v, blocks, starts, weight, run_with_numpy)
-    monkeypatch.setattr("gbid.identify.kernel.sums._CHUNK_BYTES", 20_000)
-    assert_same_sums(sweep(v, blocks, starts, weight, run_with_numpy), whole, 1e-12)
+    prediction = kernels[1].passed(v, blocks, expected.begin)
+    for a, b in zip(kernels[0].passed(v, blocks, expected.begin), prediction, strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * np.abs(b).max())
+    a, b = (kernel.products(v, blocks, starts) for kernel in kernels)
+    np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * np.abs(b).max())
+    a, b = (kernel.sensitivities(v, blocks, prediction, expected.linked, some) for kernel in kernels)
+    assert (np.abs(a - b) <= 1e-12 * np.abs(b).max(axis=(1, 2), keepdims=True)).all()
 
 
 def test_left_out_samples_do_not_count():
     predictor, theta, blocks, starts, weight = problem("every", (130,), 20, (37, 58))
     v = predictor.at(theta)
-    before = sweep(v, blocks, starts, weight)
+    before = PORTABLE.sweep(v, blocks, starts, weight)
     assert blocks.n_samples == 130 - 21
     wild = np.where(blocks.used[:, :, None] > 0, blocks.y, 1e9)
     # Their outputs do not matter for the cost; in prediction focus they would through the feedback, see `Segment`.
-    after = sweep(v, replace(blocks, y=wild), starts, weight)
+    after = PORTABLE.sweep(v, replace(blocks, y=wild), starts, weight)
     assert_same_sums(after, before, 1e-15)
 
 
@@ -229,35 +213,20 @@ def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh, cache):
     zero[[q.name for q in predictor.free].index("k")] = 0.0
     zero[[q.name for q in predictor.free].index("w")] = 0.0
     at_zero, at = predictor.at(zero), predictor.at(theta)
-    assert not pattern_of(at_zero).covers(pattern_of(at))
-    engine = CompiledEngine([at_zero])
+    assert not KernelPattern.of(at_zero).covers(KernelPattern.of(at))
+    kernel = CompiledLinearKernel(KernelPattern.of(at_zero))
     for v in (at_zero, at, at_zero):  # also back again, with the grown pattern
-        expected = sweep(v, blocks, starts, weight, run_with_numpy)
-        assert_same_sums(sweep(v, blocks, starts, weight, engine), expected)
-    assert engine._pattern.covers(pattern_of(at))
-    assert engine._pattern.covers(pattern_of(at_zero))
+        assert_same_sums(kernel.sweep(v, blocks, starts, weight), PORTABLE.sweep(v, blocks, starts, weight))
 
 
 def test_patterns():
     predictor, theta, *_ = problem("every")
-    full = pattern_of(predictor.at(theta))
+    full = KernelPattern.of(predictor.at(theta))
     none = replace(full, F=np.zeros_like(full.F))
     assert full.covers(none)
     assert not none.covers(full)
     assert none.union(full).covers(full)
     assert kernel_source(none) != kernel_source(full)
-
-
-@NEEDS_COMPILER
-def test_groups_of_another_width_are_refused(fresh, cache):
-    fresh.setenv("GBID_CACHE_DIR", str(cache))
-    predictor, theta, _, _, weight = problem("every")
-    v = predictor.at(theta)
-    blocks = cut(pieces_of("every", (100,)), predictor, 20, lanes=4)
-    starts = np.zeros((blocks.n_windows, 2))
-    sweep(v, blocks, starts, weight, run_with_numpy)
-    with pytest.raises(UsageError, match="needs 8 blocks in a group, not 4"):
-        sweep(v, blocks, starts, weight, CompiledEngine([v]))
 
 
 @NEEDS_COMPILER
@@ -269,7 +238,7 @@ def test_both_engines_fit_alike(focus, fresh, cache):
     with no_compiler():
         b = fit(MODE, rec, focus=focus)
     assert (a.options.engine, b.options.engine) == ("compiled", "numpy")
-    assert a.notes == tuple(note for note in b.notes if "numpy" not in note)
+    assert a.notes == tuple(note for note in b.notes if "portable" not in note)
     assert a.loss == pytest.approx(b.loss, rel=1e-9)
     for name in a.free:
         assert abs(a.parameters[name] - b.parameters[name]) < 1e-4 * a.std_with("white")[name]
@@ -361,26 +330,29 @@ def test_the_cache_folder_is_the_users_unless_named(fresh, tmp_path):
 # ---- machines without a compiler ----
 
 
-def test_without_a_compiler_nonlinear_structures_use_the_map(fresh, tmp_path):
+def test_without_a_compiler_nonlinear_structures_are_fitted(fresh, tmp_path):
     fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
     fresh.setenv("CC", "/nonexistent/cc")
     recording = mass_recording(3, n=60)
     result = fit(SAME["nonlinear"], recording, max_iterations=2)
     assert result.options.engine == "numpy"
-    assert any("CasADi's map was used, which is slower" in note for note in result.notes)
+    assert any("the slower portable pass was used" in note for note in result.notes)
 
 
 DATA = simulated(MODE, MODE_AT, levels(300), noise=0.3)
 
 
-def test_without_a_compiler_the_numpy_pass_is_used_and_said(fresh, tmp_path):
+def test_without_a_compiler_the_portable_pass_is_used_and_said(fresh, tmp_path):
     fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
     fresh.setenv("CC", "/nonexistent/cc")
     result = fit(MODE, DATA, focus="simulation")
     assert result.success
     assert result.options.engine == "numpy"
-    said = [note for note in result.notes if "numpy pass" in note]
-    assert said == ["no C compiler found (/nonexistent/cc): the slower numpy pass was used [GB116]"]
+    said = [note for note in result.notes if "portable pass" in note]
+    assert said == [
+        "no C compiler found (/nonexistent/cc): the slower portable pass was used; "
+        "install gcc or clang, or set CC [GB116]"
+    ]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -393,7 +365,7 @@ def test_a_compiler_that_fails_is_none(fresh, tmp_path):
     result = fit(MODE, DATA, focus="simulation")
     assert result.success
     assert result.options.engine == "numpy"
-    assert any("failed on the kernel: no luck: the slower numpy pass was used" in note for note in result.notes)
+    assert any("failed on the kernel: no luck: the slower portable pass was used" in note for note in result.notes)
     assert not list((tmp_path / "cache").glob("*.so"))
 
 

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from gbid.core.errors import UsageError
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sums import residuals
+from gbid.identify.kernel.linear import PortableLinearKernel
 from gbid.identify.predictor import build_predictor
 from gbid.structure import LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, evaluate
 
@@ -29,7 +29,7 @@ def predictions(predictor, values, u, y, x0, h=H):
     """Outputs of the predictor run over one record as one window."""
     data = fit_data([(u, y)], h)
     blocks = cut(data, predictor, None)
-    error = residuals(predictor.at(theta_of(predictor, values)), blocks, np.atleast_2d(x0))
+    error = PortableLinearKernel().predict(predictor.at(theta_of(predictor, values)), blocks, np.atleast_2d(x0)).errors
     return y - blocks.by_segment(error)[0]
 
 

@@ -1,4 +1,4 @@
-"""The pass over the samples against plain loops and finite differences."""
+"""The portable pass over the samples against plain loops and finite differences."""
 
 from types import SimpleNamespace
 
@@ -7,10 +7,11 @@ import pytest
 from fit_cases import EVERY, EVERY_AT, KEY, TS, H, fit_data, piezo_motion, smooth
 
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sums import residuals, sweep
+from gbid.identify.kernel.linear import PortableLinearKernel
 from gbid.identify.predictor import build_predictor
 from gbid.structure import RotorBearing
 
+KERNEL = PortableLinearKernel()
 WEIGHT = np.array([[2.0, 0.7], [0.7, 1.0]])
 SIZES = {
     "one window": ((47,), None),
@@ -98,7 +99,7 @@ def by_hand(c, weight):
 @pytest.mark.parametrize(("focus", "values"), [("prediction", EVERY_AT), ("simulation", SLOW)], ids=["fast", "slow"])
 def test_the_pass_is_what_the_plain_loop_gives(size, weight, focus, values):
     c = case(*SIZES[size], focus, values)
-    found = sweep(c.predictor.at(c.theta), c.blocks, c.starts, weight)
+    found = KERNEL.sweep(c.predictor.at(c.theta), c.blocks, c.starts, weight)
     expected = by_hand(c, weight)
     assert c.blocks.n_windows == len(expected.end)
     linked = np.flatnonzero(expected.linked)
@@ -114,7 +115,7 @@ def test_the_pass_is_what_the_plain_loop_gives(size, weight, focus, values):
 @pytest.mark.parametrize("size", ["last window of one sample", "windows of several blocks"])
 def test_residuals_are_the_errors_in_the_order_of_the_samples(size):
     c = case(*SIZES[size])
-    error = residuals(c.predictor.at(c.theta), c.blocks, c.starts)
+    error = KERNEL.predict(c.predictor.at(c.theta), c.blocks, c.starts).errors
     assert error.shape == c.blocks.y.shape
     rows = c.blocks.by_segment(error)
     assert [len(r) for r in rows] == [record.n_samples for record in c.data.records]
@@ -129,14 +130,14 @@ def test_gradient_and_sensitivities_are_those_of_finite_differences(size, focus)
     c = case(*SIZES[size], focus)
 
     def run(theta, starts):
-        s = sweep(c.predictor.at(theta), c.blocks, starts, WEIGHT)
+        s = KERNEL.sweep(c.predictor.at(theta), c.blocks, starts, WEIGHT)
         return 0.5 * np.sum(s.error_products * WEIGHT), s.end[c.blocks.linked]
 
     def difference(direction_theta, direction_starts, step=1e-6):
         plus, minus = (run(c.theta + d * direction_theta, c.starts + d * direction_starts) for d in (step, -step))
         return [(a - b) / (2 * step) for a, b in zip(plus, minus, strict=True)]
 
-    s = sweep(c.predictor.at(c.theta), c.blocks, c.starts, WEIGHT)
+    s = KERNEL.sweep(c.predictor.at(c.theta), c.blocks, c.starts, WEIGHT)
     random = np.random.default_rng(4)
     for _ in range(4):
         a, b = random.normal(size=c.theta.shape), random.normal(size=c.starts.shape)
@@ -156,10 +157,10 @@ def test_the_gauss_newton_hessian_is_exact_where_the_model_is_linear_in_its_unkn
     def gradient(move):
         theta = c.theta.copy()
         theta[d] += move
-        s = sweep(c.predictor.at(theta), c.blocks, c.starts + move, weight)
+        s = KERNEL.sweep(c.predictor.at(theta), c.blocks, c.starts + move, weight)
         return s.gradient[d], s.gradient_start
 
-    s = sweep(c.predictor.at(c.theta), c.blocks, c.starts, weight)
+    s = KERNEL.sweep(c.predictor.at(c.theta), c.blocks, c.starts, weight)
     step = np.ones(2)
     expected = s.hessian[d, d] + sum(m[d] @ step for m in s.hessian_mixed)
     assert gradient(1.0)[0] - gradient(0.0)[0] == pytest.approx(expected, rel=1e-9)
@@ -182,8 +183,8 @@ def test_linked_windows_are_single_shooting(window, focus, values):
         if k % size == 0:
             trajectory.append(x)
         x = v.F @ x + v.G @ z[k]
-    whole = sweep(v, single.blocks, single.starts, WEIGHT)
-    parts = sweep(v, many.blocks, np.array(trajectory), WEIGHT)
+    whole = KERNEL.sweep(v, single.blocks, single.starts, WEIGHT)
+    parts = KERNEL.sweep(v, many.blocks, np.array(trajectory), WEIGHT)
     linked = many.blocks.linked
     np.testing.assert_allclose(parts.end[linked], np.array(trajectory)[linked + 1], rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(parts.error_products, whole.error_products, rtol=1e-10)
@@ -209,7 +210,7 @@ def test_the_rotor_in_its_own_units():
     blocks = cut(data, predictor, 250)
     starts = 1e-6 * np.random.default_rng(2).normal(size=(blocks.n_windows, 6)) * [1, 1, 800, 800, 1, 1]
     c = SimpleNamespace(predictor=predictor, theta=theta, data=data, blocks=blocks, starts=starts)
-    found, expected = sweep(predictor.at(theta), blocks, starts, 1e12 * WEIGHT), by_hand(c, 1e12 * WEIGHT)
+    found, expected = KERNEL.sweep(predictor.at(theta), blocks, starts, 1e12 * WEIGHT), by_hand(c, 1e12 * WEIGHT)
     size = np.sqrt(np.diag(expected.hessian))
     np.testing.assert_allclose(found.hessian / np.outer(size, size), expected.hessian / np.outer(size, size), atol=1e-9)
     np.testing.assert_allclose(found.gradient / size, expected.gradient / size, atol=1e-8)

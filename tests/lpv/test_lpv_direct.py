@@ -85,7 +85,6 @@ def test_derivatives_by_tied_unknowns_are_those_of_differences(one_point):
         local=gains,
         left_out={},
         window=200,
-        engine="numpy",
         ties=ties,
     )
     full = full_start(assembly, begin) | {q.name: q.start for q in shared}

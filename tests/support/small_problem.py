@@ -37,7 +37,6 @@ def small_problem(n=400, window=None, noise=0.1, records=1):
         local={},
         left_out={},
         window=window,
-        engine="numpy",
     )
     problem, _ = build_problem(assembly, data, "trace", None, {"b": 2.0}, {})
     unknowns = problem.pack(np.array([2.0]), np.zeros((problem.n_windows, 1)))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.data import FitData
-from gbid.identify.predictor import GeneralPredictor, PredictorValues
+from gbid.identify.predictor import GeneralPredictor
 
 LONGEST_BLOCK = 512  # samples; a longer shooting window consists of several blocks, see gbid.identify.kernel.sums
 LANES = 8  # blocks in one group: number of doubles in the widest vector register
@@ -49,7 +49,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Blocks of equal length with the samples of segments, `lanes` blocks in a group; short blocks are padded.
+    """Blocks of equal length with the samples of segments, eight in a group (`lanes`); short blocks are padded.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class Blocks:
             if len(self._regressors) > 3:
                 self._regressors.clear()
             parts = [p.part(self.predictor.regressors(p.inputs, p.outputs, shift)) for p in self.segments]
-            self._regressors[shift] = _in_groups(parts, self.length, self.lanes)
+            self._regressors[shift] = _in_groups(parts, self.length)
         return self._regressors[shift]
 
     def by_whole_segments(self) -> Blocks:
@@ -137,6 +137,10 @@ class Blocks:
         size = np.diff(np.append(first, self.n_blocks))
         every = np.arange(len(first))
         return replace(self, per_window=int(size.max()), window_first=first, window_size=size, segment_first=every)
+
+    def by_group(self, values: FloatArray) -> FloatArray:
+        """Return values of blocks, (n, W), as C takes them, (n_groups, n, lanes)."""
+        return np.ascontiguousarray(values.reshape(len(values), -1, self.lanes).transpose(1, 0, 2))
 
     def side_by_side(self, values: FloatArray, own: slice) -> FloatArray:
         """Return values of some blocks, (n_groups, length, n, lanes), side by side, (length, n, n_blocks)."""
@@ -163,7 +167,6 @@ def cut(
     window: int | None,
     *,
     longest_block: int = LONGEST_BLOCK,
-    lanes: int = LANES,
 ) -> Blocks:
     """Return the shooting windows of segments, cut into blocks.
 
@@ -178,8 +181,6 @@ def cut(
         is rounded up to whole blocks.
     longest_block : int
         Largest number of samples in a block.
-    lanes : int
-        Number of blocks in a group.
 
     Returns
     -------
@@ -206,12 +207,12 @@ def cut(
         first += (len(block_size) + starts).tolist()
         size += np.minimum(per_window, count - starts).tolist()
         block_size += [length] * (count - 1) + [n - (count - 1) * length]
-    y = _in_groups(targets, length, lanes)
-    block_size += [0] * (y.shape[0] * lanes - len(block_size))
+    y = _in_groups(targets, length)
+    block_size += [0] * (y.shape[0] * LANES - len(block_size))
     return Blocks(
         y,
-        _use(segments, length, lanes),
-        np.array(block_size),
+        _use(segments, length),
+        np.array(block_size, np.int64),
         per_window,
         np.array(first),
         np.array(size),
@@ -229,16 +230,16 @@ def reweighted(blocks: Blocks, weights: Sequence[FloatArray]) -> Blocks:
         full = np.ones(len(segment.outputs))
         segment.part(full)[:] = own
         segments.append(replace(segment, weights=full))
-    used = _use(segments, blocks.length, blocks.lanes)
+    used = _use(segments, blocks.length)
     return replace(blocks, segments=tuple(segments), used=used)
 
 
-def _use(segments: Sequence[Segment], length: int, lanes: int) -> FloatArray:
+def _use(segments: Sequence[Segment], length: int) -> FloatArray:
     """Return the roots of the weights of samples in groups of blocks, (n_groups, length, lanes)."""
     rows = [
         _of_samples(segment, segment.counts) * np.sqrt(_of_samples(segment, segment.weights)) for segment in segments
     ]
-    return np.ascontiguousarray(_in_groups(rows, length, lanes)[:, :, 0])
+    return np.ascontiguousarray(_in_groups(rows, length)[:, :, 0])
 
 
 def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
@@ -246,20 +247,20 @@ def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
     return segment.part(np.ones(len(segment.outputs)) if values is None else values)[:, None]
 
 
-def _in_groups(parts: Sequence[FloatArray], length: int, lanes: int) -> FloatArray:
+def _in_groups(parts: Sequence[FloatArray], length: int) -> FloatArray:
     """Return (n_samples, n) arrays as groups of blocks, (n_groups, length, n, lanes)."""
     n = parts[0].shape[1]
     counts = [-(-len(part) // length) for part in parts]
-    n_groups = -(-sum(counts) // lanes)
-    padded = np.zeros((n_groups * lanes, length, n))
+    n_groups = -(-sum(counts) // LANES)
+    padded = np.zeros((n_groups * LANES, length, n))
     block = 0
     for part, count in zip(parts, counts, strict=True):
         padded[block : block + count].reshape(-1, n)[: len(part)] = part
         block += count
-    return np.ascontiguousarray(padded.reshape(n_groups, lanes, length, n).transpose(0, 2, 3, 1))
+    return np.ascontiguousarray(padded.reshape(n_groups, LANES, length, n).transpose(0, 2, 3, 1))
 
 
-# ---- Results of a pass over the samples, and the protocol of its engine.
+# ---- Results of a pass over the samples.
 
 
 class BlockSums(NamedTuple):
@@ -315,117 +316,13 @@ class Prediction(NamedTuple):
         return np.asarray(e @ e.swapaxes(2, 3)).reshape(-1, e.shape[2], e.shape[2])
 
 
-class Adjoint(NamedTuple):
-    """Adjoint of a cost, backwards over all blocks.
-
-    Attributes
-    ----------
-    start : (n, W) array
-        The adjoint at the start of each block.
-    sums : (n + n_y, n + n_z) array
-        Derivative of the cost by the entries of ``[F G; C H]``.
-    factors : (n_groups, length, n + n_y, lanes) array
-        For each sample ``a[k+1]`` and then ``-w[k]``: `sums` are their products with states and regressors.
-    """
-
-    start: FloatArray
-    sums: FloatArray
-    factors: FloatArray
+def per_block(values: FloatArray) -> FloatArray:
+    """Return values of groups of blocks, (n_groups, ..., lanes), block by block, (W, ...)."""
+    return np.ascontiguousarray(np.moveaxis(values, -1, 1)).reshape(-1, *values.shape[1:-1])
 
 
-class Second(NamedTuple):
-    """Results of the second pass over the samples, each block from a start that does not depend on the parameters.
-
-    Attributes
-    ----------
-    products : (n + n_y, n_p, n) array
-        Sums over all samples of the factors of the adjoint times the sensitivities of the state by the parameters.
-    end_theta : (W, n, n_p) array
-        These sensitivities after the whole length of each block, padding included.
-    """
-
-    products: FloatArray
-    end_theta: FloatArray
-
-
-class PassEngine(Protocol):
-    """Engine: it runs the recursion over all blocks."""
-
-    def __call__(
-        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
-    ) -> BlockSums:
-        """Run it.
-
-        Parameters
-        ----------
-        v : PredictorValues
-        blocks : Blocks
-        starts : (W, n) array
-            Start state of each block, padding included.
-        root : (n_y, n_y) array
-            Upper triangular, ``root' root`` the weight.
-        free : (length, n_y, n) array
-            Weighted response to the start, ``root C F^k``.
-        """
-        ...
-
-    def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
-        """Return states and errors from starts (n, W), without sensitivities."""
-        ...
-
-    def products(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
-        """Return the products ``sum e e'`` of the errors of each block, (W, n_y, n_y), from starts (n, W)."""
-        ...
-
-    def adjoint(
-        self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
-    ) -> Adjoint:
-        """Run the adjoint backwards: ``a[k] = F' a[k+1] - C' w[k]``.
-
-        Parameters
-        ----------
-        v : PredictorValues
-        blocks : Blocks
-        weighted : (n_groups, length, n_y, lanes) array
-            Weighted errors ``w``.
-        states : (n_groups, length, n, lanes) array
-        last : (n, W) array
-            The adjoint at the end of each block.
-        """
-        ...
-
-    def second(self, v: PredictorValues, blocks: Blocks, states: FloatArray, factors: FloatArray) -> Second:
-        """Run the sensitivities of the states, and sum their products with the factors of the adjoint.
-
-        Parameters
-        ----------
-        v : PredictorValues
-        blocks : Blocks
-        states : (n_groups, length, n, lanes) array
-        factors : (n_groups, length, n + n_y, lanes) array
-            From `adjoint`.
-        """
-        ...
-
-    def sensitivities(
-        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, first: FloatArray, own: slice
-    ) -> FloatArray:
-        """Return derivatives of the predictions by the parameters and the start of the window, for some blocks.
-
-        Parameters
-        ----------
-        v : PredictorValues
-        blocks : Blocks
-        prediction : Prediction
-            States from the starts of the blocks.
-        first : (n_blocks, n, n_p + n) array
-            Derivatives of the starts of these blocks.
-        own : slice
-            The blocks.
-
-        Returns
-        -------
-        (n_y * (n_p + n), n_blocks, length) array
-            Zero where samples do not count.
-        """
-        ...
+def at_windows(blocks: Blocks, starts: FloatArray) -> FloatArray:
+    """Return the state at the start of each block, (n, W), where every window, (n_windows, n), is one block."""
+    begin = np.zeros((starts.shape[1], len(blocks.size)))
+    begin[:, : blocks.n_windows] = starts.T
+    return begin

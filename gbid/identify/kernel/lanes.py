@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from importlib.resources import files
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -14,12 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.core.arrays import BoolArray, FloatArray
-from gbid.core.compiled import CompilerMissingError, load_library
-from gbid.core.errors import UsageError
-from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction
-from gbid.identify.kernel.linear import EngineName, RunEngine, pointer_of, reached
-from gbid.identify.kernel.nonlinear import MappedRunner, NonlinearKernel, SampleSums, mean_predictor
-from gbid.identify.kernel.sample import NonlinearPredictor, NonlinearValues, SampleFunctions
+from gbid.core.compiled import load_library
+from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, per_block
+from gbid.identify.kernel.compiled_linear import reached, run_compiled
+from gbid.identify.kernel.portable import SampleSums
+from gbid.identify.kernel.sample import NonlinearValues, SampleFunctions
 
 # ---- C of a casadi.Function for eight columns at once, written from CasADi's own list of instructions.
 
@@ -352,17 +350,14 @@ class LanesRunner:
 
     def __init__(self, functions: SampleFunctions) -> None:
         self._n, self._n_p = functions.output.size1_in(0), functions.output.size1_in(2)
-        library = load_library(source_of(functions), _FLAGS)
-        self.note = library.note
-        self._library = library
-        for name in ("sums", "passed", "psi", "begin", "adjoint"):
-            getattr(library, f"gbid_{name}").restype = None
+        self._library = load_library(source_of(functions), _FLAGS)
+        self.note = self._library.note
 
     def begin(self, v: NonlinearValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
         """Return the state at the start of each block; see `SampleRunner`."""
         begin = np.zeros((len(blocks.size), self._n))
-        arrays = [self._z(v, blocks), *_windows(blocks), np.ascontiguousarray(starts), begin]
-        self._call("begin", v, blocks.n_windows, blocks.length, arrays)
+        arrays = [blocks.z(v.shift), blocks.window_first, blocks.window_size, starts]
+        self._call("begin", v, blocks, blocks.n_windows, arrays, [begin])
         return begin.T
 
     def passed(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> Prediction:
@@ -370,54 +365,52 @@ class LanesRunner:
         n_groups, length, _, lanes = blocks.y.shape
         states, errors = np.empty((n_groups, length, self._n, lanes)), np.empty_like(blocks.y)
         end = np.empty((n_groups, self._n, lanes))
-        self._passed(v, blocks, begin, [states, errors, end])
+        self._errors(v, blocks, begin, [states, errors, end])
         return Prediction(states, errors, end.transpose(1, 0, 2).reshape(self._n, -1))
 
     def products(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> FloatArray:
         """Return the products of the errors of each block; see `SampleRunner`."""
-        return self._passed(v, blocks, begin, [])
+        return self._errors(v, blocks, begin, [None, None, None])
 
-    def _passed(
-        self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray]
+    def _errors(
+        self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]
     ) -> FloatArray:
-        n_groups, length, n_y, lanes = blocks.y.shape
+        """Return the products of the errors of each block; write states, errors and ends to `results`."""
+        n_groups, _, n_y, lanes = blocks.y.shape
         products = np.empty((n_groups, n_y, n_y, lanes))
-        arrays = [self._z(v, blocks), blocks.y, blocks.used, _by_group(begin)]
-        self._call("passed", v, n_groups, length, [*arrays, *results, *[None] * (3 - len(results)), products])
-        return _per_block(products)
+        arrays = [blocks.z(v.shift), blocks.y, blocks.used, blocks.by_group(begin)]
+        self._call("passed", v, blocks, n_groups, arrays, [*results, products])
+        return per_block(products)
 
     def sums(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, root: FloatArray) -> SampleSums:
         """Return the sums of a pass with sensitivities; see `SampleRunner`."""
-        z, n, n_p, n_y = self._z(v, blocks), self._n, self._n_p, blocks.y.shape[2]
-        n_groups, length, _, lanes = z.shape
+        n, n_p, (n_groups, _, n_y, lanes) = self._n, self._n_p, blocks.y.shape
         hessian, products = np.empty((n_p, n_p)), np.empty((n_y, n_y))
         gradient, mixed = np.empty((n_groups, n_p + n, lanes)), np.empty((n_groups, n_p, n, lanes))
         start, end = np.empty((n_groups, n, n, lanes)), np.empty((n_groups, n, lanes))
         slopes = np.empty((n_groups, n_p + n, n, lanes))
-        size = np.ascontiguousarray(blocks.size, np.int64)
-        arrays = [root, z, blocks.y, blocks.used, size, _by_group(begin)]
-        self._call("sums", v, n_groups, length, [*arrays, hessian, products, gradient, mixed, start, end, slopes])
-        by_block, onto = _per_block(gradient), _per_block(slopes).transpose(0, 2, 1)
+        arrays = [root, blocks.z(v.shift), blocks.y, blocks.used, blocks.size, blocks.by_group(begin)]
+        self._call("sums", v, blocks, n_groups, arrays, [hessian, products, gradient, mixed, start, end, slopes])
+        by_block, onto = per_block(gradient), per_block(slopes).transpose(0, 2, 1)
         sums = BlockSums(
             hessian,
             products,
             by_block[:, :n_p],
             by_block[:, n_p:],
-            _per_block(mixed),
-            _per_block(end),
+            per_block(mixed),
+            per_block(end),
             onto[:, :, :n_p],
         )
-        return SampleSums(sums, _per_block(start), onto[:, :, n_p:])
+        return SampleSums(sums, per_block(start), onto[:, :, n_p:])
 
     def adjoint(
         self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, weighted: FloatArray, ends: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return derivatives backwards from the ends of windows; see `SampleRunner`."""
         by_theta, starts = np.empty(self._n_p), np.empty((blocks.n_windows, self._n))
-        size = np.ascontiguousarray(blocks.size, np.int64)
-        given = [np.ascontiguousarray(prediction.states), np.ascontiguousarray(weighted), size, *_windows(blocks)]
-        arrays = [self._z(v, blocks), *given, np.ascontiguousarray(ends), by_theta, starts]
-        self._call("adjoint", v, blocks.n_windows, blocks.length, arrays)
+        windows = [blocks.size, blocks.window_first, blocks.window_size]
+        arrays = [blocks.z(v.shift), prediction.states, weighted, *windows, ends]
+        self._call("adjoint", v, blocks, blocks.n_windows, arrays, [by_theta, starts])
         return by_theta, starts
 
     def sensitivities(
@@ -427,30 +420,27 @@ class LanesRunner:
         m, n_y, count = self._n_p + self._n, blocks.y.shape[2], own.stop - own.start
         groups = slice(own.start // LANES, -(-own.stop // LANES))
         skipped, n_groups = own.start - groups.start * LANES, groups.stop - groups.start
-        whole = np.zeros((n_groups * LANES, m, self._n))
-        whole[skipped : skipped + count] = first.transpose(0, 2, 1)
+        starts = np.zeros((n_groups * LANES, m, self._n))
+        starts[skipped : skipped + count] = first.transpose(0, 2, 1)
         slopes = np.empty((n_groups, blocks.length, m, n_y, LANES))
-        arrays = [
-            np.ascontiguousarray(self._z(v, blocks)[groups]),
-            np.ascontiguousarray(prediction.states[groups, 0]),
-            np.ascontiguousarray(whole.reshape(n_groups, LANES, m, self._n).transpose(0, 2, 3, 1)),
-            slopes,
-        ]
-        self._call("psi", v, n_groups, blocks.length, arrays)
+        of_lanes = starts.reshape(n_groups, LANES, m, self._n).transpose(0, 2, 3, 1)
+        arrays = [blocks.z(v.shift)[groups], prediction.states[groups, 0], of_lanes]
+        self._call("psi", v, blocks, n_groups, arrays, [slopes])
         psi = slopes.transpose(1, 3, 2, 0, 4).reshape(blocks.length, n_y, m, -1)
         return psi[..., skipped : skipped + count]
 
-    def _z(self, v: NonlinearValues, blocks: Blocks) -> FloatArray:
-        if blocks.lanes != LANES:
-            raise UsageError(f"the compiled pass needs {LANES} blocks in a group, not {blocks.lanes}")
-        return blocks.z(v.shift)
-
     def _call(
-        self, name: str, v: NonlinearValues, count: int, length: int, arrays: Sequence[npt.NDArray[Any] | None]
+        self,
+        name: str,
+        v: NonlinearValues,
+        blocks: Blocks,
+        count: int,
+        arrays: Sequence[npt.NDArray[Any]],
+        results: Sequence[npt.NDArray[Any] | None],
     ) -> None:
-        given = [np.ascontiguousarray(v.theta), np.ascontiguousarray(v.known), *arrays]
-        numbers = (ctypes.c_long(number) for number in (count, length, v.steps))
-        getattr(self._library, f"gbid_{name}")(*numbers, *(None if a is None else pointer_of(a) for a in given))
+        """Run a function over so many groups or windows of blocks."""
+        function = getattr(self._library, f"gbid_{name}")
+        run_compiled(function, (count, blocks.length, v.steps), [v.theta, v.known, *arrays], results)
 
 
 @lru_cache(maxsize=32)
@@ -491,50 +481,3 @@ def _template() -> str:
 
 def _windows(blocks: Blocks) -> list[npt.NDArray[np.int64]]:
     return [np.ascontiguousarray(values, np.int64) for values in (blocks.window_first, blocks.window_size)]
-
-
-def _by_group(values: FloatArray) -> FloatArray:
-    """(n, W) to (n_groups, n, lanes)."""
-    return np.ascontiguousarray(values.reshape(len(values), -1, LANES).transpose(1, 0, 2))
-
-
-def _per_block(values: FloatArray) -> FloatArray:
-    """(n_groups, ..., lanes) to (W, ...)."""
-    return np.ascontiguousarray(np.moveaxis(values, -1, 1)).reshape(-1, *values.shape[1:-1])
-
-
-# ---- Choice of the runner of a nonlinear predictor: compiled, or by CasADi's map without a compiler.
-
-MOST_INSTRUCTIONS = 60_000
-"""Largest number of operations of all functions of a sample that are compiled: 10 000 take about 3 s."""
-
-
-def choose_runner(wanted: EngineName, predictor: NonlinearPredictor) -> tuple[NonlinearKernel, RunEngine, str]:
-    """Return the kernel, the name of its engine, and why it is not the compiled one if that was wanted.
-
-    Raises
-    ------
-    UsageError
-        When the compiled engine is required and there is no compiler.
-    """
-    if wanted not in ("auto", "compiled", "numpy"):
-        raise UsageError(f"engine = {wanted!r}; choose 'auto', 'compiled' or 'numpy'")
-    portable = MappedRunner(predictor.functions)
-    linear = partial(mean_predictor, portable)
-    mapped = NonlinearKernel(portable, linear)
-    if wanted == "numpy":
-        return mapped, "numpy", ""
-    count = sum(f.n_instructions() for f in predictor.functions if isinstance(f, ca.Function))
-    if wanted == "auto" and count > MOST_INSTRUCTIONS:
-        return (
-            mapped,
-            "numpy",
-            f"a compiled pass of {count} operations would take minutes to build: CasADi's map was used",
-        )
-    try:
-        run = LanesRunner(predictor.functions)
-    except (CompilerMissingError, NotImplementedError) as missing:
-        if wanted == "compiled":
-            raise UsageError(f"engine = 'compiled': {missing}") from None
-        return mapped, "numpy", f"{missing}: CasADi's map was used, which is slower"
-    return NonlinearKernel(run, linear), "compiled", run.note

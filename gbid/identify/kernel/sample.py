@@ -236,6 +236,11 @@ class NonlinearValues(NamedTuple):
     steps: int
     shift: tuple[int, ...] = ()
 
+    @property
+    def n_parameters(self) -> int:
+        """Number of free parameters."""
+        return len(self.theta)
+
 
 @dataclass(frozen=True, eq=False)
 class NonlinearPredictor(GeneralPredictor):

@@ -13,13 +13,11 @@ import numpy as np
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray, point_label
 from gbid.core.errors import DataError, UsageError
-from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, Record
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.kernel.blocks import LANES, LONGEST_BLOCK, Segment, cut
-from gbid.identify.kernel.lanes import choose_runner
-from gbid.identify.kernel.linear import EngineName, LinearKernel, RunEngine, choose_engine
+from gbid.identify.kernel.choice import RunEngine, choose_kernel
 from gbid.identify.kernel.nonlinear import NonlinearKernel
 from gbid.identify.kernel.sample import NonlinearPredictor, build_nonlinear_predictor, nonlinear_noise_names
 from gbid.identify.kernel.sums import Kernel, Sweep, tied
@@ -150,50 +148,6 @@ def any_noise_names(structure: AnyStructure) -> frozenset[str]:
     return nonlinear_noise_names(structure) if isinstance(structure, NonlinearStructure) else noise_names(structure)
 
 
-class ChosenKernel(NamedTuple):
-    """Kernel, the name of its engine, and notes on its choice."""
-
-    kernel: Kernel
-    name: RunEngine
-    notes: tuple[str, ...]
-
-
-def choose_kernel(wanted: EngineName, predictor: GeneralPredictor, begin: Mapping[str, float]) -> ChosenKernel:
-    """Return the kernel of a predictor.
-
-    Parameters
-    ----------
-    wanted : {"auto", "compiled", "numpy"}
-        Engine that the caller wants.
-    predictor : Predictor or NonlinearPredictor
-        The predictor.
-    begin : dict of str to float
-        Start values, at which the linear engine looks which entries of the predictor are zero for good.
-
-    Raises
-    ------
-    UsageError
-        When the compiled engine is required and there is no compiler.
-    """
-    if isinstance(predictor, NonlinearPredictor):
-        kernel, name, note = choose_runner(wanted, predictor)
-        jumps = FitNote.JUMPS(
-            f"the equations have jumps or kinks ({', '.join(predictor.jumps)}): the derivatives know only the pieces "
-            "between them, so estimates of where they lie, and their standard deviations, are rough"
-        )
-        return ChosenKernel(
-            kernel, name, (*([FitNote.SLOW_ENGINE(note)] if note else []), *([jumps] if predictor.jumps else []))
-        )
-    assert isinstance(predictor, Predictor)
-    theta = np.array([begin.get(q.name, 0.0) for q in predictor.free])
-    nudged = np.where(theta == 0, 1e-3, theta * 1.001)  # a point where nothing is zero by chance
-    nudged = np.clip(nudged, [q.lower for q in predictor.free], [q.upper for q in predictor.free])
-    chosen = choose_engine(wanted, [predictor.at(theta), predictor.at(nudged)])
-    return ChosenKernel(
-        LinearKernel(chosen.run), chosen.name, (FitNote.SLOW_ENGINE(chosen.note),) if chosen.note else ()
-    )
-
-
 # ---- Segments of records: cut at left-out samples, grouped by predictor, and the links between windows.
 
 
@@ -255,11 +209,10 @@ class GroupBuilder:
         Samples in a shooting window; None for one window for each segment.
     begin : dict of str to float
         Start values, at which the engine looks which entries of the predictor are zero for good.
-    engine : {"auto", "compiled", "numpy"}
     """
 
-    def __init__(self, window: int | None, begin: Mapping[str, float], engine: EngineName) -> None:
-        self._window, self._begin, self._engine = window, begin, engine
+    def __init__(self, window: int | None, begin: Mapping[str, float]) -> None:
+        self._window, self._begin = window, begin
         self._groups: dict[_Key, tuple[GeneralPredictor, FloatArray | None, list[Segment]]] = {}
         self._order: list[tuple[_Key, int]] = []
         self.engine_name: RunEngine = "numpy"
@@ -282,7 +235,7 @@ class GroupBuilder:
         for key, (predictor, tie, segments) in self._groups.items():
             predictor_id, index, _ = key
             if predictor_id not in kernels:
-                chosen = choose_kernel(self._engine, predictor, self._begin)
+                chosen = choose_kernel(predictor, self._begin)
                 kernels[predictor_id] = chosen.kernel
                 self.engine_name = chosen.name
                 self.notes += chosen.notes
@@ -391,7 +344,6 @@ def assemble(
     local: Mapping[str, Scope],
     left_out: Mapping[str, Sequence[tuple[int, int]]],
     window: int | None,
-    engine: EngineName = "auto",
     disturbances: Disturbances = UNDISTURBED,
     released: BoolArray | None = None,
     ties: Ties | None = None,
@@ -473,7 +425,7 @@ def assemble(
     strangers = [name for name in left_out if name not in [record.name for record in data.records]]
     if strangers:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
-    builder = GroupBuilder(window, begin, engine)
+    builder = GroupBuilder(window, begin)
     for i, (names, own_stretches) in enumerate(zip(record_names, segments, strict=True)):
         for segment, piece in own_stretches:
             chosen = predictor_for("simulation" if segment.is_gap else focus, own_released[i], model_of[i])

@@ -290,8 +290,8 @@ def near_instability(predictor: Predictor, own: FloatArray, share: float) -> boo
     """
     still = np.array(own, float)
     still[[i for i in predictor.noise if i not in predictor.walks]] = 0.0  # a slow random walk is a valid estimate
-    margin = 1 - spectral_radius([predictor.at(still)])
-    return (margin > 0 or not predictor.walks) and 1 - spectral_radius([predictor.at(own)]) <= share * margin
+    margin = 1 - spectral_radius(predictor.at(still))
+    return (margin > 0 or not predictor.walks) and 1 - spectral_radius(predictor.at(own)) <= share * margin
 
 
 # ---- Further cost and constraints of a caller, on parameters and initial states, in the problem of a fit.
