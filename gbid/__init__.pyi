@@ -40,6 +40,7 @@ from .control import (
 )
 from .control.assess import assess as assess
 from .control.tuning.tune import tune as tune
+from .core.hdf5 import load as load, save as save
 from .excite import (
     Excitation as Excitation,
     ExcitationLimits as ExcitationLimits,

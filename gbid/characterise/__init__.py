@@ -1,6 +1,6 @@
 """Static characterisation: staircases of the rotor-bearing system (Sec. 3.1) and of the piezos (Appendix A)."""
 
-from gbid.characterise.piezo import PiezoCurve, characterise_piezo, load_static, save_static, static_rows
+from gbid.characterise.piezo import PiezoCurve, characterise_piezo, static_rows
 from gbid.characterise.staircase import StaticMap, characterise_staircase
 
 __all__ = [
@@ -8,7 +8,5 @@ __all__ = [
     "StaticMap",
     "characterise_piezo",
     "characterise_staircase",
-    "load_static",
-    "save_static",
     "static_rows",
 ]

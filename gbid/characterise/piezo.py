@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar
 
+import h5py
 import numpy as np
 
 from gbid.characterise.plateaus import (
@@ -17,11 +17,12 @@ from gbid.characterise.plateaus import (
     steady_means,
     steady_parts,
 )
-from gbid.characterise.staircase import StaticMap
+from gbid.characterise.staircase import REMEDY, StaticMap, stored_units
+from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.hdf5 import FileKind, Stored, read_fields, reading, write_fields, writing
+from gbid.core.hdf5 import Stored
 from gbid.core.notes import DataNote
 from gbid.recording import Recording
 
@@ -30,7 +31,7 @@ _NEAR_LIMIT = 0.01  # of the range
 
 
 @dataclass(frozen=True, eq=False)
-class PiezoCurve(Brief):
+class PiezoCurve(Brief, hdf5.InFile):
     """Stationary piezo position over voltage or reference, and its step responses.
 
     Attributes
@@ -89,6 +90,11 @@ class PiezoCurve(Brief):
     channel: str
     units: tuple[str, str]
     notes: tuple[str, ...] = ()
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("piezo_curve", REMEDY)
+
+    def to_hdf5(self, group: h5py.Group) -> None:
+        """Write this curve to the `group`, in the units of its signals."""
+        hdf5.write_fields(group, self, stored_units(self.units))
 
     def _brief(self) -> Description:
         unit, share = self.units[1], 100 * self.hysteresis_share
@@ -264,64 +270,7 @@ def _responses(y: FloatArray, plateaus: Plateaus, sample_time: float) -> tuple[F
     return np.asarray(np.arange(length) * sample_time, dtype=float), np.column_stack(columns)
 
 
-# ---- Static maps and piezo curves in HDF5 (kinds ``static_map`` and ``piezo_curve``), and their rows for CSV.
-
-Result = TypeVar("Result", StaticMap, PiezoCurve)
-
-_REMEDY = "make it again with `gbid static`"
-_KINDS: dict[type, FileKind] = {
-    StaticMap: FileKind("static_map", _REMEDY),
-    PiezoCurve: FileKind("piezo_curve", _REMEDY),
-}
-
-
-def save_static(result: StaticMap | PiezoCurve, path: str | Path, overwrite: bool = False) -> None:
-    """Write a static map or a piezo curve to an HDF5 file.
-
-    Parameters
-    ----------
-    result : StaticMap or PiezoCurve
-        The result.
-    path : path
-        The new file.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    UsageError
-        When the file exists and `overwrite` is not set.
-    DataError
-        When the file cannot be written.
-    """
-    source, output = result.units
-    units = {"in": source, "out": output, "gain": f"{output}/{source}", "gain^2": f"({output}/{source})^2"}
-    with writing(path, _KINDS[type(result)], overwrite) as file:
-        write_fields(file, result, units)
-
-
-def load_static(path: str | Path, kind: type[Result]) -> Result:
-    """Return the static map or piezo curve in a file of `save_static`.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    kind : type
-        `StaticMap` or `PiezoCurve`.
-
-    Returns
-    -------
-    StaticMap or PiezoCurve
-        The result.
-
-    Raises
-    ------
-    DataError
-        When the file is missing, unreadable, incomplete or of the other kind.
-    """
-    with reading(path, _KINDS[kind]) as file:
-        return read_fields(file, kind)
+# ---- Rows of static maps and piezo curves for CSV.
 
 
 def static_rows(result: StaticMap | PiezoCurve) -> list[dict[str, Any]]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
+import h5py
 import numpy as np
 from scipy.special import stdtrit
 
 from gbid.characterise.plateaus import branch_difference, find_plateaus, steady_means, steady_parts
+from gbid.core import hdf5
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
@@ -19,9 +21,18 @@ from gbid.recording import Recording
 
 # ---- Static map of the rotor on its bearing (paper, Sec. 3.1 and Fig. 5).
 
+REMEDY = "make it again with `gbid static`"
+"""Advice for a file that cannot be read."""
+
+
+def stored_units(units: tuple[str, str]) -> dict[str, str]:
+    """Return the units of stored fields by the words that these declare, from the units of input and output."""
+    source, output = units
+    return {"in": source, "out": output, "gain": f"{output}/{source}", "gain^2": f"({output}/{source})^2"}
+
 
 @dataclass(frozen=True, eq=False)
-class StaticMap(Brief):
+class StaticMap(Brief, hdf5.InFile):
     r"""Steady positions over steady inputs, and the straight lines fitted to them.
 
     .. math:: \bar p_{i,k} = \sum_j g_{ij} \bar u_{j,k} + c_{i,m(k)} + e_{i,k}
@@ -98,6 +109,11 @@ class StaticMap(Brief):
     conditions: Mapping[str, float] = field(default_factory=dict)
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("static_map", REMEDY)
+
+    def to_hdf5(self, group: h5py.Group) -> None:
+        """Write this map to the `group`, in the units of its signals."""
+        hdf5.write_fields(group, self, stored_units(self.units))
 
     def _brief(self) -> Description:
         return brief(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gbid.core.hdf5 import load
 from gbid.core.tables import Table
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.machine import rig_model, true_model, true_values
@@ -23,7 +24,7 @@ from gbid.experiment.stages.static import load_made_static
 from gbid.experiment.stages.tune import made_designs
 from gbid.experiment.structures import make_structure
 from gbid.identify import FitTable
-from gbid.prefilter import load_prefilter
+from gbid.prefilter import PrefilterFile
 from gbid.recording import load_recording
 from gbid.report.control_tables import (
     cycle_documents,
@@ -48,7 +49,7 @@ from gbid.report.fit_tables import (
     validation_table,
 )
 from gbid.report.read import fit_document, prefilter_rows, prefilter_table, recording_table
-from gbid.validate import load_validation_summary
+from gbid.validate import ValidationSummary
 
 
 def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
@@ -76,7 +77,7 @@ def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> 
 def prefilter_documents(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Return documents of the corrections by the prefilter, from the files with the maps."""
     maps = [o.path for o in outcomes if o.stage == "prefilter" and o.item.startswith("map ") and o.state != "failed"]
-    return [row for path in maps for row in prefilter_rows(load_prefilter(path)[1])]
+    return [row for path in maps for row in prefilter_rows(load(path, PrefilterFile).reports)]
 
 
 def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
@@ -137,7 +138,7 @@ def summary_documents(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     documents = []
     for outcome in outcomes:
         if outcome.stage == "crossval" and outcome.path.suffix == ".h5" and outcome.state != "failed":
-            summary = load_validation_summary(outcome.path)
+            summary = load(outcome.path, ValidationSummary)
             fit = outcome.path.stem.removesuffix(SUMMARY)
             documents.append(summary_document(fit, summary, outcome.path))
     return documents

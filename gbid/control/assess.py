@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
-from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
+import h5py
 import numpy as np
 
 from gbid.control.controllers.scheduled import Scheduled, controller_at
@@ -435,9 +435,8 @@ def _conditions(assessment: Assessment) -> tuple[object, ...]:
     return points, assessment.impact, assessment.sample_time, assessment.computation_s, assessment.method
 
 
-# ---- Tuned designs and their performance in HDF5 (kind ``tuning``).
+# ---- Tuned designs and their performance, as they are stored.
 
-KIND = hdf5.FileKind("tuning", "make it again with `gbid tune`", (None,))
 _VERDICTS = ("stable", "sampled_stable", "exceeds_travel")
 
 
@@ -547,7 +546,7 @@ class RobustPromise(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TunedDesign:
+class TunedDesign(hdf5.InFile):
     """Tuned design with its performance.
 
     Attributes
@@ -581,30 +580,10 @@ class TunedDesign:
     sample_time: float
     method: Method = "tustin"
     promises: tuple[RobustPromise, ...] = ()
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("tuning", "make it again with `gbid tune`", 2)
 
-
-def save_tuned(design: TunedDesign, path: str | Path, overwrite: bool = False) -> None:
-    """Write a tuned design to an HDF5 file.
-
-    Raises
-    ------
-    UsageError
-        When the file exists and `overwrite` is not set.
-    DataError
-        When the file cannot be written.
-    """
-    with hdf5.writing(path, KIND, overwrite) as file:
-        hdf5.write_fields(file, design)
-        for performance in file["performance"].values():
+    def to_hdf5(self, group: h5py.Group) -> None:
+        """Write this design to the `group`, with the names of the figures."""
+        hdf5.write_fields(group, self)
+        for performance in group["performance"].values():
             hdf5.add_texts(performance["figures"], "columns", FIGURES)
-
-
-def load_tuned(path: str | Path) -> TunedDesign:
-    """Return the tuned design in an HDF5 file of `save_tuned`.
-
-    Raises
-    ------
-    DataError
-        When the file is missing, unreadable, incomplete or of another kind.
-    """
-    return hdf5.load(path, KIND, TunedDesign)

@@ -25,10 +25,11 @@ from gbid.control import (
     p_controller,
     scheduled,
 )
-from gbid.control.assess import load_tuned
+from gbid.control.assess import TunedDesign
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.scheduled import with_schedule
 from gbid.core.errors import UsageError
+from gbid.core.hdf5 import load
 from gbid.core.units import SIGNALS
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import content_key, file_digest, nearest, stored_key
@@ -900,7 +901,7 @@ def _tuned(experiment: Experiment, name: str, planned: bool) -> ControllerDesign
 
 @lru_cache(maxsize=16)
 def _stored_gains(path: Path, _key: str) -> dict[str, float]:
-    return dict(load_tuned(path).result.gains)
+    return dict(load(path, TunedDesign).result.gains)
 
 
 def _about(start: float | None, lower: float, upper: float) -> float:

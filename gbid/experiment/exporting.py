@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gbid.control import ControllerDesign, load_controller
 from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.hdf5 import load
 from gbid.core.names import file_stem
 from gbid.core.yaml_file import read_yaml
 from gbid.experiment.controllers import TUNED, chain_options, design_structure
@@ -20,7 +21,7 @@ from gbid.experiment.stages.prefilter import MAP_FOLDER
 from gbid.export.targets import ExportItem, ExportRequest, Point, export_target
 from gbid.identify import load_fit
 from gbid.lpv import LPVModel, load_model
-from gbid.prefilter import RunoutMap, load_prefilter
+from gbid.prefilter import PrefilterFile, RunoutMap
 
 FOLDER = "export"
 _LONGEST = 50  # characters of a name in C and MATLAB, with room for what is added to it
@@ -170,7 +171,7 @@ def made_maps(job: Job) -> tuple[RunoutMap, ...]:
     for point in job.experiment.points:
         path = job.path(MAP_FOLDER, point)
         if job.experiment.spec.prefilter is not None and path.is_file():
-            found.append(load_prefilter(path)[0])
+            found.append(load(path, PrefilterFile).runout_map)
     return tuple(each for each in found if each is not None)
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -134,7 +135,7 @@ class StartsTried:
 
 
 @dataclass(frozen=True, eq=False)
-class FitResult(Brief, Pictured):
+class FitResult(Brief, Pictured, hdf5.InFile):
     """Estimates of a fit, their uncertainty, status and options.
 
     Attributes
@@ -203,10 +204,9 @@ class FitResult(Brief, Pictured):
         Counts of the fits from other starts; None for a fit from one start.
     optimality : float or None
         First-order optimality: length of the Gauss-Newton step that would come next, in standard deviations of the
-        estimates. Below 0.1 for a success; None in a file of an earlier version.
+        estimates. Below 0.1 for a success.
     model_slopes : ModelSlopes or None
-        Derivatives of the matrices of `model` by the free parameters, for the uncertainty of its curves; None in a file
-        of gbid 0.1.0.
+        Derivatives of the matrices of `model` by the free parameters, for the uncertainty of its curves.
     covariance_bootstrap : (n_free, n_free) array or None
         Robust covariance with the standard deviations of the bootstrap; None where none was asked for.
     integration_shift : (n_free,) array or None
@@ -253,6 +253,20 @@ class FitResult(Brief, Pictured):
     integration_shift: Annotated[
         FloatArray | None, Stored("1", "shift of the free parameters with half the step of the integrator", "free")
     ] = None
+
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("fit", "make the fit anew", 3)
+
+    def to_hdf5(self, group: h5py.Group) -> None:
+        """Write this fit to the `group`, and whether it succeeded."""
+        hdf5.write_fields(group, self)
+        group.attrs["success"] = self.success
+
+    @classmethod
+    def from_hdf5(cls, group: h5py.Group) -> FitResult:
+        """Return the fit in a `group` of `to_hdf5`, with the covariance that it trusts."""
+        trusted = hdf5.read_text(group, "trusted")
+        covariance = hdf5.read_dataset(group, f"parameters/covariance_{trusted}")
+        return hdf5.read_fields(group, cls, covariance=covariance)
 
     def _brief(self) -> Description:
         modes = zip(self.model.modes(), self.modes_std, strict=True)
@@ -394,65 +408,16 @@ class FitResult(Brief, Pictured):
         }
 
 
-# ---- Fit results in HDF5; docs/file-formats.md describes the tree.
-
-
-def status_of_text(text: str, *, success: bool) -> FitStatus:
-    """Return the status of a text. Version 0.1.0 added further words; for these it is the nearest status."""
-    if text in list(FitStatus):
-        return FitStatus(text)
-    stem = text.partition(", with the disturbance gain held")[0]
-    if success:
-        return FitStatus.CONVERGED_GAIN_HELD
-    return FitStatus(stem) if stem in list(FitStatus) else FitStatus.SOLVER_FAILED
-
-
-KIND = hdf5.FileKind("fit", "make the fit anew", (None, None))
-
-
 def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: str = "") -> None:
-    """Write a fit result to an HDF5 file.
-
-    Parameters
-    ----------
-    result : FitResult
-        The result.
-    path : path
-        The file; missing folders are made.
-    overwrite : bool
-        Whether an existing file may be replaced.
-    key : str
-        Text that identifies settings and data of the fit; stored as attribute ``key``.
-
-    Raises
-    ------
-    UsageError
-        When the file exists and `overwrite` is not set.
-    DataError
-        When the file cannot be written.
-    """
-    hdf5.save(result, path, KIND, overwrite, key=key, success=result.success)
+    """Write `result` to the HDF5 file `path`, with the `key` of its settings; `overwrite` as for `gbid.save`."""
+    hdf5.save(result, path, overwrite, key=key)
 
 
 def load_fit(path: str | Path) -> FitResult:
-    """Return the fit result in an HDF5 file.
-
-    Parameters
-    ----------
-    path : path
-        The file.
+    """Return the fit in the HDF5 file `path`, as `gbid.load` does.
 
     Returns
     -------
     FitResult
-        The result.
-
-    Raises
-    ------
-    DataError
-        When the file is missing, damaged, incomplete or of another kind.
     """
-    with hdf5.reading(path, KIND) as file:
-        trusted = hdf5.read_text(file, "trusted")
-        covariance = hdf5.read_dataset(file, f"parameters/covariance_{trusted}")
-        return hdf5.read_fields(file, FitResult, covariance=covariance)
+    return hdf5.load(path, FitResult)

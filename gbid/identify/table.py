@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ _GAIN = ("static_gain", "static_gain_std")
 
 
 @dataclass(frozen=True, eq=False)
-class FitTable(Brief):
+class FitTable(Brief, hdf5.InFile):
     """Table with one row for each fit of a campaign, with failed fits.
 
     n rows, k parameters, m modes, g static gains, q outputs. The columns are those of all fits in the table. Values
@@ -109,6 +109,7 @@ class FitTable(Brief):
     notes: Annotated[tuple[tuple[str, ...], ...], Stored("", "what a reader should know, one a line", "n")]
     iterations: Annotated[IntArray, Stored("1", "iterations of the solver", "n")]
     wall_time_s: Annotated[FloatArray, Stored("s", "time that the fit took", "n")]
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("table", "make the table anew with `gbid batch` or `gbid run`")
 
     def _brief(self) -> Description:
         converged = [name for name, success in zip(self.fit.tolist(), self.success, strict=True) if success]
@@ -316,52 +317,22 @@ def _joined(texts: Sequence[Sequence[str]], by: str) -> TextArray:
     return np.array([by.join(each) for each in texts], dtype=str)
 
 
-# ---- Tables of fits in HDF5 and CSV; docs/file-formats.md describes tree and columns.
-
-KIND = hdf5.FileKind("table", "make the table anew with `gbid batch` or `gbid run`")
+# ---- Tables of fits in files; docs/file-formats.md describes tree and columns.
 
 
 def save_table(table: FitTable, path: str | Path, overwrite: bool = False) -> None:
-    """Write a table of fits to an HDF5 file.
-
-    Parameters
-    ----------
-    table : FitTable
-        The table.
-    path : path
-        The file.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    UsageError
-        When the file exists and `overwrite` is not set.
-    DataError
-        When the file cannot be written.
-    """
-    hdf5.save(table, path, KIND, overwrite)
+    """Write the `table` of fits to the HDF5 file `path`; `overwrite` as for `gbid.save`."""
+    hdf5.save(table, path, overwrite)
 
 
 def load_table(path: str | Path) -> FitTable:
-    """Return the table of a campaign, ``results/<name>/table.h5``.
-
-    Parameters
-    ----------
-    path : path
-        The HDF5 file. The CSV file has no covariances and cannot be loaded.
+    """Return the table of a campaign in `path`, ``results/<name>/table.h5``, as `gbid.load` does.
 
     Returns
     -------
     FitTable
-        The table.
-
-    Raises
-    ------
-    DataError
-        When the file is missing, damaged, incomplete or of another kind.
     """
-    return hdf5.load(path, KIND, FitTable)
+    return hdf5.load(path, FitTable)
 
 
 def csv_table(fits: FitTable) -> Table:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.names import given_path
 from gbid.core.notes import SurfaceNote
 from gbid.identify import FitStatus
-from gbid.identify.result import FitResult, status_of_text
+from gbid.identify.result import FitResult
 from gbid.identify.table import FitTable
 from gbid.lpv.estimates import Estimates, Order, Outlier, as_estimates, distinct_points
 from gbid.lpv.model import (
@@ -686,25 +685,7 @@ def _in_bar_and_rpm(result: FitResult, schedule: Schedule) -> tuple[FloatArray, 
 # ---- Surface fits in files: the model in YAML, its uncertainty in HDF5 beside it.
 
 
-def _from_schema_1(file: h5py.File) -> None:
-    """Move estimates, orders and outliers to their own groups."""
-    for name in ("points", "values", "values_covariance"):
-        file.move(name, f"estimates/{name.removeprefix('values_')}")
-    for name in ("recordings", "left_out"):
-        hdf5.add_texts(file["estimates"], name, hdf5.read_texts(file, name))
-    file.move("order", "orders/order")
-    for name in ("rms", "score"):
-        file.move(f"order_{name}", f"orders/{name}")
-    hdf5.add_texts(file["orders"], "why_not", hdf5.read_texts(file, "why_not"))
-    outliers = json.loads(hdf5.read_attribute(file, "outliers"))
-    for name in ("recording", "parameter"):
-        hdf5.add_texts(file.require_group("outliers"), name, [outlier[name] for outlier in outliers])
-    for name in ("deviation", "standardised"):
-        hdf5.add_dataset(file["outliers"], name, [outlier[name] for outlier in outliers], "", name)
-    file.attrs["status"] = status_of_text(hdf5.read_text(file, "status"), success=bool(file.attrs["success"])).value
-
-
-KIND = hdf5.FileKind("lpv_fit", "fit anew with `gbid lpv`", (_from_schema_1,))
+KIND = hdf5.FileKind("lpv_fit", "fit anew with `gbid lpv`", 2)
 
 
 def save_lpv_fit(fit: LPVFit, path: str | Path, overwrite: bool = False, key: str = "") -> None:

@@ -13,11 +13,10 @@ from gbid.prefilter.identify_runout import (
 from gbid.prefilter.prefilter import (
     Despiked,
     OnlinePrefilter,
+    PrefilterFile,
     PrefilterReport,
-    load_prefilter,
     prefilter,
     remove_spikes,
-    save_prefilter,
 )
 from gbid.prefilter.runout import RunoutMap, running_median
 
@@ -25,6 +24,7 @@ __all__ = [
     "Despiked",
     "IndexAlignment",
     "OnlinePrefilter",
+    "PrefilterFile",
     "PrefilterReport",
     "RunoutComparison",
     "RunoutMap",
@@ -33,10 +33,8 @@ __all__ = [
     "align_index",
     "compare_runout",
     "identify_runout",
-    "load_prefilter",
     "prefilter",
     "remove_spikes",
     "running_median",
     "runout_residual",
-    "save_prefilter",
 ]

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import h5py
 import numpy as np
@@ -20,8 +20,6 @@ from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.notes import DataNote
 from gbid.prefilter.runout import RunoutMap, running_median, shaft_motion
 from gbid.recording import Recording
-from gbid.recording.store import KIND as RECORDING
-from gbid.recording.store import write_recording
 
 # ---- Spikes: single wrong samples, found by their neighbours and replaced.
 
@@ -195,7 +193,7 @@ class PrefilterReport(Brief):
     spikes : tuple of int
         Number of wrong samples found in each channel of p.
     spike_samples : tuple of tuple of int
-        Their sample numbers, from 0, for each channel; empty for a report of gbid 0.1.0, which kept the number alone.
+        Their sample numbers, from 0, for each channel; empty when spikes were not sought.
     median : int
         Size of the median filter, 1 for none.
     map_sources : tuple of str
@@ -498,8 +496,6 @@ class OnlinePrefilter:
 
 # ---- Run-out map and prefilter reports in one HDF5 file; docs/file-formats.md describes the tree.
 
-KIND = hdf5.FileKind("prefilter", "make it again with `gbid run`")
-
 
 @dataclass(frozen=True, eq=False)
 class _Signal:
@@ -511,70 +507,41 @@ class _Signal:
     offset: Annotated[FloatArray, Stored("unit", "mean removed", "channels")]
 
 
-def save_prefilter(
-    path: str | Path,
-    runout_map: RunoutMap | None,
-    reports: Sequence[PrefilterReport] = (),
-    *,
-    overwrite: bool = False,
-) -> None:
-    """Write a run-out map and the reports of the recordings that it corrected.
+@dataclass(frozen=True, eq=False)
+class PrefilterFile(hdf5.InFile):
+    """Run-out map of an operating point, and the reports of the recordings that it corrected.
 
-    Parameters
+    Attributes
     ----------
-    path : path
-        The new file.
     runout_map : RunoutMap or None
         The map.
-    reports : sequence of PrefilterReport
-        The reports.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    UsageError
-        When the file exists and `overwrite` is not set.
-    DataError
-        When the file cannot be written.
-    """
-    with hdf5.writing(path, KIND, overwrite) as file:
-        if runout_map is not None:
-            _write_map(file.create_group("runout_map"), runout_map)
-        group = file.create_group("reports")
-        for number, report in enumerate(reports):
-            _write_report(group.create_group(f"{number:04d}"), report)
-
-
-def load_prefilter(path: str | Path) -> tuple[RunoutMap | None, tuple[PrefilterReport, ...]]:
-    """Return the run-out map and the reports in a file of `save_prefilter`.
-
-    Parameters
-    ----------
-    path : str or path
-        The file.
-
-    Returns
-    -------
-    runout_map : RunoutMap or None
-        The map; None when the file has none.
     reports : tuple of PrefilterReport
         The reports.
-
-    Raises
-    ------
-    DataError
-        When the file is missing, unreadable, incomplete or of another kind.
     """
-    with hdf5.reading(path, KIND) as file:
-        runout_map = hdf5.read_fields(file["runout_map"], RunoutMap) if "runout_map" in file else None
-        return runout_map, tuple(_read_report(group) for group in hdf5.read_group(file, "reports").values())
+
+    runout_map: RunoutMap | None = None
+    reports: tuple[PrefilterReport, ...] = ()
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("prefilter", "make it again with `gbid run`")
+
+    def to_hdf5(self, group: h5py.Group) -> None:
+        """Write map and reports to the `group`."""
+        if self.runout_map is not None:
+            _write_map(group.create_group("runout_map"), self.runout_map)
+        reports = group.create_group("reports")
+        for number, report in enumerate(self.reports):
+            _write_report(reports.create_group(f"{number:04d}"), report)
+
+    @classmethod
+    def from_hdf5(cls, group: h5py.Group) -> PrefilterFile:
+        """Return map and reports in a `group` of `to_hdf5`."""
+        runout_map = hdf5.read_fields(group["runout_map"], RunoutMap) if "runout_map" in group else None
+        return cls(runout_map, tuple(_read_report(report) for report in hdf5.read_group(group, "reports").values()))
 
 
 def save_prefiltered(filtered: Recording, report: PrefilterReport, path: Path) -> None:
     """Write a prefiltered recording with its report, as group ``prefilter_report``; an earlier file is replaced."""
-    with hdf5.writing(path, RECORDING, overwrite=True) as file:
-        write_recording(file, filtered)
+    with hdf5.writing(path, Recording.FILE, overwrite=True) as file:
+        filtered.to_hdf5(file)
         _write_report(file.create_group("prefilter_report"), report)
 
 
@@ -586,7 +553,7 @@ def read_report(path: str | Path) -> PrefilterReport:
     DataError
         When the file is missing, unreadable, incomplete or of another kind.
     """
-    with hdf5.reading(path, RECORDING) as file:
+    with hdf5.reading(path, Recording.FILE) as file:
         return _read_report(hdf5.read_group(file, "prefilter_report"))
 
 
@@ -624,7 +591,7 @@ def _read_report(group: h5py.Group) -> PrefilterReport:
 
 
 def _spike_samples(group: h5py.Group, counts: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    """Return the sample numbers of the spikes of each channel; gbid 0.1.0 stored their number alone."""
+    """Return the sample numbers of the spikes of each channel; none when spikes were not sought."""
     if "spike_samples" not in group:
         return ()
     places = hdf5.read_dataset(group, "spike_samples")

@@ -4,8 +4,7 @@ from gbid.core.arrays import FloatArray
 from gbid.recording.importing import import_recording
 from gbid.recording.mapping import ImportMapping, SignalMapping
 from gbid.recording.quality import ProblemKind, SignalProblem, content_digest, find_group_problems, find_problems
-from gbid.recording.recording import Recording, with_unbalance
-from gbid.recording.store import load_recording, save_recording
+from gbid.recording.recording import Recording, load_recording, save_recording, with_unbalance
 
 __all__ = [
     "FloatArray",

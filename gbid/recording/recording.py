@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
+from gbid.core import hdf5
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
@@ -112,10 +115,12 @@ def _even_step(times: FloatArray) -> float:
 
 
 _Range = slice  # within the class, `slice` is its method
+CONDITION_UNITS = {"pressure_bar": "bar", "speed_rpm": "rpm"}
+"""Units of the conditions that gbid uses; other conditions have ``""``."""
 
 
 @dataclass(frozen=True, eq=False)
-class Recording(Brief, Pictured):
+class Recording(Brief, Pictured, hdf5.InFile):
     """Sampled signals of one experiment, in SI units.
 
     Parameters
@@ -188,6 +193,58 @@ class Recording(Brief, Pictured):
         freeze(self, "units", MappingProxyType(units))
         freeze(self, "channels", MappingProxyType(channels))
         freeze(self, "provenance", MappingProxyType({k: str(v) for k, v in self.provenance.items()}))
+
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("recording", "record or import it again")
+
+    def to_hdf5(self, group: h5py.Group) -> None:
+        """Write this recording to the `group`; signals have the attributes by which NeXus readers find the plot."""
+        group.attrs["name"] = self.name
+        group.attrs["default"] = "signals"
+        hdf5.add_dataset(group, "sample_time", self.sample_time, "s", "time between samples")
+        signals = group.create_group("signals", track_order=True)
+        first, *others = self.signals
+        signals.attrs["NX_class"] = "NXdata"
+        signals.attrs["signal"] = first
+        hdf5.add_texts(signals, "auxiliary_signals", others)
+        hdf5.add_texts(signals, "axes", ["time", "."])
+        hdf5.add_dataset(signals, "time", self.time, "s", "time from the first sample")
+        for name, values in self.signals.items():
+            known = SIGNALS.get(name)
+            long_name = known.long_name if known and known.unit == self.units[name] else name  # else another rig's
+            dataset = hdf5.add_dataset(signals, name, values, self.units[name], long_name)
+            hdf5.add_texts(dataset, "channels", self.channels[name])
+        conditions = group.create_group("conditions", track_order=True)
+        for key, value in self.conditions.items():
+            hdf5.add_dataset(conditions, key, value, CONDITION_UNITS.get(key, ""), key.replace("_", " "))
+        group.create_group("provenance").attrs.update(self.provenance)
+
+    @classmethod
+    def from_hdf5(cls, group: h5py.Group) -> Recording:
+        """Return the recording in a `group` of `to_hdf5`, whose time axis must agree with its sample time."""
+        signals, units, channels = {}, {}, {}
+        for name, item in hdf5.read_group(group, "signals").items():
+            signals[name] = hdf5.read_dataset(group["signals"], name)
+            if name != "time":
+                units[name] = hdf5.read_text(item, "units")
+                channels[name] = hdf5.read_texts(item, "channels")
+        if "time" not in signals:
+            raise hdf5.DamagedError("/signals/time is missing")
+        time = signals.pop("time")
+        conditions = {key: _one_number(group["conditions"], key) for key in hdf5.read_group(group, "conditions")}
+        source = hdf5.read_group(group, "provenance")
+        provenance = {key: hdf5.read_text(source, key) for key in source.attrs}
+        sample_time, name = _one_number(group, "sample_time"), hdf5.read_text(group, "name")
+        rec = cls(signals, sample_time, conditions, name, units, channels, provenance)
+        if time.shape != (rec.n_samples,):
+            raise DataError(f"/signals/time has shape {time.shape}, expected ({rec.n_samples},)")
+        wrong = np.flatnonzero(~(np.abs(time - rec.time) <= 1e-3 * rec.sample_time))
+        if wrong.size:
+            k = wrong[0]
+            raise DataError(
+                f"/signals/time is {time[k]} s at sample {k}, but sample_time = {rec.sample_time} s "
+                f"gives {rec.time[k]} s; make them agree"
+            )
+        return rec
 
     def _brief(self) -> Description:
         about = f"{self.name}, {self.n_samples} samples of {self.sample_time:g} s, {self.duration:g} s"
@@ -479,3 +536,25 @@ def check_order(first: object, call: str) -> None:
     if isinstance(several[0], Recording):
         name = several[0].name
         raise UsageError(f"the first argument is the recording {name!r}; the order is the other way round: {call}")
+
+
+def _one_number(group: h5py.Group, name: str) -> float:
+    values = hdf5.read_dataset(group, name)
+    if values.shape != ():
+        raise DataError(f"{name} has shape {values.shape}, expected one number")
+    return float(values)
+
+
+def save_recording(rec: Recording, path: str | Path, overwrite: bool = False) -> None:
+    """Write the recording `rec` to the HDF5 file `path`, bit for bit; `overwrite` as for `gbid.save`."""
+    hdf5.save(rec, path, overwrite)
+
+
+def load_recording(path: str | Path) -> Recording:
+    """Return the recording in the HDF5 file `path`, as `gbid.load` does.
+
+    Returns
+    -------
+    Recording
+    """
+    return hdf5.load(path, Recording)

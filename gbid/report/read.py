@@ -11,11 +11,11 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 
 from gbid.characterise import PiezoCurve, StaticMap
-from gbid.control import HalfSine, Scheduled, controller_at, p_controller
+from gbid.control import HalfSine, ImpactStudy, Scheduled, controller_at, p_controller
 from gbid.control.assess import DesignFigures, TunedDesign
-from gbid.control.impact.study import ImpactStudy, load_impacts
 from gbid.control.loop.close import Method
 from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.hdf5 import load
 from gbid.core.tables import Column, Table, finite_or_none, shown_unit
 from gbid.core.units import conversion_factor
 from gbid.experiment.controllers import (
@@ -890,7 +890,7 @@ class Results:
             return StageResults({}, {})
         try:
             idle = loops_without_controller(self.experiment)
-            found = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda task: load_impacts(task.path))
+            found = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda q: load(q.path, ImpactStudy))
         except UsageError as error:  # their controller or model is missing
             return StageResults({}, {"impacts": str(error)})
         return StageResults(

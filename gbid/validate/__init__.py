@@ -4,10 +4,8 @@ from gbid.validate.central import (
     ActuatorOutlier,
     NominalActuator,
     load_actuators,
-    load_validation_summary,
     nominal_actuator,
     save_nominal_actuator,
-    save_validation_summary,
 )
 from gbid.validate.crossval import (
     PointSummary,
@@ -38,10 +36,8 @@ __all__ = [
     "estimate_initial_state",
     "fit_percent",
     "load_actuators",
-    "load_validation_summary",
     "nominal_actuator",
     "save_nominal_actuator",
-    "save_validation_summary",
     "shaft_lines",
     "summarise",
 ]

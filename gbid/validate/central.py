@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
-from gbid.core import hdf5
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief, estimates
 from gbid.core.errors import ChangedFileWarning, DataError, UsageError
@@ -233,53 +232,9 @@ def _robust_z(logs: FloatArray, own: FloatArray) -> FloatArray:
     return np.asarray(deviation / np.maximum(np.maximum(scale, typical), 1e-9))
 
 
-# ---- Summaries of validation in HDF5 and CSV, nominal actuators in YAML; see docs/file-formats.md.
+# ---- Summaries of validation in CSV, nominal actuators in YAML; see docs/file-formats.md.
 
-KIND = hdf5.FileKind("validation_summary", "make it again with `gbid crossval`")
 ACTUATORS_KIND = "actuators"
-
-
-def save_validation_summary(summary: ValidationSummary, path: str | Path, overwrite: bool = False) -> None:
-    """Write a summary of a cross-validation to an HDF5 file.
-
-    Parameters
-    ----------
-    summary : ValidationSummary
-        The summary.
-    path : str or path
-        The file.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    UsageError
-        When the file exists and `overwrite` is not set.
-    DataError
-        When the file cannot be written.
-    """
-    hdf5.save(summary, path, KIND, overwrite)
-
-
-def load_validation_summary(path: str | Path) -> ValidationSummary:
-    """Return the summary in a file of `save_validation_summary`.
-
-    Parameters
-    ----------
-    path : str or path
-        The file.
-
-    Returns
-    -------
-    ValidationSummary
-        The summary.
-
-    Raises
-    ------
-    DataError
-        When the file is missing, damaged or of another kind.
-    """
-    return hdf5.load(path, KIND, ValidationSummary)
 
 
 def summary_csv_table(summary: ValidationSummary) -> Table:

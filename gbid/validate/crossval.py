@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from gbid.core import hdf5
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
@@ -139,7 +140,7 @@ class PointSummary(Brief):
 
 
 @dataclass(frozen=True, eq=False)
-class ValidationSummary(Brief):
+class ValidationSummary(Brief, hdf5.InFile):
     """Summary of a cross-validation with q outputs and b histogram bins.
 
     Attributes
@@ -188,6 +189,7 @@ class ValidationSummary(Brief):
     worst: tuple[WorstPair, ...]
     points: tuple[PointSummary, ...]
     failed: tuple[str, ...] = ()
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("validation_summary", "make it again with `gbid crossval`")
 
     def _brief(self) -> Description:
         outputs = {

@@ -13,12 +13,11 @@ from gbid.characterise import (
     StaticMap,
     characterise_piezo,
     characterise_staircase,
-    load_static,
-    save_static,
     static_rows,
 )
 from gbid.characterise.plateaus import branch_difference, find_plateaus, monotone_runs, steady_means
 from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5 import load, save
 from gbid.recording import Recording
 from gbid.rig import PiezoStacks, StackStaircase, Staircase, record
 
@@ -348,15 +347,15 @@ def same(one, other):
 
 def test_results_survive_the_file(tmp_path):
     made = characterise_staircase([synthetic(0), synthetic(1, 1)])
-    save_static(made, tmp_path / "map.h5")
-    same(made, load_static(tmp_path / "map.h5", StaticMap))
+    save(made, tmp_path / "map.h5")
+    same(made, load(tmp_path / "map.h5", StaticMap))
     curve = characterise_piezo(loop(), command="v", position="y_p")
-    save_static(curve, tmp_path / "curve.h5")
-    same(curve, load_static(tmp_path / "curve.h5", PiezoCurve))
+    save(curve, tmp_path / "curve.h5")
+    same(curve, load(tmp_path / "curve.h5", PiezoCurve))
     with pytest.raises(DataError, match="expected a gbid static_map file, found piezo_curve"):
-        load_static(tmp_path / "curve.h5", StaticMap)
+        load(tmp_path / "curve.h5", StaticMap)
     with pytest.raises(UsageError, match="exists already"):
-        save_static(curve, tmp_path / "curve.h5")
+        save(curve, tmp_path / "curve.h5")
 
 
 def test_rows_are_one_for_each_plateau_with_units():

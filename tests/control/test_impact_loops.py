@@ -15,19 +15,19 @@ from hypothesis import strategies as st
 import gbid
 from gbid import report
 from gbid.control import (
+    ImpactStudy,
     controller_structure,
     exact_plant,
-    load_impacts,
     p_controller,
     ringing_modes,
     sample_controller,
     save_controller,
-    save_impacts,
     scheduled,
     study_impacts,
 )
 from gbid.control.impact.study import _decay
 from gbid.core.errors import UsageError
+from gbid.core.hdf5 import load, save
 from gbid.rig import Hammer, Impact, Machine, SampledController, SensorChain, Stationary, record
 
 MODEL = gbid.load_model("theisen2016")
@@ -167,8 +167,8 @@ def test_figures_without_a_signal_of_the_piezos_are_not_there() -> None:
 
 def test_loop_and_figures_are_kept(tmp_path) -> None:
     named = study_impacts([quiet_hit("x", True)], MODEL, PAPER, SAMPLED, lags=0, loop="soft")
-    save_impacts(named, tmp_path / "soft.h5")
-    again = load_impacts(tmp_path / "soft.h5")
+    save(named, tmp_path / "soft.h5")
+    again = load(tmp_path / "soft.h5", ImpactStudy)
     assert (again.loop, again.figures) == ("soft", named.figures)
 
 

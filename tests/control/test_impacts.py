@@ -17,19 +17,19 @@ from scipy.linalg import block_diag
 import gbid
 from gbid.control import (
     HalfSine,
+    ImpactStudy,
     close_loop,
     controller_structure,
     exact_plant,
-    load_impacts,
     p_controller,
     ringing_modes,
     sample_controller,
     sampled_loop,
     save_controller,
-    save_impacts,
     study_impacts,
 )
 from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5 import load, save
 from gbid.rig import Hammer, Impact, Machine, SampledController, Stationary, record
 from gbid.structure import LinearModel
 
@@ -170,8 +170,8 @@ def test_intervals_on_the_rig_cover_the_truth(loop: str) -> None:
 
 def test_study_round_trip(tmp_path) -> None:
     study = study_impacts([hit("x", "closed")], MODEL, PAPER, SAMPLED, lags=0)
-    save_impacts(study, tmp_path / "study.h5")
-    again = load_impacts(tmp_path / "study.h5")
+    save(study, tmp_path / "study.h5")
+    again = load(tmp_path / "study.h5", ImpactStudy)
     assert (again.loop, again.model, again.controller) == ("closed", MODEL.name, PAPER.name)
     assert again.expected == study.expected
     assert again.ringdown.modes() == study.ringdown.modes()
@@ -180,7 +180,7 @@ def test_study_round_trip(tmp_path) -> None:
     np.testing.assert_array_equal(other.simulated, one.simulated)
     assert (other.impacts, other.windows, other.force_scale) == (one.impacts, one.windows, one.force_scale)
     with pytest.raises(UsageError, match="exists"):
-        save_impacts(study, tmp_path / "study.h5")
+        save(study, tmp_path / "study.h5")
 
 
 def test_bad_models() -> None:

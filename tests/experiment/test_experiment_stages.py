@@ -10,6 +10,7 @@ from places import EXPERIMENTS
 from places import MEASURED as SHARED
 
 from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5 import load
 from gbid.experiment.fields import content_key, stored_key
 from gbid.experiment.load import load_experiment
 from gbid.experiment.machine import true_model, true_values
@@ -22,7 +23,7 @@ from gbid.experiment.stages.rig import RIG
 from gbid.experiment.structures import make_structure
 from gbid.identify import fit
 from gbid.lpv import load_model
-from gbid.prefilter import load_prefilter
+from gbid.prefilter import PrefilterFile
 from gbid.recording import Recording, load_recording
 
 
@@ -103,7 +104,8 @@ def test_recordings_are_those_of_the_yaml(made):
     assert raw.n_samples == 5000
     assert dict(raw.conditions) == {"pressure_bar": 5.0, "speed_rpm": 6000.0}
     assert set(np.unique(raw.signal("r"))) == {-4.5e-6, 4.5e-6}
-    runout_map, reports = load_prefilter(folder / "prefilter" / "p5_n6000.h5")
+    stored = load(folder / "prefilter" / "p5_n6000.h5", PrefilterFile)
+    runout_map, reports = stored.runout_map, stored.reports
     assert len(runout_map.orders) == 6
     assert [report.name for report in reports] == ["p5_n6000_prbs1", "p5_n6000_prbs2"]
     filtered = load_recording(folder / "prefiltered" / "p5_n6000_prbs1.h5")
@@ -489,7 +491,7 @@ def test_prefilter_without_a_map(tmp_path):
     run_stage(job, RIG)
     outcomes = run_stage(job, PREFILTER)
     assert {o.state for o in outcomes} == {"made"}
-    assert load_prefilter(tmp_path / "results/quick/prefilter/p5_n6000.h5")[0] is None
+    assert load(tmp_path / "results/quick/prefilter/p5_n6000.h5", PrefilterFile).runout_map is None
 
 
 def test_several_operating_points_have_their_own_maps_and_partners(tmp_path):

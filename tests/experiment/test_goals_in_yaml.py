@@ -12,8 +12,9 @@ from experiment_files import write_quick
 
 import gbid
 from gbid import control
-from gbid.control.assess import load_tuned
+from gbid.control.assess import TunedDesign
 from gbid.core.errors import UsageError
+from gbid.core.hdf5 import load
 from gbid.experiment.controllers import made_goal, no_disturbance, peak_cap
 from gbid.experiment.load import experiment_json_schema, load_experiment
 from gbid.experiment.schema import GOALS
@@ -122,7 +123,7 @@ def test_a_design_keeps_the_rms_that_a_recording_shows(tmp_path: Path) -> None:
     limit = 0.5 * float(control.recorded_disturbance(recording).rms.max())
     path = write_quick(tmp_path, ("LIMIT", repr(limit)), text=text)
     assert command("tune", path) == 0
-    design = load_tuned(tmp_path / "results/goals/controller/p.h5")
+    design = load(tmp_path / "results/goals/controller/p.h5", TunedDesign)
     figure = next(goal for goal in design.result.goals if goal.name == "rms of r")
     assert figure.excess == pytest.approx(0.0, abs=1e-5)
     # the rms from the spectrum and the response of an independent loop

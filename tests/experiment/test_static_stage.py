@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from experiment_files import STAIRS, gbid, write_quick
 
-from gbid.characterise import PiezoCurve, StaticMap, load_static
+from gbid.characterise import PiezoCurve, StaticMap
+from gbid.core.hdf5 import load
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
@@ -15,7 +16,7 @@ from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import STATIC
 from gbid.lpv import load_model
-from gbid.prefilter import load_prefilter
+from gbid.prefilter import PrefilterFile
 from gbid.recording import load_recording
 
 AUTO = """\
@@ -46,7 +47,7 @@ def test_static_writes_maps_and_tables(stairs, capsys):
     document = json.loads(capsys.readouterr().out)
     assert [entry["name"] for entry in document["static"]] == ["film", "stack4"]
     results = stairs.parent / "results" / "stairs" / "static"
-    made = load_static(results / "film.h5", StaticMap)
+    made = load(results / "film.h5", StaticMap)
     # the published model knows its static gain
     truth = load_model("theisen2016").at(6.0, 0.0).static_gain()
     interval = made.interval(0.999)
@@ -54,7 +55,7 @@ def test_static_writes_maps_and_tables(stairs, capsys):
     gains = document["static"][0]["gains"]
     assert [(g["input"], g["output"]) for g in gains[:2]] == [("u_x", "p_x"), ("u_y", "p_x")]
     assert gains[0]["gain"] == made.gain[0, 0]
-    curve = load_static(results / "stack4.h5", PiezoCurve)
+    curve = load(results / "stack4.h5", PiezoCurve)
     assert document["static"][1]["hysteresis"] == curve.hysteresis
     assert curve.hysteresis == pytest.approx(8.4e-6, rel=0.05)
     with (results / "film.csv").open() as handle:
@@ -110,7 +111,8 @@ def test_prefilter_auto_chooses_and_says_so(tmp_path):
     outcomes = run_stage(job, PREFILTER)
     assert {o.state for o in outcomes} == {"made"}
     assert "method auto: harmonics, 5; rms residual on test data 30" in outcomes[-1].text
-    runout_map, (report,) = load_prefilter(outcomes[-1].path)
+    stored = load(outcomes[-1].path, PrefilterFile)
+    runout_map, (report,) = stored.runout_map, stored.reports
     assert runout_map is not None
     assert len(runout_map.orders) == 5
     assert any("method auto: harmonics, 5" in note for note in report.notes)

@@ -10,9 +10,10 @@ from typer.testing import CliRunner
 import gbid
 from gbid.cli.main import app
 from gbid.control import HalfSine, compare_designs
-from gbid.control.assess import DesignFigures, TunedDesign, load_tuned, save_tuned
+from gbid.control.assess import DesignFigures, TunedDesign
 from gbid.core.errors import DataError
 from gbid.core.files import share_folder
+from gbid.core.hdf5 import load, save
 from gbid.experiment.controllers import controller_at, design_structure
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
@@ -123,7 +124,7 @@ def test_changed_settings_stop_and_replace(tuned, tmp_path):
     for file in (results / "controller").iterdir():
         (copied / file.name).write_bytes(file.read_bytes())
     assert call("tune", other, "--results", tmp_path / "out", "--overwrite").exit_code == 0
-    assert load_tuned(copied / "feedback.h5").result.peak_sensitivity <= 2.0 * (1 + 1e-6)
+    assert load(copied / "feedback.h5", TunedDesign).result.peak_sensitivity <= 2.0 * (1 + 1e-6)
 
 
 def test_limits_that_contradict_are_an_outcome_with_the_least_violating_design(tmp_path):
@@ -192,9 +193,9 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
     np.testing.assert_array_equal(own.at().D, [[k, 0], [0, k]])
     follows = gbid.load_controller(folder / "follows.yaml")
     np.testing.assert_allclose(follows.at(5, 0).C, follows.models[5.0, 0.0].C)
-    everywhere = load_tuned(folder / "everywhere.h5")
+    everywhere = load(folder / "everywhere.h5", TunedDesign)
     assert everywhere.sample_time == 1e-4
-    assert load_tuned(folder / "own.h5").impact.peak_n == 10.0
+    assert load(folder / "own.h5", TunedDesign).impact.peak_n == 10.0
     assert len(everywhere.result.points) >= 9
     # The text of a structure of one's own decides its design.
     (tmp_path / "own.py").write_text(OWN.replace("2.0)", "1.0)"))
@@ -203,18 +204,18 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
 
 def test_round_trip_of_a_design(tmp_path, tuned):
     path, _ = tuned
-    stored = load_tuned(path.parent / "results" / "designs" / "controller" / "feedback.h5")
-    save_tuned(stored, tmp_path / "again.h5")
-    again = load_tuned(tmp_path / "again.h5")
+    stored = load(path.parent / "results" / "designs" / "controller" / "feedback.h5", TunedDesign)
+    save(stored, tmp_path / "again.h5")
+    again = load(tmp_path / "again.h5", TunedDesign)
     assert again.result == stored.result
     assert again.front == stored.front
     assert len(stored.result.history) > 0
     bare = TunedDesign("bare", "m", stored.result, (), (), HalfSine(), 2e-4)
-    save_tuned(bare, tmp_path / "bare.h5")
-    assert load_tuned(tmp_path / "bare.h5").performance == ()
+    save(bare, tmp_path / "bare.h5")
+    assert load(tmp_path / "bare.h5", TunedDesign).performance == ()
     (tmp_path / "bad.h5").write_bytes((tmp_path / "again.h5").read_bytes()[:2000])
     with pytest.raises(DataError, match=r"bad\.h5"):
-        load_tuned(tmp_path / "bad.h5")
+        load(tmp_path / "bad.h5", TunedDesign)
 
 
 def test_worst_figures_are_those_of_the_assessment():
@@ -319,7 +320,7 @@ def test_design_on_the_surfaces_of_the_experiment_and_their_uncertainty(tmp_path
     assert (promise["probability"], promise["fresh"]) == (0.8, 40)
     shown = call("tune", path)
     assert "with probability 0.8: " in shown.stdout
-    picture = plot_robustness_price({"sure": load_tuned(sure["path"])})
+    picture = plot_robustness_price({"sure": load(sure["path"], TunedDesign)})
     assert next(line.get_label() for line in picture.lines) == "sure"
     bare = write_quick(tmp_path / "bare", (", actuators: theisen2016", ""), text=SURFACES)
     assert "add lpv: actuators" in call("check", bare).output

@@ -2,13 +2,18 @@
 
 import os
 import stat
+from importlib import import_module
+from pkgutil import walk_packages
 
 import h5py
 import numpy as np
 import pytest
+import stored_values
 
+import gbid
 from gbid.core import hdf5
 from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5.types import _TYPES
 
 THING = hdf5.FileKind("thing", "make it again")
 
@@ -79,18 +84,21 @@ def bad_files(folder):
         "head": content[:100],
     }.items():
         (folder / name).write_bytes(data)
-        yield folder / name, "not a readable HDF5 file"
+        is_hdf5 = name in ("half", "head")
+        yield folder / name, "the checksum at its end is missing" if is_hdf5 else "not a readable HDF5 file"
     for name, attributes in {
-        "foreign": {},
+        "foreign": {"gbid_kind": 1.0},
         "other": {"gbid_kind": "fit", "schema_version": 1},
         "list": {"gbid_kind": ["thing", "thing"], "schema_version": 1},
     }.items():
-        with h5py.File(folder / name, "w") as file:
+        write(folder / name)
+        with hdf5.changing(folder / name) as file:
             file.attrs.update(attributes)
         yield folder / name, "expected a gbid thing file"
     for name, version in {"newer": 99, "words": "one", "many": [1, 1], "without": None}.items():
-        with h5py.File(folder / name, "w") as file:
-            file.attrs["gbid_kind"] = "thing"
+        write(folder / name)
+        with hdf5.changing(folder / name) as file:
+            del file.attrs["schema_version"]
             if version is not None:
                 file.attrs["schema_version"] = version
         yield folder / name, "schema_version"
@@ -127,28 +135,32 @@ def test_missing_entries_are_named(tmp_path):
         assert words in str(caught.value)
 
 
-def test_a_file_without_checksum_is_copied_within_limits(tmp_path):
+def test_a_file_without_checksum_is_refused_before_the_library_sees_it(tmp_path):
+    """As gbid 0.1.0 and other programs write it."""
     path = tmp_path / "old.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs.update({"gbid_kind": "thing", "schema_version": 1})
+    words = r"old\.h5: the checksum at its end is missing: .* gbid 0\.1\.0.*; make it again, import it, or"
+    with pytest.raises(DataError, match=words), hdf5.reading(path, THING):
+        pass
 
-    def old(change):
-        with h5py.File(path, "w") as file:
-            file.attrs.update({"gbid_kind": "thing", "schema_version": 1})
-            file.create_dataset("texts", data=["a", "é"], dtype=h5py.string_dtype())
-            file.create_dataset("x", data=1.5).attrs["units"] = "m"
-            change(file)
-        with hdf5.reading(path, THING) as file:
-            return hdf5.read_dataset(file, "x"), list(hdf5.read_dataset(file, "texts", texts=True)), dict(file.attrs)
 
-    value, texts, attributes = old(lambda _: None)
-    assert (value, texts) == (1.5, ["a", "é"])
-    assert attributes == {"gbid_kind": "thing", "schema_version": 1}
-    for change, words in (
-        (
-            lambda file: file.create_dataset("y", (1 << 40,), "f8"),
-            "/y declares 8796093022208 bytes, more than",
-        ),
-        (lambda file: file.update(y=h5py.ExternalLink("/etc/passwd", "/")), "'y' is a link to elsewhere"),
-        (lambda file: file.create_dataset("y", (9,), "f8", external=[("other", 0, 72)]), "/y is in another file"),
-    ):
-        with pytest.raises(DataError, match=rf"old\.h5: .*{words}"):
-            old(change)
+def test_load_returns_the_type_that_the_file_names(tmp_path):
+    recording = stored_values.recording()
+    gbid.save(recording, tmp_path / "a.h5")
+    assert type(gbid.load(tmp_path / "a.h5")) is gbid.Recording
+    with pytest.raises(DataError, match="expected a gbid table file, found recording"):
+        gbid.load(tmp_path / "a.h5", gbid.FitTable)
+    write(tmp_path / "b.h5")
+    with pytest.raises(DataError, match=r"b\.h5: a thing file; `gbid\.load` reads fit, impact"):
+        gbid.load(tmp_path / "b.h5")
+
+
+def test_load_knows_each_type_with_a_file_of_its_own():
+    kinds = set()
+    for name in (module.name for module in walk_packages(gbid.__path__, "gbid.")):
+        for value in vars(import_module(name)).values():
+            if isinstance(value, type) and issubclass(value, hdf5.InFile) and value is not hdf5.InFile:
+                kinds.add((value.FILE.name, value))
+    known = {(name, getattr(import_module(module), made)) for name, (module, made) in _TYPES.items()}
+    assert kinds == known

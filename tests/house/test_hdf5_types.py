@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum, IntEnum
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import h5py
 import numpy as np
@@ -13,18 +13,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gbid.characterise import PiezoCurve, StaticMap, load_static, save_static
-from gbid.control import load_impacts, save_impacts
 from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.errors import DataError
-from gbid.core.hdf5 import NOT_STORED, Stored
+from gbid.core.hdf5 import NOT_STORED, Stored, load, save
 from gbid.core.hdf5 import types as by_type
-from gbid.identify import load_table, save_table
-from gbid.prefilter import load_prefilter, save_prefilter
-from gbid.recording import load_recording, save_recording
+from gbid.prefilter import PrefilterFile
 from gbid.structure import LinearModel
-from gbid.validate import load_validation_summary, save_validation_summary
 
 
 class Colour(Enum):
@@ -62,7 +57,7 @@ class Inner:
 
 
 @dataclass(frozen=True)
-class Everything:
+class Everything(hdf5.InFile):
     number: float
     measured: Annotated[float, Stored("s", "a number in a dataset")]
     count: int
@@ -99,9 +94,9 @@ class Everything:
     capped: Annotated[tuple[Named, ...], Stored(at="elsewhere")]
     model: LinearModel | None
     kept_out: Annotated[Any, NOT_STORED] = None
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("everything", "make it again")
 
 
-KIND = hdf5.FileKind("everything", "make it again")
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
 LINE = st.text(st.characters(codec="utf-8", exclude_characters="\0\n"), min_size=1, max_size=8)
 KEY = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=6)
@@ -197,8 +192,8 @@ slow = settings(max_examples=40, deadline=None, suppress_health_check=list(Healt
 @slow
 @given(value=everything())
 def test_anything_comes_back_as_it_was(value, tmp_path):
-    hdf5.save(value, tmp_path / "a.h5", KIND, overwrite=True, key="k")
-    assert_same(value, hdf5.load(tmp_path / "a.h5", KIND, Everything))
+    hdf5.save(value, tmp_path / "a.h5", overwrite=True, key="k")
+    assert_same(value, hdf5.load(tmp_path / "a.h5", Everything))
     with h5py.File(tmp_path / "a.h5") as file:
         assert file.attrs["key"] == "k"
         assert list(file["parameters"].attrs["names"]) == list(value.estimate)
@@ -215,22 +210,24 @@ def test_anything_comes_back_as_it_was(value, tmp_path):
 
 def test_what_does_not_fit_is_not_written(tmp_path):
     @dataclass(frozen=True)
-    class Pair:
+    class Pair(hdf5.InFile):
+        FILE = Everything.FILE
         x: Annotated[FloatArray, Stored("m", "x", "n")]
         y: Annotated[FloatArray, Stored("m", "y", "n")]
 
     with pytest.raises(ValueError, match=r"/y has shape \(3,\), expected \(2\)"):
-        hdf5.save(Pair(np.zeros(2), np.zeros(3)), tmp_path / "a.h5", KIND)
+        hdf5.save(Pair(np.zeros(2), np.zeros(3)), tmp_path / "a.h5")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_types_that_cannot_be_stored_are_named(tmp_path):
     @dataclass(frozen=True)
-    class Odd:
+    class Odd(hdf5.InFile):
+        FILE = Everything.FILE
         what: object
 
     with pytest.raises(TypeError, match=r"Odd\.what: .*object.* cannot be stored"):
-        hdf5.save(Odd(1), tmp_path / "a.h5", KIND)
+        hdf5.save(Odd(1), tmp_path / "a.h5")
 
 
 # ---- files that were tampered with ----
@@ -257,28 +254,15 @@ def sample():
     )
 
 
-def save_maps(path):
-    save_prefilter(path, stored_values.runout_map(), [stored_values.report()])
-
-
-STORES = {
-    "everything": (lambda path: hdf5.save(sample(), path, KIND), lambda path: hdf5.load(path, KIND, Everything)),
-    "recording": (lambda path: save_recording(stored_values.recording(), path), load_recording),
-    "static_map": (
-        lambda path: save_static(stored_values.static_map(), path),
-        lambda path: load_static(path, StaticMap),
-    ),
-    "piezo_curve": (
-        lambda path: save_static(stored_values.piezo_curve(), path),
-        lambda path: load_static(path, PiezoCurve),
-    ),
-    "prefilter": (save_maps, load_prefilter),
-    "impact": (lambda path: save_impacts(stored_values.impact_study(), path), load_impacts),
-    "summary": (
-        lambda path: save_validation_summary(stored_values.validation_summary(), path),
-        load_validation_summary,
-    ),
-    "table": (lambda path: save_table(stored_values.fit_table(), path), load_table),
+VALUES = {
+    "everything": sample,
+    "recording": stored_values.recording,
+    "static_map": stored_values.static_map,
+    "piezo_curve": stored_values.piezo_curve,
+    "prefilter": lambda: PrefilterFile(stored_values.runout_map(), (stored_values.report(),)),
+    "impact": stored_values.impact_study,
+    "summary": stored_values.validation_summary,
+    "table": stored_values.fit_table,
 }
 # Written for other programs only, or of fields that may be absent.
 UNREAD = {
@@ -339,12 +323,11 @@ def tamper(file, where, name, is_attribute, how):
     return True
 
 
-@pytest.mark.parametrize("store", STORES)
+@pytest.mark.parametrize("store", VALUES)
 def test_a_file_that_was_tampered_with_is_refused_in_one_line(store, tmp_path):
-    save, load = STORES[store]
-    path = tmp_path / "a.h5"
-    save(path)
-    load(path)
+    value, path = VALUES[store](), tmp_path / "a.h5"
+    save(value, path)
+    assert type(load(path, type(value))) is type(value)
     whole = path.read_bytes()
     tried = 0
     for where, name, is_attribute in places(path):
@@ -356,7 +339,7 @@ def test_a_file_that_was_tampered_with_is_refused_in_one_line(store, tmp_path):
                 if not tamper(file, where, name, is_attribute, how):
                     continue
             with pytest.raises(DataError) as caught:  # noqa: PT012
-                load(path)
+                load(path, type(value))
                 pytest.fail(f"{store}: {how} {where} {name} passed unseen")
             text = str(caught.value)
             assert text.startswith(f"{path}: "), (how, where, name)
@@ -365,11 +348,10 @@ def test_a_file_that_was_tampered_with_is_refused_in_one_line(store, tmp_path):
     assert tried > 20
 
 
-@pytest.mark.parametrize("store", STORES)
+@pytest.mark.parametrize("store", VALUES)
 def test_every_flipped_bit_is_noticed_before_the_library_reads(store, tmp_path):
-    save, load = STORES[store]
-    path = tmp_path / "a.h5"
-    save(path)
+    value, path = VALUES[store](), tmp_path / "a.h5"
+    save(value, path)
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
     for place in rng.integers(0, len(whole), 100):
@@ -377,23 +359,22 @@ def test_every_flipped_bit_is_noticed_before_the_library_reads(store, tmp_path):
         changed[place] ^= 1 << rng.integers(8)
         path.write_bytes(changed)
         with pytest.raises(DataError, match=r"changed by another program|checksum at its end is missing"):
-            load(path)
+            load(path, type(value))
 
 
-@pytest.mark.parametrize("store", STORES)
+@pytest.mark.parametrize("store", VALUES)
 def test_truncated_and_foreign_changes_are_noticed(store, tmp_path):
-    save, load = STORES[store]
-    path = tmp_path / "a.h5"
-    save(path)
+    value, path = VALUES[store](), tmp_path / "a.h5"
+    save(value, path)
     whole = path.read_bytes()
     path.write_bytes(whole[:-1])
     with pytest.raises(DataError, match="the checksum at its end is missing"):
-        load(path)
+        load(path, type(value))
     path.write_bytes(whole)
     with h5py.File(path, "r+") as file:
         file.attrs["mine"] = 1.0
     with pytest.raises(DataError, match="changed by another program"):
-        load(path)
+        load(path, type(value))
 
 
 @given(st.lists(st.lists(st.text(st.sampled_from("ab\\n\n \"'"), min_size=1), min_size=1), min_size=1))

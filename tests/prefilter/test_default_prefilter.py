@@ -9,7 +9,8 @@ from study_rig import machine_at, truth_at
 import gbid
 from gbid.core import hdf5
 from gbid.core.errors import DataError
-from gbid.prefilter import PrefilterReport, identify_runout, load_prefilter, prefilter, save_prefilter
+from gbid.core.hdf5 import load, save
+from gbid.prefilter import PrefilterFile, PrefilterReport, identify_runout, prefilter
 from gbid.prefilter.runout import shaft_motion
 from gbid.report.read import prefilter_rows
 from gbid.rig import Faults, Prbs, Stationary, record
@@ -75,11 +76,11 @@ def test_places_are_stored_and_shown(runout, tmp_path):
     report = prefilter(rig(3, spikes_per_s=40.0), runout)[1]
     assert max(report.spikes) > 10
     path = tmp_path / "prefilter.h5"
-    save_prefilter(path, runout, [report, replace(report, spike_samples=())])
-    _, (loaded, old) = load_prefilter(path)
+    save(PrefilterFile(runout, (report, replace(report, spike_samples=()))), path)
+    loaded, old = load(path, PrefilterFile).reports
     for field in fields(PrefilterReport):
         np.testing.assert_equal(getattr(loaded, field.name), getattr(report, field.name))
-    assert (old.spikes, old.spike_samples) == (report.spikes, ())  # as gbid 0.1.0 stored it
+    assert (old.spikes, old.spike_samples) == (report.spikes, ())  # spikes were not sought
     for i, row in enumerate(prefilter_rows([loaded])):
         assert (row["spikes"], row["first_spikes"]) == (report.spikes[i], list(report.spike_samples[i][:10]))
     assert [row["first_spikes"] for row in prefilter_rows([old])] == [[], []]
@@ -87,7 +88,7 @@ def test_places_are_stored_and_shown(runout, tmp_path):
         del file["reports/0000/spike_samples"]
         file["reports/0000/spike_samples"] = [1, 2]
     with pytest.raises(DataError, match=r"spike_samples has shape \(2,\), expected"):
-        load_prefilter(path)
+        load(path, PrefilterFile)
 
 
 @pytest.mark.slow

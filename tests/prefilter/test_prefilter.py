@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from rig_point import actuator, rotor_bearing
 
 from gbid.core.errors import DataError, UsageError
-from gbid.core.hdf5 import FileKind, writing
-from gbid.prefilter import identify_runout, load_prefilter, prefilter, running_median, save_prefilter
+from gbid.core.hdf5 import FileKind, load, save, writing
+from gbid.prefilter import PrefilterFile, identify_runout, prefilter, running_median
 from gbid.recording import Recording
 from gbid.rig import Machine, Prbs, SensorChain, Stationary, Unbalance, record
 
@@ -227,8 +227,9 @@ def test_map_and_reports_survive_the_file(tmp_path, method):
     assert made.method == method
     reports = [prefilter(rig_recording(Prbs(0.5), name, point), made)[1] for name in ("a", "b")]
     path = tmp_path / "prefilter.h5"
-    save_prefilter(path, made, reports)
-    loaded, loaded_reports = load_prefilter(path)
+    save(PrefilterFile(made, reports), path)
+    stored = load(path, PrefilterFile)
+    loaded, loaded_reports = stored.runout_map, stored.reports
     for one, other in [(made, loaded), *zip(reports, loaded_reports, strict=True)]:
         assert one is not None
         for field in fields(one):
@@ -236,9 +237,9 @@ def test_map_and_reports_survive_the_file(tmp_path, method):
     phi = np.linspace(-7, 7, 50)
     np.testing.assert_array_equal(loaded.evaluate(phi), made.evaluate(phi))
     with pytest.raises(UsageError, match="exists already"):
-        save_prefilter(path, made)
-    save_prefilter(path, None, overwrite=True)
-    assert load_prefilter(path) == (None, ())
+        save(PrefilterFile(made), path)
+    save(PrefilterFile(), path, overwrite=True)
+    assert (load(path).runout_map, load(path).reports) == (None, ())
 
 
 def test_wrong_or_incomplete_files_are_named(tmp_path):
@@ -246,11 +247,11 @@ def test_wrong_or_incomplete_files_are_named(tmp_path):
     with writing(path, FileKind("recording", "")):
         pass
     with pytest.raises(DataError, match=r"x\.h5: expected a gbid prefilter file"):
-        load_prefilter(path)
+        load(path, PrefilterFile)
     with writing(path, FileKind("prefilter", ""), overwrite=True) as file:
         file.create_group("runout_map")
     with pytest.raises(DataError, match=r"x\.h5: incomplete|x\.h5: .*runout_map"):
-        load_prefilter(path)
+        load(path, PrefilterFile)
 
 
 # ---- bad input ----

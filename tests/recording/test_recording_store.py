@@ -131,7 +131,7 @@ def test_a_failure_while_writing_keeps_the_old_file(rec, tmp_path, monkeypatch):
     def fail(*args, **kwargs):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gbid.recording.store._write_signals", fail)
+    monkeypatch.setattr("gbid.core.hdf5.add_texts", fail)
     for path in (old, new):
         with pytest.raises(DataError, match="No space left"):
             save_recording(rec.slice(0, 120), path, overwrite=True)

@@ -9,8 +9,9 @@ from scipy.io import loadmat
 
 import gbid
 from gbid.core.errors import UsageError
+from gbid.core.hdf5 import load, save
 from gbid.core.units import SIGNALS
-from gbid.prefilter import load_prefilter, prefilter, save_prefilter
+from gbid.prefilter import PrefilterFile, prefilter
 from gbid.recording import Recording, import_recording, load_recording, save_recording
 from gbid.report.measured_pictures import plot_response
 from gbid.report.read import prefilter_rows, prefilter_table
@@ -80,8 +81,8 @@ def test_what_is_shown_has_the_units_of_the_recording(tmp_path):
 def test_the_prefilter_reports_in_the_unit_of_the_position(tmp_path):
     for units, shown in (({"p": "V"}, "V"), ({"p": "m"}, "µm"), ({}, "")):
         _, report = prefilter(drive(units, channels=2))
-        save_prefilter(tmp_path / "a.h5", None, [report], overwrite=True)
-        (loaded,) = load_prefilter(tmp_path / "a.h5")[1]
+        save(PrefilterFile(None, (report,)), tmp_path / "a.h5", overwrite=True)
+        (loaded,) = load(tmp_path / "a.h5", PrefilterFile).reports
         assert dict(loaded.units) == {"u": "", "p": units.get("p", "")}
         table = prefilter_table(prefilter_rows([loaded]))
         assert [column.unit for column in table.columns[2:4]] == [shown, shown]

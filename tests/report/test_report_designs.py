@@ -15,8 +15,9 @@ from figure_cases import BlankPictures
 import gbid
 from gbid import report
 from gbid.control import GainStatus
-from gbid.control.assess import load_tuned
+from gbid.control.assess import TunedDesign
 from gbid.core.errors import DataError
+from gbid.core.hdf5 import load
 from gbid.core.tables import value_of
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
@@ -89,7 +90,7 @@ def test_only_designs_on_the_same_terms_are_compared(results) -> None:
 def test_table_of_designs_has_what_the_tuning_stored(made, results) -> None:
     table = TABLES["designs"](results)
     assert tuple(column.heading for column in table.columns) == ("figure", "feedback", "held", "published")
-    stored = load_tuned(made.parent / "results" / "designs" / "controller" / "feedback.h5")
+    stored = load(made.parent / "results" / "designs" / "controller" / "feedback.h5", TunedDesign)
     rows = {row[0]: [value_of(cell) for cell in row[1:]] for row in table.rows}
     assert rows["smallest damping"][0] == pytest.approx(stored.performance[0].worst["damping"][0], abs=5e-4)
     assert rows["stack [um]"][2] == pytest.approx(1e6 * stored.performance[1].worst["stack_travel_m"][0], abs=5e-3)

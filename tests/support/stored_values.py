@@ -1,4 +1,4 @@
-"""One small value of each kind of HDF5 file; tests/data/gbid_0_1_0.zip holds the same, written by gbid 0.1.0."""
+"""One small value of each kind of HDF5 file."""
 
 import numpy as np
 

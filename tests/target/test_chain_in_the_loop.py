@@ -11,7 +11,8 @@ import pytest
 from chain_cases import BIQUAD, design
 
 import gbid
-from gbid.control import load_impacts
+from gbid.control import ImpactStudy
+from gbid.core.hdf5 import load
 from gbid.experiment.controllers import planned_impacts
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
@@ -83,7 +84,7 @@ def run(folder: Path, **words: object) -> list[tuple[float, float, float, float]
         app(["impact", str(path)], prog_name="gbid")
     assert not ended.value.code
     (stored,) = (folder / "results" / "loop" / "impacts").glob("*.h5")
-    study = load_impacts(stored)
+    study = load(stored, ImpactStudy)
     return [(*m, *e) for m, e in zip(study.ringdown.modes(), study.expected_sampled, strict=True)]
 
 

@@ -8,6 +8,7 @@ from fit_cases import MODE, MODE_AT, levels, simulated
 from rig_point import machine
 
 from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5 import load, save
 from gbid.core.tables import write_csv
 from gbid.identify import fit, select
 from gbid.recording import Recording
@@ -15,12 +16,11 @@ from gbid.rig import Prbs, record
 from gbid.structure import PiezoPair, Plant, RotorBearing
 from gbid.validate import (
     ValidationScores,
+    ValidationSummary,
     check_residuals,
     cross_validate,
     cross_validate_many,
     fit_percent,
-    load_validation_summary,
-    save_validation_summary,
     summarise,
 )
 from gbid.validate.central import summary_csv_table
@@ -234,8 +234,8 @@ def test_equal_fits_and_single_pairs():
 
 def test_summary_comes_back_as_it_was(tmp_path):
     found = summarise(some_scores(), failed=["m1 on r2: not there"])
-    save_validation_summary(found, tmp_path / "a.h5")
-    back = load_validation_summary(tmp_path / "a.h5")
+    save(found, tmp_path / "a.h5")
+    back = load(tmp_path / "a.h5", ValidationSummary)
     for name in ("mean", "std", "edges", "counts", "below", "infinity_norm_max", "median"):
         np.testing.assert_array_equal(getattr(back, name), getattr(found, name))
     assert back.worst == found.worst
@@ -245,7 +245,7 @@ def test_summary_comes_back_as_it_was(tmp_path):
         assert (one.pressure_bar, one.speed_rpm, one.n_pairs) == (other.pressure_bar, other.speed_rpm, other.n_pairs)
         np.testing.assert_array_equal(one.mean, other.mean)
     with pytest.raises(UsageError, match="exists already"):
-        save_validation_summary(found, tmp_path / "a.h5")
+        save(found, tmp_path / "a.h5")
     write_csv(summary_csv_table(found), tmp_path / "a.csv")
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert lines[1] == "pressure_bar,speed_rpm,output,pairs,mean,std,infinity_norm,unit"

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
-import h5py
 import numpy as np
 
 from gbid.control.impact.half_sine import force_response
 from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
 from gbid.control.impact.ringdown import (
     RingDown,
-    RingDownStatus,
     covariance_of_sum,
     fit_ringdown,
     harmonics_for,
@@ -423,7 +420,7 @@ def ringing_modes(
 
 
 @dataclass(frozen=True, eq=False)
-class ImpactStudy(Brief):
+class ImpactStudy(Brief, hdf5.InFile):
     """Expected and measured modes, and measured and simulated responses.
 
     Attributes
@@ -456,6 +453,7 @@ class ImpactStudy(Brief):
     ringdown: RingDown
     validations: Annotated[tuple[ImpactValidation, ...], Stored(at="responses")]
     figures: tuple[ImpactFigures, ...] = ()
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("impact", "make it again with `gbid impact`", 3)
 
 
 def study_impacts(
@@ -506,83 +504,7 @@ def study_impacts(
     )
 
 
-# ---- Impact studies in HDF5 (kind ``impact``), and their rows for CSV.
-
-
-def _from_schema_1(file: h5py.File) -> None:
-    """Convert tables to columns with names, and the names of gbid 0.1, in which impacts were called blows."""
-    _spread(file, "figures", ImpactFigures)
-    ringdown = file["ringdown"].attrs
-    if "n_blows" in ringdown:
-        ringdown["n_impacts"] = ringdown["n_blows"]
-    if ringdown["status"].startswith(RingDownStatus.NOT_CONVERGED):  # the reason followed in words
-        ringdown["status"] = RingDownStatus.NOT_CONVERGED.value
-    responses = file.require_group("responses")
-    responses.attrs["count"] = len(responses)
-    for group in responses.values():
-        if "blows" in group:
-            group.move("blows", "impacts")
-        _spread(group, "impacts", MeasuredImpact, whole=("start", "stop", "pulses"))
-
-
-def _spread(group: h5py.Group, name: str, row: type, whole: tuple[str, ...] = ()) -> None:
-    """Replace a table by a group of its columns, whose names are the fields of a dataclass."""
-    columns = hdf5.read_dataset(group, name).T
-    del group[name]
-    for field, column in zip(fields(row), columns, strict=True):
-        numbers = column.astype(int) if field.name in whole else column
-        hdf5.add_dataset(group, f"{name}/{field.name}", numbers, "", field.name)
-
-
-def _from_schema_2(file: h5py.File) -> None:
-    """Add the further oscillations of a ring-down, of which there were none."""
-    hdf5.add_dataset(file["ringdown"], "oscillations", np.zeros((0, 2)), "Hz, 1", "decays that oscillate")
-
-
-KIND = hdf5.FileKind("impact", "make it again with `gbid impact`", (_from_schema_1, _from_schema_2))
-
-
-def save_impacts(study: ImpactStudy, path: str | Path, overwrite: bool = False) -> None:
-    """Write an impact study to an HDF5 file.
-
-    Parameters
-    ----------
-    study : ImpactStudy
-        The study.
-    path : path
-        The file.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    UsageError
-        When the file exists and `overwrite` is not set.
-    DataError
-        When the file cannot be written.
-    """
-    hdf5.save(study, path, KIND, overwrite)
-
-
-def load_impacts(path: str | Path) -> ImpactStudy:
-    """Return the impact study in an HDF5 file of `save_impacts`.
-
-    Parameters
-    ----------
-    path : str or path
-        The file.
-
-    Returns
-    -------
-    ImpactStudy
-        The study.
-
-    Raises
-    ------
-    DataError
-        When the file is missing, unreadable, incomplete or of another kind.
-    """
-    return hdf5.load(path, KIND, ImpactStudy)
+# ---- Rows of impact studies for CSV.
 
 
 def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:

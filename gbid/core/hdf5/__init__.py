@@ -15,12 +15,13 @@ from gbid.core.hdf5.file import (
     reading,
     writing,
 )
-from gbid.core.hdf5.types import NOT_STORED, Stored, load, read_fields, save, write_fields
+from gbid.core.hdf5.types import NOT_STORED, InFile, Stored, load, read_fields, save, write_fields
 
 __all__ = [
     "NOT_STORED",
     "DamagedError",
     "FileKind",
+    "InFile",
     "Stored",
     "add_dataset",
     "add_texts",

@@ -1,9 +1,9 @@
-"""HDF5 files of gbid: written in full or not at all, and checked when they are opened."""
+"""HDF5 files of gbid: their entries, atomic writing, checked reading."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid._version import __version__
-from gbid.core.apart import read_apart
 from gbid.core.errors import DataError, GbidError
 from gbid.core.files import atomic_path, has_valid_checksum, library_errors, with_checksum
 from gbid.core.names import given_path
@@ -152,91 +151,10 @@ def where(group: h5py.Group, name: str) -> str:
     return f"{group.name.rstrip('/')}/{name}"
 
 
-# ---- Copy of an HDF5 file that has no checksum, made in another process: the library may fail on damaged bytes.
-#
-# Files of gbid 0.1 have no checksum. What the other process could read in full is written to a new file in memory. This
-# one is sound, so that it can be opened here.
-
-_BYTES = 1 << 28  # most bytes of values in a small file
-_BYTES_PER_BYTE = 4  # more in a larger one: the values may be compressed
-
-
-@contextlib.contextmanager
-def copied(path: Path, can_change: bool = False) -> Iterator[h5py.File]:
-    """Return a context with the copy of a file, in memory.
-
-    Raises
-    ------
-    DataError
-        When the file cannot be read, or declares more values than it can contain.
-    OSError
-        When it is no HDF5 file.
-    """
-    image = read_apart(image_of, path)
-    flags = h5py.h5f.FILE_IMAGE_OPEN_RW if can_change else 0
-    with h5py.File(h5py.h5f.open_file_image(image, flags)) as file:
-        yield file
-
-
-def image_of(path: Path) -> bytes:
-    """Return the bytes of a new HDF5 file with the groups, datasets and attributes of a file."""
-    with (
-        h5py.File(path, "r") as source,
-        h5py.File("copy", "w", driver="core", backing_store=False) as target,
-    ):
-        room = _BYTES + _BYTES_PER_BYTE * path.stat().st_size
-        HDF5Copier(path, room).copy(source, target)
-        target.flush()
-        image: bytes = target.id.get_file_image()
-    return image
-
-
-class HDF5Copier:
-    """Copier of groups.
-
-    Parameters
-    ----------
-    path : path
-        The file, for messages.
-    room : int
-        Most bytes of values.
-    """
-
-    def __init__(self, path: Path, room: int) -> None:
-        self._path, self._room = path, room
-
-    def copy(self, source: h5py.Group, target: h5py.Group) -> None:
-        """Copy what is in a group to another."""
-        _copy_attributes(source, target)
-        for name in source:
-            if not isinstance(source.get(name, getlink=True), h5py.HardLink):
-                raise DataError(f"{self._path}: {name!r} is a link to elsewhere, which gbid does not write")
-            found = source[name]
-            if isinstance(found, h5py.Group):
-                self.copy(found, target.create_group(name))
-            elif isinstance(found, h5py.Dataset):
-                _copy_attributes(found, target.create_dataset(name, data=self._values(found), dtype=found.dtype))
-
-    def _values(self, dataset: h5py.Dataset) -> Any:
-        if dataset.external or dataset.is_virtual:
-            raise DataError(f"{self._path}: {dataset.name} is in another file, which gbid does not write")
-        self._room -= dataset.nbytes
-        if self._room < 0:
-            raise DataError(
-                f"{self._path}: damaged: {dataset.name} declares {dataset.nbytes} bytes, more than the file can contain"
-            )
-        values = dataset[()]
-        if np.asarray(values).dtype.hasobject:
-            self._room -= sum(len(text) for text in np.asarray(values).flat)
-        return values
-
-
-def _copy_attributes(source: h5py.HLObject, target: h5py.HLObject) -> None:
-    for name in source.attrs:
-        target.attrs.create(name, source.attrs[name], dtype=source.attrs.get_id(name).dtype)
-
+# ---- Files: written in full or not at all, checked before the HDF5 library sees them.
 
 _CHECKSUM = "checksum"  # attribute of the root: such a file ends with its checksum
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
@@ -249,19 +167,16 @@ class FileKind:
         Attribute ``gbid_kind`` of the root: ``"recording"``, ``"fit"`` and so on.
     remedy : str
         Advice for a file that cannot be read, as part of the error message.
-    upgrades : tuple of callable or None
-        Conversions of older files, in memory: the first from schema 1 to schema 2, and so on; None where such files are
-        refused. The present schema is the one after the last.
+    schema_version : int
+        Version of the schema that is written; files of other versions are refused.
     """
 
     name: str
     remedy: str
-    upgrades: tuple[Callable[[h5py.File], None] | None, ...] = ()
+    schema_version: int = 1
 
-    @property
-    def schema_version(self) -> int:
-        """Version of the schema that is written."""
-        return len(self.upgrades) + 1
+
+_ANY = FileKind("result", "make it again")
 
 
 @contextlib.contextmanager
@@ -272,7 +187,7 @@ def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterat
     ----------
     path : path
         The file.
-    kind : Kind
+    kind : FileKind
         Kind of the file; it is checked at reading.
     overwrite : bool
         Whether an existing file may be replaced.
@@ -309,7 +224,7 @@ def _through_memory(path: Path, mode: str) -> Iterator[h5py.File]:
 
     On a full disk the HDF5 library cannot close its own file, and crashes the process at its end.
     """
-    with _in_memory(path, mode) as file:
+    with h5py.File(path, mode, driver="core", backing_store=False) as file:
         yield file
         file.attrs[_CHECKSUM] = "sha256, the last line of the file"
         file.flush()
@@ -317,36 +232,24 @@ def _through_memory(path: Path, mode: str) -> Iterator[h5py.File]:
     path.write_bytes(with_checksum(image))
 
 
-def _in_memory(path: Path, mode: str) -> h5py.File:
-    return h5py.File(path, mode, driver="core", backing_store=False)
-
-
 @contextlib.contextmanager
-def reading(path: str | Path, kind: FileKind) -> Iterator[h5py.File]:
-    """Return a context with an HDF5 file of a kind, opened for reading; older schemas are converted in memory.
+def reading(path: str | Path, kind: FileKind = _ANY) -> Iterator[h5py.File]:
+    """Return a context with an HDF5 file of a kind, opened for reading; by default of any kind.
 
     Raises
     ------
     DataError
-        When the file is missing, not HDF5, truncated, of another kind or a newer schema. When its checksum is not that
-        of its bytes; files of gbid 0.1 have none. Also when an entry that the context reads is missing, of the wrong
-        type or shape, or contradicts another.
+        When the file is missing, not HDF5, truncated, of another kind or another schema. When its checksum is missing,
+        or is not that of its bytes. Also when an entry that the context reads is missing, of the wrong type or shape,
+        or contradicts another.
     """
     path = given_path(path)
     try:
         if not path.is_file():
             raise DataError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
         with opened(path) as file:
-            version = _checked_version(file, path, kind)
-            if version == kind.schema_version:
-                yield file
-                return
-        with opened(path, can_change=True) as file:
-            for upgrade in kind.upgrades[version - 1 :]:
-                if upgrade is None:
-                    words = f"written by an older gbid (schema_version {version}); remove it and"
-                    raise DataError(f"{path}: {words} {kind.remedy}")
-                upgrade(file)
+            if kind is not _ANY:
+                _check_kind(file, path, kind)
             yield file
     except DamagedError as error:
         raise DataError(f"{path}: {error}; {kind.remedy}") from None
@@ -368,38 +271,36 @@ def reading(path: str | Path, kind: FileKind) -> Iterator[h5py.File]:
 
 
 @contextlib.contextmanager
-def opened(path: Path, can_change: bool = False) -> Iterator[h5py.File]:
-    """Return a context with an HDF5 file of gbid: the file itself if its checksum is right, else a copy in memory.
-
-    Changes, where they are allowed, stay in memory.
+def opened(path: Path) -> Iterator[h5py.File]:
+    """Return a context with an HDF5 file of gbid for reading; its checksum is verified before.
 
     Raises
     ------
     DataError
-        When the checksum is wrong or missing. When a file that should have none cannot be copied.
+        When the checksum is wrong or missing.
     OSError
         When the file is not HDF5.
     """
-    if has_valid_checksum(path):
-        with _in_memory(path, "r+") if can_change else h5py.File(path, "r") as file:
-            yield file
-        return
-    with copied(path, can_change) as file:
-        if _CHECKSUM in file.attrs:
-            words = "the checksum at its end is missing: it is truncated, or was changed by another program"
-            raise DataError(f"{path}: {words}; take a copy of it from a backup, or make it again")
+    if not has_valid_checksum(path):
+        with path.open("rb") as start:
+            if start.read(len(_SIGNATURE)) != _SIGNATURE:
+                raise OSError("it does not begin as HDF5 does")
+        raise DataError(
+            f"{path}: the checksum at its end is missing: it is truncated, changed by another program, of another "
+            "program, or of gbid 0.1.0; make it again, import it, or take a copy of it from a backup"
+        )
+    with h5py.File(path, "r") as file:
         yield file
 
 
-def _checked_version(file: h5py.File, path: Path, kind: FileKind) -> int:
-    found = file.attrs.get("gbid_kind")
-    if not isinstance(found, str) or found != kind.name:
-        other = found if isinstance(found, str) else "an HDF5 file of another program"
+def _check_kind(file: h5py.File, path: Path, kind: FileKind) -> None:
+    name = file.attrs.get("gbid_kind")
+    if not isinstance(name, str) or name != kind.name:
+        other = name if isinstance(name, str) else "an HDF5 file of another program"
         raise DataError(f"{path}: expected a gbid {kind.name} file, found {other}")
     version = file.attrs.get("schema_version", "missing")
-    if not isinstance(version, np.integer) or not 1 <= version <= kind.schema_version:
+    if not isinstance(version, np.integer) or version != kind.schema_version:
         raise DataError(
-            f"{path}: schema_version {version}; this gbid reads up to {kind.schema_version}, "
-            "so read the file with the gbid that wrote it"
+            f"{path}: schema_version {version}, this gbid reads {kind.schema_version}; {kind.remedy}, or read the file "
+            "with the gbid that wrote it"
         )
-    return int(version)

@@ -1,4 +1,4 @@
-"""Codec of a field of numbers or texts, stored as an attribute or a dataset."""
+"""Dataclasses in HDF5 files: each field is stored by its type; values with a file of their own are saved and loaded."""
 
 from __future__ import annotations
 
@@ -8,9 +8,24 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from functools import cache
+from importlib import import_module
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar, Union, get_args, get_origin, get_type_hints
+from types import MappingProxyType, NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    Protocol,
+    Self,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
 
 import h5py
 import numpy as np
@@ -27,6 +42,7 @@ from gbid.core.hdf5.file import (
     read_attribute,
     read_dataset,
     read_group,
+    read_text,
     read_texts,
     reading,
     where,
@@ -596,8 +612,57 @@ def read_fields(group: h5py.Group, made: type[T], **given: Any) -> T:
     return found
 
 
-def save(value: Any, path: str | Path, kind: FileKind, overwrite: bool = False, **attributes: Any) -> None:
-    """Write a dataclass to a file of its own, with further attributes of the root.
+# ---- Values with a file of their own.
+
+
+class InFile:
+    """Base of the dataclasses that `save` writes to a file of their own, and `load` reads.
+
+    Their fields are stored by their types. A value that is stored in another way overrides both methods.
+    """
+
+    FILE: ClassVar[FileKind]
+
+    def to_hdf5(self, group: h5py.Group) -> None:
+        """Write this value to the empty `group`."""
+        write_fields(group, self)
+
+    @classmethod
+    def from_hdf5(cls, group: h5py.Group) -> Self:
+        """Return the value in a `group` of `to_hdf5`."""
+        return read_fields(group, cls)
+
+
+_TYPES = MappingProxyType(
+    {
+        "fit": ("gbid.identify", "FitResult"),
+        "impact": ("gbid.control", "ImpactStudy"),
+        "piezo_curve": ("gbid.characterise", "PiezoCurve"),
+        "prefilter": ("gbid.prefilter", "PrefilterFile"),
+        "recording": ("gbid.recording", "Recording"),
+        "static_map": ("gbid.characterise", "StaticMap"),
+        "table": ("gbid.identify", "FitTable"),
+        "tuning": ("gbid.control.assess", "TunedDesign"),
+        "validation_summary": ("gbid.validate", "ValidationSummary"),
+    }
+)
+"""Type of the value in a kind of file. It lies above this package, and is imported when such a file is loaded."""
+F = TypeVar("F", bound=InFile)
+
+
+def save(value: InFile, path: str | Path, overwrite: bool = False, **attributes: Any) -> None:
+    """Write a value to an HDF5 file, which appears under its name only when it is complete.
+
+    Parameters
+    ----------
+    value : Recording, FitResult, FitTable or another value with a file of its own
+        The value.
+    path : path
+        The file; missing folders are made.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    **attributes
+        Further attributes of the root.
 
     Raises
     ------
@@ -606,18 +671,41 @@ def save(value: Any, path: str | Path, kind: FileKind, overwrite: bool = False, 
     DataError
         When the file cannot be written.
     """
-    with writing(path, kind, overwrite) as file:
-        write_fields(file, value)
+    with writing(path, value.FILE, overwrite) as file:
+        value.to_hdf5(file)
         file.attrs.update(attributes)
 
 
-def load(path: str | Path, kind: FileKind, made: type[T]) -> T:
-    """Return the dataclass in a file of `save`.
+@overload
+def load(path: str | Path, kind: type[F]) -> F: ...
+@overload
+def load(path: str | Path, kind: None = None) -> Any: ...
+def load(path: str | Path, kind: type[InFile] | None = None) -> Any:
+    """Return the value in an HDF5 file of `save`.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    kind : type, optional
+        Type that the value must have, e.g. ``gbid.FitResult``; by default the type that the file names.
+
+    Returns
+    -------
+    Recording, FitResult, FitTable or another value with a file of its own
+        The value, bit for bit.
 
     Raises
     ------
     DataError
-        When the file is missing, damaged, incomplete or of another kind.
+        When the file is missing, damaged, incomplete, of another kind or of another version of gbid.
     """
-    with reading(path, kind) as file:
-        return read_fields(file, made)
+    if kind is None:
+        with reading(path) as file:
+            name = read_text(file, "gbid_kind")
+        if name not in _TYPES:
+            raise DataError(f"{path}: a {name} file; `gbid.load` reads {', '.join(_TYPES)}")
+        module, made = _TYPES[name]
+        kind = getattr(import_module(module), made)
+    with reading(path, kind.FILE) as file:
+        return kind.from_hdf5(file)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gbid.core.errors import DataError
+from gbid.core.hdf5 import load, save
 from gbid.core.tables import Table, Value, plain_table, write_csv
 from gbid.experiment.experiment import SPECIAL, Experiment, figure_pairs, validation_pairs
 from gbid.experiment.fields import Found, content_key, nearest, stored_key
@@ -43,8 +44,6 @@ from gbid.validate import (
     ValidationSummary,
     check_residuals,
     cross_validate,
-    load_validation_summary,
-    save_validation_summary,
     summarise,
 )
 from gbid.validate.central import summary_csv_table
@@ -489,7 +488,7 @@ def read_summary(job: Job, name: str) -> ValidationSummary | None:
     path = job.path(FOLDER, f"{name}{SUMMARY}")
     if not path.is_file():
         return None
-    summary = load_validation_summary(path)
+    summary = load(path, ValidationSummary)
     return summary if stored_key(path) == _summary_key(summary.failed, stored_key(_path(job, name))) else None
 
 
@@ -566,7 +565,7 @@ def _summary(job: Job, item: str) -> tuple[ValidationSummary, str]:
 
 
 def _write_summary(job: Job, item: str, part: Path) -> None:
-    save_validation_summary(_summary(job, item)[0], part, overwrite=True)
+    save(_summary(job, item)[0], part, overwrite=True)
 
 
 def _write_summary_csv(job: Job, item: str, part: Path) -> None:

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from gbid.control.assess import TunedDesign, load_tuned
-from gbid.control.impact.study import ImpactStudy, load_impacts, save_impacts, study_impacts
+from gbid.control.assess import TunedDesign
+from gbid.control.impact.study import ImpactStudy, study_impacts
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import GbidError, UsageError
+from gbid.core.hdf5 import load, save
 from gbid.core.tables import Table, plain_table, write_csv
 from gbid.core.units import SIGNALS
 from gbid.experiment.controllers import (
@@ -579,7 +580,7 @@ def study_path(job: Job, name: str) -> Path:
 
 def load_studies(job: Job, number: int) -> list[ImpactStudy]:
     """Return the impact studies of a round, in the order of the operating points."""
-    return [load_impacts(study_path(job, name)) for name in _groups(job, number)]
+    return [load(study_path(job, name), ImpactStudy) for name in _groups(job, number)]
 
 
 def _groups(job: Job, number: int) -> dict[str, list[RoundRecording]]:
@@ -609,7 +610,7 @@ def _write_study(job: Job, name: str, part: Path) -> Made:
         lags=section.lags,
         loop=f"round {number}",
     )
-    save_impacts(study, part, overwrite=True)
+    save(study, part, overwrite=True)
     return made_study(study)
 
 
@@ -708,7 +709,7 @@ def _write_table(job: Job, item: str, part: Path) -> None:
     rows = []
     for number in _rounds(job):
         fit = load_lpv_fit(surfaces_file(job, number))
-        design = load_tuned(controller_file(job, number).with_suffix(".h5"))
+        design = load(controller_file(job, number).with_suffix(".h5"), TunedDesign)
         rows += rows_of_round(number, fit, design, load_studies(job, number))
     write_csv(cycle_table(rows), part, [f"content_key: {_table_key(job)}"])
 

@@ -32,7 +32,6 @@ from gbid.experiment.structures import (
 )
 from gbid.identify import FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
 from gbid.identify.problem.states import initial_states
-from gbid.identify.result import KIND
 from gbid.recording import ProblemKind, Recording
 from gbid.structure import Anatomy, AnyStructure, Parameter, anatomy
 from gbid.validate.residuals import shaft_lines
@@ -352,7 +351,7 @@ def read_fit_summary(path: Path) -> Made:
     DataError
         When the file is damaged.
     """
-    with reading(path, KIND) as file:
+    with reading(path, FitResult.FILE) as file:
         percent = read_dataset(file, "fit_percent")
         return Made(str(read_attribute(file, "status")), bool(read_attribute(file, "success")), _smallest(percent))
 

@@ -7,8 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gbid.control.impact.study import ImpactStudy, load_impacts, mode_rows, response_rows, save_impacts, study_impacts
+from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows, study_impacts
 from gbid.core.errors import GbidError
+from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
 from gbid.experiment.controllers import (
     LOOPS,
@@ -181,7 +182,7 @@ def loops_without_controller(experiment: Experiment) -> dict[str, str]:
 
 def made_impacts(outcomes: Sequence[Outcome]) -> dict[str, ImpactStudy]:
     """Return the existing studies by name."""
-    return {o.item: load_impacts(o.path) for o in outcomes if o.stage == "ringdown" and o.state != "failed"}
+    return {o.item: load(o.path, ImpactStudy) for o in outcomes if o.stage == "ringdown" and o.state != "failed"}
 
 
 def recording_key(experiment: Experiment, impact: ImpactRecording) -> str:
@@ -253,7 +254,7 @@ def _write_study(job: Job, name: str, part: Path) -> Made:
         lags=section.lags,
         loop=group[0].loop,
     )
-    save_impacts(study, part, overwrite=True)
+    save(study, part, overwrite=True)
     return made_study(study)
 
 
@@ -273,7 +274,7 @@ def made_study(study: ImpactStudy) -> Made:
 
 def read_made_study(path: Path) -> Made:
     """Return the summary of an existing study."""
-    return made_study(load_impacts(path))
+    return made_study(load(path, ImpactStudy))
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -294,7 +295,7 @@ def _csv_key(job: Job, names: list[str]) -> str:
 
 def _write_csv(job: Job, item: str, part: Path) -> None:
     word, *names = item.split(",")
-    studies = [load_impacts(job.path(FOLDER, name)) for name in names]
+    studies = [load(job.path(FOLDER, name), ImpactStudy) for name in names]
     rows = [row for study in studies for row in (mode_rows(study) if word == "impacts" else response_rows(study))]
     write_csv(table_of_records(rows), part, [f"content_key: {_csv_key(job, names)}"])
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gbid.core.errors import DataError
+from gbid.core.hdf5 import save
 from gbid.experiment.controllers import answered, loop_stills
 from gbid.experiment.experiment import NO_POINT, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, content_key, stored_key
@@ -16,13 +17,13 @@ from gbid.experiment.recordings import driving_channels, load_made, recording_ke
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, load_checked
 from gbid.experiment.schema import PrefilterSection
 from gbid.prefilter import (
+    PrefilterFile,
     PrefilterReport,
     RunoutMap,
     align_index,
     compare_runout,
     identify_runout,
     prefilter,
-    save_prefilter,
 )
 from gbid.prefilter.identify_runout import leftover_words, refuse_lost_index
 from gbid.prefilter.prefilter import read_report, save_prefiltered
@@ -197,7 +198,7 @@ def _write_map(job: Job, item: str, part: Path) -> Made:
         if path.is_file() and stored_key(path) == prefiltered_key(job.experiment, planned):
             reports.append(read_report(path))
     runout_map, _ = _stated_maps(job, excited[0])
-    save_prefilter(part, runout_map, reports, overwrite=True)
+    save(PrefilterFile(runout_map, tuple(reports)), part, overwrite=True)
     return Made("; ".join(runout_map.notes) if runout_map else "")
 
 

@@ -11,10 +11,9 @@ from gbid.characterise import (
     StaticMap,
     characterise_piezo,
     characterise_staircase,
-    load_static,
-    save_static,
     static_rows,
 )
+from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, Location, content_key, nearest
@@ -87,8 +86,8 @@ def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
     """
     path = job.path(FOLDER, name)
     if job.experiment.spec.static[name].kind == "piezo":
-        return load_static(path, PiezoCurve)
-    return load_static(path, StaticMap)
+        return load(path, PiezoCurve)
+    return load(path, StaticMap)
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -119,7 +118,7 @@ def _write(job: Job, name: str, part: Path) -> Made:
         result = characterise_piezo(data[0], **options)
     else:
         result = characterise_staircase(data, **options)
-    save_static(result, part, overwrite=True)
+    save(result, part, overwrite=True)
     return Made("; ".join(result.notes))
 
 

@@ -20,10 +20,11 @@ from gbid.control import (
     save_controller,
     tune,
 )
-from gbid.control.assess import CappedDesign, DesignFigures, RobustPromise, TunedDesign, load_tuned, save_tuned
+from gbid.control.assess import CappedDesign, DesignFigures, RobustPromise, TunedDesign
 from gbid.control.tuning.goals import DesignContext, limits_of
 from gbid.core.errors import GbidError
 from gbid.core.files import scratch_folder
+from gbid.core.hdf5 import load, save
 from gbid.experiment.controllers import (
     SHORT_FORM,
     TUNED,
@@ -234,7 +235,7 @@ def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
         try:
             key = _design_key(job, section, surfaces)
             if stored_key(path) == key:
-                found[name] = load_tuned(path)
+                found[name] = load(path, TunedDesign)
             else:
                 made = "made with other settings or data" if path.is_file() else "not made yet"
                 missing[name] = f"{made}; `gbid tune` makes it"
@@ -245,7 +246,7 @@ def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
 
 def made_designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
     """Return the existing designs by name."""
-    return {o.item: load_tuned(o.path) for o in outcomes if o.stage == "tune" and o.state != "failed"}
+    return {o.item: load(o.path, TunedDesign) for o in outcomes if o.stage == "tune" and o.state != "failed"}
 
 
 def _surface_keys(job: Job) -> dict[str, str]:
@@ -312,7 +313,7 @@ def write_design(job: Job, name: str, part: Path) -> Made:
 
 def save_design(design: TunedDesign, part: Path) -> Made:
     """Write a design and return its summary."""
-    save_tuned(design, part, overwrite=True)
+    save(design, part, overwrite=True)
     return _made(design)
 
 
@@ -424,7 +425,7 @@ def _made(design: TunedDesign) -> Made:
 
 def read_design_summary(path: Path) -> Made:
     """Return the summary of an existing design."""
-    return _made(load_tuned(path))
+    return _made(load(path, TunedDesign))
 
 
 def _write_controller(job: Job, name: str, part: Path) -> None:
@@ -434,7 +435,7 @@ def _write_controller(job: Job, name: str, part: Path) -> None:
 
 def write_controller_of(job: Job, name: str, path: Path, model: LPVModel, part: Path) -> None:
     """Write the controller file of the design `name` that is stored at a path, made for a model."""
-    section, design = controller_section(job.experiment, name), load_tuned(path)
+    section, design = controller_section(job.experiment, name), load(path, TunedDesign)
     structure = design_structure(job.experiment, section, model.domain)
     result = design.result
     provenance: dict[str, str | float] = {

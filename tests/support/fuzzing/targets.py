@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import tempfile
 import warnings
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -26,22 +25,20 @@ from fuzzing.byte_mutations import mutate_bytes
 from fuzzing.hdf5_mutations import mutate_hdf5
 from fuzzing.text_mutations import mutate_text, mutate_tree
 from fuzzing.zip_mutations import mutate_npz
-from gbid.characterise import PiezoCurve, StaticMap, load_static, save_static
-from gbid.control import HalfSine, load_impacts, save_impacts
-from gbid.control.assess import TunedDesign, load_tuned, save_tuned
+from gbid.control import HalfSine
+from gbid.control.assess import TunedDesign
 from gbid.core.errors import ChangedFileWarning
 from gbid.core.files import is_changed, share_folder, with_checksum, with_text_checksum
+from gbid.core.hdf5 import load, save
 from gbid.core.tables import csv_text, plain_table
 from gbid.core.yaml_file import write_yaml
 from gbid.experiment.load import load_experiment
-from gbid.identify.table import save_table
 from gbid.lpv import load_model, save_model
-from gbid.prefilter import load_prefilter, save_prefilter
+from gbid.prefilter import PrefilterFile
 from gbid.recording.importing import list_channels
-from gbid.validate import load_actuators, load_validation_summary
-from gbid.validate.central import ACTUATORS_KIND, save_validation_summary
+from gbid.validate import load_actuators
+from gbid.validate.central import ACTUATORS_KIND
 
-OLD = Path(__file__).parents[2] / "data" / "gbid_0_1_0.zip"
 _MAPPING = {"sample_time": 1e-3, "signals": {"y": {"columns": ["a", "b"], "unit": "m"}}}
 
 
@@ -49,7 +46,6 @@ class FileOrigin(Enum):
     """Who wrote a file: it decides what a changed value means."""
 
     OWN = "gbid"  # has a checksum: a change must be noticed
-    OLDER = "gbid 0.1"  # has none
     CRAFTED = "gbid, entries changed and checksum made anew"
     FOREIGN = "other programs"
 
@@ -85,7 +81,7 @@ class FuzzTarget(NamedTuple):
 
 def fuzz_targets() -> list[FuzzTarget]:
     """Return all kinds of files."""
-    return [*_texts(), *_own_hdf5(), *_older_hdf5(), *_foreign()]
+    return [*_texts(), *_own_hdf5(), *_foreign()]
 
 
 def flat(value: Any) -> Any:
@@ -132,49 +128,36 @@ def _texts() -> list[FuzzTarget]:
 
 
 def _own_hdf5() -> list[FuzzTarget]:
-    values = (
-        ("recording", stored_values.recording(), gbid.save_recording, gbid.load_recording),
-        ("static map", stored_values.static_map(), save_static, lambda path: load_static(path, StaticMap)),
-        ("piezo curve", stored_values.piezo_curve(), save_static, lambda path: load_static(path, PiezoCurve)),
-        ("prefilter", stored_values.runout_map(), _save_prefilter, load_prefilter),
-        ("impacts", stored_values.impact_study(), save_impacts, load_impacts),
-        ("validation", stored_values.validation_summary(), save_validation_summary, load_validation_summary),
-        ("table of fits", stored_values.fit_table(), save_table, gbid.load_table),
-        ("surfaces", stored_values.lpv_fit(), gbid.save_lpv_fit, gbid.load_lpv_fit),
-        ("fit", _fit(), gbid.save_fit, gbid.load_fit),
-        ("tuned design", _design(), save_tuned, load_tuned),
-    )
+    values = {
+        "recording": stored_values.recording(),
+        "static map": stored_values.static_map(),
+        "piezo curve": stored_values.piezo_curve(),
+        "prefilter": PrefilterFile(stored_values.runout_map(), (stored_values.report(),)),
+        "impacts": stored_values.impact_study(),
+        "validation": stored_values.validation_summary(),
+        "table of fits": stored_values.fit_table(),
+        "surfaces": stored_values.lpv_fit(),
+        "fit": gbid.fit(MODE, simulated(MODE, MODE_AT, levels(300), noise=0.3)),
+        "tuned design": _design(),
+    }
     targets = []
-    for name, value, save, load in values:
+    for name, value in values.items():
+        surfaces = name == "surfaces"
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "a.h5"
-            save(value, path if name != "surfaces" else path.with_suffix(".yaml"))
+            if surfaces:
+                gbid.save_lpv_fit(value, path.with_suffix(".yaml"))
+            else:
+                save(value, path)
             content = path.read_bytes()
             beside = {p.suffix: p.read_bytes() for p in Path(folder).iterdir() if p != path}
-        read, share = _plainly(load), 4 if beside else 40  # a file beside it takes its time
+        read = _plainly(gbid.load_lpv_fit if surfaces else load)
+        share = 4 if beside else 40  # a file beside it takes its time
         targets += [
             FuzzTarget(name, ".h5", FileOrigin.OWN, content, read, mutate_bytes, share, beside),
             FuzzTarget(f"{name}, entries", ".h5", FileOrigin.CRAFTED, content, read, _seal_mutated, share // 4, beside),
         ]
     return targets
-
-
-def _older_hdf5() -> list[FuzzTarget]:
-    loads = {
-        "recording": gbid.load_recording,
-        "static_map": lambda path: load_static(path, StaticMap),
-        "prefilter": load_prefilter,
-        "impact": load_impacts,
-        "validation_summary": load_validation_summary,
-        "table": gbid.load_table,
-    }
-    with zipfile.ZipFile(OLD) as archive:
-        return [
-            FuzzTarget(
-                f"{name} of 0.1", ".h5", FileOrigin.OLDER, archive.read(f"{name}.h5"), _plainly(load), mutate_bytes, 2
-            )
-            for name, load in loads.items()
-        ]
 
 
 def _foreign() -> list[FuzzTarget]:
@@ -243,14 +226,6 @@ def _read_experiment(path: Path) -> Any:
 
 def _import(path: Path) -> tuple[Any, tuple[str, ...]]:
     return gbid.import_recording(path, _MAPPING), ()
-
-
-def _save_prefilter(runout_map: Any, path: Path) -> None:
-    save_prefilter(path, runout_map, (stored_values.report(),))
-
-
-def _fit() -> Any:
-    return gbid.fit(MODE, simulated(MODE, MODE_AT, levels(100), noise=0.3))
 
 
 def _design() -> TunedDesign:
