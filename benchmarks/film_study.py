@@ -127,7 +127,7 @@ def stiffening(fits: Sequence[gbid.FitResult], points: Sequence[tuple[float, flo
     )
     return {
         "true": true,
-        "surface": float(surface.model.parameters_at(*points[0])["stiffening"]),
+        "surface": float(surface.model.key_parameters(*points[0])["stiffening"]),
         "surface_std": float(np.sqrt(surface.covariance[0, 0])),
         "at_points": [[*point, float(np.mean(values)), len(values)] for point, values in sorted(found.items())],
     }

@@ -11,7 +11,7 @@ import numpy as np
 from gbid.core.hdf5 import load
 from gbid.core.tables import Table
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.machine import rig_model, true_model, true_values
+from gbid.experiment.machine import rig_machine, true_model, true_values
 from gbid.experiment.run import Document, Job, Outcome, Stage, View, outcomes_view
 from gbid.experiment.stages.crossval import SUMMARY, CrossvalRow, crossval_rows
 from gbid.experiment.stages.cycle import made_rows
@@ -162,7 +162,7 @@ def impact_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, An
     loops = (
         ("open", "closed") if section.controller == "paper" else ("open",)
     )  # the paper's loop has the paper's controller
-    published = [modes for modes in rig_model(job.experiment).reference_modes if modes.loop in loops]
+    published = [modes for modes in rig_machine(job.experiment).reference_modes if modes.loop in loops]
     return [impact_document(name, study, paths[name], published) for name, study in made_impacts(outcomes).items()]
 
 

@@ -274,7 +274,7 @@ def assess(
     computation_s: float | None = None,
     method: Method = "tustin",
     impact: HalfSine | None = None,
-    piezo_travel_m: float | None = None,
+    piezo_travel_m: float = 45e-6,
 ) -> Assessment:
     """Return the performance figures of a design over operating points.
 
@@ -299,8 +299,8 @@ def assess(
         Method by which the controller is discretised.
     impact : HalfSine, optional
         Reference impact, along x and along y; by default that of `HalfSine`.
-    piezo_travel_m : float, optional
-        Whole travel of one stack [m]; by default that in the model, or 45 um when the model does not give it.
+    piezo_travel_m : float
+        Whole travel of one stack [m].
 
     Returns
     -------
@@ -318,8 +318,6 @@ def assess(
         raise UsageError(f"assess: no operating points; give points=[(pressure_bar, speed_rpm), ...] for {lpv.name!r}")
     impact = impact or HalfSine()
     computation = sample_time if computation_s is None else computation_s
-    if piezo_travel_m is None:
-        piezo_travel_m = lpv.rig["piezo_travel"].to("m") if "piezo_travel" in lpv.rig else 45e-6
     conditions = sample_time, computation, method, impact, piezo_travel_m
     results = tuple(assess_point(lpv, structure, gains, (float(bar), float(rpm)), *conditions) for bar, rpm in chosen)
     return Assessment(

@@ -33,7 +33,7 @@ from gbid.core.hdf5 import load
 from gbid.core.units import SIGNALS
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import content_key, file_digest, nearest, stored_key
-from gbid.experiment.machine import rig_model
+from gbid.experiment.machine import rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection
 from gbid.experiment.run import InputError
 from gbid.experiment.schema import (
@@ -48,7 +48,7 @@ from gbid.experiment.schema import (
 )
 from gbid.export.chain import ChainOptions, chain_of
 from gbid.export.chain_c import CompiledChain
-from gbid.lpv import Domain, LPVModel, ProportionalDesign, load_model
+from gbid.lpv import Domain, LPVModel, ProportionalDesign, PublishedMachine, load_machine, load_model
 from gbid.prefilter import identify_runout
 from gbid.recording import Recording
 from gbid.rig import Hammer, Impact, Machine, ProgramController, SampledController, Stationary, record
@@ -194,14 +194,16 @@ def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
         When the model is missing, has no actuators, or is not named in an experiment without rig.
     """
     word = model_word(experiment, section)
-    if word is None:
-        if experiment.spec.rig is None:
-            raise UsageError("needs a model; name one, or add a section lpv")
-        model = rig_model(experiment)
-    else:
-        path = Path(word)
-        model = load_model(experiment.folder / path if path.suffix in (".yaml", ".yml") else word)
-    return with_actuators(model)
+    if word is not None:
+        return with_actuators(_machine_of(experiment, word).model)
+    if experiment.spec.rig is None:
+        raise UsageError("needs a model; name one, or add a section lpv")
+    return with_actuators(rig_model(experiment))
+
+
+def _machine_of(experiment: Experiment, word: str) -> PublishedMachine:
+    """Return the machine that a design names: one of gbid, or a file relative to the experiment."""
+    return load_machine(experiment.folder / word if Path(word).suffix in (".yaml", ".yml") else word)
 
 
 def with_actuators(model: LPVModel) -> LPVModel:
@@ -301,7 +303,7 @@ def assess_options(experiment: Experiment, section: ControllerSection) -> dict[s
         "sample_time": sample_time(experiment, section),
         "method": section.method,
         "impact": impact(section),
-        "piezo_travel_m": travel,
+        **({} if travel is None else {"piezo_travel_m": travel}),
     }
 
 
@@ -311,11 +313,19 @@ def sample_time(experiment: Experiment, section: ControllerSection) -> float:
     return section.sample_time_s or (rig.sample_time_s if rig is not None else _SAMPLE_TIME_S)
 
 
-def published_design(experiment: Experiment, model: LPVModel) -> ProportionalDesign | None:
-    """Return the published controller of the model or of the rig; None when there is none."""
-    if model.controller is not None or experiment.spec.rig is None:
-        return model.controller
-    return rig_model(experiment).controller
+def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> PublishedMachine | None:
+    """Return the machine that a design names if it comes with a controller, else that of the rig; None without rig."""
+    word = None if section is None or surfaces_item(experiment, section) else model_word(experiment, section)
+    named = None if word is None else _machine_of(experiment, word)
+    if experiment.spec.rig is None or (named is not None and named.controller is not None):
+        return named
+    return rig_machine(experiment)
+
+
+def published_design(experiment: Experiment, section: ControllerSection | None = None) -> ProportionalDesign | None:
+    """Return the controller of `published_machine`; None when there is none."""
+    machine = published_machine(experiment, section)
+    return None if machine is None else machine.controller
 
 
 def published_structure(came: ProportionalDesign) -> Structure:
@@ -492,7 +502,7 @@ def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "close
     assert rig is not None
     word = {"closed": section.controller, **section.beside}[loop]
     if word == "paper":
-        design = rig_model(experiment).controller
+        design = rig_machine(experiment).controller
         if design is None:
             raise UsageError(f"model {rig_model(experiment).name!r} comes with no controller; name a controller file")
         continuous = p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
@@ -737,7 +747,7 @@ def controller_identity(experiment: Experiment, section: ControllerChoice) -> di
     if word is None:
         settings["text"] = structure_text(experiment, _as_design(section)).decode(errors="replace")
     elif word == "paper":
-        settings["design"] = repr(rig_model(experiment).controller)
+        settings["design"] = repr(rig_machine(experiment).controller)
     elif is_tuned(word):
         settings["design"] = early_key(experiment, tuned_design(experiment, word))
     else:
@@ -819,7 +829,7 @@ def early_key(experiment: Experiment, name: str) -> str:
     check_early(experiment, name)
     section = experiment.spec.controller[name]
     model = named_model(experiment, section)
-    return design_key(experiment, section, published_design(experiment, model), model)
+    return design_key(experiment, section, published_design(experiment, section), model)
 
 
 def at_point(design: ControllerDesign, conditions: dict[str, float]) -> tuple[float | None, float | None]:
@@ -879,7 +889,7 @@ def _of_python(experiment: Experiment, word: str) -> FoundController:
 def _published(experiment: Experiment) -> ControllerDesign:
     if experiment.spec.rig is None:
         raise UsageError("controller: paper is that of the model of the rig, and there is no section rig; name a file")
-    design = rig_model(experiment).controller
+    design = rig_machine(experiment).controller
     if design is None:
         raise UsageError(f"model {rig_model(experiment).name!r} comes with no controller; name a controller file")
     continuous = p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)

@@ -16,7 +16,7 @@ from gbid.core.units import SIGNALS
 from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.rig_schema import ActuatorSection, FaultSection, RigSection, SensorSection
-from gbid.lpv import LPVModel, load_model
+from gbid.lpv import LPVModel, PublishedMachine, load_machine
 from gbid.rig import (
     Course,
     Faults,
@@ -60,8 +60,8 @@ from gbid.structure.built_in import STIFFENING
 
 
 @lru_cache(maxsize=4)
-def rig_model(experiment: Experiment) -> LPVModel:
-    """Return the model of the rig: by name, or from a YAML file relative to the experiment or the models folder.
+def rig_machine(experiment: Experiment) -> PublishedMachine:
+    """Return the machine of the rig: by name, or from a YAML file relative to the experiment or the models folder.
 
     Raises
     ------
@@ -71,8 +71,13 @@ def rig_model(experiment: Experiment) -> LPVModel:
     assert experiment.spec.rig is not None
     name = experiment.spec.rig.model
     if Path(name).suffix in (".yaml", ".yml"):
-        return load_model(experiment.folder_of(name) / name)
-    return load_model(name)
+        return load_machine(experiment.folder_of(name) / name)
+    return load_machine(name)
+
+
+def rig_model(experiment: Experiment) -> LPVModel:
+    """Return the LPV model of `rig_machine`."""
+    return rig_machine(experiment).model
 
 
 def true_parameters(model: LPVModel, planned: PlannedRecording) -> dict[str, float]:

@@ -59,6 +59,8 @@ def save_mat(
     path = given_path(path)
     if path.suffix != ".mat":
         raise UsageError(f"{path}: a MATLAB data file ends in .mat")
+    if isinstance(what, LPVModel):
+        what.need_bearing()
     contents = lpv_contents(what) if isinstance(what, LPVModel) else linear_contents(what, units)
     with atomic_path(path, overwrite) as part, part.open("wb") as handle:
         savemat(handle, contents, oned_as="column", long_field_names=True)

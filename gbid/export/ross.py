@@ -120,6 +120,7 @@ def bearing_element(
         raise UsageError(f"bearing element: mass_kg = {mass_kg}; give the modal mass, a positive number of kilograms")
     ross = ross_package("a bearing element of ROSS")
     if isinstance(what, LPVModel):
+        what.need_bearing()
         if pressure_bar is None:
             raise UsageError(f"bearing element of model {what.name!r}: give pressure_bar")
         speeds = np.linspace(*what.domain.speed_rpm, _N_SPEEDS) if speed_rpm is None else np.atleast_1d(speed_rpm)

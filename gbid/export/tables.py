@@ -67,6 +67,7 @@ def save_csv(
             )
         table = _responses(what.linear_model if isinstance(what, FitResult) else what, np.atleast_1d(frequency_hz))
     elif isinstance(what, LPVModel):
+        what.need_bearing()
         table = _coefficients(what)
     elif isinstance(what, FitResult):
         table = _parameters(what)

@@ -2,28 +2,32 @@
 
 from gbid.lpv.direct import fit_lpv_direct
 from gbid.lpv.estimates import Estimates, Outlier
-from gbid.lpv.fit import LPVFit, ScheduledFit, fit_lpv, load_lpv_fit, lpv_of, save_lpv_fit
+from gbid.lpv.fit import LPVFit, fit_lpv, load_lpv_fit, lpv_of, save_lpv_fit
 from gbid.lpv.model import (
     ACTUATOR_PARAMETERS,
     CHARACTERISTICS,
     EXPONENTS,
     TERMS,
-    Correction,
     Deviation,
     Domain,
     LPVModel,
-    PiezoController,
-    PiezoControllers,
-    ProportionalDesign,
-    Quantity,
-    ReferenceModes,
-    ScheduledModel,
     basis,
     characteristics,
     polynomial,
     regressors,
 )
-from gbid.lpv.model_file import load_model, save_model
+from gbid.lpv.model_file import (
+    Correction,
+    PiezoController,
+    PiezoControllers,
+    ProportionalDesign,
+    PublishedMachine,
+    Quantity,
+    ReferenceModes,
+    load_machine,
+    load_model,
+    save_model,
+)
 from gbid.lpv.regression import OrderScore
 
 __all__ = [
@@ -42,15 +46,15 @@ __all__ = [
     "PiezoController",
     "PiezoControllers",
     "ProportionalDesign",
+    "PublishedMachine",
     "Quantity",
     "ReferenceModes",
-    "ScheduledFit",
-    "ScheduledModel",
     "basis",
     "characteristics",
     "fit_lpv",
     "fit_lpv_direct",
     "load_lpv_fit",
+    "load_machine",
     "load_model",
     "lpv_of",
     "polynomial",

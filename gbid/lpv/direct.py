@@ -38,15 +38,14 @@ from gbid.identify.uncertainty.covariance import RecordInformation, profiled, re
 from gbid.lpv.estimates import (
     Estimates,
     Orthonormal,
-    distinct_points,
     orthonormal,
     outliers,
     standardised,
     with_scatter,
 )
-from gbid.lpv.fit import LPVFit, of_all_terms, rectangle, with_coefficients
+from gbid.lpv.fit import LPVFit, with_coefficients
 from gbid.lpv.model import ACTUATOR_PARAMETERS, EXPONENTS, LPVModel
-from gbid.lpv.regression import in_own_units, kron_designs, lack_of_fit
+from gbid.lpv.regression import in_terms, in_units_of_terms, kron_designs, lack_of_fit
 from gbid.recording import Recording
 from gbid.structure import (
     KEY_PARAMETERS,
@@ -115,12 +114,15 @@ class Setting:
         own = tuple(Parameter(f"off_{i + 1}", 0.0) for i in range(lift.shape[1]))
         return Ties(self.names, self.shared, self.X, own, lift)
 
+    @property
+    def back(self) -> FloatArray:
+        """Matrix from coefficients of the orthogonal terms to those of the six terms in bar and rpm, (6, m)."""
+        return in_terms(self.design.back, self.exponents)
+
     def coefficients(self, shared: FloatArray) -> FloatArray:
         """Return the coefficients of the six terms in bar and rpm, (14, 6), from the shared unknowns."""
         k, m = len(KEY_PARAMETERS), len(self.exponents)
-        found = np.zeros((k, len(EXPONENTS)))
-        found[:, [EXPONENTS.index(e) for e in self.exponents]] = shared[: k * m].reshape(k, m) @ self.design.back.T
-        return found
+        return np.asarray(shared[: k * m].reshape(k, m) @ self.back.T)
 
 
 def set_up(
@@ -711,38 +713,39 @@ def _result(
     setting: Setting,
     names: tuple[str, ...],
     solved: DirectSolution,
-    found: CoefficientUncertainty,
+    uncertain: CoefficientUncertainty,
     *,
     scatter: bool,
 ) -> LPVFit:
     """Return the fit with coefficients in terms of bar and rpm."""
     model = start.model if isinstance(start, LPVFit) else start
     k, m = len(KEY_PARAMETERS), len(KEY_PARAMETERS) * len(setting.exponents)
-    shared, covariance = (found.refined, found.refined_covariance) if scatter else (solved.shared, found.covariance)
+    shared, covariance = (
+        (uncertain.refined, uncertain.refined_covariance) if scatter else (solved.shared, uncertain.covariance)
+    )
     others = dict(zip(setting.names[k:], shared[m:].tolist(), strict=True))
     known = {**model.actuators, **others, **setting.held}
-    actuators = {key: known[key] for key in ACTUATOR_PARAMETERS if key in known}
-    estimates = Estimates(names, setting.points, found.own[:, :k], found.own_covariance[:, :k, :k])
+    estimates = Estimates(names, setting.points, uncertain.own[:, :k], uncertain.own_covariance[:, :k, :k])
     residuals = estimates.values - (setting.X @ shared)[:, :k]
-    S = found.scatter[:k, :k]
+    S = uncertain.scatter[:k, :k]
     return LPVFit(
-        replace(
-            with_coefficients(model, setting.coefficients(shared)),
-            domain=rectangle(setting.points),
-            operating_points=tuple((float(p), float(w)) for p, w in distinct_points(setting.points)),
-            actuators=actuators,
+        with_coefficients(
+            model,
+            KEY_PARAMETERS,
+            setting.coefficients(shared),
+            domain=estimates.domain,
+            operating_points=estimates.operating_points,
+            actuators={key: known[key] for key in ACTUATOR_PARAMETERS if key in known},
         ),
-        of_all_terms(in_own_units(covariance[:m, :m], setting.design.back), setting.exponents),
+        in_units_of_terms(covariance[:m, :m], setting.back),
         S,
         estimates,
         outliers(names, residuals, standardised(residuals, estimates.covariance + S)),
         orders=start.orders if isinstance(start, LPVFit) else (),
-        lack_of_fit=lack_of_fit(setting.points, found.own[:, :k], setting.exponents),
+        lack_of_fit=lack_of_fit(setting.points, estimates.values, setting.exponents),
     )
 
 
 def _padded(scatter: FloatArray, n: int) -> FloatArray:
     """Return the scatter of the key parameters, padded with zeros for the actuators."""
-    found = np.zeros((n, n))
-    found[: len(scatter), : len(scatter)] = scatter
-    return found
+    return np.pad(scatter, (0, n - len(scatter)))

@@ -15,7 +15,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.identify.result import FitResult
 from gbid.identify.table import FitTable
-from gbid.lpv.model import SCHEDULING as SCHEDULING_BASIS
+from gbid.lpv.model import Domain
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.scheduled import SCHEDULING, Exponents, exponents_of, monomials, term_name
 
@@ -24,7 +24,7 @@ from gbid.structure.scheduled import SCHEDULING, Exponents, exponents_of, monomi
 Order = int | Literal["auto"] | Sequence[str]
 HIGHEST_ORDER = 3  # highest order that is compared; the model of a gas bearing has the six terms of Eq. 16 only
 _PLURAL = dict(zip(SCHEDULING, ("pressures", "speeds"), strict=True))
-_DARK = 1e-9  # terms are not determined when a singular value is below this share of the largest
+_UNDETERMINED = 1e-9  # terms are not determined when a singular value is below this share of the largest
 
 
 class Orthonormal(NamedTuple):
@@ -87,8 +87,8 @@ def chosen_exponents(order: int | Sequence[str], scheduling: Sequence[str] = SCH
         When there is no such order or term.
     """
     highest = 2 if tuple(scheduling) == SCHEDULING else HIGHEST_ORDER
-    there = exponents_of(highest, len(scheduling))
-    names = [term_name(e, scheduling) for e in there]
+    possible = exponents_of(highest, len(scheduling))
+    names = [term_name(e, scheduling) for e in possible]
     orders = ", ".join(map(str, range(highest + 1)))
     if isinstance(order, int):
         if isinstance(order, bool) or not 0 <= order <= highest:
@@ -99,7 +99,7 @@ def chosen_exponents(order: int | Sequence[str], scheduling: Sequence[str] = SCH
     if unknown or not chosen or len(set(chosen)) < len(chosen):
         problem = f"{unknown[0]!r} is not a term" if unknown else "give each term once, and at least one"
         raise UsageError(f"order = {order!r}: {problem}; there are {', '.join(names)}, or {orders}, 'auto'")
-    return tuple(there[names.index(name)] for name in sorted(chosen, key=names.index))
+    return tuple(possible[names.index(name)] for name in sorted(chosen, key=names.index))
 
 
 def orthonormal(points: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING) -> Orthonormal:
@@ -153,10 +153,10 @@ def _undetermined(points: FloatArray, exponents: Exponents, scheduling: Sequence
     if empty:
         return f"operating points: some terms are zero at all of them: {', '.join(empty)}"
     _, s, vectors = np.linalg.svd(raw / size)
-    dark = vectors[s < _DARK * s[0]]
-    if not len(dark):
+    undetermined = vectors[s < _UNDETERMINED * s[0]]
+    if not len(undetermined):
         return ""
-    involved = np.abs(dark).max(axis=0)
+    involved = np.abs(undetermined).max(axis=0)
     together = ", ".join(name for name, v in zip(names, involved, strict=True) if v > 1e-3)
     levels = "; ".join(
         f"{len(np.unique(distinct[:, i]))} {what} ({', '.join(f'{v:g}' for v in np.unique(distinct[:, i])[:8])})"
@@ -166,7 +166,7 @@ def _undetermined(points: FloatArray, exponents: Exponents, scheduling: Sequence
 
 
 def distinct_points(points: FloatArray) -> FloatArray:
-    """Return the distinct operating points, (n_distinct, 2), sorted by pressure, then speed."""
+    """Return the distinct operating points, (n_distinct, n_variables), sorted by the first variable, then the next."""
     return np.unique(points, axis=0)
 
 
@@ -198,7 +198,7 @@ class Estimates(Brief):
     covariance: Annotated[FloatArray, Stored("SI per kg", "their covariances", "n k k")]
     left_out: tuple[str, ...] = ()
     parameters: Annotated[tuple[str, ...], NOT_STORED] = KEY_PARAMETERS
-    scheduling: Annotated[tuple[str, ...], NOT_STORED] = SCHEDULING_BASIS
+    scheduling: Annotated[tuple[str, ...], NOT_STORED] = SCHEDULING
 
     def __post_init__(self) -> None:
         n, k = len(self.recordings), len(self.parameters)
@@ -209,20 +209,34 @@ class Estimates(Brief):
                 raise UsageError(f"estimates: {name} has shape {array.shape}, expected {shape}")
             object.__setattr__(self, name, array)
 
+    @property
+    def domain(self) -> Domain:
+        """Smallest domain that contains the operating points."""
+        lowest, highest = self.points.min(axis=0), self.points.max(axis=0)
+        return Domain(*zip(lowest.tolist(), highest.tolist(), strict=True), variables=self.scheduling)
+
+    @property
+    def operating_points(self) -> tuple[tuple[float, ...], ...]:
+        """Distinct operating points, sorted by the first scheduling variable, then the next."""
+        return tuple(tuple(point) for point in distinct_points(self.points).tolist())
+
     def rows(self, keep: Sequence[int]) -> Estimates:
         """Return the estimates of some recordings, by their positions."""
-        names = tuple(self.recordings[i] for i in keep)
-        own = np.array(keep, dtype=int)
+        chosen = np.array(keep, dtype=int)
         return replace(
-            self, recordings=names, points=self.points[own], values=self.values[own], covariance=self.covariance[own]
+            self,
+            recordings=tuple(self.recordings[i] for i in keep),
+            points=self.points[chosen],
+            values=self.values[chosen],
+            covariance=self.covariance[chosen],
         )
 
 
 def as_estimates(
     fits: FitTable | Sequence[FitResult] | Estimates,
-    points: Sequence[Sequence[float]] | None = None,
+    points: Sequence[Sequence[float]] | Sequence[float] | None = None,
     parameters: tuple[str, ...] = KEY_PARAMETERS,
-    scheduling: tuple[str, ...] = SCHEDULING_BASIS,
+    scheduling: tuple[str, ...] = SCHEDULING,
 ) -> Estimates:
     """Return the estimates of a table, or of fit results with their operating points.
 
@@ -260,18 +274,18 @@ def as_estimates(
     if missing:
         raise UsageError(f"the table of fits has no {', '.join(missing)}; the surfaces need all key parameters")
     columns = [fits.parameter_names.index(key) for key in KEY_PARAMETERS]
-    found = Estimates(
+    estimates = Estimates(
         tuple(" + ".join(names) for names in fits.recordings),
         np.stack([fits.pressure_bar, fits.speed_rpm], axis=-1),
         fits.values[:, columns],
         fits.covariance_of(KEY_PARAMETERS),
     )
-    return _finite(found, fits.success)
+    return _finite(estimates, fits.success)
 
 
 def _of_results(
     fits: Sequence[FitResult],
-    points: Sequence[Sequence[float]] | None,
+    points: Sequence[Sequence[float]] | Sequence[float] | None,
     parameters: tuple[str, ...],
     scheduling: tuple[str, ...],
 ) -> Estimates:
@@ -293,7 +307,7 @@ def _of_results(
     except (TypeError, ValueError):
         raise UsageError(f"points: give {what} as numbers for each fit") from None
     k = len(parameters)
-    found = Estimates(
+    estimates = Estimates(
         tuple(names),
         grid.reshape(-1, len(scheduling)),
         np.reshape(values, (-1, k)),
@@ -301,27 +315,26 @@ def _of_results(
         parameters=parameters,
         scheduling=scheduling,
     )
-    return _finite(found, np.array([fit.success for fit in fits], dtype=bool))
+    return _finite(estimates, np.array([fit.success for fit in fits], dtype=bool))
 
 
 def _covariance_of(fit: FitResult, parameters: tuple[str, ...]) -> FloatArray:
     """Return the covariance of some parameters, with zero rows for fixed ones."""
     position: Mapping[str, int] = {name: i for i, name in enumerate(fit.free)}
-    k = len(parameters)
-    found = np.zeros((k, k))
-    own = [i for i, key in enumerate(parameters) if key in position]
-    there = [position[parameters[i]] for i in own]
-    found[np.ix_(own, own)] = fit.covariance[np.ix_(there, there)]
-    return found
+    covariance = np.zeros((len(parameters), len(parameters)))
+    free = [i for i, key in enumerate(parameters) if key in position]
+    in_fit = [position[parameters[i]] for i in free]
+    covariance[np.ix_(free, free)] = fit.covariance[np.ix_(in_fit, in_fit)]
+    return covariance
 
 
-def _finite(found: Estimates, success: BoolArray) -> Estimates:
+def _finite(estimates: Estimates, success: BoolArray) -> Estimates:
     """Return the estimates without failed fits and values that are not finite; list these by name."""
-    keep, left_out = [], list(found.left_out)
-    for i, name in enumerate(found.recordings):
-        bad = [key for key, v in zip(found.parameters, found.values[i], strict=True) if not np.isfinite(v)]
-        if not np.isfinite(found.points[i]).all():
-            left_out.append(f"{name}: no operating point ({' and '.join(found.scheduling)})")
+    keep, left_out = [], list(estimates.left_out)
+    for i, name in enumerate(estimates.recordings):
+        bad = [key for key, v in zip(estimates.parameters, estimates.values[i], strict=True) if not np.isfinite(v)]
+        if not np.isfinite(estimates.points[i]).all():
+            left_out.append(f"{name}: no operating point ({' and '.join(estimates.scheduling)})")
         elif not success[i]:
             left_out.append(f"{name}: its fit did not converge")
         elif bad:
@@ -331,7 +344,7 @@ def _finite(found: Estimates, success: BoolArray) -> Estimates:
     if not keep:
         reasons = "; ".join(left_out[:3]) or "there are none"
         raise DataError(f"there is no fit to which surfaces can be fitted ({reasons})")
-    return replace(found.rows(keep), left_out=tuple(left_out))
+    return replace(estimates.rows(keep), left_out=tuple(left_out))
 
 
 # ---- Linear regression of vectors with known covariances and an unknown scatter between them (mixed-effects model).
@@ -340,9 +353,8 @@ def _finite(found: Estimates, success: BoolArray) -> Estimates:
 #
 # The parameters of the machine differ from one recording to the next, by far more than the covariance C_i of each
 # estimate. S is the covariance of this scatter. It is estimated by restricted maximum likelihood (Patterson and
-# Thompson,
-# 1971). For known C_i the EM algorithm maximises the likelihood and keeps S positive semidefinite (Laird and Ware,
-# 1982).
+# Thompson, 1971). For known C_i the EM algorithm maximises the likelihood and keeps S positive semidefinite (Laird and
+# Ware, 1982).
 
 _TOLERANCE = 1e-4  # change of S in one step, relative to the variance of the residuals
 _LEAST = 1e-3  # smallest eigenvalue of the start value of S, in the same units

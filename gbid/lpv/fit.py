@@ -1,11 +1,12 @@
-"""Result of a surface fit."""
+"""Surfaces over scheduling variables from many fits (paper, Eqs. 16 to 18): `fit_lpv`, its result, and its files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, overload
+from typing import Annotated, Any
 
 import h5py
 import numpy as np
@@ -15,56 +16,59 @@ from gbid.core import hdf5
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
+from gbid.core.extras import data_frame
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.names import given_path
 from gbid.core.notes import SurfaceNote
 from gbid.identify import FitStatus
 from gbid.identify.result import FitResult
 from gbid.identify.table import FitTable
-from gbid.lpv.estimates import Estimates, Order, Outlier, as_estimates, distinct_points
+from gbid.lpv.estimates import Estimates, Order, Outlier, as_estimates
 from gbid.lpv.model import (
     ACTUATOR_PARAMETERS,
-    EXPONENTS,
     SCHEDULING,
     TERMS,
     Deviation,
     Domain,
     LPVModel,
-    ScheduledModel,
     characteristics,
     deviations,
     regressors,
 )
 from gbid.lpv.model_file import load_model, save_model
-from gbid.lpv.regression import OrderScore, Weighting, coefficient_frame, covariance_at, draws, regression
+from gbid.lpv.regression import OrderScore, Weighting, in_terms, regression
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.linear import Structure, as_names
-from gbid.structure.scheduled import Exponents, Schedule
+from gbid.structure.scheduled import Schedule
 
 _LACK = Stored("1", "probability that right surfaces miss the points' means as far", "k")
+_TRIES = 20  # largest number of draws for each requested model
 
 
 @dataclass(frozen=True, eq=False)
 class LPVFit(Brief):
-    """Surfaces of the key parameters, their uncertainty, and the estimates to which they were fitted.
+    """Surfaces of k parameters with m terms each, their uncertainty, and the estimates to which they were fitted.
+
+    For a gas bearing these are the fourteen key parameters in the order of `gbid.structure.KEY_PARAMETERS`, with the
+    six terms of `gbid.lpv.TERMS`, in the units of the model (SI per kg, bar, rpm).
 
     Attributes
     ----------
     model : LPVModel
         Model with the fitted coefficients.
-    covariance : (84, 84) array
-        Covariance of the coefficients: parameters in the order of `gbid.structure.KEY_PARAMETERS`, for each the six
-        terms of `gbid.lpv.TERMS`, in the units of the model (SI per kg, bar, rpm). Zero for terms that were not used.
-    scatter : (14, 14) array
-        Covariance of the deviations of recordings from the surfaces, without the error of each estimate, SI per kg;
-        zeros when it was not estimated.
+    covariance : (k m, k m) array
+        Covariance of the coefficients: parameters in the order of ``estimates.parameters``, for each its terms. Zero
+        for terms that were not used.
+    scatter : (k, k) array
+        Covariance of the deviations of recordings from the surfaces, without the error of each estimate; zeros when it
+        was not estimated.
     estimates : Estimates
         Estimates to which the surfaces were fitted, with the list of those that were left out.
     outliers : tuple of Outlier
         Estimates far from a surface, the farthest first.
     orders : tuple of OrderScore
         Orders compared by cross-validation over operating points.
-    lack_of_fit : (14,) array
+    lack_of_fit : (k,) array
         p-value of the hypothesis that the polynomials are of sufficient order; nan when not known.
     options : dict of str to str
         Options of the fit: method, weighting, order, robust.
@@ -102,8 +106,8 @@ class LPVFit(Brief):
 
     @property
     def coefficients(self) -> FloatArray:
-        """Coefficients of the model as one array, (14, 6), in the units of the model."""
-        return np.array([self.model.coefficients[key] for key in KEY_PARAMETERS])
+        """Coefficients of the model as one array, (k, m), in the units of the model."""
+        return np.array([self.model.coefficients[key] for key in self.estimates.parameters])
 
     def to_frame(self) -> Any:
         """Return the coefficients as a data frame: a row for each parameter, columns for each term and its std.
@@ -117,20 +121,25 @@ class LPVFit(Brief):
         UsageError
             When pandas is not installed.
         """
-        return coefficient_frame(KEY_PARAMETERS, TERMS, self.coefficients, self.covariance)
+        std = np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape)
+        columns: dict[str, Any] = {"parameter": list(self.estimates.parameters)}
+        for j, term in enumerate(self.model.terms):
+            columns |= {term: self.coefficients[:, j], f"{term} std": std[:, j]}
+        return data_frame(columns, index="parameter")
 
     @property
     def surface(self) -> FloatArray:
-        """Key parameters of the surfaces at the operating points of the estimates, (n, 14), SI per kg."""
-        P, Omega = self.estimates.points.T
-        return np.asarray(regressors(P, Omega) @ self.coefficients.T)
+        """Parameters of the surfaces at the operating points of the estimates, (n, k)."""
+        terms = regressors(*self.estimates.points.T, exponents=self.model.exponents)
+        return np.asarray(terms @ self.coefficients.T)
 
     @property
     def characteristics(self) -> tuple[FloatArray, FloatArray]:
         """Delays, modes and static gains of the estimates and of the surfaces, each (n, 10): Figs. 14 to 18.
 
-        Columns are in the order of `gbid.lpv.CHARACTERISTICS`.
+        Columns are in the order of `gbid.lpv.CHARACTERISTICS`. They are those of a gas bearing.
         """
+        self.model.need_bearing()
         return characteristics(self.estimates.values), characteristics(self.surface)
 
     @property
@@ -138,15 +147,14 @@ class LPVFit(Brief):
         """Rms and largest deviation of each characteristic, as in Sec. 4 of the paper."""
         return deviations(*self.characteristics, self.estimates.recordings)
 
-    def uncertainty_at(
-        self, pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike, *, scatter: bool = False, extrapolate: bool = False
-    ) -> FloatArray:
-        """Return the covariance of the key parameters at operating points.
+    def uncertainty_at(self, *point: npt.ArrayLike, scatter: bool = False, extrapolate: bool = False) -> FloatArray:
+        """Return the covariance of the parameters of the surfaces at operating points.
 
         Parameters
         ----------
-        pressure_bar, speed_rpm : float or array
-            Operating points [bar], [rpm]; arrays broadcast against each other.
+        *point : float or array
+            Scheduling variables in the order of ``model.scheduling``; for a gas bearing [bar], [rpm]. Arrays broadcast
+            against each other.
         scatter : bool
             Whether the scatter between recordings is added. With it the covariance is that of the machine in one
             recording, without it that of its mean.
@@ -155,16 +163,20 @@ class LPVFit(Brief):
 
         Returns
         -------
-        (..., 14, 14) array
-            Covariance in the order of `gbid.structure.KEY_PARAMETERS`, SI per kg.
+        (..., k, k) array
+            Covariance in the order of ``estimates.parameters``.
 
         Raises
         ------
         UsageError
             When a point lies outside the domain and `extrapolate` is not set.
         """
-        self.model.domain.check(pressure_bar, speed_rpm, f"model {self.model.name!r}", extrapolate)
-        return covariance_at(regressors(pressure_bar, speed_rpm), self.covariance, self.scatter if scatter else None)
+        self.model.domain.check(point, f"model {self.model.name!r}", extrapolate)
+        terms = regressors(*point, exponents=self.model.exponents)
+        k, m = self.coefficients.shape
+        blocks = self.covariance.reshape(k, m, k, m)
+        covariance = np.einsum("...i,aibj,...j->...ab", terms, blocks, terms, optimize=True)
+        return np.asarray(covariance + self.scatter if scatter else covariance)
 
     def draw(self, n: int, seed: int, *, scatter: bool = False) -> list[LPVModel]:
         """Return random models from the distribution of the coefficients.
@@ -181,275 +193,65 @@ class LPVFit(Brief):
         Returns
         -------
         list of LPVModel
-            Models with positive delays at the corners and operating points of the domain; other draws are rejected.
+            Models whose parameters are within their bounds, such as positive delays, at the corners of the domain and
+            at its operating points; other draws are rejected.
 
         Raises
         ------
         UsageError
-            When almost all draws are rejected, because the delays are too uncertain.
+            When almost all draws are rejected, because the surfaces are too uncertain.
         """
-        corners = [(p, w) for p in self.model.domain.pressure_bar for w in self.model.domain.speed_rpm]
-        phi = regressors(*np.array([*corners, *self.model.operating_points]).T)
-        drawn = draws(
-            self.coefficients,
-            self.covariance,
-            self.scatter if scatter else None,
-            n,
-            seed,
-            lambda coefficients: bool((phi @ coefficients[-2:].T > 0).all()),
-            (
-                f"model {self.model.name!r}",
-                "have positive delays in the domain; the delays are too uncertain to draw from (fix them in the fits, "
-                "or record longer)",
-            ),
-        )
-        return [
-            with_coefficients(self.model, own, name=f"{self.model.name} {i}") for i, own in enumerate(drawn, start=1)
-        ]
-
-
-def with_coefficients(model: LPVModel, coefficients: FloatArray, **changes: Any) -> LPVModel:
-    """Return a copy of a model with other coefficients (14, 6)."""
-    rows = {key: tuple(row) for key, row in zip(KEY_PARAMETERS, coefficients.tolist(), strict=True)}
-    return replace(model, coefficients=rows, **changes)
-
-
-# ---- Surfaces of any parameters of any structure over any scheduling variables.
-
-
-@dataclass(frozen=True, eq=False)
-class ScheduledFit(Brief):
-    """Surfaces of any structure, their uncertainty, and the estimates to which they were fitted.
-
-    k parameters with m terms each.
-
-    Attributes
-    ----------
-    model : ScheduledModel
-        Model with the fitted coefficients.
-    covariance : (k m, k m) array
-        Covariance of the coefficients: parameters in the order of ``estimates.parameters``, for each its terms.
-    scatter : (k, k) array
-        Covariance of the deviations of recordings from the surfaces; zeros when it was not estimated.
-    estimates : Estimates
-        Estimates to which the surfaces were fitted, with the list of those that were left out.
-    outliers : tuple of Outlier
-        Estimates far from a surface, the farthest first.
-    orders : tuple of OrderScore
-        Orders compared by cross-validation over operating points.
-    lack_of_fit : (k,) array
-        p-value of the hypothesis that the polynomials are of sufficient order; nan when not known.
-    options : dict of str to str
-        Options of the fit: weighting, order, robust.
-    notes : tuple of str
-        Remarks for the reader of the result.
-    """
-
-    model: ScheduledModel
-    covariance: FloatArray
-    scatter: FloatArray
-    estimates: Estimates
-    outliers: tuple[Outlier, ...]
-    orders: tuple[OrderScore, ...]
-    lack_of_fit: FloatArray
-    options: Mapping[str, str]
-    notes: tuple[str, ...] = ()
-
-    def _brief(self) -> Description:
-        return brief(
-            self,
-            self.model.name,
-            surfaces=", ".join(self.estimates.parameters),
-            over=", ".join(self.model.scheduling),
-            estimates=f"{len(self.estimates.recordings)} recordings, {len(self.estimates.left_out)} left out",
-            outliers=f"{len(self.outliers)}",
-            options=self.options,
-            notes=self.notes,
-        )
-
-    @property
-    def coefficients(self) -> FloatArray:
-        """Coefficients as one array, (k, m)."""
-        return np.array([self.model.coefficients[key] for key in self.estimates.parameters])
-
-    def uncertainty_at(self, *point: npt.ArrayLike, scatter: bool = False, extrapolate: bool = False) -> FloatArray:
-        """Return the covariance of the surfaces at operating points.
-
-        Parameters
-        ----------
-        *point : float or array
-            Scheduling variables in the order of ``model.scheduling``.
-        scatter : bool
-            Whether the scatter between recordings is added: the covariance of the machine in one recording instead of
-            that of its mean.
-        extrapolate : bool
-            Whether points outside the domain are allowed.
-
-        Returns
-        -------
-        (..., k, k) array
-            Covariance in the order of ``estimates.parameters``.
-
-        Raises
-        ------
-        UsageError
-            As `ScheduledModel.parameters_at`.
-        """
-        terms = self.model.terms(self.model.checked(point, extrapolate))
-        return covariance_at(terms, self.covariance, self.scatter if scatter else None)
-
-    def draw(self, n: int, seed: int, *, scatter: bool = False) -> list[ScheduledModel]:
-        """Return random models from the distribution of the coefficients.
-
-        Parameters
-        ----------
-        n : int
-            Number of models.
-        seed : int
-            Seed of the random numbers.
-        scatter : bool
-            Whether each model also has the random deviation of one recording.
-
-        Returns
-        -------
-        list of ScheduledModel
-            Models whose parameters are within their bounds at the operating points; other draws are rejected.
-
-        Raises
-        ------
-        UsageError
-            When almost all draws are rejected.
-        """
-        names = self.estimates.parameters
-        bounds = {p.name: (p.lower, p.upper) for p in self.model.structure.parameters}
+        names, domain = self.estimates.parameters, self.model.domain
+        bounds = {p.name: (p.lower, p.upper) for p in self.model.equations.parameters}
         low, high = np.array([bounds[name] for name in names]).T
-        terms = self.model.terms(np.array(self.model.operating_points))
+        points = np.array([*domain.corners, *self.model.operating_points])
+        terms = regressors(*points.T, exponents=self.model.exponents)
 
-        def possible(coefficients: FloatArray) -> bool:
+        def within_bounds(coefficients: FloatArray) -> bool:
             values = terms @ coefficients.T
             return bool(((values >= low) & (values <= high)).all())
 
-        drawn = draws(
-            self.coefficients,
-            self.covariance,
-            self.scatter if scatter else None,
-            n,
-            seed,
-            possible,
-            (
-                f"model {self.model.name!r}",
-                "are within the bounds of the parameters; the surfaces are too uncertain to draw from",
-            ),
-        )
-        rows = [dict(zip(names, map(tuple, own.tolist()), strict=True)) for own in drawn]
+        draws = self._draws(_TRIES * n, np.random.default_rng(seed), scatter)
+        accepted = list(islice(filter(within_bounds, draws), n))
+        if len(accepted) < n:
+            raise UsageError(
+                f"model {self.model.name!r}: {len(accepted)} of {_TRIES * n} draws are within the bounds of the "
+                "parameters; the surfaces are too uncertain to draw from (fix the delays in the fits, or record longer)"
+            )
         return [
-            replace(self.model, name=f"{self.model.name} {i}", coefficients=own) for i, own in enumerate(rows, start=1)
+            with_coefficients(self.model, names, coefficients, name=f"{self.model.name} {i}")
+            for i, coefficients in enumerate(accepted, start=1)
         ]
 
-
-def fit_scheduled(
-    fits: Sequence[FitResult],
-    points: Sequence[Sequence[float]] | Sequence[float] | None,
-    structure: Structure,
-    scheduling: tuple[str, ...],
-    parameters: tuple[str, ...] | None,
-    weighting: Weighting,
-    order: Order,
-    robust: bool,
-    name: str,
-) -> ScheduledFit:
-    """Return the surfaces of a structure; the arguments are those of `gbid.fit_lpv`, which is the public function.
-
-    Raises
-    ------
-    UsageError
-        When there are no fits, when they are of another structure, or when a parameter is unknown.
-    DataError
-        As `gbid.fit_lpv`.
-    """
-    fits = list(fits)
-    if not fits or any(fit.structure != structure.name for fit in fits):
-        there = ", ".join(sorted({fit.structure for fit in fits})) or "none"
-        raise UsageError(f"fit_lpv: the fits are of {there}; give fits of the structure {structure.name!r}")
-    if len(set(scheduling)) < len(scheduling) or not scheduling:
-        raise UsageError(f"scheduling = {list(scheduling)}; give each variable once, and at least one")
-    known = [parameter.name for parameter in structure.parameters]
-    chosen = tuple(key for key in known if key in fits[0].free) if parameters is None else parameters
-    unknown = [key for key in chosen if key not in known]
-    if unknown or not chosen:
-        raise UsageError(f"parameters: {', '.join(unknown) or 'none'}; there are {', '.join(known)}")
-    given = None if points is None else [np.atleast_1d(np.asarray(point, float)).tolist() for point in points]
-    found = regression(as_estimates(fits, given, chosen, scheduling), weighting, order, robust)
-    grid = found.estimates.points
-    good = [fit for fit in fits if fit.success]
-    if lacking := [key for key in known if any(key not in fit.parameters for fit in good)]:
-        raise UsageError(
-            f"fit_lpv: the structure has {', '.join(lacking)}, which not all fits have; give it with the options of "
-            "the fits"
-        )
-    held = {key: float(np.mean([fit.parameters[key] for fit in good])) for key in known if key not in chosen}
-    model = ScheduledModel(
-        name,
-        structure,
-        scheduling,
-        found.exponents,
-        {key: tuple(row) for key, row in zip(chosen, found.coefficients.tolist(), strict=True)},
-        {key: (float(v.min()), float(v.max())) for key, v in zip(scheduling, grid.T, strict=True)},
-        held,
-        tuple(tuple(row) for row in distinct_points(grid).tolist()),
-        fits[0].model.input_names,
-        fits[0].model.output_names,
-    )
-    varied = [key for key in held if any(key in fit.free for fit in fits)]
-    notes = [SurfaceNote.HELD_AT_MEAN(f"held at the mean of the fits: {', '.join(varied)}")] if varied else []
-    return ScheduledFit(
-        model,
-        found.covariance,
-        found.scatter,
-        found.estimates,
-        found.outliers,
-        found.orders,
-        found.lack_of_fit,
-        found.options,
-        (*found.notes, *notes),
-    )
+    def _draws(self, n: int, rng: np.random.Generator, scatter: bool) -> Iterator[FloatArray]:
+        """Yield random coefficients (k, m); the deviation of a recording is added to the first term, the constant."""
+        root, lift = _root(self.covariance), _root(self.scatter)
+        for _ in range(n):
+            drawn = self.coefficients + (root @ rng.normal(size=root.shape[1])).reshape(self.coefficients.shape)
+            if scatter:
+                drawn[:, 0] += lift @ rng.normal(size=lift.shape[1])
+            yield drawn
 
 
-# ---- Surfaces over the scheduling variables, fitted to the estimates of a campaign (paper, Eqs. 16 to 18).
+def with_coefficients(model: LPVModel, names: Sequence[str], coefficients: FloatArray, **changes: Any) -> LPVModel:
+    """Return a copy of a model with other coefficients (k, m) of the named parameters."""
+    return replace(model, coefficients=_rows(names, coefficients), **changes)
 
 
-@overload
-def fit_lpv(
-    fits: FitTable | Sequence[FitResult] | Estimates,
-    points: Sequence[Sequence[float]] | None = None,
-    *,
-    structure: None = None,
-    scheduling: Sequence[str] = SCHEDULING,
-    parameters: Sequence[str] | None = None,
-    weighting: Weighting = "scatter",
-    order: Order = 2,
-    robust: bool = False,
-    actuators: Mapping[str, float] | None = None,
-    pade_order: int = 1,
-    name: str = "lpv",
-    title: str = "",
-    source: str = "",
-) -> LPVFit: ...
+def _rows(names: Sequence[str], coefficients: FloatArray) -> dict[str, tuple[float, ...]]:
+    """Return coefficients (k, m) as `LPVModel` takes them."""
+    return {key: tuple(row) for key, row in zip(names, coefficients.tolist(), strict=True)}
 
 
-@overload
-def fit_lpv(
-    fits: Sequence[FitResult],
-    points: Sequence[Sequence[float]] | Sequence[float],
-    *,
-    structure: Structure,
-    scheduling: str | Sequence[str],
-    parameters: Sequence[str] | None = None,
-    weighting: Weighting = "scatter",
-    order: Order = 2,
-    robust: bool = False,
-    name: str = "lpv",
-) -> ScheduledFit: ...
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return a matrix R with R R' equal to a covariance, which may be singular and badly scaled."""
+    size = np.sqrt(np.diag(covariance))
+    scale = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) * scale[:, None])
+
+
+# ---- Surfaces over the scheduling variables, fitted to the estimates of a campaign.
 
 
 def fit_lpv(
@@ -467,7 +269,7 @@ def fit_lpv(
     name: str = "lpv",
     title: str = "",
     source: str = "",
-) -> LPVFit | ScheduledFit:
+) -> LPVFit:
     """Return surfaces over the scheduling variables, fitted to the parameters of many fits.
 
     Without `structure` the machine is a rotor on a gas bearing: the surfaces of the fourteen key parameters over
@@ -509,7 +311,7 @@ def fit_lpv(
 
     Returns
     -------
-    LPVFit or ScheduledFit
+    LPVFit
         Its model is valid in the range of each scheduling variable that the operating points span.
 
     Raises
@@ -521,75 +323,101 @@ def fit_lpv(
         remains, or when a fit has no covariance for the weights.
     """
     variables = as_names(scheduling)
-    if structure is not None:
-        if actuators is not None or isinstance(fits, FitTable | Estimates):
-            what = "actuators belong" if actuators is not None else "a table of fits belongs"
-            raise UsageError(f"fit_lpv: {what} to the model of a gas bearing; give fit results and their points")
-        chosen = None if parameters is None else tuple(parameters)
-        return fit_scheduled(fits, points, structure, variables, chosen, weighting, order, robust, name)
-    if variables != SCHEDULING or parameters is not None:
-        raise UsageError(
-            "fit_lpv: scheduling and parameters need the structure of the fits, structure=...; without one the model "
-            "is that of a gas bearing over pressure_bar and speed_rpm"
-        )
-    found = regression(as_estimates(fits, points), weighting, order, robust)  # type: ignore[arg-type]  # see overload
-    coefficients = np.zeros((len(KEY_PARAMETERS), len(TERMS)))
-    coefficients[:, _places(found.exponents)] = found.coefficients
+    held: dict[str, float] = {}
+    notes: tuple[str, ...] = ()
+    channels: dict[str, tuple[str, ...]] = {}
+    if structure is None:
+        if variables != SCHEDULING or parameters is not None:
+            raise UsageError(
+                "fit_lpv: scheduling and parameters need the structure of the fits, structure=...; without one the "
+                "model is that of a gas bearing over pressure_bar and speed_rpm"
+            )
+        estimates = as_estimates(fits, points)
+    elif isinstance(fits, FitTable | Estimates) or actuators is not None:
+        what = "actuators belong" if actuators is not None else "a table of fits belongs"
+        raise UsageError(f"fit_lpv: {what} to the model of a gas bearing; give fit results and their points")
+    else:
+        surfaces = _surfaces(fits, structure, variables, parameters)
+        estimates = as_estimates(fits, points, surfaces, variables)
+        held, notes = _held_at_mean(fits, structure, surfaces)
+        channels = {"input_names": fits[0].model.input_names, "output_names": fits[0].model.output_names}
+    surface_fit = regression(estimates, weighting, order, robust)
     model = LPVModel(
         name,
-        {key: tuple(row) for key, row in zip(KEY_PARAMETERS, coefficients.tolist(), strict=True)},
-        rectangle(found.estimates.points),
+        _rows(surface_fit.estimates.parameters, surface_fit.coefficients),
+        surface_fit.estimates.domain,
         actuators=actuators or {},
         pade_order=pade_order,
-        operating_points=tuple((float(p), float(w)) for p, w in distinct_points(found.estimates.points)),
+        operating_points=surface_fit.estimates.operating_points,
+        structure=structure,
+        exponents=surface_fit.exponents,
+        held=held,
         title=title,
         source=source,
+        **channels,
     )
     return LPVFit(
         model,
-        of_all_terms(found.covariance, found.exponents),
-        found.scatter,
-        found.estimates,
-        found.outliers,
-        found.orders,
-        found.lack_of_fit,
-        found.options,
-        notes=(*found.notes, *_impossible(model)),
+        surface_fit.covariance,
+        surface_fit.scatter,
+        surface_fit.estimates,
+        surface_fit.outliers,
+        surface_fit.orders,
+        surface_fit.lack_of_fit,
+        surface_fit.options,
+        notes=(*surface_fit.notes, *notes, *_negative_delays(model)),
     )
 
 
-def of_all_terms(covariance: FloatArray, exponents: Exponents) -> FloatArray:
-    """Return the covariance of the coefficients of all terms of Eq. 16, with zeros for those not used: (84, 84)."""
-    k, m = len(KEY_PARAMETERS), len(exponents)
-    full = np.zeros((k, len(TERMS), k, len(TERMS)))
-    places, every = np.array(_places(exponents)), np.arange(k)
-    full[np.ix_(every, places, every, places)] = covariance.reshape(k, m, k, m)
-    return full.reshape(k * len(TERMS), -1)
+def _surfaces(
+    fits: Sequence[FitResult], structure: Structure, scheduling: tuple[str, ...], parameters: Sequence[str] | None
+) -> tuple[str, ...]:
+    """Return the parameters of a structure that become surfaces, after checks that the fits and names are its own."""
+    if not fits or any(fit.structure != structure.name for fit in fits):
+        names = ", ".join(sorted({fit.structure for fit in fits})) or "none"
+        raise UsageError(f"fit_lpv: the fits are of {names}; give fits of the structure {structure.name!r}")
+    if len(set(scheduling)) < len(scheduling) or not scheduling:
+        raise UsageError(f"scheduling = {list(scheduling)}; give each variable once, and at least one")
+    known = [parameter.name for parameter in structure.parameters]
+    chosen = tuple(key for key in known if key in fits[0].free) if parameters is None else tuple(parameters)
+    unknown = [key for key in chosen if key not in known]
+    if unknown or not chosen:
+        raise UsageError(f"parameters: {', '.join(unknown) or 'none'}; there are {', '.join(known)}")
+    return chosen
 
 
-def _places(exponents: Exponents) -> list[int]:
-    return [EXPONENTS.index((i, j)) for i, j in exponents]
+def _held_at_mean(
+    fits: Sequence[FitResult], structure: Structure, surfaces: tuple[str, ...]
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Return the mean over the fits of the parameters that are no surfaces, and a note on those that the fits vary."""
+    known = [parameter.name for parameter in structure.parameters]
+    good = [fit for fit in fits if fit.success]
+    if lacking := [key for key in known if any(key not in fit.parameters for fit in good)]:
+        raise UsageError(
+            f"fit_lpv: the structure has {', '.join(lacking)}, which not all fits have; give it with the options of "
+            "the fits"
+        )
+    held = {key: float(np.mean([fit.parameters[key] for fit in good])) for key in known if key not in surfaces}
+    varied = [key for key in held if any(key in fit.free for fit in fits)]
+    notes = (SurfaceNote.HELD_AT_MEAN(f"held at the mean of the fits: {', '.join(varied)}"),) if varied else ()
+    return held, notes
 
 
-def rectangle(points: FloatArray) -> Domain:
-    """Return the smallest domain that contains operating points (n, 2)."""
-    (p_low, w_low), (p_high, w_high) = points.min(axis=0), points.max(axis=0)
-    return Domain((float(p_low), float(p_high)), (float(w_low), float(w_high)))
-
-
-def _impossible(model: LPVModel) -> tuple[str, ...]:
-    """Return notes about operating points of the domain at which a delay is negative."""
-    (p_low, p_high), (n_low, n_high) = model.domain.pressure_bar, model.domain.speed_rpm
-    grid = np.meshgrid(np.linspace(p_low, p_high, 41), np.linspace(n_low, n_high, 41))
+def _negative_delays(model: LPVModel) -> tuple[str, ...]:
+    """Return notes about operating points of the domain at which a delay of a gas bearing is negative."""
+    delays = [key for key in ("tau_x", "tau_y") if key in model.coefficients]
+    if not delays or model.scheduling != SCHEDULING:
+        return ()
+    grid = np.meshgrid(*(np.linspace(low, high, 41) for low, high in model.domain.bounds))
     pressure, speed = (side.ravel() for side in grid)
-    found = model.key_parameters(pressure, speed)
+    values = model.key_parameters(pressure, speed)
     return tuple(
         SurfaceNote.NEGATIVE_DELAY(
-            f"{key} is negative in part of the domain, {1e3 * found[key][at]:.3g} ms at "
+            f"{key} is negative in part of the domain, {1e3 * values[key][at]:.3g} ms at "
             f"{point_label(pressure[at], speed[at])}; the model cannot be used there"
         )
-        for key in ("tau_x", "tau_y")
-        if found[key][at := int(np.argmin(found[key]))] < 0
+        for key in delays
+        if values[key][at := int(np.argmin(values[key]))] < 0
     )
 
 
@@ -639,12 +467,12 @@ def lpv_of(
     if not result.success:
         raise UsageError(f"the fit did not converge ({result.status}); its surfaces cannot be used")
     coefficients, covariance = _in_bar_and_rpm(result, schedule)
-    found = {key: result.parameters[key] for key in ACTUATOR_PARAMETERS if key in result.parameters}
+    fitted = {key: result.parameters[key] for key in ACTUATOR_PARAMETERS if key in result.parameters}
     model = LPVModel(
         name,
-        {key: tuple(row) for key, row in zip(KEY_PARAMETERS, coefficients.tolist(), strict=True)},
-        Domain(*((low, high) for low, high in zip(schedule.low, schedule.high, strict=True))),
-        actuators=found if actuators is None else actuators,
+        _rows(KEY_PARAMETERS, coefficients),
+        Domain(*zip(schedule.low, schedule.high, strict=True)),
+        actuators=fitted if actuators is None else actuators,
         pade_order=schedule.pade_order,
         title=title,
         source=source,
@@ -669,17 +497,14 @@ def lpv_of(
 
 def _in_bar_and_rpm(result: FitResult, schedule: Schedule) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients of the six terms, (14, 6), and their covariance, (84, 84)."""
-    k, m = len(KEY_PARAMETERS), len(TERMS)
-    places = [EXPONENTS.index((e[0], e[1])) for e in schedule.exponents]
-    onto = np.zeros((m, len(schedule.exponents)))
-    onto[places] = schedule.to_own_units
+    onto = in_terms(schedule.to_own_units, schedule.exponents)
     names = [schedule.names(key) for key in KEY_PARAMETERS]
     scaled = np.array([[result.parameters[name] for name in row] for row in names])
     free = {name: i for i, name in enumerate(result.free)}
     among = np.array([free.get(name, -1) for row in names for name in row])
     covariance = np.where((among[:, None] >= 0) & (among >= 0), result.covariance[np.ix_(among, among)], 0.0)
-    every = np.kron(np.eye(k), onto)
-    return scaled @ onto.T, every @ covariance @ every.T
+    all_surfaces = np.kron(np.eye(len(KEY_PARAMETERS)), onto)
+    return scaled @ onto.T, all_surfaces @ covariance @ all_surfaces.T
 
 
 # ---- Surface fits in files: the model in YAML, its uncertainty in HDF5 beside it.

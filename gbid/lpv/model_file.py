@@ -1,31 +1,185 @@
-"""Schema of a model file, and application of its corrections."""
+"""Model files: the LPV model of a machine in YAML, with what its source publishes beside the model."""
 
 from __future__ import annotations
 
 import difflib
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import AllowInfNan, ConfigDict, Field, Strict, TypeAdapter, ValidationError
 
+from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, share_folder
 from gbid.core.names import given_path
+from gbid.core.units import conversion_factor
 from gbid.core.yaml_file import YamlFile, read_yaml, write_yaml
-from gbid.lpv.model import (
-    TERMS,
-    Correction,
-    Domain,
-    FileTable,
-    LPVModel,
-    Number,
-    PiezoControllers,
-    ProportionalDesign,
-    Quantity,
-    ReferenceModes,
-)
+from gbid.lpv.model import TERMS, Domain, LPVModel
 from gbid.structure import KEY_PARAMETERS
+
+# ---- Values of a file, with unit and source.
+
+Number = Annotated[float, Strict(), AllowInfNan(False)]
+"""A finite number; text and booleans are refused when a file is read."""
+
+
+class FileTable:
+    """Base class of values that are read from a file; unknown keys are refused."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+
+@dataclass(frozen=True)
+class Quantity(FileTable):
+    """Physical value as printed in its source.
+
+    Attributes
+    ----------
+    value : float
+        Number in `unit`.
+    unit : str
+        Unit as pint reads it.
+    source : str
+        Place in the publication.
+    """
+
+    value: Number
+    unit: str
+    source: str = ""
+
+    def to(self, unit: str) -> float:
+        """Return the value in another unit.
+
+        Parameters
+        ----------
+        unit : str
+            Unit as pint reads it.
+
+        Raises
+        ------
+        UsageError
+            When the units measure different quantities.
+        """
+        return self.value * conversion_factor(self.unit, unit)
+
+
+@dataclass(frozen=True)
+class Correction(FileTable):
+    """Correction of one wrong entry of a published table.
+
+    Parameters
+    ----------
+    entry : str
+        ``name[term]`` for a coefficient, ``scale[letter]`` for a unit, or the name of an actuator parameter.
+    printed, corrected : float
+        Printed value and value that is used.
+    reason : str
+        Evidence for the error.
+    """
+
+    entry: str
+    printed: Number
+    corrected: Number
+    reason: Annotated[str, Field(min_length=1)]
+
+
+@dataclass(frozen=True)
+class ProportionalDesign(FileTable):
+    """Decentralised P controller with low-pass filter (Eq. 21); see `gbid.control.p_controller`.
+
+    Attributes
+    ----------
+    kappa_x, kappa_y : float
+        Gains [m/m].
+    lowpass_hz : float
+        Corner frequency of the low-pass filter [Hz].
+    lowpass_order : int
+        Order of the low-pass filter.
+    source : str
+        Place in the publication.
+    """
+
+    kappa_x: Number
+    kappa_y: Number
+    lowpass_hz: Number = 1000.0
+    lowpass_order: Annotated[int, Strict(), Field(ge=0)] = 1
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class ReferenceModes(FileTable):
+    """Modes that a source gives for one operating point.
+
+    Attributes
+    ----------
+    pressure_bar, speed_rpm : float
+        Operating point.
+    loop : {"open", "closed"}
+        Without or with the controller.
+    kind : {"expected", "measured", "computed"}
+        Origin of the modes: the model of the source, its recordings, or a computation.
+    modes : tuple of (float, float)
+        Natural frequency [Hz] and damping factor.
+    source : str
+        Place in the publication.
+    """
+
+    pressure_bar: Number
+    speed_rpm: Number
+    loop: Literal["open", "closed"]
+    kind: Literal["expected", "measured", "computed"]
+    modes: tuple[tuple[Number, Number], ...]
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class PiezoController(FileTable):
+    """PD controller ``gain (s + zero)/(s + pole)`` of one piezo (Eq. A.1)."""
+
+    gain: Number
+    zero: Number
+    pole: Number
+
+
+@dataclass(frozen=True)
+class PiezoControllers(FileTable):
+    """PD controllers of the piezos 1 to n, with the units as printed."""
+
+    unit: dict[str, str]
+    piezos: tuple[PiezoController, ...]
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class PublishedMachine(Brief):
+    """Machine as its source publishes it: the LPV model, and beside it controllers, dimensions and measured modes.
+
+    Attributes
+    ----------
+    model : LPVModel
+        LPV model of the machine, with the corrections applied.
+    controller : ProportionalDesign, optional
+        Controller of the machine.
+    rig : dict of str to Quantity
+        Dimensions and limits of the machine.
+    piezo_controllers : PiezoControllers, optional
+        Inner control loops of the piezos (Eq. A.1).
+    reference_modes : tuple of ReferenceModes
+        Modes that the source gives.
+    corrections : tuple of Correction
+        Corrections of the tables of the source.
+    """
+
+    model: LPVModel
+    controller: ProportionalDesign | None = None
+    rig: dict[str, Quantity] = field(default_factory=dict)
+    piezo_controllers: PiezoControllers | None = None
+    reference_modes: tuple[ReferenceModes, ...] = ()
+    corrections: tuple[Correction, ...] = ()
+
+
+# ---- Schema of a model file, and application of its corrections.
 
 SCHEMA_VERSION = 1
 SI_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
@@ -83,14 +237,13 @@ class ModelFile(FileTable):
     actuators: ActuatorTable | None = None
     controller: ProportionalDesign | None = None
     corrections: tuple[Correction, ...] = ()
-    applied_corrections: tuple[Correction, ...] = ()
     reference_modes: tuple[ReferenceModes, ...] = ()
     rig: dict[str, Quantity] = field(default_factory=dict)
     piezo_controllers: PiezoControllers | None = None
 
 
-def parse(file: YamlFile) -> LPVModel:
-    """Return the model of a model file.
+def parse(file: YamlFile) -> PublishedMachine:
+    """Return the machine of a model file.
 
     Raises
     ------
@@ -108,24 +261,22 @@ def parse(file: YamlFile) -> LPVModel:
         key: tuple(scale[key.split("_")[0]] * values[f"{key}[{term}]"] for term in TERMS) for key in KEY_PARAMETERS
     }
     try:
-        return LPVModel(
+        model = LPVModel(
             name=table.name,
             coefficients=coefficients,
             domain=Domain(table.domain.pressure_bar, table.domain.speed_rpm),
             actuators={name: values[name] for name in _actuator_values(table)},
             pade_order=table.pade_order,
             operating_points=table.operating_points,
-            controller=table.controller,
-            rig=table.rig,
-            piezo_controllers=table.piezo_controllers,
-            reference_modes=table.reference_modes,
-            corrections=(*table.applied_corrections, *table.corrections),
             title=table.title,
             source=table.source,
             notes=file.notes,
         )
     except UsageError as error:
         raise UsageError(f"{file.path}: {error}") from None
+    return PublishedMachine(
+        model, table.controller, table.rig, table.piezo_controllers, table.reference_modes, table.corrections
+    )
 
 
 def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:
@@ -222,6 +373,27 @@ def load_model(name_or_path: str | Path) -> LPVModel:
     >>> [round(frequency, 1) for frequency, damping in model.at(6, 0).modes()]
     [126.6, 132.1]
     """
+    return load_machine(name_or_path).model
+
+
+def load_machine(name_or_path: str | Path) -> PublishedMachine:
+    """Return the model of a file with what its source publishes beside it: controllers, dimensions, modes, corrections.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        As for `load_model`, whose errors are raised.
+
+    Returns
+    -------
+    PublishedMachine
+
+    Examples
+    --------
+    >>> machine = load_machine("theisen2016")
+    >>> machine.controller.kappa_x, len(machine.corrections)
+    (1.125, 7)
+    """
     path = given_path(name_or_path)
     if path.suffix not in (".yaml", ".yml") and len(path.parts) <= 1:
         folder = share_folder("models")
@@ -240,7 +412,7 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
     Parameters
     ----------
     model : LPVModel
-        The model. Its coefficients are written in SI, with corrections already applied.
+        The model of a gas bearing. Its coefficients are written in SI, with corrections already applied.
     path : str or path
         The new file, ending in .yaml.
     overwrite : bool
@@ -249,7 +421,8 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
     Raises
     ------
     UsageError
-        When the file exists and `overwrite` is not set, or when it has another ending.
+        When the file exists and `overwrite` is not set, when it has another ending, or when the model is one of another
+        machine.
     DataError
         When the file cannot be written.
     """
@@ -262,6 +435,7 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
 
 def write_model(model: LPVModel, path: Path, comment: str = "") -> None:
     """Write a model as YAML, with an optional comment as the first line."""
+    model.need_bearing()
     write_yaml(_contents(model), path, comment)
 
 
@@ -273,7 +447,7 @@ def _contents(model: LPVModel) -> dict[str, Any]:
         "name": model.name,
         "title": model.title,
         "source": model.source,
-        "domain": asdict(model.domain),
+        "domain": {name: list(bounds) for name, bounds in model.domain.ranges.items()},
         "pade_order": model.pade_order,
         "operating_points": [list(point) for point in model.operating_points],
         "key_parameters": {
@@ -282,11 +456,6 @@ def _contents(model: LPVModel) -> dict[str, Any]:
             "scale": dict.fromkeys(SI_UNITS, 1.0),
             "coefficients": {key: list(values) for key, values in model.coefficients.items()},
         },
-        "applied_corrections": [asdict(correction) for correction in model.corrections],
         "actuators": dict(model.actuators),
-        "controller": asdict(model.controller) if model.controller else None,
-        "reference_modes": [asdict(modes) for modes in model.reference_modes],
-        "rig": {name: asdict(quantity) for name, quantity in model.rig.items()},
-        "piezo_controllers": asdict(model.piezo_controllers) if model.piezo_controllers else None,
     }
     return {key: value for key, value in contents.items() if value not in (None, "", [], {})}

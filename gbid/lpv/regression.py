@@ -7,10 +7,9 @@ units of the scheduling variables.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from scipy.special import fdtrc
@@ -18,7 +17,6 @@ from scipy.special import fdtrc
 from gbid.core.arrays import BoolArray, FloatArray, one_blas_thread
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.extras import data_frame
 from gbid.core.hdf5 import Stored
 from gbid.core.notes import SurfaceNote
 from gbid.lpv.estimates import (
@@ -42,8 +40,7 @@ from gbid.lpv.estimates import (
     varying_exponents,
     with_scatter,
 )
-from gbid.lpv.model import SCHEDULING
-from gbid.structure.scheduled import Exponents, term_name
+from gbid.structure.scheduled import EXPONENTS, SCHEDULING, Exponents, term_name
 
 # ---- Order of the surfaces: cross-validation over operating points, and lack-of-fit test.
 
@@ -143,8 +140,8 @@ def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents, sche
     for i in range(len(distinct)):
         out = group == i
         check_points(points[~out], exponents, scheduling)
-        found = np.linalg.lstsq(columns[~out], values[~out], rcond=None)[0]
-        errors[out] = values[out] - columns[out] @ found
+        coefficients = np.linalg.lstsq(columns[~out], values[~out], rcond=None)[0]
+        errors[out] = values[out] - columns[out] @ coefficients
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
 
@@ -162,9 +159,9 @@ class SurfaceRegression(Brief):
     estimates : Estimates
         Estimates to which the surfaces were fitted.
     exponents : tuple of tuple of int, m
-        Powers of the scheduling variables in each term.
+        Powers of the scheduling variables in each term; over pressure and speed the six terms of Eq. 16.
     coefficients : (k, m) array
-        Coefficients in the units of the scheduling variables.
+        Coefficients in the units of the scheduling variables; zero for terms that were not used.
     covariance : (k m, k m) array
         Covariance of the coefficients.
     scatter : (k, k) array
@@ -210,11 +207,13 @@ def regression(estimates: Estimates, weighting: Weighting, order: Order, robust:
     with one_blas_thread():  # threads do not speed up small matrices
         solved = _solve(estimates, design, weighting, robust)
     missed = lack_of_fit(estimates.points, estimates.values, exponents, scheduling)
+    terms = EXPONENTS if scheduling == SCHEDULING else exponents
+    back = in_terms(design.back, exponents, terms)
     return SurfaceRegression(
         estimates,
-        exponents,
-        solved.coefficients @ design.back.T,
-        in_own_units(solved.covariance, design.back),
+        terms,
+        solved.coefficients @ back.T,
+        in_units_of_terms(solved.covariance, back),
         solved.scatter,
         outliers(estimates.recordings, solved.residuals, solved.z, estimates.parameters),
         compared,
@@ -254,20 +253,16 @@ def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robu
     S, cost = np.zeros((k, k)), 1.0
     V = np.broadcast_to(np.eye(k), (n, k, k)) if weighting == "ordinary" else C
     if robust:
-        own = C if weighting == "scatter" else None
         if weighting == "fits":
             raise UsageError("robust = True needs weighting = 'scatter' or 'ordinary'")
-        found = huber_estimate(y, X, own)
-        coefficients, S, clipped, cost = found.coefficients, found.scatter, found.clipped, found.cost
-        V = V if own is None else C + S
+        huber = huber_estimate(y, X, C if weighting == "scatter" else None)
+        coefficients, S, clipped, cost = huber.coefficients, huber.scatter, huber.clipped, huber.cost
+        V = C + S if weighting == "scatter" else V
     elif weighting == "scatter":
         mixed = with_scatter(y, X, C)
         coefficients, S, clipped, V = mixed.coefficients, mixed.scatter, y, C + mixed.scatter
-        notes = (
-            ()
-            if mixed.settled
-            else (SurfaceNote.NOT_SETTLED(f"the scatter had not settled after {mixed.steps} steps"),)
-        )
+        if not mixed.settled:
+            notes = (SurfaceNote.NOT_SETTLED(f"the scatter had not settled after {mixed.steps} steps"),)
     else:
         coefficients, clipped = generalised(y, X, V).coefficients, y
     if weighting == "scatter":
@@ -296,17 +291,24 @@ def kron_designs(columns: FloatArray, k: int) -> FloatArray:
     return X.reshape(n, k, k * m)
 
 
-def in_own_units(covariance: FloatArray, back: FloatArray) -> FloatArray:
-    """Return a covariance of coefficients, converted from orthogonal terms to those in the units of the variables."""
-    m = len(back)
+def in_terms(back: FloatArray, exponents: Exponents, terms: Exponents = EXPONENTS) -> FloatArray:
+    """Return a matrix with a row for each of `exponents` as one with a row for each of `terms`, zero where not used."""
+    rows = np.zeros((len(terms), back.shape[1]))
+    rows[[terms.index(exponent) for exponent in exponents]] = back
+    return rows
+
+
+def in_units_of_terms(covariance: FloatArray, back: FloatArray) -> FloatArray:
+    """Return a covariance of coefficients (k m, k m), converted from m columns to the terms ``back @ columns``."""
+    n, m = back.shape
     k = len(covariance) // m
     blocks = np.einsum("im,ambn,jn->aibj", back, covariance.reshape(k, m, k, m), back, optimize=True)
-    return np.asarray(blocks.reshape(k * m, k * m))
+    return np.asarray(blocks.reshape(k * n, k * n))
 
 
 def _with_covariance(estimates: Estimates) -> Estimates:
     """Return the estimates without fits that have no covariance; list these by name."""
-    known = [bool(np.isfinite(own).all()) for own in estimates.covariance]
+    known = [bool(np.isfinite(covariance).all()) for covariance in estimates.covariance]
     if all(known):
         return estimates
     why = "no covariance for the weights (weighting = 'ordinary' needs none)"
@@ -341,104 +343,3 @@ def _notes(estimates: Estimates, missed: FloatArray) -> tuple[str, ...]:
             )
         )
     return tuple(notes)
-
-
-# ---- Uncertain coefficients of surfaces: covariance of the parameters at a point, and random draws.
-
-_TRIES = 20  # largest number of draws for each requested model
-
-
-def coefficient_frame(
-    parameters: Sequence[str], terms: Sequence[str], coefficients: FloatArray, covariance: FloatArray
-) -> Any:
-    """Return coefficients as a pandas.DataFrame: a row for each parameter, for each term a column and one of its std.
-
-    Raises
-    ------
-    UsageError
-        When pandas is not installed.
-    """
-    std = np.sqrt(np.diag(covariance)).reshape(coefficients.shape)
-    columns: dict[str, Any] = {"parameter": list(parameters)}
-    for j, term in enumerate(terms):
-        columns |= {term: coefficients[:, j], f"{term} std": std[:, j]}
-    return data_frame(columns, index="parameter")
-
-
-def covariance_at(terms: FloatArray, covariance: FloatArray, scatter: FloatArray | None = None) -> FloatArray:
-    """Return the covariance of k parameters at operating points.
-
-    Parameters
-    ----------
-    terms : (..., m) array
-        Terms of the polynomials at the points.
-    covariance : (k m, k m) array
-        Covariance of the coefficients: parameters, for each its terms.
-    scatter : (k, k) array, optional
-        Covariance of the deviations of recordings, which is added.
-
-    Returns
-    -------
-    (..., k, k) array
-    """
-    m = terms.shape[-1]
-    k = len(covariance) // m
-    found = np.einsum("...i,aibj,...j->...ab", terms, covariance.reshape(k, m, k, m), terms, optimize=True)
-    return np.asarray(found if scatter is None else found + scatter)
-
-
-def draws(
-    coefficients: FloatArray,
-    covariance: FloatArray,
-    scatter: FloatArray | None,
-    n: int,
-    seed: int,
-    accepts: Callable[[FloatArray], bool],
-    refusal: tuple[str, str],
-) -> list[FloatArray]:
-    """Return n random coefficients (k, m) that are possible; others are rejected.
-
-    Parameters
-    ----------
-    coefficients : (k, m) array
-        Mean. The first term is the constant 1.
-    covariance : (k m, k m) array
-        Covariance of the coefficients.
-    scatter : (k, k) array or None
-        Covariance of the deviation of one recording, added to the constant term; None for none.
-    n, seed : int
-        Number of models, and seed of the random numbers.
-    accepts : callable
-        From coefficients to whether they are possible.
-    refusal : (owner, what)
-        What is drawn, and what most draws are not, with what to do; for the message.
-
-    Raises
-    ------
-    UsageError
-        When almost all draws are rejected.
-    """
-    rng = np.random.default_rng(seed)
-    root = _root(covariance)
-    lift = None if scatter is None else _root(scatter)
-
-    def every() -> Iterator[FloatArray]:
-        for _ in range(_TRIES * n):
-            drawn = coefficients + (root @ rng.normal(size=root.shape[1])).reshape(coefficients.shape)
-            if lift is not None:
-                drawn[:, 0] += lift @ rng.normal(size=lift.shape[1])
-            yield drawn
-
-    found = list(islice(filter(accepts, every()), n))
-    if len(found) < n:
-        owner, what = refusal
-        raise UsageError(f"{owner}: {len(found)} of {_TRIES * n} draws {what}")
-    return found
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return a matrix R with R R' equal to a covariance, which may be singular and badly scaled."""
-    size = np.sqrt(np.diag(covariance))
-    scale = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) * scale[:, None])

@@ -15,6 +15,7 @@ from gbid.control.loop.sensitivity import sensitivity_data
 from gbid.core.arrays import point_label
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.tables import Column, Entry, Table, shown_unit
+from gbid.experiment.controllers import published_machine
 from gbid.lpv import LPVFit
 from gbid.lpv.model import TERMS
 from gbid.report.control_tables import (
@@ -232,7 +233,7 @@ def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
 
 def _modes(results: Results, design: AssessedDesign) -> list[Block]:
     """Return a table of the modes in the paper, and those of this model with the published gains."""
-    source = design.plant if design.plant.reference_modes else results.rig
+    source = published_machine(results.experiment, results.experiment.spec.controller.get(design.group))
     rows = []
     for known in source.reference_modes if source is not None else ():
         point = (known.pressure_bar, known.speed_rpm)
@@ -303,7 +304,7 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
     if section is None:
         return None
     blocks: list[Block] = [Words(why, "warn") for why in results.studies.missing.values()]
-    came = results.rig.reference_modes if results.rig is not None else ()
+    came = results.published_machine.reference_modes if results.rig is not None else ()
     published = [modes for modes in came if modes.loop == "open" or section.controller == "paper"]
     modes: list[list[str]] = []
     responses: list[list[Entry]] = []

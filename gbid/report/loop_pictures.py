@@ -472,9 +472,9 @@ def _loop(
 ) -> MagnitudeCurves:
     """Return curves of the identified model in the loop with the published controller."""
     point = shown_point(results.identified)
-    plant, d = results.identified.plant_at(*point), published_gains(results.machine)
+    plant, d = results.identified.plant_at(*point), published_gains(results.published_machine)
     gains = f"$\\kappa_x$ = {d.kappa_x:g}, $\\kappa_y$ = {d.kappa_y:g} m/m, low-pass {d.lowpass_hz:g} Hz"
-    data = sensitivity_data(plant, published_controller(results.machine))
+    data = sensitivity_data(plant, published_controller(results.published_machine))
     return curves(data, f"{point_label(*point)}; {gains}")
 
 

@@ -101,9 +101,9 @@ _PER = ("", "/bar", "/rpm", "/(bar rpm)", "/bar^2", "/rpm^2")
 
 def machine_table(results: Results) -> Table:
     """Return the dimensions of the machine (Table 1) from its model file."""
-    if not results.machine.rig:
+    if not results.published_machine.rig:
         raise DataError(f"the model file of {results.machine.name!r} gives no dimensions of the machine")
-    rows = [(name.replace("_", " "), q.value, q.unit, q.source) for name, q in results.machine.rig.items()]
+    rows = [(name.replace("_", " "), q.value, q.unit, q.source) for name, q in results.published_machine.rig.items()]
     return Table("Table 1: the machine", _columns("dimension", "value", "unit", "source"), rows)
 
 
@@ -131,7 +131,7 @@ def damping_table(results: Results) -> Table:
 
 def controller_table(results: Results) -> Table:
     """Return the controllers of the piezos (Table A.5) from the machine's model file."""
-    found = results.machine.piezo_controllers
+    found = results.published_machine.piezo_controllers
     if found is None:
         raise DataError(f"the model file of {results.machine.name!r} gives no controllers of the piezos")
     columns = [Column("piezo"), *(Column(name, unit, 4) for name, unit in found.unit.items())]
@@ -191,7 +191,7 @@ def _mode_table(results: Results, title: str, sign: str, j: int) -> Table:
         ("obtained from the impacts", *(loops[loop].ringdown.modes()[i][j] for i, loop in columns)),
         ("standard deviation", *(_std(loops[loop].ringdown, i, j) for i, loop in columns)),
     ]
-    modes = [m for m in results.machine.reference_modes if (m.pressure_bar, m.speed_rpm) == place]
+    modes = [m for m in results.published_machine.reference_modes if (m.pressure_bar, m.speed_rpm) == place]
     for kind in ("expected", "measured"):
         known = {m.loop: m.modes for m in modes if m.kind == kind}
         if {"open", "closed"} <= set(known):
@@ -425,7 +425,9 @@ def _damping_factor(i: int, results: Results) -> Own:
 def _published_mode(loop: str, i: int, j: int, results: Results) -> Own:
     """Return frequency or damping factor of a mode of the published model, with or without its controller."""
     plant = results.machine.plant_at(*POINT)
-    return (close_loop(plant, published_controller(results.machine)) if loop == "closed" else plant).modes()[i][j], nan
+    if loop == "closed":
+        plant = close_loop(plant, published_controller(results.published_machine))
+    return plant.modes()[i][j], nan
 
 
 def _published_factor(i: int, results: Results) -> Own:
@@ -435,7 +437,7 @@ def _published_factor(i: int, results: Results) -> Own:
 def _retuned(results: Results) -> GainResult:
     """Return gains tuned on the published model at the point of the paper, with the peak of S_o of its own gains."""
     machine = results.machine
-    cap = sensitivities(machine.plant_at(*POINT), published_controller(machine)).peak("output").value
+    cap = sensitivities(machine.plant_at(*POINT), published_controller(results.published_machine)).peak("output").value
     return tune(machine, operating_points=[POINT], peak_sensitivity=cap)
 
 

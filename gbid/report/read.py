@@ -27,7 +27,7 @@ from gbid.experiment.controllers import (
     sample_time,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.machine import rig_model, true_model, true_values
+from gbid.experiment.machine import rig_machine, rig_model, true_model, true_values
 from gbid.experiment.recordings import load_made
 from gbid.experiment.run import Job, Task, standing
 from gbid.experiment.schema import ControllerSection, wanted_signals
@@ -46,8 +46,7 @@ from gbid.experiment.stages.static import load_made_static, static_tasks
 from gbid.experiment.stages.tune import assess_published, design_plant, read_designs
 from gbid.experiment.structures import make_structure
 from gbid.identify import FitResult
-from gbid.lpv import LPVFit, LPVModel
-from gbid.lpv.model import ProportionalDesign
+from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, PublishedMachine
 from gbid.prefilter import PrefilterReport
 from gbid.prefilter.prefilter import read_report
 from gbid.recording import Recording, find_problems, load_recording
@@ -139,7 +138,7 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
             sampled = section.design_for == "sampled"
             conditions = plant, design.impact, design.sample_time, design.method, peak_cap(section), sampled
             for figures in design.performance[: None if name == first else 1]:
-                came = None if figures is design.performance[0] else published_design(experiment, plant)
+                came = None if figures is design.performance[0] else published_design(experiment, section)
                 form = published_structure(came) if came else design_structure(experiment, section, plant.domain)
                 own = name if came is None else figures.name if len(groups) == 1 else f"{figures.name} (as {first})"
                 found.append(AssessedDesign(own, first, figures, form, *conditions, came=came is not None))
@@ -148,7 +147,7 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
 
 def assessed_published(job: Job, model: LPVModel | None) -> tuple[AssessedDesign, ...]:
     """Return the published controller of a model, assessed, for an experiment without designs; empty without one."""
-    came = None if model is None else published_design(job.experiment, model)
+    came = None if model is None else published_design(job.experiment)
     figures = None if model is None else assess_published(job.experiment, model)
     if model is None or came is None or figures is None:
         return ()
@@ -391,7 +390,7 @@ POINT = (6.0, 0.0)
 """Operating point of static map, controller and impacts in the paper: pressure [bar], speed [rpm]."""
 
 
-def published_gains(machine: LPVModel) -> ProportionalDesign:
+def published_gains(machine: PublishedMachine) -> ProportionalDesign:
     """Return the published gains and low-pass of a machine.
 
     Raises
@@ -400,11 +399,11 @@ def published_gains(machine: LPVModel) -> ProportionalDesign:
         When the machine has none.
     """
     if machine.controller is None:
-        raise DataError(f"machine {machine.name!r} comes with no controller; add one to its model file")
+        raise DataError(f"machine {machine.model.name!r} comes with no controller; add one to its model file")
     return machine.controller
 
 
-def published_controller(machine: LPVModel) -> LinearModel:
+def published_controller(machine: PublishedMachine) -> LinearModel:
     """Return the controller of `published_gains`."""
     d = published_gains(machine)
     return p_controller(d.kappa_x, d.kappa_y, d.lowpass_hz, d.lowpass_order)
@@ -728,11 +727,16 @@ class Results:
         return None if self.experiment.spec.rig is None else rig_model(self.experiment)
 
     @property
+    def published_machine(self) -> PublishedMachine:
+        """Machine file of the rig, which must exist: the model, and what its source publishes beside it."""
+        if self.experiment.spec.rig is None:
+            raise DataError("this experiment has no virtual rig, so there is no description of the machine")
+        return rig_machine(self.experiment)
+
+    @property
     def machine(self) -> LPVModel:
         """Model behind the rig, which must exist."""
-        if self.rig is None:
-            raise DataError("this experiment has no virtual rig, so there is no description of the machine")
-        return self.rig
+        return self.published_machine.model
 
     @property
     def published(self) -> bool:

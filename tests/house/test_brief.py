@@ -84,7 +84,7 @@ def test_recording(folder):
 
 def test_models_and_loops(machine):
     assert lines_of(machine)[0].startswith("LPVModel: ")
-    assert "3 to 7 bar, 0 to 6000 rpm" in repr(machine)
+    assert "pressure_bar 3 to 7, speed_rpm 0 to 6000" in repr(machine)
     assert "a doubt" in replace(machine, notes=("a doubt",))._repr_html_()
     plant = machine.plant_at(6, 0)
     loop = gbid.sensitivities(plant, gbid.LinearModel([[-1.0]], [[0.0, 0.0]], [[0.0], [0.0]], 0.1 * np.eye(2)))

@@ -8,7 +8,7 @@ import pytest
 import gbid
 from gbid.core.errors import DataError, ExtrapolationWarning, UsageError
 from gbid.core.files import share_folder
-from gbid.lpv import ScheduledModel
+from gbid.lpv import Domain, LPVModel, save_model
 from gbid.lpv.estimates import chosen_exponents
 from gbid.structure import evaluate, load_structure
 from gbid.structure.scheduled import exponents_of, term_name
@@ -49,6 +49,9 @@ def test_surfaces_of_a_rotor_over_speed(fits):
     np.testing.assert_allclose(model.modes(), evaluate(ROTOR, truth(9000.0)).modes(), rtol=2e-3)
     assert model.input_names == ("f_1", "f_2", "f_3", "f_4")
     assert "g" in repr(found)
+    frame = found.to_frame()
+    assert list(frame.columns) == ["1", "1 std", "speed_rpm", "speed_rpm std"]
+    np.testing.assert_allclose(frame.to_numpy(), np.stack([constant, std[:, 0], slope, std[:, 1]], axis=-1))
     assert found.uncertainty_at([0.0, 6000.0]).shape == (2, 7, 7)
     wider = found.uncertainty_at(6000.0, scatter=True) - found.uncertainty_at(6000.0)
     np.testing.assert_allclose(wider, found.scatter, atol=1e-12 * found.scatter.max())
@@ -61,7 +64,7 @@ def test_an_ordinary_fit_is_least_squares(fits):
     for name in ("g", "k_t"):
         expected = np.linalg.lstsq(X, [fit.parameters[name] for fit in fits], rcond=None)[0]
         np.testing.assert_allclose(found.model.coefficients[name], expected, rtol=1e-6, atol=1e-9)
-    held = found.model.parameters_at(5000.0)["d_s"]
+    held = found.model.key_parameters(5000.0)["d_s"]
     assert held == pytest.approx(np.mean([fit.parameters["d_s"] for fit in fits]))
     assert found.notes[-1] == "held at the mean of the fits: k_s, d_s, d_t, b_s, b_t [GB306]"
 
@@ -69,7 +72,7 @@ def test_an_ordinary_fit_is_least_squares(fits):
 def test_drawn_models_have_the_covariance_and_stay_within_the_bounds(fits):
     found = gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling="speed_rpm", order=1)
     drawn = found.draw(300, seed=0)
-    g = np.array([one.parameters_at(6000.0)["g"] for one in drawn])
+    g = np.array([one.key_parameters(6000.0)["g"] for one in drawn])
     place = found.estimates.parameters.index("g")
     assert g.std() == pytest.approx(np.sqrt(found.uncertainty_at(6000.0)[place, place]), rel=0.15)
     narrow = tuple(replace(p, lower=p.start * (1 - 1e-12), upper=p.start * (1 + 1e-12)) if p.name == "d_s" else p
@@ -96,24 +99,27 @@ def test_wrong_use_is_refused(fits):
     with pytest.raises(DataError, match="4 operating points for 10 terms"):
         gbid.fit_lpv(fits, [(v, v) for v in SPEEDS], structure=ROTOR, scheduling=("a", "b"), order=3)
     with pytest.raises(UsageError, match="actuators belong to the model of a gas bearing"):
-        gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling="v", actuators={})  # type: ignore[call-overload]
+        gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling="v", actuators={})
 
 
-def test_the_domain_of_a_scheduled_model():
-    model = ScheduledModel("m", ROTOR, ("v",), ((0,), (1,)), {"g": (0.0, 2.0)}, {"v": (0.0, 10.0)}, FIXED)
-    np.testing.assert_allclose(model.parameters_at([1.0, 2.0])["g"], [2.0, 4.0])
+def test_the_domain_of_a_scheduled_model(tmp_path):
+    linear = {"structure": ROTOR, "exponents": ((0,), (1,)), "held": FIXED}
+    model = LPVModel("m", {"g": (0.0, 2.0)}, Domain((0.0, 10.0), variables=("v",)), **linear)
+    np.testing.assert_allclose(model.key_parameters([1.0, 2.0])["g"], [2.0, 4.0])
     with pytest.raises(UsageError, match=r"v = 11 lies outside its domain \[0, 10\]"):
         model.at(11.0)
     with pytest.warns(ExtrapolationWarning, match="v = 11 lies outside"):
-        assert model.parameters_at(11.0, extrapolate=True)["g"] == 22.0
+        assert model.key_parameters(11.0, extrapolate=True)["g"] == 22.0
     with pytest.raises(UsageError, match="give v; got 2 values"):
         model.at(1.0, 2.0)
     with pytest.raises(UsageError, match="give one operating point"):
         model.at([1.0, 2.0])  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="not finite"):
         model.at(np.nan)
-    with pytest.raises(UsageError, match="give coefficients or a value for each of k_s"):
-        ScheduledModel("m", ROTOR, ("v",), ((0,),), {"g": (0.0,)}, {"v": (0.0, 10.0)})
+    with pytest.raises(UsageError, match=r"coefficients: k_s, .* missing; give a value for each of k_s"):
+        LPVModel("m", {"g": (0.0, 2.0)}, model.domain, **{**linear, "held": {}})
+    with pytest.raises(UsageError, match="'m' is one of 'rigid_rotor'; this needs the model of a gas bearing"):
+        save_model(model, tmp_path / "m.yaml")
 
 
 def test_terms_of_other_scheduling_variables():

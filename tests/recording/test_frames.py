@@ -8,7 +8,6 @@ from fit_cases import MODE, MODE_AT, levels, simulated
 
 import gbid
 from gbid.core.errors import DataError, UsageError
-from gbid.lpv.regression import coefficient_frame
 
 
 @pytest.fixture(scope="module")
@@ -92,10 +91,6 @@ def test_results_as_frames(rec, result):
     scores = gbid.cross_validate_many([result], [rec.slice(0, 500, "other")]).to_frame()
     assert scores.loc[0, "fit_percent_y"] == pytest.approx(found.fit_percent[0], abs=1.0)
     assert scores.loc[0, "recording"] == "other"
-    names, terms = ("k", "d"), ("1", "P")
-    surfaces = coefficient_frame(names, terms, np.array([[1.0, 2.0], [3.0, 4.0]]), np.diag([1.0, 4.0, 9.0, 16.0]))
-    assert list(surfaces.loc["d"]) == [3.0, 3.0, 4.0, 4.0]
-    assert list(surfaces.columns) == ["1", "1 std", "P", "P std"]
 
 
 def test_pandas_is_wanted_only_for_frames(monkeypatch, rec):

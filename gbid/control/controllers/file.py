@@ -23,7 +23,7 @@ from gbid.core.files import atomic_path, in_one_line
 from gbid.core.names import given_path
 from gbid.core.yaml_file import YamlFile, read_yaml, write_yaml
 from gbid.lpv import Domain
-from gbid.lpv.model import FileTable, Number
+from gbid.lpv.model_file import FileTable, Number
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
 
@@ -401,7 +401,7 @@ def _contents(
         "structure": table,
     }
     if isinstance(structure, Scheduled):
-        contents["schedule"] = {"terms": list(structure.terms), **asdict(structure.domain)}
+        contents["schedule"] = {"terms": list(structure.terms), **structure.domain.ranges}
     contents["gains"] = {key: {"value": value, "unit": design.units[key]} for key, value in design.gains.items()}
     contents["sampling"] = {"sample_time_s": design.sample_time, "method": design.method}
     contents["provenance"] = dict(design.provenance)

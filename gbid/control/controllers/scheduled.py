@@ -116,13 +116,10 @@ class Scheduled:
         missing = [parameter.name for parameter in self.parameters if parameter.name not in p]
         if missing:
             raise UsageError(f"{self.name}: no value for {', '.join(missing)}")
-        self.domain.check(pressure_bar, speed_rpm, self.name)
+        self.domain.check((pressure_bar, speed_rpm), self.name)
         scaled = (
             (value - (high + low) / 2) / ((high - low) / 2 or 1.0)
-            for value, (low, high) in (
-                (pressure_bar, self.domain.pressure_bar),
-                (speed_rpm, self.domain.speed_rpm),
-            )
+            for value, (low, high) in zip((pressure_bar, speed_rpm), self.domain.bounds, strict=True)
         )
         values = dict(zip(TERMS, basis(*scaled), strict=True))
         return {
@@ -160,7 +157,7 @@ class Scheduled:
         pressure_bar, speed_rpm : float
             Operating point [bar], [rpm].
         """
-        self.domain.check(pressure_bar, speed_rpm, self.name)
+        self.domain.check((pressure_bar, speed_rpm), self.name)
         return LinearStructure(
             f"{self.name} at {point_label(pressure_bar, speed_rpm)}",
             self.parameters,

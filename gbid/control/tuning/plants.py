@@ -31,7 +31,7 @@ from gbid.core.arrays import ComplexArray, FloatArray, is_real, is_whole, point_
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.identify import FitResult
-from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, basis
+from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, regressors
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, evaluate, pade_delay, with_pade
 from gbid.structure.linear import Structure
 
@@ -258,7 +258,7 @@ class Uncertainty(Brief):
             return [np.broadcast_to(sample, (len(points), len(sample))) for sample in samples]
         root = _root(np.asarray(self.covariance, float))
         normal = np.random.default_rng(self.seed).standard_normal((self.draws, len(root)))
-        terms = np.stack([term * np.ones(len(points)) for term in basis(points[:, 0], points[:, 1])], axis=1)
+        terms = regressors(*points.T)
         coefficients = (normal @ root.T).reshape(self.draws, len(KEY_PARAMETERS), len(TERMS))
         found = [terms @ draw.T for draw in coefficients]
         if self.scatter is not None:
@@ -890,7 +890,7 @@ def _points(lpv: LPVModel, given: Sequence[Point] | str | None) -> FloatArray:
         raise UsageError(
             f"model {lpv.name!r} lists no operating points; give operating_points=[(pressure, speed), ...]"
         )
-    lpv.domain.check(array[:, 0], array[:, 1], f"model {lpv.name!r}")
+    lpv.domain.check(tuple(array.T), f"model {lpv.name!r}")
     return array
 
 

@@ -235,7 +235,7 @@ def _point_problems(experiment: Experiment) -> Found:
     for where, points in ((("cycle", "operating_points"), recorded), (("cycle", "impacts", "operating_points"), hit)):
         for q in points:
             try:
-                model.domain.check(q.pressure_bar, q.speed_rpm, f"model {model.name!r}", extrapolate=False)
+                model.domain.check((q.pressure_bar, q.speed_rpm), f"model {model.name!r}")
             except GbidError as error:
                 yield where, str(error)
 

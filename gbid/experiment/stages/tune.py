@@ -262,7 +262,7 @@ def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) 
     item = surfaces_item(experiment, section)
     if item is None:
         model = named_model(experiment, section)
-        return _key_of(experiment, section, published_design(experiment, model), model=model)
+        return _key_of(experiment, section, published_design(experiment, section), model=model)
     if item in surfaces:
         return key_from_surfaces(experiment, section, job.path(LPV_FOLDER, item, ".yaml"))
     raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
@@ -270,8 +270,7 @@ def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) 
 
 def key_from_surfaces(experiment: Experiment, section: ControllerSection, path: Path) -> str:
     """Return the content key of a design for the surfaces in a model file."""
-    published = published_design(experiment, load_lpv_fit(path).model)
-    return _key_of(experiment, section, published, sources=[stored_key(path)])
+    return _key_of(experiment, section, published_design(experiment, section), sources=[stored_key(path)])
 
 
 def _key_of(
@@ -389,7 +388,7 @@ def _performance(
     """Return the assessments of the design and of the published controller."""
     options = assess_options(job.experiment, section)
     own = DesignFigures.of(assess(model, structure, result.gains, result.points, name=name, **options))
-    came = published_design(job.experiment, model)
+    came = published_design(job.experiment, section)
     return (own,) if came is None else (own, _assess_published(model, came, result.points, options))
 
 
@@ -406,7 +405,7 @@ def assess_published(experiment: Experiment, model: LPVModel) -> DesignFigures |
     It is for experiments without designs. The conditions are those of an empty section ``controller``: operating points
     of the model, sample time of the rig.
     """
-    came = published_design(experiment, model)
+    came = published_design(experiment)
     options = assess_options(experiment, ControllerSection())
     return None if came is None else _assess_published(model, came, model.operating_points, options)
 
