@@ -40,27 +40,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
     options = parser.parse_args(arguments)
     with one_blas_thread():
-        run = measure(2, 0.05, 0.01) if options.quick else measure(_N_RECORDINGS, _DURATION_S, 0.2)
+        run = measure(2, 0.05) if options.quick else measure(_N_RECORDINGS, _DURATION_S)
     if options.output:
         options.output.write_text(json.dumps(run, indent=2) + "\n", encoding="utf-8")
     print(rig_table(run))
     return 0
 
 
-def measure(n_recordings: int, duration_s: float, interpreted_s: float) -> dict[str, Any]:
-    """CPU time of recordings with nonlinear stacks; of one engine against the other on a short one."""
-    make(0, 0.02, "auto")  # compiles
+def measure(n_recordings: int, duration_s: float) -> dict[str, Any]:
+    """CPU time of recordings with nonlinear stacks and all effects, and of a linear one."""
+    make(0, 0.02)  # compiles
     began, wall = time.process_time(), time.perf_counter()
     for i in range(n_recordings):
-        make(i, duration_s, "auto")
+        make(i, duration_s)
     campaign, campaign_wall = time.process_time() - began, time.perf_counter() - wall
-    per_second = {}
-    for engine in ("compiled", "python"):
-        # The difference of two lengths: what a recording costs whatever its length falls out.
-        spent = [_cpu(engine, seconds) for seconds in (interpreted_s, 3 * interpreted_s)]
-        per_second[engine] = (spent[1] - spent[0]) / (2 * interpreted_s)
     began = time.process_time()
-    make(0, duration_s, "auto", linear=True)
+    make(0, duration_s, linear=True)
     return {
         "date": datetime.date.today().isoformat(),
         "processor": processor(),
@@ -71,12 +66,10 @@ def measure(n_recordings: int, duration_s: float, interpreted_s: float) -> dict[
         "campaign_cpu_s": campaign,
         "campaign_wall_s": campaign_wall,
         "linear_cpu_s": time.process_time() - began,
-        "compiled_cpu_per_s": per_second["compiled"],
-        "interpreted_cpu_per_s": per_second["python"],
     }
 
 
-def make(i: int, duration_s: float, engine: Any, linear: bool = False, settle_s: float = _SETTLE_S) -> None:
+def make(i: int, duration_s: float, linear: bool = False) -> None:
     """One recording of the campaign, with all that the rig can do, or with what is linear only."""
     pressure, speed = _POINTS[i % len(_POINTS)]
     model = gbid.load_model("theisen2016")
@@ -99,33 +92,20 @@ def make(i: int, duration_s: float, engine: Any, linear: bool = False, settle_s:
         name=f"recording {i}",
         scatter=None if linear else Scatter(),
         touch_down="flag",
-        settle_s=settle_s,
-        engine=engine,
+        settle_s=_SETTLE_S,
     )
 
 
 def rig_table(run: dict[str, Any]) -> str:
     """The numbers as Markdown."""
-    ratio = run["interpreted_cpu_per_s"] / run["compiled_cpu_per_s"]
     length = f"{run['duration_s']:g} s + {run['settle_s']:g} s"
     rows = [
         (f"{run['n_recordings']} recordings of {length}, stacks and all effects, one core", run["campaign_cpu_s"]),
         ("one of them", run["campaign_cpu_s"] / run["n_recordings"]),
         (f"one of {length}, linear, closed form", run["linear_cpu_s"]),
-        ("a simulated second, compiled", run["compiled_cpu_per_s"]),
-        (f"a simulated second, interpreted ({ratio:.0f} times as long)", run["interpreted_cpu_per_s"]),
     ]
     lines = ["| what | CPU time [s] |", "|---|---|", *(f"| {what} | {seconds:.3g} |" for what, seconds in rows)]
     return "\n".join([*lines, "", f"{run['processor']}, {run['date']}, gbid {run['gbid']}."])
-
-
-def _cpu(engine: str, seconds: float) -> float:
-    """CPU time of one recording; of several in a row where one is too short to time."""
-    repeats = 1 if engine == "python" else 20
-    began = time.process_time()
-    for _ in range(repeats):
-        make(2, seconds, engine, settle_s=0.0)
-    return (time.process_time() - began) / repeats
 
 
 if __name__ == "__main__":

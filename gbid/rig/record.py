@@ -30,7 +30,7 @@ from gbid.rig.machine import ActuatorTruth, Machine, RigRun, RotorBearingTruth, 
 from gbid.rig.response import MIN_OVERSAMPLING, Forces, draw_noise, draw_whirl, driven_motion, unbalance_orbit
 from gbid.rig.sensors import TURN as TURN_SENSORS
 from gbid.rig.sensors import ProgramController, SampledController, encoder_angle, quantised, runout
-from gbid.rig.stepping import AlongCourse, ProgramLoop, RigEngine, SteppedMotion, Surfaces, stepped_motion
+from gbid.rig.stepping import AlongCourse, ProgramLoop, SteppedMotion, Surfaces, stepped_motion
 
 # ---- Parts of a recording of the rig: its machine, its rotation, its additional effects, and its control program.
 
@@ -334,7 +334,6 @@ def record(
     stacks: bool = False,
     surfaces: Surfaces | None = None,
     simulation: Simulation = "auto",
-    engine: RigEngine = "auto",
 ) -> Recording:
     """Return one simulated recording (paper, Secs. 2, 3.1, 3.4, 3.5 and 5.1).
 
@@ -380,8 +379,6 @@ def record(
         such as ``model.key_parameters`` of a `gbid.LPVModel`. They replace the rotor and bearing of the machine.
     simulation : {"auto", "exact", "stepping"}
         Method. ``"stepping"`` is also possible where the closed form exists.
-    engine : {"auto", "compiled", "python"}
-        Program that computes the time steps.
 
     Returns
     -------
@@ -479,7 +476,6 @@ def record(
             n_settle=n_settle,
             oversampling=oversampling,
             wall=touch_down == "flag",
-            engine=engine,
         )
     if touch_down == "refuse":
         _check_clearance(name, time, motion.radius, machine.clearance)

@@ -1,11 +1,11 @@
-"""Constants and state of the time stepping as plain arrays."""
+"""Motion of the rig by time stepping in C: nonlinear machines, control loops, courses of pressure and speed."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
@@ -19,6 +19,8 @@ from gbid.rig.machine import ActuatorTruth, Machine, RotorBearingTruth
 from gbid.rig.piezo import ALLOCATION, N_PLAYS, PiezoStack, PiezoStacks, StackRest, pair_difference
 from gbid.rig.response import MIN_OVERSAMPLING, Forces
 from gbid.rig.sensors import LoopProgram, SampledController
+
+# ---- Constants and state of the time stepping as plain arrays.
 
 STEP, DELAY, BEARING = 21, slice(19, 21), slice(0, 12)
 """Indices of the step size, of the delays (in steps), and of K, D and B in `StepArrays.rotor`."""
@@ -270,7 +272,7 @@ def _linear_steps(actuator: ActuatorTruth, h: float) -> FloatArray:
     return rows
 
 
-# ---- C source of the time stepping; `gbid.rig.stepping` is the same in Python.
+# ---- C source of the time stepping.
 
 SOURCE = """\
 /* Written by gbid: actuators, delays, rotor and controller of the virtual rig, one fine step after another.
@@ -468,132 +470,7 @@ void gbid_rig_steps(const long *restrict sizes, const double *restrict R, const 
 """
 
 
-# ---- Time stepping in Python, equal to the C source in `step_source`, for tests and machines without a compiler.
-
-
-def run_in_python(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatArray:
-    """Return the motion over a chunk of samples; `state` is changed in place to the end of the chunk.
-
-    Returns
-    -------
-    (n_samples, ROW_WIDTH) array
-        Columns as in `gbid.rig.stepping.ROW`.
-    """
-    n, over = len(chunk.excitation), arrays.oversampling
-    rotor, stacks, controller = arrays.rotor, arrays.stacks, arrays.controller
-    kept = len(state.history) - 1
-    history = np.vstack([state.history, np.zeros((n * over + 1, 2))])
-    output = np.zeros((n, ROW_WIDTH))
-    for k in range(n):
-        row = output[k]
-        r = chunk.excitation[k].copy()
-        if controller is not None:
-            r = np.clip(r + state.command, -arrays.travel, arrays.travel)
-        disc = state.rotor[0:2] + state.rotor[4:6]
-        seen = disc + chunk.sensor[k]
-        if arrays.resolution > 0:
-            seen = np.rint(seen / arrays.resolution) * arrays.resolution
-        if controller is not None:
-            e = seen - chunk.taken[k]
-            state.command[:] = controller.C @ state.controller + controller.D @ e
-            state.controller[:] = controller.A @ state.controller + controller.B @ e
-        row[ROW.r], row[ROW.u], row[ROW.p], row[ROW.seen] = r, history[kept + k * over], disc, seen
-        command = np.zeros(4)
-        if stacks is not None:
-            command = chunk.base[k] + stacks.share_x * r[0] + stacks.share_y * r[1]
-            row[ROW.stacks], row[ROW.commands] = state.stack[2], command
-        worst = float(disc @ disc)
-        for t in range(k * over, (k + 1) * over):
-            if stacks is not None:
-                volts, ended = _step_stacks(stacks, state, command, rotor[STEP])
-                if t == k * over:
-                    row[ROW.volts] = volts
-                row[ROW.ended] += ended / over
-                y = state.stack[2]
-                history[kept + t + 1] = y[1] - y[3], y[0] - y[2]
-            else:
-                for j, m in enumerate(arrays.linear):
-                    a, u = state.linear[j], history[kept + t, j]
-                    history[kept + t + 1, j] = m[2] * a + m[3] * u + m[4] * r[j]
-                    state.linear[j] = m[0] * a + m[1] * r[j]
-            delayed = [_looked_up(history, kept + t + part - rotor[DELAY]) for part in (0.0, 0.5, 1.0)]
-            _step_rotor(rotor, arrays.wall, state.rotor, delayed, chunk.forces[2 * t : 2 * t + 3])
-            worst = max(worst, float(np.sum((state.rotor[0:2] + state.rotor[4:6]) ** 2)))
-        row[ROW.radius] = np.sqrt(worst)
-    state.history[:] = history[n * over : n * over + kept + 1]
-    return output
-
-
-def _looked_up(history: FloatArray, at: FloatArray) -> FloatArray:
-    """Interpolate the history linearly at two places between its rows, one per axis."""
-    i = np.floor(at).astype(int)
-    w = at - i
-    axis = np.arange(2)
-    return np.asarray((1 - w) * history[i, axis] + w * history[i + 1, axis])
-
-
-def _step_stacks(p: StackArrays, state: StepState, command: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:
-    """Advance the four stacks by one step; return the voltages at its start and which stacks were saturated."""
-    crept = state.creep.sum(axis=0)
-    volts = np.zeros(4)
-
-    def rates(part: float, x: FloatArray) -> FloatArray:
-        q, a, y = x
-        plays = np.maximum(a - p.thresholds, np.minimum(a, state.plays)).sum(axis=0)
-        e = p.reference_gain * command - y
-        v = np.clip(np.where(p.open_loop != 0, command, p.gain * (q + e)), 0.0, p.voltage_limit)
-        if part == 0.0:
-            volts[:] = v
-        goal = np.clip(p.spring * a + p.play * plays + crept, 0.0, p.stroke)
-        return np.array([p.lead * e - p.pole * q, p.slow * (v - a), p.fast * (goal - y)])
-
-    x = state.stack
-    wanted = p.gain * (x[0] + p.reference_gain * command - x[2])
-    beyond = (p.open_loop == 0) & ((wanted < 0) | (wanted > p.voltage_limit))
-    ended = beyond | (x[2] > p.stroke * (1 - 1e-6))
-    x += _runge_kutta(rates, x, h)
-    a = x[1]
-    state.plays[:] = np.maximum(a - p.thresholds, np.minimum(a, state.plays))
-    fast = p.spring * a + p.play * state.plays.sum(axis=0)
-    state.creep[:] += p.relax * (p.creep * fast - state.creep)
-    return volts, ended.astype(float)
-
-
-def _step_rotor(R: FloatArray, wall: bool, x: FloatArray, delayed: list[FloatArray], forces: FloatArray) -> None:
-    """Advance the rotor by one step, in place."""
-    K, D, B = (R[i : i + 4].reshape(2, 2) for i in (0, 4, 8))
-    cubic, clearance, stiffness, damping, omega2, two_zeta_omega, share = R[12:19]
-
-    def rates(part: float, x: FloatArray) -> FloatArray:
-        at = round(2 * part)
-        q, dq, e, de = x[0:2], x[2:4], x[4:6], x[6:8]
-        force = B @ delayed[at] + forces[at]
-        p = q + e
-        radius = float(np.sqrt(p @ p))
-        if wall and radius > clearance:
-            outward = p / radius
-            push = stiffness * (radius - clearance) + damping * float(outward @ (dq + de))
-            force = force - max(push, 0.0) * outward
-        bent = (1 + cubic * (q @ q)) * q
-        acceleration = K @ bent + D @ dq + force
-        return np.concatenate([dq, acceleration, de, share * force - omega2 * e - two_zeta_omega * de])
-
-    x += _runge_kutta(rates, x, R[STEP])
-
-
-def _runge_kutta(rates: Callable[[float, FloatArray], FloatArray], x: FloatArray, h: float) -> FloatArray:
-    """Return the change over one classical Runge-Kutta step; `rates` gets the elapsed part and the state."""
-    d1 = rates(0.0, x)
-    d2 = rates(0.5, x + h / 2 * d1)
-    d3 = rates(0.5, x + h / 2 * d2)
-    d4 = rates(1.0, x + h * d3)
-    return np.asarray(h / 6 * (d1 + 2 * d2 + 2 * d3 + d4))
-
-
 # ---- Time stepping with a program in the loop: the program gets each sample, and its references act in the next.
-
-StepRun = Callable[[StepArrays, StepState, Chunk], FloatArray]
-"""Program that computes the motion over a chunk of samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -620,15 +497,13 @@ class ProgramLoop:
         return ProgramLoop(self.program, self.angle[rows], self.speed_rpm[rows], self.pressure_bar[rows])
 
 
-def run_with_program(run: StepRun, arrays: StepArrays, state: StepState, chunk: Chunk, loop: ProgramLoop) -> FloatArray:
+def run_with_program(arrays: StepArrays, state: StepState, chunk: Chunk, loop: ProgramLoop) -> FloatArray:
     """Return the motion over a chunk of samples with a program in the loop.
 
     Parameters
     ----------
-    run : callable
-        The time stepping.
     arrays, state, chunk
-        Its constants, its state, and the inputs of the samples of `loop`.
+        Constants and state of the time stepping, and the inputs of the samples of `loop`.
     loop : ProgramLoop
         The program, with angle and speed of these samples.
 
@@ -648,7 +523,7 @@ def run_with_program(run: StepRun, arrays: StepArrays, state: StepState, chunk: 
             chunk.sensor[k : k + 1],
             chunk.taken[k : k + 1],
         )
-        rows[k] = run(arrays, state, one)[0]
+        rows[k] = run_steps(arrays, state, one)[0]
         seen = rows[k, ROW.seen]
         state.command[:] = loop.program.references(seen, loop.angle[k], loop.pressure_bar[k], loop.speed_rpm[k])
     return rows
@@ -725,9 +600,8 @@ class AlongCourse:
         return replace(arrays, rotor=rotor)
 
 
-# ---- Motion of a nonlinear machine or of a control loop by time stepping, compiled where there is a C compiler.
+# ---- Motion of a nonlinear machine or of a control loop by time stepping in compiled C.
 
-RigEngine = Literal["auto", "compiled", "python"]
 _CHUNK = 2000
 """Samples per chunk: the forces on the fine grid then fit into the processor cache."""
 
@@ -750,7 +624,7 @@ class SteppedMotion(Brief):
     radius : (n,) array
         Largest distance of the disc from the centre within each sample [m].
     how : str
-        Engine that was used, and the reason when it is not the compiled one.
+        How it was computed: in closed form or by stepping.
     """
 
     r: FloatArray
@@ -780,7 +654,6 @@ def stepped_motion(
     n_settle: int = 0,
     oversampling: int = MIN_OVERSAMPLING,
     wall: bool = True,
-    engine: RigEngine = "auto",
 ) -> SteppedMotion:
     """Return the motion computed by classical Runge-Kutta steps of sample_time/oversampling.
 
@@ -816,8 +689,6 @@ def stepped_motion(
         Time steps per sample, at least 20.
     wall : bool
         Whether a contact holds the disc at the clearance.
-    engine : {"auto", "compiled", "python"}
-        Program that computes the time steps. ``"auto"`` is the compiled one where there is a compiler.
 
     Returns
     -------
@@ -826,7 +697,7 @@ def stepped_motion(
     Raises
     ------
     UsageError
-        When ``engine = "compiled"`` and there is no compiler, when the time step is too long, or when a stack is
+        When there is no C compiler, when the time step is too long, or when a stack is
         commanded on a machine without stacks.
     """
     if oversampling < MIN_OVERSAMPLING:
@@ -843,7 +714,6 @@ def stepped_motion(
     state.rotor[0:2] += orbit
     state.rotor[2:4] += velocity
     taken = np.zeros((n, 2)) if taken is None else taken
-    run, how = _choose(engine)
     rows = np.empty((n, ROW_WIDTH))
     for first in range(0, n, _CHUNK):
         last = min(first + _CHUNK, n)
@@ -854,13 +724,13 @@ def stepped_motion(
             here = arrays if along is None else along.arrays(arrays, begin)
             chunk = Chunk(excitation[part], base[part], on_grid[grid], sensor[part], taken[part])
             rows[part] = (
-                run(here, state, chunk)
+                run_steps(here, state, chunk)
                 if program is None
-                else run_with_program(run, here, state, chunk, program.part(part))
+                else run_with_program(here, state, chunk, program.part(part))
             )
     columns = (np.ascontiguousarray(rows[:, where]) for where in ROW)
     r, u, p, seen, stacks, volts, ended, radius, commands = columns
-    return SteppedMotion(r, u, p, seen, stacks, volts, commands, ended, radius, how)
+    return SteppedMotion(r, u, p, seen, stacks, volts, commands, ended, radius, "stepping, compiled")
 
 
 def _base(
@@ -885,22 +755,26 @@ def _base(
     return base
 
 
-def _choose(engine: RigEngine) -> tuple[StepRun, str]:
-    if engine not in ("auto", "compiled", "python"):
-        raise UsageError(f"engine = {engine!r}; choose 'auto', 'compiled' or 'python'")
-    if engine == "python":
-        return run_in_python, "stepping, interpreted"
+def run_steps(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatArray:
+    """Return the motion over a chunk of samples, computed in C; `state` is changed in place to the end of the chunk.
+
+    Returns
+    -------
+    (n_samples, ROW_WIDTH) array
+        Columns as in `ROW`.
+
+    Raises
+    ------
+    UsageError
+        When there is no C compiler.
+    """
     try:
-        load_library(SOURCE)
+        step = load_library(SOURCE).gbid_rig_steps
     except CompilerMissingError as missing:
-        if engine == "compiled":
-            raise UsageError(f"engine = 'compiled': {missing}") from None
-        return run_in_python, f"stepping, interpreted ({missing})"
-    return _run_compiled, "stepping, compiled"
-
-
-def _run_compiled(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatArray:
-    """Return the motion over a chunk of samples, computed in C; see `run_in_python`."""
+        raise UsageError(
+            f"the rig steps through time in C: {missing}; install one (gcc or clang), or record a linear machine in "
+            "open loop, which has a closed form"
+        ) from None
     n, kept = len(chunk.excitation), len(state.history) - 1
     stacks, controller = arrays.stacks, arrays.controller
     n_creep = len(state.creep)
@@ -921,7 +795,6 @@ def _run_compiled(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatAr
     drive = [chunk.excitation, chunk.base, chunk.forces, chunk.sensor, chunk.taken, loop, limits]
     moving = [state.linear, state.stack, state.plays, state.creep, state.rotor, loop_state, history, output]
     fixed = [np.ascontiguousarray(array, dtype=float) for array in constants + drive]
-    step = load_library(SOURCE).gbid_rig_steps
     step.restype = None
     step(*(ctypes.c_void_p(array.ctypes.data) for array in (sizes, *fixed, *moving)))
     state.controller[:], state.command[:] = loop_state[: len(state.controller)], loop_state[-2:]
