@@ -196,7 +196,7 @@ class RigRun(Brief):
 
 @dataclass(frozen=True)
 class RigEffect:
-    """Base of the effects in ``gbid/rig/effects``; a subclass overrides one of its methods or several.
+    """Base of the effects in ``gbid/rig/effects.py``; a subclass overrides one of its methods or several.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A new importer is one file in a room: import, check, folder patterns and messages find it there."""
+"""A new importer is one constant in formats.py: import, check, folder patterns and messages find it there."""
 
 import json
 from pathlib import Path
@@ -13,18 +13,11 @@ from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
 from gbid.recording import formats
 from gbid.recording.formats import file_formats
-
-FORMAT = '''
-"""Reader of text files with columns of fixed width, named in the first line."""
-
-from gbid.core.errors import DataError
-from gbid.recording.text_files import FileColumn
 from gbid.recording.readers import FileChannel, FileFormat
+from gbid.recording.text_files import FileColumn
 
 
 def read_dat(path, references):
-    import numpy as np
-
     names = path.read_text(encoding="utf-8").splitlines()[0].split()
     values = np.loadtxt(path, skiprows=1, ndmin=2)
     for name in references:
@@ -38,8 +31,7 @@ def dat_channels(path):
     return [FileChannel(name, len(rows)) for name in names.split()]
 
 
-FORMAT = FileFormat((".dat", ".prn"), read_dat, dat_channels)
-'''
+FIXED_WIDTH = FileFormat((".dat", ".prn"), read_dat, dat_channels)
 MAPPING = {"sample_time_s": 1e-3, "signals": {"force": {"columns": ["f"], "unit": "N"}}}
 IMPORT = """\
 format: 1
@@ -52,11 +44,8 @@ import:
 
 
 @pytest.fixture
-def dat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    folder = tmp_path / "room"
-    folder.mkdir()
-    (folder / "fixed_width.py").write_text(FORMAT, encoding="utf-8")
-    monkeypatch.setattr(formats, "__path__", [*formats.__path__, str(folder)])
+def dat(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(formats, "FIXED_WIDTH", FIXED_WIDTH, raising=False)
     file_formats.cache_clear()
     yield
     file_formats.cache_clear()
@@ -84,7 +73,7 @@ def test_an_experiment_reads_it(dat, measured: Path, tmp_path: Path) -> None:
     assert [planned.name for planned in load_experiment(path).recordings.values()] == ["one"]
 
 
-def test_without_the_file_it_is_unknown(measured: Path, tmp_path: Path) -> None:
+def test_without_the_constant_it_is_unknown(measured: Path, tmp_path: Path) -> None:
     with pytest.raises(
         DataError, match=r"unknown file ending '\.dat'; expected one of \.parquet, .*\.csv, .*\.mat, .*\.npz"
     ):

@@ -72,7 +72,7 @@ def test_what_is_shown_has_the_units_of_the_recording(tmp_path):
         assert any(f"[{shown}]" in label for label in labels)
         assert not any("µm" in label for label in labels)
 
-        there = loadmat(gbid.save_mat(found, tmp_path / f"motor{len(units)}.mat", units=units)[0], squeeze_me=True)
+        there = loadmat(gbid.save_mat(found, tmp_path / f"motor{len(units)}.mat", units=units), squeeze_me=True)
         assert (str(there["InputUnit"]), str(there["OutputUnit"])) == tuple(
             units.get(name, "") or "[]" for name in ("u", "p")
         )
