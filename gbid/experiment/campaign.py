@@ -11,17 +11,16 @@ import shutil
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 
 from gbid.core.errors import DataError, UsageError
 from gbid.core.files import find_stale_parts, remove_stale_parts
 from gbid.core.tables import write_csv
 from gbid.experiment.engines import make_engine
-from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import content_key, stored_key
+from gbid.experiment.experiment import Experiment, fit_models
+from gbid.experiment.fields import stored_key
 from gbid.experiment.run import (
     FOLDER,
     Job,
@@ -375,7 +374,7 @@ def remove(results: Path, files: Sequence[Path]) -> None:
 
 # ---- Table of all fits of a campaign.
 
-NAME_COLLECT = "table"
+TABLE = "table"
 NOT_MADE = "not made yet; run `gbid batch`"
 
 
@@ -396,29 +395,32 @@ def collect(job: Job) -> tuple[FitTable, list[Outcome]]:
     outcomes : list of Outcome
         Outcomes of the two files.
     """
+    experiment = job.experiment
+    models = [(fit, model) for fit in experiment.spec.fits for model in fit_models(experiment, fit)]
     tasks = fit_tasks(job)
     states = _states(job, tasks)
-    key = content_key("table", {"states": states}, [task.key for task in tasks])
-    paths = [job.path("", NAME_COLLECT, ending) for ending in (".h5", ".csv")]
-    if all(stored_key(path) == key for path in paths):
-        table = load_table(paths[0])
+    results = [
+        experiment.result("table", f"{TABLE}{ending}", experiment.path("", TABLE, ending), {"states": states}, tasks)
+        for ending in (".h5", ".csv")
+    ]
+    if all(result.is_made for result in results):
+        table = load_table(results[0].path)
     else:
-        entries = [_entry(job, task, state) for task, state in zip(tasks, states, strict=True)]
-        table = tabulate(entries)
+        table = tabulate(
+            [_entry(job, *model, task, state) for model, task, state in zip(models, tasks, states, strict=True)]
+        )
     writers: tuple[Callable[[Path], None], ...] = (
-        partial(_write_h5, table),
-        partial(_write_csv, table, key),
+        lambda part: save_table(table, part, overwrite=True),
+        lambda part: write_csv(csv_table(table), part),
     )
     outcomes = []
-    for path, write in zip(paths, writers, strict=True):
-        mine = bool(stored_key(path)) or not path.exists()
-        allowed = Job(job.experiment, job.overwrite or mine, job.reporter)
-        outcomes.append(produce(allowed, "table", path.name, path, key, write))
+    for result, write in zip(results, writers, strict=True):
+        ours = bool(stored_key(result.path)) or not result.path.exists()
+        outcomes.append(produce(replace(job, overwrite=job.overwrite or ours), result, write))
     return table, outcomes
 
 
-def _entry(job: Job, task: Task, state: bool | str) -> TableEntry:
-    fit, _, model = task.item.partition("/")
+def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> TableEntry:
     conditions = [job.experiment.recordings[name].conditions for name in task.recordings]
     shared = {k: v for k, v in conditions[0].items() if all(other.get(k) == v for other in conditions)}
     if isinstance(state, str):
@@ -431,12 +433,12 @@ def _entry(job: Job, task: Task, state: bool | str) -> TableEntry:
 
 def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:
     """Return, for each fit, true when its result exists, else the reason as text."""
-    there = [stored_key(task.path) == task.key for task in tasks]
+    made = [task.is_made for task in tasks]
     sources: dict[str, list[Task]] = {}
-    if not all(there):
-        for source in (task for _, found in early_tasks(job) for task in found if task.stage != FIT.name):
+    if not all(made):
+        for source in (task for stage, found in early_tasks(job) for task in found if stage is not FIT):
             sources.setdefault(source.item, []).append(source)
-    return [found or _why_not(job, task, sources) for found, task in zip(there, tasks, strict=True)]
+    return [state or _why_not(job, task, sources) for state, task in zip(made, tasks, strict=True)]
 
 
 def _why_not(job: Job, task: Task, sources: Mapping[str, list[Task]]) -> str:
@@ -449,11 +451,3 @@ def _why_not(job: Job, task: Task, sources: Mapping[str, list[Task]]) -> str:
         if failure is not None:
             return f"failed: {source.stage} {source.item}: {failure.text}"
     return NOT_MADE
-
-
-def _write_h5(table: FitTable, part: Path) -> None:
-    save_table(table, part, overwrite=True)
-
-
-def _write_csv(table: FitTable, key: str, part: Path) -> None:
-    write_csv(csv_table(table), part, [f"content_key: {key}"])

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from math import modf
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +31,13 @@ from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
 from gbid.core.units import SIGNALS
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
-from gbid.experiment.fields import content_key, file_digest, nearest, stored_key
-from gbid.experiment.machine import rig_machine, rig_model
+from gbid.experiment.fields import InputError, Result, file_digest, nearest, stored_key
+from gbid.experiment.machine import RigRun, rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection
-from gbid.experiment.run import InputError
 from gbid.experiment.schema import (
     GOALS,
     ControllerSection,
     GoalSection,
-    HammerTrain,
     HitSection,
     ImpactPoint,
     ImpactsSection,
@@ -51,7 +48,7 @@ from gbid.export.chain_c import CompiledChain
 from gbid.lpv import Domain, LPVModel, ProportionalDesign, PublishedMachine, load_machine, load_model
 from gbid.prefilter import identify_runout
 from gbid.recording import Recording
-from gbid.rig import Hammer, Impact, Machine, ProgramController, SampledController, Stationary, record
+from gbid.rig import ProgramController, SampledController, Stationary
 from gbid.structure import LinearModel, NonlinearStructure, ScheduledStructure, load_structure, load_structure_or_model
 from gbid.structure.linear import Structure
 
@@ -333,47 +330,44 @@ def published_structure(came: ProportionalDesign) -> Structure:
     return controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)
 
 
-def design_key(
-    experiment: Experiment,
-    section: ControllerSection,
-    published: ProportionalDesign | None,
-    model: LPVModel | None = None,
-    sources: Sequence[str] = (),
-) -> str:
-    """Return the content key of a design.
+def design_result(
+    experiment: Experiment, name: str, surfaces: Path | None = None, sources: Iterable[Result] = ()
+) -> Result:
+    """Return the result file of a tuned design.
 
     Parameters
     ----------
     experiment : Experiment
         The experiment.
-    section : ControllerSection
-        Section of the design.
-    published : ProportionalDesign, optional
-        Published controller, which is assessed beside it.
-    model : LPVModel, optional
-        Named model; None for surfaces, whose keys are among the sources.
-    sources : sequence of str
-        Content keys of surfaces and recordings.
+    name : str
+        Name of the design.
+    surfaces : pathlib.Path, optional
+        Model file of the surfaces for which it is tuned; without it the model that its section names.
+    sources : iterable of Result
+        Recordings whose disturbance its goals need.
+
+    Raises
+    ------
+    UsageError
+        When the model is missing or has no actuators.
     """
+    section = controller_section(experiment, name)
     settings = {
         **section.model_dump(),
         "text": structure_text(experiment, section).decode(errors="replace"),
         "sampled_at": sample_time(experiment, section),
-        "published": published,
-        "model": model,
+        "published": published_design(experiment, section),
+        "model": named_model(experiment, section) if surfaces is None else stored_key(surfaces),
     }
-    return content_key("tuned design", settings, sources)
+    return experiment.result("tune", name, experiment.path(TUNED, name), settings, sources)
 
 
 # ---- Plan of the impacts: recordings, hammer, model of the expected modes, and controllers.
 
-BEFORE_S = 0.2
-"""Time before the first impact [s], which shows the motion of the disc without impact."""
 LOOPS = ("open", "closed")
 """Names of the loops that every experiment may have."""
 TUNED = "controller"
 """Folder of the tuned controllers in the results."""
-_GOLDEN = 0.6180339887
 
 
 @dataclass(frozen=True)
@@ -446,7 +440,7 @@ def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
     found: dict[str, ImpactRecording] = {}
     for i, point in enumerate(section.operating_points if section else ()):
         assert section is not None
-        conditions = {"pressure_bar": point.pressure_bar, "speed_rpm": point.speed_rpm}
+        conditions = point.model_dump()
         for loop in loop_controllers(section):
             for axis in section.axes:
                 name = f"{study_name(point, loop)}_{axis}"
@@ -455,14 +449,6 @@ def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
                 planned = PlannedRecording(name, False, conditions, signals, location, run=("impact", axis))
                 found[name] = ImpactRecording(planned, point, loop, axis)
     return found
-
-
-def hammer_of(section: HammerTrain, axis: str, sample_time: float) -> Hammer:
-    """Return the impacts of a recording; their times lie between samples, as those of a real hammer."""
-    times = [BEFORE_S + section.spacing_s * i + modf(_GOLDEN * i)[0] * sample_time for i in range(section.repeats)]
-    impacts = tuple(Impact.along(axis, time, section.peak_n, section.impact_s) for time in times)
-    samples = round((BEFORE_S + section.spacing_s * section.repeats) / sample_time)
-    return Hammer(impacts, samples * sample_time)
 
 
 def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
@@ -476,18 +462,18 @@ def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
     section = impacts_section(experiment)
     if section.model is None:
         model = rig_model(experiment)
-        return _with_actuators(model), f"rig {model.name}"
+        return with_actuators(model), f"rig {model.name}"
     path = Path(section.model)
     if section.model == "lpv":
         assert experiment.spec.lpv is not None
-        path = experiment.results / "lpv" / f"{experiment.spec.lpv.fit}.yaml"
+        path = experiment.path("lpv", experiment.spec.lpv.fit, ".yaml")
         if not path.is_file():
             raise UsageError(f"{path}: file is missing; `gbid lpv` makes it")
     elif path.suffix in (".yaml", ".yml"):
         path = experiment.folder / path
     else:
-        return _with_actuators(load_model(section.model)), section.model
-    return _with_actuators(load_model(path)), file_digest(path)
+        return with_actuators(load_model(section.model)), section.model
+    return with_actuators(load_model(path)), file_digest(path)
 
 
 def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "closed") -> LoopController:
@@ -498,20 +484,15 @@ def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "close
     UsageError
         When there is none, its file is faulty, or its sample time is not that of the rig.
     """
-    section, rig = impacts_section(experiment), experiment.spec.rig
-    assert rig is not None
+    section = impacts_section(experiment)
     word = {"closed": section.controller, **section.beside}[loop]
     if word == "paper":
-        design = rig_machine(experiment).controller
-        if design is None:
-            raise UsageError(f"model {rig_model(experiment).name!r} comes with no controller; name a controller file")
-        continuous = p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
-        made = ControllerDesign("paper", None, {}, rig.sample_time_s, models={None: continuous})
-        return LoopController(continuous, made.sampled_at(), made, repr(design))
-    return loop_controller(experiment, controller_path(experiment, word), point)
+        design = _published(experiment)
+        return LoopController(design.at(), design.sampled_at(), design, repr(rig_machine(experiment).controller))
+    return loop_controller(experiment, controller_path(experiment, word), point.model_dump())
 
 
-def loop_controller(experiment: Experiment, path: Path, point: ImpactPoint) -> LoopController:
+def loop_controller(experiment: Experiment, path: Path, conditions: Mapping[str, float]) -> LoopController:
     """Return the controller of a file at an operating point, as the rig runs it.
 
     Raises
@@ -525,7 +506,7 @@ def loop_controller(experiment: Experiment, path: Path, point: ImpactPoint) -> L
         raise UsageError(
             f"{path}: sample time is {made.sample_time:g} s, that of the rig {rig.sample_time_s:g} s; save it for that"
         )
-    at = (point.pressure_bar, point.speed_rpm)
+    at = (conditions["pressure_bar"], conditions["speed_rpm"])
     return LoopController(made.at(*at), made.sampled_at(*at), made, file_digest(path))
 
 
@@ -542,7 +523,7 @@ def controller_path(experiment: Experiment, word: str) -> Path:
         if not path.is_file():
             raise UsageError(f"{path}: no such controller file; write paper, tuned, or the name of one")
         return path
-    path = experiment.results / TUNED / f"{tuned_design(experiment, word)}.yaml"
+    path = experiment.path(TUNED, tuned_design(experiment, word), ".yaml")
     if not path.is_file():
         raise UsageError(f"{path}: file is missing; `gbid tune` makes it")
     return path
@@ -570,12 +551,6 @@ def tuned_design(experiment: Experiment, word: str) -> str:
     if not name and len(designs) > 1:
         raise UsageError(f"several designs are tuned; write tuned:NAME, there is {', '.join(designs)}")
     return name or next(iter(designs))
-
-
-def _with_actuators(model: LPVModel) -> LPVModel:
-    if not model.actuators:
-        raise UsageError(f"model {model.name!r} has no actuators, which a closed loop needs; add them to its file")
-    return model
 
 
 # ---- Plan of the control chain of an experiment: its options.
@@ -612,9 +587,7 @@ def loop_settings(experiment: Experiment) -> dict[str, Any]:
     return {} if rig.controller == "python" else {"compiled": asdict(chain_options(experiment))}
 
 
-def loop_of(
-    experiment: Experiment, controller: LoopController, machine: Machine, options: dict[str, Any]
-) -> SampledController | ProgramController:
+def loop_of(experiment: Experiment, controller: LoopController, run: RigRun) -> SampledController | ProgramController:
     """Return the controller of the rig for one recording.
 
     Sampled matrices get the zero position from a stationary run with the same shaft angle. The control chain gets the
@@ -627,7 +600,8 @@ def loop_of(
     """
     rig = experiment.spec.rig
     assert rig is not None
-    still = record(machine, Stationary(_ZEROING_S), **{**options, "faults": None})
+    options = {**run.options, "faults": None}
+    still = replace(run, experiment=Stationary(_ZEROING_S), surfaces=None, options=options).record()
     if rig.controller == "python":
         sampled = controller.sampled
         A, B, C, D = (np.array(m) for m in (sampled.A, sampled.B, sampled.C, sampled.D))
@@ -749,7 +723,7 @@ def controller_identity(experiment: Experiment, section: ControllerChoice) -> di
     elif word == "paper":
         settings["design"] = repr(rig_machine(experiment).controller)
     elif is_tuned(word):
-        settings["design"] = early_key(experiment, tuned_design(experiment, word))
+        settings["design"] = early_design(experiment, tuned_design(experiment, word)).key
     else:
         file = word.rpartition(":")[0] or word
         settings["digest"] = file_digest(experiment.folder_of(file) / file)
@@ -800,13 +774,13 @@ def early_designs(experiment: Experiment) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def check_early(experiment: Experiment, name: str) -> None:
-    """Refuse a design that needs the recordings of this experiment.
+def early_design(experiment: Experiment, name: str) -> Result:
+    """Return the result file of a design that needs no recording of this experiment; `gbid tune` makes the same.
 
     Raises
     ------
     UsageError
-        When it is for their surfaces, or when its goals name recordings.
+        When it is for the surfaces of the experiment, or when its goals name recordings.
     """
     section = experiment.spec.controller[name]
     if surfaces_item(experiment, section) is not None:
@@ -816,20 +790,7 @@ def check_early(experiment: Experiment, name: str) -> None:
         )
     if goal_recordings(experiment, section):
         raise UsageError(f"design {name!r} has goals with recordings of this experiment; name a controller file")
-
-
-def early_key(experiment: Experiment, name: str) -> str:
-    """Return the content key of a design for a named model; `gbid tune` stores the same.
-
-    Raises
-    ------
-    UsageError
-        When the design needs recordings.
-    """
-    check_early(experiment, name)
-    section = experiment.spec.controller[name]
-    model = named_model(experiment, section)
-    return design_key(experiment, section, published_design(experiment, section), model)
+    return design_result(experiment, name)
 
 
 def at_point(design: ControllerDesign, conditions: dict[str, float]) -> tuple[float | None, float | None]:
@@ -897,21 +858,20 @@ def _published(experiment: Experiment) -> ControllerDesign:
 
 
 def _tuned(experiment: Experiment, name: str, planned: bool) -> ControllerDesign:
-    key, section = early_key(experiment, name), experiment.spec.controller[name]
-    path = experiment.results / TUNED / f"{name}.h5"
+    result, section = early_design(experiment, name), experiment.spec.controller[name]
     structure = design_structure(experiment, section, named_model(experiment, section).domain)
-    if path.is_file() and stored_key(path) == key:
-        gains = _stored_gains(path, key)
+    if result.is_made:
+        gains = _stored_gains(result)
     elif planned:
         gains = {gain.name: _about(gain.start, gain.lower, gain.upper) for gain in structure.parameters}
     else:
-        raise InputError(f"{path}: no design {name!r} with the present settings; `gbid tune` makes it")
+        raise InputError(f"{result.path}: no design {name!r} with the present settings; `gbid tune` makes it")
     return ControllerDesign(name, structure, gains, sample_time(experiment, section), section.method)
 
 
 @lru_cache(maxsize=16)
-def _stored_gains(path: Path, _key: str) -> dict[str, float]:
-    return dict(load(path, TunedDesign).result.gains)
+def _stored_gains(result: Result) -> dict[str, float]:
+    return dict(load(result.path, TunedDesign).result.gains)
 
 
 def _about(start: float | None, lower: float, upper: float) -> float:

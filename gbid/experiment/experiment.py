@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
@@ -14,10 +14,11 @@ from typing import Any
 
 from gbid.core.errors import DataError, UsageError
 from gbid.core.files import is_changed, share_folder
+from gbid.core.names import file_stem
 from gbid.core.notes import DataNote
 from gbid.core.units import SIGNALS
 from gbid.core.yaml_file import CHANGED, YamlFile
-from gbid.experiment.fields import Found, Location, Problem, dotted, nearest
+from gbid.experiment.fields import Found, Location, Problem, Result, content_key, dotted, nearest
 from gbid.experiment.rig_schema import CourseSection, OperatingPoint, Place, RigSection
 from gbid.experiment.schema import (
     ExperimentFile,
@@ -284,6 +285,8 @@ class PlannedRecording:
         Whether it serves the static characterisation only. Fits and run-out maps then do not use it.
     run : tuple
         Run of the rig, for example ``("prbs",)``, ``("hammer", "x")`` or ``("course", 0)``; empty for a file.
+    controller : str
+        File of the controller under which a round of the cycle is recorded, relative to the results; else empty.
     """
 
     name: str
@@ -294,6 +297,7 @@ class PlannedRecording:
     imported: ImportedSection | None = None
     staircase: bool = False
     run: tuple[str | int | bool, ...] = ()
+    controller: str = ""
 
     @property
     def kind(self) -> str:
@@ -413,11 +417,14 @@ class Experiment:
         Contents of the YAML.
     results : pathlib.Path
         Folder of the results.
+    folders : dict of str to str
+        Folders of the results that lie elsewhere, as those of a round of the cycle.
     """
 
     file: YamlFile
     spec: ExperimentFile
     results: Path
+    folders: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def folder(self) -> Path:
@@ -474,6 +481,36 @@ class Experiment:
         closed = section.loop is not None
         excited = (q for q in self.recordings.values() if q.excited)
         return [q for q in excited if q.imported is not None or q.in_loop == closed]
+
+    def path(self, folder: str, name: str, ending: str = ".h5") -> Path:
+        """Return the path of a result; a long name is cut, and ends with a digest."""
+        first, _, below = folder.partition("/")
+        *above, last = map(file_stem, name.split("/"))
+        return self.results.joinpath(self.folders.get(first, first), below, *above, f"{last}{ending}")
+
+    def result(
+        self,
+        stage: str,
+        item: str,
+        path: Path,
+        settings: Mapping[str, Any],
+        sources: Iterable[Result | str] = (),
+    ) -> Result:
+        """Return a result of a stage with its content key, the only place where these keys are made.
+
+        Parameters
+        ----------
+        stage, item : str
+            Names of stage and item.
+        path : pathlib.Path
+            The result file.
+        settings : dict
+            What the stage takes from the YAML, as plain values.
+        sources : iterable of Result or str
+            Results that the stage reads, and digests or content keys of other files.
+        """
+        keys = [source if isinstance(source, str) else source.key for source in sources]
+        return Result(stage, item, path, content_key(stage, settings, keys))
 
     def problem(self, location: Location, text: str) -> Problem:
         """Return a problem at the position of a key."""

@@ -125,7 +125,8 @@ def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Export
             continue
         try:
             if read_yaml(file).data.get("kind") == "lpv_model":
-                items += _of_model(identifier(file.stem), load_model(file), at)
+                name = "_".join(part for part in file.relative_to(folder).with_suffix("").parts if part != "lpv")
+                items += _of_model(identifier(name), load_model(file), at)
         except GbidError as error:
             left_out.append(str(error))
     notes = [note for item in items if isinstance(item.what, LPVModel) for note in item.what.notes]

@@ -277,6 +277,7 @@ def _inner_type(kind: Any) -> Any:
 ATTRIBUTE = "key"
 """Attribute at the root of an HDF5 file; other files contain ``content_key: <key>`` in a comment."""
 
+_KEYED_TEXT = (".csv", ".txt", ".yaml")
 _IN_TEXT = re.compile(rb"content_key: ([0-9a-f]{64})")
 
 
@@ -300,6 +301,58 @@ def content_key(stage: str, settings: Mapping[str, Any], sources: Iterable[str] 
     document = {"stage": stage, "gbid": __version__, "settings": settings, "sources": list(sources)}
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), default=_plain)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+class InputError(DataError):
+    """Error for an input of a task that is missing or outdated; the task itself is not at fault."""
+
+
+_VERBS = {"prefilter": "fit", "ringdown": "impact", "cycle recording": "cycle"}  # of stages without their own verb
+
+
+@dataclass(frozen=True)
+class Result:
+    """Result file of a stage.
+
+    Attributes
+    ----------
+    stage, item : str
+        Names of stage and item, for example ``"fit"`` and ``"bearing/p5_n6000_prbs1"``.
+    path : pathlib.Path
+        The result file.
+    key : str
+        Content key of the result: of the settings of the stage and the keys of its sources.
+    """
+
+    stage: str
+    item: str
+    path: Path
+    key: str
+
+    @property
+    def is_made(self) -> bool:
+        """Whether the file exists and was made from the present settings and data."""
+        return stored_key(self.path) == self.key
+
+    def require(self) -> Path:
+        """Return the path of the file after a check that it was made from the present settings and data.
+
+        Raises
+        ------
+        InputError
+            When the file is missing or was made from others. Its text names the command that makes the file.
+        """
+        command = f"gbid {_VERBS.get(self.stage, self.stage)}"
+        if not self.path.is_file():
+            raise InputError(f"{self.path}: file is missing; `{command}` makes it")
+        stored = stored_key(self.path)
+        if not stored:
+            text = f"truncated or not made by an experiment; make it again with `{command} --overwrite`"
+            raise InputError(f"{self.path}: {text}")
+        if stored != self.key:
+            text = f"made from other settings or data; make it again with `{command} --overwrite`"
+            raise InputError(f"{self.path}: {text}")
+        return self.path
 
 
 def file_digest(path: Path) -> str:
@@ -368,7 +421,15 @@ def writing_keyed(path: Path, key: str) -> Iterator[Path]:
             with changing(part) as file:
                 file.attrs[ATTRIBUTE] = key
         else:
+            _add_key(part, path.suffix, key)
             add_text_checksum(part, path.suffix)
+
+
+def _add_key(part: Path, ending: str, key: str) -> None:
+    """Write the key as the first line of a text file; pictures and pages state it themselves."""
+    content = part.read_bytes() if ending in _KEYED_TEXT else b""
+    if content and not _IN_TEXT.search(content):
+        part.write_bytes(f"# content_key: {key}\n".encode() + content)
 
 
 def _plain(value: Any) -> Any:

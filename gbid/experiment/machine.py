@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
+from math import modf
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from gbid.core.units import SIGNALS
 from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.rig_schema import ActuatorSection, FaultSection, RigSection, SensorSection
+from gbid.experiment.schema import HammerTrain
 from gbid.lpv import LPVModel, PublishedMachine, load_machine
+from gbid.recording import Recording
 from gbid.rig import (
     Course,
     Faults,
@@ -30,20 +33,23 @@ from gbid.rig import (
     Played,
     Prbs,
     ProcessNoise,
+    ProgramController,
     RotorBearingTruth,
     RunUp,
-    Scatter,
+    SampledController,
     ScheduledRun,
     SensorChain,
     StackStaircase,
     Staircase,
     Stationary,
     Unbalance,
+    record,
     rig_effect,
     scatter_random,
     scattered,
 )
 from gbid.rig import Experiment as RigExperiment
+from gbid.rig.stepping import Surfaces
 from gbid.structure import (
     KEY_PARAMETERS,
     AnyStructure,
@@ -57,6 +63,10 @@ from gbid.structure import (
     evaluate,
 )
 from gbid.structure.built_in import STIFFENING
+
+BEFORE_S = 0.2
+"""Time before the first impact [s], which shows the motion of the disc without impact."""
+_GOLDEN = 0.6180339887
 
 
 @lru_cache(maxsize=4)
@@ -175,11 +185,25 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
             return StackStaircase(stack, controlled, rig.stack_staircase.steps, rig.stack_staircase.hold_s)
         case ("hammer", ("x" | "y") as axis) if rig.hammer is not None:
             hammer = rig.hammer
-            impacts = (Impact.along(axis, time, hammer.peak_n, hammer.impact_s) for time in hammer.times_s)
-            return Hammer(tuple(impacts), hammer.duration_s)
+            hits = (Impact.along(axis, time, hammer.peak_n, hammer.impact_s) for time in hammer.times_s)
+            return Hammer(tuple(hits), hammer.duration_s)
         case ("run_up",) if rig.run_up is not None:
             return RunUp(rig.run_up.from_rpm, rig.run_up.to_rpm, rig.run_up.duration_s)
+        case ("impact", ("x" | "y") as axis) if (impacts := experiment.spec.impacts) is not None:
+            return hammer_of(impacts, axis, rig.sample_time_s)
+        case ("round",) if (cycle := experiment.spec.cycle) is not None:
+            usual = rig.prbs
+            amplitude, hold = cycle.amplitude_m or usual.amplitude_m, cycle.hold_s or usual.hold_s
+            return Prbs(cycle.duration_s or rig.duration_s, amplitude, hold)
     return Stationary(rig.stationary.duration_s or rig.duration_s)
+
+
+def hammer_of(section: HammerTrain, axis: str, sample_time: float) -> Hammer:
+    """Return the impacts of a recording; their times lie between samples, as those of a real hammer."""
+    times = [BEFORE_S + section.spacing_s * i + modf(_GOLDEN * i)[0] * sample_time for i in range(section.repeats)]
+    impacts = tuple(Impact.along(axis, time, section.peak_n, section.impact_s) for time in times)
+    samples = round((BEFORE_S + section.spacing_s * section.repeats) / sample_time)
+    return Hammer(impacts, samples * sample_time)
 
 
 def _played(experiment: Experiment, name: str) -> Played:
@@ -219,9 +243,51 @@ def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[st
     }
 
 
-def as_settings(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options as plain values for a content key."""
-    return {key: asdict(v) if isinstance(v, Scatter | Faults) else v for key, v in options.items()}
+@dataclass(frozen=True, eq=False)
+class RigRun:
+    """One recording of the rig: the arguments of `gbid.rig.record` except the controller.
+
+    Attributes
+    ----------
+    machine : Machine
+        The rig at the operating point.
+    experiment : gbid.rig.Experiment
+        What it does.
+    options : dict
+        Other arguments.
+    surfaces : callable or None
+        Key parameters over pressure and speed, for a recording along a course.
+    """
+
+    machine: Machine
+    experiment: RigExperiment
+    options: dict[str, Any]
+    surfaces: Surfaces | None = None
+
+    def record(self, controller: SampledController | ProgramController | None = None) -> Recording:
+        """Return the recording, with the controller in the loop when there is one."""
+        return record(self.machine, self.experiment, surfaces=self.surfaces, controller=controller, **self.options)
+
+    def settings(self) -> dict[str, Any]:
+        """Return all values for the content key of the recording."""
+        return {
+            **self.options,
+            "experiment": {type(self.experiment).__name__: self.experiment},
+            "machine": self.machine,
+        }
+
+
+def rig_run(experiment: Experiment, planned: PlannedRecording) -> RigRun:
+    """Return the run of the rig for a recording.
+
+    Raises
+    ------
+    UsageError
+        When the point lies outside the domain of the model, or the rig refuses a value.
+    """
+    model, run = rig_model(experiment), rig_experiment(experiment, planned)
+    surfaces = model.key_parameters if isinstance(run, ScheduledRun) else None
+    return RigRun(machine_at(experiment, planned, model), run, record_options(experiment, planned), surfaces)
 
 
 def _rig(experiment: Experiment) -> RigSection:

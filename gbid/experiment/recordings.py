@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from gbid.core.errors import DataError, UsageError
 from gbid.excite import ExcitationLimits, rig_limits
-from gbid.experiment.controllers import closed_loop_settings, stationary_at
+from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import content_key, file_digest
-from gbid.experiment.machine import as_settings, machine_at, record_options, rig_experiment, rig_model
-from gbid.experiment.run import Job, Made, Task, load_checked
+from gbid.experiment.fields import Result, file_digest, stored_key
+from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
+from gbid.experiment.run import Job
 from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
 from gbid.experiment.structures import fit_channels
 from gbid.lpv import load_model
-from gbid.recording import ProblemKind, Recording, find_problems
+from gbid.recording import ProblemKind, Recording, find_problems, load_recording
 
 # ---- File and mapping of an imported recording.
 
@@ -106,41 +105,37 @@ def _measured_channels(experiment: Experiment, recording: str) -> list[str]:
     return [name for fit in experiment.fits_of.get(recording, ()) for name in fit_channels(experiment, fit)[1]]
 
 
-def recording_key(experiment: Experiment, planned: PlannedRecording) -> str:
-    """Return the content key of a recording of the rig or of a file."""
-    if planned.imported is not None:
-        file = data_file(experiment, planned.imported)
-        settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
-        try:
-            digest = file_digest(file)
-        except OSError:  # the import reports the error; the key changes when the file can be read
-            digest = "cannot be read"
-        return content_key("import", settings, [digest])
-    known = _known_keys(experiment)
-    if planned.name not in known:
-        known[planned.name] = _rig_key(experiment, planned)
-    return known[planned.name]
+def recording_result(experiment: Experiment, planned: PlannedRecording) -> Result:
+    """Return the result file of a recording of the rig or of a file."""
+    if planned.imported is None:
+        return _round_result(experiment, planned) if planned.controller else _rig_result(experiment, planned.name)
+    settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
+    try:
+        digest = file_digest(data_file(experiment, planned.imported))
+    except OSError:  # the import reports the error; the key changes when the file can be read
+        digest = "cannot be read"
+    path = experiment.path(FOLDER, planned.name)
+    return experiment.result("import", planned.name, path, settings, [digest])
 
 
-@lru_cache(maxsize=4)
-def _known_keys(_experiment: Experiment) -> dict[str, str]:
-    """Return the cache of content keys of an experiment's rig recordings; an experiment does not change."""
-    return {}
-
-
-def _rig_key(experiment: Experiment, planned: PlannedRecording) -> str:
-    sources: list[str] = []
-    settings = {
-        **as_settings(record_options(experiment, planned)),
-        "experiment": {str(planned.run[0]): asdict(rig_experiment(experiment, planned))},
-        "machine": asdict(machine_at(experiment, planned, rig_model(experiment))),
-    }
+@lru_cache(maxsize=4096)
+def _rig_result(experiment: Experiment, name: str) -> Result:
+    """Return the result file of a recording of the rig; cached, because all stages after it stand on its key."""
+    planned, sources = experiment.recordings[name], list[Result | str]()
+    settings = rig_run(experiment, planned).settings()
     if planned.in_loop:
         settings |= closed_loop_settings(experiment)
-        sources = [recording_key(experiment, still) for still in stationary_at(experiment, planned.point)]
+        sources += [recording_result(experiment, still) for still in stationary_at(experiment, planned.point)]
     if planned.run[:1] == ("course",):
         settings["surfaces"] = {key: list(row) for key, row in rig_model(experiment).coefficients.items()}
-    return content_key("rig", settings, sources)
+    return experiment.result("rig", name, experiment.path(FOLDER, name), settings, sources)
+
+
+def _round_result(experiment: Experiment, planned: PlannedRecording) -> Result:
+    settings = {**rig_run(experiment, planned).settings(), **loop_settings(experiment)}
+    running = stored_key(experiment.results / planned.controller)
+    path = experiment.path(FOLDER, planned.name)
+    return experiment.result("cycle recording", planned.name, path, settings, [running])
 
 
 def load_made(job: Job, planned: PlannedRecording) -> Recording:
@@ -151,17 +146,7 @@ def load_made(job: Job, planned: PlannedRecording) -> Recording:
     DataError
         When the recording does not exist or was made from other settings.
     """
-    path = job.path(FOLDER, planned.name)
-    verb = "import" if planned.imported else "rig"
-    return load_checked(path, recording_key(job.experiment, planned), f"gbid {verb}")
-
-
-def recording_task(
-    job: Job, stage: str, planned: PlannedRecording, write: Callable[[Job, str, Path], Made | None]
-) -> Task:
-    """Return the task that writes one recording."""
-    path, key = job.path(FOLDER, planned.name), recording_key(job.experiment, planned)
-    return Task(stage, planned.name, path, key, write, (planned.name,))
+    return load_recording(recording_result(job.experiment, planned).require())
 
 
 # ---- Plan of an excitation: the limits of a model of a fit.

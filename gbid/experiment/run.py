@@ -1,4 +1,4 @@
-"""Record of failures on disk: a resumed run does not repeat failed tasks unless the user asks for it."""
+"""Run of an experiment: its job, tasks with their outcomes, failures that are remembered, and stages."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from typing import Any, Literal, Protocol, get_args
 from gbid.control.tuning.problem import SearchStep
 from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError, from_interrupt
 from gbid.core.files import atomic_path
-from gbid.core.names import file_stem
 from gbid.core.tables import Column, Table
 from gbid.experiment.experiment import Check, Experiment
-from gbid.experiment.fields import is_current, stored_key, writing_keyed
+from gbid.experiment.fields import InputError, Result, is_current, writing_keyed
 from gbid.identify import Progress
-from gbid.recording import Recording, load_recording
 
 # ---- Outcome of a task.
 
@@ -125,33 +123,42 @@ class Silent:
 
 
 @dataclass(frozen=True)
-class Task:
+class Task(Result):
     """Task that makes one result file, in any process.
 
     Attributes
     ----------
-    stage, item : str
-        Names of the stage and of the item.
-    path : pathlib.Path
-        The result file.
-    key : str
-        Content key of the result.
     write : callable
-        Function that makes the result from job and item, writes it to the given path, and may return its summary. It
-        must be defined in a module, so that another process can import it.
+        Function that makes the result, writes it to the given path, and may return its summary. It is defined in a
+        module, or a `functools.partial` of such a function, so that another process can import it.
     recordings : tuple of str
         Recordings from which the result is made.
     read : callable, optional
         Function that returns the summary of an existing result: the same as `write` returned.
     """
 
-    stage: str
-    item: str
-    path: Path
-    key: str
-    write: Callable[[Job, str, Path], Made | None]
+    write: Callable[[Job, Path], Made | None]
     recordings: tuple[str, ...] = ()
     read: Callable[[Path], Made] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        result: Result,
+        write: Callable[[Job, Path], Made | None],
+        recordings: Iterable[str] = (),
+        read: Callable[[Path], Made] | None = None,
+    ) -> Task:
+        """Return the task that makes a result."""
+        return cls(result.stage, result.item, result.path, result.key, write, tuple(recordings), read)
+
+    def failed(self, failure: Failure, before: bool = False) -> Outcome:
+        """Return the outcome of the task after a failure, of this run or one before."""
+        return Outcome(self.stage, self.item, self.path, "failed", failure.text, cause=failure.cause, before=before)
+
+    def ended(self, state: State, made: Made, seconds: float = 0.0) -> Outcome:
+        """Return the outcome of the task with the summary of its result."""
+        return Outcome(self.stage, self.item, self.path, state, made.text, seconds, made.converged, made.fit_percent)
 
 
 class TaskEngine(Protocol):
@@ -199,9 +206,8 @@ class Job:
     retry: bool = False
 
     def path(self, folder: str, name: str, ending: str = ".h5") -> Path:
-        """Return the path of a result; a long name is cut, and ends with a digest."""
-        *above, last = name.split("/")
-        return self.experiment.results.joinpath(folder, *map(file_stem, above), f"{file_stem(last)}{ending}")
+        """Return the path of a result, as `Experiment.path`."""
+        return self.experiment.path(folder, name, ending)
 
 
 FOLDER = "failed"
@@ -229,12 +235,12 @@ class Failure:
     details: str = ""
 
 
-def failure_path(job: Job, stage: str, item: str) -> Path:
+def failure_path(job: Job, result: Result) -> Path:
     """Return the path of the record of a failure, ``failed/<stage>/<item>.json``."""
-    return job.path(f"{FOLDER}/{stage}", item, ".json")
+    return job.path(f"{FOLDER}/{result.stage}", result.item, ".json")
 
 
-def remember_failure(job: Job, task: Task, failure: Failure) -> None:
+def remember_failure(job: Job, result: Result, failure: Failure) -> None:
     """Write the record of a failure.
 
     Raises
@@ -243,61 +249,19 @@ def remember_failure(job: Job, task: Task, failure: Failure) -> None:
         When the record cannot be written.
     """
     when = datetime.now(UTC).isoformat(timespec="seconds")
-    document = {"stage": task.stage, "item": task.item, **failure.__dict__, "when": when}
-    with atomic_path(failure_path(job, task.stage, task.item), overwrite=True) as part:
+    document = {"stage": result.stage, "item": result.item, **failure.__dict__, "when": when}
+    with atomic_path(failure_path(job, result), overwrite=True) as part:
         part.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
 
 
-def remembered_failure(job: Job, task: Task) -> Failure | None:
-    """Return the recorded failure of a task with the same settings and data; None without a readable record."""
+def remembered_failure(job: Job, result: Result) -> Failure | None:
+    """Return the recorded failure of a result with the same settings and data; None without a readable record."""
     try:
-        text = failure_path(job, task.stage, task.item).read_text(encoding="utf-8")
-        found = json.loads(text)
-        failure = Failure(*(str(found[name]) for name in ("key", "cause", "text", "details")))  # type: ignore[arg-type]
+        document = json.loads(failure_path(job, result).read_text(encoding="utf-8"))
+        failure = Failure(*(str(document[key]) for key in ("key", "cause", "text", "details")))  # type: ignore[arg-type]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
-    return failure if failure.key == task.key and failure.cause in get_args(Cause) else None
-
-
-def forget_failure(job: Job, task: Task) -> None:
-    """Remove the record of a failure, if there is one."""
-    failure_path(job, task.stage, task.item).unlink(missing_ok=True)
-
-
-# ---- Inputs of tasks: they must exist and be made from the present settings.
-
-
-class InputError(DataError):
-    """Error for an input of a task that is missing or outdated; the task itself is not at fault."""
-
-
-def load_checked(path: Path, key: str, command: str) -> Recording:
-    """Return a recording after a check of its content key.
-
-    Raises
-    ------
-    DataError
-        When the file is missing or was made from other settings.
-    """
-    check_made(path, key, command)
-    return load_recording(path)
-
-
-def check_made(path: Path, key: str, command: str) -> None:
-    """Refuse a file that is missing or was made from other settings.
-
-    Raises
-    ------
-    InputError
-        Its text names the command that makes the file.
-    """
-    if not path.is_file():
-        raise InputError(f"{path}: file is missing; `{command}` makes it")
-    found = stored_key(path)
-    if not found:
-        raise InputError(f"{path}: truncated or not made by an experiment; make it again with `{command} --overwrite`")
-    if found != key:
-        raise InputError(f"{path}: made from other settings or data; make it again with `{command} --overwrite`")
+    return failure if failure.key == result.key and failure.cause in get_args(Cause) else None
 
 
 def cause_of(error: GbidError) -> Cause:
@@ -364,15 +328,12 @@ def standing(job: Job, task: Task) -> Outcome | None:
     """
     try:
         if is_current(task.path, task.key, job.overwrite):
-            made = task.read(task.path) if task.read else Made()
-            return _outcome(task, made, "kept")
+            return task.ended("kept", task.read(task.path) if task.read else Made())
     except DataError as error:
         if not job.overwrite:
-            return Outcome(task.stage, task.item, task.path, "failed", str(error), cause="data")
+            return task.failed(Failure(task.key, "data", str(error)))
     failure = None if job.retry or job.overwrite else remembered_failure(job, task)
-    if failure is None:
-        return None
-    return Outcome(task.stage, task.item, task.path, "failed", failure.text, cause=failure.cause, before=True)
+    return None if failure is None else task.failed(failure, before=True)
 
 
 def perform(job: Job, task: Task) -> Outcome:
@@ -400,9 +361,9 @@ def perform(job: Job, task: Task) -> Outcome:
     began = time.perf_counter()
     try:
         with writing_keyed(task.path, task.key) as part:
-            made = task.write(job, task.item, part) or Made()
-        forget_failure(job, task)
-        return replace(_outcome(task, made, "made"), seconds=time.perf_counter() - began)
+            made = task.write(job, part) or Made()
+        failure_path(job, task).unlink(missing_ok=True)
+        return task.ended("made", made, time.perf_counter() - began)
     except NoSpaceError:
         raise
     except Exception as error:
@@ -416,22 +377,18 @@ def fail(job: Job, task: Task, failure: Failure) -> Outcome:
     """Return the outcome of a failed task and record the failure on disk."""
     if failure.cause != "input":
         remember_failure(job, task, failure)
-    return Outcome(task.stage, task.item, task.path, "failed", failure.text, cause=failure.cause)
+    return task.failed(failure)
 
 
-def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callable[[Path], str | None]) -> Outcome:
+def produce(job: Job, result: Result, write: Callable[[Path], str | None]) -> Outcome:
     """Keep a result, or make it in this process; bad data become an outcome, so that the other results go on.
 
     Parameters
     ----------
     job : Job
         The job.
-    stage, item : str
-        Names of stage and item.
-    path : pathlib.Path
+    result : Result
         The result file.
-    key : str
-        Content key of the result.
     write : callable
         Function that makes the result, writes it to the given path, and may return a note about it.
 
@@ -447,31 +404,19 @@ def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callab
     """
     began = time.perf_counter()
     try:
-        if is_current(path, key, job.overwrite):
-            outcome = Outcome(stage, item, path, "kept")
+        if is_current(result.path, result.key, job.overwrite):
+            outcome = Outcome(result.stage, result.item, result.path, "kept")
         else:
-            job.reporter.begin(stage, item)
-            with writing_keyed(path, key) as part:
+            job.reporter.begin(result.stage, result.item)
+            with writing_keyed(result.path, result.key) as part:
                 text = write(part) or ""
-            outcome = Outcome(stage, item, path, "made", text, time.perf_counter() - began)
+            outcome = Outcome(result.stage, result.item, result.path, "made", text, time.perf_counter() - began)
     except NoSpaceError:
         raise
     except DataError as error:
-        outcome = Outcome(stage, item, path, "failed", str(error), cause=cause_of(error))
+        outcome = Outcome(result.stage, result.item, result.path, "failed", str(error), cause=cause_of(error))
     job.reporter.end(outcome)
     return outcome
-
-
-def _outcome(task: Task, made: Made, state: str) -> Outcome:
-    return Outcome(
-        task.stage,
-        task.item,
-        task.path,
-        "kept" if state == "kept" else "made",
-        made.text,
-        converged=made.converged,
-        fit_percent=made.fit_percent,
-    )
 
 
 def _failure_of(task: Task, error: Exception) -> Failure:

@@ -19,7 +19,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.tables import probability, shown_unit
 from gbid.experiment.experiment import fit_models, recordings_of
 from gbid.experiment.stages.crossval import validate_pair
-from gbid.experiment.stages.fit import fit_path
+from gbid.experiment.stages.fit import fit_result
 from gbid.recording import Recording
 from gbid.report.canvas import (
     BLACK,
@@ -824,7 +824,11 @@ _ZOOM = (1.2, 1.4)  # part of the recording that Fig. 7 shows [s]
 def _shown_response(results: Results) -> Validation:
     """Return the validation of a bearing model on its own recording, at the paper's operating point or the first."""
     name = results.fit_with("rotor_bearing")
-    there = [model for model in fit_models(results.experiment, name) if fit_path(results.job, name, model).is_file()]
+    there = [
+        model
+        for model in fit_models(results.experiment, name)
+        if fit_result(results.experiment, name, model).path.is_file()
+    ]
     if not there:
         raise DataError(f"no model of fit {name!r} is there; run `gbid fit` or `gbid run`")
     model = next((m for m in there if m.startswith("p5_n6000_")), there[0])

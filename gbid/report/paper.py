@@ -20,7 +20,7 @@ from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError
 from gbid.core.tables import Column, Entry, Table, csv_text, finite_or_none, formatted, markdown_table, plain_table
 from gbid.core.yaml_file import read_yaml
-from gbid.experiment.fields import content_key, stored_key
+from gbid.experiment.fields import Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.lpv import CHARACTERISTICS, TERMS, characteristics
 from gbid.report.canvas import save_figure
@@ -633,7 +633,9 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
         settings = {"kind": ending, "document": document}
         key = content_key(REPRODUCTION, settings, sources)
         text = partial(_with_key, write, ending, key)
-        outcomes.append(produce(job, REPRODUCTION, f"{REPRODUCTION}{ending}", path, key, partial(_write_text, text)))
+        outcomes.append(
+            produce(job, Result(REPRODUCTION, f"{REPRODUCTION}{ending}", path, key), partial(_write_text, text))
+        )
     return outcomes, document
 
 
@@ -684,7 +686,10 @@ def _figure(job: Job, results: Results, named: NamedFigure, sources: list[str], 
         assert figure is not None
         save_figure(figure, part, kind=kind, note=f"content_key: {keys[kind]}")
 
-    return [produce(job, "figure", f"{name}.{kind}", paths[kind], keys[kind], partial(write, kind)) for kind in kinds]
+    return [
+        produce(job, Result("figure", f"{name}.{kind}", paths[kind], keys[kind]), partial(write, kind))
+        for kind in kinds
+    ]
 
 
 def _table(
@@ -695,7 +700,7 @@ def _table(
     for ending, text in ((".csv", csv_text(table)), (".md", markdown_table(table))):
         key = content_key("paper table", {"name": name, "kind": ending, "text": text}, sources)
         write = partial(_write_text, partial(_with_key, partial(str, text), ending, key))
-        outcomes.append(produce(job, "table", f"{name}{ending}", job.path(FOLDER, name, ending), key, write))
+        outcomes.append(produce(job, Result("table", f"{name}{ending}", job.path(FOLDER, name, ending), key), write))
     return outcomes
 
 

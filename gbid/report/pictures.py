@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from gbid.control import Sensitivities
 from gbid.core.errors import DataError, UsageError
 from gbid.core.tables import write_csv
-from gbid.experiment.fields import content_key
+from gbid.experiment.fields import Result, content_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.experiment.stages.crossval import bode_of_pair, drawn_pairs, pair_keys, residuals_of_pair, validate_pair
 from gbid.identify import FitResult
@@ -119,13 +119,13 @@ def draw_figures(job: Job) -> list[Outcome]:
             pictures.append((f"{name}_bode", _bode, {"bode": True}))
             path, key = job.path(FOLDER, f"{name}_bode", ".csv"), content_key("figure", {"kind": "csv"}, sources)
             numbers = partial(_save_bode, job, fit, model, recording, key)
-            outcomes.append(produce(job, "figure", f"{name}_bode.csv", path, key, numbers))
+            outcomes.append(produce(job, Result("figure", f"{name}_bode.csv", path, key), numbers))
         for title, draw, settings in pictures:
             for kind in section.formats:
                 path = job.path(FOLDER, title, f".{kind}")
                 key = content_key("figure", {"kind": kind, **settings}, sources)
                 write = partial(_save, partial(draw, job, fit, model, recording), kind, key)
-                outcomes.append(produce(job, "figure", f"{title}.{kind}", path, key, write))
+                outcomes.append(produce(job, Result("figure", f"{title}.{kind}", path, key), write))
     return outcomes
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gbid.core.errors import DataError, UsageError
-from gbid.experiment.fields import content_key, stored_key
+from gbid.experiment.fields import Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.report.control_sections import (
     controller_section,
@@ -65,7 +65,7 @@ def write_report(job: Job, path: Path | None = None) -> Outcome:
     def write(part: Path) -> None:
         part.write_text(report_text(results, key), encoding="utf-8")
 
-    return produce(job, "report", path.name, path, key, write)
+    return produce(job, Result("report", path.name, path, key), write)
 
 
 def report_text(results: Results, key: str = "") -> str:

@@ -69,7 +69,7 @@ def test_rounds_are_recorded_in_the_loop_of_the_round_before_and_measured_on_the
     assert [(row.round, row.recordings) for row in rows] == [(0, 2), (1, 3)]
 
     running = load_controller(results / "controller" / "feedback.yaml").sampled_at(6.0, 0.0)
-    recording = gbid.load_recording(results / "cycle" / "round1" / "recordings" / "round1_p6_n0_prbs1.h5")
+    recording = gbid.load_recording(results / "recordings" / "round1_p6_n0_prbs1.h5")
     p, r, w = (recording.signal(name) for name in ("p", "r", "w"))
     np.testing.assert_allclose(np.abs(w), 3.0e-6)
     answer = r[1:] - w[1:]  # one sample is for the computation
@@ -79,7 +79,7 @@ def test_rounds_are_recorded_in_the_loop_of_the_round_before_and_measured_on_the
     assert np.abs(answer).max() > 1e-6
 
     truth = exact_plant(gbid.load_model("theisen2016"), 6.0, 0.0)
-    files = [results / "controller" / "feedback.yaml", results / "cycle" / "round1" / "controller.yaml"]
+    files = [results / "controller" / "feedback.yaml", results / "cycle" / "round1" / "controller" / "feedback.yaml"]
     for row, file in zip(rows, files, strict=True):
         true = ringing_modes(truth, load_controller(file).sampled_at(6.0, 0.0))
         assert row.converged
@@ -110,7 +110,7 @@ def test_rows_are_read_as_written_and_shown(cycled, tmp_path):
 
 
 def test_standard_deviations_of_modes_are_those_of_draws(cycled):
-    fit = load_lpv_fit(cycled.experiment.results / "cycle" / "round1" / "surfaces.yaml")
+    fit = load_lpv_fit(cycled.experiment.results / "cycle" / "round1" / "lpv" / "bearing.yaml")
     _, std = modes_of_surfaces(fit, 6.0, 0.0)
     drawn = [model.at(6.0, 0.0).modes()[:2] for model in fit.draw(400, seed=1)]
     np.testing.assert_allclose(std, np.std(np.array(drawn).transpose(0, 2, 1).reshape(400, 4), axis=0), rtol=0.15)

@@ -10,10 +10,11 @@ import gbid as package  # the command line has its name
 from gbid.control import controller_structure, p_controller, sample_controller
 from gbid.core.files import share_folder
 from gbid.core.tables import markdown_table
-from gbid.experiment.controllers import early_key
+from gbid.experiment.controllers import early_design
+from gbid.experiment.fields import InputError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.recordings import recording_key
-from gbid.experiment.run import InputError, Job, run_stage
+from gbid.experiment.recordings import recording_result
+from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages import loop as cost
 from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
@@ -115,13 +116,14 @@ def test_the_structure_of_a_fit_is_the_loop(tmp_path):
 def test_a_tuned_controller_is_known_before_it_is_tuned(tmp_path):
     job = Job(load_experiment(write_quick(tmp_path, text=TUNED)))
     (task,) = TUNE.tasks(job)
-    assert task.key == early_key(job.experiment, "held")
+    assert task.key == early_design(job.experiment, "held").key
     assert make_structure(job.experiment, "held", planned=True).inputs == ("w",)
     with pytest.raises(InputError, match="gbid tune"):
         make_structure(job.experiment, "held")
     other = load_experiment(write_quick(tmp_path, ("theisen2016,", "theisen2016, starts: 2,"), text=TUNED))
     changed = {
-        name: recording_key(other, planned) != recording_key(job.experiment, job.experiment.recordings[name])
+        name: recording_result(other, planned).key
+        != recording_result(job.experiment, job.experiment.recordings[name]).key
         for name, planned in other.recordings.items()
     }
     assert changed == {name: "loop" in name for name in changed}
@@ -184,7 +186,7 @@ def test_the_price_of_a_loop_is_the_ratio_of_the_standard_deviations(tmp_path, m
 
     monkeypatch.setattr(cost, "fit_entries", entries)
     monkeypatch.setattr(cost, "load_fit_input", recording)
-    cost._write(job, "held", tmp_path / "held.csv")
+    cost._write(job, tmp_path / "held.csv", "held", "open")
     (row,) = cost.read_costs(tmp_path / "held.csv")
     assert (row.parameter, row.std, row.std_beside, row.recordings_beside) == ("k", 6.0, 2.0, 3)
     assert (row.peak, row.peak_beside, row.duration_s) == (3e-6, 2e-6, 1.0)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -105,35 +106,35 @@ def left_over(results: Path) -> list[Path]:
 # Tasks that a worker can find by name.
 
 
-def write_number(job, item, part):
+def write_number(job, part, item):
     part.write_text(f"content_key: {item * 64}\n")
     return Made(str(os.getpid()))
 
 
-def die(job, item, part):
+def die(job, part, item):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def die_once(job, item, part):
+def die_once(job, part, item):
     mark = job.experiment.results / f"{item}.died"
     if not mark.exists():
         mark.write_text("")
         os.kill(os.getpid(), signal.SIGKILL)
-    return write_number(job, item, part)
+    return write_number(job, part, item)
 
 
-def write_slowly(job, item, part):
+def write_slowly(job, part, item):
     time.sleep(0.05)
-    return write_number(job, item, part)
+    return write_number(job, part, item)
 
 
-def meet(job, item, part):
+def meet(job, part, item):
     """End when another one runs, too, in another worker."""
     here = part.parent / f"{item}.here"
     here.write_text("")
     while len(list(part.parent.glob("*.here"))) < 2:
         time.sleep(0.01)
-    return write_number(job, item, part)
+    return write_number(job, part, item)
 
 
 class Watcher(Silent):
@@ -153,22 +154,22 @@ class Watcher(Silent):
         self.seen.append((self.tally.done, self.tally.running))
 
 
-def refuse(job, item, part):
+def refuse(job, part, item):
     raise DataError(f"{item} is bad")
 
 
-def defect(job, item, part):
+def defect(job, part, item):
     raise ZeroDivisionError("oh")
 
 
-def full_disk(job, item, part):
+def full_disk(job, part, item):
     raise NoSpaceError(f"No space left for {item}")
 
 
-def sleep(job, item, part):
+def sleep(job, part, item):
     time.sleep(60)
 
 
 def task(folder: Path, item: str, write) -> Task:
     """A task of these; the name is a hexadecimal digit, so that its key is one."""
-    return Task("toy", item, folder / f"{item}.txt", item * 64, write)
+    return Task("toy", item, folder / f"{item}.txt", item * 64, partial(write, item=item))

@@ -16,7 +16,7 @@ from gbid.core.hdf5 import load
 from gbid.experiment.controllers import planned_impacts
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
-from gbid.experiment.stages.impact import recording_key
+from gbid.experiment.stages.impact import recording_result
 from gbid.export.chain import ChainOptions, chain_of
 from gbid.export.chain_c import CompiledChain
 from gbid.rig import Hammer, Impact, Machine, ProgramController, SampledController, record
@@ -102,7 +102,7 @@ def test_the_key_knows_what_closes_the_loop(tmp_path: Path) -> None:
         text = EXPERIMENT.format(controller=controller, speed=0, noise=3e-9, repeats=2, word="paper")
         path.write_text(text + target, encoding="utf-8")
         experiment = Job(load_experiment(path)).experiment
-        keys.append(recording_key(experiment, next(iter(planned_impacts(experiment).values()))))
+        keys.append(recording_result(experiment, next(iter(planned_impacts(experiment).values()))).key)
     assert len(set(keys)) == 3
 
 

@@ -6,7 +6,7 @@ import csv
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,7 @@ from gbid.core.errors import DataError
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import Table, Value, plain_table, write_csv
 from gbid.experiment.experiment import SPECIAL, Experiment, figure_pairs, validation_pairs
-from gbid.experiment.fields import Found, content_key, nearest, stored_key
-from gbid.experiment.recordings import FOLDER as RECORDINGS
+from gbid.experiment.fields import Found, Result, nearest, stored_key
 from gbid.experiment.run import (
     Cause,
     Failure,
@@ -26,13 +25,11 @@ from gbid.experiment.run import (
     Stage,
     Task,
     Work,
-    check_made,
     remember_failure,
     remembered_failure,
 )
-from gbid.experiment.stages.fit import fit_path, load_made_fit, model_key, samples_of
-from gbid.experiment.stages.prefilter import FOLDER as PREFILTERED
-from gbid.experiment.stages.prefilter import fit_input_key, load_fit_input
+from gbid.experiment.stages.fit import fit_result, load_made_fit, samples_of
+from gbid.experiment.stages.prefilter import fit_input, load_fit_input
 from gbid.experiment.structures import make_structure
 from gbid.identify import FitResult, MeasuredResponse, measured_response
 from gbid.recording import Recording
@@ -147,39 +144,14 @@ def left_out_of(job: Job, name: str, data: Recording) -> list[tuple[int, int]]:
 
 def pair_keys(job: Job, name: str, model: str, recording: str) -> list[str]:
     """Return the content keys of a model and of the recording on which it is validated."""
-    return [model_key(job.experiment, name, model), data_key(job.experiment, name, recording)]
+    return [fit_result(job.experiment, name, model).key, data_key(job.experiment, name, recording)]
 
 
 def data_key(experiment: Experiment, name: str, recording: str) -> str:
     """Return the content key of a recording for validation, with the stretches that are left out."""
-    key = fit_input_key(experiment, experiment.recordings[recording])
+    key = fit_input(experiment, experiment.recordings[recording]).key
     left_out = experiment.spec.fits[name].left_out.get(recording)
     return f"{key} without {left_out}" if left_out else key
-
-
-def check_model(job: Job, name: str, model: str) -> None:
-    """Refuse a model that is missing or was made from other settings; the file is not read in full.
-
-    Raises
-    ------
-    DataError
-        When the model is missing or was made from other settings.
-    """
-    check_made(fit_path(job, name, model), model_key(job.experiment, name, model), "gbid fit")
-
-
-def check_fit_input(job: Job, recording: str) -> None:
-    """Refuse a recording that is missing or was made from other settings; the file is not read in full.
-
-    Raises
-    ------
-    DataError
-        When the recording is missing or was made from other settings.
-    """
-    planned = job.experiment.recordings[recording]
-    raw = job.experiment.spec.prefilter is None
-    verb = "gbid fit" if not raw else "gbid import" if planned.imported else "gbid rig"
-    check_made(job.path(RECORDINGS if raw else PREFILTERED, recording), fit_input_key(job.experiment, planned), verb)
 
 
 def drawn_pairs(job: Job) -> Iterable[tuple[str, str, str]]:
@@ -353,40 +325,50 @@ class FitPairs:
     def __init__(self, job: Job, name: str) -> None:
         self._job, self._name = job, name
         self._model = lru_cache(maxsize=_MODELS_IN_MEMORY)(self._load_model)
-        self._model_key = lru_cache(maxsize=None)(lambda model: model_key(job.experiment, name, model))
+        self._model_key = lru_cache(maxsize=None)(lambda model: fit_result(job.experiment, name, model).key)
         self._data_key = lru_cache(maxsize=None)(lambda recording: data_key(job.experiment, name, recording))
 
     @cached_property
     def missing(self) -> dict[Pair, str]:
         """Pairs whose model or recording is missing, with the reason."""
         pairs = validation_pairs(self._job.experiment, self._name)
-        models = {model: self._why_not(model, "model") for model in {model for model, _ in pairs}}
-        recordings = {each: self._why_not(each, "recording") for each in {recording for _, recording in pairs}}
+        experiment = self._job.experiment
+        models = {m: _why_missing(fit_result(experiment, self._name, m)) for m, _ in pairs}
+        recordings = {r: _why_missing(fit_input(experiment, experiment.recordings[r])) for _, r in pairs}
         return {(m, r): models[m] or recordings[r] for m, r in pairs if models[m] or recordings[r]}
 
     @cached_property
-    def there(self) -> list[Pair]:
+    def possible(self) -> list[Pair]:
         """Pairs that can be validated."""
         pairs = validation_pairs(self._job.experiment, self._name)
         return [pair for pair in pairs if pair not in self.missing]
 
     @cached_property
-    def key(self) -> str:
-        """Content key of the table."""
-        settings = {"pairs": self.there, "columns": COLUMNS, "residuals": self._residuals}
-        return content_key("crossval", settings, [self.key_of(pair) for pair in self.there])
+    def table(self) -> Result:
+        """Result file with the rows of all pairs."""
+        experiment, settings = self._job.experiment, {"columns": COLUMNS, "residuals": self._residuals}
+        path, keys = experiment.path(FOLDER, self._name, ".csv"), [self.of(pair).key for pair in self.possible]
+        return experiment.result("crossval", self._name, path, {"pairs": self.possible, **settings}, keys)
 
-    def key_of(self, pair: Pair) -> str:
-        """Return the content keys of model and recording of a pair, as one text."""
-        return f"{self._model_key(pair[0])} {self._data_key(pair[1])}"
+    def of(self, pair: Pair) -> Result:
+        """Return a pair as a result of its own, under which its failure is recorded."""
+        model, recording = pair
+        path = self._job.path(FOLDER, self._name, ".csv")
+        key = f"{self._model_key(model)} {self._data_key(recording)}"
+        return Result("crossval", f"{self._name}/{model} on {recording}", path, key)
+
+    def failed(self, pair: Pair, text: str, cause: Cause) -> Outcome:
+        """Return the outcome of a pair without rows."""
+        item = f"{self._name}/{pair[0]} on {pair[1]}"
+        return Outcome("crossval", item, self._job.path(FOLDER, self._name, ".csv"), "failed", text, cause=cause)
 
     def rows(self) -> tuple[list[CrossvalRow], dict[Pair, str]]:
         """Return the rows of all pairs in order, and the reason for pairs without rows; reads each recording once."""
         found: dict[Pair, list[CrossvalRow]] = {}
         failed: dict[Pair, str] = {}
-        tested = set(dict(reversed(self.there)).items())  # the first pair of each model
+        tested = set(dict(reversed(self.possible)).items())  # the first pair of each model
         by_recording: dict[str, list[Pair]] = {}
-        for pair in self.there:
+        for pair in self.possible:
             by_recording.setdefault(pair[1], []).append(pair)
         for recording, here in by_recording.items():
             try:
@@ -403,7 +385,7 @@ class FitPairs:
                     found[pair] = self._rows(pair[0], data, own, test)
                 except DataError as error:
                     failed[pair] = str(error)
-        return [row for pair in self.there if pair in found for row in found[pair]], failed
+        return [row for pair in self.possible if pair in found for row in found[pair]], failed
 
     def _rows(self, model: str, data: Recording, own: ValidationData, test: bool) -> list[CrossvalRow]:
         fitted, plain = self._model(model)
@@ -439,18 +421,17 @@ class FitPairs:
     @cached_property
     def _residuals(self) -> str:
         return self._job.experiment.spec.crossval[self._name].residuals or (
-            "pairs" if len(self.there) <= _MANY else "models"
+            "pairs" if len(self.possible) <= _MANY else "models"
         )
 
-    def _why_not(self, item: str, kind: str) -> str:
-        try:
-            if kind == "model":
-                check_model(self._job, self._name, item)
-            else:
-                check_fit_input(self._job, item)
-        except (DataError, OSError) as error:
-            return str(error)
-        return ""
+
+def _why_missing(result: Result) -> str:
+    """Return why a result is missing; empty when it is made."""
+    try:
+        result.require()
+    except (DataError, OSError) as error:
+        return str(error)
+    return ""
 
 
 # ---- Stage of the cross-validation (paper, Sec. 3.8): models on recordings to which they were not fitted.
@@ -463,10 +444,10 @@ def crossval_tasks(job: Job) -> Work:
     """Return one task for each fit, and failed outcomes for pairs whose model or recording is missing."""
     work: list[Task | Outcome] = []
     for name in job.experiment.spec.crossval:
-        pairs, path = FitPairs(job, name), _path(job, name)
-        work += [_failed(job, name, pair, text, "input") for pair, text in pairs.missing.items()]
-        if pairs.there:
-            work.append(Task("crossval", name, path, pairs.key, _write_table))
+        pairs = FitPairs(job, name)
+        work += [pairs.failed(pair, text, "input") for pair, text in pairs.missing.items()]
+        if pairs.possible:
+            work.append(Task.of(pairs.table, partial(_write_table, name=name)))
     return work
 
 
@@ -477,10 +458,8 @@ def crossval_rows(job: Job) -> list[CrossvalRow]:
 
 def read_crossval(job: Job, name: str) -> list[CrossvalRow]:
     """Return the rows of the cross-validation of a fit; empty unless they are made from the present results."""
-    pairs, path = FitPairs(job, name), _path(job, name)
-    if not pairs.there or not path.is_file() or stored_key(path) != pairs.key:
-        return []
-    return read_rows(job, name, path)
+    pairs = FitPairs(job, name)
+    return read_rows(job, name, pairs.table.path) if pairs.possible and pairs.table.is_made else []
 
 
 def read_summary(job: Job, name: str) -> ValidationSummary | None:
@@ -489,46 +468,32 @@ def read_summary(job: Job, name: str) -> ValidationSummary | None:
     if not path.is_file():
         return None
     summary = load(path, ValidationSummary)
-    return summary if stored_key(path) == _summary_key(summary.failed, stored_key(_path(job, name))) else None
+    rows_key = stored_key(job.path(FOLDER, name, ".csv"))
+    return summary if _summary_result(job, name, summary.failed, rows_key, ".h5").is_made else None
 
 
-def _path(job: Job, name: str) -> Path:
-    return job.path(FOLDER, name, ".csv")
-
-
-def _item(job: Job, name: str, pair: Pair, key: str = "") -> Task:
-    """Return the task under which the failure of a pair is recorded."""
-    model, recording = pair
-    return Task("crossval", f"{name}/{model} on {recording}", _path(job, name), key, _write_table)
-
-
-def _failed(job: Job, name: str, pair: Pair, text: str, cause: Cause) -> Outcome:
-    item = _item(job, name, pair)
-    return Outcome(item.stage, item.item, item.path, "failed", text, cause=cause)
-
-
-def _write_table(job: Job, name: str, part: Path) -> None:
+def _write_table(job: Job, part: Path, name: str) -> None:
     """Write the rows of all pairs; pairs without rows are recorded as failed."""
     pairs = FitPairs(job, name)
     rows, failed = pairs.rows()
     for pair, text in failed.items():
-        key = pairs.key_of(pair)
-        remember_failure(job, _item(job, name, pair, key), Failure(key, "data", text))
+        result = pairs.of(pair)
+        remember_failure(job, result, Failure(result.key, "data", text))
     if not rows:
         first = next(iter(failed.values()))
         raise DataError(f"no model can be validated; the first of {len(failed)} pairs: {first}")
-    write_csv(rows_table(rows), part, [f"content_key: {pairs.key}"])
+    write_csv(rows_table(rows), part)
 
 
-def _failed_pairs(job: Job, name: str, pairs: FitPairs, rows: Sequence[CrossvalRow]) -> dict[Pair, str]:
+def _failed_pairs(job: Job, pairs: FitPairs, rows: Sequence[CrossvalRow]) -> dict[Pair, str]:
     """Return the possible pairs without rows, with the reason."""
     done = {(row.model, row.recording) for row in rows}
-    found = {}
-    for pair in pairs.there:
+    failed = {}
+    for pair in pairs.possible:
         if pair not in done:
-            failure = remembered_failure(job, _item(job, name, pair, pairs.key_of(pair)))
-            found[pair] = failure.text if failure else "failed in an earlier run; run again with --overwrite"
-    return found
+            failure = remembered_failure(job, pairs.of(pair))
+            failed[pair] = failure.text if failure else "failed in an earlier run; run again with --overwrite"
+    return failed
 
 
 def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
@@ -539,38 +504,35 @@ def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
         if outcome.state == "failed" or name not in job.experiment.spec.crossval:
             continue
         pairs = FitPairs(job, name)
-        failed = _failed_pairs(job, name, pairs, read_rows(job, name, outcome.path))
-        work += [_failed(job, name, pair, text, "data") for pair, text in failed.items()]
-        key = _summary_key(_texts({**pairs.missing, **failed}), pairs.key)
-        for ending, write in ((".h5", _write_summary), (".csv", _write_summary_csv)):
-            path = job.path(FOLDER, f"{name}{SUMMARY}", ending)
-            work.append(Task("crossval", f"{name}{SUMMARY}{ending}", path, key, write))
+        failed = _failed_pairs(job, pairs, read_rows(job, name, outcome.path))
+        work += [pairs.failed(pair, text, "data") for pair, text in failed.items()]
+        texts = _texts({**pairs.missing, **failed})
+        for ending in (".h5", ".csv"):
+            result = _summary_result(job, name, texts, pairs.table.key, ending)
+            work.append(Task.of(result, partial(_write_summary, name=name, ending=ending)))
     return work
 
 
-def _summary_key(failed: Sequence[str], rows_key: str) -> str:
-    return content_key("summary", {"failed": list(failed)}, [rows_key])
+def _summary_result(job: Job, name: str, failed: Sequence[str], rows_key: str, ending: str) -> Result:
+    """Return the result file of the summary of a table with this content key."""
+    item, settings = f"{name}{SUMMARY}", {"failed": list(failed)}
+    path = job.path(FOLDER, item, ending)
+    return job.experiment.result("crossval", f"{item}{ending}", path, settings, [rows_key])
 
 
 def _texts(failed: dict[Pair, str]) -> list[str]:
     return [f"{model} on {recording}: {text}" for (model, recording), text in failed.items()]
 
 
-def _summary(job: Job, item: str) -> tuple[ValidationSummary, str]:
-    """Return the summary of a fit's table and its content key."""
-    name = Path(item).stem.removesuffix(SUMMARY)
-    pairs, rows = FitPairs(job, name), read_rows(job, name, _path(job, name))
-    failed = _texts({**pairs.missing, **_failed_pairs(job, name, pairs, rows)})
-    return summarise(scores_of_rows(job, rows), failed=failed), _summary_key(failed, pairs.key)
-
-
-def _write_summary(job: Job, item: str, part: Path) -> None:
-    save(_summary(job, item)[0], part, overwrite=True)
-
-
-def _write_summary_csv(job: Job, item: str, part: Path) -> None:
-    summary, key = _summary(job, item)
-    write_csv(summary_csv_table(summary), part, [f"content_key: {key}"])
+def _write_summary(job: Job, part: Path, name: str, ending: str) -> None:
+    pairs = FitPairs(job, name)
+    rows = read_rows(job, name, pairs.table.path)
+    failed = _texts({**pairs.missing, **_failed_pairs(job, pairs, rows)})
+    summary = summarise(scores_of_rows(job, rows), failed=failed)
+    if ending == ".h5":
+        save(summary, part, overwrite=True)
+    else:
+        write_csv(summary_csv_table(summary), part)
 
 
 CROSSVAL = Stage("crossval", "crossval", (crossval_has_partners,), crossval_tasks, (_summary_work,))

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
-from gbid.core.errors import DataError, GbidError
-from gbid.excite import Excitation, design_excitation, known_model, save_excitation
+from gbid.core.errors import GbidError
+from gbid.excite import ExcitationLimits, design_excitation, known_model, save_excitation
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, content_key, nearest
+from gbid.experiment.fields import Found, nearest
 from gbid.experiment.recordings import excitation_limits
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
-from gbid.experiment.stages.fit import fit_entries, model_key
+from gbid.experiment.schema import ExciteSection
+from gbid.experiment.stages.fit import fit_entries, fit_result, load_made_fit
 from gbid.experiment.structures import fit_channels
+from gbid.identify import FitResult
 
 
 def excitations_have_fits(experiment: Experiment) -> Found:
@@ -35,53 +38,39 @@ FOLDER = "excite"
 
 def excite_tasks(job: Job) -> Work:
     """Return a task for each model of the fit of each excitation; a failed outcome for a model that is missing."""
-    work: list[Task | Outcome] = []
-    for name, section in job.experiment.spec.excite.items():
+    experiment, work = job.experiment, list[Task | Outcome]()
+    for name, section in experiment.spec.excite.items():
         for entry in fit_entries(job, section.fit):
             item = f"{name}/{entry.model}"
-            path = job.path(FOLDER, item, ".csv")
+            path = experiment.path(FOLDER, item, ".csv")
             if entry.result is None:
                 work.append(Outcome("excite", item, path, "failed", entry.failure, cause="input"))
                 continue
-            planned = job.experiment.recordings[entry.recordings[0]]
-            limits = excitation_limits(job.experiment, section, planned, entry.result.options.outputs)
-            settings = {"limits": limits, **section.model_dump(exclude={"limits"})}
-            key = content_key("excite", settings, [model_key(job.experiment, section.fit, entry.model)])
-            work.append(Task("excite", item, path, key, _write, entry.recordings))
+            settings = {"limits": _limits(experiment, section, entry.result), **section.model_dump(exclude={"limits"})}
+            result = experiment.result(
+                "excite", item, path, settings, [fit_result(experiment, section.fit, entry.model)]
+            )
+            work.append(Task.of(result, partial(_write, name=name, model=entry.model), entry.recordings))
     return work
 
 
-def designed(job: Job, item: str) -> tuple[Excitation, str]:
-    """Return the excitation of an item and its content key.
+def _limits(experiment: Experiment, section: ExciteSection, result: FitResult) -> ExcitationLimits:
+    """Return the limits of an excitation for the machine of a model's first recording."""
+    return excitation_limits(experiment, section, experiment.recordings[result.recordings[0]], result.options.outputs)
 
-    Raises
-    ------
-    DataError
-        When the fit has no such model any more.
-    """
-    name, _, model = item.partition("/")
+
+def _write(job: Job, part: Path, name: str, model: str) -> Made:
     section = job.experiment.spec.excite[name]
-    for entry in fit_entries(job, section.fit):
-        if entry.model == model and entry.result is not None:
-            planned = job.experiment.recordings[entry.recordings[0]]
-            limits = excitation_limits(job.experiment, section, planned, entry.result.options.outputs)
-            settings = {"limits": limits, **section.model_dump(exclude={"limits"})}
-            key = content_key("excite", settings, [model_key(job.experiment, section.fit, model)])
-            made = design_excitation(
-                known_model(entry.result, earlier=section.together),
-                duration=section.duration_s,
-                sample_time=entry.result.sample_time,
-                limits=limits,
-                kind=section.kind,
-                focus=section.focus,
-            )
-            return made, key
-    raise DataError(f"no model {model!r} of fit {section.fit!r}; make it with `gbid fit`")
-
-
-def _write(job: Job, item: str, part: Path) -> Made:
-    excitation, key = designed(job, item)
-    save_excitation(excitation, part, overwrite=True, comment=f"content_key: {key}")
+    result = load_made_fit(job, section.fit, model)
+    excitation = design_excitation(
+        known_model(result, earlier=section.together),
+        duration=section.duration_s,
+        sample_time=result.sample_time,
+        limits=_limits(job.experiment, section, result),
+        kind=section.kind,
+        focus=section.focus,
+    )
+    save_excitation(excitation, part, overwrite=True)
     counted = [
         100 * excitation.std[name] / abs(excitation.values[name])
         for name in excitation.counted

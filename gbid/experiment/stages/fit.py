@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,12 @@ from gbid.core.errors import DataError, GbidError
 from gbid.core.hdf5 import read_attribute, read_dataset, reading
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Check, Experiment, fit_models, recordings_of
-from gbid.experiment.fields import Found, Location, content_key, nearest
+from gbid.experiment.fields import Found, Location, Result, nearest
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.rig_schema import LoopSection
-from gbid.experiment.run import Job, Made, Stage, Task, check_made
+from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.experiment.schema import FitSection, PrefilterSection
-from gbid.experiment.stages.prefilter import fit_input_key, load_fit_input
+from gbid.experiment.stages.prefilter import fit_input, load_fit_input
 from gbid.experiment.structures import (
     fit_channels,
     fit_disturbances,
@@ -335,12 +336,28 @@ _AS_THEY_ARE = (
 
 def fit_tasks(job: Job, only: str | None = None) -> list[Task]:
     """Return the tasks of all fits, or of the one named."""
-    tasks = []
-    for name in job.experiment.spec.fits if only is None else [only]:
-        for model, recordings in fit_models(job.experiment, name).items():
-            path, key = fit_path(job, name, model), fit_key(job.experiment, name, recordings)
-            tasks.append(Task("fit", f"{name}/{model}", path, key, _write_fit, tuple(recordings), read_fit_summary))
-    return tasks
+    return [
+        Task.of(
+            fit_result(job.experiment, name, model),
+            partial(_write_fit, name=name, model=model),
+            recordings,
+            read_fit_summary,
+        )
+        for name in (job.experiment.spec.fits if only is None else [only])
+        for model, recordings in fit_models(job.experiment, name).items()
+    ]
+
+
+def fit_result(experiment: Experiment, name: str, model: str) -> Result:
+    """Return the result file of one model of a fit."""
+    section, recordings = experiment.spec.fits[name], recordings_of(experiment, name, model)
+    settings = section.model_dump(exclude={"structure", "options", "loop", "recordings", "together"})
+    settings["left_out"] = {recording: settings["left_out"].get(recording) for recording in recordings}
+    settings["structure"] = structure_settings(experiment, name)
+    settings["recordings"] = recordings
+    sources = [fit_input(experiment, experiment.recordings[recording]) for recording in recordings]
+    path = experiment.path(f"{FOLDER}/{name}", model)
+    return experiment.result("fit", f"{name}/{model}", path, settings, sources)
 
 
 def read_fit_summary(path: Path) -> Made:
@@ -356,11 +373,6 @@ def read_fit_summary(path: Path) -> Made:
         return Made(str(read_attribute(file, "status")), bool(read_attribute(file, "success")), _smallest(percent))
 
 
-def fit_path(job: Job, name: str, model: str) -> Path:
-    """Return the path of a fit result."""
-    return job.path(f"{FOLDER}/{name}", model)
-
-
 def load_made_fit(job: Job, name: str, model: str) -> FitResult:
     """Return the result of a fit that was made from the present settings.
 
@@ -369,10 +381,7 @@ def load_made_fit(job: Job, name: str, model: str) -> FitResult:
     DataError
         When the result is missing or was made from other settings.
     """
-    recordings = recordings_of(job.experiment, name, model)
-    path = fit_path(job, name, model)
-    check_made(path, fit_key(job.experiment, name, recordings), "gbid fit")
-    return load_fit(path)
+    return load_fit(fit_result(job.experiment, name, model).require())
 
 
 def fit_entries(job: Job, name: str) -> list[TableEntry]:
@@ -386,22 +395,6 @@ def fit_entries(job: Job, name: str) -> list[TableEntry]:
             result, failure = None, str(error)
         entries.append(TableEntry(name, model, tuple(recordings), conditions, result, failure))
     return entries
-
-
-def fit_key(experiment: Experiment, name: str, recordings: list[str]) -> str:
-    """Return the content key of a fit to recordings."""
-    settings = fit_settings(experiment, name, recordings)
-    return content_key("fit", settings, [fit_input_key(experiment, experiment.recordings[r]) for r in recordings])
-
-
-def fit_settings(experiment: Experiment, name: str, recordings: list[str]) -> dict[str, Any]:
-    """Return the settings of a fit to recordings for content keys."""
-    section = experiment.spec.fits[name]
-    settings = section.model_dump(exclude={"structure", "options", "loop", "recordings", "together"})
-    settings["left_out"] = {recording: settings["left_out"].get(recording) for recording in recordings}
-    settings["structure"] = structure_settings(experiment, name)
-    settings["recordings"] = recordings
-    return settings
 
 
 def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) -> dict[str, Any]:
@@ -448,8 +441,7 @@ def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, i
     return first, stop
 
 
-def _write_fit(job: Job, item: str, part: Path) -> Made:
-    name, _, model = item.partition("/")
+def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
     inputs, outputs = fit_channels(job.experiment, name)
     data = []
     for recording in recordings_of(job.experiment, name, model):
@@ -458,11 +450,6 @@ def _write_fit(job: Job, item: str, part: Path) -> Made:
         # The prefilter stage has checked prefiltered recordings already; only some kinds are checked here again.
         kinds = _OWN_KINDS if job.experiment.spec.prefilter else None
         refuse_bad_signals(planned, data[-1], [*inputs, *outputs], kinds=kinds, driving=inputs)
-    return save_made_fit(fitted(job, name, data), part)
-
-
-def fitted(job: Job, name: str, data: Sequence[Recording]) -> FitResult:
-    """Return the fit of a fits section to recordings, also to such that are not of this section."""
     structure, section = make_structure(job.experiment, name), job.experiment.spec.fits[name]
     arguments = fit_arguments(job.experiment, name, data)
     if section.multi_start is None:
@@ -470,11 +457,7 @@ def fitted(job: Job, name: str, data: Sequence[Recording]) -> FitResult:
     else:
         options = section.multi_start.model_dump()
         result = fit_multistart(structure, data, **options, progress=job.reporter.iteration, **arguments).best
-    return replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
-
-
-def save_made_fit(result: FitResult, part: Path) -> Made:
-    """Write the result of a fit and return its summary."""
+    result = replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
     save_fit(result, part, overwrite=True)
     return Made(result.status, result.success, _smallest(result.fit_percent))
 
@@ -512,11 +495,6 @@ def _unit(rec: Recording, output: str) -> str:
 
 def _smallest(percent: npt.NDArray[Any]) -> float:
     return float(percent.min()) if percent.size else math.nan
-
-
-def model_key(experiment: Experiment, name: str, model: str) -> str:
-    """Return the content key of a model of a fit."""
-    return fit_key(experiment, name, fit_models(experiment, name)[model])
 
 
 FIT = Stage("fit", "fits", (*FIT_CHECKS, *OPTION_CHECKS), fit_tasks, early=True)

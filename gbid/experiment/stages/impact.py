@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows, study_impacts
 from gbid.core.errors import GbidError
@@ -17,7 +16,6 @@ from gbid.experiment.controllers import (
     LoopController,
     controller_at,
     expecting_model,
-    hammer_of,
     impacts_section,
     is_tuned,
     loop_controllers,
@@ -28,12 +26,11 @@ from gbid.experiment.controllers import (
     tuned_design,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, content_key
-from gbid.experiment.machine import as_settings, machine_at, record_options, rig_model
-from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, load_checked
+from gbid.experiment.fields import Found, Location, Result
+from gbid.experiment.machine import hammer_of, rig_model, rig_run
+from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import HammerTrain, ImpactPoint, ImpactsSection
-from gbid.recording import Recording, save_recording
-from gbid.rig import record
+from gbid.recording import load_recording, save_recording
 
 LONGEST_IMPACT = 0.25
 """Longest impact as a fraction of the time between impacts; the ring-down needs the remaining time."""
@@ -128,24 +125,18 @@ def recording_tasks(job: Job) -> Work:
     UsageError
         When the model or the controller of the closed loop is missing.
     """
-    if job.experiment.spec.impacts is None:
+    experiment = job.experiment
+    if experiment.spec.impacts is None:
         return []
-    idle = [
-        Outcome("impact", loop, job.path(FOLDER, loop), "failed", why, cause="input")
-        for loop, why in loops_without_controller(job.experiment).items()
+    idle = loops_without_controller(experiment)
+    return [
+        *(Outcome("impact", loop, job.path(FOLDER, loop), "failed", why, cause="input") for loop, why in idle.items()),
+        *(
+            Task.of(recording_result(experiment, impact), partial(_write_recording, name=name), [name])
+            for name, impact in planned_impacts(experiment).items()
+            if impact.loop not in idle
+        ),
     ]
-    tasks = [
-        Task(
-            "impact",
-            name,
-            job.path(RECORDINGS, name),
-            recording_key(job.experiment, planned),
-            _write_recording,
-            (name,),
-        )
-        for name, planned in _runnable(job.experiment).items()
-    ]
-    return [*idle, *tasks]
 
 
 def _studies_of(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -155,10 +146,18 @@ def _studies_of(job: Job, made: Sequence[Outcome]) -> list[Task]:
 def study_tasks(job: Job) -> list[Task]:
     """Return the tasks of the studies, one for each operating point and loop."""
     tasks = []
+    section = impacts_section(job.experiment)
     for name, group in _studies(job.experiment).items():
-        names = tuple(q.planned.name for q in group)
-        key = study_key(job.experiment, group)
-        tasks.append(Task("ringdown", name, job.path(FOLDER, name), key, _write_study, names, read=read_made_study))
+        settings = {
+            "harmonics": section.harmonics,
+            "lags": section.lags,
+            "model": expecting_model(job.experiment)[1],
+            "loop": group[0].loop,
+        }
+        sources = [recording_result(job.experiment, impact) for impact in group]
+        result = job.experiment.result("ringdown", name, job.path(FOLDER, name), settings, sources)
+        names = [impact.planned.name for impact in group]
+        tasks.append(Task.of(result, partial(_write_study, name=name), names, _read_study))
     return tasks
 
 
@@ -170,14 +169,14 @@ def loops_without_controller(experiment: Experiment) -> dict[str, str]:
     UsageError
         When the experiment has no section ``impacts``.
     """
-    section, found = impacts_section(experiment), {}
+    section, idle = impacts_section(experiment), {}
     for loop in section.beside:
         try:
             for point in section.operating_points:
                 controller_at(experiment, point, loop)
         except GbidError as error:
-            found[loop] = str(error)
-    return found
+            idle[loop] = str(error)
+    return idle
 
 
 def made_impacts(outcomes: Sequence[Outcome]) -> dict[str, ImpactStudy]:
@@ -185,68 +184,41 @@ def made_impacts(outcomes: Sequence[Outcome]) -> dict[str, ImpactStudy]:
     return {o.item: load(o.path, ImpactStudy) for o in outcomes if o.stage == "ringdown" and o.state != "failed"}
 
 
-def recording_key(experiment: Experiment, impact: ImpactRecording) -> str:
-    """Return the content key of a recording with impacts."""
-    section, rig = impacts_section(experiment), experiment.spec.rig
-    assert rig is not None
-    settings: dict[str, Any] = {
-        **as_settings(record_options(experiment, impact.planned)),
-        "experiment": {"hammer": asdict(hammer_of(section, impact.axis, rig.sample_time_s))},
-        "machine": asdict(machine_at(experiment, impact.planned, rig_model(experiment))),
-        "controller": _controller(experiment, impact).key if impact.loop != "open" else "",
-        **(loop_settings(experiment) if impact.loop != "open" else {}),
-    }
-    return content_key("impact", settings)
-
-
-def study_key(experiment: Experiment, group: list[ImpactRecording]) -> str:
-    """Return the content key of a study."""
-    section = impacts_section(experiment)
-    settings = {
-        "harmonics": section.harmonics,
-        "lags": section.lags,
-        "model": expecting_model(experiment)[1],
-        "loop": group[0].loop,
-    }
-    return content_key("ringdown", settings, [recording_key(experiment, q) for q in group])
-
-
-def _runnable(experiment: Experiment) -> dict[str, ImpactRecording]:
-    idle = loops_without_controller(experiment)
-    return {name: impact for name, impact in planned_impacts(experiment).items() if impact.loop not in idle}
+def recording_result(experiment: Experiment, impact: ImpactRecording) -> Result:
+    """Return the result file of a recording with impacts."""
+    planned, settings = impact.planned, rig_run(experiment, impact.planned).settings()
+    if impact.loop != "open":
+        settings |= {"controller": _controller(experiment, impact).key, **loop_settings(experiment)}
+    return experiment.result("impact", planned.name, experiment.path(RECORDINGS, planned.name), settings)
 
 
 def _studies(experiment: Experiment) -> dict[str, list[ImpactRecording]]:
-    found: dict[str, list[ImpactRecording]] = {}
-    for impact in _runnable(experiment).values():
-        found.setdefault(study_name(impact.point, impact.loop), []).append(impact)
-    return found
+    """Return the recordings of each study."""
+    idle, studies = loops_without_controller(experiment), dict[str, list[ImpactRecording]]()
+    for impact in planned_impacts(experiment).values():
+        if impact.loop not in idle:
+            studies.setdefault(study_name(impact.point, impact.loop), []).append(impact)
+    return studies
 
 
 def _controller(experiment: Experiment, impact: ImpactRecording) -> LoopController:
     return controller_at(experiment, impact.point, impact.loop)
 
 
-def _write_recording(job: Job, name: str, part: Path) -> None:
-    experiment = job.experiment
-    impact, section, rig = planned_impacts(experiment)[name], impacts_section(experiment), experiment.spec.rig
-    assert rig is not None
-    machine, options = (
-        machine_at(experiment, impact.planned, rig_model(experiment)),
-        record_options(experiment, impact.planned),
-    )
-    running = None if impact.loop == "open" else loop_of(experiment, _controller(experiment, impact), machine, options)
-    hammer = hammer_of(section, impact.axis, rig.sample_time_s)
-    save_recording(record(machine, hammer, **options, controller=running), part, overwrite=True)
+def _write_recording(job: Job, part: Path, name: str) -> None:
+    impact = planned_impacts(job.experiment)[name]
+    run, running = rig_run(job.experiment, impact.planned), None
+    if impact.loop != "open":
+        running = loop_of(job.experiment, _controller(job.experiment, impact), run)
+    save_recording(run.record(running), part, overwrite=True)
 
 
-def _write_study(job: Job, name: str, part: Path) -> Made:
+def _write_study(job: Job, part: Path, name: str) -> Made:
     experiment, section = job.experiment, impacts_section(job.experiment)
     group = _studies(experiment)[name]
-    recordings = [_made_recording(job, impact) for impact in group]
     controller = _controller(experiment, group[0]) if group[0].loop != "open" else None
     study = study_impacts(
-        recordings,
+        [load_recording(recording_result(experiment, impact).require()) for impact in group],
         expecting_model(experiment)[0],
         None if controller is None else controller.continuous,
         None if controller is None else controller.sampled,
@@ -255,16 +227,10 @@ def _write_study(job: Job, name: str, part: Path) -> Made:
         loop=group[0].loop,
     )
     save(study, part, overwrite=True)
-    return made_study(study)
+    return _made_study(study)
 
 
-def _made_recording(job: Job, impact: ImpactRecording) -> Recording:
-    path = job.path(RECORDINGS, impact.planned.name)
-    return load_checked(path, recording_key(job.experiment, impact), "gbid impact")
-
-
-def made_study(study: ImpactStudy) -> Made:
-    """Return the summary of a study."""
+def _made_study(study: ImpactStudy) -> Made:
     text = "; ".join([study.ringdown.status, *study.ringdown.notes])
     # a loop may damp so well that nothing oscillates; this is a valid result
     return Made(
@@ -272,32 +238,31 @@ def made_study(study: ImpactStudy) -> Made:
     )
 
 
-def read_made_study(path: Path) -> Made:
-    """Return the summary of an existing study."""
-    return made_study(load(path, ImpactStudy))
+def _read_study(path: Path) -> Made:
+    return _made_study(load(path, ImpactStudy))
+
+
+_TABLES = {"impacts": mode_rows, "responses": response_rows}
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    """Return the tasks of the tables of all studies."""
     names = [o.item for o in made if o.stage == "ringdown" and o.state != "failed"]
     if not names:
         return []
-    key = _csv_key(job, names)
+    studies = [task for task in study_tasks(job) if task.item in names]
     return [
-        Task("impact table", ",".join([word, *names]), job.path(FOLDER, word, ".csv"), key, _write_csv)
-        for word in ("impacts", "responses")
+        Task.of(
+            job.experiment.result("impact table", table, job.path(FOLDER, table, ".csv"), {"studies": names}, studies),
+            partial(_write_csv, table=table, studies=names),
+        )
+        for table in _TABLES
     ]
 
 
-def _csv_key(job: Job, names: list[str]) -> str:
-    studies = _studies(job.experiment)
-    return content_key("impact csv", {"names": names}, [study_key(job.experiment, studies[name]) for name in names])
-
-
-def _write_csv(job: Job, item: str, part: Path) -> None:
-    word, *names = item.split(",")
-    studies = [load(job.path(FOLDER, name), ImpactStudy) for name in names]
-    rows = [row for study in studies for row in (mode_rows(study) if word == "impacts" else response_rows(study))]
-    write_csv(table_of_records(rows), part, [f"content_key: {_csv_key(job, names)}"])
+def _write_csv(job: Job, part: Path, table: str, studies: Sequence[str]) -> None:
+    rows = [row for name in studies for row in _TABLES[table](load(job.path(FOLDER, name), ImpactStudy))]
+    write_csv(table_of_records(rows), part)
 
 
 IMPACT = Stage("impact", "impacts", (impacts_can_be_made,), recording_tasks, (_studies_of, _csv_tasks))

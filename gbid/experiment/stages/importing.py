@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from gbid.core.errors import DataError, GbidError, UsageError
@@ -13,7 +14,7 @@ from gbid.experiment.recordings import (
     data_file,
     driving_channels,
     mapping_of,
-    recording_task,
+    recording_result,
     refuse_bad_signals,
     used_channels,
 )
@@ -63,9 +64,10 @@ _RANGE = ("samples", "from_s", "to_s", "piece")  # keys that say which samples o
 
 def import_tasks(job: Job) -> list[Task]:
     """Return the tasks of the import section, one for each recording."""
+    experiment = job.experiment
     return [
-        recording_task(job, "import", planned, _write_import)
-        for planned in job.experiment.recordings.values()
+        Task.of(recording_result(experiment, planned), partial(_write_import, name=planned.name), [planned.name])
+        for planned in experiment.recordings.values()
         if planned.imported is not None
     ]
 
@@ -148,7 +150,7 @@ def _content(experiment: Experiment, planned: PlannedRecording) -> str:
         return f"unreadable {planned.name}"
 
 
-def _write_import(job: Job, name: str, part: Path) -> Made:
+def _write_import(job: Job, part: Path, name: str) -> Made:
     recording = read_import(job.experiment, job.experiment.recordings[name])
     save_recording(recording, part, overwrite=True)
     return Made(recording.provenance.get("import_remarks", ""))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -14,22 +15,21 @@ import numpy as np
 from gbid.core.errors import GbidError
 from gbid.core.tables import plain_table, write_csv
 from gbid.experiment.controllers import (
-    TUNED,
     chosen,
+    early_design,
     early_designs,
-    early_key,
     found_controller,
     is_tuned,
     tuned_design,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, content_key, nearest, stored_key
+from gbid.experiment.fields import Found, InputError, Location, nearest
 from gbid.experiment.rig_schema import ControllerChoice
-from gbid.experiment.run import InputError, Job, Stage, Task
-from gbid.experiment.stages.fit import fit_entries, model_key
+from gbid.experiment.run import Job, Stage, Task
+from gbid.experiment.stages.fit import fit_entries, fit_result
 from gbid.experiment.stages.prefilter import load_fit_input
 from gbid.experiment.stages.rig import check_loop_stable, loop_controller_of
-from gbid.experiment.stages.tune import read_design_summary, write_design
+from gbid.experiment.stages.tune import design_task
 from gbid.identify import FitResult, TableEntry
 
 
@@ -95,7 +95,7 @@ def _controller_problems(experiment: Experiment, section: ControllerChoice, wher
         return  # that of the rig, reported there
     try:
         if section.controller is not None and is_tuned(section.controller):
-            early_key(experiment, tuned_design(experiment, section.controller))
+            early_design(experiment, tuned_design(experiment, section.controller))
         found_controller(experiment, section, planned=True)
     except GbidError as error:
         text = str(error)
@@ -111,12 +111,7 @@ def _key_of(section: ControllerChoice) -> str:
 
 def loop_tasks(job: Job) -> list[Task]:
     """Return the tasks of the designs that recordings need; `gbid tune` makes the same."""
-    return [
-        Task(
-            "tune", name, job.path(TUNED, name), early_key(job.experiment, name), write_design, read=read_design_summary
-        )
-        for name in early_designs(job.experiment)
-    ]
+    return [design_task(early_design(job.experiment, name)) for name in early_designs(job.experiment)]
 
 
 LOOP = Stage("loop", "rig", (rig_loop_can_run, fit_loops_are_known), loop_tasks, early=True)
@@ -172,22 +167,22 @@ class LoopCostRow:
 
 def cost_tasks(job: Job) -> list[Task]:
     """Return the tasks of the tables, one for each fit that names another one to stand beside it."""
-    tasks = []
-    for name, section in job.experiment.spec.fits.items():
+    experiment, tasks = job.experiment, []
+    for name, section in experiment.spec.fits.items():
         beside = section.loop.beside if section.loop is not None else None
         if beside is not None and _converged(job, name) and _converged(job, beside):
-            tasks.append(Task("loop cost", name, cost_path(job, name), _key(job, name), _write))
+            fits = [
+                fit_result(experiment, fit, entry.model) for fit in (name, beside) for entry, _ in _converged(job, fit)
+            ]
+            path = experiment.path(FOLDER, name, ".csv")
+            result = experiment.result("loop cost", name, path, {"beside": beside}, fits)
+            tasks.append(Task.of(result, partial(_write, name=name, beside=beside)))
     return tasks
-
-
-def cost_path(job: Job, name: str) -> Path:
-    """Return the path of the table of a fit."""
-    return job.path(FOLDER, name, ".csv")
 
 
 def made_costs(job: Job) -> list[LoopCostRow]:
     """Return the rows of all tables that were made from the present fits; nothing is computed."""
-    return [row for task in cost_tasks(job) if stored_key(task.path) == task.key for row in read_costs(task.path)]
+    return [row for task in cost_tasks(job) if task.is_made for row in read_costs(task.path)]
 
 
 def read_costs(path: Path) -> list[LoopCostRow]:
@@ -198,12 +193,9 @@ def read_costs(path: Path) -> list[LoopCostRow]:
     return [LoopCostRow(**{name: kind(row[name]) for name, kind in kinds.items()}) for row in table]
 
 
-def cost_rows(job: Job, name: str) -> list[LoopCostRow]:
+def cost_rows(job: Job, name: str, beside: str) -> list[LoopCostRow]:
     """Return the rows of a fit, by operating point and parameter; empty without a common point or parameter."""
-    loop = job.experiment.spec.fits[name].loop
-    assert loop is not None
-    assert loop.beside is not None
-    here, there = (_by_point(job, _converged(job, each)) for each in (name, loop.beside))
+    here, there = (_by_point(job, _converged(job, each)) for each in (name, beside))
     rows = []
     for point in here:
         if point not in there:
@@ -217,7 +209,7 @@ def cost_rows(job: Job, name: str) -> list[LoopCostRow]:
             rows.append(
                 LoopCostRow(
                     fit=name,
-                    beside=loop.beside,
+                    beside=beside,
                     point=point,
                     recordings=len(closed),
                     recordings_beside=len(free),
@@ -270,21 +262,11 @@ def _median_std(results: Sequence[FitResult], parameter: str) -> float | None:
     return median(known) if known else None
 
 
-def _key(job: Job, name: str) -> str:
-    loop = job.experiment.spec.fits[name].loop
-    assert loop is not None
-    assert loop.beside is not None
-    used = [(each, entry) for each in (name, loop.beside) for entry, _ in _converged(job, each)]
-    return content_key(
-        "loop cost", {"beside": loop.beside}, [model_key(job.experiment, each, e.model) for each, e in used]
-    )
-
-
-def _write(job: Job, name: str, part: Path) -> None:
+def _write(job: Job, part: Path, name: str, beside: str) -> None:
     names = [field.name for field in fields(LoopCostRow)]
     notes = ("standard deviations: medians over the recordings of an operating point; only of fits that converged",)
-    table = plain_table(names, [list(asdict(row).values()) for row in cost_rows(job, name)], notes)
-    write_csv(table, part, [f"content_key: {_key(job, name)}"])
+    rows = cost_rows(job, name, beside)
+    write_csv(plain_table(names, [list(asdict(row).values()) for row in rows], notes), part)
 
 
 def _in_run(experiment: Experiment) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,11 @@ from gbid.core import hdf5
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.files import scratch_folder
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, content_key, stored_key
+from gbid.experiment.fields import Found, InputError, Location, Result, stored_key
 from gbid.experiment.recordings import lpv_actuators
-from gbid.experiment.run import InputError, Job, Made, Outcome, Stage, Task, Work, cause_of
+from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
 from gbid.experiment.schema import LpvSection
-from gbid.experiment.stages.fit import a_fit_is_named, fit_arguments, fit_entries, model_key
+from gbid.experiment.stages.fit import a_fit_is_named, fit_arguments, fit_entries, fit_result
 from gbid.experiment.stages.prefilter import load_fit_input
 from gbid.experiment.structures import make_structure, structure_or_none
 from gbid.identify import TableEntry, tabulate
@@ -78,6 +79,7 @@ def _of_scheduled(experiment: Experiment, section: LpvSection, structure: Schedu
 
 # ---- Surfaces of an experiment, made by `gbid.fit_lpv` from its fits.
 
+FOLDER = "lpv"
 DIRECT = "_direct"
 """Suffix of the name of the direct LPV fit."""
 
@@ -89,8 +91,6 @@ class Surfaces:
     ----------
     job : Job
         The job.
-    more : dict of str to TableEntry
-        Fits besides those of the experiment, such as those of recordings in closed loop, by their content keys.
 
     Raises
     ------
@@ -98,20 +98,20 @@ class Surfaces:
         When the experiment has no section ``lpv``.
     """
 
-    def __init__(self, job: Job, more: Mapping[str, TableEntry] | None = None) -> None:
-        self._job, self._more = job, more or {}
+    def __init__(self, job: Job) -> None:
+        self._job = job
         section = job.experiment.spec.lpv
         if section is None:
             raise UsageError("no section 'lpv'; add one")
         self._section = section
 
-    @cached_property
-    def key(self) -> str:
-        """Content key of the section, the existing fits, and the actuators."""
-        there = [entry.model for entry in self._entries if entry.result is not None]
-        keys = [model_key(self._job.experiment, self._section.fit, model) for model in there] + list(self._more)
-        settings = {**self._section.model_dump(), "models": there, "found_actuators": self._actuators}
-        return content_key("lpv", settings, keys)
+    def result(self, item: str) -> Result:
+        """Return the result file of surfaces: of the section, the existing fits, and the actuators."""
+        experiment, fit = self._job.experiment, self._section.fit
+        models = [entry.model for entry in self._entries if entry.result is not None]
+        settings = {**self._section.model_dump(), "models": models, "found_actuators": self._actuators}
+        sources = [fit_result(experiment, fit, model) for model in models]
+        return experiment.result("lpv", f"{item} uncertainty", experiment.path(FOLDER, item), settings, sources)
 
     def make(self, item: str) -> LPVFit:
         """Return the surfaces of one item: those of the fit, or of its direct LPV fit."""
@@ -131,7 +131,7 @@ class Surfaces:
         if isinstance(structure, ScheduledStructure):
             return self._of_scheduled()
         return fit_lpv(
-            tabulate([*self._entries, *self._more.values()]),
+            tabulate(self._entries),
             weighting=section.weighting,
             order=section.order,
             robust=section.robust,
@@ -194,8 +194,6 @@ class Surfaces:
 
 # ---- Stage of the surfaces over pressure and speed (paper, Sec. 4).
 
-FOLDER = "lpv"
-_UNCERTAINTY = " uncertainty"
 _MODEL = "model_file"  # attribute with the model's YAML: the surfaces are then computed once for both files
 
 
@@ -208,17 +206,18 @@ def lpv_tasks(job: Job) -> Work:
         return [_uncertainty_task(job, section.fit)]
     except GbidError as error:
         path = job.path(FOLDER, section.fit)
-        return [Outcome("lpv", f"{section.fit}{_UNCERTAINTY}", path, "failed", str(error), cause=cause_of(error))]
+        return [Outcome("lpv", f"{section.fit} uncertainty", path, "failed", str(error), cause=cause_of(error))]
 
 
-def _model_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    """Return the task of the model; a model is written only after its uncertainty."""
-    last = made[-1] if made else None
-    if last is None or last.state == "failed" or last.path.suffix != ".h5":
+def model_task(suffix: str, job: Job, made: Sequence[Outcome]) -> list[Task]:
+    """Return the task of a model file, which follows its uncertainty and has the same content key."""
+    section = job.experiment.spec.lpv
+    item = "" if section is None else f"{section.fit}{suffix}"
+    source = job.path(FOLDER, item)
+    if not any(outcome.path == source and outcome.state != "failed" for outcome in made):
         return []
-    item = last.item.removesuffix(_UNCERTAINTY)
-    path = job.path(FOLDER, item, ".yaml")
-    return [Task("lpv", item, path, stored_key(last.path), _write_model, read=read_status)]
+    file = Result("lpv", item, source.with_suffix(".yaml"), stored_key(source))
+    return [Task.of(file, partial(_write_model, source=source), read=_read_status)]
 
 
 def _direct_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -229,7 +228,7 @@ def _direct_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
 
 
 def _uncertainty_task(job: Job, item: str) -> Task:
-    return Task("lpv", f"{item}{_UNCERTAINTY}", job.path(FOLDER, item), Surfaces(job).key, _write_uncertainty)
+    return Task.of(Surfaces(job).result(item), partial(_write_uncertainty, item=item))
 
 
 def made_surfaces(outcomes: Sequence[Outcome]) -> dict[str, LPVFit]:
@@ -246,50 +245,50 @@ def read_surfaces(job: Job) -> dict[str, LPVFit]:
     section = job.experiment.spec.lpv
     if section is None:
         return {}
-    try:
-        key = Surfaces(job).key
-    except (GbidError, OSError):
-        return {}
-    paths = {item: job.path(FOLDER, item, ".yaml") for item in (section.fit, f"{section.fit}{DIRECT}")}
-    return {item: load_lpv_fit(path) for item, path in paths.items() if stored_key(path) == key}
+    found: dict[str, LPVFit] = {}
+    with suppress(GbidError, OSError):
+        surfaces = Surfaces(job)
+        for item in (section.fit, f"{section.fit}{DIRECT}"):
+            result = surfaces.result(item)
+            path = result.path.with_suffix(".yaml")
+            if stored_key(path) == result.key:
+                found[item] = load_lpv_fit(path)
+    return found
 
 
-def _write_uncertainty(job: Job, item: str, part: Path) -> Made:
-    surfaces = Surfaces(job)
-    return write_surfaces(surfaces.make(item.removesuffix(_UNCERTAINTY)), part, surfaces.key)
-
-
-def write_surfaces(fit: LPVFit, part: Path, key: str) -> Made:
+def _write_uncertainty(job: Job, part: Path, item: str) -> Made:
     """Write the uncertainty of surfaces, with the text of the model file beside it."""
+    surfaces = Surfaces(job)
+    fit = surfaces.make(item)
     with scratch_folder(part) as folder:
         file = folder / "model.yaml"
-        write_model(fit.model, file, comment=f"content_key: {key}")
+        write_model(fit.model, file)
         text = file.read_text(encoding="utf-8")
     with hdf5.writing(part, KIND, overwrite=True) as h5:
-        write_uncertainty(fit, h5, key)
+        write_uncertainty(fit, h5, surfaces.result(item).key)
         h5.attrs[_MODEL] = text
     return Made(fit.status)
 
 
-def _write_model(job: Job, item: str, part: Path) -> Made:
-    return write_model_beside(job.path(FOLDER, item), part)
-
-
-def write_model_beside(path: Path, part: Path) -> Made:
-    """Write the model file whose text is in the file of the uncertainty."""
-    with hdf5.reading(path, KIND) as file:
+def _write_model(_: Job, part: Path, source: Path) -> Made:
+    with hdf5.reading(source, KIND) as file:
         part.write_text(str(hdf5.read_attribute(file, _MODEL)), encoding="utf-8")
-    return read_status(path)
+    return _read_status(source)
 
 
-def read_status(path: Path) -> Made:
-    """Return the summary of surfaces."""
+def _read_status(path: Path) -> Made:
     with hdf5.reading(path.with_suffix(".h5"), KIND) as file:
         success, status = (hdf5.read_attribute(file, name) for name in ("success", "status"))
     return Made(str(status), bool(success))
 
 
-LPV = Stage("lpv", "lpv", (surfaces_can_be_drawn,), lpv_tasks, (_model_tasks, _direct_tasks, _model_tasks))
+LPV = Stage(
+    "lpv",
+    "lpv",
+    (surfaces_can_be_drawn,),
+    lpv_tasks,
+    (partial(model_task, ""), _direct_tasks, partial(model_task, DIRECT)),
+)
 """``lpv/<fit>.yaml`` and ``.h5``, and ``lpv/<fit>_direct.*`` when the direct LPV fit is wanted.
 
 A model and its uncertainty are separate outcomes.

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from gbid.core.errors import DataError
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, content_key
+from gbid.experiment.fields import Found, Result
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
-from gbid.experiment.stages.fit import a_fit_is_named, fit_entries, model_key
+from gbid.experiment.stages.fit import a_fit_is_named, fit_entries, fit_result
 from gbid.identify import tabulate
 from gbid.validate import NominalActuator, nominal_actuator, save_nominal_actuator
 from gbid.validate.central import ACTUATOR
@@ -31,38 +31,40 @@ FOLDER = "nominal"
 
 def nominal_tasks(job: Job) -> Work:
     """Return the task of the nominal section; a failed outcome when no fit has a result."""
-    section = job.experiment.spec.nominal
+    section, experiment = job.experiment.spec.nominal, job.experiment
     if section is None:
         return []
-    path = job.path(FOLDER, section.fit, ".yaml")
+    path = experiment.path(FOLDER, section.fit, ".yaml")
     try:
-        _, key = nominal_of(job)
+        _, result = nominal_of(job)
     except DataError as error:
         return [Outcome("nominal", section.fit, path, "failed", str(error), cause="input")]
-    return [Task("nominal", section.fit, path, key, _write)]
+    return [Task.of(result, _write)]
 
 
-def nominal_of(job: Job) -> tuple[NominalActuator, str]:
-    """Return the most central model of the fit in the nominal section, and the content key of the choice.
+def nominal_of(job: Job) -> tuple[NominalActuator, Result]:
+    """Return the most central model of the fit in the nominal section, and the result file of the choice.
 
     Raises
     ------
     DataError
         When the section is missing, or when its fit has no models.
     """
-    section = job.experiment.spec.nominal
+    section, experiment = job.experiment.spec.nominal, job.experiment
     if section is None:
         raise DataError("no section 'nominal'; add one")
     entries = fit_entries(job, section.fit)
     nominal = nominal_actuator(tabulate(entries))
-    keys = [model_key(job.experiment, section.fit, entry.model) for entry in entries if entry.result is not None]
-    return nominal, content_key("nominal", {"left_out": nominal.left_out}, keys)
+    models = [fit_result(experiment, section.fit, entry.model) for entry in entries if entry.result is not None]
+    path = experiment.path(FOLDER, section.fit, ".yaml")
+    return nominal, experiment.result("nominal", section.fit, path, {"left_out": nominal.left_out}, models)
 
 
-def _write(job: Job, fit: str, part: Path) -> Made:
-    nominal, key = nominal_of(job)
-    source = f"{job.experiment.spec.name}, fit {fit}, model of {nominal.name}"
-    save_nominal_actuator(nominal, part, source=source, overwrite=True, comment=f"content_key: {key}")
+def _write(job: Job, part: Path) -> Made:
+    experiment, (nominal, _) = job.experiment, nominal_of(job)
+    assert experiment.spec.nominal is not None
+    source = f"{experiment.spec.name}, fit {experiment.spec.nominal.fit}, model of {nominal.name}"
+    save_nominal_actuator(nominal, part, source=source, overwrite=True)
     return Made(f"{nominal.name}; {len(nominal.outliers)} outliers")
 
 

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import save
 from gbid.experiment.controllers import answered, loop_stills
 from gbid.experiment.experiment import NO_POINT, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, content_key, stored_key
-from gbid.experiment.recordings import driving_channels, load_made, recording_key, refuse_bad_signals, used_channels
-from gbid.experiment.run import Job, Made, Outcome, Stage, Task, load_checked
+from gbid.experiment.fields import Found, Result
+from gbid.experiment.recordings import driving_channels, load_made, recording_result, refuse_bad_signals, used_channels
+from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import PrefilterSection
 from gbid.prefilter import (
     PrefilterFile,
-    PrefilterReport,
     RunoutMap,
     align_index,
     compare_runout,
@@ -27,7 +25,7 @@ from gbid.prefilter import (
 )
 from gbid.prefilter.identify_runout import leftover_words, refuse_lost_index
 from gbid.prefilter.prefilter import read_report, save_prefiltered
-from gbid.recording import Recording, with_unbalance
+from gbid.recording import Recording, load_recording, with_unbalance
 
 
 def runout_maps_can_be_made(experiment: Experiment) -> Found:
@@ -69,49 +67,49 @@ _HARMONICS_IN_LOOP = 10  # where their number is to be found from data
 
 def prefilter_tasks(job: Job) -> list[Task]:
     """Return the tasks of the prefilter section, one for each excited recording."""
-    if job.experiment.spec.prefilter is None:
+    experiment = job.experiment
+    if experiment.spec.prefilter is None:
         return []
-    tasks = []
-    for planned in job.experiment.recordings.values():
-        if planned.excited:
-            path, key = job.path(FOLDER, planned.name), prefiltered_key(job.experiment, planned)
-            tasks.append(Task("prefilter", planned.name, path, key, _write_prefiltered, (planned.name,)))
-    return tasks
+    return [
+        Task.of(prefiltered_result(experiment, planned), partial(_write_prefiltered, name=planned.name), [planned.name])
+        for planned in experiment.recordings.values()
+        if planned.excited
+    ]
 
 
 def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
     """Return the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks."""
-    without = {outcome.item for outcome in made if outcome.state == "failed"}
-    section = job.experiment.spec.prefilter
+    experiment, section = job.experiment, job.experiment.spec.prefilter
     if section is None:
         return []
+    failed = {outcome.item for outcome in made if outcome.state == "failed"}
     tasks = []
-    for point, excited in _by_map(job.experiment).items():
-        there = [planned for planned in excited if planned.name not in without]
-        if there:
-            keys = [prefiltered_key(job.experiment, planned) for planned in there]
-            key, names = content_key("map", section.model_dump(), keys), tuple(planned.name for planned in there)
-            path = job.path(MAP_FOLDER, point)
-            tasks.append(Task("prefilter", f"map {point}", path, key, _write_map, names))
+    for label, excited in _by_map(experiment).items():
+        filtered = [planned for planned in excited if planned.name not in failed]
+        if filtered:
+            sources = [prefiltered_result(experiment, planned) for planned in filtered]
+            path = experiment.path(MAP_FOLDER, label)
+            result = experiment.result("prefilter", f"map {label}", path, section.model_dump(), sources)
+            tasks.append(Task.of(result, partial(_write_map, label=label), [planned.name for planned in filtered]))
     return tasks
 
 
-def prefiltered_key(experiment: Experiment, planned: PlannedRecording) -> str:
-    """Return the content key of a prefiltered recording."""
+def prefiltered_result(experiment: Experiment, planned: PlannedRecording) -> Result:
+    """Return the result file of a prefiltered recording."""
     section = experiment.spec.prefilter
     assert section is not None
-    still = stationary_keys(experiment, planned.point)
+    still = [] if section.method == "none" else _stationary(experiment, planned.point)
     if answered(experiment, planned) and section.method != "none":
-        still = [recording_key(experiment, q) for q in loop_stills(experiment, planned.point)]
-    sources = [recording_key(experiment, planned), *still]
-    return content_key("prefilter", {"name": planned.name, **section.model_dump()}, sources)
+        still = loop_stills(experiment, planned.point)
+    sources = [recording_result(experiment, q) for q in (planned, *still)]
+    path = experiment.path(FOLDER, planned.name)
+    return experiment.result("prefilter", planned.name, path, {"name": planned.name, **section.model_dump()}, sources)
 
 
-def fit_input_key(experiment: Experiment, planned: PlannedRecording) -> str:
-    """Return the content key of a recording as fits use it, prefiltered if the experiment has a prefilter."""
-    if experiment.spec.prefilter is None:
-        return recording_key(experiment, planned)
-    return prefiltered_key(experiment, planned)
+def fit_input(experiment: Experiment, planned: PlannedRecording) -> Result:
+    """Return the result file of a recording as fits use it, prefiltered if the experiment has a prefilter."""
+    made = recording_result if experiment.spec.prefilter is None else prefiltered_result
+    return made(experiment, planned)
 
 
 def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
@@ -122,55 +120,17 @@ def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
     DataError
         When the recording is missing or was made from other settings.
     """
-    if job.experiment.spec.prefilter is None:
-        return load_made(job, planned)
-    key = prefiltered_key(job.experiment, planned)
-    return load_checked(job.path(FOLDER, planned.name), key, "gbid fit")
+    return load_recording(fit_input(job.experiment, planned).require())
 
 
-def _write_prefiltered(job: Job, name: str, part: Path) -> None:
+def _write_prefiltered(job: Job, part: Path, name: str) -> None:
     planned = job.experiment.recordings[name]
+    section = job.experiment.spec.prefilter
+    assert section is not None
     runout_map, answers = _stated_maps(job, planned)  # first, because without them nothing can be done
     raw = load_made(job, planned)
     driving = driving_channels(job.experiment, planned.name)
     refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name), driving=driving)
-    filtered, report = _filtered(job, planned, raw, runout_map, answers)
-    save_prefiltered(filtered, report, part)
-
-
-def filtered_input(job: Job, planned: PlannedRecording, raw: Recording) -> Recording:
-    """Return a recording that is not one of the experiment as its fits use it: filtered with the map of its point.
-
-    Raises
-    ------
-    DataError
-        When there is no run-out map of its operating point.
-    """
-    if job.experiment.spec.prefilter is None:
-        return raw
-    return _filtered(job, planned, raw, *_stated_maps(job, planned))[0]
-
-
-def _stated_maps(job: Job, planned: PlannedRecording) -> tuple[RunoutMap | None, dict[str, RunoutMap]]:
-    """Return the run-out map of a recording, and where a controller answers to the run-out the maps of its answers."""
-    try:
-        if not answered(job.experiment, planned):
-            return _runout_map(job, planned.point), {}
-        maps = _maps_in_loop(job, planned.point)
-        return maps.get(POSITION), {signal: own for signal, own in maps.items() if signal != POSITION}
-    except DataError as error:
-        raise type(error)(f"no run-out map: {error}") from None
-
-
-def _filtered(
-    job: Job,
-    planned: PlannedRecording,
-    raw: Recording,
-    runout_map: RunoutMap | None,
-    answers: dict[str, RunoutMap],
-) -> tuple[Recording, PrefilterReport]:
-    section = job.experiment.spec.prefilter
-    assert section is not None
     if runout_map is not None and runout_map.needs_angle:
         refuse_bad_signals(planned, raw, ["phi"], kinds=("encoder",))
         if section.align_index:
@@ -186,19 +146,28 @@ def _filtered(
         remove_mean=section.remove_mean,
         any_condition=planned.point == NO_POINT,
     )
-    turning = "speed_rpm" in filtered.signals and "phi" in filtered.signals
-    return with_unbalance(filtered) if turning else filtered, report
+    if "speed_rpm" in filtered.signals and "phi" in filtered.signals:
+        filtered = with_unbalance(filtered)
+    save_prefiltered(filtered, report, part)
 
 
-def _write_map(job: Job, item: str, part: Path) -> Made:
-    excited = _by_map(job.experiment)[item.removeprefix("map ")]
-    reports = []
-    for planned in excited:
-        path = job.path(FOLDER, planned.name)
-        if path.is_file() and stored_key(path) == prefiltered_key(job.experiment, planned):
-            reports.append(read_report(path))
+def _stated_maps(job: Job, planned: PlannedRecording) -> tuple[RunoutMap | None, dict[str, RunoutMap]]:
+    """Return the run-out map of a recording, and where a controller answers to the run-out the maps of its answers."""
+    try:
+        if not answered(job.experiment, planned):
+            return _runout_map(job, planned.point), {}
+        maps = _maps_in_loop(job, planned.point)
+        return maps.get(POSITION), {signal: own for signal, own in maps.items() if signal != POSITION}
+    except DataError as error:
+        raise type(error)(f"no run-out map: {error}") from None
+
+
+def _write_map(job: Job, part: Path, label: str) -> Made:
+    excited = _by_map(job.experiment)[label]
+    results = [prefiltered_result(job.experiment, planned) for planned in excited]
     runout_map, _ = _stated_maps(job, excited[0])
-    save(PrefilterFile(runout_map, tuple(reports)), part, overwrite=True)
+    reports = tuple(read_report(result.path) for result in results if result.is_made)
+    save(PrefilterFile(runout_map, reports), part, overwrite=True)
     return Made("; ".join(runout_map.notes) if runout_map else "")
 
 
@@ -268,14 +237,6 @@ def _stationary(experiment: Experiment, point: str) -> list[PlannedRecording]:
     if point == NO_POINT and not there and section is not None and section.slow_roll is not None:
         return [q for q in experiment.matching(section.slow_roll) if q.stationary]
     return there
-
-
-def stationary_keys(experiment: Experiment, point: str) -> list[Any]:
-    """Return the content keys of the stationary recordings behind the run-out map of an operating point."""
-    section = experiment.spec.prefilter
-    if section is None or section.method == "none":
-        return []
-    return [recording_key(experiment, q) for q in _stationary(experiment, point)]
 
 
 PREFILTER = Stage("prefilter", "prefilter", (runout_maps_can_be_made,), prefilter_tasks, (map_tasks,), early=True)

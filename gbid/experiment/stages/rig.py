@@ -4,26 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gbid.control import ControllerDesign, close_loop, exact_plant, sample_plant
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError
-from gbid.experiment.controllers import LoopController, at_point, found_controller, loop_of, stationary_at
+from gbid.experiment.controllers import (
+    LoopController,
+    at_point,
+    found_controller,
+    loop_controller,
+    loop_of,
+    stationary_at,
+)
 from gbid.experiment.experiment import Check, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, nearest
-from gbid.experiment.machine import faults_of, machine_at, record_options, rig_experiment, rig_model
-from gbid.experiment.recordings import recording_task
+from gbid.experiment.machine import RigRun, faults_of, machine_at, rig_experiment, rig_model, rig_run
+from gbid.experiment.recordings import recording_result
 from gbid.experiment.rig_schema import RigLoopSection, RigSection
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.prefilter import identified_map
 from gbid.prefilter import RunoutMap, identify_runout
 from gbid.recording import save_recording
-from gbid.rig import Machine, ProgramController, SampledController, ScheduledRun, record, rig_effect, rig_effects
+from gbid.rig import Machine, ProgramController, SampledController, rig_effect, rig_effects
 from gbid.rig.excitation import whole_samples
 from gbid.structure import LinearModel
 
@@ -268,9 +274,7 @@ def check_loop_stable(experiment: Experiment, planned: PlannedRecording, sampled
         )
 
 
-def running(
-    experiment: Experiment, planned: PlannedRecording, machine: Machine, options: dict[str, Any]
-) -> SampledController | ProgramController:
+def running(experiment: Experiment, planned: PlannedRecording, run: RigRun) -> SampledController | ProgramController:
     """Return the controller of the rig for one recording.
 
     The run-out map that it subtracts is that of the stationary recordings, with which the prefilter works. Two maps
@@ -286,7 +290,7 @@ def running(
     controller = loop_controller_of(experiment, planned)
     check_loop_stable(experiment, planned, controller.sampled)
     if section.runout == "online":
-        made = loop_of(experiment, controller, machine, options)
+        made = loop_of(experiment, controller, run)
         if isinstance(made, ProgramController) or not planned.conditions["speed_rpm"]:
             return made  # a program has a map of its own, and at rest the position does not follow the angle
         runout_map = _map_at_rest(experiment, planned.point)
@@ -294,17 +298,13 @@ def running(
         return replace(made, runout=runout_map.evaluate(nodes) - runout_map.mean, offset=runout_map.mean)
     A, B, C, D = (np.array(getattr(controller.sampled, letter)) for letter in "ABCD")
     name = controller.sampled.name
-    return SampledController(A, B, C, D, rig.sample_time_s, offset=machine.sensors.offset_p, name=name)
+    return SampledController(A, B, C, D, rig.sample_time_s, offset=run.machine.sensors.offset_p, name=name)
 
 
 @lru_cache(maxsize=16)
 def _map_at_rest(experiment: Experiment, point: str) -> RunoutMap:
     """Return the run-out map of the stationary recordings at an operating point, which are made again, bit for bit."""
-    still = []
-    for planned in stationary_at(experiment, point):
-        machine = machine_at(experiment, planned, rig_model(experiment))
-        run = rig_experiment(experiment, planned)
-        still.append(record(machine, run, **record_options(experiment, planned)))
+    still = [rig_run(experiment, planned).record() for planned in stationary_at(experiment, point)]
     section = experiment.spec.prefilter
     if section is None or section.method == "none":
         return identify_runout(still)
@@ -323,22 +323,24 @@ def _sections(experiment: Experiment) -> tuple[RigSection, RigLoopSection]:
 
 def rig_tasks(job: Job) -> list[Task]:
     """Return the tasks of the rig section, one for each recording."""
+    experiment = job.experiment
     return [
-        recording_task(job, "rig", planned, _write_rig_recording)
-        for planned in job.experiment.recordings.values()
+        Task.of(recording_result(experiment, planned), partial(_write_recording, name=planned.name), [planned.name])
+        for planned in experiment.recordings.values()
         if planned.imported is None
     ]
 
 
-def _write_rig_recording(job: Job, name: str, part: Path) -> None:
+def _write_recording(job: Job, part: Path, name: str) -> None:
     experiment, planned = job.experiment, job.experiment.recordings[name]
-    model = rig_model(experiment)
-    machine, run = machine_at(experiment, planned, model), rig_experiment(experiment, planned)
-    surfaces = model.key_parameters if isinstance(run, ScheduledRun) else None
-    options = record_options(experiment, planned)
-    controller = running(experiment, planned, machine, options) if planned.in_loop else None
-    made = record(machine, run, surfaces=surfaces, controller=controller, **options)
-    save_recording(made, part, overwrite=True)
+    run, controller = rig_run(experiment, planned), None
+    if planned.controller:
+        controller = loop_of(
+            experiment, loop_controller(experiment, experiment.results / planned.controller, planned.conditions), run
+        )
+    elif planned.in_loop:
+        controller = running(experiment, planned, run)
+    save_recording(run.record(controller), part, overwrite=True)
 
 
 RIG = Stage("rig", "rig", RIG_CHECKS, rig_tasks, early=True)

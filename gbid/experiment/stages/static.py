@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from gbid.characterise import (
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, content_key, nearest
-from gbid.experiment.recordings import load_made, recording_key, refuse_bad_signals
+from gbid.experiment.fields import Found, Location, Result, nearest
+from gbid.experiment.recordings import load_made, recording_result, refuse_bad_signals
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import wanted_signals
 
@@ -61,19 +62,21 @@ _OPTIONS = ("command", "source", "position", "keep", "channel", "command_channel
 
 def static_tasks(job: Job) -> list[Task]:
     """Return the tasks of the static sections, one for each characterisation."""
-    tasks = []
-    for name, section in job.experiment.spec.static.items():
-        recordings = tuple(q.name for q in job.experiment.matching(section.recordings))
-        path, key = job.path(FOLDER, name), static_key(job.experiment, name)
-        tasks.append(Task("static", name, path, key, _write, recordings))
-    return tasks
+    return [
+        Task.of(static_result(job.experiment, name), partial(_write, name=name), _recordings(job.experiment, name))
+        for name in job.experiment.spec.static
+    ]
 
 
-def static_key(experiment: Experiment, name: str) -> str:
-    """Return the content key of a static characterisation."""
-    section = experiment.spec.static[name]
-    sources = [recording_key(experiment, q) for q in experiment.matching(section.recordings)]
-    return content_key("static", section.model_dump(), sources)
+def static_result(experiment: Experiment, name: str) -> Result:
+    """Return the result file of a static characterisation."""
+    sources = [recording_result(experiment, experiment.recordings[q]) for q in _recordings(experiment, name)]
+    settings, path = experiment.spec.static[name].model_dump(), experiment.path(FOLDER, name)
+    return experiment.result("static", name, path, settings, sources)
+
+
+def _recordings(experiment: Experiment, name: str) -> list[str]:
+    return [planned.name for planned in experiment.matching(experiment.spec.static[name].recordings)]
 
 
 def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
@@ -91,20 +94,16 @@ def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    names = [outcome.item for outcome in made if outcome.state != "failed"]
-    return [
-        Task(
-            "static",
-            f"{name} (csv)",
-            job.path(FOLDER, name, ".csv"),
-            content_key("static csv", {}, [static_key(job.experiment, name)]),
-            _write_csv,
+    experiment, tasks = job.experiment, []
+    for name in (outcome.item for outcome in made if outcome.state != "failed"):
+        source, path = static_result(experiment, name), experiment.path(FOLDER, name, ".csv")
+        tasks.append(
+            Task.of(experiment.result("static", f"{name} (csv)", path, {}, [source]), partial(_write_csv, name=name))
         )
-        for name in names
-    ]
+    return tasks
 
 
-def _write(job: Job, name: str, part: Path) -> Made:
+def _write(job: Job, part: Path, name: str) -> Made:
     section = job.experiment.spec.static[name]
     options: dict[str, Any] = {key: getattr(section, key) for key in _OPTIONS if getattr(section, key) is not None}
     data = []
@@ -122,10 +121,8 @@ def _write(job: Job, name: str, part: Path) -> Made:
     return Made("; ".join(result.notes))
 
 
-def _write_csv(job: Job, item: str, part: Path) -> None:
-    name = item.removesuffix(" (csv)")
-    key = content_key("static csv", {}, [static_key(job.experiment, name)])
-    write_csv(table_of_records(static_rows(load_made_static(job, name))), part, [f"content_key: {key}"])
+def _write_csv(job: Job, part: Path, name: str) -> None:
+    write_csv(table_of_records(static_rows(load_made_static(job, name))), part)
 
 
 STATIC = Stage("static", "static", (static_makes_sense,), static_tasks, (_csv_tasks,))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ from gbid.control import (
     GainResult,
     Goal,
     Scheduled,
-    SearchStep,
     Uncertainty,
     assess,
     pareto,
@@ -30,7 +30,7 @@ from gbid.experiment.controllers import (
     TUNED,
     assess_options,
     controller_section,
-    design_key,
+    design_result,
     design_structure,
     goal_recordings,
     impact,
@@ -47,13 +47,13 @@ from gbid.experiment.controllers import (
     without_cap,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, nearest, stored_key
-from gbid.experiment.recordings import load_made, recording_key
-from gbid.experiment.run import InputError, Job, Made, Outcome, Stage, Task, Work
+from gbid.experiment.fields import Found, InputError, Location, Result, nearest, stored_key
+from gbid.experiment.recordings import load_made, recording_result
+from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import ControllerSection, RobustSection
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv import read_surfaces
-from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, load_lpv_fit, load_model
+from gbid.lpv import LPVModel, ProportionalDesign, load_lpv_fit, load_model
 from gbid.structure.linear import Structure
 
 
@@ -197,24 +197,31 @@ PUBLISHED = "published"
 def design_tasks(job: Job) -> Work:
     """Return the tasks of the controller section, one for each design; failed outcomes for designs without plant."""
     work: list[Task | Outcome] = []
-    surfaces = _surface_keys(job)
-    for name, section in job.experiment.spec.controller.items():
-        path = job.path(TUNED, name)
+    surfaces = _surfaces(job)
+    for name in job.experiment.spec.controller:
         try:
-            work.append(
-                Task("tune", name, path, _design_key(job, section, surfaces), write_design, read=read_design_summary)
-            )
+            work.append(design_task(_result(job, name, surfaces)))
         except GbidError as error:
+            path = job.path(TUNED, name)
             work.append(Outcome("tune", name, path, "failed", str(error), cause="input"))
     return work
 
 
-def _file_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    return [
-        Task("controller", o.item, job.path(TUNED, o.item, ".yaml"), stored_key(o.path), _write_controller)
-        for o in made
-        if o.state != "failed"
-    ]
+def design_task(result: Result) -> Task:
+    """Return the task that makes a design."""
+    return Task.of(result, partial(_write_design, name=result.item), read=_read_design_summary)
+
+
+def controller_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    """Return the tasks of the controller files of the designs among outcomes; each has the key of its design."""
+    done = {outcome.path for outcome in made if outcome.state != "failed"}
+    tasks = []
+    for name in job.experiment.spec.controller:
+        design = job.path(TUNED, name)
+        if design in done:
+            file = Result("controller", name, design.with_suffix(".yaml"), stored_key(design))
+            tasks.append(Task.of(file, partial(_write_controller, name=name)))
+    return tasks
 
 
 def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
@@ -227,21 +234,20 @@ def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
     missing : dict of str to str
         Reason for each missing design, by name.
     """
-    found: dict[str, TunedDesign] = {}
+    designs: dict[str, TunedDesign] = {}
     missing: dict[str, str] = {}
-    surfaces = _surface_keys(job)
-    for name, section in job.experiment.spec.controller.items():
-        path = job.path(TUNED, name)
+    surfaces = _surfaces(job)
+    for name in job.experiment.spec.controller:
         try:
-            key = _design_key(job, section, surfaces)
-            if stored_key(path) == key:
-                found[name] = load(path, TunedDesign)
+            result = _result(job, name, surfaces)
+            if result.is_made:
+                designs[name] = load(result.path, TunedDesign)
             else:
-                made = "made with other settings or data" if path.is_file() else "not made yet"
+                made = "made with other settings or data" if result.path.is_file() else "not made yet"
                 missing[name] = f"{made}; `gbid tune` makes it"
         except GbidError as error:
             missing[name] = str(error)
-    return found, missing
+    return designs, missing
 
 
 def made_designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
@@ -249,39 +255,29 @@ def made_designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
     return {o.item: load(o.path, TunedDesign) for o in outcomes if o.stage == "tune" and o.state != "failed"}
 
 
-def _surface_keys(job: Job) -> dict[str, str]:
-    """Return the content keys of the surfaces made from the present fits; empty when no design needs them."""
+def _surfaces(job: Job) -> Collection[str]:
+    """Return the names of the surfaces made from the present fits; empty when no design needs them."""
     experiment = job.experiment
     if all(surfaces_item(experiment, section) is None for section in experiment.spec.controller.values()):
-        return {}
-    return {item: stored_key(job.path(LPV_FOLDER, item, ".yaml")) for item in read_surfaces(job)}
+        return ()
+    return read_surfaces(job).keys()
 
 
-def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) -> str:
-    experiment = job.experiment
+def _result(job: Job, name: str, surfaces: Collection[str]) -> Result:
+    """Return the result file of a design.
+
+    Raises
+    ------
+    InputError
+        When its surfaces are not made from the present fits.
+    """
+    experiment, section = job.experiment, controller_section(job.experiment, name)
     item = surfaces_item(experiment, section)
-    if item is None:
-        model = named_model(experiment, section)
-        return _key_of(experiment, section, published_design(experiment, section), model=model)
-    if item in surfaces:
-        return key_from_surfaces(experiment, section, job.path(LPV_FOLDER, item, ".yaml"))
-    raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
-
-
-def key_from_surfaces(experiment: Experiment, section: ControllerSection, path: Path) -> str:
-    """Return the content key of a design for the surfaces in a model file."""
-    return _key_of(experiment, section, published_design(experiment, section), sources=[stored_key(path)])
-
-
-def _key_of(
-    experiment: Experiment,
-    section: ControllerSection,
-    published: ProportionalDesign | None,
-    model: LPVModel | None = None,
-    sources: Sequence[str] = (),
-) -> str:
-    disturbing = [recording_key(experiment, planned) for planned in goal_recordings(experiment, section)]
-    return design_key(experiment, section, published, model, [*sources, *disturbing])
+    if item is not None and item not in surfaces:
+        raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
+    path = None if item is None else job.path(LPV_FOLDER, item, ".yaml")
+    disturbing = [recording_result(experiment, planned) for planned in goal_recordings(experiment, section)]
+    return design_result(experiment, name, path, disturbing)
 
 
 def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:
@@ -289,12 +285,8 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncert
     item = surfaces_item(job.experiment, section)
     if item is None:
         return named_model(job.experiment, section), None
-    return plant_of_surfaces(section, load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")))
-
-
-def plant_of_surfaces(section: ControllerSection, fit: LPVFit) -> tuple[LPVModel, Uncertainty | None]:
-    """Return the model of a design for some surfaces, and its uncertainty when the section wants other plants."""
-    model, drawn = with_actuators(fit.model), section.uncertainty
+    fit, drawn = load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")), section.uncertainty
+    model = with_actuators(fit.model)
     if section.robust is not None:
         return model, Uncertainty(fit.covariance, scatter=fit.scatter)
     if drawn is None:
@@ -304,33 +296,17 @@ def plant_of_surfaces(section: ControllerSection, fit: LPVFit) -> tuple[LPVModel
     return model, Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
 
 
-def write_design(job: Job, name: str, part: Path) -> Made:
-    """Tune a design and write it."""
-    design = designed(job, name, *design_plant(job, controller_section(job.experiment, name)))
-    return save_design(design, part)
-
-
-def save_design(design: TunedDesign, part: Path) -> Made:
-    """Write a design and return its summary."""
-    save(design, part, overwrite=True)
-    return _made(design)
-
-
-def designed(job: Job, name: str, model: LPVModel, plants: Uncertainty | None) -> TunedDesign:
-    """Return a design of the controller section, tuned for a model and its uncertainty."""
+def _write_design(job: Job, part: Path, name: str) -> Made:
     experiment, section = job.experiment, controller_section(job.experiment, name)
+    model, plants = design_plant(job, section)
     structure, goals = design_structure(experiment, section, model.domain), design_goals(job, section)
-
-    def progress(step: SearchStep) -> None:
-        job.reporter.search(step)
-
     options: dict[str, Any] = {
         **tune_options(section),
         "controller": structure,
         "uncertainty": plants,
         "sample_time": sample_time(experiment, section) if section.design_for == "sampled" else None,
         "method": section.method,
-        "progress": progress,
+        "progress": job.reporter.search,
     }
     promises: tuple[RobustPromise, ...] = ()
     front: tuple[CappedDesign, ...] = ()
@@ -343,7 +319,7 @@ def designed(job: Job, name: str, model: LPVModel, plants: Uncertainty | None) -
         if section.pareto:
             others = pareto(model, section.pareto, goals=without_cap(section, goals) if goals else None, **options)
             front = tuple(map(CappedDesign, others.caps, others.designs))
-    return TunedDesign(
+    design = TunedDesign(
         name,
         model.name,
         result,
@@ -354,6 +330,8 @@ def designed(job: Job, name: str, model: LPVModel, plants: Uncertainty | None) -
         section.method,
         promises,
     )
+    save(design, part, overwrite=True)
+    return _made(design)
 
 
 def _robust(
@@ -422,19 +400,13 @@ def _made(design: TunedDesign) -> Made:
     return Made("; ".join([text, *stuck]), converged=False)
 
 
-def read_design_summary(path: Path) -> Made:
-    """Return the summary of an existing design."""
+def _read_design_summary(path: Path) -> Made:
     return _made(load(path, TunedDesign))
 
 
-def _write_controller(job: Job, name: str, part: Path) -> None:
-    model, _ = design_plant(job, controller_section(job.experiment, name))
-    write_controller_of(job, name, job.path(TUNED, name), model, part)
-
-
-def write_controller_of(job: Job, name: str, path: Path, model: LPVModel, part: Path) -> None:
-    """Write the controller file of the design `name` that is stored at a path, made for a model."""
-    section, design = controller_section(job.experiment, name), load(path, TunedDesign)
+def _write_controller(job: Job, part: Path, name: str) -> None:
+    section, design = controller_section(job.experiment, name), load(job.path(TUNED, name), TunedDesign)
+    model, _ = design_plant(job, section)
     structure = design_structure(job.experiment, section, model.domain)
     result = design.result
     provenance: dict[str, str | float] = {
@@ -461,11 +433,10 @@ def write_controller_of(job: Job, name: str, path: Path, model: LPVModel, part: 
             points=result.points if isinstance(structure, Scheduled) else (),
             provenance=provenance,
         )
-        text = file.read_text(encoding="utf-8")
-    part.write_text(f"# content_key: {stored_key(path)}\n{text}", encoding="utf-8")
+        file.replace(part)
 
 
-TUNE = Stage("tune", "controller", (designs_can_be_tuned,), design_tasks, (_file_tasks,))
+TUNE = Stage("tune", "controller", (designs_can_be_tuned,), design_tasks, (controller_tasks,))
 """``controller/<design>.h5`` and ``controller/<design>.yaml``.
 
 A design that does not meet all limits counts as not converged; it is written.
