@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -76,17 +76,17 @@ def design_excitation(
     with one_blas_thread():
         lines = LineModel.of(known, sample_time)
         quantities = quantities_of(lines)
-        goal = goal_of(lines, quantities, focus)
         earlier = known.earlier_of(lines.free)
-        before = lines.noise_information(n_samples) + (0.0 if earlier is None else earlier)
+        goal = goal_of(lines, quantities, focus)
+        goal = replace(goal, earlier=lines.noise_information(n_samples) + (0.0 if earlier is None else earlier))
         gap, of_lines, sequence = None, None, None
         if kind == "multisine":
-            made = design_multisine(goal, lines, limits, n_samples, before)
+            made = design_multisine(goal, lines, limits, n_samples)
             signal, gap = made.signal(n_samples), made.gap
             period_s = made.period * sample_time
             of_lines = ExcitationLines(made.bins / period_s, made.spectrum, period_s)
         else:
-            chosen = choose_prbs(goal, lines, limits, n_samples, before)
+            chosen = choose_prbs(goal, lines, limits, n_samples)
             signal, sequence = chosen.signal, chosen.sequence
         return as_excitation(lines, quantities, limits, signal, goal.names, gap, of_lines, sequence)
 
@@ -221,10 +221,10 @@ def recording_length(
             if not (np.isfinite(wanted) and wanted > 0):
                 raise UsageError(f"target of {pattern} = {wanted}; give a positive standard deviation")
             for i in quantities.matching((pattern,), "targets"):
-                one = wanted * abs(quantities.values[i]) if of_value else wanted
-                if not one > 0:
+                std = wanted * abs(quantities.values[i]) if of_value else wanted
+                if not std > 0:
                     raise UsageError(f"target of {quantities.names[i]}: its value is 0; give an absolute target")
-                targets[quantities.names[i]] = min(one, targets.get(quantities.names[i], np.inf))
+                targets[quantities.names[i]] = min(std, targets.get(quantities.names[i], np.inf))
     if not targets:
         raise UsageError("no targets; give absolute or relative standard deviations by name")
     duration = _FIRST_S

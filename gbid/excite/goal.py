@@ -1,4 +1,4 @@
-"""DesignGoal of a design: the quantities that count, their derivatives by the parameters, and the criterion."""
+"""Goal of a design: the quantities that count, their derivatives by the parameters, and the criterion."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ class Lines(NamedTuple):
         n_samples : int
             Length of the recording.
         """
-        moved = np.einsum("fpyu,fu->pfy", self.sensitivity, spectrum).reshape(self.sensitivity.shape[1], -1)
-        return np.asarray(n_samples / 2 * (moved @ moved.conj().T).real)
+        columns = np.einsum("fpyu,fu->pfy", self.sensitivity, spectrum).reshape(self.sensitivity.shape[1], -1)
+        return np.asarray(n_samples / 2 * (columns @ columns.conj().T).real)
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,13 +224,13 @@ class Quantities:
         UsageError
             When a pattern matches none.
         """
-        found = dict[int, None]()
+        matches = dict[int, None]()
         for pattern in patterns:
             hit = [i for i, name in enumerate(self.names) if fnmatchcase(name, pattern)]
             if not hit:
                 raise UsageError(f"{what}: nothing matches {pattern!r}; there are {', '.join(self.names)}")
-            found |= dict.fromkeys(hit)
-        return list(found)
+            matches |= dict.fromkeys(hit)
+        return list(matches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,43 +248,44 @@ class DesignGoal:
         Their derivatives; for the A-criterion divided by the deviation that counts as one.
     kind : {"D", "A"}
         Criterion.
+    earlier : (n_free, n_free) array or float
+        Information without the excitation: from earlier recordings, and from the errors themselves.
     """
 
     names: tuple[str, ...]
     J: FloatArray
     kind: str
+    earlier: FloatArray | float = 0.0
 
     def loss(self, information: FloatArray) -> float:
         """Return twice the logarithm of a mean standard deviation; infinite where parameters are not determined."""
-        inverse = _inverse(information)
+        inverse = _inverse(information + self.earlier)
         if inverse is None:
             return np.inf
-        n, own = len(self.J), self.J @ inverse @ self.J.T
-        counted = np.linalg.slogdet(own)[1] / n if self.kind == "D" else np.log(np.trace(own) / n)
+        n, covariance = len(self.J), self.J @ inverse @ self.J.T
+        counted = np.linalg.slogdet(covariance)[1] / n if self.kind == "D" else np.log(np.trace(covariance) / n)
         return float(counted + _OTHERS * np.linalg.slogdet(inverse)[1] / len(inverse))
 
     def gradient(self, information: FloatArray) -> FloatArray:
-        """Return P: further information dM lowers the loss by tr(P dM). tr(P M) is `full`.
+        """Return P: further information dM lowers the loss by tr(P dM).
 
         Raises
         ------
         UsageError
             When parameters are not determined.
         """
-        inverse = _inverse(information)
+        inverse = _inverse(information + self.earlier)
         if inverse is None:
             raise UsageError(
                 "no excitation of these inputs determines all parameters; fix some (KnownModel(..., fixed=...))"
             )
         onto = inverse @ self.J.T
-        own = self.J @ onto
-        P = onto @ np.linalg.solve(own, onto.T) / len(own) if self.kind == "D" else onto @ onto.T / np.trace(own)
+        counted = self.J @ onto
+        if self.kind == "D":
+            P = onto @ np.linalg.solve(counted, onto.T) / len(counted)
+        else:
+            P = onto @ onto.T / np.trace(counted)
         return np.asarray(P + _OTHERS / len(inverse) * inverse)
-
-    @property
-    def full(self) -> float:
-        """tr(P M): the sum of all sensitivities, without earlier information."""
-        return 1.0 + _OTHERS
 
 
 def quantities_of(lines: LineModel) -> Quantities:
@@ -326,10 +327,10 @@ def goal_of(lines: LineModel, quantities: Quantities, focus: Focused) -> DesignG
     """
     if isinstance(focus, Mapping):
         picked = dict[int, float]()
-        for pattern, one in focus.items():
-            if not (np.isfinite(one) and one > 0):
-                raise UsageError(f"focus: {pattern} = {one}; give the standard deviation that counts as one")
-            picked |= dict.fromkeys(quantities.matching((pattern,), "focus"), float(one))
+        for pattern, unit in focus.items():
+            if not (np.isfinite(unit) and unit > 0):
+                raise UsageError(f"focus: {pattern} = {unit}; give the standard deviation that counts as one")
+            picked |= dict.fromkeys(quantities.matching((pattern,), "focus"), float(unit))
         scale = np.array(list(picked.values()))
         rows = list(picked)
         return DesignGoal(tuple(quantities.names[i] for i in rows), quantities.slopes[rows] / scale[:, None], "A")
@@ -450,7 +451,7 @@ def expected_covariance(known: KnownModel, inputs: FloatArray, sample_time: floa
         problem, kept = in_one_window(problem)
         theta, starts = problem.unpack(unknowns[kept])
         starts = np.zeros_like(starts)
-        found = covariance(
+        result = covariance(
             problem,
             theta,
             starts,
@@ -458,7 +459,7 @@ def expected_covariance(known: KnownModel, inputs: FloatArray, sample_time: floa
             known.noise * problem.n_samples,
             np.zeros(len(theta), bool),
         )
-    values = found.white.copy()
-    dark = np.asarray((np.abs(found.undetermined) > 1e-3).any(axis=0))
-    values[dark], values[:, dark] = np.nan, np.nan
+    values = result.white.copy()
+    unknown = np.asarray((np.abs(result.undetermined) > 1e-3).any(axis=0))
+    values[unknown], values[:, unknown] = np.nan, np.nan
     return Expected(tuple(q.name for q in assembly.free), values)

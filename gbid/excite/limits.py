@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,27 @@ class PossibleMachine:
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     taken: float = 0.0
+
+
+class Bound(NamedTuple):
+    """Largest distance of some channels of the inputs or outputs of a model from their centre.
+
+    Attributes
+    ----------
+    name : str
+        What is limited, for the reader.
+    limit : float
+        The limit.
+    is_input : bool
+        Whether the channels are inputs.
+    columns : list of int
+        The channels.
+    """
+
+    name: str
+    limit: float
+    is_input: bool
+    columns: list[int]
 
 
 @dataclass(frozen=True)
@@ -67,6 +89,29 @@ class ExcitationLimits:
     taken: float = 0.0
     machines: Sequence[PossibleMachine] = ()
 
+    def bounds(self, known: KnownModel) -> list[Bound]:
+        """Return the bound of each limited signal of a model.
+
+        Parameters
+        ----------
+        known : KnownModel
+            The model.
+
+        Raises
+        ------
+        UsageError
+            When a limit names no signal of the model.
+        """
+        bounds = list[Bound]()
+        for name, value in self.peaks.items():
+            is_input, columns = known.channels(name)
+            labels = known.model.input_names if is_input else known.model.output_names
+            bounds += [Bound(labels[i], value, is_input, [i]) for i in columns]
+        bounds += [Bound(f"radius of {name}", value, *known.channels(name)) for name, value in self.radius.items()]
+        if self.clearance is not None:
+            bounds.append(Bound("clearance", self.clearance - self.taken, *known.channels(self.disc)))
+        return bounds
+
     def __post_init__(self) -> None:
         for what, given in (("peaks", self.peaks), ("radius", self.radius)):
             for name, value in given.items():
@@ -92,14 +137,11 @@ class LimitedSignal:
     ----------
     name : str
         What is limited, for the reader.
-    limit : float
-        The limit.
     response : (n_lines, n_channels, n_inputs) array
         Response over limit. The distance from the centre over all channels must stay below one.
     """
 
     name: str
-    limit: float
     response: ComplexArray
 
 
@@ -125,34 +167,23 @@ def limited_signals(
         When a limit names no signal of the model, or an input has no limit.
     """
     n_lines, _, n_u = response.shape
-    bounded, found = set[int](), list[LimitedSignal]()
-
-    def rows(signal: str, of: ComplexArray) -> ComplexArray:
-        is_input, columns = known.channels(signal)
-        if is_input:
-            bounded.update(columns)
-            return np.repeat(np.eye(n_u, dtype=complex)[None, columns], n_lines, axis=0)
-        return of[:, columns]
-
-    for name, value in limits.peaks.items():
-        each, (is_input, columns) = rows(name, response), known.channels(name)
-        labels = known.model.input_names if is_input else known.model.output_names
-        found += [LimitedSignal(labels[i], value, each[:, j : j + 1] / (SAFE * value)) for j, i in enumerate(columns)]
-    for name, value in limits.radius.items():
-        found.append(LimitedSignal(f"radius of {name}", value, rows(name, response) / (SAFE * value)))
-    if limits.clearance is not None:
-        room = limits.clearance - limits.taken
-        name = f"clearance around {limits.disc}"
-        found.append(LimitedSignal(name, room, rows(limits.disc, response) / (SAFE * room)))
-        for i, (machine, own) in enumerate(zip(limits.machines, others, strict=True)):
-            room = limits.clearance - machine.taken
-            found.append(LimitedSignal(f"{name} in machine {i + 1}", room, rows(limits.disc, own) / (SAFE * room)))
+    of_inputs: ComplexArray = np.repeat(np.eye(n_u, dtype=complex)[None], n_lines, axis=0)
+    bounds = limits.bounds(known)
+    limited = [
+        LimitedSignal(b.name, (of_inputs if b.is_input else response)[:, b.columns] / (SAFE * b.limit)) for b in bounds
+    ]
+    for i, (machine, other) in enumerate(zip(limits.machines, others, strict=True)):
+        assert limits.clearance is not None
+        room = limits.clearance - machine.taken
+        disc = other[:, known.channels(limits.disc)[1]]
+        limited.append(LimitedSignal(f"clearance in machine {i + 1}", disc / (SAFE * room)))
+    bounded = {column for b in bounds if b.is_input for column in b.columns}
     missing = [label for i, label in enumerate(known.model.input_names) if i not in bounded]
     if missing:
         raise UsageError(
             f"limits: input {missing[0]} has no limit; give its largest magnitude, such as peaks={{...: 4.5e-6}}"
         )
-    return found
+    return limited
 
 
 # ---- Limits for a machine of the virtual rig: no rub, with its unbalance, run-out and scatter.
@@ -200,8 +231,8 @@ def rig_limits(
     for i in range(draws if scatter is not None else 0):
         assert scatter is not None
         random = scatter_random(seed, f"excitation {i}", conditions)
-        one, _ = scattered(machine.rotor_bearing, scatter, random)
-        drawn.append(PossibleMachine(one.key_parameters(), _taken(machine, one, speed)))
+        bearing, _ = scattered(machine.rotor_bearing, scatter, random)
+        drawn.append(PossibleMachine(bearing.key_parameters(), _taken(machine, bearing, speed)))
     return ExcitationLimits(
         peaks=dict(peaks),
         radius=dict(radius or {}),

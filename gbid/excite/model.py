@@ -129,13 +129,11 @@ class KnownModel(Brief):
                 f"structure {self.structure.name!r} is nonlinear; an excitation is designed for a linear model: give "
                 "the result of its fit, which has the linear model at the working point"
             )
-        inputs, outputs = (
-            as_names(self.inputs or self.structure.inputs),
-            as_names(self.outputs or self.structure.outputs),
-        )
+        inputs = as_names(self.inputs or self.structure.inputs)
+        outputs = as_names(self.outputs or self.structure.outputs)
         starts = {q.name: q.start for q in self.structure.parameters if q.start is not None}
-        own = [q.name for q in self.structure.parameters]
-        known = {**starts, **{name: float(value) for name, value in self.parameters.items() if name in own}}
+        names = [q.name for q in self.structure.parameters]
+        known = {**starts, **{name: float(value) for name, value in self.parameters.items() if name in names}}
         plain = evaluate(self.structure, known)
         n_y, n_u = plain.D.shape
         if not n_u:
@@ -148,8 +146,8 @@ class KnownModel(Brief):
                 "outputs, or their covariance"
             )
         held = tuple(dict.fromkeys((*as_names(self.fixed), *(q.name for q in self.structure.parameters if q.fixed))))
-        if strangers := [name for name in held if name not in own]:
-            raise UsageError(f"fixed names {strangers[0]!r}; the structure has {', '.join(own)}")
+        if strangers := [name for name in held if name not in names]:
+            raise UsageError(f"fixed names {strangers[0]!r}; the structure has {', '.join(names)}")
         hold: Hold | Sequence[Hold] = self.intersample or self.structure.intersample
         values = {
             "parameters": known,
@@ -205,8 +203,8 @@ class KnownModel(Brief):
                 return is_input, list(range(first, first + per))
             if signal in labels or signal.replace(".", "_") in labels:
                 return is_input, [labels.index(signal.replace(".", "_"))]
-        there = (*self.inputs, *self.outputs, *self.model.input_names, *self.model.output_names)
-        raise UsageError(f"the model has no signal {signal!r}; it has {', '.join(dict.fromkeys(there))}")
+        known = (*self.inputs, *self.outputs, *self.model.input_names, *self.model.output_names)
+        raise UsageError(f"the model has no signal {signal!r}; it has {', '.join(dict.fromkeys(known))}")
 
 
 def known_model(model: Any, earlier: bool = True) -> KnownModel:

@@ -1,4 +1,4 @@
-"""Small peaks: amplitudes and phases of a multisine by descent of the criterion at equal peaks."""
+"""Signals of an excitation: multisines with optimal spectrum and small peaks, PRBS, and what they use of the limits."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from gbid.excite.excitation import ExcitationSequence
 from gbid.excite.goal import DesignGoal, LineModel
 from gbid.excite.limits import SAFE, ExcitationLimits, LimitedSignal, limited_signals
 
-_OF_PHASES = (4.0, 10.0, 24.0)
-_OF_BOTH = (24.0, 60.0, 150.0)
-_STARTS = 2
-_OPTIONS = {"maxiter": 50}
+_PHASE_NORMS = (4.0, 10.0, 24.0)  # exponents of the norm over time, one after the other: of the phases alone,
+_AMPLITUDE_NORMS = (24.0, 60.0, 150.0)  # and of amplitudes and phases together
+_STARTS = 2  # phases to begin with: those of Schroeder, and random ones
+_PEAK_OPTIONS = {"maxiter": 50}
 _PER_CYCLE = 8  # points in a cycle of the highest line: more would see a higher peak by less than a hundredth
 
 
@@ -66,7 +66,6 @@ def with_small_peaks(
     bins: IntArray,
     spectrum: ComplexArray,
     n_samples: int,
-    earlier: FloatArray,
 ) -> ComplexArray:
     """Return the amplitudes of a multisine whose largest peak is one, with the best criterion nearby.
 
@@ -87,8 +86,6 @@ def with_small_peaks(
         Amplitudes to start from.
     n_samples : int
         Length of the recording.
-    earlier : (n_free, n_free) array
-        Information that is there without the excitation.
 
     Returns
     -------
@@ -98,49 +95,48 @@ def with_small_peaks(
     psi = np.sqrt(n_samples / 2) * sensitivity
     first = _schroeder(np.sum(abs(spectrum) ** 2, axis=1))
     random = np.random.default_rng(len(bins)).uniform(-np.pi, np.pi, (_STARTS - 1, len(bins)))
-    tried = [_descended(goal, waves, psi, spectrum, angle, earlier) for angle in (first, *random)]
+    tried = [_descended(goal, waves, psi, spectrum, angle) for angle in (first, *random)]
     return min(tried, key=lambda each: each[0])[1]
 
 
 def _descended(
-    goal: DesignGoal, waves: Waves, psi: ComplexArray, spectrum: ComplexArray, angle: FloatArray, earlier: FloatArray
+    goal: DesignGoal, waves: Waves, psi: ComplexArray, spectrum: ComplexArray, angle: FloatArray
 ) -> tuple[float, ComplexArray]:
     """Return criterion and amplitudes of the descent from given phases."""
-    start = spectrum
 
-    def of_phases(angle: FloatArray, exponent: float) -> tuple[float, FloatArray]:
-        turned: ComplexArray = start * np.exp(1j * angle)[:, None]
+    def log_norm(angle: FloatArray, exponent: float) -> tuple[float, FloatArray]:
+        turned: ComplexArray = spectrum * np.exp(1j * angle)[:, None]
         size, slope = waves.norm(turned, exponent)
         return np.log(size), np.sum(slope.conj() * 1j * turned, axis=1).real / size
 
-    for exponent in _OF_PHASES:
-        angle = scipy.optimize.minimize(of_phases, angle, (exponent,), jac=True, method="L-BFGS-B", options=_OPTIONS).x
-    found = start * np.exp(1j * angle)[:, None]
+    for exponent in _PHASE_NORMS:
+        angle = scipy.optimize.minimize(
+            log_norm, angle, (exponent,), jac=True, method="L-BFGS-B", options=_PEAK_OPTIONS
+        ).x
+    amplitudes = spectrum * np.exp(1j * angle)[:, None]
 
-    def of_both(flat: FloatArray, exponent: float, scale: FloatArray) -> tuple[float, FloatArray]:
-        own = _complex(flat, found.shape) * scale
-        size, slope = waves.norm(own, exponent)
-        moved = np.einsum("fpyu,fu->pfy", psi, own)
-        columns = moved.reshape(len(moved), -1) / size
+    def criterion(flat: FloatArray, exponent: float, scale: FloatArray) -> tuple[float, FloatArray]:
+        trial = _complex(flat, amplitudes.shape) * scale
+        size, slope = waves.norm(trial, exponent)
+        driven = np.einsum("fpyu,fu->pfy", psi, trial)
+        columns = driven.reshape(len(driven), -1) / size
         raw = (columns @ columns.conj().T).real
-        P = goal.gradient(raw + earlier)
-        value = goal.loss(raw + earlier)
-        pushed = np.einsum("fpyu,pfy->fu", psi.conj(), (P @ columns).reshape(moved.shape)) / size
+        P = goal.gradient(raw)
+        pushed = np.einsum("fpyu,pfy->fu", psi.conj(), (P @ columns).reshape(driven.shape)) / size
         total = 2 * np.sum(P * raw) * slope / size - 2 * pushed
-        return value, np.ascontiguousarray(total * scale).view(float).ravel()
+        return goal.loss(raw), np.ascontiguousarray(total * scale).view(float).ravel()
 
     # Scaled by their size, strong and weak lines turn alike.
-    for exponent in _OF_BOTH:
-        found = found / waves.norm(found, exponent)[0]
-        scale = np.linalg.norm(found, axis=1)[:, None]
-        flat = np.ascontiguousarray(found / scale).view(float).ravel()
-        moved = scipy.optimize.minimize(
-            of_both, flat, (exponent, scale), jac=True, method="L-BFGS-B", options=_OPTIONS
-        ).x
-        found = _complex(moved, found.shape) * scale
-    found = found / waves.norm(found, np.inf)[0]
-    moved = np.einsum("fpyu,fu->pfy", psi, found).reshape(psi.shape[1], -1)
-    return goal.loss((moved @ moved.conj().T).real + earlier), found
+    for exponent in _AMPLITUDE_NORMS:
+        amplitudes = amplitudes / waves.norm(amplitudes, exponent)[0]
+        scale = np.linalg.norm(amplitudes, axis=1)[:, None]
+        flat = np.ascontiguousarray(amplitudes / scale).view(float).ravel()
+        optimum = scipy.optimize.minimize(
+            criterion, flat, (exponent, scale), jac=True, method="L-BFGS-B", options=_PEAK_OPTIONS
+        )
+        amplitudes = _complex(optimum.x, amplitudes.shape) * scale
+    amplitudes = amplitudes / waves.norm(amplitudes, np.inf)[0]
+    return goal.loss(_information(psi, amplitudes[:, :, None])), amplitudes
 
 
 def _complex(flat: FloatArray, shape: tuple[int, ...]) -> ComplexArray:
@@ -157,8 +153,7 @@ def _schroeder(power: FloatArray) -> FloatArray:
 #
 # With the cross spectrum :math:`\Phi_f \succeq 0` of the inputs at line f the information is
 # :math:`M = M_0 + \sum_f \mathrm{Re}\,\Psi_f \Phi_f \Psi_f^H`. The criterion of M is maximised while the mean squares
-# of
-# the limited signals, :math:`\sum_f \mathrm{tr}(C_{if} \Phi_f)`, stay below one.
+# of the limited signals, :math:`\sum_f \mathrm{tr}(C_{if} \Phi_f)`, stay below one.
 #
 # With :math:`\Phi_f = L_f L_f^H` and the limits as one norm of the mean squares, which is smooth and scales with the
 # signals, this is an unconstrained problem for a quasi-Newton method. In the cross spectra it is convex, so the
@@ -169,7 +164,7 @@ def _schroeder(power: FloatArray) -> FloatArray:
 # M_0))`.
 
 _NORMS = (15.0, 100.0)  # exponents of the norm of the mean squares, one after the other
-_OPTIONS_SPECTRUM_DESIGN = {"maxiter": 400, "maxcor": 30}
+_SPECTRUM_OPTIONS = {"maxiter": 400, "maxcor": 30}
 
 
 class Spectrum(NamedTuple):
@@ -194,9 +189,7 @@ class Spectrum(NamedTuple):
     sensitivity: ComplexArray
 
 
-def optimal_spectrum(
-    goal: DesignGoal, sensitivity: ComplexArray, costs: ComplexArray, n_samples: int, earlier: FloatArray
-) -> Spectrum:
+def optimal_spectrum(goal: DesignGoal, sensitivity: ComplexArray, costs: ComplexArray, n_samples: int) -> Spectrum:
     """Return the spectrum with the best criterion within limits of the mean squares.
 
     Parameters
@@ -209,8 +202,6 @@ def optimal_spectrum(
         Mean square of each limited signal over its limit, by the cross spectra.
     n_samples : int
         Length of the recording.
-    earlier : (n_free, n_free) array
-        Information that is there without the excitation.
 
     Returns
     -------
@@ -224,35 +215,33 @@ def optimal_spectrum(
     root = np.repeat(np.eye(n_u, dtype=complex)[None], n_lines, axis=0)
 
     def loss(flat: FloatArray, exponent: float) -> tuple[float, FloatArray]:
-        factors = _complex_spectrum_design(flat, root.shape)
+        factors = _complex(flat, root.shape)
         cross = factors @ factors.conj().transpose(0, 2, 1)
         used = _mean_squares(costs, cross)
         size = float(np.linalg.norm(used, exponent))
         raw = _information(psi, factors) / size
-        value = goal.loss(raw + earlier)
-        P = goal.gradient(raw + earlier)
+        P = goal.gradient(raw)
         turn = np.sum(P * raw) * (used / size) ** (exponent - 1)
         slope = (np.einsum("i,ifuv->fuv", turn, costs) - _sensitivities(psi, P)) @ factors * (2 / size)
-        return value, np.ascontiguousarray(slope).view(float).ravel()
+        return goal.loss(raw), np.ascontiguousarray(slope).view(float).ravel()
 
     for exponent in _NORMS:
         root /= np.sqrt(np.linalg.norm(_mean_squares(costs, root @ root.conj().transpose(0, 2, 1)), exponent))
-        found = scipy.optimize.minimize(
-            loss, root.view(float).ravel(), (exponent,), jac=True, method="L-BFGS-B", options=_OPTIONS_SPECTRUM_DESIGN
+        optimum = scipy.optimize.minimize(
+            loss, root.view(float).ravel(), (exponent,), jac=True, method="L-BFGS-B", options=_SPECTRUM_OPTIONS
         )
-        root = _complex_spectrum_design(found.x, root.shape)
+        root = _complex(optimum.x, root.shape)
     used = _mean_squares(costs, root @ root.conj().transpose(0, 2, 1))
     root /= np.sqrt(used.max())
     multipliers = (used / used.max()) ** (_NORMS[-1] - 1)
     multipliers /= multipliers.sum()
-    gap = _gap(goal, psi, root, costs, multipliers, earlier)
-    S = _sensitivities(psi, goal.gradient(_information(psi, root) + earlier))
+    raw = _information(psi, root)
+    P = goal.gradient(raw)
+    S = _sensitivities(psi, P)
+    dual = _root(np.einsum("i,ifuv->fuv", multipliers, costs), -0.5)
+    gap = float(np.linalg.eigvalsh(dual @ S @ dual)[:, -1].max() - np.sum(P * raw))
     back, root = _root(scale, 0.5), into @ root
     return Spectrum(root @ root.conj().transpose(0, 2, 1), multipliers, gap, back @ S @ back)
-
-
-def _complex_spectrum_design(flat: FloatArray, shape: tuple[int, ...]) -> ComplexArray:
-    return np.ascontiguousarray(flat).view(complex).reshape(shape)
 
 
 def _mean_squares(costs: ComplexArray, cross: ComplexArray) -> FloatArray:
@@ -260,8 +249,9 @@ def _mean_squares(costs: ComplexArray, cross: ComplexArray) -> FloatArray:
 
 
 def _information(psi: ComplexArray, root: ComplexArray) -> FloatArray:
-    moved = (psi @ root[:, None]).transpose(1, 0, 2, 3).reshape(psi.shape[1], -1)
-    return np.asarray((moved @ moved.conj().T).real)
+    """Return ``sum_f Re Psi_f L_f L_f^H Psi_f^H`` of factors L (n_lines, n_u, n)."""
+    columns = (psi @ root[:, None]).transpose(1, 0, 2, 3).reshape(psi.shape[1], -1)
+    return np.asarray((columns @ columns.conj().T).real)
 
 
 def _sensitivities(psi: ComplexArray, P: FloatArray) -> ComplexArray:
@@ -270,22 +260,6 @@ def _sensitivities(psi: ComplexArray, P: FloatArray) -> ComplexArray:
     turned = np.einsum("pq,fpyu->fqyu", vectors * np.sqrt(np.maximum(values, 0.0)), psi, optimize=True)
     flat = turned.reshape(len(psi), -1, psi.shape[3])
     return np.asarray(flat.conj().transpose(0, 2, 1) @ flat)
-
-
-def _gap(
-    goal: DesignGoal,
-    psi: ComplexArray,
-    root: ComplexArray,
-    costs: ComplexArray,
-    multipliers: FloatArray,
-    earlier: FloatArray,
-) -> float:
-    """Return by how much the criterion per quantity could still be better, at most."""
-    own = _information(psi, root)
-    P = goal.gradient(own + earlier)
-    into = _root(np.einsum("i,ifuv->fuv", multipliers, costs), -0.5)
-    highest = np.linalg.eigvalsh(into @ _sensitivities(psi, P) @ into)[:, -1].max()
-    return float(highest - np.sum(P * own))
 
 
 def _root(matrices: ComplexArray, power: float) -> ComplexArray:
@@ -323,23 +297,14 @@ def use_of(
     known = lines.known
     twice = np.vstack([signal, signal])
     outputs = known.model.simulate(twice, lines.sample_time, intersample=known.intersample)[len(signal) :]
-    found = dict[str, float]()
-    for name, limit in limits.peaks.items():
-        is_input, columns = known.channels(name)
-        labels = known.model.input_names if is_input else known.model.output_names
-        for i in columns:
-            found[labels[i]] = float(np.abs((signal if is_input else outputs)[:, i]).max() / (SAFE * limit))
-    for name, limit in limits.radius.items():
-        is_input, columns = known.channels(name)
-        way = np.linalg.norm((signal if is_input else outputs)[:, columns], axis=1).max()
-        found[f"radius of {name}"] = float(way / (SAFE * limit))
-    if limits.clearance is not None:
+    use = dict[str, float]()
+    for bound in limits.bounds(known):
+        values = (signal if bound.is_input else outputs)[:, bound.columns]
+        use[bound.name] = float(np.linalg.norm(values, axis=1).max() / (SAFE * bound.limit))
+    if with_machines and limits.machines:
         columns = known.channels(limits.disc)[1]
-        way = np.linalg.norm(outputs[:, columns], axis=1).max()
-        found["clearance"] = float(way / (SAFE * (limits.clearance - limits.taken)))
-        if with_machines and limits.machines:
-            found[IN_MACHINES] = float(max(disc_in_machines(limits, lines, *_lines_of(lines, signal, columns))))
-    return found
+        use[IN_MACHINES] = float(max(disc_in_machines(limits, lines, *_lines_of(lines, signal, columns))))
+    return use
 
 
 def disc_in_machines(
@@ -365,10 +330,15 @@ def disc_in_machines(
     frequency = bins / (period * lines.sample_time)
     for machine in limits.machines:
         response = lines.response(frequency, dict(machine.parameters))[:, columns]
-        flat = np.zeros((period // 2 + 1, len(columns)), complex)
-        flat[bins] = np.einsum("fcu,fu->fc", response, spectrum) * (period / 2)
-        way = np.linalg.norm(np.fft.irfft(flat, period, axis=0), axis=1).max()
-        yield float(way / (SAFE * (limits.clearance - machine.taken)))
+        disc = _one_period(bins, np.einsum("fcu,fu->fc", response, spectrum), period)
+        yield float(np.linalg.norm(disc, axis=1).max() / (SAFE * (limits.clearance - machine.taken)))
+
+
+def _one_period(bins: IntArray, spectrum: ComplexArray, period: int) -> FloatArray:
+    """Return one period of signals with amplitudes (n_lines, n) at lines: (period, n)."""
+    every_line = np.zeros((period // 2 + 1, spectrum.shape[1]), complex)
+    every_line[bins] = spectrum * (period / 2)
+    return np.fft.irfft(every_line, period, axis=0)
 
 
 def _lines_of(lines: LineModel, signal: FloatArray, columns: list[int]) -> tuple[IntArray, ComplexArray, int]:
@@ -379,8 +349,8 @@ def _lines_of(lines: LineModel, signal: FloatArray, columns: list[int]) -> tuple
     strong = np.abs(spectrum).max(axis=1) > _SEEN * np.abs(spectrum).max()
     bins, spectrum = bins[strong], spectrum[strong]
     response = lines.response(bins / (n * lines.sample_time))[:, columns]
-    moved = np.linalg.norm(np.einsum("fcu,fu->fc", response, spectrum), axis=1)
-    seen = moved > _SEEN * moved.max()
+    motion = np.linalg.norm(np.einsum("fcu,fu->fc", response, spectrum), axis=1)
+    seen = motion > _SEEN * motion.max()
     return bins[seen].astype(np.int64), spectrum[seen], n
 
 
@@ -419,14 +389,10 @@ class Multisine(NamedTuple):
 
     def signal(self, n_samples: int) -> FloatArray:
         """Return the inputs, (n_samples, n_inputs)."""
-        flat = np.zeros((self.period // 2 + 1, self.spectrum.shape[1]), complex)
-        flat[self.bins] = self.spectrum * (self.period / 2)
-        return np.resize(np.fft.irfft(flat, self.period, axis=0), (n_samples, self.spectrum.shape[1]))
+        return np.resize(_one_period(self.bins, self.spectrum, self.period), (n_samples, self.spectrum.shape[1]))
 
 
-def design_multisine(
-    goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int, earlier: FloatArray
-) -> Multisine:
+def design_multisine(goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int) -> Multisine:
     """Return the multisine with the best criterion within limits.
 
     The spectrum is designed on every second multiple of one over the period, with the full cross spectrum of the
@@ -444,8 +410,6 @@ def design_multisine(
         The limits.
     n_samples : int
         Length of the recording.
-    earlier : (n_free, n_free) array
-        Information that is there without the excitation.
     """
     dt = lines.sample_time
     period = n_samples // max(1, round(n_samples * dt / PERIOD_S))
@@ -462,12 +426,12 @@ def design_multisine(
                 for each in limited
             ]
         )
-        found = optimal_spectrum(goal, at.sensitivity / np.sqrt(2), costs / 2, n_samples, earlier)
-        bins, spectrum = _interleaved(coarse, found.cross, found.sensitivity)
-        own = lines.at(bins / (period * dt))
-        limited = _limited(limits, lines, own.frequency_hz, own.response, hard)
-        spectrum = with_small_peaks(goal, own.sensitivity, limited, bins, spectrum, n_samples, earlier)
-        made = Multisine(bins, period, spectrum, found.gap)
+        best = optimal_spectrum(goal, at.sensitivity / np.sqrt(2), costs / 2, n_samples)
+        bins, spectrum = _interleaved(coarse, best.cross, best.sensitivity)
+        chosen = lines.at(bins / (period * dt))
+        limited = _limited(limits, lines, chosen.frequency_hz, chosen.response, hard)
+        spectrum = with_small_peaks(goal, chosen.sensitivity, limited, bins, spectrum, n_samples)
+        made = Multisine(bins, period, spectrum, best.gap)
         made = made._replace(spectrum=spectrum / max(use_of(limits, lines, made.signal(period)).values()))
         crest = {each.name: _crest(each, made) for each in limited}
         if limits.machines and round_ < _ROUNDS - 1:
@@ -479,9 +443,8 @@ def design_multisine(
 
 def _crest(signal: LimitedSignal, made: Multisine) -> float:
     """Return the largest value of a limited signal over its root mean square."""
-    flat = np.zeros((made.period // 2 + 1, signal.response.shape[1]), complex)
-    flat[made.bins] = np.einsum("fcu,fu->fc", signal.response, made.spectrum)
-    way = np.linalg.norm(np.fft.irfft(flat, made.period, axis=0), axis=1)
+    values = _one_period(made.bins, np.einsum("fcu,fu->fc", signal.response, made.spectrum), made.period)
+    way = np.linalg.norm(values, axis=1)
     return float(way.max() / np.sqrt(np.mean(way**2)))
 
 
@@ -526,8 +489,8 @@ def _interleaved(bins: IntArray, cross: ComplexArray, sensitivity: ComplexArray)
 
 _REGISTERS = range(4, 15)
 _HOLDS = 10  # tried between a sample and a half period of the slowest mode
-_LINES = 160
-_HIGHEST_PRBS_CHOICE = 0.45
+_LINES = 160  # of the grid on which sequences are compared
+_HIGHEST_ON_GRID = 0.45  # of the sampling frequency
 
 
 class ChosenSequence(NamedTuple):
@@ -545,9 +508,7 @@ class ChosenSequence(NamedTuple):
     signal: FloatArray
 
 
-def choose_prbs(
-    goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int, earlier: FloatArray
-) -> ChosenSequence:
+def choose_prbs(goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int) -> ChosenSequence:
     """Return the sequence of maximal length with the best criterion within limits.
 
     Parameters
@@ -560,8 +521,6 @@ def choose_prbs(
         The limits.
     n_samples : int
         Length of the recording.
-    earlier : (n_free, n_free) array
-        Information that is there without the excitation.
 
     Notes
     -----
@@ -576,11 +535,11 @@ def choose_prbs(
     cell = np.searchsorted(np.sqrt(grid[1:] * grid[:-1]), np.maximum(frequency, 1e-9))
     n_u = model.B.shape[1]
     best: tuple[float, ChosenSequence] | None = None
-    for sequence in _candidates_prbs_choice(lines, n_samples, n_u):
+    for sequence in _sequences(lines, n_samples, n_u):
         unit = _signal(sequence, n_samples, lines.sample_time)
         amplitude = 1 / max(use_of(limits, lines, unit).values())
         spectrum = np.fft.rfft(unit * amplitude, axis=0)[1:] * (2 / n_samples)
-        loss = goal.loss(_information_prbs_choice(at.sensitivity, spectrum, cell[1:], n_samples) + earlier)
+        loss = goal.loss(_information_on_grid(at.sensitivity, spectrum, cell[1:], n_samples))
         if best is None or loss < best[0]:
             best = loss, ChosenSequence(replace(sequence, amplitude=amplitude), unit * amplitude)
     if best is None or not np.isfinite(best[0]):
@@ -596,18 +555,18 @@ def choose_prbs(
 
 def _grid(lines: LineModel, n_samples: int) -> FloatArray:
     dt = lines.sample_time
-    wanted = [np.geomspace(1 / (n_samples * dt), _HIGHEST_PRBS_CHOICE / dt, _LINES // 2)]
+    wanted = [np.geomspace(1 / (n_samples * dt), _HIGHEST_ON_GRID / dt, _LINES // 2)]
     for frequency, damping in lines.known.model.modes():
         wanted.append(frequency * (1 + 6 * max(damping, 1e-3) * np.linspace(-1, 1, _LINES // 4)))
-    found = np.unique(np.concatenate(wanted))
-    return np.asarray(found[(found > 0) & (found <= _HIGHEST_PRBS_CHOICE / dt)])
+    frequency_hz = np.unique(np.concatenate(wanted))
+    return np.asarray(frequency_hz[(frequency_hz > 0) & (frequency_hz <= _HIGHEST_ON_GRID / dt)])
 
 
-def _candidates_prbs_choice(lines: LineModel, n_samples: int, n_inputs: int) -> list[ExcitationSequence]:
+def _sequences(lines: LineModel, n_samples: int, n_inputs: int) -> list[ExcitationSequence]:
     dt = lines.sample_time
     slowest = min((frequency for frequency, _ in lines.known.model.modes()), default=1 / (n_samples * dt) * 20)
     longest = max(2, min(int(2.5 / (slowest * dt)), n_samples // 16))
-    found = list[ExcitationSequence]()
+    sequences = list[ExcitationSequence]()
     for hold in np.unique(np.round(np.geomspace(1, longest, _HOLDS)).astype(int)).tolist():
         fitting = [n for n in _REGISTERS if (2**n - 1) * hold <= n_samples]
         for register in fitting[-2:]:
@@ -615,9 +574,8 @@ def _candidates_prbs_choice(lines: LineModel, n_samples: int, n_inputs: int) -> 
             mirrored = tuple(sorted((register - tap for tap in taps), reverse=True))
             length = 2**register - 1
             shift = tuple(length * i // n_inputs for i in range(n_inputs))
-            for own in {taps, mirrored}:
-                found.append(ExcitationSequence(1.0, hold * dt, register, own, shift))
-    return found
+            sequences += [ExcitationSequence(1.0, hold * dt, register, each, shift) for each in {taps, mirrored}]
+    return sequences
 
 
 _TAPS = {
@@ -634,7 +592,7 @@ def _signal(sequence: ExcitationSequence, n_samples: int, sample_time: float) ->
     return np.column_stack(columns) * sequence.amplitude
 
 
-def _information_prbs_choice(
+def _information_on_grid(
     sensitivity: ComplexArray, spectrum: ComplexArray, cell: IntArray, n_samples: int
 ) -> FloatArray:
     """Return the information of a signal whose lines count at the nearest line of a grid."""

@@ -17,7 +17,7 @@ from gbid.core.hdf5 import Stored
 from gbid.identify import FitResult
 from gbid.recording import Recording
 from gbid.recording.recording import check_order
-from gbid.validate.simulate import AnySimulator, Explained, Ranges, ValidationData, simulator, validation_data
+from gbid.validate.simulate import Explained, Ranges, Simulator, ValidationData, simulator, validation_data
 
 # ---- Scores of many models on many recordings, and their summary (paper, Sec. 3.8, Figs. 9 and 10).
 
@@ -474,7 +474,7 @@ def cross_validate_many(
     return join_scores([(" ".join(results[i].recordings), data[j], fit, norm) for i, j, fit, norm in found])
 
 
-def score(fitted: AnySimulator, data: ValidationData) -> tuple[FloatArray, FloatArray]:
+def score(fitted: Simulator, data: ValidationData) -> tuple[FloatArray, FloatArray]:
     """Return fit percent and largest deviation of one model on one recording.
 
     Returns
@@ -496,7 +496,7 @@ def _figures(explained: Explained, data: ValidationData) -> tuple[FloatArray, Fl
     return 100 * (1 - error / data.spread), np.abs(rest).max(axis=1)
 
 
-def _explain(fitted: AnySimulator, data: ValidationData) -> Explained:
+def _explain(fitted: Simulator, data: ValidationData) -> Explained:
     model = fitted.model
     if not np.isclose(data.sample_time, fitted.sample_time, rtol=1e-6, atol=0):
         raise DataError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -78,13 +78,10 @@ class Explained(NamedTuple):
 class Simulator:
     """Model prepared for the simulation on many recordings.
 
-    The modes are simulated one by one as filters of first order. The free responses from all initial states have an
-    orthonormal basis, which is stored. So the best initial state is found by a projection.
-
     Attributes
     ----------
-    model : LinearModel
-        Model in continuous time.
+    model : LinearModel or NonlinearModel
+        The model.
     sample_time : float
         Time between samples [s].
     intersample : {"zoh", "foh"} or sequence of these
@@ -95,16 +92,11 @@ class Simulator:
         Recordings to which the model was fitted, for messages.
     """
 
-    model: LinearModel
+    model: Any
     sample_time: float
     intersample: str | Sequence[str] = "zoh"
     disturbances: Disturbances = UNDISTURBED
     name: str = "model"
-    _modes: Modes | None = field(init=False, repr=False)
-    _free: dict[tuple[int, bytes], FreeResponses] = field(init=False, repr=False, default_factory=dict)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_modes", _modes(self.model, self.sample_time, self.intersample))
 
     def explain(self, inputs: FloatArray, outputs: FloatArray, counted: BoolArray | None = None) -> Explained:
         """Return the initial state whose simulation is closest to the measured outputs, and the residuals.
@@ -123,32 +115,7 @@ class Simulator:
         Explained
             Not finite when the simulation overflows.
         """
-        with np.errstate(over="ignore", invalid="ignore"):
-            rest = outputs - self.run(inputs)
-            rest = rest if counted is None else rest[:, counted]
-            if not np.isfinite(rest).all():
-                return Explained(np.full(self.model.n_states, np.nan), rest)
-            rest = rest - course(
-                self.disturbances, self.sample_time, rest, inputs.shape[1], counted
-            )  # they drop out of the problem
-            free = self._free_responses(inputs.shape, counted)
-            head = rest[:, : free.basis.shape[1]]
-            found = np.tensordot(free.basis, head, axes=((0, 1), (0, 1)))
-            head -= np.tensordot(free.basis, found, axes=(2, 0))
-            return Explained(free.states @ found, rest)
-
-    def disturbed(self, error: FloatArray, counted: BoolArray | None = None) -> FloatArray:
-        """Return the trend and hum that are closest to an error of the simulation, at all samples.
-
-        Parameters
-        ----------
-        error : (n_outputs, n_samples) array
-            Measured less simulated outputs.
-        counted : (n_samples,) array of bool, optional
-            Samples that count; all by default.
-        """
-        there = error if counted is None else error[:, counted]
-        return course(self.disturbances, self.sample_time, there, error.shape[1], counted, everywhere=True)
+        raise NotImplementedError
 
     def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
         """Return the simulated outputs without trend and hum, (n_outputs, n_samples).
@@ -160,11 +127,68 @@ class Simulator:
         initial_state : (n_states,) array, optional
             State at the first sample; zero by default.
         """
-        modes, model = self._modes, self.model
+        between = self.intersample
+        with np.errstate(over="ignore", invalid="ignore"):
+            outputs = self.model.simulate(inputs.T, self.sample_time, initial_state=initial_state, intersample=between)
+        return np.asarray(outputs.T)
+
+    def disturbed(self, error: FloatArray, counted: BoolArray | None = None) -> FloatArray:
+        """Return the trend and hum that are closest to an error of the simulation, at all samples.
+
+        Parameters
+        ----------
+        error : (n_outputs, n_samples) array
+            Measured less simulated outputs.
+        counted : (n_samples,) array of bool, optional
+            Samples that count; all by default.
+        """
+        rest = error if counted is None else error[:, counted]
+        return self._course(rest, error.shape[1], counted, everywhere=True)
+
+    def _course(self, rest: FloatArray, n: int, counted: BoolArray | None, *, everywhere: bool = False) -> FloatArray:
+        """Return the trend and hum closest to `rest` at the samples that count, there or at all n samples."""
+        known = self.disturbances.instead_of_walks(1)
+        if not known.n_columns:
+            return np.zeros((len(rest), 1))
+        columns = known.regressors(n, self.sample_time)
+        chosen = columns if counted is None else columns[counted]
+        return known.closest(rest.T, chosen) @ (columns if everywhere else chosen).T
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSimulator(Simulator):
+    """Linear model prepared for the simulation on many recordings; see `Simulator`.
+
+    The modes are simulated one by one as filters of first order. The free responses from all initial states have an
+    orthonormal basis, which is stored. So the best initial state is found by a projection.
+    """
+
+    _modes: Modes | None = field(init=False, repr=False)
+    _free: dict[tuple[int, bytes], FreeResponses] = field(init=False, repr=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_modes", _modes(self.model, self.sample_time, self.intersample))
+
+    def explain(self, inputs: FloatArray, outputs: FloatArray, counted: BoolArray | None = None) -> Explained:
+        """Return initial state and residuals by a projection; see `Simulator.explain`."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            rest = outputs - self.run(inputs)
+            rest = rest if counted is None else rest[:, counted]
+            if not np.isfinite(rest).all():
+                return Explained(np.full(self.model.n_states, np.nan), rest)
+            rest = rest - self._course(rest, inputs.shape[1], counted)  # they drop out of the problem
+            free = self._free_responses(inputs.shape, counted)
+            head = rest[:, : free.basis.shape[1]]
+            shares = np.tensordot(free.basis, head, axes=((0, 1), (0, 1)))
+            head -= np.tensordot(free.basis, shares, axes=(2, 0))
+            return Explained(free.states @ shares, rest)
+
+    def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
+        """Return the outputs, mode by mode where the eigenvectors allow it; see `Simulator.run`."""
+        modes = self._modes
         if modes is None:
-            between = self.intersample
-            return model.simulate(inputs.T, self.sample_time, initial_state=initial_state, intersample=between).T
-        simulated = model.D @ inputs
+            return super().run(inputs, initial_state)
+        simulated = self.model.D @ inputs
         begin = np.zeros(len(modes.poles)) if initial_state is None else modes.to_modes @ initial_state
         columns = zip(modes.poles, modes.drive, modes.lead, modes.weights.T, begin, strict=True)
         for pole, drive, lead, weights, first in columns:
@@ -192,43 +216,9 @@ class Simulator:
             free = np.stack(runs, axis=2)
             free = free if counted is None else free[:, counted]
             for state in range(self.model.n_states):
-                free[:, :, state] -= course(self.disturbances, self.sample_time, free[:, :, state], n, counted)
+                free[:, :, state] -= self._course(free[:, :, state], n, counted)
             self._free[key] = _orthonormal(free)
         return self._free[key]
-
-
-def course(
-    disturbances: Disturbances,
-    sample_time: float,
-    rest: FloatArray,
-    n: int,
-    counted: BoolArray | None,
-    *,
-    everywhere: bool = False,
-) -> FloatArray:
-    """Return the trend and hum closest to what a simulation leaves; a random walk counts as an offset.
-
-    Parameters
-    ----------
-    disturbances : Disturbances
-        Trends and hum.
-    sample_time : float
-        Time between samples [s].
-    rest : (n_outputs, n_counted) array
-        Measured less simulated outputs, at the samples that count.
-    n : int
-        Number of all samples.
-    counted : (n,) array of bool or None
-        Samples that count; None for all.
-    everywhere : bool
-        Whether the course at all samples is wanted, and not at those that count.
-    """
-    known = disturbances.instead_of_walks(1)
-    if not known.n_columns:
-        return np.zeros((len(rest), 1))
-    columns = known.regressors(n, sample_time)
-    there = columns if counted is None else columns[counted]
-    return known.closest(rest.T, there) @ (columns if everywhere else there).T
 
 
 def estimate_initial_state(
@@ -265,7 +255,7 @@ def estimate_initial_state(
     (n_states,) array
         Least-squares solution of smallest norm; nan when the simulation overflows.
     """
-    fitted = Simulator(model, sample_time, intersample, disturbances)
+    fitted = LinearSimulator(model, sample_time, intersample, disturbances)
     return fitted.explain(np.transpose(inputs), np.transpose(outputs), counted).initial_state
 
 
@@ -297,8 +287,8 @@ def _orthonormal(free: FloatArray) -> FreeResponses:
     left, weight, right = np.linalg.svd(columns / size, full_matrices=False)
     rank = int((weight > np.finfo(float).eps * max(columns.shape) * weight.max(initial=0.0)).sum())
     basis = left[:, :rank].reshape(n_y, n, rank)
-    there = np.flatnonzero((np.abs(basis) > _NOTHING).any(axis=(0, 2)))
-    leading = np.ascontiguousarray(basis[:, : there[-1] + 1 if there.size else 1])
+    used = np.flatnonzero((np.abs(basis) > _NOTHING).any(axis=(0, 2)))
+    leading = np.ascontiguousarray(basis[:, : used[-1] + 1 if used.size else 1])
     return FreeResponses(leading, (right[:rank].T / weight[:rank]) / size[:, None])
 
 
@@ -311,7 +301,7 @@ _FIRST, _GROWTH = 16, 4  # samples of the first stretch, for each state, and by 
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearSimulator:
+class NonlinearSimulator(Simulator):
     """Nonlinear model prepared for the simulation on recordings; see `Simulator`.
 
     The initial state is found by least squares, first on the first samples, and then on more and more: over a whole
@@ -319,36 +309,21 @@ class NonlinearSimulator:
 
     Attributes
     ----------
-    model : NonlinearModel
-        The model.
-    sample_time : float
-        Time between samples [s].
-    intersample : {"zoh", "foh"} or sequence of these
-        Inter-sample behaviour of the inputs.
-    disturbances : Disturbances
-        Trends and hum of the outputs, estimated together with the initial state.
-    name : str
-        Recordings to which the model was fitted, for messages.
     predicts : bool
         Whether the initial state is that of the one-step predictor: a simulation of an unstable model overflows.
     """
 
-    model: NonlinearModel
-    sample_time: float
-    intersample: str | Sequence[str] = "zoh"
-    disturbances: Disturbances = UNDISTURBED
-    name: str = "model"
     predicts: bool = False
 
     def explain(self, inputs: FloatArray, outputs: FloatArray, counted: BoolArray | None = None) -> Explained:
-        """Return the initial state whose simulation is closest to the measured outputs; see `Simulator.explain`."""
+        """Return initial state and residuals by least squares; see `Simulator.explain`."""
         size, every = np.maximum(np.abs(self.model.working_state), self.model.state_size), inputs.shape[1]
         used = np.ones(every, bool) if counted is None else counted
 
         def rest(scaled: FloatArray, n: int) -> FloatArray:
             left = outputs[:, :n] - self._output(inputs[:, :n], outputs[:, :n], scaled * size)
             left = left if counted is None else left[:, counted[:n]]
-            return left - course(self.disturbances, self.sample_time, left, n, None if counted is None else counted[:n])
+            return left - self._course(left, n, None if counted is None else counted[:n])
 
         z = self.model.working_state / size
         for n in [*_lengths(used, len(z)), every]:
@@ -358,69 +333,37 @@ class NonlinearSimulator:
                 return Explained(np.full(len(z), np.nan), rest(z, n))
             unit = float(np.abs(rest(z, n)).max()) or 1.0
             tolerances = {"xtol": _SETTLED, "ftol": _SETTLED, "gtol": None}
-            found = scipy.optimize.least_squares(
+            optimum = scipy.optimize.least_squares(
                 lambda at, n=n, unit=unit: rest(at, n).ravel() / unit, z, max_nfev=_ROUNDS, **tolerances
             )
-            z, slopes = found.x, found.jac.reshape(len(outputs), -1, len(z))
-            late, largest = (np.linalg.norm(s, axis=(0, 1)).max() for s in (slopes[:, slopes.shape[1] // 2 :], slopes))
-            if not self.disturbances.terms and late <= _FADED * largest:
+            z, slopes = optimum.x, optimum.jac.reshape(len(outputs), -1, len(z))
+            second_half = slopes[:, slopes.shape[1] // 2 :]
+            last, largest = (np.linalg.norm(s, axis=(0, 1)).max() for s in (second_half, slopes))
+            if not self.disturbances.terms and last <= _FADED * largest:
                 break  # more samples tell nothing more of the initial state
         return Explained(z * size, rest(z, every))
-
-    def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
-        """Return the simulated outputs without trend and hum, (n_outputs, n_samples)."""
-        between = self.intersample
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self.model.simulate(inputs.T, self.sample_time, initial_state=initial_state, intersample=between).T
 
     def _output(self, inputs: FloatArray, outputs: FloatArray, state: FloatArray) -> FloatArray:
         if not self.predicts:
             return self.run(inputs, state)
         with np.errstate(over="ignore", invalid="ignore"):
-            arrays = inputs.T, outputs.T
-            between = self.intersample
-            return self.model.predict(*arrays, self.sample_time, initial_state=state, intersample=between).T
-
-    def disturbed(self, error: FloatArray, counted: BoolArray | None = None) -> FloatArray:
-        """Return the trend and hum that are closest to an error of the simulation; see `Simulator.disturbed`."""
-        there = error if counted is None else error[:, counted]
-        return course(self.disturbances, self.sample_time, there, error.shape[1], counted, everywhere=True)
+            predicted = self.model.predict(
+                inputs.T, outputs.T, self.sample_time, initial_state=state, intersample=self.intersample
+            )
+        return np.asarray(predicted.T)
 
 
 def _lengths(counted: BoolArray, n_states: int) -> list[int]:
     """Return the lengths of the stretches before the whole recording, of samples that count enough."""
-    found, n = [], _FIRST * n_states
+    lengths, n = [], _FIRST * n_states
     while n < len(counted):
         if counted[:n].sum() >= 2 * n_states:
-            found.append(n)
+            lengths.append(n)
         n *= _GROWTH
-    return found
+    return lengths
 
 
 # ---- Simulator of a fitted model of either kind.
-
-
-class AnySimulator(Protocol):
-    """Model prepared for the simulation on recordings; see `Simulator`."""
-
-    @property
-    def model(self) -> LinearModel | NonlinearModel: ...  # noqa: D102
-    @property
-    def sample_time(self) -> float: ...  # noqa: D102
-    @property
-    def name(self) -> str: ...  # noqa: D102
-
-    def explain(self, inputs: FloatArray, outputs: FloatArray, counted: BoolArray | None = None) -> Explained:
-        """Return the initial state whose simulation is closest to the outputs, and the residuals."""
-        ...
-
-    def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
-        """Return the simulated outputs without trend and hum, (n_outputs, n_samples)."""
-        ...
-
-    def disturbed(self, error: FloatArray, counted: BoolArray | None = None) -> FloatArray:
-        """Return the trend and hum that are closest to an error of the simulation."""
-        ...
 
 
 def simulator_of(
@@ -429,11 +372,11 @@ def simulator_of(
     intersample: str | Sequence[str] = "zoh",
     disturbances: Disturbances = UNDISTURBED,
     name: str = "model",
-) -> AnySimulator:
+) -> Simulator:
     """Return the simulator of a model."""
     if isinstance(model, NonlinearModel):
         return NonlinearSimulator(model, sample_time, intersample, disturbances, name)
-    return Simulator(model, sample_time, intersample, disturbances, name)
+    return LinearSimulator(model, sample_time, intersample, disturbances, name)
 
 
 def refuse_scheduled(result: FitResult) -> None:
@@ -445,7 +388,7 @@ def refuse_scheduled(result: FitResult) -> None:
         )
 
 
-def simulator(result: FitResult) -> AnySimulator:
+def simulator(result: FitResult) -> Simulator:
     """Return a fitted model prepared for the simulation on many recordings."""
     options = result.options
     refuse_scheduled(result)

@@ -109,12 +109,12 @@ def test_best_line_for_a_lag_is_that_of_the_closed_form():
     at = line_model.at(frequency)
     costs = np.ones((1, len(frequency), 1, 1), complex)
     goal = goal_of(line_model, quantities_of(line_model), None)
-    found = optimal_spectrum(goal, at.sensitivity, costs, 1000, np.zeros((2, 2)))
+    found = optimal_spectrum(goal, at.sensitivity, costs, 1000)
     power = found.cross[:, 0, 0].real
     assert power.sum() == pytest.approx(1.0, rel=1e-6)
     assert power @ frequency == pytest.approx(30 / np.sqrt(3), abs=0.5)
     assert abs(found.gap) < 1e-2
-    flat = optimal_spectrum(goal, at.sensitivity[40:], costs[:, 40:], 1000, np.zeros((2, 2)))
+    flat = optimal_spectrum(goal, at.sensitivity[40:], costs[:, 40:], 1000)
     assert np.argmax(flat.cross[:, 0, 0].real) == 0, "without the best line the nearest one"
 
 

@@ -45,7 +45,7 @@ from gbid.validate import (
 )
 from gbid.validate.central import summary_csv_table
 from gbid.validate.crossval import score
-from gbid.validate.simulate import AnySimulator, ValidationData, simulator, validation_data
+from gbid.validate.simulate import Simulator, ValidationData, simulator, validation_data
 
 
 def crossval_has_partners(experiment: Experiment) -> Found:
@@ -414,7 +414,7 @@ class FitPairs:
     def _data(self, model: str, data: Recording) -> ValidationData:
         return validation_data(self._model(model)[1], data, left_out_of(self._job, self._name, data))
 
-    def _load_model(self, model: str) -> tuple[AnySimulator, FitResult]:
+    def _load_model(self, model: str) -> tuple[Simulator, FitResult]:
         result = load_made_fit(self._job, self._name, model)
         return simulator(result), result
 
