@@ -288,9 +288,21 @@ def test_pages_build_without_a_warning(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_architecture_names_files_that_exist() -> None:
-    """Rows of its tables name files and folders; each is there."""
-    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"`((?:gbid|tests|experiments|models|docs)/[\w/.]+)`", page))
-    assert len(named) > 40
-    assert sorted(name for name in named if not (ROOT / name).exists()) == []
+def test_architecture_and_decisions_name_files_that_exist() -> None:
+    pages = [DOCS / "architecture.md", *sorted((DOCS / "decisions").glob("*.md"))]
+    named = {
+        (page.name, name)
+        for page in pages
+        for name in re.findall(
+            r"(?<![\w/])((?:gbid|tests|experiments|models|docs|benchmarks)/[\w/.-]*\w)",
+            page.read_text(encoding="utf-8"),
+        )
+    }
+    assert len(named) > 60
+    assert sorted(each for each in named if not (ROOT / each[1]).exists()) == []
+
+
+def test_no_row_of_the_architecture_names_a_file_twice() -> None:
+    rows = [line for line in (DOCS / "architecture.md").read_text(encoding="utf-8").splitlines() if line[:2] == "| "]
+    files = [re.findall(r"`((?:gbid|tests)/[\w/.]+)`", row) for row in rows]
+    assert [each for each in files if len(set(each)) < len(each)] == []
