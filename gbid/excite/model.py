@@ -17,7 +17,7 @@ from gbid.discretise import Hold, check_holds
 from gbid.identify import FitResult
 from gbid.identify.predictor import Focus
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
-from gbid.structure import LinearModel, LinearStructure, NonlinearStructure, Parameter, Structure, as_names
+from gbid.structure import LinearModel, LinearStructure, Parameter, Structure, as_names, kind_of
 from gbid.structure.linear import evaluate
 from gbid.structure.parameter import Values
 
@@ -124,7 +124,7 @@ class KnownModel(Brief):
     model: LinearModel = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if isinstance(self.structure, NonlinearStructure):
+        if kind_of(self.structure).nonlinear:
             raise UsageError(
                 f"structure {self.structure.name!r} is nonlinear; an excitation is designed for a linear model: give "
                 "the result of its fit, which has the linear model at the working point"

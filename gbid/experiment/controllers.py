@@ -49,7 +49,7 @@ from gbid.lpv import Domain, LPVModel, ProportionalDesign, PublishedMachine, loa
 from gbid.prefilter import identify_runout
 from gbid.recording import Recording
 from gbid.rig import ProgramController, SampledController, Stationary
-from gbid.structure import LinearModel, NonlinearStructure, ScheduledStructure, load_structure, load_structure_or_model
+from gbid.structure import LinearModel, kind_of, load_structure, load_structure_or_model
 from gbid.structure.linear import Structure
 
 # ---- Goals of a design from the entries of its controller section.
@@ -250,10 +250,10 @@ def design_structure(
         hint = nearest(section.structure, built_in_structures())
         raise UsageError(f"no structure {section.structure!r}; {hint} (or name one of your own as file.py:name)")
     else:
-        chosen = load_structure(section.structure, experiment.folder)
-        if isinstance(chosen, NonlinearStructure | ScheduledStructure):
+        linear = kind_of(load_structure(section.structure, experiment.folder)).linear
+        if linear is None:
             raise UsageError(f"structure {section.structure!r}: a controller is a gbid.LinearStructure")
-        base = controller_structure(chosen, **options)
+        base = controller_structure(linear, **options)
         if (len(base.inputs), len(base.outputs)) != (2, 2):
             raise UsageError(f"structure {section.structure!r}: a controller has two inputs and two outputs")
     return with_schedule(base, domain) if section.schedule is None else scheduled(base, section.schedule, domain)
@@ -842,9 +842,10 @@ def _of_python(experiment: Experiment, word: str) -> FoundController:
     own = load_structure_or_model(word, experiment.folder_of(word.rpartition(":")[0]))
     if isinstance(own, LinearModel):
         return FoundController(word, model=own)
-    if isinstance(own, NonlinearStructure | ScheduledStructure):
+    linear = kind_of(own).linear
+    if linear is None:
         raise UsageError(f"{word}: a controller is a gbid.LinearModel or a gbid.LinearStructure")
-    return FoundController(word, structure=own)
+    return FoundController(word, structure=linear)
 
 
 def _published(experiment: Experiment) -> ControllerDesign:

@@ -29,7 +29,7 @@ from gbid.experiment.structures import fit_disturbances, structure_or_none
 from gbid.identify.problem.states import initial_states
 from gbid.recording import ImportMapping
 from gbid.recording.importing import Peek, peek
-from gbid.structure import anatomy
+from gbid.structure import kind_of
 
 # ---- Checks of an experiment across its sections: each check is a function that yields the problems it finds.
 
@@ -286,7 +286,7 @@ def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> li
         if structure is None:
             continue
         free = [q for q in structure.parameters if q.name not in section.fixed]
-        shared, own = len(free), dict.fromkeys(seen, anatomy(structure).n_states)
+        shared, own = len(free), dict.fromkeys(seen, kind_of(structure).anatomy().n_states)
         with suppress(GbidError):  # another check reports it
             used = [q.name for q in experiment.fit_recordings(fit)]
             states = initial_states(structure, free, section.initial_state, used)

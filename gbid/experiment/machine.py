@@ -53,14 +53,12 @@ from gbid.rig.stepping import Surfaces
 from gbid.structure import (
     KEY_PARAMETERS,
     AnyStructure,
-    ClosedLoop,
     LinearModel,
-    NonlinearStructure,
     PiezoPair,
     Plant,
     RotorBearing,
-    ScheduledStructure,
     evaluate,
+    kind_of,
 )
 from gbid.structure.built_in import STIFFENING
 
@@ -372,7 +370,7 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: An
     points = {tuple(sorted(q.conditions.items())) for q in planned}
     if points != {tuple(sorted(planned[0].conditions.items()))} or "speed_rpm" not in planned[0].conditions:
         return {}  # several operating points, or none, as along a course
-    if any(q.imported for q in planned) or not _is_built_in(_plant_of(structure)):
+    if any(q.imported for q in planned) or not isinstance(kind_of(structure).plant, RotorBearing | PiezoPair | Plant):
         return {}
     known = {**_as_drawn(experiment, planned), STIFFENING: _stiffening(experiment)}
     return {q.name: known[q.name] for q in structure.parameters if q.name in known}
@@ -402,18 +400,7 @@ def _stiffening(experiment: Experiment) -> float:
 def true_model(structure: AnyStructure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:
     """Return the structure at its true values; None when some are unknown. Disturbance gains are set to zero."""
     values = {q.name: 0.0 for q in structure.parameters if q.name.startswith("bd")} | truth
-    if (
-        isinstance(structure, NonlinearStructure | ScheduledStructure)
-        or not truth
-        or any(q.name not in values for q in structure.parameters)
-    ):
+    linear = kind_of(structure).linear
+    if linear is None or not truth or any(q.name not in values for q in structure.parameters):
         return None
-    return evaluate(structure, values, like.input_names, like.output_names)
-
-
-def _plant_of(structure: AnyStructure) -> AnyStructure:
-    return structure.structure if isinstance(structure, ClosedLoop) else structure
-
-
-def _is_built_in(structure: AnyStructure) -> bool:
-    return isinstance(structure, RotorBearing | PiezoPair | Plant)
+    return evaluate(linear, values, like.input_names, like.output_names)

@@ -22,12 +22,12 @@ from gbid.structure import (
     ClosedLoop,
     LinearModel,
     LinearStructure,
-    NonlinearStructure,
     PiezoPair,
     Plant,
     RotorBearing,
     ScheduledStructure,
     Structure,
+    kind_of,
     load_structure,
     scheduled,
 )
@@ -60,7 +60,8 @@ def looped(
     InputError
         When a design has not been tuned with the present settings.
     """
-    if isinstance(structure, NonlinearStructure | ScheduledStructure):
+    linear = kind_of(structure).linear
+    if linear is None:
         raise UsageError(f"{structure.name}: a loop needs a linear structure with constant parameters")
     if isinstance(structure, RotorBearing | PiezoPair):
         raise UsageError(
@@ -70,7 +71,7 @@ def looped(
     law, sample_time = _law(experiment, section, fit, planned)
     samples = section.computation_samples if section.sampled else 0
     return ClosedLoop(
-        structure,
+        linear,
         law,
         sample_time=sample_time,
         computation_samples=samples,

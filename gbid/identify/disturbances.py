@@ -16,7 +16,6 @@ from gbid.core.arrays import FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.discretise import Dual
 from gbid.structure import LinearModel, Matrices, NonlinearModel, Parameter
-from gbid.structure.nonlinear import with_integrators
 
 
 @dataclass(frozen=True)
@@ -358,16 +357,4 @@ def with_walking_offsets(
     walking = list(disturbances.walking)
     if not walking:
         return model
-    if isinstance(model, NonlinearModel):
-        gains = [parameters[disturbances.gain_name(output)] for output in walking]
-        return with_integrators(model, walking, gains)
-    n, (n_y, n_u), added = model.n_states, model.D.shape, len(walking)
-    A, C, K = np.zeros((n + added,) * 2), np.zeros((n_y, n + added)), np.zeros((n + added, n_y))
-    A[:n, :n], C[:, :n] = model.A, model.C
-    K[:n] = 0.0 if model.K is None else model.K
-    for state, output in enumerate(walking, start=n):
-        C[output, state] = 1.0
-        K[state, output] = parameters[disturbances.gain_name(output)]
-    still = np.zeros((added, n_u))
-    late = None if model.B_delayed is None else np.vstack([model.B_delayed, still])
-    return replace(model, A=A, B=np.vstack([model.B, still]), C=C, K=K, B_delayed=late, state_names=())
+    return model.with_integrators(walking, [parameters[disturbances.gain_name(output)] for output in walking])

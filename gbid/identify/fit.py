@@ -43,11 +43,8 @@ from gbid.recording import Recording
 from gbid.recording.recording import check_order
 from gbid.structure import (
     AnyStructure,
-    NonlinearModel,
-    NonlinearStructure,
     Parameter,
-    ScheduledStructure,
-    model_of,
+    kind_of,
     symbolic_matrices,
 )
 from gbid.structure.parameter import asked_once
@@ -148,8 +145,9 @@ def outcome(
     own_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
     first = {**estimates, **{short: estimates[full] for short, full in assembly.record_names[0].items()}}
     own = [q.name for q in structure.parameters]
-    model = model_of(structure, {name: first[name] for name in own}, data.input_names, data.output_names)
-    if isinstance(model, NonlinearModel):
+    kind = kind_of(structure)
+    model = kind.model({name: first[name] for name in own}, data.input_names, data.output_names)
+    if kind.nonlinear:
         model = at_working_point(model, problem, theta, starts, data)
     spreads = model_spreads(
         problem,
@@ -321,8 +319,8 @@ def _doubts(
 ) -> tuple[str, ...]:
     names = np.array([q.name for q in assembly.free])
     known, own = {q.name for q in structure.parameters}, assembly.own_names
-    if isinstance(structure, ScheduledStructure):  # a coefficient may well be zero, too
-        known &= {q.name for q in structure.base.parameters}
+    if scheduled := kind_of(structure).scheduled:  # a coefficient may well be zero, too
+        known &= {q.name for q in scheduled.base.parameters}
     # A disturbance gain or a trend may well be zero: an open sign says nothing there.
     physical = np.array([own.get(name, name) in known and i not in problem.noise for i, name in enumerate(names)], bool)
     physical &= ~np.asarray((np.abs(found.undetermined) > 1e-3).any(axis=0))
@@ -591,12 +589,10 @@ def fit(
         return Attempt(result, problem.rate(*problem.unpack(solution.unknowns)), doubtful)
 
     def settle() -> dict[str, float] | None:
-        if (
-            isinstance(structure, NonlinearStructure | ScheduledStructure)
-            or symbolic_matrices(structure)[1].feedback is not None
-        ):
+        linear = kind_of(structure).linear
+        if linear is None or symbolic_matrices(linear)[1].feedback is not None:
             return None  # an observer is for linear models in continuous time, with constant parameters
-        own, hold = (structure, asked.parameters, begin, asked.undisturbed), asked.intersample
+        own, hold = (linear, asked.parameters, begin, asked.undisturbed), asked.intersample
         moved = settled_start(*own, intersample=hold, left_out=left_out or {})
         return moved and {q.name: float(np.clip(moved[q.name], q.lower, q.upper)) for q in asked.parameters}
 

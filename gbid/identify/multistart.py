@@ -17,7 +17,7 @@ from gbid.identify.fit import fit
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
 from gbid.recording import Recording
-from gbid.structure import AnyStructure, NonlinearStructure
+from gbid.structure import AnyStructure, kind_of
 
 _SAME_LOSS = 1e-6  # largest relative difference of the losses of fits at one minimum
 _SAME_IN_STD = 0.1  # largest difference of their parameters, in standard deviations
@@ -129,7 +129,7 @@ def fit_multistart(
         raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")
     first = fit(structure, recordings, **options)
     results = {0: first}
-    searched = not isinstance(structure, NonlinearStructure)  # start values are found in the data for linear ones only
+    searched = not kind_of(structure).nonlinear  # start values are found in the data for linear ones only
     if starts > 1 and searched and "data" not in first.start_origin.values():
         results |= _from_data(structure, recordings, options)
     rng = np.random.default_rng(seed)

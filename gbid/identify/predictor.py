@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import singledispatch
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -14,7 +15,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.discretise import Dual, Hold, check_holds, constant, delayed_taps, discretise, side_by_side
 from gbid.identify.disturbances import UNDISTURBED, Disturbances, disturbing_columns, with_random_walks
-from gbid.structure import Matrices, Parameter, Structure, symbolic_matrices
+from gbid.structure import Parameter, Structure, kind_of, symbolic_matrices
 from gbid.structure.linear import ControlLaw, HeldFeedback, LoopParts
 
 # ---- What every predictor has, linear or not: free parameters, sizes, and regressors from the samples of a record.
@@ -395,7 +396,7 @@ def build_predictor(
     flat = ca.vertcat(*(ca.vec(ca.densify(matrix)) for matrix in matrices))
     function = ca.Function("matrices", [theta], [flat, ca.densify(ca.jacobian(flat, theta))])
     prompt = range(n_u) if law else sorted({*_driven(m.B), *_driven(m.D)})
-    noise, walks = _only_in_gain(own), tuple(range(len(free), len(free) + len(gains)))
+    noise, walks = kind_of(structure).anatomy().gain_only, tuple(range(len(free), len(free) + len(gains)))
     return Predictor(
         free=(*free, *gains, *(Parameter("coefficient", 0.0).renamed(term.name) for term in disturbances.terms)),
         noise=(*(i for i, q in enumerate(free) if q.name in noise), *walks),
@@ -417,6 +418,23 @@ def build_predictor(
     )
 
 
+@singledispatch
+def predictor_of(
+    structure: Any,
+    fixed: Mapping[str, float],
+    begin: Mapping[str, float],  # noqa: ARG001
+    sample_time: float,
+    intersample: str | Sequence[str],
+    focus: Focus,
+    **more: Any,
+) -> GeneralPredictor:
+    """Return the predictor of a structure of any kind with constant parameters; see `build_predictor`.
+
+    `begin` are the start values, at which the number of steps of an integrator is chosen.
+    """
+    return build_predictor(structure, fixed, sample_time, intersample, focus, **more)
+
+
 def with_spare_states(predictor: Predictor, n_states: int) -> Predictor:
     """Return a predictor with as many states as others of the same problem; the added ones are zero without effect."""
     return replace(predictor, n_states=n_states, spare=predictor.spare + n_states - predictor.n_states)
@@ -427,16 +445,6 @@ def _with_zero_states(v: PredictorValues, count: int) -> PredictorValues:
     slopes = zip((v.dF, v.dG, v.dC), (both, row, column), strict=True)
     dF, dG, dC = (np.pad(slope, [(0, 0), *width]) for slope, width in slopes)
     return PredictorValues(np.pad(v.F, both), np.pad(v.G, row), np.pad(v.C, column), v.H, dF, dG, dC, v.dH, v.shift)
-
-
-def noise_names(structure: Structure) -> frozenset[str]:
-    """Return the names of the parameters on which only the disturbance gain depends."""
-    return _only_in_gain(symbolic_matrices(structure)[1])
-
-
-def _only_in_gain(m: Matrices) -> frozenset[str]:
-    moves = {symbol.name() for symbol in ca.symvar(ca.veccat(*m.besides_gain))}
-    return frozenset({symbol.name() for symbol in ca.symvar(m.K)} - moves)
 
 
 def _driven(matrix: ca.SX) -> list[int]:

@@ -20,7 +20,6 @@ from gbid.identify.problem.asked import Constraints, ExtraCost, with_extra_terms
 from gbid.identify.problem.assemble import (
     Assembly,
     Scope,
-    any_noise_names,
     assemble,
     automatic_window,
     build_problem,
@@ -37,18 +36,16 @@ from gbid.identify.problem.states import (
     disturbance_starts,
     initial_states,
     without_disturbances,
-    without_inputs,
 )
 from gbid.identify.start.scheduled_start import Courses, read_courses, scheduled_start, tied_equations
 from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
 from gbid.structure import (
     AnyStructure,
-    NonlinearStructure,
     Parameter,
-    ScheduledStructure,
     as_names,
     equations_of,
+    kind_of,
     known_names,
 )
 
@@ -199,7 +196,8 @@ def request(structure: AnyStructure, recordings: Recording | Sequence[Recording]
     parameters = _with_options(structure.parameters, given, fixed, options.get("bounds") or {}, from_data=from_data)
     data = gather(recordings, in_names, out_names, minimum=len(parameters) + 10)
     stated, structure = structure, equations_of(structure)
-    courses = read_courses(structure, recordings) if isinstance(structure, ScheduledStructure) else None
+    scheduled = kind_of(structure).scheduled
+    courses = read_courses(scheduled, recordings) if scheduled else None
     if courses is not None and not in_names:
         raise UsageError(f"{structure.name}: inputs=() is for structures with constant parameters")
     check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
@@ -211,12 +209,12 @@ def request(structure: AnyStructure, recordings: Recording | Sequence[Recording]
     disturbances = asked_disturbances(trend, hum, data.output_names, data.sample_time, focus)
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
-        if isinstance(structure, ScheduledStructure) and courses is not None:
+        if scheduled and courses:
             how = hold, focus, {*given, *fixed}
-            first = scheduled_start(structure, parameters, undisturbed, courses, *how)
+            first = scheduled_start(scheduled, parameters, undisturbed, courses, *how)
         else:
             first = begin_values(stated, parameters, undisturbed, hold, {*given, *fixed}, from_data=from_data)
-    structure = structure if in_names else without_inputs(structure)
+    structure = structure if in_names else kind_of(structure).without_inputs()
     return Request(
         structure,
         parameters,
@@ -254,7 +252,7 @@ def _check(focus: str, criterion: str) -> None:
 
 def _with_gain_held(structure: AnyStructure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """Return the parameters with those fixed on which only the disturbance gain depends."""
-    names = any_noise_names(structure)
+    names = kind_of(structure).anatomy().gain_only
     return tuple(replace(q, fixed=True) if q.name in names and q.start is not None else q for q in parameters)
 
 
@@ -445,7 +443,7 @@ def fit_problem(
     with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         posed = asked.posed(asked.first.values, samples)
     problem = posed.problem
-    states = asked.structure.states if isinstance(asked.structure, NonlinearStructure) else ()
+    states = kind_of(asked.structure).state_names
     starts = _names_of_starts(posed, [record.name for record in asked.data.records], states)
     return FitProblem(
         (*(q.name for q in posed.assembly.free), *starts),

@@ -318,7 +318,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     @property
     def linear_model(self) -> LinearModel:
         """The model; of a nonlinear structure the linear model at its working point."""
-        return self.model if isinstance(self.model, LinearModel) else self.model.linearise()
+        return self.model.linearise()
 
     @property
     def uncertain_model(self) -> UncertainModel:

@@ -21,7 +21,7 @@ from gbid.core.notes import SurfaceNote
 from gbid.discretise import Hold
 from gbid.identify.data import Channels, FitData, gather_own
 from gbid.identify.fit import fit
-from gbid.identify.predictor import Focus, build_predictor, noise_names
+from gbid.identify.predictor import Focus, build_predictor
 from gbid.identify.problem.assemble import (
     OwnStructure,
     Scope,
@@ -49,12 +49,12 @@ from gbid.lpv.regression import in_terms, in_units_of_terms, kron_designs, lack_
 from gbid.recording import Recording
 from gbid.structure import (
     KEY_PARAMETERS,
-    NonlinearStructure,
     Parameter,
     RotorBearing,
     Structure,
     as_names,
     equations_of,
+    kind_of,
 )
 from gbid.structure.scheduled import Exponents
 
@@ -143,7 +143,7 @@ def set_up(
     points = _points(recordings)
     exponents = _terms_of(model)
     design = orthonormal(points, exponents)
-    noise = frozenset[str]().union(*(noise_names(one) for one in _different(structures)))
+    noise = frozenset[str]().union(*(kind_of(one).anatomy().gain_only for one in _different(structures)))
     others = [q for q in parameters.values() if q.name not in (*KEY_PARAMETERS, *noise, *fixed)]
     for one in structures:
         own = [q.name for q in one.parameters]
@@ -624,7 +624,7 @@ def fit_lpv_direct(
     """
     model = start.model if isinstance(start, LPVFit) else start
     structures = _structures_of(recordings, structure, RotorBearing(pade_order=model.pade_order))
-    if nonlinear := [one.name for one in structures if isinstance(equations_of(one), NonlinearStructure)]:
+    if nonlinear := [one.name for one in structures if kind_of(equations_of(one)).nonlinear]:
         raise UsageError(
             f"structure {nonlinear[0]!r} is nonlinear: surfaces straight from the recordings are for linear "
             "structures; use fit_lpv on the fits"

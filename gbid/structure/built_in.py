@@ -344,6 +344,12 @@ class Plant(Brief):
         return ca.horzcat(ca.SX(below.shape[0], 2), below) if self._explains_u else below
 
 
+def pade_order_of(structure: Any) -> int:
+    """Return the order of the delays of a rotor bearing or plant; 1 where they are exact or there are none."""
+    bearing = structure.bearing if isinstance(structure, Plant) else structure
+    return bearing.pade_order if isinstance(bearing, RotorBearing) else 1
+
+
 def _with_forces(found: dict[str, Any], forces: ca.SX) -> dict[str, Any]:
     """Return the matrices with further inputs that act on the states of the bearing, which are the last."""
     n, m = found["A"].shape[0], forces.shape[1]

@@ -14,6 +14,7 @@ from gbid.core.errors import UsageError
 from gbid.discretise import Hold
 from gbid.structure.built_in import Plant, RotorBearing
 from gbid.structure.delay import pade_matrices, with_pade
+from gbid.structure.kinds import LinearKind, equations_of, kind_of
 from gbid.structure.linear import (
     ControlLaw,
     HeldFeedback,
@@ -25,9 +26,7 @@ from gbid.structure.linear import (
     symbolic_matrices,
 )
 from gbid.structure.models import LinearModel
-from gbid.structure.nonlinear import NonlinearStructure
 from gbid.structure.parameter import Parameter, Values
-from gbid.structure.user import equations_of
 
 # ---- Matrices of a controller as symbols: continuous, or sampled with its computation time.
 
@@ -185,7 +184,7 @@ class ClosedLoop(Brief):
         own_rate = controller.dt if isinstance(controller, LinearModel) else None
         if own_rate is not None and sample_time is not None and not np.isclose(own_rate, sample_time, rtol=1e-9):
             raise UsageError(f"{where}: sample_time = {sample_time:g} s, but the controller has {own_rate:g} s")
-        if isinstance(equations_of(structure), NonlinearStructure):
+        if kind_of(equations_of(structure)).nonlinear:
             raise UsageError(f"{where}: the plant must be linear")
         _, m = symbolic_matrices(structure)
         if m.feedback is not None:
@@ -301,6 +300,18 @@ class ClosedLoop(Brief):
             raise UsageError(
                 f"{where}: both have direct feedthrough; give the controller a low-pass or a computation time"
             )
+
+
+class LoopKind(LinearKind):
+    """Closed loop: a linear structure around a plant."""
+
+    def __init__(self, structure: ClosedLoop) -> None:
+        super().__init__(structure)
+        self.plant = structure.structure
+        self.states_at_rest = structure.forgotten_states
+
+
+kind_of.register(ClosedLoop, LoopKind)
 
 
 def _forgets(law: LinearModel) -> bool:

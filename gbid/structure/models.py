@@ -1,4 +1,4 @@
-"""Checks of the fields of a linear model, and the read-only arrays and names that it keeps."""
+"""Linear state-space model with numbers: simulation, frequency response, modes, exact discretisation."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from gbid.core.arrays import ComplexArray, FloatArray, oscillatory_modes, poles_of_samples
 from gbid.core.brief import Brief, Description, brief
@@ -426,6 +427,26 @@ class LinearModel(Brief, Pictured):
         """Return whether the model is asymptotically stable."""
         eigenvalues = np.linalg.eigvals(self.A)
         return bool((eigenvalues.real < 0).all() if self.dt is None else (np.abs(eigenvalues) < 1).all())
+
+    def linearise(self) -> LinearModel:
+        """Return the model itself, as `gbid.structure.NonlinearModel.linearise` returns one at its working point."""
+        return self
+
+    def with_integrators(self, outputs: Sequence[int], gains: Sequence[float]) -> LinearModel:
+        """Return a model with one more state for each of these outputs: an offset that the error drives with a gain."""
+        (n_y, n_u), added = self.D.shape, len(outputs)
+        onto = np.zeros((n_y, added))
+        onto[list(outputs), np.arange(added)] = 1.0
+        K, rest = np.zeros((self.n_states, n_y)) if self.K is None else self.K, np.zeros((added, n_u))
+        return replace(
+            self,
+            A=block_diag(self.A, np.zeros((added, added))),
+            B=np.vstack([self.B, rest]),
+            C=np.hstack([self.C, onto]),
+            K=np.vstack([K, np.asarray(gains)[:, None] * onto.T]),
+            B_delayed=None if self.B_delayed is None else np.vstack([self.B_delayed, rest]),
+            state_names=(),
+        )
 
     def modes(self) -> list[tuple[float, float]]:
         """Return the oscillatory modes as (natural frequency [Hz], damping factor [-]), by rising frequency.

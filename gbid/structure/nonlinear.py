@@ -448,6 +448,24 @@ class NonlinearModel(Brief):
         """``casadi.Function`` of ``(x, u, p)`` with the derivatives of the states and the outputs."""
         return ca.Function.deserialize(self.equations)
 
+    def with_integrators(self, outputs: Sequence[int], gains: Sequence[float]) -> NonlinearModel:
+        """Return a model with one more state for each of these outputs: an offset that the error drives with a gain."""
+        n, added = self.n_states, len(outputs)
+        sizes = (n + added, len(self.input_names), len(self.parameters))
+        x, u, p = (ca.SX.sym("s", size) for size in sizes)
+        dx, y = self.function(x[:n], u, p)
+        onto = np.zeros((len(self.output_names), added))
+        onto[list(outputs), np.arange(added)] = 1.0
+        function = ca.Function("equations", [x, u, p], [ca.vertcat(dx, ca.SX.zeros(added)), y + ca.DM(onto) @ x[n:]])
+        return replace(
+            self,
+            equations=function.serialize(),
+            K=np.vstack([self.K, np.asarray(gains)[:, None] * onto.T]),
+            state_names=(*self.state_names, *(f"offset_{self.output_names[output]}" for output in outputs)),
+            working_state=np.concatenate([self.working_state, np.zeros(added)]),
+            state_size=np.concatenate([self.state_size, np.ones(added)]),
+        )
+
     def linearise(
         self,
         x0: npt.ArrayLike | None = None,
@@ -638,7 +656,7 @@ class NonlinearModel(Brief):
             structure; and the sample time [s].
         """
         n, n_u, n_y = self.n_states, len(self.input_names), len(self.output_names)
-        x, y, p, h, a, b = _symbols_nonlinear_model(n, n_y, len(self.parameters), 1, n, n_u)
+        x, y, p, h, a, b = _sx(n, n_y, len(self.parameters), 1, n, n_u)
         u, delay = ca.SX.sym("u", n_u, 3), np.zeros(n_u) if self.delay is None else self.delay
         output = self.function(x, u[:, 1], p)[1]
         error = y - output if feeds_back else ca.SX.zeros(n_y)
@@ -649,7 +667,7 @@ class NonlinearModel(Brief):
 
     @cached_property
     def _slopes(self) -> ca.Function:
-        x, u, p = _symbols_nonlinear_model(self.n_states, len(self.input_names), len(self.parameters))
+        x, u, p = _sx(self.n_states, len(self.input_names), len(self.parameters))
         outputs = self.function(x, u, p)
         return ca.Function("slopes", [x, u, p], [ca.densify(ca.jacobian(y, at)) for y in outputs for at in (x, u)])
 
@@ -660,7 +678,7 @@ class NonlinearModel(Brief):
         return found
 
 
-def _symbols_nonlinear_model(*sizes: int) -> list[ca.SX]:
+def _sx(*sizes: int) -> list[ca.SX]:
     return [ca.SX.sym(f"s{i}", size) for i, size in enumerate(sizes)]
 
 
@@ -715,22 +733,3 @@ def nonlinear_model(
 
 
 # ---- Nonlinear model with offsets of its outputs as states.
-
-
-def with_integrators(model: NonlinearModel, outputs: Sequence[int], gains: Sequence[float]) -> NonlinearModel:
-    """Return a model with one more state for each of these outputs: an offset that the error drives with a gain."""
-    n, added = model.n_states, len(outputs)
-    sizes = (n + added, len(model.input_names), len(model.parameters))
-    x, u, p = (ca.SX.sym("s", size) for size in sizes)
-    dx, y = model.function(x[:n], u, p)
-    onto = np.zeros((len(model.output_names), added))
-    onto[list(outputs), np.arange(added)] = 1.0
-    function = ca.Function("equations", [x, u, p], [ca.vertcat(dx, ca.SX.zeros(added)), y + ca.DM(onto) @ x[n:]])
-    return replace(
-        model,
-        equations=function.serialize(),
-        K=np.vstack([model.K, np.asarray(gains)[:, None] * onto.T]),
-        state_names=(*model.state_names, *(f"offset_{model.output_names[output]}" for output in outputs)),
-        working_state=np.concatenate([model.working_state, np.zeros(added)]),
-        state_size=np.concatenate([model.state_size, np.ones(added)]),
-    )

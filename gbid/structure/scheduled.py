@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from math import comb, prod
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.discretise import Hold
-from gbid.structure.built_in import KEY_PARAMETERS, Plant, RotorBearing
+from gbid.structure.built_in import KEY_PARAMETERS, pade_order_of
 from gbid.structure.linear import Structure
 from gbid.structure.parameter import Parameter
 
@@ -202,8 +201,7 @@ class ScheduledStructure(Brief):
     @property
     def pade_order(self) -> int:
         """Order of the delays of the base; 1 where they are exact or there are none."""
-        bearing: Any = self.base.bearing if isinstance(self.base, Plant) else self.base
-        return bearing.pade_order if isinstance(bearing, RotorBearing) else 1
+        return pade_order_of(self.base)
 
 
 def scheduled(

@@ -1,11 +1,11 @@
-"""Structure of a user, loaded from a Python file."""
+"""Structure of a user: loaded from a Python file, and as functions of CasADi for a programme of its own."""
 
 from __future__ import annotations
 
 import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -13,172 +13,12 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.discretise import check_holds, delayed_taps, discretise, squarings_for
-from gbid.structure.built_in import AXES, STIFFENING, RotorBearing, square
-from gbid.structure.linear import Structure, evaluate, in_one_line, symbolic_matrices
+from gbid.structure.kinds import AnyStructure, equations_of, kind_of
+from gbid.structure.linear import Structure, in_one_line, symbolic_matrices
 from gbid.structure.models import LinearModel, check_sample_time
-from gbid.structure.nonlinear import (
-    NonlinearModel,
-    NonlinearStructure,
-    first_steps,
-    nonlinear_model,
-    over_a_sample,
-    symbolic_equations,
-)
-from gbid.structure.parameter import Values, known_names
-from gbid.structure.scheduled import ScheduledStructure, coefficient_names
-
-# ---- Rotor bearing whose film stiffens, as a nonlinear structure.
-
-
-def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
-    """Return the equations of a rotor bearing whose film stiffens.
-
-    The linear part is that of `RotorBearing.matrices`, with its delays as filters or exact. The film adds
-    ``s |p|^2 K p`` to the acceleration.
-
-    Parameters
-    ----------
-    bearing : RotorBearing
-        The bearing, with ``film="stiffening"``.
-    """
-    exact = bearing.delay == "exact"
-
-    def dynamics(x: Any, u: Any, p: Values) -> Any:
-        own = bearing.matrices(p)
-        film = p[STIFFENING] * (x[0] ** 2 + x[1] ** 2) * (square(p, "k") @ x[:2])
-        drive = own["B"] + own["B_delayed"] if exact else own["B"]
-        return own["A"] @ x + drive @ u + ca.vertcat(ca.SX(2, 1), film, ca.SX(x.numel() - 4, 1))
-
-    late = [] if exact else [f"late_{axis}{i}" for axis in AXES for i in range(bearing.pade_order)]
-    return NonlinearStructure(
-        bearing.name,
-        bearing.parameters,
-        ["p_x", "p_y", "v_x", "v_y", *late],
-        dynamics,
-        lambda x, _u, _p: x[:2],
-        [f"{signal}.{axis}" for signal in bearing.inputs for axis in AXES],
-        [f"{bearing.outputs[0]}.{axis}" for axis in AXES],
-        intersample=bearing.intersample,
-        disturbance_gain=None if bearing.disturbance_gain == "none" else lambda p: bearing.matrices(p)["K"],
-        delay=(lambda p: bearing.matrices(p)["delay"]) if exact else None,
-    )
-
-
-# ---- What a fit asks of a structure of any kind: sizes, where its parameters act, and its model.
-
-AnyStructure = Structure | NonlinearStructure | ScheduledStructure
-"""Structure of any kind."""
-
-
-class Anatomy(NamedTuple):
-    """Sizes of a structure, and the names of the parameters that act in its parts.
-
-    Attributes
-    ----------
-    n_states, n_inputs : int
-        Numbers of states and inputs.
-    in_equations : frozenset of str
-        Parameters that act through something else than the initial state.
-    in_x0 : tuple of frozenset of str
-        Parameters in the stated initial value of each state; empty when the structure states none.
-    has_gain : bool
-        Whether there is a disturbance gain.
-    gain_only : frozenset of str
-        Parameters on which only the disturbance gain depends.
-    """
-
-    n_states: int
-    n_inputs: int
-    in_equations: frozenset[str]
-    in_x0: tuple[frozenset[str], ...]
-    has_gain: bool
-    gain_only: frozenset[str]
-
-
-def equations_of(structure: AnyStructure) -> AnyStructure:
-    """Return the structure with which a fit computes: that of a bearing whose film stiffens is nonlinear."""
-    nonlinear = isinstance(structure, RotorBearing) and structure.film != "linear"
-    return film_bearing(structure) if nonlinear else structure  # type: ignore[arg-type]  # a bearing, see above
-
-
-def anatomy(
-    structure: AnyStructure, driven: Sequence[int] | None = None, moving: Sequence[int] | None = None
-) -> Anatomy:
-    """Return the anatomy of a structure.
-
-    Parameters
-    ----------
-    structure : Structure, NonlinearStructure or ScheduledStructure
-        The structure.
-    driven, moving : sequence of int, optional
-        Inputs that are not zero, and inputs that move; all by default. A parameter that acts through others alone does
-        not count.
-    """
-    if isinstance(structure, ScheduledStructure):
-        return _of_scheduled(structure, anatomy(structure.base, driven, moving))
-    if isinstance(structure, NonlinearStructure):
-        e = symbolic_equations(structure)
-        n_u = e.u.numel()
-        at = ca.vertcat(*(e.u[i] if driven is None or i in driven else ca.SX(0) for i in range(n_u)))
-        acting = ca.substitute([e.dx, e.y], [e.u], [at]) if n_u else [e.dx, e.y]
-        acting = [*acting, e.delay[list(range(n_u)) if moving is None else list(moving), :]]
-        only = _names([e.K]) - _names([*acting, e.x0])
-        return Anatomy(e.x.numel(), n_u, _names([*acting, e.K]), _by_row(e.x0), e.K.nnz() > 0, only)
-    _, m = symbolic_matrices(structure)
-    every = list(range(m.B.shape[1]))
-    own = every if driven is None else list(driven)
-    parts = [m.A, m.C, m.B[:, own], m.D[:, own], m.B_delayed[:, own], *(m.feedback.law if m.feedback else ())]
-    if m.has_delay:
-        parts.append(m.delay[every if moving is None else list(moving), :])
-    only = _names([m.K]) - _names([*parts, m.x0])
-    has_gain = m.K.nnz() > 0 or m.feedback is not None
-    return Anatomy(m.n_states, len(every), _names([*parts, m.K]), _by_row(m.x0), has_gain, only)
-
-
-def model_of(
-    structure: AnyStructure,
-    values: Mapping[str, float],
-    input_names: tuple[str, ...] = (),
-    output_names: tuple[str, ...] = (),
-    *,
-    steps: int = 1,
-) -> LinearModel | NonlinearModel:
-    """Return the model of a structure for given parameter values; `steps` is for nonlinear ones.
-
-    That of a scheduled structure is its base in the middle of the range, where only the first coefficients count.
-    """
-    if isinstance(structure, ScheduledStructure):
-        first = {key: values[coefficient_names(key, 1)[0]] for key in structure.surfaces}
-        own = {q.name: first[q.name] if q.name in first else values[q.name] for q in structure.base.parameters}
-        return evaluate(structure.base, own, input_names, output_names)
-    if isinstance(structure, NonlinearStructure):
-        return nonlinear_model(structure, values, input_names, output_names, steps=steps)
-    return evaluate(structure, values, input_names, output_names)
-
-
-def _of_scheduled(structure: ScheduledStructure, base: Anatomy) -> Anatomy:
-    """Return the anatomy with the coefficients in place of the parameters that are surfaces."""
-
-    def renamed(names: frozenset[str]) -> frozenset[str]:
-        m = len(structure.exponents)
-        rows = (coefficient_names(name, m) if name in structure.surfaces else [name] for name in names)
-        return frozenset(name for row in rows for name in row)
-
-    return base._replace(
-        in_equations=renamed(base.in_equations),
-        in_x0=tuple(map(renamed, base.in_x0)),
-        gain_only=renamed(base.gain_only),
-    )
-
-
-def _by_row(x0: ca.SX) -> tuple[frozenset[str], ...]:
-    return tuple(_names([row]) for row in ca.vertsplit(x0)) if x0.numel() else ()
-
-
-def _names(parts: Sequence[ca.SX]) -> frozenset[str]:
-    inside = {symbol.name() for part in parts for symbol in ca.symvar(ca.veccat(part))}
-    return frozenset(inside)
-
+from gbid.structure.nonlinear import NonlinearStructure, first_steps, over_a_sample, symbolic_equations
+from gbid.structure.parameter import known_names
+from gbid.structure.scheduled import ScheduledStructure
 
 _REMEDY = "make it a gbid.LinearStructure or gbid.NonlinearStructure"
 
@@ -245,7 +85,7 @@ def load_structure_or_model(reference: str, folder: Path | None = None) -> AnySt
     if not isinstance(found, AnyStructure):
         raise UsageError(f"{path}: {name} is not a structure; {_REMEDY}")
     try:
-        anatomy(found)
+        kind_of(found).anatomy()
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     return found

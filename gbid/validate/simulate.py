@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import singledispatch
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -366,17 +367,19 @@ def _lengths(counted: BoolArray, n_states: int) -> list[int]:
 # ---- Simulator of a fitted model of either kind.
 
 
+@singledispatch
 def simulator_of(
-    model: LinearModel | NonlinearModel,
+    model: Any,
     sample_time: float,
     intersample: str | Sequence[str] = "zoh",
     disturbances: Disturbances = UNDISTURBED,
     name: str = "model",
 ) -> Simulator:
     """Return the simulator of a model."""
-    if isinstance(model, NonlinearModel):
-        return NonlinearSimulator(model, sample_time, intersample, disturbances, name)
     return LinearSimulator(model, sample_time, intersample, disturbances, name)
+
+
+simulator_of.register(NonlinearModel, NonlinearSimulator)
 
 
 def refuse_scheduled(result: FitResult) -> None:

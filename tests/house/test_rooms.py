@@ -104,3 +104,19 @@ def test_a_tenth_of_the_code_at_most_are_imports():
         for tree in TREES.values()
     )
     assert imported <= IMPORTS * code
+
+
+KINDS = {"LinearStructure", "NonlinearStructure", "ScheduledStructure", "ClosedLoop", "NonlinearModel"}
+
+
+def test_only_the_room_of_structures_asks_for_their_kind():
+    """Elsewhere `gbid.structure.kind_of` answers; a new kind is one class there."""
+    asking = [
+        f"{name}:{call.lineno}"
+        for name, tree in TREES.items()
+        if not name.startswith("gbid.structure")
+        for call in ast.walk(tree)
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "isinstance"
+        if KINDS & {node.id for node in ast.walk(call.args[1]) if isinstance(node, ast.Name)}
+    ]
+    assert not asking

@@ -9,7 +9,7 @@ import gbid
 from gbid.control.loop.close import sample_controller, sample_plant
 from gbid.core.errors import UsageError
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sums import residuals
+from gbid.identify.kernel.linear import PortableLinearKernel
 from gbid.identify.predictor import build_predictor
 from gbid.structure import LinearModel, LinearStructure, Parameter, evaluate
 
@@ -52,7 +52,7 @@ def test_sampled_loop_is_that_of_a_plain_loop(focus, injected, later):
     predictor = build_predictor(loop, {}, H, "zoh", focus)
     blocks = cut(fit_data([(w, y)], H), predictor, None)
     begin = np.concatenate([[0.4, -1.0], np.zeros(1 + later)])
-    error = blocks.by_segment(residuals(at(predictor, VALUES), blocks, begin[None]))[0]
+    error = blocks.by_segment(PortableLinearKernel().predict(at(predictor, VALUES), blocks, begin[None]).errors)[0]
     expected = by_hand(w, y, begin[:2], focus, injected == "set point", later)
     np.testing.assert_allclose(y - error, expected, rtol=1e-10, atol=1e-12)
     if focus == "simulation":

@@ -33,7 +33,7 @@ from gbid.experiment.stages.prefilter import fit_input, load_fit_input
 from gbid.experiment.structures import make_structure
 from gbid.identify import FitResult, MeasuredResponse, measured_response
 from gbid.recording import Recording
-from gbid.structure import model_of
+from gbid.structure import kind_of
 from gbid.validate import (
     ResidualTest,
     Validation,
@@ -182,7 +182,7 @@ def with_local(job: Job, name: str, result: FitResult, recording: str) -> FitRes
         )
     structure, found = make_structure(job.experiment, name), result.parameters_of(alike[0])
     own = {q.name: found[q.name] for q in structure.parameters}
-    model = model_of(structure, own, result.model.input_names, result.model.output_names)
+    model = kind_of(structure).model(own, result.model.input_names, result.model.output_names)
     first, other = (result.local_names.get(name, {}) for name in (result.recordings[0], alike[0]))
     return replace(result, model=model, model_slopes=result.model_slopes if first == other else None)
 

@@ -34,7 +34,7 @@ from gbid.experiment.structures import (
 from gbid.identify import FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
 from gbid.identify.problem.states import initial_states
 from gbid.recording import ProblemKind, Recording
-from gbid.structure import Anatomy, AnyStructure, Parameter, anatomy
+from gbid.structure import Anatomy, AnyStructure, Parameter, kind_of
 from gbid.validate.residuals import shaft_lines
 
 
@@ -50,7 +50,7 @@ def structures_load(experiment: Experiment) -> Found:
         if section.loop is not None and not _controller_is_found(experiment, section.loop):
             continue  # the checks of loops report it
         try:
-            anatomy(make_structure(experiment, name, planned=True))
+            kind_of(make_structure(experiment, name, planned=True)).anatomy()
         except GbidError as error:
             yield ("fits", name, "structure" if section.loop is None else "loop"), str(error)
 
@@ -308,7 +308,7 @@ def _known(experiment: Experiment, fit: str) -> tuple[Anatomy, AnyStructure] | N
     if structure is None:
         return None
     try:
-        return anatomy(structure), structure
+        return kind_of(structure).anatomy(), structure
     except GbidError:
         return None
 

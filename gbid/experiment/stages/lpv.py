@@ -26,7 +26,8 @@ from gbid.lpv.estimates import check_points, chosen_exponents
 from gbid.lpv.fit import KIND, write_uncertainty
 from gbid.lpv.model import ACTUATOR_PARAMETERS
 from gbid.lpv.model_file import write_model
-from gbid.structure import KEY_PARAMETERS, NonlinearStructure, Plant, RotorBearing, ScheduledStructure
+from gbid.structure import KEY_PARAMETERS, ScheduledStructure, kind_of
+from gbid.structure.built_in import pade_order_of
 from gbid.validate.central import load_actuators
 
 
@@ -36,10 +37,9 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
     if section is None:
         return
     where: Location = ("lpv", "fit")
-    if section.fit in experiment.spec.fits and isinstance(
-        structure := structure_or_none(experiment, section.fit), ScheduledStructure
-    ):
-        yield from _of_scheduled(experiment, section, structure)
+    structure = structure_or_none(experiment, section.fit) if section.fit in experiment.spec.fits else None
+    if structure and (scheduled := kind_of(structure).scheduled):
+        yield from _of_scheduled(experiment, section, scheduled)
         return
     yield from a_fit_is_named(experiment, where, section.fit, KEY_PARAMETERS, "name a fit of rotor_bearing or plant")
     if section.fit not in experiment.spec.fits:
@@ -128,7 +128,7 @@ class Surfaces:
         if all(entry.result is None for entry in self._entries):
             raise InputError(f"fit {section.fit!r} has no results; run `gbid fit` or `gbid run` first")
         structure = make_structure(experiment, section.fit)
-        if isinstance(structure, ScheduledStructure):
+        if kind_of(structure).scheduled:
             return self._of_scheduled()
         return fit_lpv(
             tabulate(self._entries),
@@ -160,8 +160,8 @@ class Surfaces:
         spec = experiment.spec.fits[name]
         recordings = [load_fit_input(self._job, planned) for planned in experiment.fit_recordings(name)]
         hold = fit_arguments(experiment, name, recordings)["intersample"]
-        structure = make_structure(experiment, name)
-        if isinstance(structure, NonlinearStructure | ScheduledStructure):
+        structure = kind_of(make_structure(experiment, name)).linear
+        if structure is None:
             raise UsageError(
                 f"fit {name!r}: surfaces straight from the recordings are for linear structures with constant "
                 "parameters"
@@ -187,9 +187,7 @@ class Surfaces:
 
     @property
     def _pade_order(self) -> int:
-        structure = make_structure(self._job.experiment, self._section.fit)
-        bearing = structure.bearing if isinstance(structure, Plant) else structure
-        return bearing.pade_order if isinstance(bearing, RotorBearing) else 1
+        return pade_order_of(make_structure(self._job.experiment, self._section.fit))
 
 
 # ---- Stage of the surfaces over pressure and speed (paper, Sec. 4).

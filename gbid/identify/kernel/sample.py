@@ -24,8 +24,8 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.discretise import Hold, IntegratorName, check_holds, one_step, step_inputs
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
-from gbid.identify.predictor import Focus, GeneralPredictor
-from gbid.structure import Parameter
+from gbid.identify.predictor import Focus, GeneralPredictor, predictor_of
+from gbid.structure import Parameter, kind_of
 from gbid.structure.nonlinear import NonlinearStructure, first_steps, jumps_in, symbolic_equations
 
 
@@ -297,6 +297,7 @@ class NonlinearPredictor(GeneralPredictor):
         return np.asarray(self._x0(theta, self.known), float).ravel()
 
 
+@predictor_of.register(NonlinearStructure)
 def build_nonlinear_predictor(
     structure: NonlinearStructure,
     fixed: Mapping[str, float],
@@ -355,7 +356,7 @@ def build_nonlinear_predictor(
     full_K = ca.sparsify(ca.vertcat(K, onto))
     driven = acts or full_K.nnz() or disturbances.n_columns
     walks = tuple(range(len(free), len(free) + len(gains)))
-    noise = _only_in(own.K, ca.veccat(own.dx, own.y, own.x0, own.delay))
+    noise = kind_of(structure).anatomy().gain_only
     x_all = ca.vertcat(own.x, ca.SX.sym("walk", len(walking)))
     x0_all = ca.vertcat(x0, ca.SX(len(walking), 1))
     equations = SampleEquations(
@@ -402,16 +403,6 @@ def build_nonlinear_predictor(
         _x0=ca.Function("x0", [theta, known], [ca.densify(x0_all)]),
         _delay=ca.Function("delay", [theta, known], [ca.densify(late), ca.densify(ca.jacobian(late, theta))]),
     )
-
-
-def nonlinear_noise_names(structure: NonlinearStructure) -> frozenset[str]:
-    """Return the names of the parameters on which only the disturbance gain depends."""
-    own = symbolic_equations(structure)
-    return _only_in(own.K, ca.veccat(own.dx, own.y, own.x0, own.delay))
-
-
-def _only_in(one: ca.SX, others: ca.SX) -> frozenset[str]:
-    return frozenset(names_in(one) - names_in(others))
 
 
 def names_in(expression: ca.SX) -> set[str]:

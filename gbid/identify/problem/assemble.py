@@ -19,13 +19,19 @@ from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.kernel.blocks import LANES, LONGEST_BLOCK, Segment, cut
 from gbid.identify.kernel.choice import RunEngine, choose_kernel
 from gbid.identify.kernel.nonlinear import NonlinearKernel
-from gbid.identify.kernel.sample import NonlinearPredictor, build_nonlinear_predictor, nonlinear_noise_names
+from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.kernel.sums import Kernel, Sweep, tied
 from gbid.identify.kernel.window_starts import window_starts
-from gbid.identify.predictor import Focus, GeneralPredictor, Predictor, build_predictor, noise_names, with_spare_states
+from gbid.identify.predictor import (
+    Focus,
+    GeneralPredictor,
+    Predictor,
+    predictor_of,
+    with_spare_states,
+)
 from gbid.identify.problem.nlp import Criterion, Prior, RecordGroup, Shooting
 from gbid.identify.problem.states import InitialStates
-from gbid.structure import AnyStructure, NonlinearStructure, Parameter, ScheduledStructure
+from gbid.structure import AnyStructure, Parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,54 +104,6 @@ def tie_of(
             tie[row, :n_shared] = ties.maps[piece][at]
             tie[row, len(index) - n_lift :] = ties.lift[at]
     return tuple(index), tie
-
-
-# ---- Predictor and kernel of a structure, by its kind.
-
-
-def any_predictor(
-    structure: AnyStructure,
-    fixed: Mapping[str, float],
-    begin: Mapping[str, float],
-    sample_time: float,
-    intersample: str | Sequence[str],
-    focus: Focus,
-    *,
-    disturbances: Disturbances,
-    released: Sequence[bool],
-) -> GeneralPredictor:
-    """Return the predictor of a structure of either kind for a fit; see `build_predictor`.
-
-    `begin` are the start values.
-    """
-    if isinstance(structure, NonlinearStructure):
-        return build_nonlinear_predictor(
-            structure,
-            fixed,
-            begin,
-            sample_time,
-            intersample,
-            focus,
-            disturbances=disturbances,
-            released=released,
-        )
-    assert not isinstance(structure, ScheduledStructure)  # a fit poses its base
-    return build_predictor(
-        structure,
-        fixed,
-        sample_time,
-        intersample,
-        focus,
-        disturbances=disturbances,
-        released=released,
-    )
-
-
-def any_noise_names(structure: AnyStructure) -> frozenset[str]:
-    """Return the names of the parameters on which only the disturbance gain depends."""
-    if isinstance(structure, ScheduledStructure):
-        structure = structure.base
-    return nonlinear_noise_names(structure) if isinstance(structure, NonlinearStructure) else noise_names(structure)
 
 
 # ---- Segments of records: cut at left-out samples, grouped by predictor, and the links between windows.
@@ -369,7 +327,7 @@ def assemble(
 
     @cache
     def predictor_for(kind: Focus, released: tuple[bool, ...], model: int) -> GeneralPredictor:
-        built = any_predictor(
+        built = predictor_of(
             models[model].structure,
             held,
             begin,

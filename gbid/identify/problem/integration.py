@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -119,9 +120,7 @@ def _moved(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray:
 # ---- Linear model at the working point of a nonlinear fit, with derivatives by the parameters.
 
 
-def at_working_point(
-    model: NonlinearModel, problem: Shooting, theta: FloatArray, starts: FloatArray, data: FitData
-) -> NonlinearModel:
+def at_working_point(model: Any, problem: Shooting, theta: FloatArray, starts: FloatArray, data: FitData) -> Any:
     """Return the model with the means over the recordings as its working point, and the steps of the fit.
 
     Parameters

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
-import casadi as ca
 import numpy as np
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
@@ -18,13 +17,8 @@ from gbid.identify.disturbances import Disturbances
 from gbid.identify.problem.nlp import Shooting
 from gbid.structure import (
     AnyStructure,
-    ClosedLoop,
-    LinearStructure,
-    NonlinearStructure,
     Parameter,
-    ScheduledStructure,
-    anatomy,
-    model_of,
+    kind_of,
 )
 
 OwnState = Literal["estimated", "zero", "structure"] | Sequence[float | Literal["estimated", "structure"]]
@@ -87,13 +81,14 @@ def initial_states(
     DataError
         When a free parameter acts only through initial states that are given otherwise.
     """
-    own_parts = anatomy(structure)
+    kind = kind_of(structure)
+    own_parts = kind.anatomy()
     n, stated = own_parts.n_states, bool(own_parts.in_x0)
     notes: tuple[str, ...] = ()
     if isinstance(asked, str) and asked == "auto":
         asked = "structure" if stated else "estimated"
-        rest = structure.forgotten_states if isinstance(structure, ClosedLoop) and not stated else ()
-        if rest:
+        rest = kind.states_at_rest
+        if rest and not stated:
             asked = [0.0 if i in rest else "estimated" for i in range(n)]
             notes = (FitNote.AT_REST(f"{len(rest)} states that are soon forgotten are zero at the first sample"),)
     own = asked if isinstance(asked, Mapping) else dict.fromkeys(recordings, asked)
@@ -156,37 +151,6 @@ def _entries(state: OwnState, n: int) -> Sequence[float | str]:
 # ---- Inputs that do not move: a free decay, or a constant force.
 
 
-def without_inputs(structure: AnyStructure) -> AnyStructure:
-    """Return a structure without its inputs, for free decays: the states, outputs and the disturbance gain remain."""
-    if not anatomy(structure).n_inputs or isinstance(structure, ScheduledStructure):
-        return structure
-    if isinstance(structure, NonlinearStructure):
-        full, still = structure, ca.SX.zeros(len(structure.inputs))
-        return NonlinearStructure(
-            full.name,
-            full.parameters,
-            full.states,
-            lambda x, _, p: full.dynamics(x, still, p),
-            lambda x, _, p: full.output(x, still, p),
-            (),
-            full.outputs,
-            intersample=full.intersample,
-            disturbance_gain=full.disturbance_gain,
-            x0=full.x0,
-            integrator=full.integrator,
-            steps=full.steps,
-        )
-    linear = structure
-
-    def matrices(p: Any) -> Mapping[str, Any]:
-        own = linear.matrices(p)
-        return {letter: own[letter] for letter in ("A", "C", "K", "x0", "feedback") if letter in own}
-
-    return LinearStructure(
-        structure.name, structure.parameters, matrices, (), structure.outputs, intersample=structure.intersample
-    )
-
-
 def check_inputs_suffice(
     structure: AnyStructure, data: FitData, parameters: Sequence[Parameter], *, no_inputs: bool
 ) -> None:
@@ -214,7 +178,8 @@ def check_inputs_suffice(
     still = ~np.any([moves(record.inputs) for record in data.records], axis=0)
     if not (still.any() or no_inputs):
         return
-    whole = anatomy(structure)
+    kind = kind_of(structure)
+    whole = kind.anatomy()
     n_u = whole.n_inputs
     if no_inputs:
         zero = still = np.ones(n_u, bool)
@@ -224,7 +189,7 @@ def check_inputs_suffice(
         return  # another check reports the number of inputs
     driven, moving = np.flatnonzero(~zero).tolist(), np.flatnonzero(~still).tolist()
     begins = frozenset().union(*whole.in_x0)
-    dark = (whole.in_equations | begins) - (anatomy(structure, driven, moving).in_equations | begins)
+    dark = (whole.in_equations | begins) - (kind.anatomy(driven, moving).in_equations | begins)
     lost = [q.name for q in parameters if not q.fixed and q.name in dark]
     if lost:
         quiet = ", ".join(name for name, rests in zip(data.input_names, still, strict=False) if rests)
@@ -284,7 +249,7 @@ def disturbance_starts(
     gains = {q.name: float(q.start or 0.0) for q in disturbances.walk_gains(data.sample_time)}
     if not disturbances.terms:
         return [gains for _ in data.records]
-    model, starts = model_of(structure, begin), []
+    model, starts = kind_of(structure).model(begin), []
     for record in data.records:
         left = record.outputs - model.simulate(record.inputs, data.sample_time, intersample=intersample)
         if not np.abs(left).max() < _RUNAWAY * np.abs(record.outputs).max():

@@ -19,7 +19,7 @@ from gbid.identify.problem.assemble import Ties, assemble, automatic_window, bui
 from gbid.identify.problem.solve import solve
 from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
-from gbid.structure import AnyStructure, Parameter, Structure
+from gbid.structure import AnyStructure, Parameter, Structure, kind_of
 from gbid.structure.scheduled import Schedule, ScheduledStructure, coefficient_names
 
 _DARK = 1e-7  # terms are not determined when a singular value is below this share of the largest
@@ -342,25 +342,25 @@ def tied_equations(
     courses: Courses | None,
 ) -> TiedEquations:
     """Return the equations of a fit; `parameters` and `begin` are those of its structure."""
-    if not isinstance(structure, ScheduledStructure):
+    scheduled = kind_of(structure).scheduled
+    if scheduled is None or courses is None:
         return TiedEquations(structure, parameters, begin, None)
-    assert courses is not None
     names = courses.schedule.names
-    coefficients = {name for key in structure.surfaces for name in names(key)}
+    coefficients = {name for key in scheduled.surfaces for name in names(key)}
     if held := [q.name for q in parameters if q.fixed and q.name in coefficients]:
         raise UsageError(
             f"fixed: {', '.join(held)}; coefficients of surfaces are estimated. Leave a parameter out of the surfaces "
             "(gbid.scheduled(..., surfaces=[...])) to fix it"
         )
     mean = np.concatenate(courses.terms).mean(axis=0)
-    at_mean = {key: float(mean @ [begin[name] for name in names(key)]) for key in structure.surfaces}
+    at_mean = {key: float(mean @ [begin[name] for name in names(key)]) for key in scheduled.surfaces}
     known = {q.name: q for q in parameters}
     own = tuple(
         replace(q, start=float(np.clip(at_mean[q.name], q.lower, q.upper))) if q.name in at_mean else known[q.name]
-        for q in structure.base.parameters
+        for q in scheduled.base.parameters
     )
     values = {q.name: at_mean[q.name] if q.name in at_mean else begin[q.name] for q in own}
-    return TiedEquations(structure.base, own, values, courses.ties(parameters))
+    return TiedEquations(scheduled.base, own, values, courses.ties(parameters))
 
 
 def centre_tie(structure: AnyStructure, predictor: Sequence[Parameter], free: Sequence[str]) -> FloatArray | None:
@@ -368,9 +368,10 @@ def centre_tie(structure: AnyStructure, predictor: Sequence[Parameter], free: Se
 
     Only the first coefficient of each surface counts there. None for a structure with constant parameters.
     """
-    if not isinstance(structure, ScheduledStructure):
+    scheduled = kind_of(structure).scheduled
+    if scheduled is None:
         return None
     place = {name.partition("[")[0]: i for i, name in reversed(list(enumerate(free)))}
     own = [q.name for q in predictor]
-    names = [coefficient_names(name, 1)[0] if name in structure.surfaces else name for name in own]
+    names = [coefficient_names(name, 1)[0] if name in scheduled.surfaces else name for name in own]
     return np.eye(len(free))[[place[name] for name in names]]

@@ -20,19 +20,18 @@ from gbid.identify.data import FitData, Record, column_means, moves
 from gbid.identify.predictor import build_predictor
 from gbid.identify.problem.assemble import assemble, automatic_window, build_problem, full_start, unknown_bounds
 from gbid.identify.problem.solve import solve
-from gbid.identify.problem.states import without_inputs
 from gbid.identify.start.black_box import BlackBox, Target, black_box, match
 from gbid.structure import (
     ClosedLoop,
     LinearModel,
     LinearStructure,
-    NonlinearStructure,
     Parameter,
     PiezoPair,
     Plant,
     RotorBearing,
     Structure,
     evaluate,
+    kind_of,
     symbolic_matrices,
 )
 from gbid.structure.built_in import AXES, PAIRS
@@ -287,7 +286,7 @@ def has_own_method(structure: Any) -> bool:
 def _as_given(structure: Any, given: Mapping[str, float]) -> dict[str, float]:
     missing = [q.name for q in structure.parameters if q.name not in given]
     if missing:
-        nonlinear = isinstance(structure, NonlinearStructure)
+        nonlinear = kind_of(structure).nonlinear
         why = ": nonlinear structures have no search for start values in the data" if nonlinear else ""
         raise UsageError(
             f"structure {structure.name!r}: no start value for {', '.join(missing)}; give each a start{why}"
@@ -555,13 +554,13 @@ def begin_values(
     UsageError, DataError
         When start values are missing and cannot be found in the data.
     """
-    if isinstance(structure, ClosedLoop):
+    if kind_of(structure).plant is not structure:
         return _of_loop(structure, parameters, data, asked, from_data=from_data)
     stated = {q.name: q.start for q in parameters if q.start is not None and (q.fixed or not from_data)}
     notes: tuple[str, ...] = ()
     missing = [q.name for q in parameters if q.name not in stated]
     if missing and not has_own_method(structure) and hasattr(structure, "matrices"):
-        own: Any = structure if data.input_names else without_inputs(structure)
+        own: Any = structure if data.input_names else kind_of(structure).without_inputs()
         found = subspace_start(own, data, parameters, intersample)
         values = {**found.values, **stated}
         notes = (_note(found, missing),)

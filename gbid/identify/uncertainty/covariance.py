@@ -35,7 +35,6 @@ from gbid.identify.uncertainty.coloured import (
     transformed,
 )
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
-from gbid.structure import LinearModel, NonlinearModel
 
 # ---- Information of records on parameters and initial states: Hessians of the cost and gradients of blocks.
 
@@ -763,65 +762,6 @@ def spread(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(np.einsum("...p,pq,...q->...", slopes, covariance, slopes), 0.0)))
 
 
-# ---- Derivatives of the matrices of a fitted model by all free parameters of the fit.
-
-
-def model_slopes(predictor: Predictor, theta: FloatArray, index: IntArray) -> ModelSlopes:
-    """Return the derivatives of the matrices of a model by the free parameters of a fit.
-
-    Parameters
-    ----------
-    predictor : Predictor
-        Predictor of a recording; its free parameters are some of those of the fit.
-    theta : (n_free,) array
-        All free parameters of the fit.
-    index : (n,) integer array
-        Positions of the free parameters of the predictor in `theta`.
-
-    Returns
-    -------
-    ModelSlopes
-        Derivatives; zero for the parameters of other recordings and for offsets.
-    """
-
-    def spread_out(slope: FloatArray) -> FloatArray:
-        return _among_all(slope, len(theta), index)
-
-    A, B, C, D, K, B_delayed, late = predictor.matrices(theta[index])
-    return ModelSlopes(
-        A=spread_out(A.slope),
-        B=spread_out(B.slope),
-        C=spread_out(C.slope),
-        D=spread_out(D.slope),
-        B_delayed=spread_out(B_delayed.slope),
-        delay=spread_out(_delays(predictor, late)),
-        K=spread_out(K.slope),
-    )
-
-
-def nonlinear_slopes(
-    matrices: Sequence[Dual], predictor: NonlinearPredictor, theta: FloatArray, index: IntArray
-) -> ModelSlopes:
-    """Return the same for A, B, C and D of a linearised model; all inputs are in B."""
-    A, B, C, D = (_among_all(m.slope, len(theta), index) for m in matrices)
-    late = np.isin(np.arange(B.shape[2]), predictor.delayed)
-    delay = _among_all(predictor.delay_slopes(theta[index]), len(theta), index)
-    return ModelSlopes(A, np.where(late, 0.0, B), C, D, np.where(late, B, 0.0), delay)
-
-
-def _among_all(slope: FloatArray, n_free: int, index: IntArray) -> FloatArray:
-    found = np.zeros((n_free, *slope.shape[1:]))
-    np.add.at(found, index, slope)
-    return found
-
-
-def _delays(predictor: Predictor, late: Dual) -> FloatArray:
-    """Return the derivatives of the delays of all inputs; the predictor has those of the delayed inputs only."""
-    slope = np.zeros((len(late.slope), predictor.n_inputs))
-    slope[:, list(predictor.delayed)] = late.slope[:, :, 0]
-    return slope
-
-
 # ---- Standard deviations of what follows from the model of a fit: modes, static gain, and slopes of its matrices.
 
 
@@ -847,7 +787,7 @@ def model_spreads(
     problem: Shooting,
     theta: FloatArray,
     chosen: FloatArray,
-    model: LinearModel | NonlinearModel,
+    model: Any,
     names: Sequence[str],
     tie: FloatArray | None = None,
 ) -> ModelSpreads:
@@ -868,41 +808,29 @@ def model_spreads(
     tie : (n_own, n_p) array, optional
         Matrix from all free parameters to the predictor's own at the model's point, for a scheduled structure.
     """
-    part = problem.parts[0]
-    if tie is not None:
-        return _of_tied(part, theta, chosen, model, tie)
-    if isinstance(part.predictor, Predictor):
-        A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
-        B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
-        slopes = model_slopes(part.predictor, theta, part.index)
+    part, predictor = problem.parts[0], problem.parts[0].predictor
+    own = chosen[np.ix_(part.index, part.index)] if tie is None else tie @ chosen @ tie.T
+    tie = np.eye(len(theta))[part.index] if tie is None else tie
+    dt: float | None = None
+    local = tie @ theta
+    if isinstance(predictor, NonlinearPredictor):
+        A, B, C, D = linearised(model, names, [q.name for q in predictor.free])
+        is_delayed = np.isin(np.arange(predictor.n_inputs), predictor.delayed)
+        prompt, delayed = np.where(is_delayed, 0.0, B.slope), np.where(is_delayed, B.slope, 0.0)
+        by_own = [A.slope, prompt, C.slope, D.slope, delayed, predictor.delay_slopes(local)]
     else:
-        assert isinstance(part.predictor, NonlinearPredictor)
-        assert isinstance(model, NonlinearModel)
-        A, B, C, D = linearised(model, names, [q.name for q in part.predictor.free])
-        slopes = nonlinear_slopes([A, B, C, D], part.predictor, theta, part.index)
-    own, gain_std = chosen[np.ix_(part.index, part.index)], np.full(D.value.shape, np.nan)
+        assert isinstance(predictor, Predictor)
+        A, B, C, D, K, B_delayed, delays = predictor.matrices(local)
+        delay = np.zeros((len(local), predictor.n_inputs))
+        delay[:, list(predictor.delayed)] = delays.slope[:, :, 0]
+        by_own = [A.slope, B.slope, C.slope, D.slope, B_delayed.slope, delay, K.slope]
+        B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
+        dt = predictor.feedback.sample_time if predictor.feedback else None
+    slopes = ModelSlopes(*(np.tensordot(tie.T, slope, 1) for slope in by_own))
+    gain_std = np.full(D.value.shape, np.nan)
     if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
         return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)
-    dt = model.dt if isinstance(model, LinearModel) else None
-    still = A if dt is None else A - np.eye(A.shape[0])  # at rest x[k+1] = x[k]
-    if np.linalg.cond(still.value) < 1e15:
-        gain_std = spread(static_gain_slopes(still, B, C, D)[1], own)
+    at_rest = A if dt is None else A - np.eye(A.shape[0])  # x[k+1] = x[k]
+    if np.linalg.cond(at_rest.value) < 1e15:
+        gain_std = spread(static_gain_slopes(at_rest, B, C, D)[1], own)
     return ModelSpreads(slopes, spread(mode_slopes(A, dt)[1], own), gain_std)
-
-
-def _of_tied(
-    part: RecordGroup, theta: FloatArray, chosen: FloatArray, model: LinearModel | NonlinearModel, tie: FloatArray
-) -> ModelSpreads:
-    """Return the same where the parameters of the model are linear in the free ones."""
-    assert isinstance(part.predictor, Predictor)
-    own, every = tie @ theta, np.arange(len(tie))
-    of_own = model_slopes(part.predictor, own, every)
-    slopes = ModelSlopes(*(np.tensordot(tie.T, slope, 1) for slope in vars(of_own).values()))
-    A, B, C, D, _, B_delayed, _ = part.predictor.matrices(own)
-    B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
-    covariance, gain_std = tie @ chosen @ tie.T, np.full(D.value.shape, np.nan)
-    if not (np.isfinite(covariance).all() and np.isfinite(A.value).all()):
-        return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)
-    if np.linalg.cond(A.value) < 1e15:
-        gain_std = spread(static_gain_slopes(A, B, C, D)[1], covariance)
-    return ModelSpreads(slopes, spread(mode_slopes(A, None)[1], covariance), gain_std)

@@ -1,0 +1,284 @@
+"""Kinds of structures: linear, nonlinear, scheduled, a closed loop; what a fit asks of each."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import singledispatch
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from gbid.structure.built_in import AXES, STIFFENING, RotorBearing, square
+from gbid.structure.linear import LinearStructure, Structure, evaluate, symbolic_matrices
+from gbid.structure.models import LinearModel
+from gbid.structure.nonlinear import NonlinearModel, NonlinearStructure, nonlinear_model, symbolic_equations
+from gbid.structure.parameter import Values
+from gbid.structure.scheduled import ScheduledStructure, coefficient_names
+
+AnyStructure = Structure | NonlinearStructure | ScheduledStructure
+"""Structure of any kind."""
+
+
+class Anatomy(NamedTuple):
+    """Sizes of a structure, and the names of the parameters that act in its parts.
+
+    Attributes
+    ----------
+    n_states, n_inputs : int
+        Numbers of states and inputs.
+    in_equations : frozenset of str
+        Parameters that act through something else than the initial state.
+    in_x0 : tuple of frozenset of str
+        Parameters in the stated initial value of each state; empty when the structure states none.
+    has_gain : bool
+        Whether there is a disturbance gain.
+    gain_only : frozenset of str
+        Parameters on which only the disturbance gain depends.
+    """
+
+    n_states: int
+    n_inputs: int
+    in_equations: frozenset[str]
+    in_x0: tuple[frozenset[str], ...]
+    has_gain: bool
+    gain_only: frozenset[str]
+
+
+class Kind(ABC):
+    """Structure of one kind, and its answers to a fit; made by `kind_of`.
+
+    Attributes
+    ----------
+    linear, nonlinear, scheduled : structure or None
+        The structure if it is linear with constant parameters, nonlinear, or one whose parameters follow signals of the
+        recording; the other two are None.
+    plant : structure
+        The structure without the controller that closes a loop around it.
+    state_names : tuple of str
+        Names of the states of nonlinear equations; those of a linear structure have none.
+    states_at_rest : tuple of int
+        States that begin at rest unless the caller says otherwise.
+    """
+
+    linear: Structure | None = None
+    nonlinear: NonlinearStructure | None = None
+    scheduled: ScheduledStructure | None = None
+    plant: AnyStructure
+    state_names: tuple[str, ...] = ()
+    states_at_rest: tuple[int, ...] = ()
+
+    @abstractmethod
+    def anatomy(self, driven: Sequence[int] | None = None, moving: Sequence[int] | None = None) -> Anatomy:
+        """Return sizes, and the parameters that act in each part of the structure.
+
+        Parameters
+        ----------
+        driven, moving : sequence of int, optional
+            Inputs that are not zero, and inputs that move; all by default. A parameter that acts through others alone
+            does not count.
+        """
+
+    @abstractmethod
+    def model(
+        self,
+        values: Mapping[str, float],
+        input_names: tuple[str, ...] = (),
+        output_names: tuple[str, ...] = (),
+        *,
+        steps: int = 1,
+    ) -> LinearModel | NonlinearModel:
+        """Return the model for given parameter values; `steps` of an integrator are for nonlinear ones."""
+
+    @abstractmethod
+    def without_inputs(self) -> AnyStructure:
+        """Return the structure without its inputs, for free decays: states, outputs and disturbance gain remain."""
+
+
+class LinearKind(Kind):
+    """Linear structure with constant parameters."""
+
+    def __init__(self, structure: Structure) -> None:
+        self._structure = self.linear = self.plant = structure
+
+    def anatomy(self, driven: Sequence[int] | None = None, moving: Sequence[int] | None = None) -> Anatomy:
+        """Return the anatomy; see `Kind`."""
+        _, m = symbolic_matrices(self._structure)
+        every = list(range(m.B.shape[1]))
+        own = every if driven is None else list(driven)
+        parts = [m.A, m.C, m.B[:, own], m.D[:, own], m.B_delayed[:, own], *(m.feedback.law if m.feedback else ())]
+        if m.has_delay:
+            parts.append(m.delay[every if moving is None else list(moving), :])
+        only = _names([m.K]) - _names([*parts, m.x0])
+        has_gain = m.K.nnz() > 0 or m.feedback is not None
+        return Anatomy(m.n_states, len(every), _names([*parts, m.K]), _by_row(m.x0), has_gain, only)
+
+    def model(
+        self,
+        values: Mapping[str, float],
+        input_names: tuple[str, ...] = (),
+        output_names: tuple[str, ...] = (),
+        *,
+        steps: int = 1,  # noqa: ARG002
+    ) -> LinearModel:
+        """Return the model; see `Kind`."""
+        return evaluate(self._structure, values, input_names, output_names)
+
+    def without_inputs(self) -> AnyStructure:
+        """Return the structure without its inputs; see `Kind`."""
+        full = self._structure
+
+        def matrices(p: Any) -> Mapping[str, Any]:
+            given = full.matrices(p)
+            return {letter: given[letter] for letter in ("A", "C", "K", "x0", "feedback") if letter in given}
+
+        return LinearStructure(full.name, full.parameters, matrices, (), full.outputs, intersample=full.intersample)
+
+
+class NonlinearKind(Kind):
+    """Nonlinear structure."""
+
+    def __init__(self, structure: NonlinearStructure) -> None:
+        self._structure = self.nonlinear = self.plant = structure
+        self.state_names = structure.states
+
+    def anatomy(self, driven: Sequence[int] | None = None, moving: Sequence[int] | None = None) -> Anatomy:
+        """Return the anatomy; see `Kind`."""
+        e = symbolic_equations(self._structure)
+        n_u = e.u.numel()
+        at = ca.vertcat(*(e.u[i] if driven is None or i in driven else ca.SX(0) for i in range(n_u)))
+        acting = ca.substitute([e.dx, e.y], [e.u], [at]) if n_u else [e.dx, e.y]
+        acting = [*acting, e.delay[list(range(n_u)) if moving is None else list(moving), :]]
+        only = _names([e.K]) - _names([*acting, e.x0])
+        return Anatomy(e.x.numel(), n_u, _names([*acting, e.K]), _by_row(e.x0), e.K.nnz() > 0, only)
+
+    def model(
+        self,
+        values: Mapping[str, float],
+        input_names: tuple[str, ...] = (),
+        output_names: tuple[str, ...] = (),
+        *,
+        steps: int = 1,
+    ) -> NonlinearModel:
+        """Return the model; see `Kind`."""
+        return nonlinear_model(self._structure, values, input_names, output_names, steps=steps)
+
+    def without_inputs(self) -> AnyStructure:
+        """Return the structure with inputs of zero; see `Kind`."""
+        full, rest = self._structure, ca.SX.zeros(len(self._structure.inputs))
+        return NonlinearStructure(
+            full.name,
+            full.parameters,
+            full.states,
+            lambda x, _, p: full.dynamics(x, rest, p),
+            lambda x, _, p: full.output(x, rest, p),
+            (),
+            full.outputs,
+            intersample=full.intersample,
+            disturbance_gain=full.disturbance_gain,
+            x0=full.x0,
+            integrator=full.integrator,
+            steps=full.steps,
+        )
+
+
+class ScheduledKind(Kind):
+    """Structure whose parameters follow signals of the recording."""
+
+    def __init__(self, structure: ScheduledStructure) -> None:
+        self._structure = self.scheduled = self.plant = structure
+
+    def anatomy(self, driven: Sequence[int] | None = None, moving: Sequence[int] | None = None) -> Anatomy:
+        """Return the anatomy with the coefficients in place of the parameters that are surfaces; see `Kind`."""
+        structure, base = self._structure, kind_of(self._structure.base).anatomy(driven, moving)
+
+        def renamed(names: frozenset[str]) -> frozenset[str]:
+            m = len(structure.exponents)
+            rows = (coefficient_names(name, m) if name in structure.surfaces else [name] for name in names)
+            return frozenset(name for row in rows for name in row)
+
+        return base._replace(
+            in_equations=renamed(base.in_equations),
+            in_x0=tuple(map(renamed, base.in_x0)),
+            gain_only=renamed(base.gain_only),
+        )
+
+    def model(
+        self,
+        values: Mapping[str, float],
+        input_names: tuple[str, ...] = (),
+        output_names: tuple[str, ...] = (),
+        *,
+        steps: int = 1,  # noqa: ARG002
+    ) -> LinearModel:
+        """Return the base in the middle of the range, where only the first coefficients count; see `Kind`."""
+        structure = self._structure
+        first = {key: values[coefficient_names(key, 1)[0]] for key in structure.surfaces}
+        middle = {q.name: first[q.name] if q.name in first else values[q.name] for q in structure.base.parameters}
+        return evaluate(structure.base, middle, input_names, output_names)
+
+    def without_inputs(self) -> AnyStructure:
+        """Return the structure itself, which needs its inputs; see `Kind`."""
+        return self._structure
+
+
+@singledispatch
+def kind_of(structure: Any) -> Kind:
+    """Return the kind of a structure, with its answers to a fit."""
+    return LinearKind(structure)
+
+
+kind_of.register(NonlinearStructure, NonlinearKind)
+kind_of.register(ScheduledStructure, ScheduledKind)
+
+
+def _by_row(x0: ca.SX) -> tuple[frozenset[str], ...]:
+    return tuple(_names([row]) for row in ca.vertsplit(x0)) if x0.numel() else ()
+
+
+def _names(parts: Sequence[ca.SX]) -> frozenset[str]:
+    inside = {symbol.name() for part in parts for symbol in ca.symvar(ca.veccat(part))}
+    return frozenset(inside)
+
+
+# ---- Rotor bearing whose film stiffens, as a nonlinear structure.
+
+
+def equations_of(structure: AnyStructure) -> AnyStructure:
+    """Return the structure with which a fit computes: that of a bearing whose film stiffens is nonlinear."""
+    nonlinear = isinstance(structure, RotorBearing) and structure.film != "linear"
+    return film_bearing(structure) if nonlinear else structure  # type: ignore[arg-type]  # a bearing, see above
+
+
+def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
+    """Return the equations of a rotor bearing whose film stiffens.
+
+    The linear part is that of `RotorBearing.matrices`, with its delays as filters or exact. The film adds
+    ``s |p|^2 K p`` to the acceleration.
+
+    Parameters
+    ----------
+    bearing : RotorBearing
+        The bearing, with ``film="stiffening"``.
+    """
+    exact = bearing.delay == "exact"
+
+    def dynamics(x: Any, u: Any, p: Values) -> Any:
+        own = bearing.matrices(p)
+        film = p[STIFFENING] * (x[0] ** 2 + x[1] ** 2) * (square(p, "k") @ x[:2])
+        drive = own["B"] + own["B_delayed"] if exact else own["B"]
+        return own["A"] @ x + drive @ u + ca.vertcat(ca.SX(2, 1), film, ca.SX(x.numel() - 4, 1))
+
+    late = [] if exact else [f"late_{axis}{i}" for axis in AXES for i in range(bearing.pade_order)]
+    return NonlinearStructure(
+        bearing.name,
+        bearing.parameters,
+        ["p_x", "p_y", "v_x", "v_y", *late],
+        dynamics,
+        lambda x, _u, _p: x[:2],
+        [f"{signal}.{axis}" for signal in bearing.inputs for axis in AXES],
+        [f"{bearing.outputs[0]}.{axis}" for axis in AXES],
+        intersample=bearing.intersample,
+        disturbance_gain=None if bearing.disturbance_gain == "none" else lambda p: bearing.matrices(p)["K"],
+        delay=(lambda p: bearing.matrices(p)["delay"]) if exact else None,
+    )
