@@ -13,12 +13,18 @@ class GbidError(Exception):
     """Base of all errors that gbid raises on purpose. Its text names file, field and value and what to do."""
 
     exit_code = 1
+    key = ""
+    """What in the input is wrong; empty where the error is about no single argument or key."""
 
 
 class UsageError(GbidError, ValueError):
-    """A wrong argument, option or experiment file."""
+    """A wrong argument, option or experiment file; `key` is the argument, or the key of a section."""
 
     exit_code = 2
+
+    def __init__(self, text: str = "", key: str = "") -> None:
+        super().__init__(text)
+        self.key = key
 
 
 class NoValueAtStartError(UsageError):

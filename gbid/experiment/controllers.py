@@ -31,7 +31,7 @@ from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
 from gbid.core.units import SIGNALS
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
-from gbid.experiment.fields import InputError, Result, file_digest, nearest, stored_key
+from gbid.experiment.fields import InputError, Result, about, file_digest, nearest, stored_key
 from gbid.experiment.machine import RigRun, rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection
 from gbid.experiment.schema import (
@@ -244,19 +244,25 @@ def design_structure(
     # a whole number stays one: orders are counted
     own = {key: int(v) if isinstance(v, float) and v.is_integer() else v for key, v in section.options.items()}
     options = {**own, **{key: value for key, value in given.items() if value is not None}}
+    wrong = "options" if section.options else "structure"
     if section.structure in built_in_structures():
-        base = controller_structure(section.structure, **options)
+        with about(wrong):
+            base = controller_structure(section.structure, **options)
     elif ":" not in section.structure:
         hint = nearest(section.structure, built_in_structures())
-        raise UsageError(f"no structure {section.structure!r}; {hint} (or name one of your own as file.py:name)")
+        text = f"no structure {section.structure!r}; {hint} (or name one of your own as file.py:name)"
+        raise UsageError(text, "structure")
     else:
-        linear = kind_of(load_structure(section.structure, experiment.folder)).linear
-        if linear is None:
-            raise UsageError(f"structure {section.structure!r}: a controller is a gbid.LinearStructure")
-        base = controller_structure(linear, **options)
-        if (len(base.inputs), len(base.outputs)) != (2, 2):
-            raise UsageError(f"structure {section.structure!r}: a controller has two inputs and two outputs")
-    return with_schedule(base, domain) if section.schedule is None else scheduled(base, section.schedule, domain)
+        with about("structure"):
+            linear = kind_of(load_structure(section.structure, experiment.folder)).linear
+            if linear is None:
+                raise UsageError(f"structure {section.structure!r}: a controller is a gbid.LinearStructure")
+            with about(wrong):
+                base = controller_structure(linear, **options)
+            if (len(base.inputs), len(base.outputs)) != (2, 2):
+                raise UsageError(f"structure {section.structure!r}: a controller has two inputs and two outputs")
+    with about("schedule"):
+        return with_schedule(base, domain) if section.schedule is None else scheduled(base, section.schedule, domain)
 
 
 def structure_text(experiment: Experiment, section: ControllerSection) -> bytes:
@@ -817,7 +823,7 @@ def _of_structure(experiment: Experiment, section: ControllerChoice) -> FoundCon
     names = [gain.name for gain in structure.parameters]
     unknown = [name for name in section.gains if name not in names]
     if unknown:
-        raise UsageError(f"{structure.name} has no gain {unknown[0]!r}; {nearest(unknown[0], names)}")
+        raise UsageError(f"{structure.name} has no gain {unknown[0]!r}; {nearest(unknown[0], names)}", "gains")
     if len(section.gains) < len(names):
         return FoundController(structure.name, structure=structure)
     own_rate = section.sample_time_s if isinstance(section, LoopSection) else None

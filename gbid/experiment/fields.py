@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import AllowInfNan, BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
 
 from gbid._version import __version__
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import add_text_checksum, atomic_path, is_changed
 from gbid.core.hdf5 import changing, opened
 
@@ -153,6 +153,25 @@ def dotted(location: Location) -> str:
     for key in location:
         text += f"[{key}]" if isinstance(key, int) else f".{key}"
     return text.lstrip(".")
+
+
+@contextmanager
+def about(key: str) -> Iterator[None]:
+    """Return a context whose errors are about a key of a section, unless they name another one."""
+    try:
+        yield
+    except GbidError as error:
+        error.key = error.key or key
+        raise
+
+
+def refusal(where: Location, made: Callable[[], object], key: str = "") -> Found:
+    """Yield the error of what cannot be made, at the key below a location that it names, else at the one given."""
+    try:
+        made()
+    except GbidError as error:
+        named = error.key or key
+        yield (*where, named) if named else where, str(error)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -16,9 +16,10 @@ from gbid.core.errors import UsageError
 from gbid.core.units import SIGNALS
 from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.rig_schema import ActuatorSection, FaultSection, RigSection, SensorSection
-from gbid.experiment.schema import HammerTrain
-from gbid.lpv import LPVModel, PublishedMachine, load_machine
+from gbid.experiment.fields import Found, Location
+from gbid.experiment.rig_schema import ActuatorSection, FaultSection, OperatingPoint, RigSection, SensorSection
+from gbid.experiment.schema import HammerTrain, ImpactPoint
+from gbid.lpv import Domain, LPVModel, PublishedMachine, load_machine
 from gbid.recording import Recording
 from gbid.rig import (
     Course,
@@ -97,6 +98,15 @@ def true_parameters_at(model: LPVModel, pressure_bar: float, speed_rpm: float) -
     """Return the true key parameters and actuator parameters at an operating point."""
     key_parameters = model.key_parameters(pressure_bar, speed_rpm)
     return {**{name: float(np.asarray(value)) for name, value in key_parameters.items()}, **model.actuators}
+
+
+def outside_domain(domain: Domain, name: str, point: OperatingPoint | ImpactPoint, where: Location) -> Found:
+    """Yield a problem for a pressure or speed outside the domain of a model."""
+    for key in ("pressure_bar", "speed_rpm"):
+        value, (low, high) = getattr(point, key), getattr(domain, key)
+        if not low <= value <= high:
+            text = f"{value:g} lies outside the domain of {name}, {low:g} to {high:g}; choose a value inside"
+            yield (*where, key), text
 
 
 # ---- Machine and arguments of `gbid.rig.record` from the rig section of an experiment.

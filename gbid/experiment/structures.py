@@ -13,7 +13,7 @@ from gbid.control.loop.close import sample_controller
 from gbid.core.errors import GbidError, UsageError
 from gbid.experiment.controllers import at_point, controller_identity, found_controller, rig_time
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import nearest
+from gbid.experiment.fields import about, nearest
 from gbid.experiment.rig_schema import LoopSection
 from gbid.experiment.schema import StructureOptions
 from gbid.identify.disturbances import Disturbances, asked_disturbances
@@ -213,16 +213,20 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
         build, known = BUILT_IN[spec.structure]
         unknown = [key for key in options if key not in known]
         if unknown:
-            raise UsageError(f"{spec.structure} has no option {unknown[0]}; {nearest(unknown[0], known)}")
+            raise UsageError(f"{spec.structure} has no option {unknown[0]}; {nearest(unknown[0], known)}", "options")
         if options.get("delay") == "exact" and "pade_order" in options:
-            raise UsageError("option pade_order is for delay: pade; remove one of the two")
-        return build(options)
+            raise UsageError("option pade_order is for delay: pade; remove one of the two", "options")
+        with about("options"):
+            return build(options)
     if ":" not in spec.structure:
         hint = nearest(spec.structure, BUILT_IN)
-        raise UsageError(f"no structure {spec.structure!r}; {hint} (or name one of your own as file.py:name)")
+        raise UsageError(
+            f"no structure {spec.structure!r}; {hint} (or name one of your own as file.py:name)", "structure"
+        )
     if options:
-        raise UsageError(f"options are for {', '.join(BUILT_IN)}; {spec.structure} has none: remove them")
-    return load_structure(spec.structure, experiment.folder_of(spec.structure.rpartition(":")[0]))
+        raise UsageError(f"options are for {', '.join(BUILT_IN)}; {spec.structure} has none: remove them", "options")
+    with about("structure"):
+        return load_structure(spec.structure, experiment.folder_of(spec.structure.rpartition(":")[0]))
 
 
 def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
@@ -260,7 +264,8 @@ def fit_disturbances(experiment: Experiment, fit: str, structure: AnyStructure) 
         later, with the recordings.
     """
     section, labels = experiment.spec.fits[fit], tuple(output_labels(experiment, fit, structure))
-    return asked_disturbances(section.trend, section.hum, labels, 0.0, section.focus)
+    with about("trend"):
+        return asked_disturbances(section.trend, section.hum, labels, 0.0, section.focus)
 
 
 def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -252,9 +252,9 @@ def asked_disturbances(
     highest = 1 / (2 * sample_time) if sample_time else math.inf
     for frequency in frequencies:
         if not (math.isfinite(frequency) and 0 < frequency < highest):
-            raise UsageError(f"hum = {frequency} Hz; give frequencies above 0 and below {highest:g} Hz")
+            raise UsageError(f"hum = {frequency} Hz; give frequencies above 0 and below {highest:g} Hz", "hum")
     if len({f"{frequency:.10g}" for frequency in frequencies}) < len(frequencies):
-        raise UsageError(f"hum = {list(frequencies)}: a frequency is given twice; give each once")
+        raise UsageError(f"hum = {list(frequencies)}: a frequency is given twice; give each once", "hum")
     return Disturbances(outputs, trends, tuple(float(f) for f in frequencies))
 
 

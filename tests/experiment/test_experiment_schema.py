@@ -112,6 +112,7 @@ LEFT_OUT = "left_out: {p5_n6000_prbs1: [[0.1, 0.2]]}"
         ("30e-9", "[30e-9, 30e-6]", "noise_p_m: [30e-9", ["rig.sensors.noise_p_m", "3e-05 m is more than the clear"]),
         ("piezo_pair", "piezo_pairs", "structure: piezo_pairs", ["did you mean 'piezo_pair'", "file.py:name"]),
         ("piezo_pair}", "piezo_pair, options: {pade_order: 2}}", "options: {pade", ["no option pade_order"]),
+        ("piezo_pair}", '"my_options.py:bearing"}', 'structure: "my_o', ["fits.piezos.structure", "my_options.py"]),
         ("stop: paper", "start: {k_x: 1}", "k_x: 1", ["fits.bearing.start.k_x", "did you mean 'k_yx'"]),
         ("stop: paper", "fixed: {tau: 1}", "tau: 1", ["fits.bearing.fixed.tau", "no parameter"]),
         ("stop: paper", "bounds: {tau_x: [1, 0]}", "tau_x: [1", ["lower bound 1 is not below"]),

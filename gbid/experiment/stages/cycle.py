@@ -20,7 +20,7 @@ from gbid.core.names import file_stem
 from gbid.core.tables import Table, plain_table, write_csv
 from gbid.experiment.controllers import TUNED, controller_section, surfaces_item, tuned_design
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, InputError, Result
+from gbid.experiment.fields import Found, InputError, Result, refusal
 from gbid.experiment.machine import rig_model
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
 from gbid.experiment.schema import MOST_ROUNDS, CycleSection, ImpactPoint, ImpactsSection
@@ -148,8 +148,8 @@ def _point_problems(experiment: Experiment) -> Found:
     assert rig is not None
     at = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points]
     if experiment.spec.prefilter is not None and experiment.spec.prefilter.method != "none":
-        for i, point in enumerate(section.operating_points or ()):
-            if (point.pressure_bar, point.speed_rpm) not in at:
+        for i, q in enumerate(section.operating_points or ()):
+            if (q.pressure_bar, q.speed_rpm) not in at:
                 text = "is no operating point of the section rig, so it has no run-out map; choose one of those"
                 yield ("cycle", "operating_points", i), text
     try:
@@ -159,10 +159,8 @@ def _point_problems(experiment: Experiment) -> Found:
     recorded, hit = recording_points(experiment), trial_points(experiment)
     for where, points in ((("cycle", "operating_points"), recorded), (("cycle", "impacts", "operating_points"), hit)):
         for q in points:
-            try:
-                model.domain.check((q.pressure_bar, q.speed_rpm), f"model {model.name!r}")
-            except GbidError as error:
-                yield where, str(error)
+            point = (q.pressure_bar, q.speed_rpm)
+            yield from refusal(where, partial(model.domain.check, point, f"model {model.name!r}"))
 
 
 # ---- Rows of the cycle: certainty of the model and damping of the loop, for each round and operating point.

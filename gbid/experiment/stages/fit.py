@@ -16,7 +16,7 @@ from gbid.core.errors import DataError, GbidError
 from gbid.core.hdf5 import read_attribute, read_dataset, reading
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Check, Experiment, fit_models, recordings_of
-from gbid.experiment.fields import Found, Location, Result, nearest
+from gbid.experiment.fields import Found, Location, Result, nearest, refusal
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.rig_schema import LoopSection
 from gbid.experiment.run import Job, Made, Stage, Task
@@ -41,18 +41,16 @@ from gbid.validate.residuals import shaft_lines
 def structures_load(experiment: Experiment) -> Found:
     """Yield a problem for each fit whose structure is unknown or cannot be built."""
     for name, section in experiment.spec.fits.items():
-        try:
-            plant_structure(experiment, name)
-        except GbidError as error:
-            key = "options" if "option" in str(error) else "structure"
-            yield ("fits", name, key), str(error)
-            continue
-        if section.loop is not None and not _controller_is_found(experiment, section.loop):
-            continue  # the checks of loops report it
-        try:
-            kind_of(make_structure(experiment, name, planned=True)).anatomy()
-        except GbidError as error:
-            yield ("fits", name, "structure" if section.loop is None else "loop"), str(error)
+        problems = list(refusal(("fits", name), partial(plant_structure, experiment, name)))
+        yield from problems
+        if problems or (section.loop is not None and not _controller_is_found(experiment, section.loop)):
+            continue  # the checks of loops report a missing controller
+        where = ("fits", name, "structure" if section.loop is None else "loop")
+        yield from refusal(where, partial(_closed_structure, experiment, name))
+
+
+def _closed_structure(experiment: Experiment, name: str) -> Anatomy:
+    return kind_of(make_structure(experiment, name, planned=True)).anatomy()
 
 
 def _controller_is_found(experiment: Experiment, section: LoopSection) -> bool:
@@ -257,10 +255,7 @@ def trends_are_of_outputs(experiment: Experiment) -> Found:
         structure = structure_or_none(experiment, name)
         if structure is None or not output_labels(experiment, name, structure):
             continue
-        try:
-            fit_disturbances(experiment, name, structure)
-        except GbidError as error:
-            yield ("fits", name, "hum" if str(error).startswith("hum") else "trend"), str(error)
+        yield from refusal(("fits", name), partial(fit_disturbances, experiment, name, structure))
 
 
 def local_parameters_have_groups(experiment: Experiment) -> Found:

@@ -26,8 +26,8 @@ from gbid.experiment.controllers import (
     tuned_design,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, Result
-from gbid.experiment.machine import hammer_of, rig_model, rig_run
+from gbid.experiment.fields import Found, Location, Result, refusal
+from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_run
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import HammerTrain, ImpactPoint, ImpactsSection
 from gbid.recording import load_recording, save_recording
@@ -57,23 +57,11 @@ def impacts_can_be_made(experiment: Experiment) -> Found:
     if section.model == "lpv" and experiment.spec.lpv is None:
         yield ("impacts", "model"), "there is no section 'lpv'; add one, or name a model"
     elif section.model not in (None, "lpv"):
-        try:
-            expecting_model(experiment)
-        except GbidError as error:
-            yield ("impacts", "model"), str(error)
+        yield from refusal(("impacts", "model"), partial(expecting_model, experiment))
     inside = []
     for i, point in enumerate(section.operating_points):
-        outside = [
-            (key, value, low, high)
-            for key in ("pressure_bar", "speed_rpm")
-            for value, (low, high) in [(getattr(point, key), getattr(domain, key))]
-            if not low <= value <= high
-        ]
-        for key, value, low, high in outside:
-            yield (
-                ("impacts", "operating_points", i, key),
-                f"{value:g} lies outside the domain of {name}, {low:g} to {high:g}; choose a value inside",
-            )
+        outside = list(outside_domain(domain, name, point, ("impacts", "operating_points", i)))
+        yield from outside
         if not outside:
             inside.append(point)
     yield from _controller_problems(experiment, section, inside)
@@ -101,14 +89,12 @@ def _controller_problems(experiment: Experiment, section: ImpactsSection, points
     for loop, word in {"closed": section.controller, **section.beside}.items():
         if loop in taken:
             continue
-        try:
-            if is_tuned(word):
-                tuned_design(experiment, word)
-            elif loop in loop_controllers(section):
-                for point in points:
-                    controller_at(experiment, point, loop)
-        except GbidError as error:
-            yield ("impacts", "beside", loop) if loop in section.beside else ("impacts", "controller"), str(error)
+        where: Location = ("impacts", "beside", loop) if loop in section.beside else ("impacts", "controller")
+        if is_tuned(word):
+            yield from refusal(where, partial(tuned_design, experiment, word))
+        elif loop in loop_controllers(section):
+            for point in points:
+                yield from refusal(where, partial(controller_at, experiment, point, loop))
 
 
 # ---- Stage of the impacts (paper, Sec. 5.1): hammer on the rig in open and closed loop, ring-downs, force scaling.

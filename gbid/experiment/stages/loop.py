@@ -19,11 +19,9 @@ from gbid.experiment.controllers import (
     early_design,
     early_designs,
     found_controller,
-    is_tuned,
-    tuned_design,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, InputError, Location, nearest
+from gbid.experiment.fields import Found, InputError, Location, nearest, refusal
 from gbid.experiment.rig_schema import ControllerChoice
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.fit import fit_entries, fit_result
@@ -86,20 +84,10 @@ def rig_loop_can_run(experiment: Experiment) -> Found:
 
 
 def _controller_problems(experiment: Experiment, section: ControllerChoice, where: Location) -> Found:
-    try:
-        used = chosen(experiment, section)
-    except GbidError as error:
-        yield where, str(error)
-        return
-    if used is not section:
-        return  # that of the rig, reported there
-    try:
-        if section.controller is not None and is_tuned(section.controller):
-            early_design(experiment, tuned_design(experiment, section.controller))
-        found_controller(experiment, section, planned=True)
-    except GbidError as error:
-        text = str(error)
-        yield (*where, "gains" if "has no gain" in text else _key_of(section)), text
+    problems = list(refusal(where, partial(chosen, experiment, section)))
+    yield from problems
+    if not problems and chosen(experiment, section) is section:  # else that of the rig, reported there
+        yield from refusal(where, partial(found_controller, experiment, section, planned=True), _key_of(section))
 
 
 def _key_of(section: ControllerChoice) -> str:

@@ -13,7 +13,7 @@ from gbid.core import hdf5
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.files import scratch_folder
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, InputError, Location, Result, stored_key
+from gbid.experiment.fields import Found, InputError, Location, Result, refusal, stored_key
 from gbid.experiment.recordings import lpv_actuators
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
 from gbid.experiment.schema import LpvSection
@@ -44,10 +44,7 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
     yield from a_fit_is_named(experiment, where, section.fit, KEY_PARAMETERS, "name a fit of rotor_bearing or plant")
     if section.fit not in experiment.spec.fits:
         return
-    try:
-        lpv_actuators(experiment, section)
-    except GbidError as error:
-        yield ("lpv", "actuators"), str(error)
+    yield from refusal(("lpv", "actuators"), partial(lpv_actuators, experiment, section))
     if section.robust and section.weighting == "fits":
         yield ("lpv", "robust"), "needs weighting: scatter or ordinary"
     points = []
@@ -58,10 +55,8 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
             return
         points.append([float(v) for v in point if v is not None])
     if points and section.order != "auto":
-        try:
-            check_points(np.array(points), chosen_exponents(section.order))
-        except GbidError as error:
-            yield ("lpv", "order"), str(error)
+        order = section.order
+        yield from refusal(("lpv", "order"), lambda: check_points(np.array(points), chosen_exponents(order)))
 
 
 def _of_scheduled(experiment: Experiment, section: LpvSection, structure: ScheduledStructure) -> Found:
@@ -71,10 +66,7 @@ def _of_scheduled(experiment: Experiment, section: LpvSection, structure: Schedu
         yield ("fits", section.fit, "together"), text
     if section.direct:
         yield ("lpv", "direct"), f"{structure.name} gives the surfaces straight from the recordings already; remove it"
-    try:
-        lpv_actuators(experiment, section)
-    except GbidError as error:
-        yield ("lpv", "actuators"), str(error)
+    yield from refusal(("lpv", "actuators"), partial(lpv_actuators, experiment, section))
 
 
 # ---- Surfaces of an experiment, made by `gbid.fit_lpv` from its fits.

@@ -21,15 +21,16 @@ from gbid.experiment.controllers import (
     stationary_at,
 )
 from gbid.experiment.experiment import Check, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, Location, nearest
-from gbid.experiment.machine import RigRun, faults_of, machine_at, rig_experiment, rig_model, rig_run
+from gbid.experiment.fields import Found, Location, nearest, refusal
+from gbid.experiment.machine import RigRun, faults_of, machine_at, outside_domain, rig_experiment, rig_model, rig_run
 from gbid.experiment.recordings import recording_result
 from gbid.experiment.rig_schema import RigLoopSection, RigSection
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.prefilter import identified_map
+from gbid.lpv import LPVModel
 from gbid.prefilter import RunoutMap, identify_runout
 from gbid.recording import save_recording
-from gbid.rig import Machine, ProgramController, SampledController, rig_effect, rig_effects
+from gbid.rig import ProgramController, SampledController, rig_effect, rig_effects
 from gbid.rig.excitation import whole_samples
 from gbid.structure import LinearModel
 
@@ -47,57 +48,43 @@ def rig_runs(experiment: Experiment) -> Found:
     if not model.actuators and rig.actuators.kind == "linear":
         yield ("rig", "model"), f"model {model.name!r} has no actuators; the rig needs them: add them to its file"
         return
-    inside = True
+    outside: list[tuple[Location, str]] = []
     for i, point in enumerate(rig.operating_points):
-        for key in ("pressure_bar", "speed_rpm"):
-            value, (low, high) = getattr(point, key), getattr(model.domain, key)
-            if not low <= value <= high:
-                inside = False
-                yield (
-                    ("rig", "operating_points", i, key),
-                    f"{value:g} lies outside the domain of {model.name}, {low:g} to {high:g}; choose a value inside",
-                )
+        outside += outside_domain(model.domain, model.name, point, ("rig", "operating_points", i))
     for i, course in enumerate(rig.courses):
         for key in ("pressure_bar", "speed_rpm"):
             values, (low, high) = np.atleast_1d(getattr(course, key)), getattr(model.domain, key)
             if values.min() < low or values.max() > high:
-                inside = False
-                yield (
-                    ("rig", "courses", i, key),
-                    f"leaves the domain of {model.name}, {low:g} to {high:g}; choose values inside",
-                )
+                text = f"leaves the domain of {model.name}, {low:g} to {high:g}; choose values inside"
+                outside.append((("rig", "courses", i, key), text))
+    yield from outside
     for location, seconds in _times(rig):
-        try:
-            whole_samples(str(location[-1]), seconds, rig.sample_time_s)
-        except UsageError as error:
-            yield location, str(error)
-    inside = inside and not list(effects_are_known(experiment))  # else the machine cannot be made
-    reported: set[str] = set()
-    for planned in experiment.recordings.values():
-        if inside and planned.imported is None:
-            try:
-                machine = machine_at(experiment, planned, model)
-                if not planned.in_loop:
-                    _check_held(experiment, machine)
-                rig_experiment(experiment, planned)
-            except GbidError as error:
-                if str(error) not in reported:
-                    yield ("rig",), str(error)
-                reported.add(str(error))
+        yield from refusal(location, partial(whole_samples, str(location[-1]), seconds, rig.sample_time_s))
+    if outside or list(effects_are_known(experiment)):
+        return  # the machine cannot be made
+    refused = [
+        problem
+        for planned in experiment.recordings.values()
+        if planned.imported is None
+        for problem in refusal(("rig",), partial(_check_run, experiment, planned, model))
+    ]
+    yield from dict.fromkeys(refused)
 
 
-def _check_held(experiment: Experiment, machine: Machine) -> None:
-    """Refuse a recording without controller of an unstable rotor.
+def _check_run(experiment: Experiment, planned: PlannedRecording, model: LPVModel) -> None:
+    """Refuse a recording that the rig cannot make, as one without controller of an unstable rotor.
 
     Raises
     ------
     UsageError
         With what to do.
     """
-    rig = experiment.spec.rig
+    rig, machine = experiment.spec.rig, machine_at(experiment, planned, model)
     assert rig is not None
+    rig_experiment(experiment, planned)
     try:
-        machine.rotor_bearing.check_stable()
+        if not planned.in_loop:
+            machine.rotor_bearing.check_stable()
     except UsageError as error:
         if rig.loop is None:
             raise UsageError(f"{error}; record it under a controller: loop:") from None
@@ -115,10 +102,7 @@ def faults_name_recordings(experiment: Experiment) -> Found:
             if not any(q.imported is None for q in experiment.matching((pattern,))):
                 known = nearest(pattern, experiment.recordings)
                 yield (*here, "recordings"), f"no recording of the rig matches {pattern!r}; {known}"
-        try:
-            faults_of(entry)
-        except UsageError as error:
-            yield here, str(error)
+        yield from refusal(here, partial(faults_of, entry))
 
 
 def effects_are_known(experiment: Experiment) -> Found:
@@ -128,10 +112,7 @@ def effects_are_known(experiment: Experiment) -> Found:
         if name not in rig_effects():
             yield ("rig", "effects", name), f"no effect {name!r}; {nearest(name, rig_effects())}"
             continue
-        try:
-            rig_effect(name, **options)
-        except UsageError as error:
-            yield ("rig", "effects", name), str(error)
+        yield from refusal(("rig", "effects", name), partial(rig_effect, name, **options))
 
 
 def stacks_are_there(experiment: Experiment) -> Found:

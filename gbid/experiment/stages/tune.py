@@ -47,7 +47,8 @@ from gbid.experiment.controllers import (
     without_cap,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, InputError, Location, Result, nearest, stored_key
+from gbid.experiment.fields import Found, InputError, Location, Result, nearest, refusal, stored_key
+from gbid.experiment.machine import outside_domain
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import ControllerSection, RobustSection
@@ -84,8 +85,7 @@ def designs_can_be_tuned(experiment: Experiment) -> Found:
         try:
             structure = design_structure(experiment, section, None if model is None else model.domain)
         except GbidError as error:
-            key = "schedule" if "terms" in str(error) else "options" if section.options else "structure"
-            yield (*where, key), str(error)
+            yield (*where, error.key or "structure"), str(error)
             continue
         yield from _gain_problems(section, structure, where)
 
@@ -108,13 +108,7 @@ def _point_problems(section: ControllerSection, model: LPVModel, where: Location
     if isinstance(section.operating_points, str):
         return
     for i, point in enumerate(section.operating_points):
-        for key in ("pressure_bar", "speed_rpm"):
-            value, (low, high) = getattr(point, key), getattr(model.domain, key)
-            if not low <= value <= high:
-                yield (
-                    (*where, "operating_points", i, key),
-                    f"{value:g} lies outside the domain of {model.name}, {low:g} to {high:g}; choose a value inside",
-                )
+        yield from outside_domain(model.domain, model.name, point, (*where, "operating_points", i))
 
 
 def _goal_problems(experiment: Experiment, section: ControllerSection, where: Location) -> Found:
@@ -140,10 +134,8 @@ def _goal_problems(experiment: Experiment, section: ControllerSection, where: Lo
             yield from _disturbance_problems(experiment, pattern, (*where, "goals", i, "disturbance"))
     if len(goals) < len(section.goals):
         return
-    try:  # every plant has the channels of this one
-        limits_of(goals, DesignContext(load_model("theisen2016").plant_at(6.0, 0.0)))
-    except GbidError as error:
-        yield (*where, "goals"), str(error)
+    plant = load_model("theisen2016").plant_at(6.0, 0.0)  # every plant has the channels of this one
+    yield from refusal((*where, "goals"), lambda: limits_of(goals, DesignContext(plant)))
 
 
 def _disturbance_problems(experiment: Experiment, pattern: str, where: Location) -> Found:
