@@ -1,4 +1,4 @@
-"""Folder of the compiled kernels, and whether its libraries can be trusted.
+"""Compiled kernels: the C compiler of this machine, shared libraries, and the folder that keeps them.
 
 A library runs with the rights of the user. It is therefore taken only from folders in which nobody else can write,
 which is the rule of ssh for its keys.
@@ -18,9 +18,11 @@ import signal
 import socket
 import stat
 import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -92,7 +94,9 @@ class Compiler(NamedTuple):
 
 @cache
 def find_compiler() -> Compiler:
-    """Return the compiler named by the environment variable ``CC``, otherwise cc, gcc or clang.
+    """Return the compiler named by the environment variable ``CC``, otherwise cc, gcc, clang, or that of ``ziglang``.
+
+    The Python package ``ziglang`` brings a C compiler (clang); ``pip install gbid[compiler]`` installs it.
 
     Raises
     ------
@@ -101,7 +105,7 @@ def find_compiler() -> Compiler:
     """
     named = os.environ.get("CC", "")
     try:
-        candidates = [shlex.split(named)] if named else [["cc"], ["gcc"], ["clang"]]
+        candidates = [shlex.split(named)] if named else [["cc"], ["gcc"], ["clang"], *_packaged()]
     except ValueError as error:  # an open quotation mark
         raise CompilerMissingError(f"no C compiler found (CC = {named!r}: {error})") from None
     for command in candidates:
@@ -109,7 +113,11 @@ def find_compiler() -> Compiler:
             ended = _run([*command, "--version"])
             if ended.returncode == 0:
                 return Compiler(tuple(command), ended.stdout)
-    raise CompilerMissingError(f"no C compiler found ({named or 'cc, gcc, clang'})")
+    raise CompilerMissingError(f"no C compiler found ({named or 'cc, gcc, clang, ziglang'})")
+
+
+def _packaged() -> list[list[str]]:
+    return [[sys.executable, "-m", "ziglang", "cc"]] if find_spec("ziglang") else []
 
 
 def compile_source(compiler: Compiler, flags: Sequence[str], source: str, library: Path) -> None:

@@ -93,7 +93,7 @@ def _compiler() -> Finding:
     try:
         compiler = find_compiler()
     except CompilerMissingError as error:
-        remedy = "fits run with the portable pass, ten times as slow; install gcc or clang, or set CC"
+        remedy = "fits run with the portable pass, ten times as slow; install gcc, clang or gbid[compiler], or set CC"
         return Finding("C compiler", Verdict.NOTE, str(error), remedy)
     first = next(iter(compiler.version.splitlines()), "")
     return Finding("C compiler", Verdict.GOOD, f"{' '.join(compiler.command)}: {first}")

@@ -188,8 +188,8 @@ class CompiledChain:
             self._library = load_library(source, FLAGS)
         except CompilerMissingError as missing:
             raise UsageError(
-                f"the compiled chain {chain.name!r} needs a C compiler: {missing}; install one (gcc or clang), set CC, "
-                "or run the chain in Python (gbid.export.PythonChain; rig: controller: python)"
+                f"the compiled chain {chain.name!r} needs a C compiler: {missing}; install one (gcc, clang or "
+                "gbid[compiler]), set CC, or run the chain in Python (gbid.export.PythonChain; rig: controller: python)"
             ) from None
         self._library.chain_state_bytes.restype = ctypes.c_long
         self.state_bytes = int(self._library.chain_state_bytes())

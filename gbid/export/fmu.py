@@ -503,6 +503,7 @@ def _library(path: Path, sources: dict[str, str]) -> bytes:
             compile_shared(folder / "unit.c", folder / "unit.so", _FLAGS)
         except CompilerMissingError as error:
             raise UsageError(
-                f"{path}: {error}; install a C compiler (gcc, clang), or write the sources only: binary=False"
+                f"{path}: {error}; install a C compiler (gcc, clang or gbid[compiler]), or write the sources only: "
+                "binary=False"
             ) from None
         return (folder / "unit.so").read_bytes()

@@ -772,8 +772,8 @@ def run_steps(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatArray:
         step = load_library(SOURCE).gbid_rig_steps
     except CompilerMissingError as missing:
         raise UsageError(
-            f"the rig steps through time in C: {missing}; install one (gcc or clang), or record a linear machine in "
-            "open loop, which has a closed form"
+            f"the rig steps through time in C: {missing}; install one (gcc, clang or gbid[compiler]), or "
+            "record a linear machine in open loop, which has a closed form"
         ) from None
     n, kept = len(chunk.excitation), len(state.history) - 1
     stacks, controller = arrays.stacks, arrays.controller

@@ -9,7 +9,9 @@ import time
 import pytest
 from compilers import NEEDS_COMPILER, SOURCE, forget_libraries, value_of
 from filelock import FileLock
+from fit_cases import MODE, MODE_AT, levels, simulated
 
+import gbid
 from gbid.core import compiled as compiler
 from gbid.core import compiled as library
 from gbid.core.compiled import CompilerMissingError, load_library
@@ -138,3 +140,21 @@ def test_interrupting_the_compiler_leaves_nothing_behind(folder, tmp_path):
     running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
     assert marker not in running
     assert [p.name for p in folder.iterdir() if not p.name.endswith(".lock")] == []
+
+
+def test_the_compiler_of_ziglang_serves_where_there_is_no_other(folder, monkeypatch, tmp_path):
+    """A fit with the compiler that ``pip install gbid[compiler]`` brings has the figures of any other."""
+    pytest.importorskip("ziglang", reason="the extra gbid[compiler] is not installed")
+    recording = simulated(MODE, MODE_AT, levels(400), noise=0.01)
+    usual = gbid.fit(MODE, recording, focus="simulation")
+    forget_libraries()
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(tmp_path / "zig"))
+    command = compiler.find_compiler().command
+    assert command[1:] == ("-m", "ziglang", "cc")
+    before = set(folder.glob("*.so"))
+    result = gbid.fit(MODE, recording, focus="simulation")
+    assert set(folder.glob("*.so")) - before  # compiled anew: the key holds the version of the compiler
+    for name in usual.free:
+        assert abs(result.parameters[name] - usual.parameters[name]) <= 1e-6 * usual.std[name], name
