@@ -7,145 +7,136 @@ from typing import Annotated
 
 import typer
 
-from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, ExperimentPath, Overwrite, Results
+from gbid.cli.options import CommonOptions, ExperimentPath, with_options
 
 
+@with_options("results", "as_json", "debug")
 def check(
     experiment: ExperimentPath,
+    options: CommonOptions,
     quick: Annotated[
         bool, typer.Option("--quick", help="Check files, lengths and sample times only, not the signals.")
     ] = False,
-    results: Results = None,
-    as_json: AsJson = False,
-    debug: Debug = False,
 ) -> None:
     """Check an experiment YAML, the data that it imports and the disk space for its results; report all problems."""
-    with guarded(as_json, debug):
-        from gbid.cli.printing import print_json, print_notes, tell
-        from gbid.cli.stages import next_step
-        from gbid.core.tables import file_size
-        from gbid.experiment.experiment import changed_files
-        from gbid.experiment.load import find_data_problems, load_experiment
-        from gbid.experiment.stages.importing import find_import_problems
+    from gbid.cli.printing import print_json, print_notes, tell
+    from gbid.cli.stages import next_step
+    from gbid.core.tables import file_size
+    from gbid.experiment.experiment import changed_files
+    from gbid.experiment.load import find_data_problems
+    from gbid.experiment.stages.importing import find_import_problems
 
-        loaded = load_experiment(experiment, results)
-        problems, code, (needed, free) = find_data_problems(loaded)
-        reported = "\n".join(problems)
-        for planned, text, own in find_import_problems(loaded) if not quick else ():
-            if text not in reported:
-                problems.append(f"{loaded.file.position(planned.location)}: {text}")
-                code = max(code, own)
-        print_notes(changed_files(loaded))
-        for text in problems:
-            tell(f"gbid: error: {text}")
-        spec = loaded.spec
-        if as_json:
-            print_json(
-                {
-                    "experiment": spec.name,
-                    "recordings": list(loaded.recordings),
-                    "fits": list(spec.fits),
-                    "results": str(loaded.results),
-                    "bytes_needed": needed,
-                    "bytes_free": free,
-                    "problems": problems,
-                }
-            )
-        elif not problems:
-            fits = f"{len(spec.fits)} fit{'s' * (len(spec.fits) != 1)}"
-            typer.echo(f"{experiment}: nothing wrong: {len(loaded.recordings)} recordings, {fits}")
-            tell(f"results in {loaded.results}: about {file_size(needed)}, {file_size(free)} free")
-            tell(f"next: {next_step(loaded, 'check')}")
-        if problems:
-            raise typer.Exit(code)
+    loaded = options.load(experiment)
+    problems, code, (needed, free) = find_data_problems(loaded)
+    reported = "\n".join(problems)
+    for planned, text, own in find_import_problems(loaded) if not quick else ():
+        if text not in reported:
+            problems.append(f"{loaded.file.position(planned.location)}: {text}")
+            code = max(code, own)
+    print_notes(changed_files(loaded))
+    for text in problems:
+        tell(f"gbid: error: {text}")
+    spec = loaded.spec
+    if options.as_json:
+        print_json(
+            {
+                "experiment": spec.name,
+                "recordings": list(loaded.recordings),
+                "fits": list(spec.fits),
+                "results": str(loaded.results),
+                "bytes_needed": needed,
+                "bytes_free": free,
+                "problems": problems,
+            }
+        )
+    elif not problems:
+        fits = f"{len(spec.fits)} fit{'s' * (len(spec.fits) != 1)}"
+        typer.echo(f"{experiment}: nothing wrong: {len(loaded.recordings)} recordings, {fits}")
+        tell(f"results in {loaded.results}: about {file_size(needed)}, {file_size(free)} free")
+        tell(f"next: {next_step(loaded, 'check')}")
+    if problems:
+        raise typer.Exit(code)
 
 
 # ---- `gbid doctor`: whether this machine has what gbid needs, and what it does without.
 
 
-def doctor(as_json: AsJson = False, debug: Debug = False) -> None:
+@with_options("as_json", "debug")
+def doctor(options: CommonOptions) -> None:
     """Show compiler, cache, versions, disk and threads of this machine, and what to do where something is missing."""
-    with guarded(as_json, debug):
-        import typer
+    from gbid.cli.printing import print_json, print_tables, tell
+    from gbid.core.tables import Column, Table
+    from gbid.experiment.examination import Verdict, examine
 
-        from gbid.cli.printing import print_json, print_tables, tell
-        from gbid.core.tables import Column, Table
-        from gbid.experiment.examination import Verdict, examine
-
-        found = examine()
-        if as_json:
-            print_json({"findings": [finding.document() for finding in found]})
-        else:
-            columns = [Column("what"), Column("verdict"), Column("found", wrap=True)]
-            rows = [[finding.what, finding.verdict.value, finding.found] for finding in found]
-            print_tables(Table("this machine", columns, rows))
-        for finding in found:
-            if finding.remedy:
-                tell(f"gbid: {finding.verdict.value}: {finding.what}: {finding.remedy}")
-        if any(finding.verdict is Verdict.BAD for finding in found):
-            raise typer.Exit(1)
+    found = examine()
+    if options.as_json:
+        print_json({"findings": [finding.document() for finding in found]})
+    else:
+        columns = [Column("what"), Column("verdict"), Column("found", wrap=True)]
+        rows = [[finding.what, finding.verdict.value, finding.found] for finding in found]
+        print_tables(Table("this machine", columns, rows))
+    for finding in found:
+        if finding.remedy:
+            tell(f"gbid: {finding.verdict.value}: {finding.what}: {finding.remedy}")
+    if any(finding.verdict is Verdict.BAD for finding in found):
+        raise typer.Exit(1)
 
 
 # ---- `gbid explain`: what the code of a note means, and what to do.
 
 
+@with_options("as_json", "debug")
 def explain(
+    options: CommonOptions,
     code: Annotated[
         str, typer.Argument(metavar="[CODE]", help="Code of a note, as GB102; without it all are listed.")
     ] = "",
-    as_json: AsJson = False,
-    debug: Debug = False,
 ) -> None:
     """Explain the code of a note, such as GB102: where it comes from and what to do."""
-    with guarded(as_json, debug):
-        from gbid.cli.printing import print_json, print_tables
-        from gbid.core.notes import explain as explanation_of
-        from gbid.core.notes import families
-        from gbid.core.tables import Column, Table
+    from gbid.cli.printing import print_json, print_tables
+    from gbid.core.notes import explain as explanation_of
+    from gbid.core.notes import families
+    from gbid.core.tables import Column, Table
 
-        if code:
-            found = explanation_of(code)
-            if as_json:
-                print_json(found._asdict())
-            else:
-                typer.echo(f"{found.code}: {found.title}\n\n{found.meaning}\n\nWhat to do: {found.remedy}")
-            return
-        if as_json:
-            print_json({"notes": [entry._asdict() for group in families().values() for entry in group]})
-            return
-        columns = [Column("code"), Column("note", wrap=True)]
-        print_tables(
-            *(Table(about, columns, [[e.code, e.title] for e in group]) for about, group in families().items())
-        )
+    if code:
+        found = explanation_of(code)
+        if options.as_json:
+            print_json(found._asdict())
+        else:
+            typer.echo(f"{found.code}: {found.title}\n\n{found.meaning}\n\nWhat to do: {found.remedy}")
+        return
+    if options.as_json:
+        print_json({"notes": [entry._asdict() for group in families().values() for entry in group]})
+        return
+    columns = [Column("code"), Column("note", wrap=True)]
+    print_tables(*(Table(about, columns, [[e.code, e.title] for e in group]) for about, group in families().items()))
 
 
 # ---- `gbid schema`: JSON schema of the experiment YAML, for editors.
 
 
+@with_options("overwrite", "debug")
 def schema(
+    options: CommonOptions,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="Write it to a file instead of standard output."),
     ] = None,
-    overwrite: Overwrite = False,
-    debug: Debug = False,
 ) -> None:
     """Print the JSON schema of the experiment YAML; with it an editor completes and checks the keys."""
-    with guarded(debug=debug):
-        import json
+    import json
 
-        from gbid.experiment.load import experiment_json_schema
+    from gbid.experiment.load import experiment_json_schema
 
-        text = json.dumps(experiment_json_schema(), indent=2, ensure_ascii=False)
-        if output is None:
-            typer.echo(text)
-            return
-        from gbid.core.files import atomic_path
+    text = json.dumps(experiment_json_schema(), indent=2, ensure_ascii=False)
+    if output is None:
+        typer.echo(text)
+        return
+    from gbid.core.files import atomic_path
 
-        with atomic_path(output, overwrite) as part:
-            part.write_text(text + "\n", encoding="utf-8")
-        typer.echo(str(output))
-        typer.echo(
-            f"next: put this line on top of your experiment: # yaml-language-server: $schema={output.name}", err=True
-        )
+    with atomic_path(output, options.overwrite) as part:
+        part.write_text(text + "\n", encoding="utf-8")
+    typer.echo(str(output))
+    typer.echo(
+        f"next: put this line on top of your experiment: # yaml-language-server: $schema={output.name}", err=True
+    )

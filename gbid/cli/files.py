@@ -5,25 +5,11 @@ from __future__ import annotations
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gbid.cli.guard import guarded
-from gbid.cli.options import (
-    AsJson,
-    Debug,
-    DryRun,
-    Engine,
-    ExperimentPath,
-    Overwrite,
-    Quiet,
-    Results,
-    Retry,
-    Verbose,
-    Workers,
-    complete_source,
-)
+from gbid.cli.options import CommonOptions, ExperimentPath, complete_source, with_options
 from gbid.cli.verbs import OR_RUN
 from gbid.core.errors import UsageError
 from gbid.export.targets import TARGETS, ExportRequest, export_target
@@ -56,6 +42,14 @@ ABOUT = {
 """Contents of each template."""
 
 
+def _drafting(help: str, metavar: str | None = None) -> Any:
+    return typer.Option(metavar=metavar, help=f"With --from: {help}.", show_default="found")
+
+
+def _peeking(help: str) -> Any:
+    return typer.Option(help=f"With --peek: {help}.", show_default="found")
+
+
 def _print_templates(wanted: bool) -> None:
     if wanted:
         for template, about in ABOUT.items():
@@ -63,8 +57,10 @@ def _print_templates(wanted: bool) -> None:
         raise typer.Exit
 
 
+@with_options("debug")
 def new(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new or empty folder.", show_default=False)],
+    options: CommonOptions,  # noqa: ARG001
     template: Annotated[
         Template, typer.Option("--template", help="Template; --list shows what each contains.")
     ] = Template.quickstart,
@@ -74,71 +70,47 @@ def new(
             "--from", metavar="FOLDER", help="Draft an experiment for a gas bearing from the files of a folder."
         ),
     ] = None,
-    signal: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--signal", metavar="NAME=X,Y", help="With --from: columns of r, u, p or phi.", show_default="found"
-        ),
-    ] = None,
-    time: Annotated[
-        str | None,
-        typer.Option(metavar="COLUMN", help="With --from: column of the sample times.", show_default="found"),
-    ] = None,
-    sample_time: Annotated[
-        float | None, typer.Option(metavar="S", help="With --from: time between samples.", show_default="found")
-    ] = None,
-    unit: Annotated[
-        str | None, typer.Option(help="With --from: unit of positions whose file states none.", show_default="found")
-    ] = None,
-    pattern: Annotated[
-        str | None, typer.Option(help="With --from: pattern of the file names.", show_default="found")
-    ] = None,
-    from_s: Annotated[
-        float | None, typer.Option(metavar="S", help="With --from: begin of the part to use.", show_default="found")
-    ] = None,
-    to_s: Annotated[
-        float | None, typer.Option(metavar="S", help="With --from: end of the part to use.", show_default="found")
-    ] = None,
-    pressure: Annotated[
-        float | None, typer.Option(metavar="BAR", help="With --from: pressure of all files.", show_default="found")
-    ] = None,
-    speed: Annotated[
-        float | None, typer.Option(metavar="RPM", help="With --from: speed of all files.", show_default="found")
-    ] = None,
+    signal: Annotated[list[str] | None, _drafting("columns of r, u, p or phi", "NAME=X,Y")] = None,
+    time: Annotated[str | None, _drafting("column of the sample times", "COLUMN")] = None,
+    sample_time: Annotated[float | None, _drafting("time between samples", "S")] = None,
+    unit: Annotated[str | None, _drafting("unit of positions whose file states none")] = None,
+    pattern: Annotated[str | None, _drafting("pattern of the file names")] = None,
+    from_s: Annotated[float | None, _drafting("begin of the part to use", "S")] = None,
+    to_s: Annotated[float | None, _drafting("end of the part to use", "S")] = None,
+    pressure: Annotated[float | None, _drafting("pressure of all files", "BAR")] = None,
+    speed: Annotated[float | None, _drafting("speed of all files", "RPM")] = None,
     controller: Annotated[str, typer.Option(help="With --from: structure of the controller.")] = "P",
     _list: Annotated[
         bool, typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and exit.")
     ] = False,
-    debug: Debug = False,
 ) -> None:
     """Write a commented experiment: a template that runs as it is, or one for the files of a folder."""
-    with guarded(debug=debug):
-        from gbid.cli.templates import refuse_used, write_draft, write_template
+    from gbid.cli.templates import refuse_used, write_draft, write_template
 
-        notes: tuple[str, ...] = ()
-        if measured is None:
-            written = write_template(template.value, folder)
-        else:
-            from gbid.experiment.draft import DraftOptions
+    notes: tuple[str, ...] = ()
+    if measured is None:
+        written = write_template(template.value, folder)
+    else:
+        from gbid.experiment.draft import DraftOptions
 
-            refuse_used(folder)
-            columns = dict(_signal(text) for text in signal or ())
-            options = DraftOptions(
-                measured, columns, time, sample_time, unit, pattern, from_s, to_s, pressure, speed, controller
-            )
-            draft = _drafted(options, folder)
-            written, notes = write_draft(draft.text, folder), draft.notes
-        for path in written:
-            typer.echo(str(path))
-        experiment = folder / "experiment.yaml"
-        first = "check" if measured else "run"
-        then = "run" if measured else "check"
-        for line in (
-            *(f"note: {text}" for text in notes),
-            f"next: gbid {first} {experiment}",
-            f"then: change {experiment} and {then} it with gbid {then} {experiment}",
-        ):
-            typer.echo(line, err=True)
+        refuse_used(folder)
+        columns = dict(_signal(text) for text in signal or ())
+        drafted = DraftOptions(
+            measured, columns, time, sample_time, unit, pattern, from_s, to_s, pressure, speed, controller
+        )
+        draft = _drafted(drafted, folder)
+        written, notes = write_draft(draft.text, folder), draft.notes
+    for path in written:
+        typer.echo(str(path))
+    experiment = folder / "experiment.yaml"
+    first = "check" if measured else "run"
+    then = "run" if measured else "check"
+    for line in (
+        *(f"note: {text}" for text in notes),
+        f"next: gbid {first} {experiment}",
+        f"then: change {experiment} and {then} it with gbid {then} {experiment}",
+    ):
+        typer.echo(line, err=True)
 
 
 def _signal(text: str) -> tuple[str, tuple[str, ...]]:
@@ -168,6 +140,7 @@ def _drafted(options: DraftOptions, target: Path) -> Draft:
 # ---- `gbid import`: recordings of the import section; with --peek the channels of one file.
 
 
+@with_options()
 def import_recordings(
     experiment: Annotated[
         Path,
@@ -175,6 +148,7 @@ def import_recordings(
             metavar="EXPERIMENT|FILE", help="The experiment YAML; with --peek the file.", show_default=False
         ),
     ],
+    options: CommonOptions,
     peek: Annotated[
         bool,
         typer.Option(
@@ -182,57 +156,30 @@ def import_recordings(
             help="Show the channels of a measured file: names, units, rates, first samples, and how it is read.",
         ),
     ] = False,
-    encoding: Annotated[
-        str | None, typer.Option(help="With --peek: encoding of a text file.", show_default="found")
-    ] = None,
-    decimal: Annotated[str | None, typer.Option(help="With --peek: its decimal sign.", show_default="found")] = None,
-    delimiter: Annotated[
-        str | None, typer.Option(help="With --peek: the character between its cells.", show_default="found")
-    ] = None,
-    header_line: Annotated[
-        int | None, typer.Option(help="With --peek: number of its line with the names.", show_default="found")
-    ] = None,
-    results: Results = None,
-    overwrite: Overwrite = False,
-    engine: Engine = "auto",
-    workers: Workers = None,
-    retry: Retry = False,
-    dry_run: DryRun = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-    as_json: AsJson = False,
-    debug: Debug = False,
+    encoding: Annotated[str | None, _peeking("encoding of a text file")] = None,
+    decimal: Annotated[str | None, _peeking("its decimal sign")] = None,
+    delimiter: Annotated[str | None, _peeking("the character between its cells")] = None,
+    header_line: Annotated[int | None, _peeking("number of its line with the names")] = None,
 ) -> None:
     """Read the recordings of the import section, or show the channels of a measured file."""
-    with guarded(as_json, debug):
-        if peek:
-            from gbid.cli.printing import print_json, print_tables
-            from gbid.recording.importing import list_channels, read_layout
-            from gbid.recording.mapping import TextOptions
-            from gbid.report.read import channel_rows, channel_table, layout_words
+    if not peek:
+        from gbid.cli.stages import run_stages
 
-            options = TextOptions(encoding, decimal, delimiter, header_line)
-            rows, layout = channel_rows(list_channels(experiment, options)), read_layout(experiment, options)
-            if as_json:
-                print_json({"file": experiment, "layout": layout, "channels": rows})
-            else:
-                if layout:
-                    typer.echo(f"read as text: {layout_words(layout)}")
-                print_tables(channel_table(experiment.name, rows))
-            return
-        from gbid.cli.stages import Manner, run_stages
+        run_stages("import", experiment, options, ("import",), OR_RUN)
+        return
+    from gbid.cli.printing import print_json, print_tables
+    from gbid.recording.importing import list_channels, read_layout
+    from gbid.recording.mapping import TextOptions
+    from gbid.report.fit_tables import channel_rows, channel_table, layout_words
 
-        run_stages(
-            ("import",),
-            experiment,
-            results,
-            Manner("import", as_json, quiet, verbose, dry_run),
-            OR_RUN,
-            overwrite=overwrite,
-            engine=engine,
-            workers=workers,
-            retry=retry,
-        )
+    text = TextOptions(encoding, decimal, delimiter, header_line)
+    rows, layout = channel_rows(list_channels(experiment, text)), read_layout(experiment, text)
+    if options.as_json:
+        print_json({"file": experiment, "layout": layout, "channels": rows})
+    else:
+        if layout:
+            typer.echo(f"read as text: {layout_words(layout)}")
+        print_tables(channel_table(experiment.name, rows))
 
 
 # ---- `gbid export`: models and controllers for other programs.
@@ -242,6 +189,7 @@ def _complete_target(incomplete: str) -> list[str]:
     return [name for name in TARGETS if name.startswith(incomplete)]
 
 
+@with_options("results", "overwrite", "as_json", "debug")
 def export(
     source: Annotated[
         str,
@@ -253,6 +201,7 @@ def export(
             autocompletion=complete_source,
         ),
     ],
+    options: CommonOptions,
     to: Annotated[
         str,
         typer.Option(
@@ -277,65 +226,55 @@ def export(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Folder; `export` in the results, or here for a file."),
     ] = None,
-    results: Results = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
-    as_json: AsJson = False,
-    debug: Debug = False,
 ) -> None:
     """Write models and controllers for other programs."""
-    with guarded(as_json, debug):
-        from gbid.cli.printing import print_json, print_notes, tell
-        from gbid.experiment.exporting import find_exports, write_exports
+    from gbid.cli.printing import print_json, print_notes, tell
+    from gbid.experiment.exporting import find_exports, write_exports
 
-        export_target(to)
-        found = find_exports(source, at, results)
-        request = ExportRequest(output or found.folder, overwrite, at, number, mass)
-        files = [str(path) for path in write_exports(found, to, request)]
-        if as_json:
-            print_json({"files": files, "left_out": list(found.left_out), "notes": list(found.notes)})
-        else:
-            typer.echo("\n".join(files))
-        print_notes(found.notes)
-        for text in found.left_out:
-            tell(f"gbid: warning: left out: {text}")
+    export_target(to)
+    found = find_exports(source, at, options.results)
+    request = ExportRequest(output or found.folder, options.overwrite, at, number, mass)
+    files = [str(path) for path in write_exports(found, to, request)]
+    if options.as_json:
+        print_json({"files": files, "left_out": list(found.left_out), "notes": list(found.notes)})
+    else:
+        typer.echo("\n".join(files))
+    print_notes(found.notes)
+    for text in found.left_out:
+        tell(f"gbid: warning: left out: {text}")
 
 
 # ---- `gbid clean`: removal of what killed runs left, of records of failures, and on request of results.
 
 
+@with_options("results", "dry_run", "quiet", "as_json", "debug")
 def clean(
     experiment: ExperimentPath,
+    options: CommonOptions,
     everything: Annotated[
         bool, typer.Option("--everything", help="Also remove the results; files that gbid did not make stay.")
     ] = False,
     kernels: Annotated[
         bool, typer.Option("--kernels", help="Also remove the compiled kernels of this user; they are compiled anew.")
     ] = False,
-    results: Results = None,
-    dry_run: DryRun = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-    debug: Debug = False,
 ) -> None:
     """Remove temporary files of killed runs and records of failures, so that failed items are tried again."""
-    with guarded(as_json, debug):
-        from gbid.cli.printing import print_json
-        from gbid.core.compiled import cache_folder
-        from gbid.experiment.campaign import locked, remove, stale_files
-        from gbid.experiment.load import load_experiment
+    from gbid.cli.printing import print_json
+    from gbid.core.compiled import cache_folder
+    from gbid.experiment.campaign import locked, remove, stale_files
 
-        loaded = load_experiment(experiment, results)
-        cache = cache_folder() if kernels else None
-        if dry_run or not loaded.results.is_dir():
+    loaded = options.load(experiment)
+    cache = cache_folder() if kernels else None
+    if options.dry_run or not loaded.results.is_dir():
+        found = stale_files(loaded.results, everything, cache)
+    else:
+        with locked(loaded.results):
             found = stale_files(loaded.results, everything, cache)
-        else:
-            with locked(loaded.results):
-                found = stale_files(loaded.results, everything, cache)
-                remove(loaded.results, found)
-        if as_json:
-            print_json({"results": loaded.results, "removed": [] if dry_run else found, "found": found})
-            return
-        if not quiet:
-            for path in found:
-                typer.echo(str(path))
-        typer.echo(f"{len(found)} files {'would be ' if dry_run else ''}removed")
+            remove(loaded.results, found)
+    if options.as_json:
+        print_json({"results": loaded.results, "removed": [] if options.dry_run else found, "found": found})
+        return
+    if not options.quiet:
+        for path in found:
+            typer.echo(str(path))
+    typer.echo(f"{len(found)} files {'would be ' if options.dry_run else ''}removed")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -10,9 +11,109 @@ import typer
 from gbid._version import __version__
 from gbid.cli.about import check, doctor, explain, schema
 from gbid.cli.files import clean, export, import_recordings, new
-from gbid.cli.options import DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
+from gbid.cli.options import CONTROL, DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
 from gbid.cli.results import figures, report, reproduce, serve
-from gbid.cli.verbs import STAGE_VERBS, batch, command_of, fit, run
+from gbid.cli.verbs import OR_RUN, batch, fit, of_stages, run
+
+VERBS: dict[str, dict[str, Callable[..., None]]] = {
+    START: {"new": new, "check": check, "run": run, "clean": clean, "doctor": doctor, "schema": schema},
+    DATA: {
+        "import": import_recordings,
+        "rig": of_stages(
+            "rig",
+            "Make the recordings of the rig section, after the designs that close their loops.",
+            *("loop", "rig"),
+            hint=OR_RUN,
+        ),
+    },
+    IDENTIFY: {
+        "fit": fit,
+        "batch": batch,
+        "static": of_stages(
+            "static", "Characterise staircases: static gains of the bearing, hysteresis and creep of the piezos."
+        ),
+        "lpv": of_stages(
+            "lpv", "Fit surfaces over pressure and speed to the fits, and show the deviations of the recordings."
+        ),
+        "crossval": of_stages(
+            "crossval",
+            "Validate the fitted models and choose the nominal actuator; exit code 5 when a minimum fit is missed.",
+            *("crossval", "nominal"),
+        ),
+        "excite": of_stages(
+            "excite", "Design the excitation of the next recordings from the fits: a CSV file for the signal generator."
+        ),
+    },
+    CONTROL: {
+        "tune": of_stages(
+            "tune", "Tune controllers: the gains with the most damping within limits, compared with the published ones."
+        ),
+        "impact": of_stages(
+            "impact",
+            "Hit the rig with a hammer, open and closed loop: identified and expected modes, force scaling, fit.",
+        ),
+        "cycle": of_stages(
+            "cycle",
+            "Record with the tuned controller in the loop, fit and tune again, and measure each round by impacts.",
+        ),
+    },
+    REPORT: {
+        "explain": explain,
+        "figures": figures,
+        "reproduce": reproduce,
+        "export": export,
+        "report": report,
+        "serve": serve,
+    },
+}
+"""Verbs by group, in the order of the overview."""
+
+EXAMPLES = """\
+gbid new rig1
+gbid new --list
+gbid new rig2 --template own-recordings
+gbid new rig3 --from measured
+gbid check rig1/experiment.yaml
+gbid run rig1/experiment.yaml
+gbid run rig1/experiment.yaml --json > results.json
+gbid clean rig1/experiment.yaml --dry-run
+gbid clean rig1/experiment.yaml --everything
+gbid doctor
+gbid doctor --json
+gbid schema --output rig1/experiment.schema.json
+gbid import rig2/experiment.yaml
+gbid import --peek measured/run_07.tdms
+gbid rig rig1/experiment.yaml --overwrite
+gbid fit rig1/experiment.yaml --only bearing
+gbid batch rig1/experiment.yaml                     # all processors; again to resume
+gbid batch rig1/experiment.yaml --shard 3/8         # a job of an array
+gbid batch rig1/experiment.yaml --scheduler tcp://node1:8786
+gbid static rig1/experiment.yaml --json
+gbid lpv rig1/experiment.yaml
+gbid lpv rig1/experiment.yaml --json
+gbid crossval rig1/experiment.yaml
+gbid excite rig1/experiment.yaml
+gbid excite rig1/experiment.yaml --json
+gbid tune rig1/experiment.yaml
+gbid tune rig1/experiment.yaml --json > designs.json
+gbid impact rig1/experiment.yaml
+gbid impact rig1/experiment.yaml --json > impacts.json
+gbid cycle rig1/experiment.yaml
+gbid cycle rig1/experiment.yaml --json > cycle.json
+gbid explain GB102
+gbid explain
+gbid figures theisen2016.yaml --overwrite
+gbid reproduce theisen2016.yaml
+gbid reproduce theisen2016.yaml --json > reproduction.json
+gbid export rig1/experiment.yaml --to matlab   # all its models and controllers, for MATLAB
+gbid export rig1/experiment.yaml --to c        # its controllers as C source
+gbid export theisen2016 --to csv --at 6 0      # a model at 6 bar and 0 rpm
+gbid report rig1/experiment.yaml
+gbid report rig1/experiment.yaml --output report.html
+gbid serve rig1/experiment.yaml --browser
+gbid serve rig1/experiment.yaml --port 0
+"""
+"""Command lines that the help of each verb shows."""
 
 app = typer.Typer(
     name="gbid",
@@ -45,71 +146,10 @@ def _gbid(
     pass
 
 
-app.command(
-    "new",
-    rich_help_panel=START,
-    epilog=examples(
-        "gbid new rig1", "gbid new --list", "gbid new rig2 --template own-recordings", "gbid new rig3 --from measured"
-    ),
-)(new)
-app.command("check", rich_help_panel=START, epilog=examples("gbid check rig1/experiment.yaml"))(check)
-app.command(
-    "run",
-    rich_help_panel=START,
-    epilog=examples("gbid run rig1/experiment.yaml", "gbid run rig1/experiment.yaml --json > results.json"),
-)(run)
-app.command(
-    "clean",
-    rich_help_panel=START,
-    epilog=examples("gbid clean rig1/experiment.yaml --dry-run", "gbid clean rig1/experiment.yaml --everything"),
-)(clean)
-app.command("doctor", rich_help_panel=START, epilog=examples("gbid doctor", "gbid doctor --json"))(doctor)
-app.command("explain", rich_help_panel=REPORT, epilog=examples("gbid explain GB102", "gbid explain"))(explain)
-app.command("schema", rich_help_panel=START, epilog=examples("gbid schema --output rig1/experiment.schema.json"))(
-    schema
-)
-app.command(
-    "import",
-    rich_help_panel=DATA,
-    epilog=examples("gbid import rig2/experiment.yaml", "gbid import --peek measured/run_07.tdms"),
-)(import_recordings)
-app.command("fit", rich_help_panel=IDENTIFY, epilog=examples("gbid fit rig1/experiment.yaml --only bearing"))(fit)
-app.command(
-    "batch",
-    rich_help_panel=IDENTIFY,
-    epilog=examples(
-        "gbid batch rig1/experiment.yaml                     # all processors; again to resume",
-        "gbid batch rig1/experiment.yaml --shard 3/8         # a job of an array",
-        "gbid batch rig1/experiment.yaml --scheduler tcp://node1:8786",
-    ),
-)(batch)
-for _verb in STAGE_VERBS:
-    app.command(_verb.name, rich_help_panel=_verb.group, epilog=examples(*_verb.examples))(command_of(_verb))
-app.command("figures", rich_help_panel=REPORT, epilog=examples("gbid figures theisen2016.yaml --overwrite"))(figures)
-app.command(
-    "reproduce",
-    rich_help_panel=REPORT,
-    epilog=examples("gbid reproduce theisen2016.yaml", "gbid reproduce theisen2016.yaml --json > reproduction.json"),
-)(reproduce)
-app.command(
-    "export",
-    rich_help_panel=REPORT,
-    epilog=examples(
-        "gbid export rig1/experiment.yaml --to matlab   # all its models and controllers, for MATLAB",
-        "gbid export rig1/experiment.yaml --to c        # its controllers as C source",
-        "gbid export theisen2016 --to csv --at 6 0      # a model at 6 bar and 0 rpm",
-    ),
-)(export)
-app.command(
-    "report",
-    rich_help_panel=REPORT,
-    epilog=examples("gbid report rig1/experiment.yaml", "gbid report rig1/experiment.yaml --output report.html"),
-)(report)
-app.command(
-    "serve",
-    rich_help_panel=REPORT,
-    epilog=examples("gbid serve rig1/experiment.yaml --browser", "gbid serve rig1/experiment.yaml --port 0"),
-)(serve)
+for _group, _verbs in VERBS.items():
+    for _name, _verb in _verbs.items():
+        _lines = (line for line in EXAMPLES.splitlines() if line.split()[1] == _name)
+        app.command(_name, rich_help_panel=_group, epilog=examples(*_lines))(_verb)
 
 
 def main() -> None:

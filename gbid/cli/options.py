@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 from typer.core import TyperGroup
+
+from gbid.cli.guard import guarded
+
+if TYPE_CHECKING:
+    from gbid.experiment.experiment import Experiment
 
 # ---- Shell completion: YAML files and folders.
 
@@ -44,30 +52,73 @@ ExperimentPath = Annotated[
         metavar="EXPERIMENT", help="The experiment YAML.", show_default=False, autocompletion=complete_experiment
     ),
 ]
-Results = Annotated[
-    Path | None,
-    typer.Option("--results", metavar="DIR", help="Folder of the results, instead of the one in the YAML."),
-]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace results that were made with other settings or data.")
-]
-Engine = Annotated[
-    str,
-    typer.Option(
-        "--engine",
-        metavar="NAME",
-        help="What runs the items: serial (this process), pool (processes), dask, or auto (a pool for many).",
-    ),
-]
-Workers = Annotated[
-    int | None, typer.Option("--workers", metavar="N", help="Number of processes; all processors when not given.")
-]
-Retry = Annotated[bool, typer.Option("--retry", help="Try failed items with the same settings and data again.")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, in SI units.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no advice; errors are told.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="A line for each item and each iteration.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+
+@dataclass(frozen=True)
+class CommonOptions:
+    """Options that several verbs have in common; a verb without one of them has its default."""
+
+    results: Annotated[
+        Path | None,
+        typer.Option("--results", metavar="DIR", help="Folder of the results, instead of the one in the YAML."),
+    ] = None
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace files that were made with other settings or data.")
+    ] = False
+    engine: Annotated[
+        str,
+        typer.Option(
+            "--engine",
+            metavar="NAME",
+            help="What runs the items: serial (this process), pool (processes), dask, or auto (a pool for many).",
+        ),
+    ] = "auto"
+    workers: Annotated[
+        int | None, typer.Option("--workers", metavar="N", help="Number of processes; all processors when not given.")
+    ] = None
+    retry: Annotated[bool, typer.Option("--retry", help="Try failed items with the same settings and data again.")] = (
+        False
+    )
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no advice; errors are told.")] = False
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="A line for each item and each iteration.")] = False
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output, in SI units.")] = False
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False
+
+    def load(self, path: Path) -> Experiment:
+        """Return the experiment of a YAML file, with the folder of results that was given."""
+        from gbid.experiment.load import load_experiment
+
+        return load_experiment(path, self.results)
+
+
+COMMON = tuple(field.name for field in fields(CommonOptions))
+
+
+def with_options(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that gives a verb the common options of these names, all without any.
+
+    The verb receives them as one value, ``options``; its errors become messages and exit codes.
+    """
+
+    def decorate(verb: Callable[..., None]) -> Callable[..., None]:
+        @wraps(verb)
+        def command(**given: Any) -> None:
+            options = CommonOptions(**{name: given.pop(name) for name in names or COMMON})
+            with guarded(options.as_json, options.debug):
+                verb(**given, options=options)
+
+        hints = get_type_hints(CommonOptions, include_extras=True)
+        parameters = [p for p in signature(verb, eval_str=True).parameters.values() if p.name != "options"]
+        parameters += [
+            Parameter(field.name, Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name])
+            for field in fields(CommonOptions)
+            if field.name in (names or COMMON)
+        ]
+        command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]  # typer reads it
+        return command
+
+    return decorate
 
 
 # ---- Overview of `gbid --help`: verbs in groups, and examples to copy.

@@ -89,23 +89,18 @@ class Tally:
         parts += [f"{self.before} failed already"] if self.before else []
         return f"{self.stage}: {', '.join(parts)}"
 
-    def pace(self) -> str:
-        """Return the rate and the time left as text; empty before the first item is done."""
-        passed = time.monotonic() - self._began
-        if not 0 < self.done < self.todo or passed <= 0:
-            return ""
-        return f"{rate(self.done / passed)}, {_duration(passed / self.done * (self.todo - self.done))} left"
-
     def text(self) -> str:
         """Return the state of the stage as text."""
         parts = [f"{self.stage}: {self.done} of {self.todo} done"]
         parts += [f"{self.running} running"] if self.running else []
         parts += [f"{self.failed} failed"] if self.failed else []
         parts += [f"{self.stuck} not converged"] if self.stuck else []
-        if 0 < self.done < self.todo:
-            parts.append(self.pace())
+        passed = time.monotonic() - self._began
+        if 0 < self.done < self.todo and passed > 0:
+            left = _duration(passed / self.done * (self.todo - self.done))
+            parts.append(f"{rate(self.done / passed)}, {left} left")
         if self.done == self.todo:
-            parts.append(_duration(time.monotonic() - self._began))
+            parts.append(_duration(passed))
         if math.isfinite(self.worst):
             parts.append(f"worst fit {self.worst:.1f} % ({self.worst_item})")
         return ", ".join(parts)
@@ -163,13 +158,13 @@ def outcome_line(outcome: Outcome) -> str:
     return f"{outcome.stage} {outcome.item}: {state}{took}{why}"
 
 
-# ---- Line at the bottom of a terminal that is updated: a spinner, a bar, and what is being done.
+# ---- Bar at the bottom of a terminal.
 
 _BAR = 16  # characters
 
 
-class LiveLine:
-    """Line that is updated on standard error, with finished lines above it. It is a context.
+class LiveBar:
+    """Bar of `rich` on standard error with time left and what is being done, below the finished lines. It is a context.
 
     Parameters
     ----------
@@ -179,15 +174,14 @@ class LiveLine:
 
     def __init__(self, console: Any = None) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
         from rich.table import Column
 
-        self._console = console or Console(stderr=True, highlight=False)
         text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
-        more = TextColumn("{task.fields[more]}", markup=False, table_column=Column(no_wrap=True))
-        columns = (SpinnerColumn(), BarColumn(_BAR), more, text)
-        self._progress = Progress(*columns, console=self._console, transient=True)
-        self._task = self._progress.add_task("", total=None, more="")
+        columns = (SpinnerColumn(), BarColumn(_BAR), TimeRemainingColumn(compact=True), text)
+        console = console or Console(stderr=True, highlight=False)
+        self._progress = Progress(*columns, console=console, transient=True)
+        self._task = self._progress.add_task("", total=None)
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -200,17 +194,15 @@ class LiveLine:
 
     def begin(self, total: int) -> None:
         """Begin a bar of so many items; without any it only moves."""
-        self._progress.update(self._task, total=total or None, completed=0, description="", more="")
+        self._progress.reset(self._task, total=total or None, description="")
 
-    def show(self, text: str | None, done: int, more: str = "") -> None:
-        """Show a text, None for the one that is there, the number of items done, and a remark beside the bar."""
-        self._progress.update(self._task, completed=done)
-        if text is not None:
-            self._progress.update(self._task, description=printable(text), more=more)
+    def show(self, text: str, done: int) -> None:
+        """Show a text and the number of items done."""
+        self._progress.update(self._task, completed=done, description=printable(text))
 
     def say(self, text: str) -> None:
         """Print a line above."""
-        self._console.print(printable(text), markup=False, soft_wrap=True)
+        self._progress.console.print(printable(text), markup=False, soft_wrap=True)
 
 
 # ---- Causes of results that were not made: what failed first, and what is missing because of it.
@@ -301,16 +293,15 @@ def reporting(quiet: bool = False, verbose: bool = False) -> Iterator[Reporter]:
     """
     if quiet:
         yield Silent()
-        return
-    plain = PlainReporter(verbose)
-    if verbose or not sys.stderr.isatty():
-        yield plain
-        plain.close()
-        return
-    with LiveLine() as live:
-        terminal = TerminalReporter(live)
-        yield terminal
-        terminal.close()
+    elif verbose or not sys.stderr.isatty():
+        reporter = ProgressReporter(verbose)
+        yield reporter
+        reporter.close()
+    else:
+        with LiveBar() as bar:
+            reporter = ProgressReporter(bar=bar)
+            yield reporter
+            reporter.close()
 
 
 class _Idle:
@@ -340,39 +331,49 @@ class _Idle:
         return text
 
 
-class PlainReporter:
-    """Reporter for logs: one line per result and per ten iterations; for many results, a line at intervals."""
+class ProgressReporter:
+    """Reporter of a verb: a line for each result, for many results at intervals and for failures; iterations between.
 
-    def __init__(self, verbose: bool = False) -> None:
-        self._line, self._tally, self._said, self._searched = ProgressLine(), Tally(), 0.0, 0.0
-        self._idle, self._verbose = _Idle(), verbose
+    Parameters
+    ----------
+    verbose : bool
+        Whether each item and each iteration has a line.
+    bar : LiveBar, optional
+        Bar of a terminal that shows what is being done; without it every tenth iteration is a line.
+    """
+
+    def __init__(self, verbose: bool = False, bar: LiveBar | None = None) -> None:
+        self._verbose, self._bar, self._say = verbose, bar, tell if bar is None else bar.say
+        self._line, self._tally, self._idle, self._said, self._searched = ProgressLine(), Tally(), _Idle(), 0.0, 0.0
 
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
         """Print the numbers of items when there are many."""
         self._flush(stage)
         self._tally, self._said = Tally(stage, todo, there, failed), time.monotonic()
+        if self._bar is not None:
+            self._bar.begin(todo)
         if self._tally.many:
-            tell(self._tally.opening())
+            self._say(self._tally.opening())
 
     def begin(self, stage: str, item: str) -> None:
         """Store the item to which the iterations belong."""
         self._flush(stage)
         self._line = ProgressLine(f"{stage} {item}")
         self._tally.begin(stage, item)
+        self._show(f"{stage} {item}")
 
     def iteration(self, progress: Progress) -> None:
-        """Print every tenth iteration."""
+        """Print every tenth iteration, or show each."""
         text = self._line.of(progress)
         often = progress.iteration and progress.iteration % EVERY == 0 and not self._tally.many
-        if often or self._verbose:
-            tell(text)
+        self._step(text, bool(often))
 
     def search(self, step: SearchStep) -> None:
-        """Print a step of the search, at intervals."""
-        now = time.monotonic()
-        if self._verbose or (now - self._searched > SEARCH_PAUSE and not self._tally.many):
-            self._searched = now
-            tell(self._line.of_search(step))
+        """Print a step of the search at intervals, or show each."""
+        often = time.monotonic() - self._searched > SEARCH_PAUSE and not self._tally.many
+        if often:
+            self._searched = time.monotonic()
+        self._step(self._line.of_search(step), often)
 
     def end(self, outcome: Outcome) -> None:
         """Print the outcome of an item; for many items only failures."""
@@ -381,74 +382,29 @@ class PlainReporter:
         tally.end(outcome)
         counted_only = self._idle.takes(outcome)
         if (tally.is_named(outcome) or self._verbose) and not counted_only:
-            tell(outcome_line(outcome))
-        if not tally.many or outcome.stage != tally.stage:
+            self._say(outcome_line(outcome))
+        self._show(f"{outcome.stage} {outcome.item}")
+        if not tally.many or outcome.stage != tally.stage or outcome.state == "kept" or not tally.todo:
             return
         now = time.monotonic()
-        if outcome.state != "kept" and tally.todo and (tally.done == tally.todo or now - self._said > PAUSE):
+        if tally.done == tally.todo or (self._bar is None and now - self._said > PAUSE):
             self._said = now
-            tell(tally.text())
+            self._say(tally.text())
 
     def close(self) -> None:
         """Print what is still to be said."""
         self._flush("")
 
-    def _flush(self, stage: str) -> None:
-        if text := self._idle.said(stage):
+    def _step(self, text: str, often: bool) -> None:
+        if self._bar is None and (often or self._verbose):
             tell(text)
+        elif not self._tally.many:
+            self._show(text)
 
-
-class TerminalReporter:
-    """Reporter for terminals: a bar with the present item, above it the finished items."""
-
-    def __init__(self, live: LiveLine) -> None:
-        self._live, self._line, self._tally, self._idle = live, ProgressLine(), Tally(), _Idle()
-
-    def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
-        """Print the numbers of items when there are many."""
-        self._flush(stage)
-        self._tally = Tally(stage, todo, there, failed)
-        self._live.begin(todo)
-        if self._tally.many:
-            self._live.say(self._tally.opening())
-
-    def begin(self, stage: str, item: str) -> None:
-        """Show the present item."""
-        self._flush(stage)
-        self._line = ProgressLine(item)  # without the stage, so that an iteration has room on a line of 80
-        self._tally.begin(stage, item)
-        if not self._tally.many:
-            self._live.show(f"{stage} {item}", self._tally.done, self._tally.pace())
-        elif self._tally.running == 1 or not self._tally.done:
-            self._live.show(self._tally.text(), self._tally.done)  # else after the outcome of the previous item
-
-    def iteration(self, progress: Progress) -> None:
-        """Show the iteration."""
-        text = self._line.of(progress)
-        if not self._tally.many:
-            self._live.show(text, self._tally.done)
-
-    def search(self, step: SearchStep) -> None:
-        """Show the step."""
-        if not self._tally.many:
-            self._live.show(self._line.of_search(step), self._tally.done)
-
-    def end(self, outcome: Outcome) -> None:
-        """Print the outcome of an item; for many items only failures."""
-        tally = self._tally
-        self._flush(outcome.stage)
-        tally.end(outcome)
-        many = tally.many and outcome.stage == tally.stage
-        self._live.show(tally.text() if many else None, tally.done)
-        if tally.is_named(outcome) and not self._idle.takes(outcome):
-            self._live.say(outcome_line(outcome))
-        if many and tally.todo and tally.done == tally.todo:
-            self._live.say(tally.text())
-
-    def close(self) -> None:
-        """Print what is still to be said."""
-        self._flush("")
+    def _show(self, text: str) -> None:
+        if self._bar is not None:
+            self._bar.show(self._tally.text() if self._tally.many else text, self._tally.done)
 
     def _flush(self, stage: str) -> None:
         if text := self._idle.said(stage):
-            self._live.say(text)
+            self._say(text)

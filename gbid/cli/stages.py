@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from gbid.cli.documents import view_of
+from gbid.cli.options import CommonOptions
 from gbid.cli.printing import print_json, print_notes, print_tables, tell
 from gbid.cli.progress import causes_in_words, reporting
 from gbid.core.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
+from gbid.core.files import remove_stale_parts
 from gbid.core.tables import Column, Table
 from gbid.experiment.campaign import working
 from gbid.experiment.experiment import Experiment, changed_files
-from gbid.experiment.load import load_experiment
-from gbid.experiment.run import Job, Outcome, Stage, Task, run_stage, standing
+from gbid.experiment.fields import nearest
+from gbid.experiment.run import Job, Outcome, Stage, Task, run_stage, run_tasks, standing
 from gbid.experiment.stages import registry
+from gbid.experiment.stages.fit import FIT, fit_tasks
+from gbid.report.views import view_of
 
 # ---- Command that one would sensibly give next, from the sections that an experiment has.
 
@@ -63,36 +65,6 @@ def next_step(experiment: Experiment, verb: str) -> str:
             target = " --to c" if experiment.spec.controller else " --to matlab"
             return f"gbid {later} {path}{target if later == 'export' else ''}"
     return ""
-
-
-# ---- Manner of a verb: how much it says, and whether it does anything.
-
-
-@dataclass(frozen=True)
-class Manner:
-    """Options of a verb that do not change its results.
-
-    Attributes
-    ----------
-    verb : str
-        Name of the verb.
-    as_json : bool
-        Whether the results are printed as one JSON document.
-    quiet, verbose : bool
-        Whether there is no progress and no advice, or a line for each item and iteration.
-    dry_run : bool
-        Whether it only says what would be made.
-    """
-
-    verb: str
-    as_json: bool = False
-    quiet: bool = False
-    verbose: bool = False
-    dry_run: bool = False
-
-    def advice(self, experiment: Experiment) -> str:
-        """Return the command that one would sensibly give next; empty when nothing is to be said."""
-        return "" if self.quiet else next_step(experiment, self.verb)
 
 
 # ---- Exit code of a verb, and its messages about failed items.
@@ -166,35 +138,21 @@ _COLUMNS = (Column("stage"), Column("to make", format="d"), Column("there", form
 _LATER = "what is to be made is known when the stages before have run"
 
 
-def print_plan(
-    experiment: Experiment, stages: Sequence[Stage], as_json: bool, *, overwrite: bool = False, retry: bool = False
-) -> None:
+def print_plan(experiment: Experiment, stages: Sequence[Stage], options: CommonOptions) -> None:
     """Print how many results of each stage are to be made, are there, and failed before; nothing is locked or written.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    stages : sequence of Stage
-        Stages of the verb, in their order.
-    as_json : bool
-        Whether it is printed as a JSON document.
-    overwrite, retry : bool
-        Options of the verb.
 
     Raises
     ------
     UsageError
         When a result made from other settings exists and must not be replaced.
     """
-    rows = plan_rows(Job(experiment, overwrite, retry=retry), stages)
-    if as_json:
+    rows = plan_rows(Job(experiment, options.overwrite, retry=options.retry), stages)
+    if options.as_json:
         print_json({"experiment": experiment.spec.name, "results": experiment.results, "plan": rows})
         return
     unknown = [row["stage"] for row in rows if row["to_make"] is None]
     notes = [f"results: {experiment.results}", *([f"{', '.join(unknown)}: {_LATER}"] if unknown else [])]
-    table = [[row["stage"], row["to_make"], row["there"], row["failed"]] for row in rows]
-    print_tables(Table("nothing is made: --dry-run", _COLUMNS, table, notes))
+    print_tables(Table("nothing is made: --dry-run", _COLUMNS, [list(row.values()) for row in rows], notes))
 
 
 def plan_rows(job: Job, stages: Sequence[Stage]) -> list[dict[str, Any]]:
@@ -217,68 +175,95 @@ def plan_rows(job: Job, stages: Sequence[Stage]) -> list[dict[str, Any]]:
     return rows
 
 
+# ---- Work of a verb: the results folder is locked, stages run, their results are printed.
+
+
 @contextmanager
-def opened(
-    experiment: Experiment, sections: Sequence[str], how: Manner, hint: str = "", **options: Any
-) -> Iterator[Job]:
+def opened(experiment: Experiment, options: CommonOptions, **more: Any) -> Iterator[Job]:
     """Return a context that locks the results folder of an experiment and gives the job to run.
 
     Parameters
     ----------
     experiment : Experiment
         The experiment.
-    sections : sequence of str
-        Sections of which the YAML must have at least one.
-    how : Manner
-        How much is said.
-    hint : str
-        Further advice when the YAML has none of the sections.
-    **options
-        Options of `gbid.experiment.campaign.working`.
-
-    Raises
-    ------
-    UsageError
-        When the YAML has none of the sections.
+    options : CommonOptions
+        Options of the verb.
+    **more
+        Further options of `gbid.experiment.campaign.working`.
     """
-    _check_sections(experiment, sections, hint)
     print_notes(changed_files(experiment))
+    more |= {"engine": options.engine, "workers": options.workers}
     with (
-        reporting(how.quiet, how.verbose) as reporter,
-        working(experiment, reporter=reporter, **options) as job,
+        reporting(options.quiet, options.verbose) as reporter,
+        working(experiment, overwrite=options.overwrite, retry=options.retry, reporter=reporter, **more) as job,
     ):
         yield job
 
 
-def _check_sections(experiment: Experiment, sections: Sequence[str], hint: str) -> None:
+@contextmanager
+def looked_at(experiment: Experiment, options: CommonOptions) -> Iterator[Job]:
+    """Return a context that gives the job of a verb which shows results; it takes no lock."""
+    remove_stale_parts(experiment.results)
+    with reporting(options.quiet, options.verbose) as reporter:
+        yield Job(experiment, options.overwrite, reporter)
+
+
+def check_sections(experiment: Experiment, sections: Sequence[str], hint: str = "") -> None:
+    """Refuse an experiment that has none of the sections, with further advice.
+
+    Raises
+    ------
+    UsageError
+        When it is so.
+    """
     if not any(experiment.file.data.get(section) for section in sections):
         words = " or ".join(repr(section) for section in sections)
         raise UsageError(f"{experiment.file.path}: no section {words}; add one{hint}")
 
 
 def run_stages(
-    names: Sequence[str], path: Path, results: Path | None, how: Manner, hint: str = "", **options: Any
+    verb: str, path: Path, options: CommonOptions, names: Sequence[str], hint: str = "", only: str | None = None
 ) -> None:
-    """Run stages by name and print their results; the YAML must have the section of one of them."""
-    stages = [stage for stage in registry.STAGES if stage.name in names]
-    experiment, sections = load_experiment(path, results), list(dict.fromkeys(stage.section for stage in stages))
-    if how.dry_run:
-        _check_sections(experiment, sections, hint)
-        print_plan(experiment, stages, how.as_json, overwrite=options["overwrite"], retry=options["retry"])
+    """Run stages and print their results; end with the exit code and the next step.
+
+    Parameters
+    ----------
+    verb : str
+        Name of the verb.
+    path : pathlib.Path
+        The experiment YAML; it must have the section of a stage, for `gbid fit` that of the fits.
+    options : CommonOptions
+        Options of the verb.
+    names : sequence of str
+        Names of the stages.
+    hint : str
+        Further advice when the YAML has none of the sections.
+    only : str, optional
+        The only fit to run.
+
+    Raises
+    ------
+    UsageError
+        When a section is missing, or when there is no such fit.
+    """
+    experiment, stages = options.load(path), [stage for stage in registry.STAGES if stage.name in names]
+    if only is not None and experiment.spec.fits and only not in experiment.spec.fits:
+        raise UsageError(f"--only {only}: no such fit; {nearest(only, experiment.spec.fits)}")
+    sections = [FIT.section] if verb == "fit" else list(dict.fromkeys(stage.section for stage in stages))
+    check_sections(experiment, sections, hint)
+    if options.dry_run:
+        print_plan(experiment, stages, options)
         return
-    with opened(experiment, sections, how, hint, **options) as job:
-        outcomes = [outcome for stage in stages for outcome in run_stage(job, stage)]
-    print_outcomes(job, stages, outcomes, how)
-
-
-def print_outcomes(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome], how: Manner) -> None:
-    """Print the results of stages, and end with the exit code and the next step."""
+    outcomes: list[Outcome] = []
+    with opened(experiment, options) as job:
+        for stage in stages:
+            outcomes += run_tasks(job, fit_tasks(job, only)) if stage is FIT else run_stage(job, stage)
     document: dict[str, Any] = {}
     for stage in stages:
         document |= view_of(stage).document(job, outcomes)
-    if how.as_json:
+    if options.as_json:
         print_json({**document, "outcomes": outcome_rows(outcomes)})
     else:
         for stage in stages:
             print_tables(*view_of(stage).tables(document))
-    finish(outcomes, document.get("crossval", ()), how.advice(job.experiment))
+    finish(outcomes, document.get("crossval", ()), "" if options.quiet else next_step(experiment, verb))

@@ -509,7 +509,7 @@ class Stage:
     in_run : callable
         Whether `gbid run` runs the stage for an experiment; its own verb does so in any case.
     view : View, optional
-        JSON document and tables of its outcomes for verbs. Those of gbid's own stages are in `gbid.cli.documents`.
+        JSON document and tables of its outcomes for verbs. Those of gbid's own stages are in `gbid.report.views`.
         Without a view, the outcomes are shown as a list.
     """
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -14,22 +14,23 @@ from gbid.control.assess import TunedDesign
 from gbid.control.loop.sensitivity import sensitivity_data
 from gbid.core.arrays import point_label
 from gbid.core.errors import GbidError, UsageError
-from gbid.core.tables import Column, Entry, Table, shown_unit
+from gbid.core.tables import Column, Table
 from gbid.experiment.controllers import published_machine
 from gbid.lpv import LPVFit
 from gbid.lpv.model import TERMS
 from gbid.report.control_tables import (
-    IMPACT_FIGURES,
-    caps_table,
     comparison_table,
     cycle_documents,
     cycle_summary,
-    goals_table,
-    impact_document,
+    design_tables,
+    gains_words,
+    impact_documents,
+    impact_tables,
     loop_documents,
     loop_tables,
-    promises_table,
+    tuning_documents,
 )
+from gbid.report.fit_tables import Row, lpv_document, lpv_table
 from gbid.report.impact_pictures import ImpactCurves, impact_loops_data, plot_impact, plot_impact_loops
 from gbid.report.loop_pictures import (
     damping_map_data,
@@ -132,23 +133,11 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
     blocks: list[Block] = [Words(f"{name}: {text}", "warn") for name, text in results.designs.missing.items()]
     if not tuned:
         return blocks
-    rows = []
-    for name, design in tuned.items():
-        result, unit = design.result, " 1/s" if design.result.objective == "decay" else ""
-        worst = f"{result.worst.frequency_hz:.1f} Hz, damping {result.worst.damping:.3f}, {result.worst.where}"
-        held = ", ".join(result.active) or "–"
-        rows.append((name, str(result.status), f"{result.value:.4f}{unit}", worst, held, result.verified_on))
-        blocks += [Words(f"{name}: {text}", "warn") for text in held_back(design)]
-    columns = ("design", "status", "aim reached", "worst mode", "limited by", "checked")
-    blocks.append(Table("What the tuning found", [Column(name) for name in columns], rows))
-    tables = (goals_table(tuned), caps_table(tuned), promises_table(tuned))
-    blocks += [table for table in tables if table is not None]
+    blocks += [Words(f"{name}: {text}", "warn") for name, design in tuned.items() for text in held_back(design)]
+    blocks += design_tables(tuning_documents((), tuned))
     if any(design.promises for design in tuned.values()):
         words = "Promised objective of robust designs over the probability; the table above has its numbers"
         blocks.append(Shown(pictures.picture(plot_robustness_price(tuned), words)))
-    notes = [f"{name}: {note}" for name, design in tuned.items() for note in design.result.notes]
-    if notes:
-        blocks.append(Listed(notes))
     try:
         data = designs_pareto_data(tuned)
     except GbidError as error:
@@ -224,9 +213,7 @@ def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
     points = first.figures.points
     where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
     words = conditions_words(first.impact, first.sample_time, first.method)
-    gains = [
-        f"{d.name}: " + ", ".join(f"{key} = {value:.4g}" for key, value in d.figures.gains.items()) for d in designs
-    ]
+    gains = [f"{d.name}: {gains_words(d.figures.gains)}" for d in designs]
     title = f"Designs on {first.plant.name}, worst over {where}"
     return [comparison_table(title, [design.figures for design in designs], words), Listed(gains)]
 
@@ -294,55 +281,16 @@ def cycle_section(results: Results) -> PageSection | None:
 
 # ---- Section on the impacts: modes identified from hammer impacts, compared with the model and the paper.
 
-TITLE_IMPACTS_SECTION = "Impacts"
-_QUANTITIES = (("frequency", " [Hz]", ".1f"), ("damping", "", ".3f"))
-
 
 def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
     """Return the section with the impact studies; None when the experiment has none."""
-    section = results.experiment.spec.impacts
-    if section is None:
+    if results.experiment.spec.impacts is None:
         return None
-    blocks: list[Block] = [Words(why, "warn") for why in results.studies.missing.values()]
-    came = results.published_machine.reference_modes if results.rig is not None else ()
-    published = [modes for modes in came if modes.loop == "open" or section.controller == "paper"]
-    modes: list[list[str]] = []
-    responses: list[list[Entry]] = []
-    impacts: list[list[str]] = []
-    for name, study in results.studies.found.items():
-        document = impact_document(name, study, results.experiment.results, published)
-        where = f"{point_label(document['pressure_bar'], document['speed_rpm'])}, {document['loop']} loop"
-        paper = document["published"].get("measured")
-        modes += [_mode(where, row, None if paper is None else paper[row["mode"] - 1]) for row in document["modes"]]
-        for row in document["responses"]:
-            impacts.append([row["recording"], where, *(_figure(row, *figure) for figure in IMPACT_FIGURES)])
-            scale = f"{row['force_scale [1/kg]']:.4f} ± {row['force_scale_std [1/kg]']:.4f}"
-            responses.append([row["recording"], where, row["impacts"], scale, row["fit_along [%]"]])
-        blocks += [Words(f"{where}: {note}", "warn") for note in document["notes"]]
-        if not document["success"]:
-            tone = "" if study.ringdown.aperiodic else "bad"
-            blocks.append(Words(f"{where}: {document['status']}", tone))
-    if modes:
-        heads = [
-            f"{word} {what}{unit}"
-            for what, unit, _ in _QUANTITIES
-            for word in ("expected", "sampled loop", "from impacts", "paper's")
-        ]
-        caption = "Modes expected from the model, expected of the sampled loop, and obtained from the impacts"
-        blocks.insert(0, Table(caption, [Column("where"), *(Column(head, format=4) for head in heads)], modes))
-    if responses:
-        place = [Column("recording"), Column("where")]
-        columns = [
-            *place,
-            Column("impacts", format="d"),
-            Column("force scale", "1/kg"),
-            Column("fit along the impact", "%", ".1f"),
-        ]
-        blocks.append(Table("Measured against simulated responses", columns, responses))
-        columns = [*place, Column("disc up to", "µm"), Column("over after", "ms"), Column("piezo up to", "µm")]
-        caption = "After an impact: mean ± standard deviation, simulated in brackets; over: 95 % of the energy"
-        blocks.append(Table(caption, columns, impacts))
-    return PageSection("impacts", TITLE_IMPACTS_SECTION, [*_pictured(pictures, results), *blocks])
+    studies = results.studies.found
+    paths = {name: results.job.path("impacts", name) for name in studies}
+    tables = impact_tables(impact_documents(results.experiment, studies, paths))
+    missing = [Words(why, "warn") for why in results.studies.missing.values()]
+    return PageSection("impacts", "Impacts", [*_pictured(pictures, results), *missing, *tables])
 
 
 def _pictured(pictures: Pictures, results: Results) -> list[Block]:
@@ -360,24 +308,6 @@ def _pictured(pictures: Pictures, results: Results) -> list[Block]:
         except UsageError as error:
             blocks.append(Words(f"{where}: {error}", "warn"))
     return blocks
-
-
-def _figure(row: Mapping[str, Any], name: str, unit: str, factor: float) -> str:
-    measured, std, simulated = (factor * row[f"{name}{suffix} [{unit}]"] for suffix in ("", "_std", "_simulated"))
-    return f"{measured:.2f} ± {std:.2f} ({simulated:.2f})"
-
-
-def _mode(where: str, row: Mapping[str, Any], paper: Any) -> list[str]:
-    cells = [f"{where}, mode {row['mode']}"]
-    for column, (what, unit, form) in enumerate(_QUANTITIES):
-        known = [row.get(f"{word}_{what}{unit}") for word in ("expected", "running", "obtained", "obtained")]
-        std = row.get(f"obtained_{what}_std{unit}")
-        texts = ["–" if value is None or value != value else format(value, form) for value in known]
-        if std is not None and std == std:
-            texts[2] = f"{known[2]:{form}} ± {std:.1g}"
-        texts[3] = "–" if paper is None else format(paper[column], form)
-        cells += texts
-    return cells
 
 
 # ---- Section on recordings in closed loop: what the loop costs in precision.
@@ -420,28 +350,18 @@ def surfaces_section(results: Results, pictures: Pictures) -> PageSection:
         return PageSection("surfaces", title, [Words(text, "warn")])
     blocks: list[Block] = []
     for item, fit in results.surfaces.items():
-        blocks += _drawn(item, fit, pictures, results.published)
+        path = results.job.path("lpv", item, ".yaml").relative_to(results.experiment.results)
+        blocks += _drawn(pictures, fit, lpv_document(item, fit, path, published=results.published))
     return PageSection("surfaces", title, blocks)
 
 
-def _drawn(item: str, fit: LPVFit, pictures: Pictures, published: bool) -> list[Block]:
-    asked = ", ".join(f"{key} {value}" for key, value in fit.options.items())
-    n, points = len(fit.estimates.recordings), fit.estimates.points
-    text = (
-        f"{item}: through {n} recordings at {len(np.unique(points, axis=0))} operating points ({asked}); {fit.status}."
-    )
-    blocks: list[Block] = [Words(text, "" if fit.success else "bad")]
-    lacking = [key for key, p in zip(KEY_PARAMETERS, fit.lack_of_fit, strict=True) if p < LACK]
+def _drawn(pictures: Pictures, fit: LPVFit, document: Row) -> list[Block]:
+    item, n, points = document["item"], document["recordings"], fit.estimates.points
+    blocks: list[Block] = [] if fit.success else [Words(f"{item}: {fit.status}.", "bad")]
+    lacking = [key for key, p in document["lack_of_fit"].items() if p < LACK]
     if lacking:
         blocks.append(Words(f"The surfaces miss the means of {', '.join(lacking)} by more than chance.", "warn"))
-    rows: list[tuple[Entry, ...]] = []
-    for d in fit.deviations:
-        factor, unit = shown_unit(d.unit)
-        paper = [factor * d.published_rms] if published else []
-        rows.append((d.name, unit, factor * d.rms, *paper, factor * d.largest, d.recording))
-    heads = ("rms", *(["paper's rms"] if published else []), "largest")
-    columns = [Column(""), Column("unit"), *(Column(name, format=3) for name in heads), Column("where")]
-    blocks.append(Table("What the estimates lie off the surfaces", columns, rows))
+    blocks.append(lpv_table(document))
     estimates = {key: fit.estimates.values[:, i] for i, key in enumerate(KEY_PARAMETERS)}
     for i, (word, names) in enumerate(_GROUPS.items()):
         data = surfaces_data(fit.model, names, points=points, estimates=estimates, n=11)
@@ -456,25 +376,13 @@ def _drawn(item: str, fit: LPVFit, pictures: Pictures, published: bool) -> list[
             continue
         alt = f"{item}: {word} of the two modes of the open loop over pressure, at three speeds"
         blocks.append(Fold(f"{item}: {word}", [Shown(pictures.picture(plot_over_pressure(panels), alt))]))
-    std = np.sqrt(np.diag(fit.covariance)).reshape(-1, len(TERMS))
-    table = Table(
-        "Coefficients, SI per kg, per bar and rpm; in brackets the standard deviation",
-        [Column("parameter"), *(Column(term, format=4) for term in TERMS)],
-        [
-            (key, *(f"{c:.4g} ({s:.1g})" for c, s in zip(fit.model.coefficients[key], row, strict=True)))
-            for key, row in zip(KEY_PARAMETERS, std, strict=True)
-        ],
-    )
-    blocks.append(Fold(f"{item}: coefficients", [table]))
-    if fit.outliers:
-        listed = [
-            f"{o.recording}: {o.parameter} by {o.standardised:+.1f} robust standard deviations" for o in fit.outliers
-        ]
-        blocks += [
-            Words(f"Far off a surface lie {len(listed)} of the estimates:", "warn"),
-            Fold("Outliers", [Listed(listed)]),
-        ]
-    notes = [*fit.notes, *(f"left out: {text}" for text in fit.estimates.left_out)]
-    if notes:
-        blocks.append(Listed(notes))
+    coefficients = [
+        (key, *(f"{c:.4g} ({s:.1g})" for c, s in zip(values, document["coefficients_std"][key], strict=True)))
+        for key, values in document["coefficients"].items()
+    ]
+    title = "Coefficients, SI per kg, per bar and rpm; in brackets the standard deviation"
+    columns = [Column("parameter"), *(Column(term, format=4) for term in TERMS)]
+    blocks.append(Fold(f"{item}: coefficients", [Table(title, columns, coefficients)]))
+    if document["left_out"]:
+        blocks.append(Listed([f"left out: {text}" for text in document["left_out"]]))
     return blocks

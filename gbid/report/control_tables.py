@@ -15,13 +15,16 @@ from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows
 from gbid.control.tuning.result import GainResult
 from gbid.core.arrays import point_label
 from gbid.core.tables import Cell, Column, Entry, Table, formatted
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.machine import rig_machine
 from gbid.experiment.run import Outcome
 from gbid.experiment.stages.cycle import CycleRow
 from gbid.experiment.stages.loop import LoopCostRow
 from gbid.lpv import ReferenceModes
-from gbid.report.read import Row, conditions_words
+from gbid.report.fit_tables import Row
+from gbid.report.read import conditions_words
 
-IMPACT_FIGURES = (("peak", "m", 1e6), ("decay", "s", 1e3), ("piezo", "m", 1e6))
+_FIGURES = (("peak", "m", 1e6), ("decay", "s", 1e3), ("piezo", "m", 1e6))
 """Figures of impacts in the rows of responses: name, unit, factor to the unit of tables."""
 _PAPER = ("open", "closed")
 """Loops in Tables 3 and 4."""
@@ -54,6 +57,18 @@ _LINES = (
     ("obtained from the impacts", "obtained_{}", 2),
     ("  standard deviation", "obtained_{}_std", 2),
 )
+
+
+def impact_documents(
+    experiment: Experiment, studies: Mapping[str, ImpactStudy], paths: Mapping[str, Path]
+) -> list[Row]:
+    """Return the documents of impact studies; the modes of the paper stand beside loops with the paper's controller."""
+    section, rig = experiment.spec.impacts, experiment.spec.rig
+    if section is None or rig is None:
+        return []
+    loops = ("open", "closed") if section.controller == "paper" else ("open",)
+    published = [modes for modes in rig_machine(experiment).reference_modes if modes.loop in loops]
+    return [impact_document(name, study, paths[name], published) for name, study in studies.items()]
 
 
 def impact_document(name: str, study: ImpactStudy, path: Path, published: Sequence[ReferenceModes] = ()) -> Row:
@@ -172,12 +187,10 @@ def _response_table(where: str, documents: Sequence[Row]) -> Table:
 def _impact_figures_table(where: str, documents: Sequence[Row]) -> Table:
     """Return the table of measured and simulated motion of disc and piezos, with the notes of all tables."""
     columns = [Column("recording")]
-    for name, unit in (("disc up to\n", "um"), ("over after\n", "ms"), ("piezo up to\n", "um")):
+    for name, unit in (("disc up to\n", "µm"), ("over after\n", "ms"), ("piezo up to\n", "µm")):
         columns += [Column(name, unit, ".2f"), Column("std", format=".2f"), Column("simulated", format=".2f")]
     keys = [
-        (f"{name}{suffix} [{unit}]", factor)
-        for name, unit, factor in IMPACT_FIGURES
-        for suffix in ("", "_std", "_simulated")
+        (f"{name}{suffix} [{unit}]", factor) for name, unit, factor in _FIGURES for suffix in ("", "_std", "_simulated")
     ]
     rows: list[list[Entry]] = [
         [row["recording"], *(None if row[key] is None else factor * row[key] for key, factor in keys)]
@@ -195,12 +208,12 @@ def _impact_figures_table(where: str, documents: Sequence[Row]) -> Table:
 
 
 def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDesign]) -> list[Row]:
-    """Return the documents of tuned designs as plain values; failed ones are left out."""
+    """Return the documents of tuned designs as plain values, with their files; failed ones are left out."""
     paths = {(o.stage, o.item): str(o.path) for o in outcomes if o.state != "failed"}
     return [
         {
             "design": name,
-            "path": paths["tune", name],
+            "path": paths.get(("tune", name)),
             "controller": paths.get(("controller", name)),
             "plant": design.plant,
             "structure": design.performance[0].structure,
@@ -234,12 +247,17 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
     tables = []
     for (plant, points, impact, sample_time, method), group in groups.items():
         where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
-        note = conditions_words(HalfSine(*impact), sample_time, method)
         shown = [document["performance"][0] for document in group] + group[0]["performance"][1:]
-        worst = {row["name"]: {name: found["value"] for name, found in row["worst"].items()} for row in shown}
-        notes = [note, *(line for document in group for line in ("", *_lines(document)))]
+        worst = {row["name"]: {name: figure["value"] for name, figure in row["worst"].items()} for row in shown}
+        notes = [conditions_words(HalfSine(*impact), sample_time, method)]
+        notes += [f"{row['name']} ({row['structure']}): {gains_words(row['gains'])}" for row in shown]
         tables.append(_compared(f"{plant}, worst over {where}", worst, notes))
-    return tables
+    return [*tables, *design_tables(documents)]
+
+
+def gains_words(gains: Mapping[str, float]) -> str:
+    """Return the gains of a controller as text."""
+    return ", ".join(f"{name} = {value:.5g}" for name, value in gains.items())
 
 
 def comparison_table(title: str, performances: Sequence[DesignFigures], note: str) -> Table:
@@ -264,34 +282,6 @@ def _compared(title: str, worst: Mapping[str, Mapping[str, float]], notes: Seque
         for heading, name, factor, form in COLUMNS
     ]
     return Table(title, [Column("figure"), *(Column(name, format=4) for name in worst)], rows, notes)
-
-
-def _lines(document: Row) -> list[str]:
-    gains = ", ".join(f"{name} = {value:.5g}" for name, value in document["gains"].items())
-    held = f"; limited by {', '.join(document['active'])}" if document["active"] else ""
-    unit = " 1/s" if document["objective"] == "decay" else ""
-    worst = document["worst"]
-    lines = [
-        f"{document['design']} ({document['structure']}): {gains}",
-        f"  {document['status']}: {document['objective']} {document['value']:.4f}{unit}{held}",
-        f"  worst mode: {worst['frequency_hz']:.1f} Hz, damping {worst['damping']:.4f}, at {worst['where']}",
-        f"  checked: {document['verified_on']}",
-        *(f"  note: {note}" for note in document["notes"]),
-    ]
-    for row in document["goals"]:
-        kind = "objective" if row["soft"] else "limit"
-        lines.append(f"  {kind} on {row['name']}: {row['excess']:+.4f} beyond it, at {row['where']}")
-    for row in document["promises"]:
-        lines.append(
-            f"  with probability {row['probability']:g}: {row['promised']:.4f}, limits kept with at least "
-            f"{row['keeps_limits']:.3f}; nominal design {row['of_nominal']:.4f}, {row['limits_of_nominal']:.3f}"
-        )
-    for row in document["pareto"]:
-        found = f"{row['value']:.4f}" if row["success"] else row["status"]
-        lines.append(f"  peak of S_o at most {row['cap']:g}: {row['objective']} {found}")
-    if document["controller"]:
-        lines.append(f"  controller: {document['controller']}")
-    return lines
 
 
 def _result_row(result: GainResult) -> Row:
@@ -331,62 +321,76 @@ def _performance_row(performance: DesignFigures) -> Row:
     }
 
 
-# ---- Tables of what designs reached of their goals, under caps on the peak of S_o, and promise on drawn plants.
+# ---- Tables of what designs reached: aim, goals, caps on the peak of S_o, and promises on drawn plants.
+
+_EXCESS = "excess: logarithm of the value over its limit, of damping factors the limit minus the value; met at most 0"
 
 
-def goals_table(designs: Mapping[str, TunedDesign]) -> Table | None:
-    """Return the table of the goals of designs that have a figure of their own; None when there are none."""
+def design_tables(documents: Sequence[Row]) -> list[Table]:
+    """Return the tables of what the tuning of designs found; those without rows are left out.
+
+    Parameters
+    ----------
+    documents : sequence of dict
+        Documents of `tuning_documents`.
+    """
+    tables = (_aims(documents), _goals(documents), _caps(documents), _promises(documents))
+    return [table for table in tables if table.rows]
+
+
+def _aims(documents: Sequence[Row]) -> Table:
+    rows: list[list[Entry]] = []
+    notes = []
+    for d in documents:
+        worst, unit = d["worst"], " 1/s" if d["objective"] == "decay" else ""
+        mode = f"{worst['frequency_hz']:.1f} Hz, damping {worst['damping']:.4f}, {worst['where']}"
+        aim = f"{d['objective']} {d['value']:.4f}{unit}"
+        rows.append([d["design"], d["status"], aim, mode, ", ".join(d["active"]) or None, d["verified_on"]])
+        notes += [f"{d['design']}: {note}" for note in d["notes"]]
+        notes += [f"{d['design']}: controller in {d['controller']}"] if d["controller"] else []
+    heads = ("design", "status", "aim reached", "worst mode", "limited by", "checked")
+    return Table("What the tuning found", [Column(head, wrap=True) for head in heads], rows, notes)
+
+
+def _goals(documents: Sequence[Row]) -> Table:
     rows = [
-        (name, figure.name, "objective" if figure.soft else "limit", figure.excess, figure.where)
-        for name, design in designs.items()
-        for figure in design.result.goals
+        (d["design"], goal["name"], "objective" if goal["soft"] else "limit", goal["excess"], goal["where"])
+        for d in documents
+        for goal in d["goals"]
     ]
-    note = "excess: logarithm of the value over its limit, of damping factors the limit minus the value; met at most 0"
     columns = [Column("design"), Column("goal"), Column("kind"), Column("excess", format="+.4f"), Column("where")]
-    return Table("Goals of the designs", columns, rows, [note]) if rows else None
+    return Table("Goals of the designs", columns, rows, [_EXCESS])
 
 
-def caps_table(designs: Mapping[str, TunedDesign]) -> Table | None:
-    """Return the table of what each design reaches under each cap on the peak of S_o; None without caps."""
-    caps = sorted({cap for design in designs.values() for cap, _ in design.front})
-    rows = []
-    for name, design in designs.items():
-        under = dict(design.front)
-        if under:
-            results = [under.get(cap) for cap in caps]
-            structure = design.performance[0].structure if design.performance else ""
-            rows.append((name, structure, *(r.value if r and r.success else None for r in results)))
+def _caps(documents: Sequence[Row]) -> Table:
+    caps = sorted({row["cap"] for d in documents for row in d["pareto"]})
+    rows: list[list[Entry]] = []
+    for d in documents:
+        reached = {row["cap"]: row["value"] if row["success"] else Cell(None, row["status"]) for row in d["pareto"]}
+        if reached:
+            rows.append([d["design"], d["structure"], *(reached.get(cap) for cap in caps)])
     columns = [Column("design"), Column("structure"), *(Column(f"peak {cap:g}", format=".4f") for cap in caps)]
-    return Table("Aim reached under caps on the peak of S_o", columns, rows) if rows else None
+    return Table("Aim reached under caps on the peak of S_o", columns, rows)
 
 
-def promises_table(designs: Mapping[str, TunedDesign]) -> Table | None:
-    """Return the table of the promises of robust designs, beside the nominal designs; None without any."""
-    rows = [
-        (name, p.probability, p.promised, p.keeps_limits, p.of_nominal, p.limits_of_nominal, p.plants, p.fresh)
-        for name, design in designs.items()
-        for p in design.promises
-    ]
-    if not rows:
-        return None
-    columns = [
-        Column("design"),
-        Column("probability", format="g"),
-        Column("promised", format=".4f"),
-        Column("keeps limits", format=".3f"),
-        Column("nominal design", format=".4f"),
-        Column("its limits", format=".3f"),
-        Column("plants", format="d"),
-        Column("fresh", format="d"),
-    ]
-    promises = [p for design in designs.values() for p in design.promises]
-    confidence = ", ".join(f"{100 * c:g} %" for c in sorted({p.confidence for p in promises}))
+def _promises(documents: Sequence[Row]) -> Table:
+    columns = {
+        "probability": Column("probability", format="g"),
+        "promised": Column("promised", format=".4f"),
+        "keeps_limits": Column("keeps limits", format=".3f"),
+        "of_nominal": Column("nominal design", format=".4f"),
+        "limits_of_nominal": Column("its limits", format=".3f"),
+        "plants": Column("plants", format="d"),
+        "fresh": Column("fresh", format="d"),
+    }
+    rows = [[d["design"], *(promise[key] for key in columns)] for d in documents for promise in d["promises"]]
+    confidences = sorted({promise["confidence"] for d in documents for promise in d["promises"]})
     note = (
-        f"promised: reached with the probability, at a confidence of {confidence}, on fresh drawn plants that the "
-        "design has not seen; keeps limits: lower bound of the probability; "
+        f"promised: reached with the probability, at a confidence of {', '.join(f'{100 * c:g} %' for c in confidences)}"
+        ", on fresh drawn plants that the design has not seen; keeps limits: lower bound of the probability; "
         "plants: drawn plants for which it was optimised"
     )
-    return Table("Robust designs", columns, rows, [note])
+    return Table("Robust designs", [Column("design"), *columns.values()], rows, [note])
 
 
 # ---- Tables of recordings in closed loop: what the loop costs in precision, and the rounds of the cycle.

@@ -1,16 +1,19 @@
-"""Tables of a fit: parameters, modes, static gains, and a summary in words."""
+"""Documents (plain values in SI units) and tables of recordings, fits, cross-validation, surfaces and staircases."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from math import floor, log10
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gbid.characterise import PiezoCurve, StaticMap
 from gbid.core.arrays import point_label
+from gbid.core.errors import UsageError
 from gbid.core.tables import (
     Cell,
     Column,
@@ -23,13 +26,154 @@ from gbid.core.tables import (
     probability,
     shown_unit,
 )
+from gbid.core.units import conversion_factor
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.run import Outcome
+from gbid.identify import FitResult, FitTable
 from gbid.lpv import LPVFit
 from gbid.lpv.model import PUBLISHED_LARGEST_GAIN
-from gbid.report.read import Row
-from gbid.structure import KEY_PARAMETERS
+from gbid.prefilter import PrefilterReport
+from gbid.recording import load_recording
+from gbid.recording.readers import FileChannel
+from gbid.structure import KEY_PARAMETERS, LinearModel
 from gbid.validate import NominalActuator, ValidationSummary
+
+# ---- Document of a fit: plain values in SI units for tables and JSON.
+
+Row = dict[str, Any]
+
+
+def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
+    """Return estimates with standard deviations and, where known, true values.
+
+    Parameters
+    ----------
+    result : FitResult
+        Result of the fit.
+    truth : dict of str to float
+        True values of some parameters; may be empty.
+
+    Returns
+    -------
+    list of dict
+        parameter, estimate, std (the one to use), std_white, std_robust, std_bootstrap (where there is one), truth,
+        deviation_std (in standard deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are
+        None, also the standard deviation of a parameter without one.
+    """
+    rows = []
+    by_kind = {"std_white": result.std_with("white"), "std_robust": result.std_with("robust")}
+    if result.covariance_bootstrap is not None:
+        by_kind["std_bootstrap"] = result.std_with("bootstrap")
+    for name, estimate in result.parameters.items():
+        std, true = result.std[name], truth.get(name)
+        off = None if true is None else estimate - true
+        rows.append(
+            {
+                "parameter": name,
+                "estimate": estimate,
+                "std": finite_or_none(std),
+                **{key: finite_or_none(own[name]) for key, own in by_kind.items()},
+                "truth": true,
+                "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
+                "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
+                "unit": result.units[name],
+                "fixed": name not in result.free,
+                "start": result.start[name],
+                "start_origin": result.start_origin[name],
+            }
+        )
+    return rows
+
+
+def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+    """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
+    modes = result.model.modes()
+    true = truth.modes() if truth is not None else []
+    if len(true) != len(modes):
+        true = []
+    return [
+        {
+            "mode": i + 1,
+            "frequency_hz": frequency,
+            "frequency_std_hz": finite_or_none(result.modes_std[i, 0]),
+            "damping": damping,
+            "damping_std": finite_or_none(result.modes_std[i, 1]),
+            "true_frequency_hz": true[i][0] if true else None,
+            "true_damping": true[i][1] if true else None,
+        }
+        for i, (frequency, damping) in enumerate(modes)
+    ]
+
+
+def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+    """Return static gains with standard deviations and true values; empty for a model with a pole at zero."""
+    model = result.model
+    try:
+        gain = model.static_gain()
+    except UsageError:
+        return []
+    true = truth.static_gain() if truth is not None else None
+    return [
+        {
+            "output": output,
+            "input": source,
+            "gain": float(gain[i, j]),
+            "std": finite_or_none(result.static_gain_std[i, j]),
+            "truth": None if true is None else float(true[i, j]),
+        }
+        for i, output in enumerate(model.output_names)
+        for j, source in enumerate(model.input_names)
+    ]
+
+
+def fit_percent_rows(result: FitResult) -> list[Row]:
+    """Return the fit percent of each output of each recording."""
+    return [
+        {"recording": recording, "output": output, "fit_percent": float(result.fit_percent[i, j])}
+        for i, recording in enumerate(result.recordings)
+        for j, output in enumerate(result.model.output_names)
+    ]
+
+
+def whiteness_rows(result: FitResult) -> list[Row]:
+    """Return the p-value of the whiteness test of each output."""
+    return [
+        {"output": output, "p_value": finite_or_none(p)}
+        for output, p in zip(result.model.output_names, result.whiteness, strict=True)
+    ]
+
+
+def multi_start_row(result: FitResult) -> Row | None:
+    """Return the counts of the fits from several starts; None for a fit from one start."""
+    if result.multi_start is None:
+        return None
+    return {**asdict(result.multi_start), "spread": finite_or_none(result.multi_start.spread)}
+
+
+def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
+    """Return the document of a fit."""
+    return {
+        "structure": result.structure,
+        "recordings": list(result.recordings),
+        "status": result.status,
+        "success": result.success,
+        "iterations": result.iterations,
+        "wall_time_s": result.wall_time_s,
+        "loss": result.loss,
+        "aic": finite_or_none(result.aic),
+        "fpe": finite_or_none(result.fpe),
+        "condition": finite_or_none(result.condition),
+        "trusted": result.trusted,
+        "whiteness": whiteness_rows(result),
+        "multi_start": multi_start_row(result),
+        "options": asdict(result.options),
+        "parameters": parameter_rows(result, truth),
+        "modes": mode_rows(result, true_model),
+        "static_gain": gain_rows(result, true_model),
+        "fit_percent": fit_percent_rows(result),
+        "notes": list(result.notes),
+    }
+
 
 # ---- Summary of a fit in words.
 
@@ -46,7 +190,7 @@ def summary_lines(document: Row) -> Iterator[Line]:
     Parameters
     ----------
     document : dict
-        Document of `gbid.report.read.fit_document`.
+        Document of `gbid.report.fit_tables.fit_document`.
 
     Yields
     ------
@@ -132,7 +276,7 @@ def fit_tables(title: str, document: Row) -> list[Table]:
     title : str
         Title of the first table.
     document : dict
-        Document of `gbid.report.read.fit_document`.
+        Document of `gbid.report.fit_tables.fit_document`.
     """
     tables = [parameter_table(title, document["parameters"], document["trusted"])]
     if document["modes"]:
@@ -212,6 +356,44 @@ def _decimals(std: float | None, least: int) -> int:
 
 # ---- Tables of a campaign: states of the items of each stage, and a summary of the fits.
 
+
+def campaign_document(experiment: Experiment, outcomes: Sequence[Outcome], table: FitTable | None = None) -> Row:
+    """Return a summary of a campaign: states of the stages, fits by name, and the files of the table."""
+    stages: dict[str, dict[str, int]] = {}
+    for outcome in outcomes:
+        if outcome.stage != "table":
+            counts = stages.setdefault(outcome.stage, {"made": 0, "kept": 0, "failed": 0, "not_converged": 0})
+            counts[outcome.state] += 1
+            counts["not_converged"] += outcome.state != "failed" and not outcome.converged
+    return {
+        "experiment": experiment.spec.name,
+        "results": str(experiment.results),
+        "stages": stages,
+        "fits": [] if table is None else [_fit_of_campaign(table, name) for name in experiment.spec.fits],
+        "table": [str(outcome.path) for outcome in outcomes if outcome.stage == "table"],
+    }
+
+
+def _fit_of_campaign(table: FitTable, name: str) -> Row:
+    """Return numbers of converged and missing fits of one name, their median fit percent, and the worst fit."""
+    rows = table.select(fit=name)
+    there = np.isfinite(rows.fit_percent).any(axis=1)
+    smallest = rows.fit_percent[there].min(axis=1, initial=np.inf)
+    worst = int(np.argmin(smallest)) if smallest.size else None
+    return {
+        "fit": name,
+        "fits": len(rows),
+        "converged": int(rows.success.sum()),
+        "not_converged": int(there.sum() - rows.success.sum()),
+        "missing": int((~there).sum()),
+        "median_fit_percent": {
+            output: float(np.median(rows.fit_percent[there, j])) for j, output in enumerate(rows.output_names)
+        },
+        "worst": None if worst is None else str(rows.model[there][worst]),
+        "worst_fit_percent": None if worst is None else float(smallest[worst]),
+    }
+
+
 _STATES = ("made", "kept", "failed", "not_converged")
 _COUNTS = ("fits", "converged", "missing")
 
@@ -240,8 +422,13 @@ _POINTS = 30  # largest number of operating points that have their own rows
 _PERCENT = (Column("fit\n", "%", ".2f"), Column("+-\n", "%", ".2g"), Column("least\n", "%", ".2f"))
 
 
+def fit_href(fit: str, model: str) -> str:
+    """Return the address of a fit in the page."""
+    return f"#fit&{fit}%2F{model}"
+
+
 def crossval_table(title: str, rows: Sequence[Row]) -> Table:
-    """Return the table of the fit percent of each model on each recording, and of the residual tests."""
+    """Return the table of the fit percent of each model on each recording, and of the residual tests; by fit."""
     columns = [
         *map(Column, ("model of", "on", "output")),
         Column("fit\n", "%", ".2f"),
@@ -252,7 +439,8 @@ def crossval_table(title: str, rows: Sequence[Row]) -> Table:
     missed = any(row["missed"] for row in rows)
     laid: list[list[Entry]] = []
     for row in rows:
-        cells = [*(row[key] for key in ("model", "recording", "output", "fit_percent"))]
+        cells: list[Entry] = [Cell(row["model"], href=fit_href(title, row["model"]))]
+        cells += [row[key] for key in ("recording", "output", "fit_percent")]
         cells += [formatted(row["infinity_norm"], 2, row["unit"]), row["residuals_white"]]
         cells += [", ".join(row["residuals_follow"]) or None]
         cells += [f"below {row['minimum_percent']:g} %" if row["missed"] else ""] if missed else []
@@ -265,13 +453,15 @@ def summary_document(fit: str, summary: ValidationSummary, path: Path) -> Row:
     return {"fit": fit, **asdict(summary), "path": str(path)}
 
 
-def validation_table(document: Row) -> Table:
+def validation_table(document: Row, paper: Mapping[str, str] | None = None) -> Table:
     """Return the table of mean and std of the fit percent of each output, over all pairs and by operating point.
 
     Parameters
     ----------
     document : dict
         Document of `summary_document`.
+    paper : dict of str to str, optional
+        Figures of the paper by output, for a column beside the others.
     """
     title = (
         f"{document['fit']}, cross-validation: {document['n_models']} models, "
@@ -281,7 +471,8 @@ def validation_table(document: Row) -> Table:
         *(Column(""), Column("output"), Column("pairs", format="d")),
         *_PERCENT,
         Column("largest\nerror", format=2),
-        Column("worst pair"),
+        Column("worst pair", wrap=True),
+        *([Column("paper", "%")] if paper else []),
     ]
     outputs = list(enumerate(zip(document["output_names"], document["output_units"], strict=True)))
     rows: list[list[Entry]] = []
@@ -289,14 +480,15 @@ def validation_table(document: Row) -> Table:
         worst = next((pair for pair in document["worst"] if pair["output"] == output), None)
         numbers = (document["n_pairs"], *(document[name][j] for name in ("mean", "std", "least")))
         largest = formatted(document["infinity_norm_max"][j], 2, unit)
-        pair = f"{worst['model']} on {worst['recording']}" if worst else None
-        rows.append(["all" if j == 0 else "", output, *numbers, largest, pair])
+        words = f"{worst['model']} on {worst['recording']}" if worst else ""
+        pair = Cell(words, href=fit_href(document["fit"], worst["model"])) if worst else None
+        rows.append(["all" if j == 0 else "", output, *numbers, largest, pair, *([paper[output]] if paper else [])])
     for point in document["points"] if 1 < len(document["points"]) <= _POINTS else ():
         place = point_label(point["pressure_bar"], point["speed_rpm"])
         for j, (output, unit) in outputs:
             largest = formatted(point["infinity_norm"][j], 2, unit)
             numbers = (point["n_pairs"], point["mean"][j], point["std"][j])
-            rows.append([place if j == 0 else "", output, *numbers, "", largest, ""])
+            rows.append([place if j == 0 else "", output, *numbers, "", largest, "", *([""] if paper else [])])
     return Table(title, columns, rows)
 
 
@@ -326,13 +518,15 @@ def nominal_table(document: Row) -> Table:
     off = bool(document["outliers"] or document["left_out"])
     columns = [Column("most central model"), Column("parameter"), Column("value", format=".5g")]
     columns += [Column("std", format=".2g"), *([Column("why")] if off else [])]
-    first = [document["model"], f"of {document['chosen_from']} models"]
+    first = [Cell(document["model"], href=fit_href(document["fit"], document["model"]))]
+    first += [Cell(f"of {document['chosen_from']} models")]
     rows: list[list[Entry]] = [
         [first[i] if i < len(first) else "", name, value, document["std"][name], *([""] if off else [])]
         for i, (name, value) in enumerate(document["parameters"].items())
     ]
     for outlier in document["outliers"]:
-        rows.append([f"outlier {outlier['model']}", outlier["parameter"], outlier["value"], "", outlier["reason"]])
+        model = Cell(f"outlier {outlier['model']}", href=fit_href(document["fit"], outlier["model"]))
+        rows.append([model, outlier["parameter"], outlier["value"], "", outlier["reason"]])
     rows += [["left out", "", "", "", text] for text in document["left_out"]]
     return Table(f"{document['fit']}, nominal actuator", columns, rows)
 
@@ -428,6 +622,151 @@ def _notes(document: Row) -> Iterator[str]:
         yield f"off the surface: {len(document['outliers'])} in all; these were the worst"
     yield from (f"note: {note}" for note in document["notes"])
     yield f"model: {document['path']}"
+
+
+# ---- Tables of recordings, of the channels of a file, and of the corrections by the prefilter.
+
+SHOWN_SPIKES = 10
+"""Largest number of spikes whose sample numbers a row lists."""
+
+
+def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> list[Row]:
+    """Return documents of recordings that were made or imported; failed ones are left out."""
+    documents = []
+    for outcome in outcomes:
+        if outcome.stage in ("rig", "import") and outcome.state != "failed":
+            recording = load_recording(outcome.path)
+            documents.append(
+                {
+                    "name": recording.name,
+                    "kind": experiment.recordings[recording.name].kind,
+                    "samples": recording.n_samples,
+                    "sample_time_s": recording.sample_time,
+                    "duration_s": recording.duration,
+                    "conditions": dict(recording.conditions),
+                    "signals": {name: list(recording.channels[name]) for name in recording.signals},
+                    "state": outcome.state,
+                    "path": str(outcome.path),
+                }
+            )
+    return documents
+
+
+def recording_table(rows: Sequence[Row]) -> Table:
+    """Return the table of recordings with their length and operating point."""
+    columns = [
+        Column("recording"),
+        Column("samples", format="d"),
+        Column("duration", "s", "g"),
+        Column("conditions"),
+        Column("state"),
+    ]
+    laid = []
+    for row in rows:
+        conditions = ", ".join(f"{key} {value:g}" for key, value in row["conditions"].items())
+        laid.append([row["name"], row["samples"], row["duration_s"], conditions, row["state"]])
+    return Table("recordings", columns, laid)
+
+
+def channel_rows(channels: Iterable[FileChannel]) -> list[Row]:
+    """Return the channels of a file of another program as plain values."""
+    return [
+        {
+            "channel": channel.name,
+            "samples": channel.n_samples,
+            "unit": channel.unit,
+            "sample_time_s": channel.sample_time,
+            "rate_hz": None if channel.sample_time is None else 1.0 / channel.sample_time,
+            "step": channel.step,
+            "jitter_ppm": channel.jitter_ppm,
+            "first": list(channel.first),
+            "remark": channel.remark,
+        }
+        for channel in channels
+    ]
+
+
+def channel_table(name: str, rows: Sequence[Row]) -> Table:
+    """Return the table of the channels of a file, from `channel_rows`."""
+    columns = [
+        Column("channel"),
+        Column("samples", format="d"),
+        Column("unit"),
+        Column("sample time", "s", ".6g"),
+        Column("rate", "Hz", ".6g"),
+        Column("first samples"),
+        Column("remark", wrap=True),
+    ]
+    laid = []
+    for row in rows:
+        first = " ".join(f"{value:.5g}" for value in row["first"]) or None
+        remark = row["remark"] or _rising(row)
+        laid.append([row["channel"], row["samples"], row["unit"], row["sample_time_s"], row["rate_hz"], first, remark])
+    return Table(name, columns, laid)
+
+
+def _rising(row: Row) -> str:
+    """Return what is known of a column that may be the time."""
+    if row["step"] is None:
+        return ""
+    rate = ""
+    with suppress(UsageError):
+        rate = f": {1 / (row['step'] * conversion_factor(row['unit'], 's')):.6g} Hz" if row["unit"] else ""
+    if row["jitter_ppm"] is None:
+        return f"rises in even steps of {row['step']:.6g}{rate}"
+    return f"rises in steps of {row['step']:.6g}{rate}, with a jitter of {row['jitter_ppm']:.0f} ppm"
+
+
+def layout_words(layout: Mapping[str, str | int | None]) -> str:
+    """Return the layout of a text file as one line; empty for a file of another kind."""
+    return ", ".join(f"{key.replace('_', ' ')} {value!r}" for key, value in layout.items() if value is not None)
+
+
+def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
+    """Return the corrections of each channel of p by the prefilter as plain values, in the unit of p."""
+    return [
+        {
+            "recording": report.name,
+            "channel": f"p_{channel}",
+            "unit": report.units["p"],
+            "rms_before": float(report.rms_before["p"][i]),
+            "rms_after": float(report.rms_after["p"][i]),
+            "offset": float(report.offsets["p"][i]),
+            "runout_share": float(report.runout_share[i]),
+            "harmonics": [float(amplitude) for amplitude in report.harmonics[:, i]],
+            "spikes": report.spikes[i],
+            "first_spikes": list(report.spike_samples[i][:SHOWN_SPIKES]) if report.spike_samples else [],
+            "notes": list(report.notes),
+        }
+        for report in reports
+        for i, channel in enumerate(report.channels["p"])
+    ]
+
+
+def position_unit(rows: Sequence[Row]) -> tuple[float, str]:
+    """Factor and unit in which rows of the prefilter are shown; as they are where the recordings differ in unit."""
+    units = list(dict.fromkeys(row["unit"] for row in rows))
+    return shown_unit(units[0]) if len(units) == 1 else (1.0, " or ".join(units))
+
+
+def prefilter_table(rows: Sequence[Row]) -> Table:
+    """Return the table of the corrections by the prefilter, from `prefilter_rows`."""
+    factor, unit = position_unit(rows)
+    columns = [
+        Column("recording"),
+        Column("rms\nbefore\n", unit, ".3f"),
+        Column("after\n", unit, ".3f"),
+        Column("offset\n", unit, ".3f"),
+        Column("run-out\nshare", format=".1%"),
+        Column("harmonics\n1, 2, 3", unit),
+        Column("spikes", format="d"),
+    ]
+    laid = []
+    for row in rows:
+        harmonics = " ".join(f"{factor * amplitude:.2f}" for amplitude in row["harmonics"][:3]) or None
+        sizes = (factor * row[key] for key in ("rms_before", "rms_after", "offset"))
+        laid.append([f"{row['recording']} {row['channel']}", *sizes, row["runout_share"], harmonics, row["spikes"]])
+    return Table("prefilter", columns, laid)
 
 
 # ---- Documents (SI units) and tables (micrometres instead of metres) of static maps and piezo curves.

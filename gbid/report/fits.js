@@ -13,19 +13,26 @@ const Fits = (() => {
     return Array.from(new Int16Array(bytes.buffer), (v) => v * scale);
   }
 
-  function rows(body, table) {
-    body.replaceChildren();
-    for (const cells of table) {
-      const tr = document.createElement("tr");
+  function table({ columns, rows }) {
+    const made = document.createElement("table");
+    const row = (body, cells, kind) => {
+      const tr = body.appendChild(document.createElement("tr"));
       cells.forEach((text, i) => {
-        const cell = document.createElement(i === 0 ? "th" : "td");
-        if (i === 0) cell.scope = "row";
+        const cell = tr.appendChild(document.createElement(i === 0 ? "th" : kind));
+        if (cell.tagName === "TH") cell.scope = kind === "th" ? "col" : "row";
+        cell.className = columns[i][1] || (i === 0 && kind === "th") ? "left" : "";
         cell.textContent = text;
-        tr.appendChild(cell);
       });
-      body.appendChild(tr);
-    }
-    body.closest("table").hidden = table.length === 0;
+    };
+    row(made.createTHead(), columns.map(([heading]) => heading), "th");
+    const body = made.createTBody();
+    for (const cells of rows) row(body, cells, "td");
+    made.setAttribute("aria-label", columns[0][0]);
+    const host = Object.assign(document.createElement("div"), { className: "scroll", tabIndex: 0 });
+    host.setAttribute("role", "region");
+    host.setAttribute("aria-label", columns[0][0]);
+    host.appendChild(made);
+    return host;
   }
 
   function plot(host, trace, output) {
@@ -63,9 +70,7 @@ const Fits = (() => {
     const status = part("status");
     status.textContent = fit.status;
     status.className = `verdict ${fit.state}`;
-    rows(part("parameters"), fit.parameters);
-    rows(part("mode-rows"), fit.modes);
-    rows(part("gain-rows"), fit.gains);
+    part("tables").replaceChildren(...fit.tables.map(table));
     const facts = part("facts");
     facts.replaceChildren();
     for (const [word, text] of fit.facts) {

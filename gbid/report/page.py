@@ -175,11 +175,6 @@ def point_words(experiment: Experiment, recording: str) -> str:
     return ", ".join(f"{key} {value:g}" for key, value in known.items()) or "not stated"
 
 
-def fit_href(name: str, model: str) -> str:
-    """Return the address of a fit in the page."""
-    return f"#fit&{name}%2F{model}"
-
-
 def in_units(value: float, unit: str) -> str:
     """Return a value as text with three digits, in the unit of tables."""
     factor, shown = shown_unit(unit)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, Literal, TypeVar
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -16,8 +15,6 @@ from gbid.control.assess import DesignFigures, TunedDesign
 from gbid.control.loop.close import Method
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import load
-from gbid.core.tables import Column, Table, finite_or_none, shown_unit
-from gbid.core.units import conversion_factor
 from gbid.experiment.controllers import (
     design_structure,
     impact,
@@ -47,10 +44,9 @@ from gbid.experiment.stages.tune import assess_published, design_plant, read_des
 from gbid.experiment.structures import make_structure
 from gbid.identify import FitResult
 from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, PublishedMachine
-from gbid.prefilter import PrefilterReport
 from gbid.prefilter.prefilter import read_report
 from gbid.recording import Recording, find_problems, load_recording
-from gbid.recording.readers import FileChannel
+from gbid.report.fit_tables import Row, fit_document, prefilter_rows
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
 from gbid.validate import NominalActuator, ValidationSummary
@@ -212,143 +208,6 @@ def sampling_words(sample_time: float, method: Method) -> str:
     return f"sampled at {1e3 * sample_time:g} ms ({_HOLDS[method]})"
 
 
-# ---- Document of a fit: plain values in SI units for tables and JSON.
-
-Row = dict[str, Any]
-
-
-def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
-    """Return estimates with standard deviations and, where known, true values.
-
-    Parameters
-    ----------
-    result : FitResult
-        Result of the fit.
-    truth : dict of str to float
-        True values of some parameters; may be empty.
-
-    Returns
-    -------
-    list of dict
-        parameter, estimate, std (the one to use), std_white, std_robust, std_bootstrap (where there is one), truth,
-        deviation_std (in standard deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are
-        None, also the standard deviation of a parameter without one.
-    """
-    rows = []
-    by_kind = {"std_white": result.std_with("white"), "std_robust": result.std_with("robust")}
-    if result.covariance_bootstrap is not None:
-        by_kind["std_bootstrap"] = result.std_with("bootstrap")
-    for name, estimate in result.parameters.items():
-        std, true = result.std[name], truth.get(name)
-        off = None if true is None else estimate - true
-        rows.append(
-            {
-                "parameter": name,
-                "estimate": estimate,
-                "std": finite_or_none(std),
-                **{key: finite_or_none(own[name]) for key, own in by_kind.items()},
-                "truth": true,
-                "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
-                "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
-                "unit": result.units[name],
-                "fixed": name not in result.free,
-                "start": result.start[name],
-                "start_origin": result.start_origin[name],
-            }
-        )
-    return rows
-
-
-def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
-    """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
-    modes = result.model.modes()
-    true = truth.modes() if truth is not None else []
-    if len(true) != len(modes):
-        true = []
-    return [
-        {
-            "mode": i + 1,
-            "frequency_hz": frequency,
-            "frequency_std_hz": finite_or_none(result.modes_std[i, 0]),
-            "damping": damping,
-            "damping_std": finite_or_none(result.modes_std[i, 1]),
-            "true_frequency_hz": true[i][0] if true else None,
-            "true_damping": true[i][1] if true else None,
-        }
-        for i, (frequency, damping) in enumerate(modes)
-    ]
-
-
-def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
-    """Return static gains with standard deviations and true values; empty for a model with a pole at zero."""
-    model = result.model
-    try:
-        gain = model.static_gain()
-    except UsageError:
-        return []
-    true = truth.static_gain() if truth is not None else None
-    return [
-        {
-            "output": output,
-            "input": source,
-            "gain": float(gain[i, j]),
-            "std": finite_or_none(result.static_gain_std[i, j]),
-            "truth": None if true is None else float(true[i, j]),
-        }
-        for i, output in enumerate(model.output_names)
-        for j, source in enumerate(model.input_names)
-    ]
-
-
-def fit_percent_rows(result: FitResult) -> list[Row]:
-    """Return the fit percent of each output of each recording."""
-    return [
-        {"recording": recording, "output": output, "fit_percent": float(result.fit_percent[i, j])}
-        for i, recording in enumerate(result.recordings)
-        for j, output in enumerate(result.model.output_names)
-    ]
-
-
-def whiteness_rows(result: FitResult) -> list[Row]:
-    """Return the p-value of the whiteness test of each output."""
-    return [
-        {"output": output, "p_value": finite_or_none(p)}
-        for output, p in zip(result.model.output_names, result.whiteness, strict=True)
-    ]
-
-
-def multi_start_row(result: FitResult) -> Row | None:
-    """Return the counts of the fits from several starts; None for a fit from one start."""
-    if result.multi_start is None:
-        return None
-    return {**asdict(result.multi_start), "spread": finite_or_none(result.multi_start.spread)}
-
-
-def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
-    """Return the document of a fit."""
-    return {
-        "structure": result.structure,
-        "recordings": list(result.recordings),
-        "status": result.status,
-        "success": result.success,
-        "iterations": result.iterations,
-        "wall_time_s": result.wall_time_s,
-        "loss": result.loss,
-        "aic": finite_or_none(result.aic),
-        "fpe": finite_or_none(result.fpe),
-        "condition": finite_or_none(result.condition),
-        "trusted": result.trusted,
-        "whiteness": whiteness_rows(result),
-        "multi_start": multi_start_row(result),
-        "options": asdict(result.options),
-        "parameters": parameter_rows(result, truth),
-        "modes": mode_rows(result, true_model),
-        "static_gain": gain_rows(result, true_model),
-        "fit_percent": fit_percent_rows(result),
-        "notes": list(result.notes),
-    }
-
-
 # ---- Existing fits with the documents that tables show.
 
 
@@ -365,7 +224,7 @@ class MadeFit:
     result : FitResult
         Result of the fit.
     document : dict
-        Document of `gbid.report.read.fit_document`, with true values for recordings of the rig.
+        Document of `gbid.report.fit_tables.fit_document`, with true values for recordings of the rig.
     """
 
     fit: str
@@ -568,129 +427,6 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
         except GbidError as error:
             missing[task.item] = str(error)
     return StageResults(found, missing)
-
-
-# ---- Tables of recordings, of the channels of a file, and of the corrections by the prefilter.
-
-SHOWN_SPIKES = 10
-"""Largest number of spikes whose sample numbers a row lists."""
-
-
-def recording_table(rows: Sequence[Row]) -> Table:
-    """Return the table of recordings with their length and operating point."""
-    columns = [
-        Column("recording"),
-        Column("samples", format="d"),
-        Column("duration", "s", "g"),
-        Column("conditions"),
-        Column("state"),
-    ]
-    laid = []
-    for row in rows:
-        conditions = ", ".join(f"{key} {value:g}" for key, value in row["conditions"].items())
-        laid.append([row["name"], row["samples"], row["duration_s"], conditions, row["state"]])
-    return Table("recordings", columns, laid)
-
-
-def channel_rows(channels: Iterable[FileChannel]) -> list[Row]:
-    """Return the channels of a file of another program as plain values."""
-    return [
-        {
-            "channel": channel.name,
-            "samples": channel.n_samples,
-            "unit": channel.unit,
-            "sample_time_s": channel.sample_time,
-            "rate_hz": None if channel.sample_time is None else 1.0 / channel.sample_time,
-            "step": channel.step,
-            "jitter_ppm": channel.jitter_ppm,
-            "first": list(channel.first),
-            "remark": channel.remark,
-        }
-        for channel in channels
-    ]
-
-
-def channel_table(name: str, rows: Sequence[Row]) -> Table:
-    """Return the table of the channels of a file, from `channel_rows`."""
-    columns = [
-        Column("channel"),
-        Column("samples", format="d"),
-        Column("unit"),
-        Column("sample time", "s", ".6g"),
-        Column("rate", "Hz", ".6g"),
-        Column("first samples"),
-        Column("remark", wrap=True),
-    ]
-    laid = []
-    for row in rows:
-        first = " ".join(f"{value:.5g}" for value in row["first"]) or None
-        remark = row["remark"] or _rising(row)
-        laid.append([row["channel"], row["samples"], row["unit"], row["sample_time_s"], row["rate_hz"], first, remark])
-    return Table(name, columns, laid)
-
-
-def _rising(row: Row) -> str:
-    """Return what is known of a column that may be the time."""
-    if row["step"] is None:
-        return ""
-    rate = ""
-    with suppress(UsageError):
-        rate = f": {1 / (row['step'] * conversion_factor(row['unit'], 's')):.6g} Hz" if row["unit"] else ""
-    if row["jitter_ppm"] is None:
-        return f"rises in even steps of {row['step']:.6g}{rate}"
-    return f"rises in steps of {row['step']:.6g}{rate}, with a jitter of {row['jitter_ppm']:.0f} ppm"
-
-
-def layout_words(layout: Mapping[str, str | int | None]) -> str:
-    """Return the layout of a text file as one line; empty for a file of another kind."""
-    return ", ".join(f"{key.replace('_', ' ')} {value!r}" for key, value in layout.items() if value is not None)
-
-
-def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
-    """Return the corrections of each channel of p by the prefilter as plain values, in the unit of p."""
-    return [
-        {
-            "recording": report.name,
-            "channel": f"p_{channel}",
-            "unit": report.units["p"],
-            "rms_before": float(report.rms_before["p"][i]),
-            "rms_after": float(report.rms_after["p"][i]),
-            "offset": float(report.offsets["p"][i]),
-            "runout_share": float(report.runout_share[i]),
-            "harmonics": [float(amplitude) for amplitude in report.harmonics[:, i]],
-            "spikes": report.spikes[i],
-            "first_spikes": list(report.spike_samples[i][:SHOWN_SPIKES]) if report.spike_samples else [],
-            "notes": list(report.notes),
-        }
-        for report in reports
-        for i, channel in enumerate(report.channels["p"])
-    ]
-
-
-def position_unit(rows: Sequence[Row]) -> tuple[float, str]:
-    """Factor and unit in which rows of the prefilter are shown; as they are where the recordings differ in unit."""
-    units = list(dict.fromkeys(row["unit"] for row in rows))
-    return shown_unit(units[0]) if len(units) == 1 else (1.0, " or ".join(units))
-
-
-def prefilter_table(rows: Sequence[Row]) -> Table:
-    """Return the table of the corrections by the prefilter, from `prefilter_rows`."""
-    factor, unit = position_unit(rows)
-    columns = [
-        Column("recording"),
-        Column(""),
-        Column("rms before\n", unit, ".3f"),
-        Column("after\n", unit, ".3f"),
-        Column("run-out\nshare", format=".1%"),
-        Column("harmonics\n1, 2, 3", unit),
-        Column("spikes", format="d"),
-    ]
-    laid = []
-    for row in rows:
-        harmonics = " ".join(f"{factor * amplitude:.2f}" for amplitude in row["harmonics"][:3]) or None
-        sizes = (factor * row["rms_before"], factor * row["rms_after"])
-        laid.append([row["recording"], row["channel"], *sizes, row["runout_share"], harmonics, row["spikes"]])
-    return Table("prefilter", columns, laid)
 
 
 # ---- Results of an experiment: each is loaded at its first use; nothing is computed.

@@ -4,19 +4,28 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from statistics import median
 from typing import Any
 
-import numpy as np
-
-from gbid.characterise import PiezoCurve, StaticMap
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError
-from gbid.core.tables import Cell, Column, Entry, Table, engineering, formatted, shown_unit
+from gbid.core.tables import Cell, Column, Entry, Table
 from gbid.experiment.experiment import recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
 from gbid.report.control_sections import LACK, held_back
-from gbid.report.fit_tables import static_document, summary_lines
+from gbid.report.fit_tables import (
+    crossval_table,
+    fit_href,
+    fit_tables,
+    nominal_document,
+    nominal_table,
+    prefilter_table,
+    static_document,
+    static_table,
+    summary_document,
+    validation_table,
+)
 from gbid.report.measured_pictures import (
     crossval_data,
     nominal_data,
@@ -37,13 +46,12 @@ from gbid.report.page import (
     Shown,
     Templated,
     Words,
-    fit_href,
     in_units,
     point_words,
     trace,
 )
 from gbid.report.paper import paper_numbers
-from gbid.report.read import MadeFit, Results, Standing, position_unit
+from gbid.report.read import MadeFit, Results, Standing
 from gbid.validate import ValidationSummary
 
 _NAMED = 5
@@ -84,7 +92,7 @@ def fit_data(results: Results) -> dict[str, Any]:
     for q in results.fits:
         fits[f"{q.fit}/{q.model}"] = {**_document(results, q), **_curves(results, q)}
     for f in lost_fits(results):
-        empty: dict[str, Any] = {"parameters": [], "modes": [], "gains": [], "facts": [], "traces": [], "no_trace": ""}
+        empty: dict[str, Any] = {"tables": [], "facts": [], "traces": [], "no_trace": ""}
         title = {"title": f.item, "label": f"{f.item.partition('/')[2]}: {f.state}", "state": "bad"}
         fits[f.item] = {**empty, **title, "status": f"{f.state}: {f.text}"}
     order = {name: i for i, name in enumerate(results.experiment.spec.fits)}
@@ -151,7 +159,8 @@ def _notes(fits: Sequence[MadeFit]) -> list[Block]:
 
 
 def _document(results: Results, q: MadeFit) -> dict[str, Any]:
-    document, names = q.document, ", ".join(q.result.recordings)
+    *tables, facts = fit_tables("", q.document)
+    names = ", ".join(q.result.recordings)
     place = _place(results, q)
     state = "bad" if not q.result.success else "warn" if q.result.notes else "good"
     return {
@@ -159,19 +168,10 @@ def _document(results: Results, q: MadeFit) -> dict[str, Any]:
         "label": f"{place}: {q.model} ({_smallest(q):.2f} %)",
         "state": state,
         "status": _status(q),
-        "parameters": [_parameter(row) for row in document["parameters"]],
-        "modes": [
-            [
-                str(row["mode"]),
-                *_pair(row["frequency_hz"], row["frequency_std_hz"]),
-                *_pair(row["damping"], row["damping_std"]),
-            ]
-            for row in document["modes"]
+        "tables": [
+            {"columns": [[c.heading, c.left] for c in table.columns], "rows": table.texts()} for table in tables
         ],
-        "gains": [
-            [f"{row['output']} from {row['input']}", *_pair(row["gain"], row["std"])] for row in document["static_gain"]
-        ],
-        "facts": [list(line) for line in summary_lines(document)],
+        "facts": facts.texts(),
     }
 
 
@@ -192,18 +192,6 @@ def _status(q: MadeFit) -> str:
     if not q.result.success:
         return q.result.status[:1].upper() + q.result.status[1:]
     return "Converged, with notes below." if q.result.notes else "Converged."
-
-
-def _parameter(row: dict[str, Any]) -> list[str]:
-    factor, unit = shown_unit(row["unit"])
-    estimate, std = _pair(factor * row["estimate"], None if row["std"] is None else factor * row["std"])
-    truth = "–" if row["truth"] is None else engineering(factor * row["truth"])
-    off = "–" if row["deviation_std"] is None else f"{row['deviation_std']:+.1f}".replace("-", "−")
-    return [row["parameter"], estimate, "fixed" if row["fixed"] else std, unit or "–", truth, off]
-
-
-def _pair(value: float, std: float | None) -> tuple[str, str]:
-    return engineering(value), "–" if std is None else engineering(std, 2)
 
 
 # ---- Sections on the cross-validation and the nominal actuator.
@@ -233,32 +221,8 @@ def _validated(
     results: Results, pictures: Pictures, name: str, rows: Sequence[CrossvalRow], summary: ValidationSummary
 ) -> list[Block]:
     paper = _paper(results.experiment.spec.fits[name].structure, summary) if results.published else {}
-    table: list[list[Entry]] = []
-    for j, (output, unit) in enumerate(zip(summary.output_names, summary.output_units, strict=True)):
-        poor = next(pair for pair in summary.worst if pair.output == output)
-        spread = "–" if np.isnan(summary.std[j]) else f"{summary.std[j]:.2g}"
-        table.append(
-            [
-                output,
-                f"{summary.mean[j]:.2f} ± {spread}",
-                *([paper[output]] if paper else []),
-                float(summary.least[j]),
-                formatted(float(summary.infinity_norm_max[j]), ".3g", unit),
-                Cell(f"model of {poor.model} on {poor.recording}", href=fit_href(name, poor.model)),
-            ]
-        )
-    columns = [
-        Column("output"),
-        Column("fit, mean ± std", "%"),
-        *([Column("paper", "%")] if paper else []),
-        Column("least", "%", ".2f"),
-        Column("largest error", format=3),
-        Column("worst pair"),
-    ]
-    words = (
-        f"{name}: {summary.n_models} models on {summary.n_recordings} recordings, {summary.n_pairs} pairs, simulated"
-    )
-    blocks: list[Block] = [Table(words, columns, table)]
+    document = summary_document(name, summary, results.job.path("crossval", name))
+    blocks: list[Block] = [validation_table(document, paper)]
     if paper:
         words = (
             "The paper's figures are those of 86 recordings of the real machine; noise and scatter of this rig differ."
@@ -276,48 +240,8 @@ def _validated(
         blocks.append(Words(text, "bad"))
     worst = sorted(rows, key=lambda row: row.fit_percent)[:_LISTED]
     whole = "all pairs" if len(rows) <= _LISTED else f"the worst {_LISTED} of {len(rows)}"
-    pairs = Table(
-        f"{name}, {whole}",
-        [
-            *map(Column, ("model of", "on", "output")),
-            Column("fit", "%", ".2f"),
-            Column("largest error", format=3),
-            Column("residuals"),
-        ],
-        [
-            (
-                Cell(row.model, href=fit_href(name, row.model)),
-                row.recording,
-                row.output,
-                row.fit_percent,
-                formatted(row.infinity_norm, ".3g", row.unit),
-                {None: "not tested", True: "white", False: "not white"}[row.residuals_white]
-                + (f", follow {', '.join(row.residuals_follow)}" if row.residuals_follow else ""),
-            )
-            for row in worst
-        ],
-    )
-    blocks.append(Fold(f"{name}: {whole}", [pairs]))
-    if len(summary.points) > 1:
-        points = Table(
-            f"{name}, by operating point",
-            [
-                Column("operating point"),
-                Column("pairs", format="d"),
-                *(Column(output, "%", ".2f") for output in summary.output_names),
-            ],
-            [
-                (
-                    point_label(point.pressure_bar, point.speed_rpm)
-                    if point.pressure_bar == point.pressure_bar
-                    else None,
-                    point.n_pairs,
-                    *map(float, point.mean),
-                )
-                for point in summary.points
-            ],
-        )
-        blocks.append(Fold(f"{name}: by operating point", [points]))
+    pairs = [{**asdict(row), "missed": row.missed} for row in worst]
+    blocks.append(Fold(f"{name}: {whole}", [crossval_table(name, pairs)]))
     return blocks
 
 
@@ -336,45 +260,17 @@ def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
     section = results.experiment.spec.nominal
     if section is None:
         return None
-    title, fit = "Nominal actuator", section.fit
+    title = "Nominal actuator"
     try:
         nominal = results.nominal
     except GbidError as error:
         return PageSection("actuator", title, [Words(f"There is none: {error}", "warn")])
-    names = nominal.parameter_names
     alt = (
         f"Gains and poles of {len(nominal.models)} actuator models; the nominal one is {nominal.name}, "
         f"{len(nominal.outliers)} values lie off"
     )
-    table = Table(
-        "Parameters of the nominal actuator",
-        [
-            Column("parameter"),
-            Column("value", format=".5g"),
-            Column("std", format=".2g"),
-            Column("median of all", format=".5g"),
-        ],
-        [
-            (
-                name,
-                nominal.parameters[name],
-                nominal.std[name],
-                float(np.median(nominal.values[:, i])),
-            )
-            for i, name in enumerate(names)
-        ],
-    )
-    chosen = Link(f"{nominal.name}, the most central of {len(nominal.models)} models", fit_href(fit, nominal.name))
-    blocks: list[Block] = [
-        Listed([chosen]),
-        table,
-        Shown(pictures.picture(plot_actuator_parameters(nominal_data(nominal)), alt)),
-    ]
-    if nominal.outliers:
-        listed = [Link(f"{o.model}: {o.reason}", fit_href(fit, o.model)) for o in nominal.outliers]
-        blocks += [Words(f"{len(listed)} values lie off those of the others:", "warn"), Listed(listed)]
-    if nominal.left_out:
-        blocks += [Words("Left out:"), Listed(nominal.left_out)]
+    table = nominal_table(nominal_document(section.fit, nominal, results.job.path("nominal", section.fit)))
+    blocks: list[Block] = [table, Shown(pictures.picture(plot_actuator_parameters(nominal_data(nominal)), alt))]
     return PageSection("actuator", title, blocks)
 
 
@@ -441,29 +337,7 @@ def _prefilter(results: Results) -> list[Block]:
     median = "none" if section.median == 1 else f"{section.median} samples"
     spikes, mean = ("replaced" if section.spikes else "kept"), ("removed" if section.remove_mean else "kept")
     words = f"Run-out map: {section.method}; spikes: {spikes}; median: {median}; mean {mean}."
-    factor, unit = position_unit(rows)
-    table = Table(
-        "What the prefilter took out of the disc position",
-        [
-            Column("recording"),
-            Column("channel"),
-            Column("rms before", unit, 4),
-            Column("rms after", unit, 4),
-            Column("offset", unit, 4),
-            Column("run-out share", "%", ".2f"),
-            Column("spikes", format="d"),
-        ],
-        [
-            (
-                row["recording"],
-                row["channel"],
-                *(factor * row[key] for key in ("rms_before", "rms_after", "offset")),
-                100 * row["runout_share"],
-                row["spikes"],
-            )
-            for row in rows
-        ],
-    )
+    table = prefilter_table(rows)
     blocks: list[Block] = [Words(words)]
     if worse:
         names = ", ".join(dict.fromkeys(row["recording"] for row in worse))
@@ -481,79 +355,42 @@ def _prefilter(results: Results) -> list[Block]:
 
 # ---- Section on the static characterisation: map from piezos to disc, and hysteresis of the stacks.
 
-_MICROMETRES = 1e6
-
 
 def static_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Return the section with the first static map and all piezos; None when the experiment has none."""
+    """Return the section with the static characterisations and their pictures; None when the experiment has none."""
     kinds = [section.kind for section in results.experiment.spec.static.values()]
     if not kinds:
         return None
     blocks: list[Block] = []
-    for kind, show in (("bearing", _map), ("piezo", _piezos)):
+    for kind, draw in (("bearing", _map_picture), ("piezo", _piezo_pictures)):
         if kind in kinds:
             try:
-                blocks += show(results, pictures)
+                blocks += draw(results, pictures)
             except (DataError, UsageError) as error:
                 blocks.append(Words(str(error), "warn"))
+    blocks += [static_table(static_document(name, result)) for name, result in results.statics.found.items()]
     return PageSection("static", "Static characterisation", blocks)
 
 
-def _map(results: Results, pictures: Pictures) -> list[Block]:
-    found: StaticMap = results.static_map
-    known = {"pressure_bar", "speed_rpm"} <= set(found.conditions)
-    place = point_label(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""
-    rows = [
-        (
-            f"{row['input']} to {row['output']}",
-            *(row[key] for key in ("gain", "std")),
-            *(None if row[key] is None else _MICROMETRES * row[key] for key in ("rms", "largest", "hysteresis")),
-        )
-        for row in static_document("", found)["gains"]
-    ]
-    columns = [
-        Column("static gain"),
-        Column("value", format=4),
-        Column("std", format=2),
-        *(Column(name, "µm", 3) for name in ("rms off linear", "largest", "hysteresis")),
-    ]
+def _map_picture(results: Results, pictures: Pictures) -> list[Block]:
+    conditions = results.static_map.conditions
+    known = {"pressure_bar", "speed_rpm"} <= set(conditions)
+    place = point_label(conditions["pressure_bar"], conditions["speed_rpm"]) if known else ""
     alt = f"Steady disc position over piezo position, {place}: rising and falling plateaus with a straight line"
-    blocks: list[Block] = [
-        Shown(pictures.picture(static_map_figure(found), alt)),
-        Table(f"From piezo to disc, {len(found.command)} plateaus, {place}", columns, rows),
-    ]
-    return [*blocks, Listed(found.notes)] if found.notes else blocks
+    return [Shown(pictures.picture(static_map_figure(results.static_map), alt))]
 
 
-def _piezos(results: Results, pictures: Pictures) -> list[Block]:
-    found = results.piezos
-    data = [piezo_data(*parts) for parts in found]
-    curves: list[PiezoCurve] = [curve for curve, *_ in found]
-    said = ", ".join(f"{_MICROMETRES * c.hysteresis:.2f} µm {_how(c)}" for c in curves)
-    rows = [
-        (
-            f"{curve.channel}, {_how(curve)}",
-            f"{_MICROMETRES * curve.hysteresis:.3f} ± {_MICROMETRES * curve.hysteresis_std:.1g}",
-            100 * curve.hysteresis_share,
-            100 * curve.uniformity,
-        )
-        for curve in curves
-    ]
-    columns = [
-        Column("piezo"),
-        Column("hysteresis", "µm"),
-        *(Column(name, "%", ".2f") for name in ("of its range", "steps not alike by")),
-    ]
+def _piezo_pictures(results: Results, pictures: Pictures) -> list[Block]:
+    data = [piezo_data(*parts) for parts in results.piezos]
+    shown = ", ".join(
+        f"{1e6 * curve.hysteresis:.2f} µm {'in open loop' if curve.units[0] == 'V' else 'with its controller'}"
+        for curve, *_ in results.piezos
+    )
     over_time = pictures.picture(plot_piezo_staircase(data), "Staircase of the piezo over time")
     return [
-        Shown(pictures.picture(plot_piezo_hysteresis(data), f"Hysteresis of the piezo: {said}")),
-        Table("Staircases of a piezo", columns, rows),
+        Shown(pictures.picture(plot_piezo_hysteresis(data), f"Hysteresis of the piezo: {shown}")),
         Fold("Staircases over time", [Shown(over_time)]),
     ]
-
-
-def _how(curve: PiezoCurve) -> str:
-    return "in open loop" if curve.units[0] == "V" else "with its controller"
 
 
 # ---- Summary at the top of the page: warnings, numbers of results, and parts that were not done.

@@ -8,6 +8,7 @@ import time
 
 import pytest
 from experiment_files import gbid, write_quick, write_spring, write_spring_data
+from json_keys import assert_keys
 from places import ROOT
 
 from gbid import __version__
@@ -121,7 +122,9 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
         ("run2", 1500, 5e-4, "kept"),
     ]
     assert gbid("fit", spring, "--json") == 0
-    fits = document(capsys.readouterr().out)["fits"]
+    found = document(capsys.readouterr().out)
+    assert_keys("fits", found)
+    fits = found["fits"]
     rows = {row["parameter"]: row for row in fits[0]["parameters"]}
     for row in rows.values():
         assert row["std"] == row[f"std_{fits[0]['trusted']}"]
@@ -140,7 +143,10 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
     assert rows["b"]["truth"] is None
     assert fits[0]["modes"][0]["frequency_hz"] == pytest.approx(40.0, abs=0.05)
     assert gbid("crossval", spring, "--json") == 0
-    found = document(capsys.readouterr().out)["crossval"]
+    printed = document(capsys.readouterr().out)
+    assert_keys("crossval", printed)
+    assert_keys("crossval_summary", printed)
+    found = printed["crossval"]
     assert [r["model"] for r in found] == ["run1", "run2"]
     assert all(r["residuals_white"] and r["residuals_follow"] == [] for r in found)
     assert gbid("run", spring, "--json") == 0
@@ -191,6 +197,7 @@ def test_rig_fit_table_has_truth_units_and_readable_numbers(tmp_path, capsys):
     assert gbid("fit", path, "--json", "--only", "piezos") == 0
     found = document(capsys.readouterr().out)
     assert {f["fit"] for f in found["fits"]} == {"piezos"}
+    assert_keys("prefilter", found)
     x_of_first = found["prefilter"][0]
     assert x_of_first["channel"] == "p_x"
     assert 0 < x_of_first["runout_share"] < 1
@@ -203,25 +210,22 @@ def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
     """All that the quick experiment prints, notes wrapped below their own beginning."""
     from rich.console import Console
 
-    from gbid.cli.documents import crossval_documents, fit_documents, prefilter_documents
     from gbid.core.tables import terminal_table
     from gbid.experiment.load import load_experiment
     from gbid.experiment.run import Job, run_stage
-    from gbid.experiment.stages.crossval import CROSSVAL, crossval_rows
+    from gbid.experiment.stages.crossval import CROSSVAL
     from gbid.experiment.stages.fit import FIT
     from gbid.experiment.stages.prefilter import PREFILTER
     from gbid.experiment.stages.rig import RIG
-    from gbid.report.fit_tables import crossval_table, fit_tables
-    from gbid.report.read import prefilter_table
+    from gbid.report.views import view_of
 
     path = write_quick(tmp_path, ("{structure: piezo_pair}", "{structure: plant, trend: offset}"))
     job = Job(load_experiment(path))
     run_stage(job, RIG)
-    outcomes = [*run_stage(job, PREFILTER), *run_stage(job, FIT)]
-    tables = [table for found in fit_documents(job, outcomes) for table in fit_tables(found["fit"], found)]
-    tables += [prefilter_table(prefilter_documents(outcomes))]
-    run_stage(job, CROSSVAL)
-    tables += [crossval_table("bearing", crossval_documents(crossval_rows(job)))]
+    tables = []
+    for stage in (PREFILTER, FIT, CROSSVAL):
+        view = view_of(stage)
+        tables += view.tables(view.document(job, run_stage(job, stage)))
     console = Console(width=80, highlight=False)
     for table in tables:
         console.print(terminal_table(table))
@@ -236,10 +240,10 @@ def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
 
 
 def test_progress_says_where_the_solver_is(capsys):
-    from gbid.cli.progress import PlainReporter
+    from gbid.cli.progress import ProgressReporter
     from gbid.identify import Progress
 
-    reporter = PlainReporter()
+    reporter = ProgressReporter()
     reporter.begin("fit", "bearing/run1")
     for which in range(2):
         for iteration in (0, 10):

@@ -20,7 +20,7 @@ from places import ROOT
 
 from gbid.cli.guard import guarded
 from gbid.cli.main import app
-from gbid.cli.progress import LiveLine
+from gbid.cli.progress import LiveBar
 from gbid.core.errors import NoSpaceError
 from gbid.core.files import atomic_path
 
@@ -251,10 +251,10 @@ def test_no_color_takes_the_colours_out(monkeypatch):
     for name in ("", "1"):
         monkeypatch.setenv("NO_COLOR", name)
         console = Console(file=io.StringIO(), force_terminal=True, width=80)
-        with LiveLine(console) as live:
-            live.begin(4)
-            live.show("fit spring", 2, "1/s, 2 s left")
+        with LiveBar(console) as bar:
+            bar.begin(4)
+            bar.show("fit spring", 2)
         written[name] = console.file.getvalue()
-    assert "2 s left" in written["1"]
+    assert "fit spring" in written["1"]
     assert "\x1b[38;" in written[""] or "\x1b[3" in written[""]
     assert "\x1b[38;" not in written["1"]

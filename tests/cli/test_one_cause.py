@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from gbid.cli.progress import PlainReporter
+from gbid.cli.progress import ProgressReporter
 from gbid.cli.stages import finish
 from gbid.experiment.run import Outcome
 
@@ -67,7 +67,7 @@ def test_inputs_that_were_missing_before_have_a_line_for_each_stage(capsys):
 
 
 def test_progress_counts_what_could_not_be_made_once_for_each_stage(capsys):
-    reporter = PlainReporter()
+    reporter = ProgressReporter()
     for stage, outcomes in (("import", IMPORTS), ("fit", FITS), ("table", [TABLE]), ("crossval", PAIRS)):
         reporter.expect(stage, 0, 0, 0)
         for outcome in outcomes:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from experiment_files import gbid as command
 from experiment_files import write_quick
+from json_keys import assert_keys
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
@@ -245,6 +246,7 @@ def test_verb_makes_tables_and_files(tmp_path, capsys) -> None:
     assert len(before) == 8
     assert command("impact", path, "--json") == 0
     document = json.loads(capsys.readouterr().out)
+    assert_keys("impacts", document)
     assert [d["name"] for d in document["impacts"]] == ["p6_n0_open", "p6_n0_closed"]
     assert document["impacts"][1]["published"]["measured"] == [[89.9, 0.658], [111.6, 0.446]]
     assert {o["state"] for o in document["outcomes"]} == {"kept"}

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from json_keys import assert_keys
 from typer.testing import CliRunner
 
 import gbid
@@ -51,6 +52,7 @@ def test_verb_draws_and_keeps_surfaces(campaign):
     result = call("lpv", path, "--results", out, "--json")
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
+    assert_keys("lpv", document)
     two, one = document["lpv"]
     assert (two["item"], one["item"]) == ("bearing", "bearing_direct")
     assert (two["recordings"], two["operating_points"]) == (8, 4)

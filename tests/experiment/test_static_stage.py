@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from experiment_files import STAIRS, gbid, write_quick
+from json_keys import assert_keys
 
 from gbid.characterise import PiezoCurve, StaticMap
 from gbid.core.hdf5 import load
@@ -45,6 +46,7 @@ def stairs(tmp_path_factory):
 def test_static_writes_maps_and_tables(stairs, capsys):
     assert gbid("static", stairs, "--json") == 0
     document = json.loads(capsys.readouterr().out)
+    assert_keys("static", document)
     assert [entry["name"] for entry in document["static"]] == ["film", "stack4"]
     results = stairs.parent / "results" / "stairs" / "static"
     made = load(results / "film.h5", StaticMap)

@@ -12,7 +12,7 @@ from gbid.core.errors import DataError
 from gbid.core.hdf5 import load, save
 from gbid.prefilter import PrefilterFile, PrefilterReport, identify_runout, prefilter
 from gbid.prefilter.runout import shaft_motion
-from gbid.report.read import prefilter_rows
+from gbid.report.fit_tables import prefilter_rows
 from gbid.rig import Faults, Prbs, Stationary, record
 
 POINT = (5.0, 6000.0)

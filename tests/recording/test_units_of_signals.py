@@ -13,8 +13,8 @@ from gbid.core.hdf5 import load, save
 from gbid.core.units import SIGNALS
 from gbid.prefilter import PrefilterFile, prefilter
 from gbid.recording import Recording, import_recording, load_recording, save_recording
+from gbid.report.fit_tables import prefilter_rows, prefilter_table
 from gbid.report.measured_pictures import plot_response
-from gbid.report.read import prefilter_rows, prefilter_table
 from gbid.rig import Hammer, Machine, Prbs, record
 
 N, H = 600, 0.01

@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 from scipy.io import loadmat
 
 import gbid
-from gbid.cli.progress import LiveLine, PlainReporter, TerminalReporter
+from gbid.cli.progress import LiveBar, ProgressReporter
 from gbid.core.errors import DataError
 from gbid.core.names import file_stem, printable
 from gbid.core.tables import Column, Table, csv_text, html_table, markdown_table, terminal_table
@@ -27,9 +27,8 @@ from gbid.export.tables import save_csv, save_yaml
 from gbid.identify import TableEntry, tabulate
 from gbid.identify.table import csv_table
 from gbid.report.canvas import plain_label, save_figure, symbol
-from gbid.report.fit_tables import fit_tables
+from gbid.report.fit_tables import fit_document, fit_tables
 from gbid.report.measured_pictures import residuals_figure, response_figure
-from gbid.report.read import fit_document
 
 AWFUL = (
     "[/]",
@@ -165,8 +164,8 @@ def test_figures_draw_names_as_they_are(plain, tmp_path):
 
 def test_progress_shows_names_as_they_are(capsys):
     console = Console(file=io.StringIO(), force_terminal=True, width=100)
-    with LiveLine(console) as live:
-        for reporter in (PlainReporter(), TerminalReporter(live)):
+    with LiveBar(console) as bar:
+        for reporter in (ProgressReporter(), ProgressReporter(bar=bar)):
             for name in AWFUL:
                 reporter.expect("fit", 1, 0, 0)
                 reporter.begin("fit", name)

@@ -18,7 +18,7 @@ from gbid.control import GainStatus
 from gbid.control.assess import TunedDesign
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import load
-from gbid.core.tables import value_of
+from gbid.core.tables import engineering, value_of
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report import write as report_file
@@ -166,6 +166,6 @@ def test_report_shows_the_static_characterisation(tmp_path, monkeypatch) -> None
     page = write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")
     section = page[page.index('id="static"') : page.index('id="fits"')]
     results = Results(Job(load_experiment(path)))
-    assert f"{results.static_map.gain[0, 0]:.4f}" in section
+    assert engineering(results.static_map.gain[0, 0]) in section
     assert f"{1e6 * results.piezos[0][0].hysteresis:.2f} µm in open loop" in section
     assert section.count("<svg") == 3

@@ -14,6 +14,7 @@ import pytest
 from browser import find_chromium
 from hypothesis import given
 from hypothesis import strategies as st
+from json_keys import assert_keys
 from typer.testing import CliRunner
 
 from gbid.cli.main import app
@@ -28,6 +29,7 @@ from gbid.experiment.stages.nominal import NOMINAL
 from gbid.report.page import explorer_model, packed, trace
 from gbid.report.read import Results
 from gbid.report.sections import fit_data, warnings
+from gbid.report.views import view_of
 from gbid.report.write import write_report
 
 CHROMIUM = find_chromium()
@@ -71,7 +73,8 @@ def job(tmp_path_factory):
     job = Job(load_experiment(folder / "small.yaml"))
     run_campaign(job)
     run_stage(job, CROSSVAL)
-    run_stage(job, NOMINAL)
+    made = run_stage(job, NOMINAL)
+    assert_keys("nominal", view_of(NOMINAL).document(job, made))
     run_stage(job, LPV)
     write_report(job)
     return job
@@ -196,7 +199,7 @@ def test_every_fit_can_be_reached_and_shows_what_the_library_computes(page, job)
             assert np.abs(raw - expected).max() <= output[word]["scale"] / 2 * (1 + 1e-9)
     results = Results(job)
     result = next(q.result for q in results.fits if (q.fit, q.model) == ("bearing", name))
-    rows = {row[0]: row for row in fits[f"bearing/{name}"]["parameters"]}
+    rows = {row[0]: row for row in fits[f"bearing/{name}"]["tables"][0]["rows"]}
     assert float(rows["k_xx"][1]) == pytest.approx(result.parameters["k_xx"], rel=1e-4)
     assert float(rows["k_xx"][2]) == pytest.approx(result.std["k_xx"], rel=0.05)
 
@@ -276,7 +279,7 @@ def test_page_loads_without_a_fault_and_shows_the_fit_of_its_address(job):
     text = dom(path, "#fit&piezos%2Fp7_n0_prbs1", "--enable-logging=stderr")
     assert re.search(r'<ul id="page-errors"[^>]*hidden=""></ul>', text)
     assert '<h4 id="fit-title" aria-live="polite">piezos, p7_n0_prbs1: 7 bar, 0 rpm</h4>' in text
-    curves = text[text.index('id="fit-curves"') : text.index('id="fit-parameters"')]
+    curves = text[text.index('id="fit-curves"') : text.index('id="fit-tables"')]
     assert curves.count("<svg") - curves.count('aria-hidden="true"') == 4  # two outputs: curve and error
     assert "NaN" not in curves
 

@@ -13,9 +13,9 @@ from gbid.report.fit_tables import (
     mode_table,
     nominal_table,
     parameter_table,
+    recording_table,
     static_table,
 )
-from gbid.report.read import recording_table
 
 
 def parameter(name, estimate, std, unit="", truth=None, fixed=False):
