@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 from gbid.core.errors import UsageError
 from gbid.core.names import printable
+from gbid.core.tables import shown_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,6 +87,12 @@ def plain_label(text: str) -> str:
     text = printable(text)
     text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
     return text.replace("$", r"\$")
+
+
+def unit_label(unit: str) -> tuple[float, str]:
+    """Return the factor and the label of a unit in figures: micrometres for metres, a dash where there is none."""
+    factor, shown = shown_unit(unit)
+    return factor, plain_label(shown or "-")
 
 
 def symbol(name: str) -> str:

@@ -44,7 +44,7 @@ from gbid.report.loop_pictures import (
     sensitivity_curves,
 )
 from gbid.report.page import Block, Fold, Gallery, Listed, PageSection, Pictures, Shown, Words, explorer_part
-from gbid.report.read import AssessedDesign, Results, conditions_words
+from gbid.report.read import AssessedDesign, Results, conditions_words, place_of
 from gbid.report.surface_pictures import modes_data, plot_over_pressure, plot_surfaces, surfaces_data
 from gbid.structure import KEY_PARAMETERS, LinearModel
 
@@ -297,8 +297,7 @@ def _pictured(pictures: Pictures, results: Results) -> list[Block]:
     """Return pictures of the responses of all loops to the same impact, for each operating point."""
     blocks: list[Block] = []
     for loops in map(results.labelled, results.loops):
-        conditions = next(iter(loops.values())).conditions
-        where = point_label(conditions["pressure_bar"], conditions["speed_rpm"])
+        where = place_of(next(iter(loops.values())).conditions)
         alt = (
             f"Disc on the rig at {where} after the same impact along x and along y: {', '.join(loops)}; lines are "
             "means over the impacts, bands a standard deviation"

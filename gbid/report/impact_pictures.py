@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.control.impact.study import ImpactStudy, ImpactValidation
-from gbid.core.arrays import FloatArray, point_label
+from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.report.canvas import TWO_COLUMNS, legend_above, letter, panels, series, styled
 from gbid.report.named import NamedFigure
-from gbid.report.read import Results
+from gbid.report.read import Results, place_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -128,7 +128,7 @@ def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal[
         {label: v.measured[parts[label], j] for label, v in found.items()},
         {label: v.force[parts[label], j] for label, v in found.items()},
         axis,
-        point_label(open_loop.conditions["pressure_bar"], open_loop.conditions["speed_rpm"]),
+        place_of(open_loop.conditions),
     )
 
 
@@ -154,14 +154,13 @@ def impact_validation_data(study: ImpactStudy, axis: Literal["x", "y"]) -> Impac
     """
     v, j = validation_along(study, axis), "xy".index(axis)
     part = slice(max(0, v.windows[0][0] - _BEFORE), v.windows[0][1])
-    place = point_label(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
     measured = v.measured[part, j] - v.stationary[part, j]
     return ImpactCurves(
         v.time[part] - v.time[v.windows[0][0]],
         {"measured": measured, "simulated": v.simulated[part, j]},
         {},
         axis,
-        f"{place}, {study.loop} loop, fit over all impacts {v.along_percent:.1f} %",
+        f"{place_of(study.conditions)}, {study.loop} loop, fit over all impacts {v.along_percent:.1f} %",
     )
 
 
@@ -192,16 +191,6 @@ def _both_loops(axis: Literal["x", "y"], rotating: bool, results: Results) -> Im
 
 def _validated(axis: Literal["x", "y"], results: Results) -> ImpactCurves:
     return impact_validation_data(results.impacts_at(False)["closed"], axis)
-
-
-_FIGURES_IMPACT_CURVES = (
-    NamedFigure("fig22_impact_x", partial(_both_loops, "x", False), plot_impact),
-    NamedFigure("fig23_impact_y", partial(_both_loops, "y", False), plot_impact),
-    NamedFigure("fig24_impact_model_x", partial(_validated, "x"), plot_impact),
-    NamedFigure("fig25_impact_model_y", partial(_validated, "y"), plot_impact),
-    NamedFigure("fig26_impact_turning_x", partial(_both_loops, "x", True), plot_impact),
-    NamedFigure("fig27_impact_turning_y", partial(_both_loops, "y", True), plot_impact),
-)
 
 
 _BEFORE_S = 5e-3
@@ -260,12 +249,11 @@ def impact_loops_data(studies: Mapping[str, ImpactStudy], duration_s: float = 0.
             after = min(after, *(end - start for (start, _), end in zip(v.windows, ends, strict=True)))
             before = min(before, v.windows[0][0])
     parts = {label: _averaged(study, before, after) for label, study in studies.items()}
-    point = found[0].conditions
     return ImpactLoops(
         np.asarray(steps[0] * np.arange(-before, after)),
         {label: mean for label, (mean, _) in parts.items()},
         {label: spread for label, (_, spread) in parts.items()},
-        point_label(point["pressure_bar"], point["speed_rpm"]),
+        place_of(found[0].conditions),
     )
 
 
@@ -320,10 +308,13 @@ def _drawn(loops: Mapping[str, ImpactStudy]) -> npt.NDArray[np.object_]:
     return plot_impact_loops(impact_loops_data(loops))
 
 
-_FIGURES_IMPACT_BANDS = (
+FIGURES = (
+    NamedFigure("fig22_impact_x", partial(_both_loops, "x", False), plot_impact),
+    NamedFigure("fig23_impact_y", partial(_both_loops, "y", False), plot_impact),
+    NamedFigure("fig24_impact_model_x", partial(_validated, "x"), plot_impact),
+    NamedFigure("fig25_impact_model_y", partial(_validated, "y"), plot_impact),
+    NamedFigure("fig26_impact_turning_x", partial(_both_loops, "x", True), plot_impact),
+    NamedFigure("fig27_impact_turning_y", partial(_both_loops, "y", True), plot_impact),
     NamedFigure("designs_impacts", lambda results: results.beside_at(False), _drawn),
     NamedFigure("designs_impacts_turning", lambda results: results.beside_at(True), _drawn),
 )
-
-
-FIGURES = (*_FIGURES_IMPACT_CURVES, *_FIGURES_IMPACT_BANDS)

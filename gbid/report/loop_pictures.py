@@ -478,12 +478,6 @@ def _loop(
     return curves(data, f"{point_label(*point)}; {gains}")
 
 
-_FIGURES_MAGNITUDES = (
-    NamedFigure("fig20_sensitivities", partial(_loop, sensitivity_curves), plot_magnitudes),
-    NamedFigure("fig21_bode", partial(_loop, bode_curves), plot_magnitudes),
-)
-
-
 # ---- Pareto front of robustness and damping.
 
 
@@ -616,11 +610,6 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Axes:
     return panel
 
 
-_FIGURES_PARETO_CURVES = (
-    NamedFigure("designs_pareto", lambda results: results.tuned, lambda tuned: plot_pareto(designs_pareto_data(tuned))),
-)
-
-
 # ---- Price of robustness: what designs promise over the probability with which it holds.
 
 
@@ -662,15 +651,6 @@ def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = 
     panel.set_ylabel(unit.get(objectives.pop(), "promised objective") if len(objectives) == 1 else "promised objective")
     panel.legend(loc="best")
     return panel
-
-
-_FIGURES_ROBUSTNESS_PRICE = (
-    NamedFigure(
-        "designs_robust",
-        lambda results: results.tuned,
-        plot_robustness_price,
-    ),
-)
 
 
 # ---- Identification-for-control cycle: damping and certainty over the rounds.
@@ -739,7 +719,15 @@ def _relative(row: CycleRow, name: str) -> float:
     return float(np.hypot(row.model_frequency_1_hz_std, row.model_frequency_2_hz_std))
 
 
-_FIGURES_CYCLE_ROUNDS = (
+FIGURES = (
+    NamedFigure("fig20_sensitivities", partial(_loop, sensitivity_curves), plot_magnitudes),
+    NamedFigure("fig21_bode", partial(_loop, bode_curves), plot_magnitudes),
+    NamedFigure("designs_pareto", lambda results: results.tuned, lambda tuned: plot_pareto(designs_pareto_data(tuned))),
+    NamedFigure(
+        "designs_robust",
+        lambda results: results.tuned,
+        plot_robustness_price,
+    ),
     NamedFigure(
         "cycle",
         lambda results: results.cycle,
@@ -749,6 +737,3 @@ _FIGURES_CYCLE_ROUNDS = (
         section="cycle",
     ),
 )
-
-
-FIGURES = (*_FIGURES_MAGNITUDES, *_FIGURES_PARETO_CURVES, *_FIGURES_ROBUSTNESS_PRICE, *_FIGURES_CYCLE_ROUNDS)

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from gbid.characterise import PiezoCurve, StaticMap
-from gbid.core.arrays import BoolArray, FloatArray, IntArray, point_label
+from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.tables import probability, shown_unit
+from gbid.core.tables import probability
 from gbid.experiment.experiment import fit_models, recordings_of
 from gbid.experiment.stages.crossval import validate_pair
 from gbid.experiment.stages.fit import fit_result
@@ -38,9 +38,10 @@ from gbid.report.canvas import (
     series,
     styled,
     symbol,
+    unit_label,
 )
 from gbid.report.named import NamedFigure
-from gbid.report.read import Results
+from gbid.report.read import Results, place_of
 from gbid.validate import NominalActuator, ValidationSummary
 
 if TYPE_CHECKING:
@@ -127,15 +128,6 @@ def nominal_data(nominal: NominalActuator) -> ActuatorParameters:
     off = {(o.model, o.parameter) for o in nominal.outliers}
     outliers = {name: np.array([(model, name) in off for model in nominal.models]) for name in values}
     return ActuatorParameters(values, outliers, nominal.models.index(nominal.name))
-
-
-_FIGURES_ACTUATOR_SCATTER = (
-    NamedFigure(
-        "fig08_actuator_parameters",
-        lambda results: results.nominal,
-        lambda nominal: plot_actuator_parameters(nominal_data(nominal)),
-    ),
-)
 
 
 # ---- Histograms of the cross-validation fit (paper, Figs. 9 and 10).
@@ -227,12 +219,6 @@ def crossval_data(summary: ValidationSummary) -> list[Histogram]:
 
 def _histogram(summary: ValidationSummary) -> npt.NDArray[np.object_]:
     return plot_fit_histogram(crossval_data(summary))
-
-
-_FIGURES_FIT_HISTOGRAM = (
-    NamedFigure("fig09_crossval_bearing", lambda results: results.summary("rotor_bearing"), _histogram),
-    NamedFigure("fig10_crossval_actuators", lambda results: results.summary("piezo_pair"), _histogram),
-)
 
 
 # ---- Staircases and hysteresis of single piezos, with and without PD control (paper, Figs. A.28 and A.29).
@@ -339,14 +325,14 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
     _figure, axes = panels(ax, 1, len(units) + 1, size=(TWO_COLUMNS, 2.6))
     for k, staircase in enumerate(data):
         panel = axes[units.index(staircase.command_unit)]
-        scale, unit = _shown(staircase.command_unit)
+        scale, unit = unit_label(staircase.command_unit)
         command, position, rising = staircase.plateaus()
         line = series(k, marker=None, linewidth=0.9)
         panel.plot(scale * command, 1e6 * position, label=plain_label(staircase.label), **line)
         for there, marker in ((rising, "^"), (~rising, "v")):
             look = series(k, linestyle="none", marker=marker, markersize=3.5, markerfacecolor="none")
             panel.plot(scale * command[there], 1e6 * position[there], **look)
-        panel.set_xlabel(f"command [{plain_label(unit)}]")
+        panel.set_xlabel(f"command [{unit}]")
         panel.set_ylabel("piezo position [µm]")
         panel.legend(loc="upper left", fontsize=7.5)
         panel.set_title("△ rising  ▽ falling", loc="right", pad=4, fontsize=7.5)
@@ -393,10 +379,6 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
     return np.array(axes[:2], dtype=object)
 
 
-def _shown(unit: str) -> tuple[float, str]:
-    return (1e6, "µm") if unit == "m" else (1.0, unit)
-
-
 def _share(command: FloatArray) -> FloatArray:
     span = np.ptp(command)
     return np.asarray((command - command.min()) / (span if span else 1.0))
@@ -433,12 +415,6 @@ def piezo_data(
 
 def _staircases(results: Results) -> list[PiezoStaircase]:
     return [piezo_data(*found) for found in results.piezos]
-
-
-_FIGURES_PIEZO_STAIRCASES = (
-    NamedFigure("figA28_piezo_hysteresis", _staircases, plot_piezo_hysteresis),
-    NamedFigure("figA29_piezo_staircase", _staircases, plot_piezo_staircase),
-)
 
 
 # ---- Signals of a recording over time, a panel for each signal.
@@ -487,10 +463,10 @@ def plot_recording(
     time = recording.time[shown]
     for axes, name in zip(given, names, strict=False):
         values, channels = recording.signal(name)[shown], recording.channels[name]
-        factor, unit = shown_unit(recording.units[name])
+        factor, unit = unit_label(recording.units[name])
         for i, channel in enumerate(channels):
             axes.plot(time, factor * values[:, i], label=channel, **series(i, marker=None, linewidth=0.9))
-        axes.set_ylabel(f"{symbol(name)} [{unit or '-'}]")
+        axes.set_ylabel(f"{symbol(name)} [{unit}]")
         axes.margins(x=0)
         if len(channels) > 1:  # beside the panel, where it covers no curve
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=2.2)
@@ -757,7 +733,7 @@ def plot_response(
     if len(axes) < n_outputs:
         raise UsageError(f"{len(axes)} axes for {n_outputs} outputs; give one for each, and one for the inputs")
     for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
-        scale, label = _shown_unit(unit)
+        scale, label = unit_label(unit)
         axes[i].plot(time, scale * validation.measured[shown, i], label="measured", **_MEASURED)
         axes[i].plot(time, scale * validation.simulated[shown, i], label="simulated", **_SIMULATED)
         axes[i].set_ylabel(f"{symbol(name)} [{label}]")
@@ -773,7 +749,7 @@ def plot_response(
 
 
 def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray) -> None:
-    scale, label = _shown_unit(validation.input_units[0])
+    scale, label = unit_label(validation.input_units[0])
     for i, name in enumerate(validation.input_names):
         style = {"color": ink(), **_INPUTS[i % len(_INPUTS)]}
         ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=symbol(name), **style)
@@ -799,11 +775,6 @@ def _part(time: FloatArray, from_s: float | None, to_s: float | None) -> BoolArr
             f"choose a part of its {time[-1]:g} s"
         )
     return np.asarray(shown)
-
-
-def _shown_unit(unit: str) -> tuple[float, str]:
-    """Return factor and label of a unit: micrometres for positions, other units unchanged."""
-    return (1e6, "µm") if unit == "m" else (1.0, plain_label(unit or "-"))
 
 
 def _title(validation: Validation) -> str:
@@ -838,9 +809,6 @@ def _shown_response(results: Results) -> Validation:
 def _zoomed(validation: Validation) -> Figure:
     from_s, to_s = _ZOOM if validation.time[-1] >= _ZOOM[1] else (None, None)
     return response_figure(validation, from_s=from_s, to_s=to_s)
-
-
-_FIGURES_RESPONSE = (NamedFigure("fig07_identification", _shown_response, _zoomed),)
 
 
 # ---- Static map from piezo positions to disc position (paper, Fig. 5).
@@ -953,18 +921,19 @@ def static_map_data(result: StaticMap) -> list[StaticSweep]:
 
 def static_map_figure(found: StaticMap) -> npt.NDArray[np.object_]:
     """Draw a static map with its operating point (Fig. 5)."""
-    known = {"pressure_bar", "speed_rpm"} <= set(found.conditions)
-    title = point_label(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""
-    return plot_static_map(static_map_data(found), title=title)
-
-
-_FIGURES_STAIRCASE_MAP = (NamedFigure("fig05_static_map", lambda results: results.static_map, static_map_figure),)
+    return plot_static_map(static_map_data(found), title=place_of(found.conditions))
 
 
 FIGURES = (
-    *_FIGURES_ACTUATOR_SCATTER,
-    *_FIGURES_FIT_HISTOGRAM,
-    *_FIGURES_PIEZO_STAIRCASES,
-    *_FIGURES_RESPONSE,
-    *_FIGURES_STAIRCASE_MAP,
+    NamedFigure(
+        "fig08_actuator_parameters",
+        lambda results: results.nominal,
+        lambda nominal: plot_actuator_parameters(nominal_data(nominal)),
+    ),
+    NamedFigure("fig09_crossval_bearing", lambda results: results.summary("rotor_bearing"), _histogram),
+    NamedFigure("fig10_crossval_actuators", lambda results: results.summary("piezo_pair"), _histogram),
+    NamedFigure("figA28_piezo_hysteresis", _staircases, plot_piezo_hysteresis),
+    NamedFigure("figA29_piezo_staircase", _staircases, plot_piezo_staircase),
+    NamedFigure("fig07_identification", _shown_response, _zoomed),
+    NamedFigure("fig05_static_map", lambda results: results.static_map, static_map_figure),
 )

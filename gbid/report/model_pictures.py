@@ -14,7 +14,6 @@ from gbid.control import ISO_LIMITS, Sensitivities, SensitivityZones, sensitivit
 from gbid.core.arrays import ComplexArray, FloatArray, one_of_each_pair
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.tables import shown_unit
 from gbid.identify import select
 from gbid.identify.uncertainty.curves import (
     LEVEL,
@@ -32,7 +31,7 @@ from gbid.identify.uncertainty.curves import (
 from gbid.identify.uncertainty.spectra import MeasuredResponse
 from gbid.identify.uncertainty.uncertain_model import ModelLike, UncertainModel, as_uncertain
 from gbid.recording import Recording
-from gbid.report.canvas import GREY, RED, TWO_COLUMNS, ink, legend_above, panels, plain_label, series, styled, symbol
+from gbid.report.canvas import GREY, RED, TWO_COLUMNS, ink, legend_above, panels, series, styled, symbol, unit_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -517,7 +516,7 @@ def plot_orbit(recording: Recording | Orbit, ax: Axes | None = None, *, signal: 
         When the signal has not two channels.
     """
     data = recording if isinstance(recording, Orbit) else orbit_data(recording, signal)
-    factor, unit = shown_unit(data.unit)
+    factor, unit = unit_label(data.unit)
     _, (axes, *_) = panels(ax, size=(3.6, 3.6))
     axes.plot(*(factor * data.xy.T), color=GREY, linewidth=0.5)
     if len(data.mean):
@@ -525,8 +524,8 @@ def plot_orbit(recording: Recording | Orbit, ax: Axes | None = None, *, signal: 
         axes.plot(*closed.T, **series(0, marker=None))
         axes.plot(*closed[0], "o", color=RED, markersize=5)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"{symbol(data.names[0])} [{plain_label(unit or '-')}]")
-    axes.set_ylabel(f"{symbol(data.names[1])} [{plain_label(unit or '-')}]")
+    axes.set_xlabel(f"{symbol(data.names[0])} [{unit}]")
+    axes.set_ylabel(f"{symbol(data.names[1])} [{unit}]")
     return axes
 
 

@@ -13,6 +13,7 @@ from gbid.characterise import PiezoCurve, StaticMap
 from gbid.control import HalfSine, ImpactStudy, Scheduled, controller_at, p_controller
 from gbid.control.assess import DesignFigures, TunedDesign
 from gbid.control.loop.close import Method
+from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import load
 from gbid.experiment.controllers import (
@@ -266,6 +267,12 @@ def published_controller(machine: PublishedMachine) -> LinearModel:
     """Return the controller of `published_gains`."""
     d = published_gains(machine)
     return p_controller(d.kappa_x, d.kappa_y, d.lowpass_hz, d.lowpass_order)
+
+
+def place_of(conditions: Mapping[str, float]) -> str:
+    """Return the operating point of conditions as text; empty when pressure or speed is unknown."""
+    known = {"pressure_bar", "speed_rpm"} <= set(conditions)
+    return point_label(conditions["pressure_bar"], conditions["speed_rpm"]) if known else ""
 
 
 def shown_point(model: LPVModel) -> tuple[float, float]:

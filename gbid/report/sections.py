@@ -8,7 +8,6 @@ from dataclasses import asdict
 from statistics import median
 from typing import Any
 
-from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.tables import Cell, Column, Entry, Table
 from gbid.experiment.experiment import recordings_of
@@ -51,7 +50,7 @@ from gbid.report.page import (
     trace,
 )
 from gbid.report.paper import paper_numbers
-from gbid.report.read import MadeFit, Results, Standing
+from gbid.report.read import MadeFit, Results, Standing, place_of
 from gbid.validate import ValidationSummary
 
 _NAMED = 5
@@ -373,9 +372,7 @@ def static_section(results: Results, pictures: Pictures) -> PageSection | None:
 
 
 def _map_picture(results: Results, pictures: Pictures) -> list[Block]:
-    conditions = results.static_map.conditions
-    known = {"pressure_bar", "speed_rpm"} <= set(conditions)
-    place = point_label(conditions["pressure_bar"], conditions["speed_rpm"]) if known else ""
+    place = place_of(results.static_map.conditions)
     alt = f"Steady disc position over piezo position, {place}: rising and falling plateaus with a straight line"
     return [Shown(pictures.picture(static_map_figure(results.static_map), alt))]
 

@@ -232,15 +232,20 @@ def _panels(
     pressure = np.linspace(*model.domain.pressure_bar, 25)
     speeds = np.asarray(speeds_rpm, float)
     values = np.array([[at(float(bar), float(rpm)) for bar in pressure] for rpm in speeds])
+    parts = [_marked(name, points, estimates) for name in labels]
+    return [
+        PressurePanel(name, label, pressure, speeds, values[:, :, i], *parts[i])
+        for i, (name, label) in enumerate(labels.items())
+    ]
+
+
+def _marked(name: str, points: npt.ArrayLike | None, estimates: Estimates | None) -> tuple[FloatArray, FloatArray]:
+    """Return operating points and estimates of one quantity; both empty without estimates of it."""
     where = np.zeros((0, 2)) if points is None else np.atleast_2d(np.asarray(points, float))
-    panels_made = []
-    for i, (name, label) in enumerate(labels.items()):
-        found: Any = np.asarray((estimates or {}).get(name, np.zeros(0)), float)
-        if len(found) not in (0, len(where)):
-            raise UsageError(f"{name}: {len(found)} estimates for {len(where)} points; give one for each")
-        marked = where if len(found) else np.zeros((0, 2))
-        panels_made.append(PressurePanel(name, label, pressure, speeds, values[:, :, i], marked, found))
-    return panels_made
+    values = np.asarray((estimates or {}).get(name, np.zeros(0)), float)
+    if len(values) not in (0, len(where)):
+        raise UsageError(f"{name}: {len(values)} estimates for {len(where)} points; give one for each")
+    return (where if len(values) else np.zeros((0, 2))), values
 
 
 def fit_over_pressure_data(
@@ -281,15 +286,6 @@ def _panels_of(
     rig = results.experiment.spec.rig
     data = fit_over_pressure_data(results.surface_fit, what, sample_time=rig.sample_time_s if rig else 2e-4)
     return [panel for panel in data if only in (None, panel.name)]
-
-
-_FIGURES_OVER_PRESSURE = (
-    NamedFigure("fig14_delay_x", partial(_panels_of, "delay", only="tau_x"), plot_over_pressure),
-    NamedFigure("fig15_delay_y", partial(_panels_of, "delay", only="tau_y"), plot_over_pressure),
-    NamedFigure("fig16_natural_frequencies", partial(_panels_of, "frequency"), plot_over_pressure),
-    NamedFigure("fig17_damping_factors", partial(_panels_of, "damping"), plot_over_pressure),
-    NamedFigure("fig18_static_gains", partial(_panels_of, "gain"), plot_over_pressure),
-)
 
 
 # ---- Key parameters over injection pressure and speed, with the estimates on stems (paper, Figs. 11 to 13).
@@ -368,16 +364,12 @@ def surfaces_data(
     unknown = [name for name in names if name not in grid]
     if unknown:
         raise UsageError(f"no key parameter {unknown[0]!r}; there is {', '.join(grid)}")
-    where = np.zeros((0, 2)) if points is None else np.atleast_2d(np.asarray(points, float))
-    there = model.key_parameters(where[:, 0], where[:, 1], extrapolate=True) if len(where) else {}
     surfaces = []
     for name in names:
         values = np.broadcast_to(np.asarray(grid[name], float), (n, n))
-        found = np.asarray((estimates or {}).get(name, np.zeros(0)), float)
-        if len(found) not in (0, len(where)):
-            raise UsageError(f"{name}: {len(found)} estimates for {len(where)} points; give one for each")
-        marked, at = (where, np.asarray(there[name], float)) if len(found) else (np.zeros((0, 2)), np.zeros(0))
-        surfaces.append(Surface(name, _UNITS[name.split("_")[0]], pressure, speed, values, marked, found, at))
+        where, found = _marked(name, points, estimates)
+        at = np.asarray(model.key_parameters(*where.T, extrapolate=True)[name], float) if len(found) else np.zeros(0)
+        surfaces.append(Surface(name, _UNITS[name.split("_")[0]], pressure, speed, values, where, found, at))
     return surfaces
 
 
@@ -440,16 +432,10 @@ def _plot_surface(ax: Any, surface: Surface) -> None:
     ax.set_ylabel("speed [1000 rpm]", labelpad=-4)
     ax.tick_params(pad=-2, labelsize=7)
     ax.tick_params(axis="z", pad=2)
-    ax.xaxis.set_major_locator(_few())
-    ax.yaxis.set_major_locator(_few())
-    ax.zaxis.set_major_locator(_few())
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        axis.set_major_locator(MaxNLocator(5))
     ax.view_init(elev=24, azim=-128)
     ax.set_box_aspect((1.0, 1.0, 0.8), zoom=0.9)
-
-
-def _few() -> Any:
-
-    return MaxNLocator(5)
 
 
 def fit_surfaces_data(fit: LPVFit, letter: Literal["k", "d", "b"]) -> list[Surface]:
@@ -476,11 +462,13 @@ def _drawn(letter: Literal["k", "d", "b"], fit: LPVFit) -> npt.NDArray[np.object
     return plot_surfaces(fit_surfaces_data(fit, letter))
 
 
-_FIGURES_SURFACE_PANELS = (
+FIGURES = (
+    NamedFigure("fig14_delay_x", partial(_panels_of, "delay", only="tau_x"), plot_over_pressure),
+    NamedFigure("fig15_delay_y", partial(_panels_of, "delay", only="tau_y"), plot_over_pressure),
+    NamedFigure("fig16_natural_frequencies", partial(_panels_of, "frequency"), plot_over_pressure),
+    NamedFigure("fig17_damping_factors", partial(_panels_of, "damping"), plot_over_pressure),
+    NamedFigure("fig18_static_gains", partial(_panels_of, "gain"), plot_over_pressure),
     NamedFigure("fig11_stiffness", lambda results: results.surface_fit, partial(_drawn, "k")),
     NamedFigure("fig12_damping", lambda results: results.surface_fit, partial(_drawn, "d")),
     NamedFigure("fig13_input_gain", lambda results: results.surface_fit, partial(_drawn, "b")),
 )
-
-
-FIGURES = (*_FIGURES_OVER_PRESSURE, *_FIGURES_SURFACE_PANELS)
