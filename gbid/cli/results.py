@@ -31,11 +31,11 @@ def figures(
     """Write the paper's figures (pdf) and tables (csv, Markdown), as far as the results allow."""
     from gbid.cli.printing import print_json
     from gbid.cli.stages import finish, looked_at, next_step, outcome_rows
-    from gbid.report.paper import FOLDER, write_paper
+    from gbid.report.named import paper
 
     loaded = options.load(experiment)
     with looked_at(loaded, options) as job:
-        outcomes, left_out = write_paper(job, list(dict.fromkeys(formats)))
+        outcomes, left_out = paper().write_paper(job, list(dict.fromkeys(formats)))
     if options.as_json:
         absent = [{"item": item.item, "why": item.why} for item in left_out]
         print_json({"outcomes": outcome_rows(outcomes), "left_out": absent})
@@ -43,7 +43,7 @@ def figures(
         for item in left_out:
             typer.echo(f"left out: {item.item}: {item.why}")
         items = {o.path.stem for o in outcomes if o.state != "failed"}
-        typer.echo(f"{len(items)} figures and tables in {loaded.results / FOLDER}")
+        typer.echo(f"{len(items)} figures and tables in {loaded.results / paper().FOLDER}")
     finish(outcomes, advice="" if options.quiet else next_step(loaded, "figures"))
 
 
@@ -91,18 +91,18 @@ def reproduce(
     from gbid.cli.printing import print_json, print_tables
     from gbid.cli.stages import finish, looked_at, next_step
     from gbid.core.files import atomic_path
-    from gbid.report.paper import reproduction_tables, write_reproduction
+    from gbid.report.named import paper
 
     loaded = options.load(experiment)
     with looked_at(loaded, options) as job:
-        outcomes, document = write_reproduction(job)
+        outcomes, document = paper().write_reproduction(job)
     if output is not None:
         with atomic_path(output, overwrite=True) as part:
             part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if options.as_json:
         print_json(document)
     else:
-        print_tables(*reproduction_tables(document))
+        print_tables(*paper().reproduction_tables(document))
         typer.echo("\n".join(f"written: {outcome.path}" for outcome in outcomes))
     finish(outcomes, advice="" if options.quiet else next_step(loaded, "reproduce"))
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pkgutil import walk_packages
+from types import ModuleType
 from typing import Any
 
 from matplotlib.figure import Figure
 
+from gbid.core.files import share_folder
 from gbid.report.canvas import Drawn, figure_of
 from gbid.report.read import Results
 
@@ -49,6 +54,19 @@ class NamedFigure:
             When the results do not allow it, with the reason.
         """
         return figure_of(self.draw(self.needs(results)))
+
+
+@cache
+def paper() -> ModuleType:
+    """Return the module with tables and comparison of the paper, which is shipped beside its experiment."""
+    path = share_folder("experiments") / "theisen2016_paper.py"
+    spec = spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[path.stem] = module  # where dataclasses look for it
+    spec.loader.exec_module(module)
+    return module
 
 
 def named_figures() -> dict[str, NamedFigure]:

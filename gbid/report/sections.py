@@ -35,6 +35,7 @@ from gbid.report.measured_pictures import (
     plot_piezo_staircase,
     static_map_figure,
 )
+from gbid.report.named import paper
 from gbid.report.page import (
     Block,
     Fold,
@@ -49,7 +50,6 @@ from gbid.report.page import (
     point_words,
     trace,
 )
-from gbid.report.paper import paper_numbers
 from gbid.report.read import MadeFit, Results, Standing, place_of
 from gbid.validate import ValidationSummary
 
@@ -219,10 +219,10 @@ def validation_section(results: Results, pictures: Pictures) -> PageSection:
 def _validated(
     results: Results, pictures: Pictures, name: str, rows: Sequence[CrossvalRow], summary: ValidationSummary
 ) -> list[Block]:
-    paper = _paper(results.experiment.spec.fits[name].structure, summary) if results.published else {}
+    published = _paper(results.experiment.spec.fits[name].structure, summary) if results.published else {}
     document = summary_document(name, summary, results.job.path("crossval", name))
-    blocks: list[Block] = [validation_table(document, paper)]
-    if paper:
+    blocks: list[Block] = [validation_table(document, published)]
+    if published:
         words = (
             "The paper's figures are those of 86 recordings of the real machine; noise and scatter of this rig differ."
         )
@@ -247,7 +247,7 @@ def _validated(
 def _paper(structure: str, summary: ValidationSummary) -> dict[str, str]:
     """Return the fit percent in the paper for its 86 recordings (Sec. 3.8, Figs. 9 and 10), by output."""
     word = _PAPERS.get(structure)
-    known = {number.id: number.value for number in paper_numbers()} if word else {}
+    known = {number.id: number.value for number in paper().paper_numbers()} if word else {}
     ids = {output: [f"{word}_{what}_{output[-1]}" for what in ("mean", "std")] for output in summary.output_names}
     if not all(key in known for keys in ids.values() for key in keys):
         return {}

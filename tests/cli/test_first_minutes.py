@@ -20,7 +20,11 @@ from gbid.cli.options import GROUPS, complete_experiment, complete_source
 from gbid.core.yaml_file import read_yaml
 from gbid.experiment.load import experiment_json_schema
 
-EXPERIMENTS = [p for p in sorted((ROOT / "experiments").rglob("*.yaml")) if "results" not in p.relative_to(ROOT).parts]
+EXPERIMENTS = [
+    path
+    for path in sorted((ROOT / "experiments").rglob("*.yaml"))
+    if "results" not in path.relative_to(ROOT).parts and path.stem != "theisen2016_numbers"
+]
 VERBS = [command.name for command in app.registered_commands]
 
 

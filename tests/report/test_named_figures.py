@@ -12,8 +12,7 @@ from gbid import report as figures
 from gbid.core.errors import DataError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
-from gbid.report import paper as paper_files
-from gbid.report.named import named_figures
+from gbid.report.named import named_figures, paper
 from gbid.report.read import Results
 from gbid.report.write import write_report
 
@@ -72,7 +71,7 @@ def test_a_file_is_enough_for_verb_and_page(tmp_path, one_file, monkeypatch):
     assert "poles_of_the_machine" in named_figures()
     path = write_quick(tmp_path, text=QUICK)
     found = {name: figure for name, figure in named_figures().items() if name == "poles_of_the_machine"}
-    monkeypatch.setattr(paper_files, "named_figures", lambda: found)  # the others take their time
+    monkeypatch.setattr(paper(), "named_figures", lambda: found)  # the others take their time
     assert command("figures", path) == 0
     assert (tmp_path / "results" / "quick" / "figures" / "poles_of_the_machine.pdf").is_file()
     page = write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")

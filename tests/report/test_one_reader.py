@@ -18,8 +18,8 @@ from gbid.cli.main import app
 from gbid.control.assess import COLUMNS
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
-from gbid.report import paper as paper_files
 from gbid.report import write as report_file
+from gbid.report.named import paper
 from gbid.report.read import Results
 
 CONDITIONS = {"sample_time_s": 1e-3, "method": "zoh"}
@@ -83,7 +83,7 @@ def test_terminal(made, expected, capsys):
 
 
 def test_paper_tables(made, expected, monkeypatch):
-    monkeypatch.setattr(paper_files, "save_figure", lambda _figure, part, **_: part.touch())
+    monkeypatch.setattr(paper(), "save_figure", lambda _figure, part, **_: part.touch())
     assert command("figures", made) == 0
     folder = made.parent / "results" / "slow" / "figures"
     lines = [line for line in (folder / "designs.csv").read_text().splitlines() if not line.startswith("#")]

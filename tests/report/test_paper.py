@@ -29,13 +29,15 @@ from gbid.experiment.run import Job
 from gbid.lpv import CHARACTERISTICS, fit_lpv, load_machine
 from gbid.lpv.estimates import Estimates
 from gbid.lpv.model import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
-from gbid.report import paper as paper_files
-from gbid.report import paper as paper_tables
-from gbid.report.named import named_figures
-from gbid.report.paper import PaperNumber, _values, counts, judged, paper_numbers, reproduction, reproduction_markdown
+from gbid.report.named import named_figures, paper
 from gbid.report.read import Results, published_controller
 from gbid.structure import KEY_PARAMETERS
 from gbid.validate import ValidationScores, summarise
+
+paper_files = paper()
+PaperNumber, _values, counts, judged = (getattr(paper_files, n) for n in ("PaperNumber", "_values", "counts", "judged"))
+paper_numbers, reproduction = paper_files.paper_numbers, paper_files.reproduction
+reproduction_markdown = paper_files.reproduction_markdown
 
 NUMBERS = {number.id: number for number in paper_numbers()}
 
@@ -338,13 +340,13 @@ def test_a_full_disk_is_not_a_figure_left_out(small, tmp_path, monkeypatch):
 def test_tables_hold_what_the_model_file_says(small):
     path, out = small
     results = Results(Job(load_experiment(path, out)))
-    table = paper_tables.actuator_table(results)
+    table = paper_files.actuator_table(results)
     rows = [dict(zip((column.heading for column in table.columns), row, strict=True)) for row in table.rows]
     assert {row["parameter"]: row["published"] for row in rows} == dict(machine().actuators)
     assert {row["parameter"]: row["value"] for row in rows} == results.nominal.parameters
-    read = list(csv.DictReader(csv_text(paper_tables.controller_table(results)).splitlines()))
+    read = list(csv.DictReader(csv_text(paper_files.controller_table(results)).splitlines()))
     assert [float(row["gain [m/m]"]) for row in read] == [0.926, 0.927, 0.220, 0.640]
-    assert markdown_table(paper_tables.machine_table(results)).count("\n| ") == 2 + len(load_machine("theisen2016").rig)
+    assert markdown_table(paper_files.machine_table(results)).count("\n| ") == 2 + len(load_machine("theisen2016").rig)
 
 
 def test_rows_without_results_are_missing_with_the_reason(small):

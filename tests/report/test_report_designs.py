@@ -23,7 +23,7 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report import write as report_file
 from gbid.report.control_sections import held_back
-from gbid.report.paper import TABLES, reproduction_markdown
+from gbid.report.named import paper
 from gbid.report.read import Results, comparable_designs
 from gbid.report.write import write_report
 
@@ -88,7 +88,7 @@ def test_only_designs_on_the_same_terms_are_compared(results) -> None:
 
 
 def test_table_of_designs_has_what_the_tuning_stored(made, results) -> None:
-    table = TABLES["designs"](results)
+    table = paper().TABLES["designs"](results)
     assert tuple(column.heading for column in table.columns) == ("figure", "feedback", "held", "published")
     stored = load(made.parent / "results" / "designs" / "controller" / "feedback.h5", TunedDesign)
     rows = {row[0]: [value_of(cell) for cell in row[1:]] for row in table.rows}
@@ -101,7 +101,7 @@ def test_impacts_of_each_loop_stand_beside(results) -> None:
     assert list(loops) == ["open loop", "published gains", "tuned"]
     with pytest.raises(DataError, match="no impacts with a turning shaft"):
         results.beside_at(True)
-    table = TABLES["designs_impacts"](results)
+    table = paper().TABLES["designs_impacts"](results)
     assert [row[1:3] for row in table.rows] == [(label, axis) for label in loops for axis in "xy"]
     column = [column.heading for column in table.columns].index("disc [um]")
     assert table.rows[0][column] == pytest.approx(1e6 * loops["open loop"].figures[0].peak_m)
@@ -116,13 +116,13 @@ def test_reproduction_ends_with_what_the_paper_has_no_figures_for(made, capsys) 
     assert command("reproduce", made) == 0
     out = capsys.readouterr().out
     assert "stack [um]" in out
-    text = reproduction_markdown(document)
+    text = paper().reproduction_markdown(document)
     for table in document["past_the_paper"]:
         lines = text[text.index(table["title"]) :].split("\n\n")[1].splitlines()
         assert len({line.count("|") for line in lines}) == 1
         assert len(lines) == 2 + len(table["rows"])
     old = {key: value for key, value in document.items() if key != "past_the_paper"}
-    assert "Designs" not in reproduction_markdown(old)  # a file of an earlier gbid
+    assert "Designs" not in paper().reproduction_markdown(old)  # a file of an earlier gbid
 
 
 def test_report_shows_designs_front_and_loops(page) -> None:

@@ -1,4 +1,7 @@
-"""Figures of the paper in a list for programs: `numbers.yaml` beside this file."""
+"""Theisen et al. (2016): tables of the paper from results, and its figures (`theisen2016_numbers.yaml`) beside ours.
+
+`gbid figures` and `gbid reproduce` load this file (`gbid.report.named.paper`).
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ from gbid.report.named import NamedFigure, named_figures
 from gbid.report.read import POINT, Results, conditions_words, design_performances, published_controller
 from gbid.structure import KEY_PARAMETERS
 
-FILE = Path(__file__).with_name("numbers.yaml")
+FILE = Path(__file__).with_name("theisen2016_numbers.yaml")
 
 
 @dataclass(frozen=True)
@@ -485,7 +488,7 @@ def reproduction_tables(document: Mapping[str, Any]) -> list[Table]:
     Parameters
     ----------
     document : dict
-        From `gbid.report.paper.reproduction_document`.
+        From `reproduction_document`.
     """
     rows, reasons = _laid_out(document)
     notes = [_total(document), f"{_LEGEND}.", *(f"{i}. {reason}" for i, reason in enumerate(reasons, 1))]
@@ -499,7 +502,7 @@ def reproduction_markdown(document: Mapping[str, Any]) -> str:
     Parameters
     ----------
     document : dict
-        From `gbid.report.paper.reproduction_document`.
+        From `reproduction_document`.
     """
     first, *past = reproduction_tables(document)
     return "\n".join(map(markdown_table, (replace(first, title=""), *past)))  # a page has a heading of its own
