@@ -11,7 +11,6 @@ the machine has nothing else to do: with the cores in use the table shows whethe
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 import os
 import resource
@@ -24,8 +23,7 @@ from typing import Any, TypeVar
 
 from ruamel.yaml import YAML
 
-import gbid
-from benchmarks.fit_speed import processor
+from benchmarks.running import about, finish
 from gbid.experiment.campaign import collect, working
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.load import load_experiment
@@ -76,9 +74,7 @@ def measure(folder: Path, recordings: int | None, workers: int) -> dict[str, Any
     _, times["fits"] = timed(lambda: run(made, FIT, workers))
     (table, _), times["table"] = timed(lambda: collect(job))
     return {
-        "date": datetime.date.today().isoformat(),
-        "processor": processor(),
-        "gbid": gbid.__version__,
+        **about(),
         "workers": workers,
         "fits": len(table),
         "converged": int(sum(table.success)),
@@ -128,10 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder = options.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         found = measure(folder, options.recordings, options.workers)
-    if options.output:
-        options.output.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-    print(bill_table(found))
-    return 0
+    return finish(found, options.output, bill_table(found))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ and that is no overhead.
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 import os
 import tempfile
@@ -24,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-import gbid
-from benchmarks.fit_speed import processor
+from benchmarks.running import about
 from gbid.experiment.campaign import collect, run_campaign, working
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import writing_keyed
@@ -184,9 +182,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         experiment = make_campaign(Path(folder), fits, options.samples)
         run = {
-            "date": datetime.date.today().isoformat(),
-            "processor": processor(),
-            "gbid": gbid.__version__,
+            **about(),
             "fits": fits,
             "samples": options.samples,
             "workers": options.workers,

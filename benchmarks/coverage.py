@@ -1,24 +1,199 @@
 """Count how often 95 % intervals of a fit contain the truth, for errors of many kinds; store the numbers.
 
-``python -m benchmarks.coverage [--quick] [--seeds N] [--output FILE]``
+``python -m benchmarks.coverage [--bootstrap] [--quick] [--seeds N] [--output FILE]``
 """
 
 from __future__ import annotations
 
 import argparse
-import datetime
-import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 
 import gbid
-from benchmarks.coverage_cases import CASES, OSCILLATORS, Case, Oscillator
-from gbid.core.arrays import one_blas_thread
+from benchmarks.running import about, finish
+from gbid.core.arrays import FloatArray, one_blas_thread
+from gbid.structure import LinearStructure, Parameter, evaluate
+
+# ---- Oscillators and errors.
+
+SAMPLE_TIME = 0.005
+_SETTLE = 3000  # samples before the recording, in which the errors become stationary
+
+
+@dataclass(frozen=True)
+class Oscillator:
+    """One mode with a force as input and its motion as output.
+
+    Attributes
+    ----------
+    name : str
+        Name in the table.
+    damping : float
+        Damping factor; the natural frequency is 10 Hz.
+    noise : float
+        Standard deviation of the errors; the static gain is one, and the input jumps between -1 and 1.
+    """
+
+    name: str
+    damping: float
+    noise: float
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """True parameters: natural frequency [rad/s], damping 2 zeta w [1/s], gain."""
+        w = 2 * np.pi * 10.0
+        return {"w": w, "d": 2 * self.damping * w, "b": w**2}
+
+    def structure(self, *, gain: bool = False) -> LinearStructure:
+        """Return the structure, with a free disturbance gain on request."""
+        names = [*self.truth, *(["k1", "k2"] if gain else [])]
+        parameters = [Parameter(name, self.truth.get(name, 0.0)) for name in names]
+
+        def matrices(p: Any) -> dict[str, Any]:
+            found = {"A": [[0, 1], [-p.w * p.w, -p.d]], "B": [[0], [p.b]], "C": [[1, 0]]}
+            return {**found, "K": [[p.k1], [p.k2]]} if gain else found
+
+        return LinearStructure(self.name, parameters, matrices, inputs="u", outputs="y", intersample="zoh")
+
+    def simulated(self, u: FloatArray) -> FloatArray:
+        """Return the motion for a force (n,), (n,)."""
+        return np.asarray(self._model.simulate(u[:, None], SAMPLE_TIME, intersample="zoh")[:, 0])
+
+    @cached_property
+    def _model(self) -> gbid.LinearModel:
+        return evaluate(self.structure(), self.truth)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Kind of errors, and the options of the fit.
+
+    Attributes
+    ----------
+    name : str
+        Name in the table.
+    errors : callable
+        Returns the errors, (n,), for an oscillator, a number of samples and random numbers; of unit power.
+    options : dict
+        Options of `gbid.fit`.
+    words : str
+        The options in words.
+    gain : bool
+        Whether the structure has a free disturbance gain.
+    step : float
+        Step of the quantisation of the output, in standard deviations of the errors; 0 for none.
+    target : bool
+        Whether the coverage is to be 92 to 97 %.
+    """
+
+    name: str
+    errors: Callable[[Oscillator, int, np.random.Generator], FloatArray]
+    options: Mapping[str, Any] = field(default_factory=dict)
+    words: str = "plain"
+    gain: bool = False
+    step: float = 0.0
+    target: bool = True
+
+    def structure(self, oscillator: Oscillator) -> LinearStructure:
+        """Return the structure to fit."""
+        return oscillator.structure(gain=self.gain)
+
+    def recording(self, oscillator: Oscillator, n: int, seed: int) -> gbid.Recording:
+        """Return a recording of its own input and errors."""
+        random = np.random.default_rng([seed, n])
+        u = np.repeat(random.choice([-1.0, 1.0], -(-n // 7)), 7)[:n]
+        y = oscillator.simulated(u) + oscillator.noise * self.errors(oscillator, n, random)
+        if self.step:
+            y = self.step * oscillator.noise * np.round(y / (self.step * oscillator.noise))
+        return gbid.Recording({"u": u[:, None], "y": y[:, None]}, SAMPLE_TIME, name=f"run-{seed}")
+
+
+def _white(_: Oscillator, n: int, random: np.random.Generator) -> FloatArray:
+    return random.normal(size=n)
+
+
+def _filtered(poles: Callable[[Oscillator], FloatArray]) -> Callable[..., FloatArray]:
+    """Return errors of an autoregression with these poles, of unit power."""
+
+    def errors(oscillator: Oscillator, n: int, random: np.random.Generator) -> FloatArray:
+        a = np.poly(poles(oscillator)).real
+        power = float((lfilter([1.0], a, np.eye(1, 20_000)[0]) ** 2).sum())
+        return np.asarray(lfilter([1.0], a, random.normal(size=n + _SETTLE))[_SETTLE:] / np.sqrt(power))
+
+    return errors
+
+
+def _pairs(radii: FloatArray, angles: FloatArray) -> FloatArray:
+    half = radii * np.exp(1j * angles)
+    return np.concatenate([half, half.conj()])
+
+
+def _at_resonance(oscillator: Oscillator) -> FloatArray:
+    return _pairs(np.array([0.99]), np.array([oscillator.truth["w"] * SAMPLE_TIME]))
+
+
+def _twenty(_: Oscillator) -> FloatArray:
+    random = np.random.default_rng(77)
+    return _pairs(random.uniform(0.7, 0.97, 10), random.uniform(0.02, np.pi - 0.02, 10))
+
+
+def _process(oscillator: Oscillator, n: int, random: np.random.Generator) -> FloatArray:
+    """Motion that an unknown white force makes, as large as the noise of the sensor."""
+    settle = _SETTLE if oscillator.damping > 0.01 else 4 * _SETTLE
+    moved = oscillator.simulated(random.normal(size=n + settle))
+    unit = oscillator.simulated(np.eye(1, 20_000)[0])
+    return np.asarray((moved[settle:] / np.sqrt((unit**2).sum()) + random.normal(size=n)) / np.sqrt(2))
+
+
+def _hum(_: Oscillator, n: int, random: np.random.Generator) -> FloatArray:
+    """Noise, and hum of 17 Hz and twice its standard deviation, at a random phase."""
+    t = SAMPLE_TIME * np.arange(n)
+    return np.asarray(random.normal(size=n) + 2 * np.sqrt(2) * np.sin(2 * np.pi * (17 * t + random.uniform())))
+
+
+def _drift(_: Oscillator, n: int, random: np.random.Generator) -> FloatArray:
+    """Noise, and a drift over the recording of ten times its standard deviation."""
+    return np.asarray(random.normal(size=n) + np.linspace(0, 10, n))
+
+
+def _spikes(_: Oscillator, n: int, random: np.random.Generator) -> FloatArray:
+    """Noise, and spikes of twenty times its standard deviation in one sample of two hundred."""
+    return np.asarray(random.normal(size=n) + 20 * random.choice([-1, 0, 1], size=n, p=[0.0025, 0.995, 0.0025]))
+
+
+OSCILLATORS = (Oscillator("0.27 % damping", 0.0027, 0.5), Oscillator("5 % damping", 0.05, 0.2))
+CASES = (
+    Case("white", _white),
+    Case("AR(1), pole 0.9", _filtered(lambda _: np.array([0.9]))),
+    Case("AR(1), pole -0.6", _filtered(lambda _: np.array([-0.6]))),
+    Case("AR(2) at the resonance", _filtered(_at_resonance)),
+    Case("AR(20)", _filtered(_twenty)),
+    Case("process noise", _process),
+    Case("process noise", _process, words="disturbance gain free", gain=True),
+    Case("hum", _hum),
+    Case("hum", _hum, options={"hum": 17.0}, words="`hum=17.0`"),
+    Case("drift", _drift, target=False),
+    Case("drift", _drift, options={"trend": "linear"}, words='`trend="linear"`'),
+    Case("spikes", _spikes, target=False),
+    Case("quantisation, 2 std", _white, step=2.0, target=False),
+)
+
+
+# ---- Coverage of the standard deviations of a fit, and of its bootstrap.
 
 LENGTHS = (1000, 5000, 25_000)
+BOOTSTRAPPED = (
+    ("AR(2) at the resonance", 1000),
+    ("AR(2) at the resonance", 5000),
+    ("AR(1), pole 0.9", 1000),
+    ("process noise", 1000),
+)
 TARGET = (0.92, 0.97)
 _QUANTILE = 1.96  # of the normal distribution, for 95 %
 
@@ -47,16 +222,18 @@ class Coverage(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study."""
     parser = argparse.ArgumentParser(prog="benchmarks.coverage", description="Coverage of the intervals of a fit.")
+    parser.add_argument("--bootstrap", action="store_true", help="robust standard deviations beside the bootstrap")
     parser.add_argument("--quick", action="store_true", help="shortest recordings and few seeds, to see that it works")
-    parser.add_argument("--seeds", type=int, default=60, help="recordings of each kind (default 60)")
+    parser.add_argument("--seeds", type=int, help="recordings of each kind (default 60, with --bootstrap 40)")
     parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
     options = parser.parse_args(arguments)
+    seeds = 4 if options.quick else options.seeds or (40 if options.bootstrap else 60)
     with one_blas_thread():
-        run = measure(LENGTHS[:1] if options.quick else LENGTHS, 4 if options.quick else options.seeds)
-    if options.output:
-        options.output.write_text(json.dumps(run, indent=2) + "\n", encoding="utf-8")
-    print(coverage_table(run))
-    return 0
+        if options.bootstrap:
+            run = measure_bootstrap(BOOTSTRAPPED[:1] if options.quick else BOOTSTRAPPED, seeds)
+        else:
+            run = measure(LENGTHS[:1] if options.quick else LENGTHS, seeds)
+    return finish(run, options.output, (bootstrap_table if options.bootstrap else coverage_table)(run))
 
 
 def measure(lengths: Sequence[int], seeds: int) -> dict[str, Any]:
@@ -72,27 +249,45 @@ def measure(lengths: Sequence[int], seeds: int) -> dict[str, Any]:
         for oscillator in OSCILLATORS
         for case in CASES
     ]
-    return {"date": datetime.date.today().isoformat(), "gbid": gbid.__version__, "seeds": seeds, "rows": rows}
+    return {**about(), "seeds": seeds, "rows": rows}
+
+
+def errors_of(
+    oscillator: Oscillator, case: Case, n: int, seeds: int, *kinds: str, **options: Any
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Return the errors of the fits that converged, from starts near the truth, and their standard deviations by kind.
+
+    Returns
+    -------
+    (n_fits, n_parameters) array
+        Estimates minus truth.
+    list of (n_fits, n_parameters) array
+        Standard deviations of each kind; those of the result for an empty word.
+    """
+    truth = oscillator.truth
+    off: list[list[float]] = []
+    std: list[list[list[float]]] = [[] for _ in kinds]
+    for seed in range(seeds):
+        recording = case.recording(oscillator, n, seed)
+        result = gbid.fit(case.structure(oscillator), recording, start=truth, **case.options, **options)
+        if not result.success:
+            continue
+        off.append([result.parameters[name] - true for name, true in truth.items()])
+        for kind, rows in zip(kinds, std, strict=True):
+            values = result.std_with(kind) if kind else result.std  # type: ignore[arg-type]  # a word
+            rows.append([values[name] for name in truth])
+    return np.array(off), [np.array(rows) for rows in std]
 
 
 def cell(oscillator: Oscillator, case: Case, n: int, seeds: int) -> Coverage:
-    """Fit recordings of one kind and length from starts near the truth."""
-    truth = oscillator.truth
-    values, stated, white = [], [], []
-    for seed in range(seeds):
-        result = gbid.fit(case.structure(oscillator), case.recording(oscillator, n, seed), start=truth, **case.options)
-        if not result.success:
-            continue
-        values.append([result.parameters[name] - true for name, true in truth.items()])
-        stated.append([result.std[name] for name in truth])
-        white.append([result.std_with("white")[name] for name in truth])
-    off, sigma, plain = map(np.array, (values, stated, white))
+    """Return the coverage of one kind of errors at one length."""
+    off, (sigma, plain) = errors_of(oscillator, case, n, seeds, "", "white")
     ratio = np.sqrt((sigma**2).mean(axis=0) / (off**2).mean(axis=0))
     return Coverage(
         coverage=float((np.abs(off) < _QUANTILE * sigma).mean()),
         coverage_white=float((np.abs(off) < _QUANTILE * plain).mean()),
         stated=float(ratio.mean()),
-        failed=seeds - len(values),
+        failed=seeds - len(off),
     )
 
 
@@ -126,6 +321,37 @@ def _shown(found: Coverage, target: bool) -> str:
     text = f"**{text}**" if target and not inside else text
     left_out = f", {found.failed} failed" if found.failed else ""
     return f"{text} ({100 * found.coverage_white:.0f}){left_out}"
+
+
+def measure_bootstrap(cells: Sequence[tuple[str, int]], seeds: int) -> dict[str, Any]:
+    """Coloured errors on the oscillator with little damping, fitted without a disturbance gain."""
+    plain = {case.name: case for case in CASES if case.words == "plain"}
+    rows = [
+        {"errors": name, "samples": n, **bootstrap_cell(OSCILLATORS[0], plain[name], n, seeds)} for name, n in cells
+    ]
+    return {**about(), "oscillator": OSCILLATORS[0].name, "seeds": seeds, "rows": rows}
+
+
+def bootstrap_cell(oscillator: Oscillator, case: Case, n: int, seeds: int) -> dict[str, float]:
+    """Return the coverage of both, how much wider those of the bootstrap are (median), and the fits that failed."""
+    off, (narrow, wide) = errors_of(oscillator, case, n, seeds, "robust", "", std="bootstrap")
+    return {
+        "robust": float((np.abs(off) < _QUANTILE * narrow).mean()),
+        "bootstrap": float((np.abs(off) < _QUANTILE * wide).mean()),
+        "wider": float(np.median(wide / narrow)),
+        "failed": seeds - len(off),
+    }
+
+
+def bootstrap_table(run: dict[str, Any]) -> str:
+    """Return the coverage as Markdown, in percent."""
+    lines = ["| errors | N | robust | bootstrap | wider by |", "|---|---|---|---|---|"]
+    for row in run["rows"]:
+        shown = f"{100 * row['robust']:.1f} | {100 * row['bootstrap']:.1f} | {row['wider']:.2f}"
+        lines.append(f"| {row['errors']} | {row['samples']} | {shown} |")
+    failed = sum(row["failed"] for row in run["rows"])
+    lines += ["", f"{run['seeds']} recordings in each row ({failed} fits failed), {run['date']}, gbid {run['gbid']}."]
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

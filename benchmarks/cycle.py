@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import gbid
+from benchmarks.running import store
 from gbid.core.tables import markdown_table
 from gbid.experiment.campaign import run_campaign, working
 from gbid.experiment.load import load_experiment
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             rows = made_rows(job)
     if options.output:
         run = {"gbid": gbid.__version__, "experiment": experiment.spec.name, "rows": [asdict(row) for row in rows]}
-        options.output.write_text(json.dumps(run, indent=2) + "\n", encoding="utf-8")
+        store(run, options.output)
     print(markdown_table(cycle_summary(cycle_documents(rows))))
     return 0
 

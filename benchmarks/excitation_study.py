@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,8 @@ from typing import Any
 import numpy as np
 
 import gbid
+from benchmarks.running import store
+from benchmarks.running import stored as stored_run
 from gbid.core.errors import DataError
 from gbid.excite import ExcitationLimits, KnownModel, expected_covariance, recording_length, rig_limits
 from gbid.rig import Machine, Played, Prbs, Scatter, SensorChain, Unbalance, record
@@ -199,10 +200,10 @@ def main() -> None:
     parser.add_argument("--only", choices=("points", "length"), help="make this part, and keep the other")
     parser.add_argument("--out", type=Path, default=OUT)
     arguments = parser.parse_args()
-    stored = json.loads(arguments.out.read_text(encoding="utf-8")) if arguments.out.is_file() else {}
+    stored = stored_run(arguments.out, {})
 
     def keep() -> None:
-        arguments.out.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+        store(stored, arguments.out)
 
     if arguments.only != "points":
         stored["length"] = of_length(arguments.seeds)

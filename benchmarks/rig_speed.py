@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import datetime
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -15,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import gbid
-from benchmarks.fit_speed import processor
+from benchmarks.running import about, finish
 from gbid.core.arrays import one_blas_thread
 from gbid.rig import (
     FilmStiffening,
@@ -41,10 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     with one_blas_thread():
         run = measure(2, 0.05) if options.quick else measure(_N_RECORDINGS, _DURATION_S)
-    if options.output:
-        options.output.write_text(json.dumps(run, indent=2) + "\n", encoding="utf-8")
-    print(rig_table(run))
-    return 0
+    return finish(run, options.output, rig_table(run))
 
 
 def measure(n_recordings: int, duration_s: float) -> dict[str, Any]:
@@ -57,9 +52,7 @@ def measure(n_recordings: int, duration_s: float) -> dict[str, Any]:
     began = time.process_time()
     make(0, duration_s, linear=True)
     return {
-        "date": datetime.date.today().isoformat(),
-        "processor": processor(),
-        "gbid": gbid.__version__,
+        **about(),
         "n_recordings": n_recordings,
         "duration_s": duration_s,
         "settle_s": _SETTLE_S,

@@ -9,7 +9,6 @@ information of one recording at each of its 15 points, counted five or six times
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,6 +18,8 @@ from typing import Any
 import numpy as np
 
 import gbid
+from benchmarks.running import store
+from benchmarks.running import stored as stored_run
 from gbid import Recording
 from gbid.lpv import LPVFit, regressors
 from gbid.rig import Course, Machine, Prbs, ScheduledRun, SensorChain, Stationary, record
@@ -168,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--campaign", action="store_true", help="also the reference of 86 recordings")
     parser.add_argument("--output", type=Path, default=STORED)
     given = parser.parse_args(arguments)
-    stored = json.loads(given.output.read_text(encoding="utf-8")) if given.output.is_file() else {"runs": {}}
+    stored = stored_run(given.output, {"runs": {}})
     stored |= {"duration_s": given.duration, "piece_s": PIECE_S, "seed": given.seed}
     made: dict[str, Recording] = {}
     for word in given.runs:
@@ -185,11 +186,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "coefficients": fit.coefficients.tolist(),
             "covariance": [fit.covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6].tolist() for i in range(14)],
         }
-        given.output.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+        store(stored, given.output)
         print(table(stored), flush=True)
     if given.campaign:
         stored["campaign_relative_std_percent"] = campaign(given.seed)
-        given.output.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+        store(stored, given.output)
         print("campaign", stored["campaign_relative_std_percent"])
     return 0
 

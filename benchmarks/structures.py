@@ -6,7 +6,6 @@ docs/structures.json, of which the page on tuning makes a table and a picture.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Mapping
@@ -14,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import gbid
+from benchmarks.running import store
+from benchmarks.running import stored as stored_run
 from gbid.control import MaxDamping, PeakSensitivity
 from gbid.control.controllers.scheduled import with_schedule
 from gbid.control.controllers.structures import controller_structure
@@ -74,10 +75,10 @@ def main() -> None:
     model = gbid.load_model("theisen2016")
     for kind in sys.argv[1:] or KINDS:
         entry = designs_of(kind, model)
-        run = json.loads(STORED.read_text(encoding="utf-8")) if STORED.is_file() else {}
+        run = stored_run(STORED, {})
         run |= {"caps": CAPS, "points": len(model.operating_points), "starts": STARTS}
         run.setdefault("structures", {})[kind] = entry
-        STORED.write_text(json.dumps(run, indent=1) + "\n", encoding="utf-8")
+        store(run, STORED)
         print(kind, entry["gains"], [f"{d['damping']:.4f} ({d['cpu_s']:.0f} s)" for d in entry["designs"]], flush=True)
 
 

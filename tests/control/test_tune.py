@@ -13,7 +13,7 @@ from places import DOCS
 
 import gbid
 from benchmarks import tune_speed
-from benchmarks.tune_brute import FINE, Loops, brute_force, survivors
+from benchmarks.tune_speed import FINE, Loops, brute_force, survivors
 from gbid.control import HalfSine, controller_at, impact_response, p_controller, scheduled
 from gbid.control.tuning.loops import loop_equations
 from gbid.control.tuning.tune import travel_limit

@@ -13,9 +13,9 @@ import pytest
 from places import DOCS
 
 import gbid
-from benchmarks import campaign_speed, fit_speed, nonlinear_speed, table, worker
-from benchmarks.case import N_UNKNOWNS, SAMPLE_TIME, STRUCTURE, Samples, sampled
-from benchmarks.floor import operations_per_sample
+from benchmarks import campaign_speed, fit_speed, nonlinear_speed, worker
+from benchmarks.baselines import N_UNKNOWNS, SAMPLE_TIME, STRUCTURE, Samples, sampled
+from benchmarks.worker import operations_per_sample
 from gbid.identify.kernel.linear import KernelPattern
 
 STORED = DOCS / "benchmarks.json"
@@ -39,8 +39,8 @@ def test_quick_run(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
     assert fit_speed.main(["--quick", "--output", str(tmp_path / "run.json")]) == 0
     printed = capsys.readouterr().out
     run = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))
-    assert printed.strip() == table.whole(run)
-    assert [fit["method"] for fit in run["fits"]] == list(table.NAMES)
+    assert printed.strip() == fit_speed.whole(run)
+    assert [fit["method"] for fit in run["fits"]] == list(fit_speed.NAMES)
     losses = [fit["loss"] for fit in run["fits"]]
     np.testing.assert_allclose(losses, losses[0], rtol=1e-6)
     assert all(fit["success"] and fit["time_s"] > 0 and fit["memory_bytes"] >= 0 for fit in run["fits"])
@@ -86,7 +86,7 @@ def test_sampling_of_an_integrator() -> None:
 def test_stored_run_is_whole_and_names_no_machine() -> None:
     text = STORED.read_text(encoding="utf-8")
     run = json.loads(text)
-    assert set(table.figures(run)) == set(table.TARGETS)
+    assert set(fit_speed.figures(run)) == set(fit_speed.TARGETS)
     assert not re.search(r"/(home|root|tmp|work|Users)\b|hostname", text)
     gbid_loss = {fit["n_samples"]: fit["loss"] for fit in run["fits"] if fit["method"] == "compiled"}
     assert all(abs(fit["loss"] / gbid_loss[fit["n_samples"]] - 1) < 1e-6 for fit in run["fits"])

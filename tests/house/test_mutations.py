@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import summary, verdict
-from benchmarks.mutations import is_another_program, mutants
+from benchmarks.mutants import is_another_program, mutants, summary, verdict
 
 SOURCE = '''"""Words."""
 
