@@ -53,7 +53,7 @@ def about_the_orbit(
     unbalance, moved = Unbalance(), {key: np.array(value) for key, value in true.items()}
     for i, speed in enumerate(speed_rpm * (np.pi / 30)):
         K, D = (np.array([[true[f"{a}_{b}{c}"][i] for c in "xy"] for b in "xy"]) for a in "kd")
-        force = unbalance.eccentricity * speed**2 * np.array([1.0, -1j])
+        force = unbalance.eccentricity_m * speed**2 * np.array([1.0, -1j])
         orbit = np.linalg.solve(-(speed**2) * np.eye(2) - 1j * speed * D - K, force)
         product = np.real(np.outer(orbit, orbit.conj())) / 2
         stiff = K + inverse_square_length * (K * np.trace(product) + 2 * K @ product)
@@ -68,7 +68,7 @@ def about_the_orbit(
 SAMPLE_TIME = 2e-4
 POINT = (7.0, 6000.0)
 """Pressure [bar] and speed [rpm] at which the published rotor is damped least."""
-SENSORS = SensorChain(noise_p=(0.65e-6, 0.5e-6), noise_u=45e-9)
+SENSORS = SensorChain(noise_p_m=(0.65e-6, 0.5e-6), noise_u_m=45e-9)
 """Run-out of the rig, and noise of the probes in x and y as the paper's recordings have it."""
 CONTROLLER = sample_controller(p_controller(1.125, 0.99), SAMPLE_TIME)
 """The controller of the paper (Sec. 5) as it runs: positive gains are positive feedback."""
@@ -113,7 +113,7 @@ class LoopCase:
         s = film.inverse_square_length
         keys = {key: np.array([value]) for key, value in self.truth.items()}
         orbit = about_the_orbit(keys, np.array([POINT[1]]), s)
-        noise = np.diag(np.square(np.asarray(SENSORS.noise_p)))
+        noise = np.diag(np.square(np.asarray(SENSORS.noise_p_m)))
         motion = np.cov(recording.signal("p").T) - noise
         moved = {key: float(value[0]) for key, value in orbit.items()}
         for b in "xy":

@@ -27,8 +27,8 @@ NOISE_U, NOISE_P = 10e-9, 30e-9
 PEAKS, RADIUS = {"r": 4.5e-6, "u": 8.4e-6}, {"p": 15e-6}
 STRUCTURE = Plant(RotorBearing(delay="exact", disturbance_gain="none"))
 QUIET = SensorChain(
-    noise_p=NOISE_P, noise_u=NOISE_U, runout_amplitude=np.zeros((2, 1)), runout_phase=np.zeros((2, 1)),
-    offset_p=(0.0, 0.0), offset_u=(0.0, 0.0),
+    noise_p_m=NOISE_P, noise_u_m=NOISE_U, runout_amplitude_m=np.zeros((2, 1)), runout_phase_rad=np.zeros((2, 1)),
+    offset_p_m=(0.0, 0.0), offset_u_m=(0.0, 0.0),
 )  # fmt: skip
 
 
@@ -137,7 +137,7 @@ def of_length(seeds: int) -> dict[str, Any]:
     found = recording_length(
         known, sample_time=DT, limits=limits, relative={"damping_*": 0.01}, absolute={"tau_*": 5e-6}
     )
-    sensors = replace(QUIET, noise_p=(0.65e-6, 0.5e-6), noise_u=45e-9)
+    sensors = replace(QUIET, noise_p_m=(0.65e-6, 0.5e-6), noise_u_m=45e-9)
     machine = Machine.from_parameters(truth, truth, Unbalance(0.0), sensors)
     played = Played(found.excitation.signals["r"], DT, "design")
     modes = np.array(known.model.modes())[:, 1]

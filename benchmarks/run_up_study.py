@@ -26,7 +26,7 @@ from gbid.rig import Course, Machine, Prbs, ScheduledRun, SensorChain, Stationar
 from gbid.structure import KEY_PARAMETERS
 
 STORED = Path(__file__).parents[1] / "docs" / "run-up.json"
-NOISE = {"noise_p": (0.65e-6, 0.5e-6), "noise_u": 45e-9}
+NOISE = {"noise_p_m": (0.65e-6, 0.5e-6), "noise_u_m": 45e-9}
 SLOW_RPM = 600.0
 PIECE_S = 0.2
 RUNS: dict[str, list[str]] = {
@@ -142,7 +142,7 @@ def campaign(seed: int) -> float:
     A, none = np.zeros((84, 84)), np.zeros((2, 0))
     for (pressure, speed), count in zip(_POINTS, counts, strict=True):
         machine = replace(the_machine(pressure, speed), unbalance=gbid.rig.Unbalance(0.0))
-        machine = replace(machine, sensors=SensorChain(**NOISE, runout_amplitude=none, runout_phase=none))
+        machine = replace(machine, sensors=SensorChain(**NOISE, runout_amplitude_m=none, runout_phase_rad=none))
         point = {"pressure_bar": pressure, "speed_rpm": speed}
         made = record(machine, Prbs(5.0), conditions=point, seed=seed, name="campaign")
         found = gbid.fit(gbid.Plant(bearing), made, focus="simulation", trend="offset")

@@ -17,33 +17,26 @@ from gbid.core.units import SIGNALS
 from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location
-from gbid.experiment.rig_schema import ActuatorSection, FaultSection, OperatingPoint, RigSection, SensorSection
+from gbid.experiment.rig_schema import ActuatorSection, OperatingPoint, RigSection
 from gbid.experiment.schema import HammerTrain, ImpactPoint
 from gbid.lpv import Domain, LPVModel, PublishedMachine, load_machine
 from gbid.recording import Recording
 from gbid.rig import (
     Course,
     Faults,
-    FilmStiffening,
-    FlexibleMode,
     Hammer,
     Impact,
     Machine,
-    NonSynchronous,
     PiezoStacks,
     Played,
     Prbs,
-    ProcessNoise,
     ProgramController,
     RotorBearingTruth,
-    RunUp,
     SampledController,
     ScheduledRun,
-    SensorChain,
     StackStaircase,
     Staircase,
     Stationary,
-    Unbalance,
     record,
     rig_effect,
     scatter_random,
@@ -123,19 +116,17 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     rig = _rig(experiment)
     place = None if (course := course_of(experiment, planned)) is None else course.at(np.array(0.0))
     true = true_parameters(model, planned) if place is None else true_parameters_at(model, *map(float, place))
-    flexible, stiffening, whirl = rig.flexible_mode, rig.stiffening, rig.non_synchronous
     return Machine.from_parameters(
         true,
         _stacks(rig.actuators) if rig.actuators.kind == "stacks" else true,
-        Unbalance(rig.unbalance.eccentricity_m, rig.unbalance.phase_rad),
-        _sensors(rig.sensors),
+        rig.unbalance,
+        rig.sensors,
         rig.clearance_m,
         moving_mass=rig.moving_mass_kg,
-        flexible_mode=flexible and FlexibleMode(flexible.frequency_hz, flexible.damping, flexible.share),
-        stiffening=stiffening and FilmStiffening(stiffening.deviation_m, stiffening.at_m),
-        non_synchronous=whirl
-        and NonSynchronous(whirl.size_m, whirl.peak_rpm, whirl.width_rpm, whirl.ratio, whirl.bandwidth_hz),
-        process_noise=rig.process_noise and ProcessNoise(rig.process_noise.density),
+        flexible_mode=rig.flexible_mode,
+        stiffening=rig.stiffening,
+        non_synchronous=rig.non_synchronous,
+        process_noise=rig.process_noise,
         effects=tuple(rig_effect(name, **options) for name, options in rig.effects.items()),
     )
 
@@ -196,7 +187,7 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
             hits = (Impact.along(axis, time, hammer.peak_n, hammer.impact_s) for time in hammer.times_s)
             return Hammer(tuple(hits), hammer.duration_s)
         case ("run_up",) if rig.run_up is not None:
-            return RunUp(rig.run_up.from_rpm, rig.run_up.to_rpm, rig.run_up.duration_s)
+            return rig.run_up
         case ("impact", ("x" | "y") as axis) if (impacts := experiment.spec.impacts) is not None:
             return hammer_of(impacts, axis, rig.sample_time_s)
         case ("round",) if (cycle := experiment.spec.cycle) is not None:
@@ -244,7 +235,7 @@ def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[st
         "sample_time": rig.sample_time_s,
         "oversampling": rig.oversampling,
         "settle_s": rig.settle_s,
-        "scatter": rig.scatter and rig.scatter.as_scatter(),
+        "scatter": rig.scatter,
         "faults": _faults(rig, planned.name),
         "touch_down": rig.touch_down,
         "stacks": rig.actuators.record_stacks,
@@ -311,46 +302,11 @@ def _stacks(section: ActuatorSection) -> PiezoStacks:
     return replace(PiezoStacks.unequal(section.spread, section.seed, base), offset=section.offset_m)
 
 
-def _sensors(section: SensorSection) -> SensorChain:
-    return SensorChain(
-        noise_p=section.noise_p_m,
-        noise_u=section.noise_u_m,
-        runout_amplitude=np.array(section.runout_amplitude_m, dtype=object).astype(float),
-        runout_phase=np.array(section.runout_phase_rad, dtype=object).astype(float),
-        offset_p=section.offset_p_m,
-        offset_u=section.offset_u_m,
-        encoder_counts=section.encoder_counts,
-        resolution_p=section.resolution_p_m,
-        resolution_u=section.resolution_u_m,
-        noise_f=section.noise_f_n,
-    )
-
-
-def faults_of(entry: FaultSection) -> Faults:
-    """Return an entry of faults as the value that the rig uses.
-
-    Raises
-    ------
-    UsageError
-        When the rig refuses a value.
-    """
-    return Faults(
-        entry.swapped,
-        entry.dead,
-        entry.saturation,
-        entry.spikes_per_s,
-        entry.spike_size_m,
-        entry.sample_time_factor,
-        entry.missing_index,
-        entry.rub_clearance_m,
-    )
-
-
 def _faults(rig: RigSection, name: str) -> Faults | None:
     """Return the faults of a recording from the first entry that names it; None without one."""
     for entry in rig.faults:
         if any(fnmatchcase(name, pattern) for pattern in entry.recordings):
-            return faults_of(entry)
+            return entry
     return None
 
 
@@ -398,13 +354,13 @@ def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> di
     if len({q.name for q in planned}) > 1:
         return {name: value for name, value in known.items() if name not in KEY_PARAMETERS}
     random = scatter_random(rig.seed, planned[0].name, planned[0].conditions)
-    drawn, _ = scattered(RotorBearingTruth.from_parameters(known), rig.scatter.as_scatter(), random)
+    drawn, _ = scattered(RotorBearingTruth.from_parameters(known), rig.scatter, random)
     return {**known, **drawn.key_parameters()}
 
 
 def _stiffening(experiment: Experiment) -> float:
     film = experiment.spec.rig.stiffening if experiment.spec.rig else None
-    return FilmStiffening(film.deviation_m, film.at_m).inverse_square_length if film else 0.0
+    return film.inverse_square_length if film else 0.0
 
 
 def true_model(structure: AnyStructure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:

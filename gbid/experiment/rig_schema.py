@@ -1,11 +1,12 @@
-"""Schema of the keys loop: the controller of recordings in closed loop, on the rig and in fits."""
+"""Schema of the section rig and of the keys loop; values of the rig are the dataclasses of `gbid.rig` themselves."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, Strict
+from pydantic import BaseModel, BeforeValidator, Field, Strict, model_validator
 
+from gbid.core.errors import UsageError
 from gbid.experiment.fields import (
     Count,
     CountOrZero,
@@ -19,16 +20,17 @@ from gbid.experiment.fields import (
     Section,
     Switch,
     Text,
-    TwoRows,
     given,
 )
 from gbid.rig import (
+    Faults,
     FilmStiffening,
     FlexibleMode,
     Hammer,
     Impact,
     Machine,
     NonSynchronous,
+    PiezoStack,
     PiezoStacks,
     Prbs,
     ProcessNoise,
@@ -96,13 +98,19 @@ class LoopSection(ControllerChoice):
 
 # ---- Schema of the rig section; names, units and defaults are those of `gbid.rig`.
 
-_PRBS, _SENSORS, _UNBALANCE, _STAIRCASE, _STACK = Prbs(), SensorChain(), Unbalance(), Staircase(), StackStaircase()
-_IMPACT, _HAMMER, _RUN_UP, _PIEZO, _SCATTER = Impact(), Hammer(), RunUp(), PiezoStacks(), Scatter()
-_FLEXIBLE, _STIFFENING, _WHIRL, _NOISE = FlexibleMode(), FilmStiffening(), NonSynchronous(), ProcessNoise()
 
+class RigPart(BaseModel, frozen=True):
+    """Section whose keys are the fields of a dataclass of `gbid.rig`, with their types and defaults."""
 
-def _rows(array: Any) -> Any:
-    return tuple(tuple(row) for row in array.tolist())
+    model_config = Section.model_config
+
+    @model_validator(mode="after")
+    def _fields_fit(self) -> Self:
+        try:
+            getattr(self, "__post_init__")()  # noqa: B009  # of the dataclass
+        except UsageError as error:
+            raise ValueError(str(error)) from None
+        return self
 
 
 Axes = Annotated[tuple[Literal["x", "y"], ...], Field(min_length=1)]
@@ -130,8 +138,8 @@ class PrbsSection(Section):
     """Recordings with moving piezos (paper, Sec. 3.4); see `gbid.rig.Prbs`."""
 
     recordings: CountOrZero = 2
-    amplitude_m: Positive = _PRBS.amplitude
-    hold_s: Positive = _PRBS.hold_s
+    amplitude_m: Positive = Prbs.amplitude_m
+    hold_s: Positive = Prbs.hold_s
 
 
 class PlayedSection(Section):
@@ -161,9 +169,9 @@ class StaircaseSection(Section):
     recordings: CountOrZero = 1
     at: Places | None = None
     axes: Axes = ("x", "y")
-    step_m: Positive = _STAIRCASE.step
-    steps: Count = _STAIRCASE.steps
-    hold_s: Positive = _STAIRCASE.hold_s
+    step_m: Positive = Staircase.step_m
+    steps: Count = Staircase.steps
+    hold_s: Positive = Staircase.hold_s
 
 
 class StackStaircaseSection(Section):
@@ -174,10 +182,12 @@ class StackStaircaseSection(Section):
 
     recordings: CountOrZero = 1
     at: Places | None = None
-    stacks: Annotated[tuple[Annotated[int, Strict(), Field(ge=1, le=4)], ...], Field(min_length=1)] = (_STACK.stack,)
+    stacks: Annotated[tuple[Annotated[int, Strict(), Field(ge=1, le=4)], ...], Field(min_length=1)] = (
+        StackStaircase.stack,
+    )
     controlled: Annotated[tuple[Switch, ...], Field(min_length=1)] = (False, True)
-    steps: Count = _STACK.steps
-    hold_s: Positive = _STACK.hold_s
+    steps: Count = StackStaircase.steps
+    hold_s: Positive = StackStaircase.hold_s
 
 
 class HammerSection(Section):
@@ -185,19 +195,16 @@ class HammerSection(Section):
 
     recordings: CountOrZero = 1
     axes: Axes = ("x", "y")
-    times_s: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = (_IMPACT.time,)
-    peak_n: Positive = _IMPACT.peak
-    impact_s: Positive = _IMPACT.duration
-    duration_s: Positive = _HAMMER.duration_s
+    times_s: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = (Impact.time,)
+    peak_n: Positive = Impact.peak
+    impact_s: Positive = Impact.duration
+    duration_s: Positive = Hammer.duration_s
 
 
-class RunUpSection(Section):
-    """Runs with rising or falling speed; see `gbid.rig.RunUp`."""
+class RunUpSection(RigPart, RunUp, frozen=True):
+    """Runs with rising or falling speed."""
 
     recordings: CountOrZero = 1
-    from_rpm: NotNegative = _RUN_UP.from_rpm
-    to_rpm: NotNegative = _RUN_UP.to_rpm
-    duration_s: Positive = _RUN_UP.duration_s
 
 
 Course = Annotated[tuple[NotNegative, ...], Field(min_length=2)]
@@ -220,26 +227,15 @@ class CourseSection(Section):
     excited: Switch = True
 
 
-class SensorSection(Section):
-    """Errors of the sensors; see `gbid.rig.SensorChain`."""
+class SensorSection(RigPart, SensorChain, frozen=True):
+    """Errors of the sensors."""
 
-    noise_p_m: OneOrTwo = _SENSORS.noise_p
-    noise_u_m: OneOrTwo = _SENSORS.noise_u
-    noise_f_n: NotNegative = _SENSORS.noise_f
-    runout_amplitude_m: TwoRows = Field(default=_rows(_SENSORS.runout_amplitude))
-    runout_phase_rad: TwoRows = Field(default=_rows(_SENSORS.runout_phase))
-    offset_p_m: Pair = _SENSORS.offset_p
-    offset_u_m: Pair = _SENSORS.offset_u
-    encoder_counts: Annotated[int, Strict(), Field(ge=2)] | None = _SENSORS.encoder_counts
-    resolution_p_m: NotNegative = _SENSORS.resolution_p
-    resolution_u_m: NotNegative = _SENSORS.resolution_u
+    noise_p_m: OneOrTwo = SensorChain.noise_p_m
+    noise_u_m: OneOrTwo = SensorChain.noise_u_m
 
 
-class UnbalanceSection(Section):
-    """Mass unbalance of the rotor; see `gbid.rig.Unbalance`."""
-
-    eccentricity_m: NotNegative = _UNBALANCE.eccentricity
-    phase_rad: Number = _UNBALANCE.phase
+class UnbalanceSection(RigPart, Unbalance, frozen=True):
+    """Mass unbalance of the rotor."""
 
 
 class ActuatorSection(Section):
@@ -250,82 +246,41 @@ class ActuatorSection(Section):
     """
 
     kind: Literal["linear", "stacks"] = "linear"
-    offset_m: Positive = _PIEZO.offset
+    offset_m: Positive = PiezoStacks.offset
     spread: Annotated[float, Strict(), Field(ge=0, lt=0.3)] = 0.0
     seed: CountOrZero = 0
-    hysteresis_m: NotNegative = _PIEZO.stacks[0].hysteresis
-    creep: NotNegative = _PIEZO.stacks[0].creep
-    creep_times_s: tuple[Positive, ...] = _PIEZO.stacks[0].creep_times
+    hysteresis_m: NotNegative = PiezoStack.hysteresis
+    creep: NotNegative = PiezoStack.creep
+    creep_times_s: tuple[Positive, ...] = PiezoStack.creep_times
     record_stacks: Switch = False
 
 
-class FlexibleModeSection(Section):
-    """Bending mode that the identified structure does not contain; see `gbid.rig.FlexibleMode`."""
-
-    frequency_hz: Positive = _FLEXIBLE.frequency_hz
-    damping: Positive = _FLEXIBLE.damping
-    share: NotNegative = _FLEXIBLE.share
+class FlexibleModeSection(RigPart, FlexibleMode, frozen=True):
+    """Bending mode that the identified structure does not contain."""
 
 
-class StiffeningSection(Section):
-    """Gas film whose stiffness rises away from the centre; see `gbid.rig.FilmStiffening`."""
-
-    deviation_m: NotNegative = _STIFFENING.deviation
-    at_m: Positive = _STIFFENING.at
+class StiffeningSection(RigPart, FilmStiffening, frozen=True):
+    """Gas film whose stiffness rises away from the centre."""
 
 
-class NonSynchronousSection(Section):
-    """Whirl near a speed (paper, Sec. 4); see `gbid.rig.NonSynchronous`."""
-
-    size_m: NotNegative = _WHIRL.size
-    peak_rpm: NotNegative = _WHIRL.peak_rpm
-    width_rpm: Positive = _WHIRL.width_rpm
-    ratio: NotNegative = _WHIRL.ratio
-    bandwidth_hz: Positive = _WHIRL.bandwidth_hz
+class NonSynchronousSection(RigPart, NonSynchronous, frozen=True):
+    """Whirl near a speed (paper, Sec. 4)."""
 
 
-class ProcessNoiseSection(Section):
-    """Broadband force [m/s^2 per sqrt(Hz)]; see `gbid.rig.ProcessNoise`."""
-
-    density: NotNegative = _NOISE.density
+class ProcessNoiseSection(RigPart, ProcessNoise, frozen=True):
+    """Broadband force [m/s^2 per sqrt(Hz)]."""
 
 
-class ScatterSection(Section):
-    """Scatter of the true parameters between recordings (paper, Sec. 4); see `gbid.rig.Scatter`."""
-
-    share: NotNegative = _SCATTER.share
-    delay_s: Pair = _SCATTER.delay
-    frequency_hz: Pair = _SCATTER.frequency_hz
-    damping: Pair = _SCATTER.damping
-    static_gain: tuple[Number, Number, Number, Number] = _SCATTER.static_gain
-    minimum_damping: NotNegative = _SCATTER.minimum_damping
-    minimum_delay_s: NotNegative = _SCATTER.minimum_delay
-
-    def as_scatter(self) -> Scatter:
-        """Return the scatter as the value that the rig uses."""
-        return Scatter(
-            self.share,
-            self.delay_s,
-            self.frequency_hz,
-            self.damping,
-            self.static_gain,
-            self.minimum_damping,
-            self.minimum_delay_s,
-        )
+class ScatterSection(RigPart, Scatter, frozen=True):
+    """Scatter of the true parameters between recordings (paper, Sec. 4)."""
 
 
-class FaultSection(Section):
-    """Faults of the recordings whose names match one of the patterns; see `gbid.rig.Faults`."""
+class FaultSection(RigPart, Faults, frozen=True):
+    """Faults of the recordings whose names match one of the patterns."""
 
     recordings: Names
-    swapped: Annotated[tuple[Text, ...], Field()] = ()
     dead: dict[Text, Number] = Field(default_factory=dict)
     saturation: dict[Text, Positive] = Field(default_factory=dict)
-    spikes_per_s: NotNegative = 0.0
-    spike_size_m: Positive = 20e-6
-    sample_time_factor: Positive = 1.0
-    missing_index: Switch = False
-    rub_clearance_m: Positive | None = None
 
 
 class RigSection(Section):
@@ -340,7 +295,7 @@ class RigSection(Section):
     model: Text = "theisen2016"
     seed: CountOrZero = 1
     operating_points: Annotated[tuple[OperatingPoint, ...], Field(min_length=1)]
-    duration_s: Positive = _PRBS.duration_s
+    duration_s: Positive = Prbs.duration_s
     settle_s: NotNegative = 0.5
     sample_time_s: Positive = 2e-4
     oversampling: Annotated[int, Strict(), Field(ge=20)] = 20

@@ -16,7 +16,8 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.rig.machine import RigEffect, RigRun, need_finite
+from gbid.core.options import Finite, NotNegative, Positive, check_options
+from gbid.rig.machine import RigEffect, RigRun
 
 
 @cache
@@ -78,15 +79,13 @@ class FloorVibration(RigEffect):
         When a value is not finite, or when frequency or acceleration is negative.
     """
 
-    frequency_hz: float = 25.0
-    acceleration: float = 0.05
-    direction_deg: float = 90.0
+    frequency_hz: Positive = 25.0
+    acceleration: NotNegative = 0.05
+    direction_deg: Finite = 90.0
     name: str = field(default="floor_vibration", init=False)
 
     def __post_init__(self) -> None:
-        need_finite(self.name, self, ("frequency_hz",), ("acceleration",))
-        if not np.isfinite(self.direction_deg):
-            raise UsageError(f"{self.name}: direction_deg = {self.direction_deg}; give a finite number")
+        check_options(self, self.name)
 
     def force(self, run: RigRun) -> FloatArray:
         """Return the force at the samples."""
@@ -107,12 +106,12 @@ class MainsHum(RigEffect):
         Amplitude [m].
     """
 
-    frequency_hz: float = 50.0
-    amplitude_m: float = 0.2e-6
+    frequency_hz: Positive = 50.0
+    amplitude_m: NotNegative = 0.2e-6
     name: str = field(default="mains_hum", init=False)
 
     def __post_init__(self) -> None:
-        need_finite(self.name, self, ("frequency_hz",), ("amplitude_m",))
+        check_options(self, self.name)
 
     def reading(self, run: RigRun) -> FloatArray:
         """Return the same sine for x and y."""
@@ -130,13 +129,12 @@ class ProbeDrift(RigEffect):
         Rates of the two probes [m/s].
     """
 
-    x_m_per_s: float = 0.1e-6
-    y_m_per_s: float = 0.05e-6
+    x_m_per_s: Finite = 0.1e-6
+    y_m_per_s: Finite = 0.05e-6
     name: str = field(default="probe_drift", init=False)
 
     def __post_init__(self) -> None:
-        if not np.isfinite([self.x_m_per_s, self.y_m_per_s]).all():
-            raise UsageError(f"{self.name}: rates {self.x_m_per_s}, {self.y_m_per_s} m/s; give finite numbers")
+        check_options(self, self.name)
 
     def reading(self, run: RigRun) -> FloatArray:
         """Return the drift at the samples."""

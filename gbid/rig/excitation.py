@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import InitVar, dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
+from annotated_types import Ge, Le
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.rig.machine import need_finite
+from gbid.core.options import Count, Exact, Finite, NotNegative, Positive, check_options
 
 
 @dataclass(frozen=True)
@@ -30,15 +31,13 @@ class Impact:
         Angle between the force and the x axis [rad]; pi/2 is along y.
     """
 
-    time: float = 0.1
-    peak: float = 8.0
-    duration: float = 2e-3
-    direction: float = 0.0
+    time: NotNegative = 0.1
+    peak: Positive = 8.0
+    duration: Positive = 2e-3
+    direction: Finite = 0.0
 
     def __post_init__(self) -> None:
-        need_finite("impact", self, ("peak", "duration"), ("time",))
-        if not np.isfinite(self.direction):
-            raise UsageError(f"impact: direction = {self.direction} rad; give a finite angle")
+        check_options(self, "impact")
 
     @classmethod
     def along(cls, axis: str, time: float = 0.1, peak: float = 8.0, duration: float = 2e-3) -> Impact:
@@ -94,11 +93,10 @@ class Hammer:
     """
 
     impacts: tuple[Impact, ...] = (Impact(),)
-    duration_s: float = 1.0
+    duration_s: Positive = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "impacts", tuple(self.impacts))
-        need_finite("hammer", self, ("duration_s",))
+        check_options(self, "hammer")
         late = [impact.time for impact in self.impacts if impact.time >= self.duration_s]
         if late or not self.impacts:
             what = f"an impact at {late[0]} s" if late else "no impacts"
@@ -173,7 +171,7 @@ class Prbs:
     ----------
     duration_s : float
         Length of the recording [s].
-    amplitude : float
+    amplitude_m : float
         The levels are plus and minus this value [m]. The paper steps from -1 V to 1 V; 10 V are 45 um.
     hold_s : float
         Time between the instants [s], a whole number of samples. The paper does not give it. On the published
@@ -188,12 +186,11 @@ class Prbs:
     """
 
     duration_s: float = 5.0
-    amplitude: float = 4.5e-6
-    hold_s: float = 20e-3
+    amplitude_m: Positive = 4.5e-6
+    hold_s: Positive = 20e-3
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.amplitude) and self.amplitude > 0):
-            raise UsageError(f"prbs: amplitude = {self.amplitude} m; it must be positive")
+        check_options(self, "prbs")
 
     def reference(
         self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
@@ -219,7 +216,7 @@ class Prbs:
         del n_settle
         hold = whole_samples("prbs: hold_s", self.hold_s, sample_time)
         levels = random.integers(0, 2, size=(-(-n_samples // hold), 2))
-        return np.asarray(np.repeat((2.0 * levels - 1.0) * self.amplitude, hold, axis=0)[:n_samples])
+        return np.asarray(np.repeat((2.0 * levels - 1.0) * self.amplitude_m, hold, axis=0)[:n_samples])
 
 
 # ---- Given signal as references, such as a designed excitation or the file of a signal generator.
@@ -318,12 +315,12 @@ class RunUp:
         Length of the recording [s].
     """
 
-    from_rpm: float = 0.0
-    to_rpm: float = 6000.0
-    duration_s: float = 5.0
+    from_rpm: NotNegative = 0.0
+    to_rpm: NotNegative = 6000.0
+    duration_s: Positive = 5.0
 
     def __post_init__(self) -> None:
-        need_finite("run-up", self, ("duration_s",), ("from_rpm", "to_rpm"))
+        check_options(self, "run-up")
 
     def reference(
         self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
@@ -526,7 +523,7 @@ class Staircase:
     ----------
     axis : {"x", "y"}
         The axis that moves.
-    step : float
+    step_m : float
         Height of a step [m].
     steps : int
         n, the number of steps from the middle to either end.
@@ -535,19 +532,17 @@ class Staircase:
     """
 
     axis: Literal["x", "y"] = "x"
-    step: float = 2.25e-6
-    steps: int = 6
-    hold_s: float = 0.5
+    step_m: Positive = 2.25e-6
+    steps: Count = 6
+    hold_s: Positive = 0.5
 
     def __post_init__(self) -> None:
-        need_finite("staircase", self, ("step", "steps", "hold_s"))
-        if self.axis not in ("x", "y"):
-            raise UsageError(f"staircase: axis = {self.axis!r}; choose 'x' or 'y'")
+        check_options(self, "staircase")
 
     @property
     def levels(self) -> FloatArray:
         """Levels in the order of time [m], shape (4 n + 1,)."""
-        return up_and_down(-self.steps * self.step, self.step, 2 * self.steps)
+        return up_and_down(-self.steps * self.step_m, self.step_m, 2 * self.steps)
 
     @property
     def duration_s(self) -> float:
@@ -583,15 +578,13 @@ class StackStaircase:
         Time on each level [s], a whole number of samples.
     """
 
-    stack: int = 4
+    stack: Annotated[int, Exact(), Ge(1), Le(4)] = 4
     controlled: bool = False
-    steps: int = 10
-    hold_s: float = 1.0
+    steps: Count = 10
+    hold_s: Positive = 1.0
 
     def __post_init__(self) -> None:
-        need_finite("stack staircase", self, ("steps", "hold_s"))
-        if self.stack not in (1, 2, 3, 4):
-            raise UsageError(f"stack staircase: stack = {self.stack}; choose 1 to 4")
+        check_options(self, "stack staircase")
 
     @property
     def duration_s(self) -> float:

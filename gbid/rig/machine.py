@@ -12,25 +12,11 @@ import numpy.typing as npt
 from gbid.core.arrays import FloatArray, frequencies_and_dampings
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.options import Finite, NotNegative, Positive, check_options
 from gbid.rig.piezo import PiezoStacks
 from gbid.rig.sensors import SensorChain
 
 # ---- Effects of a real rotor beyond Eq. 5: flexible shaft, stiffening film, whirl, noise and contact.
-
-
-def need_finite(owner: str, part: object, positive: tuple[str, ...] = (), not_negative: tuple[str, ...] = ()) -> None:
-    """Check that fields of a value are finite and have the right sign.
-
-    Raises
-    ------
-    UsageError
-        When a field is not finite, or is negative, or is zero although it must be positive.
-    """
-    for name in (*positive, *not_negative):
-        value = getattr(part, name)
-        if not np.isfinite(value) or value < 0 or (value == 0 and name in positive):
-            words = "positive" if name in positive else "at least zero"
-            raise UsageError(f"{owner}: {name} = {value}; give a finite number, {words}")
 
 
 @dataclass(frozen=True)
@@ -52,12 +38,12 @@ class FlexibleMode:
         Modal participation m: acceleration of the disc by this mode over that by the mode of the model.
     """
 
-    frequency_hz: float = 480.0
-    damping: float = 0.01
-    share: float = 0.3
+    frequency_hz: Positive = 480.0
+    damping: Positive = 0.01
+    share: NotNegative = 0.3
 
     def __post_init__(self) -> None:
-        need_finite("flexible mode", self, ("frequency_hz", "damping"), ("share",))
+        check_options(self, "flexible mode")
 
 
 @dataclass(frozen=True)
@@ -65,33 +51,32 @@ class FilmStiffening:
     """Gas film whose stiffness grows with the distance from the centre: ``K (1 + |q|^2/l^2)`` in place of ``K``.
 
     It is given by the deviation that a staircase shows (Sec. 3.1). Where a linear film would let the disc rest at
-    `at`, the disc rests short of it by `deviation`. The best straight line through a staircase has smaller errors.
+    `at_m`, the disc rests short of it by `deviation_m`. The best straight line through a staircase has smaller errors.
     The static error in the paper is below 0.95 um.
 
     Parameters
     ----------
-    deviation, at : float
+    deviation_m, at_m : float
         Deviation from the linear position, and the linear position itself [m].
 
     Raises
     ------
     UsageError
-        When the deviation is not below `at`.
+        When the deviation is not below `at_m`.
     """
 
-    deviation: float = 0.9e-6
-    at: float = 8e-6
+    deviation_m: NotNegative = 0.9e-6
+    at_m: Positive = 8e-6
 
     def __post_init__(self) -> None:
-        need_finite("stiffening", self, ("at",), ("deviation",))
-        if self.deviation >= self.at:
-            raise UsageError(f"stiffening: deviation = {self.deviation} m; it must lie below at = {self.at} m")
+        check_options(self, "stiffening")
+        if self.deviation_m >= self.at_m:
+            raise UsageError(f"stiffening: deviation_m = {self.deviation_m}; it must lie below at_m = {self.at_m}")
 
     @property
     def inverse_square_length(self) -> float:
         """1/l^2 [1/m^2], the coefficient of the stiffening."""
-        rest = self.at - self.deviation
-        return self.deviation / rest**3
+        return self.deviation_m / (self.at_m - self.deviation_m) ** 3
 
 
 @dataclass(frozen=True)
@@ -107,7 +92,7 @@ class NonSynchronous:
 
     Parameters
     ----------
-    size : float
+    size_m : float
         Largest rms value of ``|w|`` over the speed [m].
     peak_rpm, width_rpm : float
         n_0 and Delta n, centre and width of the speed range [rpm].
@@ -117,19 +102,19 @@ class NonSynchronous:
         Corner frequency of z [Hz].
     """
 
-    size: float = 0.3e-6
-    peak_rpm: float = 4000.0
-    width_rpm: float = 500.0
-    ratio: float = 0.95
-    bandwidth_hz: float = 1.0
+    size_m: NotNegative = 0.3e-6
+    peak_rpm: NotNegative = 4000.0
+    width_rpm: Positive = 500.0
+    ratio: NotNegative = 0.95
+    bandwidth_hz: Positive = 1.0
 
     def __post_init__(self) -> None:
-        need_finite("non-synchronous", self, ("width_rpm", "bandwidth_hz"), ("size", "peak_rpm", "ratio"))
+        check_options(self, "non-synchronous")
 
     def size_at(self, speed: FloatArray) -> FloatArray:
         """Return s at given speeds [rad/s], shape of `speed` [m]."""
         rpm = np.abs(speed) * (30.0 / np.pi)
-        return np.asarray(self.size * np.exp(-0.5 * ((rpm - self.peak_rpm) / self.width_rpm) ** 2))
+        return np.asarray(self.size_m * np.exp(-0.5 * ((rpm - self.peak_rpm) / self.width_rpm) ** 2))
 
 
 @dataclass(frozen=True)
@@ -142,10 +127,10 @@ class ProcessNoise:
         Square root of the one-sided power density of the acceleration [m/s^2 per sqrt(Hz)].
     """
 
-    density: float = 0.01
+    density: NotNegative = 0.01
 
     def __post_init__(self) -> None:
-        need_finite("process noise", self, (), ("density",))
+        check_options(self, "process noise")
 
 
 @dataclass(frozen=True)
@@ -160,11 +145,11 @@ class Contact:
         Contact force per speed into the wall [N s/m]. The wall never pulls.
     """
 
-    stiffness: float = 1e8
-    damping: float = 5e3
+    stiffness: Positive = 1e8
+    damping: NotNegative = 5e3
 
     def __post_init__(self) -> None:
-        need_finite("contact", self, ("stiffness",), ("damping",))
+        check_options(self, "contact")
 
 
 # ---- Effect of the rig that a recording can be made with: additional forces on the rotor, or deviations of the
@@ -355,26 +340,22 @@ class ActuatorTruth(Brief):
 class Unbalance:
     """Mass unbalance of the rotor: a force that rotates with the shaft.
 
-    Its acceleration is eccentricity * Omega^2 and points at the shaft angle phi + `phase`. It acts on x and y.
+    Its acceleration is eccentricity * Omega^2 and points at the shaft angle phi + `phase_rad`. It acts on x and y.
 
     Parameters
     ----------
-    eccentricity : float
+    eccentricity_m : float
         Unbalance over moving mass, m_u e_u / M [m]. The default is a well balanced rotor (about ISO 21940
         grade G 1 at 6000 rpm). This close to the resonances its orbit still has a radius of 3 to 4 um.
-    phase : float
+    phase_rad : float
         Angle of the unbalance on the shaft [rad].
     """
 
-    eccentricity: float = 1.5e-6
-    phase: float = 0.7
+    eccentricity_m: NotNegative = 1.5e-6
+    phase_rad: Finite = 0.7
 
     def __post_init__(self) -> None:
-        if not (np.isfinite([self.eccentricity, self.phase]).all() and self.eccentricity >= 0):
-            raise UsageError(
-                f"unbalance: eccentricity = {self.eccentricity} m, phase = {self.phase} rad; "
-                "give finite numbers, the eccentricity at least zero"
-            )
+        check_options(self, "unbalance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -514,7 +495,7 @@ class Scatter:
     :math:`[K\ D] = \Psi \Lambda^2 [\Psi; \Psi\Lambda]^{-1}`, and :math:`B = -K G_{dc}`.
 
     A draw is rejected and repeated when a mode has less damping than `minimum_damping` (or than half of its true
-    damping, if that is less), or when a delay is below `minimum_delay` (same rule). So no draw is unstable. At points
+    damping, if that is less), or when a delay is below `minimum_delay_s` (same rule). So no draw is unstable. At points
     with little damping this puts the mean slightly above the truth.
 
     Parameters
@@ -522,7 +503,7 @@ class Scatter:
     share : float
         Factor on all standard deviations. The figures of the paper are deviations of estimates from a polynomial and
         contain its lack of fit, so the default is one half.
-    delay : (2,) tuple
+    delay_s : (2,) tuple
         Standard deviations of tau_x, tau_y [s]; 0.088 and 0.041 ms, Sec. 4.
     frequency_hz : (2,) tuple
         Standard deviations of omega_1, omega_2 [Hz]; 1.13 and 0.58, Sec. 4.
@@ -532,28 +513,20 @@ class Scatter:
         Standard deviations of g_xx, g_xy, g_yx, g_yy [m/m]; Sec. 4.
     minimum_damping : float
         Smallest damping factor of a draw.
-    minimum_delay : float
+    minimum_delay_s : float
         Smallest delay of a draw [s].
     """
 
-    share: float = 0.5
-    delay: tuple[float, float] = (0.088e-3, 0.041e-3)
-    frequency_hz: tuple[float, float] = (1.13, 0.58)
-    damping: tuple[float, float] = (0.0104, 0.0063)
-    static_gain: tuple[float, float, float, float] = (0.0031, 0.0022, 0.0027, 0.0031)
-    minimum_damping: float = 0.01
-    minimum_delay: float = 20e-6
+    share: NotNegative = 0.5
+    delay_s: tuple[NotNegative, NotNegative] = (0.088e-3, 0.041e-3)
+    frequency_hz: tuple[NotNegative, NotNegative] = (1.13, 0.58)
+    damping: tuple[NotNegative, NotNegative] = (0.0104, 0.0063)
+    static_gain: tuple[NotNegative, NotNegative, NotNegative, NotNegative] = (0.0031, 0.0022, 0.0027, 0.0031)
+    minimum_damping: NotNegative = 0.01
+    minimum_delay_s: NotNegative = 20e-6
 
     def __post_init__(self) -> None:
-        for name, n in (("delay", 2), ("frequency_hz", 2), ("damping", 2), ("static_gain", 4)):
-            value = tuple(float(v) for v in getattr(self, name))
-            if len(value) != n or not np.isfinite(value).all() or min(value) < 0:
-                raise UsageError(f"scatter: {name} = {value}; give {n} finite numbers of at least zero")
-            object.__setattr__(self, name, value)
-        for name in ("share", "minimum_damping", "minimum_delay"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise UsageError(f"scatter: {name} = {value}; give a finite number of at least zero")
+        check_options(self, "scatter")
 
 
 def scatter_random(seed: int, name: str, conditions: Mapping[str, float]) -> np.random.Generator:
@@ -599,12 +572,12 @@ def scattered(truth: RotorBearingTruth, scatter: Scatter, random: np.random.Gene
     frequency, damping, shapes = _modes(truth)
     gain = -np.linalg.solve(truth.stiffness, truth.input_gain)
     floor = np.minimum(scatter.minimum_damping, 0.5 * damping)
-    floor_delay = np.minimum(scatter.minimum_delay, 0.5 * truth.delay)
+    floor_delay = np.minimum(scatter.minimum_delay_s, 0.5 * truth.delay)
     for thrown in range(_TRIES):
         z = scatter.share * random.standard_normal(10)
         new_frequency = frequency + z[:2] * scatter.frequency_hz
         new_damping = damping + z[2:4] * scatter.damping
-        delay = truth.delay + z[4:6] * scatter.delay
+        delay = truth.delay + z[4:6] * scatter.delay_s
         if (new_damping < floor).any() or (new_damping >= 1).any() or (new_frequency <= 0).any():
             continue
         if (delay < floor_delay).any():

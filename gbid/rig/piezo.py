@@ -11,6 +11,7 @@ import scipy
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.options import NotNegative, Positive, check_options
 
 N_PLAYS = 10
 """Number of play operators of one stack; each branch of the hysteresis loop is a polygon with this many corners."""
@@ -65,27 +66,21 @@ class PiezoStack:
         When values are not finite or have the wrong sign, or when the hysteresis is too large for the stroke.
     """
 
-    pd_gain: float
-    pd_zero: float
-    pd_pole: float
-    pd_scale: float
-    slow_pole: float
-    fast_pole: float
-    reference_gain: float = 1.0
-    stroke: float = 45e-6
-    voltage_limit: float = 10.0
-    hysteresis: float = 8.1e-6
-    creep: float = 0.03
-    creep_times: tuple[float, ...] = (1.0, 10.0, 100.0)
+    pd_gain: Positive
+    pd_zero: Positive
+    pd_pole: Positive
+    pd_scale: Positive
+    slow_pole: Positive
+    fast_pole: Positive
+    reference_gain: Positive = 1.0
+    stroke: Positive = 45e-6
+    voltage_limit: Positive = 10.0
+    hysteresis: NotNegative = 8.1e-6
+    creep: NotNegative = 0.03
+    creep_times: tuple[Positive, ...] = (1.0, 10.0, 100.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "creep_times", tuple(float(t) for t in self.creep_times))
-        may_be_zero = ("hysteresis", "creep")
-        for name in self.__dataclass_fields__:
-            for value in np.atleast_1d(getattr(self, name)):
-                if not np.isfinite(value) or value < 0 or (value == 0 and name not in may_be_zero):
-                    sign = "at least zero" if name in may_be_zero else "positive"
-                    raise UsageError(f"piezo stack: {name} = {value:g}; give a finite number, {sign}")
+        check_options(self, "piezo stack")
         if self.spring <= 0:
             raise UsageError(
                 f"piezo stack: hysteresis = {self.hysteresis * 1e6:g} um is too much for a stroke of "

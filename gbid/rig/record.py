@@ -11,6 +11,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError
+from gbid.core.options import Finite, NotNegative, Positive, check_options
 from gbid.core.units import SIGNALS
 from gbid.recording import Recording
 from gbid.rig.excitation import (
@@ -226,13 +227,13 @@ class Faults:
         Channels (``"p.x"``) that are limited to plus and minus a value [unit of the signal].
     spikes_per_s : float
         Mean number per second of single wrong samples of p, at random times in x or y.
-    spike_size : float
+    spike_size_m : float
         Deviation of these samples [m], with random sign.
     sample_time_factor : float
         Ratio of the sample time stated in the file to the true one.
     missing_index : bool
         Whether the encoder has lost its index. Then phi has a constant error, different in each recording.
-    rub_clearance : float or None
+    rub_clearance_m : float or None
         Smaller clearance at which the disc touches [m]. The recording is kept.
 
     Raises
@@ -242,25 +243,19 @@ class Faults:
     """
 
     swapped: tuple[str, ...] = ()
-    dead: Mapping[str, float] = field(default_factory=dict)
-    saturation: Mapping[str, float] = field(default_factory=dict)
-    spikes_per_s: float = 0.0
-    spike_size: float = 20e-6
-    sample_time_factor: float = 1.0
+    dead: Mapping[str, Finite] = field(default_factory=dict)
+    saturation: Mapping[str, Positive] = field(default_factory=dict)
+    spikes_per_s: NotNegative = 0.0
+    spike_size_m: Positive = 20e-6
+    sample_time_factor: Positive = 1.0
     missing_index: bool = False
-    rub_clearance: float | None = None
+    rub_clearance_m: Positive | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "swapped", tuple(self.swapped))
-        for name in ("dead", "saturation"):
-            object.__setattr__(self, name, dict(getattr(self, name)))
-            for channel, value in getattr(self, name).items():
-                if channel.count(".") != 1 or not np.isfinite(value):
-                    raise UsageError(f"faults: {name} = {channel}: {value}; write signal.channel and a finite number")
-        if not self.sample_time_factor > 0 or not self.spikes_per_s >= 0:
-            raise UsageError("faults: sample_time_factor must be positive, spikes_per_s at least zero")
-        if self.rub_clearance is not None and not self.rub_clearance > 0:
-            raise UsageError(f"faults: rub_clearance = {self.rub_clearance} m; it must be positive")
+        check_options(self, "faults")
+        for channel in (*self.dead, *self.saturation):
+            if channel.count(".") != 1:
+                raise UsageError(f"faults: no channel {channel}; write signal.channel")
 
 
 def with_faults(recording: Recording, faults: Faults, random: np.random.Generator) -> Recording:
@@ -286,8 +281,8 @@ def with_faults(recording: Recording, faults: Faults, random: np.random.Generato
     if faults.spikes_per_s:
         p, dt = signals["p"], recording.sample_time
         hit = random.random(p.shape) < 0.5 * faults.spikes_per_s * dt
-        p[hit] += faults.spike_size * random.choice([-1.0, 1.0], size=int(hit.sum()))
-        applied.append(f"{int(hit.sum())} spikes of {faults.spike_size:g} m in p")
+        p[hit] += faults.spike_size_m * random.choice([-1.0, 1.0], size=int(hit.sum()))
+        applied.append(f"{int(hit.sum())} spikes of {faults.spike_size_m:g} m in p")
     for channel, value in faults.dead.items():
         column(channel)[:] = value
         applied.append(f"{channel} dead at {value:g}")
@@ -405,8 +400,8 @@ def record(
     if scheduled != (surfaces is not None):
         raise UsageError("surfaces are for a ScheduledRun, and it needs them: give surfaces=model.key_parameters")
     turning = rotation(experiment, conditions)
-    if faults is not None and faults.rub_clearance is not None:
-        machine, touch_down = replace(machine, clearance=faults.rub_clearance), "flag"
+    if faults is not None and faults.rub_clearance_m is not None:
+        machine, touch_down = replace(machine, clearance=faults.rub_clearance_m), "flag"
     if controller is not None and abs(controller.sample_time - sample_time) > 1e-9 * sample_time:
         raise UsageError(f"controller: sample_time = {controller.sample_time} s, the rig samples at {sample_time} s")
     n_samples = whole_samples("duration_s", experiment.duration_s, sample_time)
@@ -450,10 +445,10 @@ def record(
     sensors = machine.sensors
     shown = encoder_angle(sensors, angle)
     logged = slice(n_settle, None)
-    sensor = runout(sensors, angle) + sensors.offset_p + readings[:-1]
-    sensor[logged] += np.asarray(sensors.noise_p) * noise_p.standard_normal((n_samples, 2))
+    sensor = runout(sensors, angle) + sensors.offset_p_m + readings[:-1]
+    sensor[logged] += np.asarray(sensors.noise_p_m) * noise_p.standard_normal((n_samples, 2))
     # The probes have noise before the logger starts, too. It matters only for a controller.
-    sensor[:n_settle] += np.asarray(sensors.noise_p) * noise_p.standard_normal((n_settle, 2))
+    sensor[:n_settle] += np.asarray(sensors.noise_p_m) * noise_p.standard_normal((n_settle, 2))
 
     reasons = _reasons_to_step(machine, experiment, controller)
     if simulation == "exact" and reasons:
@@ -483,8 +478,10 @@ def record(
     signals = {
         "r": motion.r[logged],
         "u": quantised(
-            motion.u[logged] + sensors.offset_u + np.asarray(sensors.noise_u) * noise_u.standard_normal((n_samples, 2)),
-            sensors.resolution_u,
+            motion.u[logged]
+            + sensors.offset_u_m
+            + np.asarray(sensors.noise_u_m) * noise_u.standard_normal((n_samples, 2)),
+            sensors.resolution_u_m,
         ),
         "p": motion.seen[logged],
         "phi": shown[logged, None],
@@ -493,7 +490,7 @@ def record(
         signals["w"] = run.reference[logged]
     if isinstance(experiment, Hammer):
         force = experiment.force(time[logged])
-        signals["f"] = force + sensors.noise_f * noise_f.standard_normal((n_samples, 2))
+        signals["f"] = force + sensors.noise_f_n * noise_f.standard_normal((n_samples, 2))
     if along is not None:
         signals |= {"pressure_bar": pressure[logged, None], "speed_rpm": speed_rpm[logged, None]}
     if stacks or isinstance(experiment, StackStaircase):
@@ -560,7 +557,7 @@ def _in_closed_form(run: _Run, sensor: FloatArray) -> SteppedMotion:
     disc = driven.p + unbalance_orbit(machine.rotor_bearing, machine.unbalance, turning.speed, angle)
     radius = np.hypot(disc[:, 0], disc[:, 1]).reshape(-1, over).max(axis=1)
     p, none = disc[::over], np.zeros((len(run.reference), 4))
-    seen = quantised(p + sensor, machine.sensors.resolution_p)
+    seen = quantised(p + sensor, machine.sensors.resolution_p_m)
     return SteppedMotion(
         run.reference, driven.u[::over], p, seen, none, none, none, none, radius, "closed form, exact delays"
     )

@@ -114,7 +114,7 @@ def unbalance_orbit(
     (n, 2) array
         Disc position [m].
     """
-    force = unbalance.eccentricity * speed**2 * np.exp(1j * unbalance.phase) * np.array([1.0, -1j])
+    force = unbalance.eccentricity_m * speed**2 * np.exp(1j * unbalance.phase_rad) * np.array([1.0, -1j])
     dynamic = -(speed**2) * np.eye(2) - 1j * speed * rotor_bearing.damping - rotor_bearing.stiffness
     return np.asarray(np.outer(np.exp(1j * angle), np.linalg.solve(dynamic, force)).real)
 
@@ -251,9 +251,9 @@ class Forces:
         unbalance = self.machine.unbalance
         if self.turning.is_steady and self.turning.speed == 0:
             return np.zeros((len(time), 2))
-        angle = self.turning.angle(time) + unbalance.phase
-        outward = unbalance.eccentricity * self.turning.speed_at(time) ** 2
-        along = unbalance.eccentricity * self.turning.acceleration_at(time)
+        angle = self.turning.angle(time) + unbalance.phase_rad
+        outward = unbalance.eccentricity_m * self.turning.speed_at(time) ** 2
+        along = unbalance.eccentricity_m * self.turning.acceleration_at(time)
         c, s = np.cos(angle), np.sin(angle)
         return np.column_stack([outward * c + along * s, outward * s - along * c])
 
@@ -269,7 +269,7 @@ def draw_noise(machine: Machine, n: int, sample_time: float, random: np.random.G
 def draw_whirl(machine: Machine, n: int, sample_time: float, random: np.random.Generator) -> np.ndarray | None:
     """Return random values z of the non-synchronous whirl at n + 1 samples, or None when the machine has none."""
     rule = machine.non_synchronous
-    if rule is None or rule.size == 0:
+    if rule is None or rule.size_m == 0:
         return None
     pole = np.exp(-2 * np.pi * rule.bandwidth_hz * sample_time)
     white = random.standard_normal((n + 1, 2)) @ np.array([1.0, 1j]) / np.sqrt(2)

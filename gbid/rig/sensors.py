@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Annotated, Protocol
 
 import numpy as np
+from annotated_types import Ge
 
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.options import Exact, Finite, NotNegative, check_options
 
 TURN = 2 * np.pi
 
+Orders = tuple[Finite, ...]
+
 # Both sensors measure the same surface of the disc, a quarter turn apart. So y has the run-out of x, later.
-_AMPLITUDE = np.array([3.0e-6, 1.5e-6, 0.8e-6, 0.4e-6, 0.2e-6])
-_PHASE = np.array([0.4, 2.1, -1.3, 0.9, -2.6])
-_ORDER = np.arange(1, 6)
-
-
-def _default_amplitude() -> FloatArray:
-    return np.array([_AMPLITUDE, _AMPLITUDE])
-
-
-def _default_phase() -> FloatArray:
-    return np.array([_PHASE, _PHASE - _ORDER * np.pi / 2])
+_AMPLITUDE = (3.0e-6, 1.5e-6, 0.8e-6, 0.4e-6, 0.2e-6)
+_PHASE = (0.4, 2.1, -1.3, 0.9, -2.6)
+_PHASE_OF_Y = tuple(phase - order * np.pi / 2 for order, phase in enumerate(_PHASE, start=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,68 +32,49 @@ class SensorChain(Brief):
 
     Parameters
     ----------
-    noise_p : float or (2,) tuple
+    noise_p_m : float or (2,) tuple
         Standard deviation of the white noise of the disc position [m]; one value for both axes, or x and y.
-    noise_u : float or (2,) tuple
+    noise_u_m : float or (2,) tuple
         Standard deviation of the white noise of the piezo position difference [m].
-    runout_amplitude : (2, n_orders) array
+    runout_amplitude_m : (2, n_orders) tuple or array
         a [m]; rows are the axes x and y, columns the orders 1, 2, .... A few micrometres by default.
-    runout_phase : (2, n_orders) array
+    runout_phase_rad : (2, n_orders) tuple or array
         theta [rad].
-    offset_p : (2,) tuple
+    offset_p_m : (2,) tuple
         Reading of the probes for a centred disc [m].
-    offset_u : (2,) tuple
+    offset_u_m : (2,) tuple
         Reading of the gauges for equal piezo positions [m].
     encoder_counts : int or None
         Counts per turn; the angle is rounded down to a count. None is an ideal encoder.
-    resolution_p, resolution_u : float
+    resolution_p_m, resolution_u_m : float
         Steps of the analogue-to-digital converters of probes and gauges [m]; 0 means no rounding.
-    noise_f : float
+    noise_f_n : float
         Standard deviation of the white noise of the measured impact force [N].
 
     Raises
     ------
     UsageError
-        When noise is negative, shapes do not fit, or there are fewer than 2 counts.
+        When noise is negative, rows differ in length, or there are fewer than 2 counts.
     """
 
-    noise_p: float | tuple[float, float] = 30e-9
-    noise_u: float | tuple[float, float] = 10e-9
-    runout_amplitude: FloatArray = field(default_factory=_default_amplitude)
-    runout_phase: FloatArray = field(default_factory=_default_phase)
-    offset_p: tuple[float, float] = (2.0e-6, -3.0e-6)
-    offset_u: tuple[float, float] = (0.5e-6, -0.3e-6)
-    encoder_counts: int | None = 4096
-    resolution_p: float = 0.0
-    resolution_u: float = 0.0
-    noise_f: float = 0.05
+    noise_p_m: NotNegative | tuple[NotNegative, NotNegative] = 30e-9
+    noise_u_m: NotNegative | tuple[NotNegative, NotNegative] = 10e-9
+    runout_amplitude_m: tuple[Orders, Orders] = (_AMPLITUDE, _AMPLITUDE)
+    runout_phase_rad: tuple[Orders, Orders] = (_PHASE, _PHASE_OF_Y)
+    offset_p_m: tuple[Finite, Finite] = (2.0e-6, -3.0e-6)
+    offset_u_m: tuple[Finite, Finite] = (0.5e-6, -0.3e-6)
+    encoder_counts: Annotated[int, Exact(), Ge(2)] | None = 4096
+    resolution_p_m: NotNegative = 0.0
+    resolution_u_m: NotNegative = 0.0
+    noise_f_n: NotNegative = 0.05
 
     def __post_init__(self) -> None:
-        for name in ("noise_p", "noise_u", "noise_f", "resolution_p", "resolution_u"):
-            value = getattr(self, name)
-            pair = name in ("noise_p", "noise_u") and np.shape(value) == (2,)
-            if not (np.ndim(value) == 0 or pair) or not np.isfinite(value).all() or np.min(value) < 0:
-                what = "a standard deviation" if name.startswith("noise") else "a step"
-                unit = "N" if name == "noise_f" else "m"
-                raise UsageError(f"sensors: {name} = {value} {unit}; give {what} of at least zero")
-        for name in ("runout_amplitude", "runout_phase"):
-            array = np.array(getattr(self, name), dtype=float)
-            if array.ndim != 2 or array.shape[0] != 2 or not np.isfinite(array).all():
-                raise UsageError(f"sensors: {name} has shape {array.shape}; give (2, n_orders) finite numbers")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        if self.runout_amplitude.shape != self.runout_phase.shape:
+        check_options(self, "sensors")
+        lengths = {len(row) for row in (*self.runout_amplitude_m, *self.runout_phase_rad)}
+        if len(lengths) > 1:
             raise UsageError(
-                f"sensors: runout_amplitude {self.runout_amplitude.shape} and runout_phase "
-                f"{self.runout_phase.shape} differ in shape"
+                f"sensors: runout_amplitude_m and runout_phase_rad have rows of {lengths} orders; give as many in each"
             )
-        for name in ("offset_p", "offset_u"):
-            value = tuple(float(v) for v in getattr(self, name))
-            if len(value) != 2 or not np.isfinite(value).all():
-                raise UsageError(f"sensors: {name} = {value} m; give two finite numbers, x and y")
-            object.__setattr__(self, name, value)
-        if self.encoder_counts is not None and self.encoder_counts < 2:
-            raise UsageError(f"sensors: encoder_counts = {self.encoder_counts}; give at least 2, or None")
 
 
 def quantised(values: FloatArray, resolution: float) -> FloatArray:
@@ -120,9 +97,8 @@ def runout(sensors: SensorChain, angle: FloatArray) -> FloatArray:
     (n, 2) array
         Run-out that is added to x and y [m].
     """
-    orders = np.arange(1, sensors.runout_amplitude.shape[1] + 1)
-    turned = np.exp(1j * np.outer(angle, orders))
-    phasors = sensors.runout_amplitude * np.exp(1j * sensors.runout_phase)
+    phasors = np.array(sensors.runout_amplitude_m) * np.exp(1j * np.array(sensors.runout_phase_rad))
+    turned = np.exp(1j * np.outer(angle, np.arange(1, phasors.shape[1] + 1)))
     return np.asarray((turned @ phasors.T).real)
 
 

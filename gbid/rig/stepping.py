@@ -208,7 +208,7 @@ def step_arrays(
             f"{int(np.ceil(2 * fastest * sample_time))}"
         )
     return StepArrays(
-        rotor, linear, stacks, controller, oversampling, wall, machine.sensors.resolution_p, machine.travel
+        rotor, linear, stacks, controller, oversampling, wall, machine.sensors.resolution_p_m, machine.travel
     )
 
 

@@ -49,7 +49,7 @@ def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("bad")
     (made / "data").mkdir()
     faults = {
-        "p5_n6000_prbs3": {"rub_clearance": 7e-6},
+        "p5_n6000_prbs3": {"rub_clearance_m": 7e-6},
         "p5_n6000_prbs4": {"dead": {"p.y": 1e-6}},
         "p5_n6000_prbs6": {"swapped": ("p",)},
     }

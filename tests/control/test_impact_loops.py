@@ -127,7 +127,7 @@ def test_bad_further_loops_are_named(tmp_path, capsys, beside: str, words: tuple
 @cache
 def quiet_hit(axis: str, closed: bool) -> gbid.Recording:
     """Hit a rig whose sensors have no noise."""
-    sensors = SensorChain(noise_p=0.0, noise_u=0.0, noise_f=0.0, resolution_p=0.0, resolution_u=0.0)
+    sensors = SensorChain(noise_p_m=0.0, noise_u_m=0.0, noise_f_n=0.0, resolution_p_m=0.0, resolution_u_m=0.0)
     machine = Machine.from_parameters(MODEL.key_parameters(*POINT), MODEL.actuators, sensors=sensors)
     options = {"conditions": {"pressure_bar": POINT[0], "speed_rpm": POINT[1]}, "seed": 1, "name": axis}
     running = None

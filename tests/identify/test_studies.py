@@ -86,7 +86,7 @@ def test_intervals_cover(colour):
 )
 def test_intervals_of_errors_that_the_structure_cannot_whiten(effect):
     """About the mean of all fits: what the film makes of the truth is bias, which no standard deviation knows of."""
-    sensors = replace(NO_RUNOUT, noise_p=(0.65e-6, 0.5e-6))  # the campaign's
+    sensors = replace(NO_RUNOUT, noise_p_m=(0.65e-6, 0.5e-6))  # the campaign's
     fits = [fit(RotorBearing(), shaken(100 + seed, sensors=sensors, **effect)) for seed in range(80)]
     assert all(result.success and result.trusted == "robust" for result in fits)
     estimates = np.array([[result.parameters[name] for name in fits[0].free] for result in fits])

@@ -46,7 +46,7 @@ def test_clean_data_keep_every_bit_but_map_and_means(runout):
 
 @pytest.mark.parametrize("size", [1e-6, 20e-6])
 def test_spikes_are_named_and_fits_are_those_of_clean_data(runout, size):
-    clean, spiked = rig(1), rig(1, spikes_per_s=5.0, spike_size=size)
+    clean, spiked = rig(1), rig(1, spikes_per_s=5.0, spike_size_m=size)
     filtered, report = prefilter(spiked, runout)
     assert report.spike_samples == wrong_samples(clean, spiked)
     assert report.spikes == tuple(map(len, report.spike_samples))
@@ -102,7 +102,7 @@ def test_intervals_keep_their_coverage_with_spikes_replaced_and_lose_it_with_the
     for seed in range(40):
         for spikes, way in inside:
             conditions = {"pressure_bar": point[0], "speed_rpm": point[1]}
-            faults = Faults(spikes_per_s=spikes, spike_size=2e-6)
+            faults = Faults(spikes_per_s=spikes, spike_size_m=2e-6)
             raw = record(machine, Prbs(5.0), conditions=conditions, seed=seed, name="run", faults=faults)
             found = gbid.fit(structure, prefilter(raw, **ways[way])[0], trend="offset")
             errors = [(found.parameters[name] - true) / found.std[name] for name, true in truth.items()]

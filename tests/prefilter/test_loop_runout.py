@@ -14,7 +14,7 @@ from gbid.rig import Prbs, ProgramController, SampledController, SensorChain, St
 TS = 2e-4
 AT = {"pressure_bar": 5.0, "speed_rpm": 6000.0}
 LAW = sample_controller(p_controller(1.125, 0.99), TS)
-RIG = machine(sensors=SensorChain(noise_p=1e-10, noise_u=1e-10, encoder_counts=None))
+RIG = machine(sensors=SensorChain(noise_p_m=1e-10, noise_u_m=1e-10, encoder_counts=None))
 
 
 def made(experiment, controller=None, name="run"):

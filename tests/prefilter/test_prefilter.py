@@ -123,7 +123,9 @@ def test_rig_at_6000_rpm_keeps_its_sensor_noise_only(method):
 
 def test_run_out_and_unbalance_are_told_apart_from_the_response_to_the_piezos():
     made = identify_runout(rig_recording(Stationary(), "still"))
-    bare = SensorChain(noise_p=0.0, noise_u=0.0, runout_amplitude=np.zeros((2, 0)), runout_phase=np.zeros((2, 0)))
+    bare = SensorChain(
+        noise_p_m=0.0, noise_u_m=0.0, runout_amplitude_m=np.zeros((2, 0)), runout_phase_rad=np.zeros((2, 0))
+    )
     clean = rig_recording(Prbs(), "prbs", sensors=bare, unbalance=Unbalance(0.0))
     filtered, report = prefilter(rig_recording(Prbs(), "prbs"), made, median=1)
     wanted = clean.signal("p") - clean.signal("p").mean(axis=0)

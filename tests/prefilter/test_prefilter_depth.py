@@ -292,4 +292,4 @@ def test_wrong_alignments_are_named(call, error, words):
 
 
 def test_sensor_noise_is_the_rigs():
-    assert SensorChain().noise_p == NOISE
+    assert SensorChain().noise_p_m == NOISE

@@ -217,7 +217,7 @@ def test_parts_of_the_search_for_impacts():
 
 @pytest.mark.parametrize(("point", "clearance"), [((3.0, 0.0), 6e-6), ((5.0, 4000.0), 7e-6), ((7.0, 6000.0), 9e-6)])
 def test_a_rub_is_caught_by_name(point, clearance):
-    rec = rig(Prbs(2.0), *point, faults=Faults(rub_clearance=clearance))
+    rec = rig(Prbs(2.0), *point, faults=Faults(rub_clearance_m=clearance))
     assert touch_downs(rec)
     problems = [p for p in find_problems(rec) if p.kind == "rub"]
     assert [(p.signal, p.channel) for p in problems] == [("p", "")]
@@ -225,13 +225,13 @@ def test_a_rub_is_caught_by_name(point, clearance):
 
 
 def test_a_rub_at_the_true_clearance_is_caught():
-    rec = rig(Prbs(2.0, amplitude=9e-6, hold_s=5e-3), touch_down="flag")
+    rec = rig(Prbs(2.0, amplitude_m=9e-6, hold_s=5e-3), touch_down="flag")
     assert len(touch_downs(rec)) > 5
     assert "rub" in [p.kind for p in find_problems(rec)]
 
 
 def test_a_rub_without_input_and_angle_is_caught():
-    rec = rig(Prbs(2.0), 5.0, 0.0, faults=Faults(rub_clearance=7e-6))
+    rec = rig(Prbs(2.0), 5.0, 0.0, faults=Faults(rub_clearance_m=7e-6))
     alone = replace(rec, signals={"p": rec.signal("p")})
     assert [p.kind for p in find_rub(alone)] == ["rub"]
 
@@ -239,8 +239,8 @@ def test_a_rub_without_input_and_angle_is_caught():
 @pytest.mark.parametrize(("point", "clearance"), [((3.0, 0.0), 7e-6), ((5.0, 4000.0), 7e-6), ((7.0, 6000.0), 8e-6)])
 def test_a_rub_is_caught_in_the_noise_of_the_papers_campaign(point, clearance):
     made = machine(*point)
-    made = replace(made, sensors=replace(made.sensors, noise_p=650e-9))
-    rec = rig(Prbs(2.0), *point, made=made, faults=Faults(rub_clearance=clearance))
+    made = replace(made, sensors=replace(made.sensors, noise_p_m=650e-9))
+    rec = rig(Prbs(2.0), *point, made=made, faults=Faults(rub_clearance_m=clearance))
     assert len(touch_downs(rec)) > 12
     assert "rub" in [p.kind for p in find_problems(rec)]
     assert found(rig(Prbs(2.0), *point, made=made)) == []

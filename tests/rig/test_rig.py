@@ -29,12 +29,12 @@ from gbid.rig.sensors import encoder_angle
 TS = 2e-4
 FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}
 BARE = SensorChain(
-    noise_p=0.0,
-    noise_u=0.0,
-    runout_amplitude=np.zeros((2, 0)),
-    runout_phase=np.zeros((2, 0)),
-    offset_p=(0, 0),
-    offset_u=(0, 0),
+    noise_p_m=0.0,
+    noise_u_m=0.0,
+    runout_amplitude_m=np.zeros((2, 0)),
+    runout_phase_rad=np.zeros((2, 0)),
+    offset_p_m=(0, 0),
+    offset_u_m=(0, 0),
     encoder_counts=None,
 )
 
@@ -163,8 +163,8 @@ def test_unbalance_orbit_is_where_a_start_from_rest_ends():
     truth, unbalance, speed = rotor_bearing(), Unbalance(), 200 * np.pi
 
     def rotor(t, s):
-        angle = speed * t + 0.4 + unbalance.phase
-        force = unbalance.eccentricity * speed**2 * np.array([np.cos(angle), np.sin(angle)])
+        angle = speed * t + 0.4 + unbalance.phase_rad
+        force = unbalance.eccentricity_m * speed**2 * np.array([np.cos(angle), np.sin(angle)])
         return np.concatenate([s[2:], truth.stiffness @ s[:2] + truth.damping @ s[2:] + force])
 
     time = np.linspace(1.2, 1.22, 30)
@@ -178,7 +178,7 @@ def test_unbalance_orbit_is_where_a_start_from_rest_ends():
 
 
 def test_recording_without_sensor_faults_is_the_true_motion():
-    still = machine(unbalance=Unbalance(eccentricity=0.0), sensors=BARE)
+    still = machine(unbalance=Unbalance(eccentricity_m=0.0), sensors=BARE)
     rec = record(still, Prbs(duration_s=0.4), conditions=FIG7, seed=1, name="a", settle_s=0.0)
     motion = driven_motion(still.rotor_bearing, still.actuator, rec.signal("r"), TS)
     np.testing.assert_array_equal(rec.signal("u"), motion.u[::20])
@@ -201,9 +201,9 @@ def test_recording_has_noise_offsets_and_a_running_start():
 
 
 def test_run_out_of_y_is_that_of_x_a_quarter_turn_later():
-    quiet = SensorChain(noise_p=0.0, offset_p=(0, 0), encoder_counts=None)
+    quiet = SensorChain(noise_p_m=0.0, offset_p_m=(0, 0), encoder_counts=None)
     rec = record(
-        machine(sensors=quiet, unbalance=Unbalance(eccentricity=0)),
+        machine(sensors=quiet, unbalance=Unbalance(eccentricity_m=0)),
         Stationary(duration_s=0.2),
         conditions={"pressure_bar": 5.0, "speed_rpm": 3000.0},
         seed=0,
@@ -232,7 +232,7 @@ def test_same_seed_and_name_give_the_same_bits_and_others_are_independent():
         levels = np.corrcoef(first.signal("r")[::100].T, other.signal("r")[::100].T)[:2, 2:]
         assert np.abs(levels).max() < 0.6  # 50 levels
     quiet = record(
-        replace(machine(), sensors=replace(SensorChain(), noise_p=0.0)),
+        replace(machine(), sensors=replace(SensorChain(), noise_p_m=0.0)),
         Prbs(duration_s=1.0),
         conditions=FIG7,
         seed=7,
@@ -272,7 +272,7 @@ def test_motion_that_uses_up_the_clearance_is_refused():
 
 
 def test_prbs_levels_are_random_binary_and_independent():
-    prbs = Prbs(amplitude=2e-6, hold_s=4e-3)
+    prbs = Prbs(amplitude_m=2e-6, hold_s=4e-3)
     r = prbs.reference(20 * 20_000, TS, np.random.default_rng(5))
     assert set(np.unique(r)) == {-2e-6, 2e-6}
     held = r.reshape(20_000, 20, 2)
@@ -318,14 +318,17 @@ def test_encoder_angle_is_wrapped_and_within_one_count(angles, counts):
         (lambda: with_delay([1e-4]), r"delay has shape \(1,\)"),
         (lambda: replace(rotor_bearing(), stiffness=np.full((2, 2), np.nan)), "stiffness .* not finite"),
         (lambda: replace(actuator(), slow_pole=[0, 1]), "slow_pole .* positive"),
-        (lambda: Prbs(amplitude=0.0), "amplitude = 0.0"),
+        (lambda: Prbs(amplitude_m=0.0), "amplitude_m = 0.0"),
         (lambda: Prbs(hold_s=5.1e-4).reference(10, TS, np.random.default_rng(0)), "hold_s = 0.00051 s"),
-        (lambda: SensorChain(noise_p=-1.0), "noise_p = -1.0"),
-        (lambda: SensorChain(runout_amplitude=np.ones(3)), r"runout_amplitude has shape \(3,\)"),
-        (lambda: SensorChain(runout_amplitude=np.ones((2, 3))), "differ in shape"),
-        (lambda: SensorChain(offset_u=(1.0,)), "offset_u"),
+        (lambda: SensorChain(noise_p_m=-1.0), "noise_p_m = -1.0"),
+        (lambda: SensorChain(runout_amplitude_m=np.ones(3)), "runout_amplitude_m = array"),
+        (
+            lambda: SensorChain(runout_amplitude_m=np.ones((2, 3))),
+            "runout_amplitude_m and runout_phase_rad have rows of",
+        ),
+        (lambda: SensorChain(offset_u_m=(1.0,)), "offset_u"),
         (lambda: SensorChain(encoder_counts=1), "encoder_counts = 1"),
-        (lambda: Unbalance(eccentricity=-1e-6), "eccentricity = -1e-06"),
+        (lambda: Unbalance(eccentricity_m=-1e-6), "eccentricity_m = -1e-06"),
         (lambda: machine(clearance=0.0), "clearance = 0.0"),
         (lambda: record(machine(), Prbs(), conditions={}, seed=0, name="a"), "speed_rpm = None"),
         (lambda: record(machine(), Prbs(), conditions=FIG7, seed=-1, name="a"), "seed = -1"),
@@ -362,7 +365,7 @@ def test_a_machine_from_parameters_by_name():
         for i, name in enumerate(("p1", "p2", "kappa"))
         for j, axis in enumerate("xy")
     }
-    machine = Machine.from_parameters(dict(reversed(p.items())), {**p, **a}, sensors=SensorChain(noise_p=0.0))
+    machine = Machine.from_parameters(dict(reversed(p.items())), {**p, **a}, sensors=SensorChain(noise_p_m=0.0))
     bearing = machine.rotor_bearing
     np.testing.assert_array_equal(bearing.stiffness, [[0, 1], [2, 3]])
     np.testing.assert_array_equal(bearing.damping, [[10, 11], [12, 13]])
@@ -371,7 +374,7 @@ def test_a_machine_from_parameters_by_name():
     np.testing.assert_array_equal(machine.actuator.slow_pole, [1, 2])
     np.testing.assert_array_equal(machine.actuator.fast_pole, [11, 12])
     np.testing.assert_array_equal(machine.actuator.gain, [21, 22])
-    assert (machine.sensors.noise_p, machine.unbalance, machine.clearance) == (0.0, Unbalance(), 25e-6)
+    assert (machine.sensors.noise_p_m, machine.unbalance, machine.clearance) == (0.0, Unbalance(), 25e-6)
     with pytest.raises(UsageError, match="rotor bearing: no value for tau_y"):
         Machine.from_parameters({key: value for key, value in p.items() if key != "tau_y"}, a)
     with pytest.raises(UsageError, match="actuator: no value for p1_x, p2_x"):
@@ -381,12 +384,12 @@ def test_a_machine_from_parameters_by_name():
 def test_noise_of_the_two_axes_may_differ():
     quiet, loud = 1e-9, 100e-9
     made = record(
-        machine(sensors=SensorChain(noise_p=(quiet, loud))),
+        machine(sensors=SensorChain(noise_p_m=(quiet, loud))),
         Stationary(1.0),
         conditions={"speed_rpm": 0.0},
         seed=1,
         name="axes",
     )
     np.testing.assert_allclose(made.signal("p").std(axis=0), [quiet, loud], rtol=0.05)
-    with pytest.raises(UsageError, match="noise_p"):
-        SensorChain(noise_p=(1e-9, 1e-9, 1e-9))
+    with pytest.raises(UsageError, match="noise_p_m"):
+        SensorChain(noise_p_m=(1e-9, 1e-9, 1e-9))

@@ -16,7 +16,7 @@ from gbid.rig import PiezoStack, PiezoStacks, Prbs, SensorChain, StackStaircase,
 TS = 2e-4
 STILL = {"pressure_bar": 6.0, "speed_rpm": 0.0}
 STACK = PiezoStacks().stacks[3]
-QUIET = SensorChain(noise_p=0.0, noise_u=0.0, offset_u=(0, 0))
+QUIET = SensorChain(noise_p_m=0.0, noise_u_m=0.0, offset_u_m=(0, 0))
 
 
 def rig(stacks=None, **parts):
@@ -116,7 +116,9 @@ def test_ends_of_the_range_are_flagged_and_hold():
     assert end == pytest.approx(2.2, abs=0.05)
     usual = record(rig(), Prbs(0.2), conditions=STILL, seed=0, name="a")
     assert saturations(usual) == {}
-    wide = record(rig(), Prbs(0.2, amplitude=22e-6), conditions=STILL, seed=0, name="a", touch_down="flag", stacks=True)
+    wide = record(
+        rig(), Prbs(0.2, amplitude_m=22e-6), conditions=STILL, seed=0, name="a", touch_down="flag", stacks=True
+    )
     assert saturations(wide)
     assert 0 <= wide.signal("v").min() <= wide.signal("v").max() <= 10
 
@@ -178,12 +180,12 @@ def test_unequal_stacks_are_seeded():
     ("call", "words"),
     [
         (lambda: replace(STACK, hysteresis=30e-6), "hysteresis = 30 um is too much for a stroke of 45 um"),
-        (lambda: replace(STACK, fast_pole=0.0), "fast_pole = 0; give a finite number, positive"),
+        (lambda: replace(STACK, fast_pole=0.0), "fast_pole = 0.0; give a number above 0"),
         (lambda: replace(STACK, creep=-0.1), "creep = -0.1"),
         (lambda: PiezoStacks((STACK,) * 3), "3 stacks; give four"),
         (lambda: PiezoStacks(offset=50e-6), "offset = 5e-05 m; it must lie inside the stroke"),
         (lambda: PiezoStacks.unequal(0.5), "spread = 0.5"),
-        (lambda: StackStaircase(stack=5), "stack = 5; choose 1 to 4"),
+        (lambda: StackStaircase(stack=5), "stack = 5; give a whole number of at least 1 and of at most 4"),
         (lambda: record(machine(), StackStaircase(), conditions=STILL, seed=0, name="a"), "linear actuators"),
         (lambda: record(machine(), Prbs(0.1), conditions=STILL, seed=0, name="a", stacks=True), "linear actuators"),
         (

@@ -63,7 +63,7 @@ def test_scatter_has_the_size_that_was_asked_for():
     for values, spread, mean in (
         (frequency, scatter.frequency_hz, modes(truth)[0]),
         (damping, scatter.damping, modes(truth)[1]),
-        (delay, scatter.delay, truth.delay),
+        (delay, scatter.delay_s, truth.delay),
         (gain, scatter.static_gain, -np.linalg.solve(truth.stiffness, truth.input_gain).ravel()),
     ):
         np.testing.assert_allclose(values.std(axis=0), spread, rtol=0.07)
@@ -138,7 +138,7 @@ def test_faults_do_what_they_say_and_leave_the_rest():
     assert np.ptp(np.exp(1j * shift)) < 1e-9
     assert 0 < shift[0] < 2 * np.pi
 
-    spiky = made(Faults(spikes_per_s=20, spike_size=20e-6))
+    spiky = made(Faults(spikes_per_s=20, spike_size_m=20e-6))
     off = np.abs(spiky.signal("p") - right.signal("p"))
     assert set(np.round(np.unique(off) * 1e6, 6)) == {0.0, 20.0}
     assert 5 <= (off > 0).sum() <= 40
@@ -147,12 +147,12 @@ def test_faults_do_what_they_say_and_leave_the_rest():
 
 
 def test_rub_is_kept_and_flagged():
-    rub = made(Faults(rub_clearance=8e-6), rig=machine(sensors=SensorChain(offset_p=(0, 0), noise_p=0)))
+    rub = made(Faults(rub_clearance_m=8e-6), rig=machine(sensors=SensorChain(offset_p_m=(0, 0), noise_p_m=0)))
     assert touch_downs(rub)
 
 
 def test_converters_step():
-    sensors = SensorChain(resolution_p=5e-9, resolution_u=7e-9)
+    sensors = SensorChain(resolution_p_m=5e-9, resolution_u_m=7e-9)
     for rig in (machine(sensors=sensors), replace(machine(sensors=sensors), actuator=PiezoStacks())):
         rec = made(rig=rig)
         for signal, step in (("p", 5e-9), ("u", 7e-9)):
@@ -165,14 +165,17 @@ def test_converters_step():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: Faults(dead={"p": 0.0}), "dead = p: 0.0; write signal.channel"),
-        (lambda: Faults(sample_time_factor=0.0), "sample_time_factor must be positive"),
-        (lambda: Faults(rub_clearance=0.0), "rub_clearance = 0.0"),
+        (lambda: Faults(dead={"p": 0.0}), "faults: no channel p; write signal.channel"),
+        (lambda: Faults(sample_time_factor=0.0), "sample_time_factor = 0.0; give a number above 0"),
+        (lambda: Faults(rub_clearance_m=0.0), "rub_clearance_m = 0.0"),
         (lambda: made(Faults(dead={"q.x": 0.0})), "has no channel q.x"),
         (lambda: made(Faults(swapped=("phi",))), "no signal phi with two channels"),
         (lambda: Scatter(share=-1.0), "share = -1.0"),
-        (lambda: Scatter(delay=(1.0,)), "give 2 finite numbers"),
-        (lambda: SensorChain(resolution_p=-1e-9), "resolution_p = -1e-09 m; give a step"),
+        (
+            lambda: Scatter(delay_s=(1.0,)),
+            r"delay_s = \(1.0,\); give \(a number of at least 0, a number of at least 0\)",
+        ),
+        (lambda: SensorChain(resolution_p_m=-1e-9), "resolution_p_m = -1e-09; give a number of at least 0"),
         (
             lambda: scattered(replace(rotor_bearing(), damping=-4000 * np.eye(2)), Scatter(), np.random.default_rng(0)),
             "does not oscillate",
@@ -244,10 +247,10 @@ def test_yaml_makes_every_kind_of_recording(whole):
         assert {signal: rec.channels[signal] for signal in rec.signals} == dict(planned.signals)
         rig = json.loads(rec.provenance["rig"])
         assert rig["flexible_mode"]["frequency_hz"] == 450.0
-        assert rig["stiffening"]["deviation"] == 0.9e-6
+        assert rig["stiffening"]["deviation_m"] == 0.9e-6
         assert rig["process_noise"]["density"] == 0.02
         assert rig["actuator"]["stacks"][2]["creep"] == 0.02
-        assert rig["sensors"]["resolution_p"] == 5e-9
+        assert rig["sensors"]["resolution_p_m"] == 5e-9
     hit = load_recording(whole.results / "recordings" / "p6_n0_hammer_y1.h5")
     assert hit.signal("f")[:, 1].max() == pytest.approx(9.0, abs=0.3)
     swapped = load_recording(whole.results / "recordings" / "p6_n0_prbs2.h5")

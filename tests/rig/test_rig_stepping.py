@@ -40,8 +40,10 @@ from gbid.rig import (
 TS = 2e-4
 FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}
 STILL = {"pressure_bar": 6.0, "speed_rpm": 0.0}
-NO_RUNOUT = {"runout_amplitude": np.zeros((2, 0)), "runout_phase": np.zeros((2, 0))}
-BARE = SensorChain(noise_p=0, noise_u=0, noise_f=0, offset_p=(0, 0), offset_u=(0, 0), encoder_counts=None, **NO_RUNOUT)
+NO_RUNOUT = {"runout_amplitude_m": np.zeros((2, 0)), "runout_phase_rad": np.zeros((2, 0))}
+BARE = SensorChain(
+    noise_p_m=0, noise_u_m=0, noise_f_n=0, offset_p_m=(0, 0), offset_u_m=(0, 0), encoder_counts=None, **NO_RUNOUT
+)
 SENSOR_NOISE = 30e-9
 
 
@@ -93,7 +95,7 @@ def test_rotor_with_all_effects_matches_an_adaptive_integration():
     rig = replace(whole(sensors=BARE, non_synchronous=None, process_noise=None), actuator=actuator())
     truth, flexible, film = rig.rotor_bearing, rig.flexible_mode, rig.stiffening
     omega = 2 * np.pi * flexible.frequency_hz
-    length = np.sqrt((film.at - film.deviation) ** 3 / film.deviation)
+    length = np.sqrt((film.at_m - film.deviation_m) ** 3 / film.deviation_m)
 
     def rates(t, s, force):
         q, dq, e, de = s.reshape(4, 2)
@@ -112,8 +114,8 @@ def test_rotor_with_all_effects_matches_an_adaptive_integration():
     first = {}
 
     def turning(t):
-        angle, speed = first["phi"] + slope * t**2 / 2 + rig.unbalance.phase, slope * t
-        e = rig.unbalance.eccentricity
+        angle, speed = first["phi"] + slope * t**2 / 2 + rig.unbalance.phase_rad, slope * t
+        e = rig.unbalance.eccentricity_m
         # minus the second derivative of e (cos, sin), by hand
         return e * np.array(
             [speed**2 * np.cos(angle) + slope * np.sin(angle), speed**2 * np.sin(angle) - slope * np.cos(angle)]
@@ -250,7 +252,7 @@ def test_process_noise_has_the_variance_of_its_density():
 
 
 def test_non_synchronous_motion_is_felt_near_its_speed_only():
-    whirl = NonSynchronous(size=0.2e-6, bandwidth_hz=5.0)
+    whirl = NonSynchronous(size_m=0.2e-6, bandwidth_hz=5.0)
     sizes = {}
     for speed in (0.0, 4000.0, 6000.0):
         rig = replace(machine(5.0, 4000.0, sensors=BARE), non_synchronous=whirl, unbalance=Unbalance(0.0))
@@ -263,7 +265,7 @@ def test_non_synchronous_motion_is_felt_near_its_speed_only():
     away = frequency - whirl.ratio * 4000 / 60
     density = whirl.bandwidth_hz / np.pi / (away**2 + whirl.bandwidth_hz**2)
     power = 0.5 * (np.abs(response @ [1, -1j]) ** 2).sum(axis=1)
-    expected = whirl.size * np.sqrt(np.trapezoid(power * density, frequency))
+    expected = whirl.size_m * np.sqrt(np.trapezoid(power * density, frequency))
     assert sizes[4000.0] == pytest.approx(expected, rel=0.15)
     assert sizes[0.0] < 1e-3 * sizes[4000.0]
     assert sizes[6000.0] < 2e-3 * sizes[4000.0]
@@ -273,10 +275,10 @@ def test_stiffening_leaves_the_disc_short_of_where_it_says():
     film = FilmStiffening(0.9e-6, 8e-6)
     alike = RotorBearingTruth(-4e5 * np.eye(2), -200 * np.eye(2), 1e5 * np.eye(2), np.zeros(2))
     rig = replace(machine(sensors=BARE), rotor_bearing=alike, stiffening=film, unbalance=Unbalance(0.0))
-    top = film.at * 4 / actuator().gain[0]  # the linear film would rest at u/4
-    made = record(rig, Staircase("x", step=top, steps=1, hold_s=0.5), conditions=STILL, seed=0, name="a")
+    top = film.at_m * 4 / actuator().gain[0]  # the linear film would rest at u/4
+    made = record(rig, Staircase("x", step_m=top, steps=1, hold_s=0.5), conditions=STILL, seed=0, name="a")
     at_top = made.signal("p")[3 * 2500 - 1, 0]  # end of the third of five levels
-    assert at_top == pytest.approx(film.at - film.deviation, rel=1e-6)
+    assert at_top == pytest.approx(film.at_m - film.deviation_m, rel=1e-6)
 
 
 def test_static_error_of_the_default_film_stays_below_the_papers():
@@ -313,7 +315,7 @@ def test_impact_gives_the_momentum_that_was_measured():
 
 def test_touch_down_is_refused_or_flagged():
     args = {"conditions": FIG7, "seed": 0, "name": "a"}
-    wild = Prbs(2.0, amplitude=6e-6, hold_s=4e-3)
+    wild = Prbs(2.0, amplitude_m=6e-6, hold_s=4e-3)
     for rig in (machine(), whole(stiffening=None)):
         with pytest.raises(DataError, match=r"recording 'a': the disc moves .* reaches the clearance"):
             record(rig, wild, **args)
@@ -363,7 +365,7 @@ def test_loop_is_the_controllers_recursion_on_what_was_measured(n_states):
     C, D = 0.1 * random.standard_normal((2, n_states)), 0.3 * np.eye(2)
     table = 1e-6 * random.standard_normal((12, 2))
     controller = SampledController(A, B, C, D, TS, runout=table, offset=(2e-6, -3e-6))
-    prbs = Prbs(0.4, amplitude=1e-6)
+    prbs = Prbs(0.4, amplitude_m=1e-6)
     rig = machine(5.0, 6000.0)
     made = record(rig, prbs, conditions=FIG7, seed=2, name="a", controller=controller, settle_s=0)
     alone = record(rig, prbs, conditions=FIG7, seed=2, name="a", settle_s=0)
@@ -417,7 +419,7 @@ def test_loop_is_held_to_the_travel():
         (lambda **k: record(machine(), Prbs(0.1), controller=replace(p_controller(), sample_time=1e-3), **k), "0.001"),
         (lambda **k: SampledController(np.eye(2), np.eye(3), np.eye(2), np.eye(2), TS), r"B has shape \(3, 3\)"),
         (lambda **k: replace(p_controller(), sample_time=0.0), "sample_time = 0.0"),
-        (lambda **k: FilmStiffening(9e-6, 8e-6), "deviation = 9e-06"),
+        (lambda **k: FilmStiffening(9e-6, 8e-6), "deviation_m = 9e-06"),
         (lambda **k: FlexibleMode(frequency_hz=0.0), "frequency_hz = 0.0"),
         (lambda **k: ProcessNoise(-1.0), "density = -1.0"),
         (lambda **k: Hammer(()), "no impacts"),

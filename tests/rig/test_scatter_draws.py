@@ -17,7 +17,7 @@ TRUTH = RotorBearingTruth(
     np.array([0.8e-3, 0.6e-3]),
 )
 SCATTER = Scatter(
-    share=0.5, delay=(1e-4, 2e-4), frequency_hz=(2.0, 4.0), damping=(0.01, 0.02), static_gain=(0.01, 0.02, 0.03, 0.04)
+    share=0.5, delay_s=(1e-4, 2e-4), frequency_hz=(2.0, 4.0), damping=(0.01, 0.02), static_gain=(0.01, 0.02, 0.03, 0.04)
 )
 
 
@@ -55,7 +55,7 @@ def test_each_number_moves_its_own_quantity_by_half_its_deviation() -> None:
 
 def test_the_scatter_is_that_of_the_papers_recordings() -> None:
     paper = Scatter()
-    stated = (*paper.delay, *paper.frequency_hz, *paper.damping, *paper.static_gain)
+    stated = (*paper.delay_s, *paper.frequency_hz, *paper.damping, *paper.static_gain)
     assert stated == tuple(PUBLISHED_RMS.values())
 
 
@@ -83,7 +83,7 @@ def test_draws_beyond_the_limits_are_rejected_and_counted(place: int, sign: int)
 
 def test_half_of_a_small_damping_or_delay_is_allowed() -> None:
     """Limits far above the truth become half of it."""
-    strict = Scatter(share=1.0, damping=(1.0, 1.0), delay=(1.0, 1.0), minimum_damping=0.9, minimum_delay=1.0)
+    strict = Scatter(share=1.0, damping=(1.0, 1.0), delay_s=(1.0, 1.0), minimum_damping=0.9, minimum_delay_s=1.0)
     damping, delay = modes(TRUTH)[1], TRUTH.delay
     just = np.concatenate([[0, 0], -0.49 * damping, -0.49 * delay, np.zeros(4)])
     found, rejected = scattered(TRUTH, strict, Given(just))

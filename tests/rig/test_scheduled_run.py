@@ -11,8 +11,8 @@ from gbid.rig import Course, Prbs, ScheduledRun, SensorChain, Stationary, Unbala
 
 TS = 2e-4
 BARE = SensorChain(
-    noise_p=0, noise_u=0, offset_p=(0, 0), offset_u=(0, 0), encoder_counts=None,
-    runout_amplitude=np.zeros((2, 0)), runout_phase=np.zeros((2, 0)),
+    noise_p_m=0, noise_u_m=0, offset_p_m=(0, 0), offset_u_m=(0, 0), encoder_counts=None,
+    runout_amplitude_m=np.zeros((2, 0)), runout_phase_rad=np.zeros((2, 0)),
 )  # fmt: skip
 LPV = gbid.load_model("theisen2016")
 
@@ -29,11 +29,11 @@ def test_rotor_follows_the_surfaces():
         pressure, speed = (float(v) for v in run.course.at(np.array(t)))
         p = LPV.key_parameters(pressure, speed)
         K, D = (np.reshape([p[f"{letter}_{pair}"] for pair in ("xx", "xy", "yx", "yy")], (2, 2)) for letter in "kd")
-        angle = first + float(turning.angle(np.array(t))) + unbalance.phase
+        angle = first + float(turning.angle(np.array(t))) + unbalance.phase_rad
         omega, alpha = (float(f(np.array(t))) for f in (turning.speed_at, turning.acceleration_at))
         radial, along = np.array([np.cos(angle), np.sin(angle)]), np.array([np.sin(angle), -np.cos(angle)])
         return np.concatenate(
-            [s[2:], K @ s[:2] + D @ s[2:] + unbalance.eccentricity * (omega**2 * radial + alpha * along)]
+            [s[2:], K @ s[:2] + D @ s[2:] + unbalance.eccentricity_m * (omega**2 * radial + alpha * along)]
         )
 
     p = made.signal("p")

@@ -8,7 +8,7 @@ from gbid.rig import Machine, Prbs, SensorChain, Unbalance, record
 PUBLISHED = gbid.load_model("theisen2016")
 TRUE = PUBLISHED.key_parameters(6.0, 0.0)
 NO_RUNOUT = SensorChain(
-    runout_amplitude=np.zeros((2, 1)), runout_phase=np.zeros((2, 1)), offset_p=(0.0, 0.0), offset_u=(0.0, 0.0)
+    runout_amplitude_m=np.zeros((2, 1)), runout_phase_rad=np.zeros((2, 1)), offset_p_m=(0.0, 0.0), offset_u_m=(0.0, 0.0)
 )
 
 

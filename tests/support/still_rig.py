@@ -19,13 +19,13 @@ def recorded(
         truth |= {key: truth[key] * (1 + scatter * rng.normal()) for key in KEY_PARAMETERS}
     none = np.zeros((2, 2))
     sensors = SensorChain(
-        noise_p=noise, runout_amplitude=none, runout_phase=none, offset_p=(0.0, 0.0), offset_u=(0.0, 0.0)
+        noise_p_m=noise, runout_amplitude_m=none, runout_phase_rad=none, offset_p_m=(0.0, 0.0), offset_u_m=(0.0, 0.0)
     )
     machine = Machine.from_parameters(truth, truth, unbalance=Unbalance(0.0), sensors=sensors)
     conditions = {"pressure_bar": point[0], "speed_rpm": point[1]}
     return record(
         machine,
-        Prbs(amplitude=amplitude, hold_s=hold_s, duration_s=n * 2e-4),
+        Prbs(amplitude_m=amplitude, hold_s=hold_s, duration_s=n * 2e-4),
         conditions=conditions,
         seed=number,
         name=f"r{number}",

@@ -29,7 +29,7 @@ def machine_at(pressure, speed, noise=30e-9):
         RotorBearingTruth(square["k"], square["d"], square["b"], axes["tau"]),
         ActuatorTruth(axes["p1"], axes["p2"], axes["kappa"]),
         Unbalance(),
-        SensorChain(noise_p=noise),
+        SensorChain(noise_p_m=noise),
     )
 
 

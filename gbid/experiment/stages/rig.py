@@ -22,7 +22,7 @@ from gbid.experiment.controllers import (
 )
 from gbid.experiment.experiment import Check, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, nearest, refusal
-from gbid.experiment.machine import RigRun, faults_of, machine_at, outside_domain, rig_experiment, rig_model, rig_run
+from gbid.experiment.machine import RigRun, machine_at, outside_domain, rig_experiment, rig_model, rig_run
 from gbid.experiment.recordings import recording_result
 from gbid.experiment.rig_schema import RigLoopSection, RigSection
 from gbid.experiment.run import Job, Stage, Task
@@ -102,7 +102,6 @@ def faults_name_recordings(experiment: Experiment) -> Found:
             if not any(q.imported is None for q in experiment.matching((pattern,))):
                 known = nearest(pattern, experiment.recordings)
                 yield (*here, "recordings"), f"no recording of the rig matches {pattern!r}; {known}"
-        yield from refusal(here, partial(faults_of, entry))
 
 
 def effects_are_known(experiment: Experiment) -> Found:
@@ -279,7 +278,7 @@ def running(experiment: Experiment, planned: PlannedRecording, run: RigRun) -> S
         return replace(made, runout=runout_map.evaluate(nodes) - runout_map.mean, offset=runout_map.mean)
     A, B, C, D = (np.array(getattr(controller.sampled, letter)) for letter in "ABCD")
     name = controller.sampled.name
-    return SampledController(A, B, C, D, rig.sample_time_s, offset=run.machine.sensors.offset_p, name=name)
+    return SampledController(A, B, C, D, rig.sample_time_s, offset=run.machine.sensors.offset_p_m, name=name)
 
 
 @lru_cache(maxsize=16)

@@ -1,0 +1,144 @@
+"""Options as frozen dataclasses: types with bounds, and one check of values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from functools import cache
+from numbers import Integral, Real
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from gbid.core.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Mark of a type whose values pydantic does not convert: ``"3"``, ``3.0`` and ``True`` are no whole numbers.
+
+    Attributes
+    ----------
+    finite : bool
+        Whether a number must be finite; in a file it must be in any case.
+    """
+
+    finite: bool = False
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        """Return the schema of pydantic for the type, strict."""
+        schema = {**handler(source), "strict": True}
+        return {**schema, "allow_inf_nan": False} if schema["type"] == "float" else schema
+
+
+Number = Annotated[float, Exact()]
+Finite = Annotated[float, Exact(finite=True)]
+Positive = Annotated[float, Exact(finite=True), Gt(0)]
+NotNegative = Annotated[float, Exact(finite=True), Ge(0)]
+Count = Annotated[int, Exact(), Ge(1)]
+CountOrZero = Annotated[int, Exact(), Ge(0)]
+
+# ---- Check of the values of a dataclass of options against the types of its fields.
+
+
+def check_options(options: Any, owner: str = "") -> None:
+    """Check each option against the type of its field.
+
+    Parameters
+    ----------
+    options : dataclass
+        Its types are made of numbers, texts, ``Literal``, ``None``, sequences, mappings with names, and ``Annotated``
+        with bounds.
+    owner : str
+        What the options belong to, for the message.
+
+    Raises
+    ------
+    UsageError
+        For the first value that its type does not allow; names the option and what is allowed.
+    """
+    made = next(kind for kind in type(options).__mro__ if "__dataclass_fields__" in vars(kind))
+    for name, kind in _types(made).items():
+        value = getattr(options, name)
+        if not _allows(kind, value):
+            verb = "choose" if get_origin(kind) is Literal else "give"
+            raise UsageError(f"{owner}{': ' if owner else ''}{name} = {value!r}; {verb} {_words(kind)}")
+
+
+@cache
+def _types(made: Any) -> dict[str, Any]:
+    hints = get_type_hints(made, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(made)}
+
+
+def _allows(kind: Any, value: Any) -> bool:
+    """Return whether a type allows a value."""
+    origin, args = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _allows(args[0], value) and all(_holds(bound, value) for bound in args[1:])
+    if origin in (Union, UnionType):
+        return any(_allows(each, value) for each in args)
+    if origin is Literal:
+        return any(type(value) is type(each) and value == each for each in args)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return isinstance(value, Mapping) and all(_allows(args[1], each) for each in value.values())
+    if origin is tuple and args[-1] is not ...:
+        is_row = isinstance(value, list | tuple | np.ndarray) and len(value) == len(args)
+        return is_row and all(map(_allows, args, value))
+    if origin is Callable:
+        return callable(value)
+    if origin is not None:  # a sequence
+        return isinstance(value, list | tuple | np.ndarray) and all(_allows(args[0], each) for each in value)
+    if kind in (None, NoneType):
+        return value is None
+    if isinstance(value, bool | np.bool_) or kind is bool:
+        return kind is bool and isinstance(value, bool)
+    numbers = {float: Real, int: Integral}
+    return isinstance(value, numbers.get(kind, kind))
+
+
+def _holds(bound: Any, value: Any) -> bool:
+    """Return whether a number keeps a bound; other marks of a type hold."""
+    if isinstance(bound, Gt):
+        return bool(bound.gt < value)
+    if isinstance(bound, Ge):
+        return bool(bound.ge <= value)
+    if isinstance(bound, Exact):
+        return not bound.finite or math.isfinite(value)
+    return bool(value <= bound.le) if isinstance(bound, Le) else True
+
+
+def _words(kind: Any) -> str:
+    """Return what a type allows, in words."""
+    origin, args = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        bounds = [_bound(mark) for mark in args[1:] if isinstance(mark, Gt | Ge | Le)]
+        return f"{_words(args[0])}{' ' if bounds else ''}{' and '.join(bounds)}"
+    if origin in (Union, UnionType):
+        return _either([_words(each) for each in args])
+    if origin is Literal:
+        return _either([repr(each) for each in args])
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return f"a dict by name of {_words(args[1])}"
+    if origin is tuple and args[-1] is not ...:
+        return f"({', '.join(map(_words, args))})"
+    if origin is Callable:
+        return "a function"
+    if origin is not None:
+        return f"a list of {_words(args[0])}"
+    named = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", NoneType: "None"}
+    return named.get(kind) or str(kind.__name__)
+
+
+def _bound(mark: Gt | Ge | Le) -> str:
+    if isinstance(mark, Gt):
+        return f"above {mark.gt}"
+    return f"of at least {mark.ge}" if isinstance(mark, Ge) else f"of at most {mark.le}"
+
+
+def _either(words: list[str]) -> str:
+    *others, last = words
+    return f"{', '.join(others)} or {last}" if others else last
