@@ -13,8 +13,8 @@ import gbid
 from gbid.control.tuning.local import optimise_locally
 from gbid.control.tuning.loops import families_of, loop_equations
 from gbid.control.tuning.peaks import find_peaks, peak_slopes
-from gbid.control.tuning.plane import Eigensystem
-from gbid.control.tuning.problem import GainProblem, InvariantSubspaces, Limits, merit
+from gbid.control.tuning.plane import Eigensystem, InvariantSubspaces
+from gbid.control.tuning.problem import GainProblem, Limits, merit
 from gbid.control.tuning.solve import check_counts
 from gbid.core.errors import UsageError
 
@@ -197,6 +197,25 @@ def test_slopes_of_all_pieces_against_differences(controller: str) -> None:
                 ]
                 difference = (alike[0].value - alike[1].value) / (2 * step)
                 assert function.slope[i] == pytest.approx(difference, rel=2e-4, abs=2e-5)
+
+
+def test_curvature_of_all_pieces_against_differences() -> None:
+    problem, x = paper_problem("biquad", static_amplification=1.5, slowest_pole=100.0)
+    here = problem.functions(x, window=0.1)
+    step = 1e-5
+    sides = [problem.functions(x + step * e, window=0.2) for e in np.vstack([np.eye(len(x)), -np.eye(len(x))])]
+    for group in ("aim", "limits"):
+        for function in getattr(here, group):
+            # the slope of a peak at a fixed frequency has another derivative than the slope of the peak
+            if function.kind not in ("aim", "pole", "static"):
+                continue
+            slopes = []
+            for side in sides:
+                alike = [p for p in getattr(side, group) if (p.kind, p.loop) == (function.kind, function.loop)]
+                slopes.append(min(alike, key=lambda p, place=function.place: abs(p.place - place)).slope)
+            difference = (np.array(slopes[: len(x)]) - slopes[len(x) :]) / (2 * step)
+            found = problem.curvature(x, here.states, [(function, 1.0)])
+            np.testing.assert_allclose(found, difference, rtol=1e-3, atol=1e-3 * np.abs(difference).max())
 
 
 def test_meeting_eigenvalues_have_smooth_mean_and_gap() -> None:

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from gain_problems import loops_of
 
-from gbid.control.tuning.local import LocalOptimum, optimise_locally
+from gbid.control.tuning.local import optimise_locally
 from gbid.control.tuning.plants import LoopsAtPoints, Uncertainty
 from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits
-from gbid.control.tuning.solve import TOLERANCE, add_worst_points, measure
+from gbid.control.tuning.search import SearchTask
+from gbid.control.tuning.solve import TOLERANCE, Solution, add_worst_points, measure
 from gbid.lpv import Domain
 
 DOMAIN = Domain((2.0, 7.0), (0.0, 8000.0))
@@ -27,9 +28,9 @@ def bump(P: Any, Omega: Any, exp: Any = ca.exp) -> Any:
     return exp(-(((P - TOP[0]) / 0.5) ** 2) - ((Omega - TOP[1]) / 600) ** 2)
 
 
-def at_corners(loops: LoopsAtPoints, limits: Limits) -> tuple[GainProblem, LocalOptimum]:
+def at_corners(loops: LoopsAtPoints, limits: Limits) -> Solution:
     problem = GainProblem((loops.family(CORNERS),), limits, np.array([-3.0]), np.array([3.0]), 1.0)
-    return problem, optimise_locally(problem, np.zeros(1))
+    return Solution(problem, optimise_locally(problem, np.zeros(1)))
 
 
 def asks_for_more(g: Any, s: Any) -> Any:
@@ -43,10 +44,11 @@ def asks_for_more(g: Any, s: Any) -> Any:
 
 def test_the_worst_point_inside_is_added_and_the_search_ends() -> None:
     loops = loops_of(asks_for_more)
-    problem, found = at_corners(loops, Limits())
-    assert (found.x[0], found.score.value) == pytest.approx((0.0, 0.9), abs=1e-6)
+    known = at_corners(loops, Limits())
+    assert (known.best.x[0], known.best.score.value) == pytest.approx((0.0, 0.9), abs=1e-6)
     told: list[Any] = []
-    best, problem, history, verified = add_worst_points(problem, found, loops, DOMAIN, told.append)
+    solution, verified = add_worst_points(known, loops, DOMAIN, SearchTask(np.zeros(1), progress=told.append))
+    problem, best, history = solution.problem, solution.best, solution.history
     assert best.converged
     assert best.x == pytest.approx([0.65], abs=1e-4)
     assert best.score.value == pytest.approx(0.68875, abs=TOLERANCE)
@@ -70,11 +72,12 @@ def test_a_limit_that_a_point_inside_exceeds_holds_the_design_back() -> None:
         return np.exp(gains[0] * bump(*family.points.T, exp=np.exp))
 
     loops = loops_of(lambda g, _s: 0.4 - (g - 1) ** 2)
-    problem, found = at_corners(loops, Limits(extra=(ExtraLimit("push", push, float(np.exp(0.5))),)))
-    assert (found.x[0], found.score.value) == pytest.approx((1.0, 0.4), abs=1e-5)
-    table = measure(problem, found.x, loops, np.vstack([CORNERS[:1], TOP]))
+    known = at_corners(loops, Limits(extra=(ExtraLimit("push", push, float(np.exp(0.5))),)))
+    assert (known.best.x[0], known.best.score.value) == pytest.approx((1.0, 0.4), abs=1e-5)
+    table = measure(known.problem, known.best.x, loops, np.vstack([CORNERS[:1], TOP]))
     np.testing.assert_allclose(table, [[-0.4, -0.4], [-0.4, -0.4], [-0.5, 0.5]], atol=1e-4)  # aim, slowest pole, push
-    best, problem, _, _ = add_worst_points(problem, found, loops, DOMAIN, None)
+    solution, _ = add_worst_points(known, loops, DOMAIN, SearchTask(np.zeros(1)))
+    problem, best = solution.problem, solution.best
     assert best.converged
     assert best.x == pytest.approx([0.5], abs=2 * TOLERANCE)
     assert best.score.value == pytest.approx(0.15, abs=2 * TOLERANCE)
@@ -96,16 +99,13 @@ def test_the_worst_of_all_plants_counts_at_a_point() -> None:
 
 def test_nothing_is_added_where_no_point_is_worse() -> None:
     loops = loops_of(lambda g, s: 0.4 - (g - 1) ** 2 - 0.01 * s[0])  # worst along the edge at 7 bar
-    problem, found = at_corners(loops, Limits())
-    best, problem, history, _ = add_worst_points(problem, found, loops, DOMAIN, None)
-    assert best is found
-    assert history == ()
-    assert len(problem.families[0]) == 4
+    known = at_corners(loops, Limits())
+    assert add_worst_points(known, loops, DOMAIN, SearchTask(np.zeros(1)))[0] is known
 
 
 def test_ending_before_all_worst_points_are_in_is_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module("gbid.control.tuning.solve"), "_MOST_ROUNDS_WORST_POINTS", 1)
+    monkeypatch.setattr(import_module("gbid.control.tuning.solve"), "_ROUNDS", 0)
     loops = loops_of(asks_for_more)
-    problem, found = at_corners(loops, Limits())
-    best, *_ = add_worst_points(problem, found, loops, DOMAIN, None)
-    assert not best.converged
+    known = at_corners(loops, Limits())
+    solution, _ = add_worst_points(known, loops, DOMAIN, SearchTask(np.zeros(1)))
+    assert not solution.best.converged

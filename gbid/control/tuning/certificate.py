@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gbid.control.tuning.plane import true_rates
-from gbid.control.tuning.problem import ActiveFunction, ActiveFunctions, Cluster, GainProblem, merit, near_sums
+from gbid.control.tuning.plane import Cluster, eigenvalues, power_sums, true_rates
+from gbid.control.tuning.problem import ActiveFunction, ActiveFunctions, GainProblem, merit
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
 
 # ---- Choice of the eigenvalues that may meet at a better design, and return to a point where they do.
@@ -233,15 +233,14 @@ def _sums(
 ) -> tuple[dict[tuple[int, int], ComplexArray], list[tuple[complex, ComplexArray]]]:
     """Return the eigenvalues of the loops of some clusters at a design, and means and power sums of the clusters."""
     states = {mean.family: problem.families[mean.family].states(x) for mean in means}
-    least, spectra = 0.01 * problem.scale, {}
-    found: list[tuple[complex, ComplexArray]] = [(0j, np.zeros(0, complex))] * len(means)
-    for f, loop in {(mean.family, mean.loop) for mean in means}:
-        own = [i for i, mean in enumerate(means) if (mean.family, mean.loop) == (f, loop)]
-        rows = [(places[i].real, places[i].imag, max(abs(places[i]), least), means[i].size) for i in own]
-        spectra[f, loop], sums = near_sums(states[f][loop], np.array(rows))
-        for i, one in zip(own, sums, strict=True):
-            found[i] = one
-    return spectra, found
+    loops = {(mean.family, mean.loop) for mean in means}
+    spectra = {(f, loop): eigenvalues(states[f][loop][None])[0] for f, loop in loops}
+    sums = []
+    for mean, place in zip(means, places, strict=True):
+        values = spectra[mean.family, mean.loop]
+        nearest = np.argsort(np.abs(values - place), kind="stable")[: mean.size]
+        sums.append(power_sums(values[nearest], max(abs(place), 0.01 * problem.scale)))
+    return spectra, sums
 
 
 # ---- Shortest convex combination of gradients of the objective, plus multiples of those of limits, bounds and
@@ -403,7 +402,7 @@ def certify(problem: GainProblem, x: FloatArray, unit: FloatArray) -> tuple[Cert
     """
     best = _at_design(problem, x, unit)
     for radius in _RADII:
-        if best.holds or problem.exhausted:
+        if best.holds or problem.evaluations.exhausted:
             break
         found, y = _in_ball(problem, x, unit, radius)
         if y is not x:
@@ -480,7 +479,7 @@ def _spreads(one: Meeting, problem: GainProblem) -> tuple[_Spread, list[_Spread]
 
 def _in_ball(problem: GainProblem, x: FloatArray, unit: FloatArray, radius: float) -> tuple[Certificate, FloatArray]:
     """Return the certificate by gradients from a ball, and a better design if there is one in it, else the same."""
-    before, most = problem.evaluations, 20 + 5 * len(x)
+    before, most = problem.evaluations.count, 20 + 5 * len(x)
     here = problem.functions(x, radius)
     if not here.score.usable:
         return NO_CERTIFICATE, x
@@ -488,7 +487,7 @@ def _in_ball(problem: GainProblem, x: FloatArray, unit: FloatArray, radius: floa
     hull = _bounds(problem, x, unit, radius)
     hull.add(here)
     gain = np.inf
-    while problem.evaluations - before < most:
+    while problem.evaluations.count - before < most:
         direction = hull.shortest()
         length = float(np.linalg.norm(direction))
         gain = length / value

@@ -185,25 +185,6 @@ def _within_reach(rows: FloatArray, sides: FloatArray, lower: FloatArray, upper:
     return bool(((least <= sides) & (sides <= most)).all())
 
 
-_DIFFERENCE = 1e-6
-
-
-def curvature_by_differences(problem: GainProblem, x: FloatArray, step: RidgeStep) -> FloatArray:
-    """Return the second derivative of the weighted functions, by differences of their gradients, made convex.
-
-    Means of clusters are left out: they need a Schur form for every gain and change the steps little.
-    """
-    width = problem.upper - problem.lower
-    weights = [(piece, weight) for piece, weight in step.weights if piece.kind != "cluster"]
-    if not weights:
-        return np.zeros((len(x), len(x)))
-    h = np.where(x + _DIFFERENCE * width > problem.upper, -_DIFFERENCE, _DIFFERENCE) * width
-    slopes = problem.slopes_at([piece for piece, _ in weights], [x, *(x + np.diag(h))])
-    signs = np.array([-w if piece.kind == "aim" else w for piece, w in weights])
-    # functions without a gradient at a nearby design are left out
-    return _convex(np.einsum("n,qnd->qd", signs, np.nan_to_num((slopes[1:] - slopes[0]) / h[:, None, None])))
-
-
 def _convex(H: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh((H + H.T) / 2)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
@@ -224,18 +205,17 @@ class LocalOptimum:
 
 
 _PENALTY = 10.0
-_PATIENCE = 10
+_JUDGED = 10
 """Number of iterations over which the rise of the merit is judged."""
 _HOPE = 10.0
-"""By how many times its last rise a climb may still be expected to rise."""
-_MOVED = 1e-3
-"""By how much the corrections of a move to a meeting may raise the objective."""
-_LATE = 30
-"""Number of iterations after which a climb that has not reached its goal ends; those that do are there before."""
-_CHECKED = (15, 20, 25)
-"""Iterations after which a climb may be too far behind its goal."""
+"""By how many times its last rise a local search may still be expected to rise."""
+_LATE, _EARLY = 30, 15
+"""Iterations after which a local search that has not reached its goal ends, and from which on one that is too far
+behind does; those that reach it have reached it by then."""
 _SETTLED = 1e-5
-"""Rise below which a climb that has passed its goal ends; the best design of all is climbed to the end later."""
+"""Rise below which a local search ends."""
+_MOVED = 1e-3
+"""By how much the corrections of a move to coalescing eigenvalues may raise the objective."""
 
 
 def optimise_locally(
@@ -244,12 +224,10 @@ def optimise_locally(
     *,
     radius: float = 0.1,
     max_iterations: int = 200,
-    tolerance: float = 1e-9,
-    rough: bool = False,
+    plain: bool = False,
     goal: float = -np.inf,
-    behind: float = np.inf,
+    pace: float = np.inf,
     repair: bool = True,
-    on_step: Callable[[int, Score], None] | None = None,
 ) -> LocalOptimum:
     r"""Return a local optimum.
 
@@ -273,110 +251,96 @@ def optimise_locally(
         Initial trust region, as a share of the width of the bounds.
     max_iterations : int
         Largest number of iterations.
-    tolerance : float
-        Smallest trust region, in the same unit; the optimisation then ends.
-    rough : bool
-        Whether H stays zero and no steps to meetings are tried: a third of the time for a design near the optimum.
+    plain : bool
+        Whether H stays zero and no steps to coalescence are tried: a third of the time for a design near the optimum.
     goal : float
-        Merit below which the optimum has no use. The optimisation ends when it will hardly be reached, or has been
-        and rises no more.
-    behind : float
-        By what share of its goal a climb may be behind for each iteration that is left to reach it.
+        Merit below which the optimum has no use: the local search ends when it will hardly be reached.
+    pace : float
+        By what share of its goal a local search may be behind for each iteration that is left to reach it.
     repair : bool
         Whether small violations of limits that are left are made smaller with a larger penalty.
-    on_step : callable, optional
-        Called with iteration and score.
 
     Returns
     -------
     LocalOptimum
     """
     x = np.clip(start, problem.lower, problem.upper)
-    found = _climb(problem, x, radius, max_iterations, tolerance, rough, _PENALTY, goal, behind, on_step)
-    if repair and 1e-8 < found.score.violation < 0.1 and merit(found.score, _PENALTY) > goal:
-        again = _climb(problem, found.x, 1e-3, 40, tolerance, rough, 1e3 * _PENALTY, goal, behind, on_step)
-        found = replace(again, iterations=found.iterations + again.iterations)
-    return found
+    optimum = _sqp(problem, x, radius, max_iterations, plain, goal, pace, _PENALTY)
+    if repair and 1e-8 < optimum.score.violation < 0.1 and merit(optimum.score, _PENALTY) > goal:
+        again = _sqp(problem, optimum.x, 1e-3, 40, plain, goal, pace, 1e3 * _PENALTY)
+        optimum = replace(again, iterations=optimum.iterations + again.iterations)
+    return optimum
 
 
-def _climb(
+def _sqp(
     problem: GainProblem,
     x: FloatArray,
     radius: float,
     max_iterations: int,
-    tolerance: float,
-    rough: bool,
-    penalty: float,
+    plain: bool,
     goal: float,
-    behind: float,
-    on_step: Callable[[int, Score], None] | None,
+    pace: float,
+    penalty: float,
 ) -> LocalOptimum:
     width = problem.upper - problem.lower
     H = np.zeros((len(x), len(x)))
     functions = problem.functions(x)
     groups: list[tuple[Meeting, ...]] | None = None
-    stalled, milestone, lately = 0, merit(functions.score, penalty), merit(functions.score, penalty)
+    stalled, before = 0, merit(functions.score, _PENALTY)
     for iteration in range(1, max_iterations + 1):
-        if not functions.score.usable or problem.exhausted:
+        if not functions.score.usable or problem.evaluations.exhausted:
             return LocalOptimum(x, functions.score, iteration, False)
         box = np.maximum(-radius * width, problem.lower - x), np.minimum(radius * width, problem.upper - x)
         # peaks are not computed for a design whose objective alone is below the present merit
         floor = merit(functions.score, penalty)
-        plain = ridge_step(functions, list(functions.aim), [], H, width, box, penalty)
-        best, improvement = plain, -np.inf
-        if plain is not None:
-            penalty = max(penalty, 2.0 * plain.limit_weight if plain.keeps_limits else 0.0)
-            improvement = merit(problem.score(x + plain.move, floor), penalty) - floor
-        met: list[_MeetingStep] = []
-        if not rough and (plain is None or improvement < 0.5 * plain.gain or plain.gain <= 1e-13):
+        first = ridge_step(functions, list(functions.aim), [], H, width, box, penalty)
+        best, improvement = first, -np.inf
+        if first is not None:
+            penalty = max(penalty, 2.0 * first.limit_weight if first.keeps_limits else 0.0)
+            improvement = merit(problem.score(x + first.move, floor), penalty) - floor
+        steps: list[_MeetingStep] = []
+        if not plain and (first is None or improvement < 0.5 * first.gain or first.gain <= 1e-13):
             groups = meetings(problem, x, functions) if groups is None else groups
-            met = _meeting_steps(groups, functions, H, width, box, penalty)
-        for step, means in met:
+            steps = _meeting_steps(groups, functions, H, width, box, penalty)
+        for step, means in steps:
             penalty = max(penalty, 2.0 * step.limit_weight if step.keeps_limits else 0.0)
             if step.gain <= improvement:
                 continue
             move = back_to_meeting(problem, x, step.move, means, floor + max(improvement, 0.0) - _MOVED)
             if move is None:
                 continue
-            step = replace(step, move=move)
-            gained = merit(problem.score(x + step.move, floor + max(improvement, 0.0)), penalty) - floor
+            gained = merit(problem.score(x + move, floor + max(improvement, 0.0)), penalty) - floor
             if gained > improvement:
-                best, improvement = step, gained
-        if plain is not None and max([plain.gain, *(step.gain for step, _ in met)]) <= 1e-13:
+                best, improvement = replace(step, move=move), gained
+        if first is not None and max([first.gain, *(step.gain for step, _ in steps)]) <= 1e-13:
             return LocalOptimum(x, functions.score, iteration, True)
-        # a step with meeting eigenvalues may promise a loss, but it is accepted only when it improves the merit
+        # a step to coalescence may promise a loss, but it is accepted only when it improves the merit
         promised = np.inf if best is None else max(best.gain, 0.0)
         good = improvement > 0.05 * promised
         if best is not None and (good or improvement > 1e-7):
             x = np.clip(x + best.move, problem.lower, problem.upper)
             functions, groups = problem.functions(x), None
-            if on_step is not None:
-                on_step(iteration, functions.score)
-            if not rough:
-                H = curvature_by_differences(problem, x, best)
+            if not plain:
+                signed = [(piece, -weight if piece.kind == "aim" else weight) for piece, weight in best.weights]
+                H = _convex(problem.curvature(x, functions.states, signed))
         if improvement > 0.5 * promised:
             radius = min(2 * radius, 0.5)
         elif not good:
             radius *= 0.35
         stalled = stalled + 1 if improvement < 1e-9 else 0
-        creeps = False
-        if iteration % 30 == 0:
-            reached = merit(functions.score, penalty)
-            creeps, milestone = reached - milestone < 1e-5, reached
-        if iteration % _PATIENCE == 0:
-            reached = merit(functions.score, _PENALTY)
-            rise = max(reached - lately, 0.0)
-            if reached + _HOPE * rise < goal or (iteration >= _LATE and reached < goal):
-                return LocalOptimum(x, functions.score, iteration, False)
-            if reached > goal > -np.inf and rise < _SETTLED:
-                return LocalOptimum(x, functions.score, iteration, False)
-            lately = reached
-        if behind < np.inf and iteration in _CHECKED:
-            demanded = goal - behind * (_LATE - iteration) * abs(goal)
-            if merit(functions.score, _PENALTY) < demanded:
-                return LocalOptimum(x, functions.score, iteration, False)
-        if radius < tolerance or stalled > 12 or creeps:
+        if radius < 1e-9 or stalled > 12:
             return LocalOptimum(x, functions.score, iteration, True)
+        reached = merit(functions.score, _PENALTY)
+        if iteration % 5 == 0 and iteration >= _EARLY and goal > -np.inf:
+            left = max(_LATE - iteration, 0)
+            if reached < goal - (pace * left * abs(goal) if left else 0.0):
+                return LocalOptimum(x, functions.score, iteration, False)
+        if iteration % _JUDGED == 0:
+            rise, before = max(reached - before, 0.0), reached
+            if reached + _HOPE * rise < goal:
+                return LocalOptimum(x, functions.score, iteration, False)
+            if rise < _SETTLED and (iteration >= _LATE or reached > goal > -np.inf):
+                return LocalOptimum(x, functions.score, iteration, True)
     return LocalOptimum(x, functions.score, max_iterations, False)
 
 

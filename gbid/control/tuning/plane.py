@@ -1,23 +1,23 @@
-"""Planes of eigenvalues: true rates and frequencies of loops that are given by their bilinear transform."""
+"""Eigenvalues of loops: rates and damping of modes, eigenvectors, clusters of eigenvalues, derivatives by the gains.
+
+The loops of a sampled design are given by their bilinear transform, so that their stable region is the left half-plane.
+"""
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eig
-from scipy.linalg.lapack import dgebal, zgees
+from scipy.linalg.lapack import dgebal, zgees, ztrsen, ztrsyl
 
-from gbid.control.tuning.c_source import CLUSTERS, EIGENSYSTEMS, PEAKS, SCHUR, SLOPES
-from gbid.control.tuning.loops import Derivatives
 from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray
-from gbid.core.compiled import CompilerMissingError, Library, load_library
+
+IntArray = npt.NDArray[np.intp]
 
 _FASTEST = 40.0
 """Largest decay of a mode in one sample, as an exponent; a dead-beat mode (z = 0) is given this rate."""
@@ -85,246 +85,6 @@ def _z(values: ComplexArray, sample_time: float) -> ComplexArray:
     return np.asarray((1 + half) / np.where(np.abs(below) > 1e-300, below, 1e-300))
 
 
-# ---- Calls of the compiled kernels on numpy arrays.
-
-SchurResponse = tuple[ComplexArray, ComplexArray, ComplexArray]
-IntArray = npt.NDArray[np.intp]
-_COUNT, _PLACE, _REAL = ctypes.c_long, ctypes.c_void_p, ctypes.c_double
-_TYPES: dict[str, list[Any]] = {
-    "near_sums": [_COUNT, _PLACE, _COUNT, _PLACE, _PLACE],
-    "schur_form": [_COUNT, _PLACE, _PLACE],
-    "eigensystems": [_COUNT, _COUNT, _PLACE, _REAL, *[_PLACE] * 3],
-    "cluster": [*[_COUNT] * 3, *[_PLACE] * 2, *[_REAL] * 4, _PLACE],
-}
-"""Arguments of the kernels that are called so often that their conversion counts."""
-
-
-@cache
-def kernels() -> Library | None:
-    """Return the library of the kernels; None without a C compiler. The same figures then come from numpy."""
-    try:
-        library = load_library(PEAKS + SLOPES + SCHUR + CLUSTERS + EIGENSYSTEMS)
-    except CompilerMissingError:
-        return None
-    for name in ("peaks", "peak_slopes", "eigenvalue_slopes", *_TYPES):
-        getattr(library, name).restype = ctypes.c_long
-    for name, types in _TYPES.items():
-        getattr(library, name).argtypes = types
-    return library
-
-
-def compiled_peaks(
-    library: Library,
-    poles: ComplexArray,
-    residues: ComplexArray,
-    D: FloatArray,
-    forms: Mapping[int, SchurResponse],
-    base: FloatArray,
-    extra: tuple[IntArray, FloatArray] | None,
-    least: float,
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return loop, frequency [rad/s] and height of the peaks of two by two responses.
-
-    Parameters
-    ----------
-    library : Library
-        The kernels.
-    poles : (m, n) array
-        Poles of m loops.
-    residues : (m, n, 4) array
-        Residues of the four entries.
-    D : (m, 2, 2) array
-        Responses at infinite frequency.
-    forms : dict of int to arrays
-        Schur forms (n, n), inputs (n, 2) and outputs (2, n) of loops that have no use of their modes.
-    base : (f,) array
-        Frequencies for all loops, ascending.
-    extra : (loop, frequency), optional
-        Additional frequencies.
-    least : float
-        Gain of which peaks must reach a share.
-    """
-    m, n = poles.shape
-    loops, places = (np.zeros(0, np.intp), np.zeros(0)) if extra is None else extra
-    most = m * (len(base) + 2 * n + len(places)) // 2 + m
-    loop, place, height = np.empty(most, np.intp), np.empty(most), np.empty(most)
-    form_of, every = np.full(m, -1), [np.zeros(0, complex)] * 3
-    if forms:
-        form_of[list(forms)] = np.arange(len(forms))
-        every = [np.array(parts) for parts in zip(*forms.values(), strict=True)]
-    given = [_flat(poles), _flat(residues), _flat(D), form_of, *every]
-    loops, places = np.ascontiguousarray(loops, np.intp), np.ascontiguousarray(places)
-    count = library.peaks(
-        _long(m),
-        _long(n),
-        *map(_address, given),
-        _long(len(base)),
-        _address(base),
-        _long(len(places)),
-        _address(loops),
-        _address(places),
-        ctypes.c_double(least),
-        _long(most),
-        _address(loop),
-        _address(place),
-        _address(height),
-    )
-    _check(count)
-    return loop[:count].copy(), place[:count].copy(), height[:count].copy()
-
-
-def compiled_peak_slopes(
-    library: Library, loops: Derivatives, first_row: int, loop: IntArray, frequency: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return gradients (k, d) of the largest singular values of two by two responses, and the values (k,)."""
-    k, (_, d, n, _) = len(loop), loops.dA.shape
-    value, slope = np.empty(k), np.empty((k, d))
-    given = [loops.A, loops.B, loops.C, loops.D, loops.dA, loops.dB, loops.dC, loops.dD]
-    kept = [np.ascontiguousarray(loop, np.intp), _flat(frequency), *map(_flat, given)]
-    sizes = (k, n, d, loops.C.shape[1], first_row)
-    _check(library.peak_slopes(*map(_long, sizes), *map(_address, kept), _address(value), _address(slope)))
-    return slope, value
-
-
-def compiled_eigenvalue_slopes(
-    library: Library,
-    A: FloatArray,
-    dA: FloatArray,
-    loop: IntArray,
-    known: tuple[ComplexArray, ComplexArray, ComplexArray],
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return eigenvalues (k,) near known ones of nearby matrices, and their gradients (k, d).
-
-    Parameters
-    ----------
-    library : Library
-        The kernels.
-    A, dA : (m, n, n) and (m, d, n, n) arrays
-        Matrices and their derivatives.
-    loop : (k,) array
-        Which matrix each eigenvalue is of.
-    known : tuple of arrays
-        Eigenvalues (k,) of the nearby matrices, with right and left eigenvectors (k, n).
-    """
-    k, (_, d, n, _) = len(loop), dA.shape
-    values, right, left = (np.array(part, complex, order="C") for part in known)
-    slope, A, dA, loop = np.empty((k, d), complex), _flat(A), _flat(dA), np.ascontiguousarray(loop, np.intp)
-    given = map(_address, (loop, A, dA, values, right, left, slope))
-    _check(library.eigenvalue_slopes(_long(k), _long(n), _long(d), *given))
-    return values, slope
-
-
-def compiled_near_sums(
-    library: Library, A: FloatArray, places: FloatArray, most: int
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return the eigenvalues (n,) of a matrix, and means and power sums of those nearest to some places.
-
-    Parameters
-    ----------
-    library : Library
-        The kernels.
-    A : (n, n) array
-        The matrix.
-    places : (c, 4) array
-        Real and imaginary part of each place, unit of distances, and number k of eigenvalues.
-    most : int
-        Sum K of these numbers.
-
-    Returns
-    -------
-    (n,) array
-        Eigenvalues, NaN where they are not found.
-    (K,) array
-        For each place the mean and the k - 1 power sums, see `power_sums`.
-    """
-    n, A, places = len(A), _flat(A), _flat(places)
-    found = np.empty(n + most, complex)
-    ended = library.near_sums(n, A.ctypes.data, len(places), places.ctypes.data, found.ctypes.data)
-    _check(ended)
-    if not ended:
-        found[:] = np.nan
-    return found[:n], found[n:]
-
-
-def compiled_eigensystems(
-    library: Library, A: FloatArray, longest: float
-) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
-    """Return eigenvalues (m, n), right eigenvectors as columns and left ones as rows; None when some are not found.
-
-    Those of a defective matrix are no longer than `longest`, with right ones of length one.
-    """
-    m, n, A = len(A), A.shape[-1], _flat(A)
-    values, right, left = np.empty((m, n), complex), np.empty((m, n, n), complex), np.empty((m, n, n), complex)
-    addresses = values.ctypes.data, right.ctypes.data, left.ctypes.data
-    ended = library.eigensystems(m, n, A.ctypes.data, longest, *addresses)
-    _check(ended)
-    return (values, right, left) if ended else None
-
-
-def compiled_schur_form(library: Library, A: FloatArray) -> ComplexArray | None:
-    """Return the complex Schur form of a balanced matrix as `SchurForm` has it; None when it is not found."""
-    n, A = len(A), _flat(A)
-    found = np.empty(2 * n * n + (n + 1) // 2 + n, complex)
-    ended = library.schur_form(n, A.ctypes.data, found.ctypes.data)
-    _check(ended)
-    return found if ended else None
-
-
-def compiled_cluster(
-    library: Library, form: ComplexArray, dA: FloatArray, size: int, place: complex, rate: float, farthest: float
-) -> tuple[ComplexArray, ...] | None:
-    """Return eigenvalues, mean, power sums and the gradients of both for the cluster nearest to a place, see `Cluster`.
-
-    Parameters
-    ----------
-    library : Library
-        The kernels.
-    form : complex array
-        Schur form by `compiled_schur_form`.
-    dA : (d, n, n) array
-        Derivatives of the matrix.
-    size : int
-        Number k of eigenvalues, at most n.
-    place : complex
-        Place in the complex plane.
-    rate : float
-        Unit of distances.
-    farthest : float
-        Largest cotangent of the angle between the subspace and the others.
-
-    Returns
-    -------
-    Arrays (k,), (1,), (k - 1,), (d,) and (k - 1, d); None when the subspace is not determined.
-    """
-    (d, n, _), dA = dA.shape, _flat(dA)
-    found = np.empty(2 * size + size * d, complex)
-    given = form.ctypes.data, dA.ctypes.data, place.real, place.imag, rate, farthest
-    ended = library.cluster(n, d, size, *given, found.ctypes.data)
-    _check(ended)
-    if not ended:
-        return None
-    one, two = size + 1, 2 * size
-    slopes = found[two:].reshape(size, d)
-    return found[:size], found[size:one], found[one:two], slopes[0], slopes[1:]
-
-
-def _flat(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    return np.ascontiguousarray(array)
-
-
-def _long(value: int) -> ctypes.c_long:
-    return ctypes.c_long(value)
-
-
-def _address(array: npt.NDArray[Any]) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
-
-
-def _check(ended: int) -> None:
-    if ended < 0:
-        raise MemoryError("the kernels of the tuner got no memory")
-
-
 # ---- Eigenvalues of many loops, their damping, and the derivatives of both by the gains.
 #
 # Matrices may hold numbers that are not finite, or so large that their eigenvalues are not computed. Their eigenvalues
@@ -346,11 +106,25 @@ def damping_factors(rates: ComplexArray, sample_time: float | None = None) -> Fl
     rates : complex array
         Eigenvalues in continuous time [rad/s].
     sample_time : float, optional
-        Sample time of a sampled loop [s], in which modes shorter than a sample fade out, see `plane.brevity`.
+        Sample time of a sampled loop [s], in which modes shorter than a sample fade out, see `brevity`.
     """
     magnitude = np.maximum(np.abs(rates), 1e-300)
-    found = np.where(np.abs(rates.imag) > REAL * magnitude, -rates.real / magnitude, 1.0)
-    return np.asarray(found + (1.0 - found) * brevity(rates, sample_time))
+    factors = np.where(np.abs(rates.imag) > REAL * magnitude, -rates.real / magnitude, 1.0)
+    if sample_time is None:
+        return factors
+    return np.asarray(factors + (1.0 - factors) * brevity(rates, sample_time))
+
+
+def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float | None = None) -> FloatArray:
+    """Return derivatives (k, d) of the damping factor from those of the eigenvalues in continuous time."""
+    magnitude = np.abs(rates)[:, None]
+    along = (rates.conj()[:, None] * slopes).real
+    by_gains = -slopes.real / magnitude + rates.real[:, None] * along / magnitude**3
+    if sample_time is None:
+        return np.asarray(by_gains)
+    short = brevity(rates, sample_time)[:, None]
+    fading = np.where((short > 0) & (short < 1), -slopes.real * sample_time / FADE, 0.0)
+    return np.asarray((1 - short) * by_gains + (1 - damping_factors(rates)[:, None]) * fading)
 
 
 def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
@@ -361,64 +135,32 @@ def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
     return np.asarray(product[..., 0] + 1j * product[..., 1])
 
 
+def _decomposed(decompose: Callable[[FloatArray], Any], A: FloatArray) -> tuple[Any, BoolArray]:
+    """Return the decompositions of those matrices (m, n, n) that have one, and which these are (m,)."""
+    usable = np.asarray((np.abs(A) < LARGEST).all(axis=(1, 2)))  # a comparison with NaN is false
+    try:
+        return decompose(A if usable.all() else A[usable]), usable
+    except np.linalg.LinAlgError:
+        for i in np.flatnonzero(usable):
+            try:
+                decompose(A[i])
+            except np.linalg.LinAlgError:
+                usable[i] = False
+        return decompose(A[usable]), usable
+
+
+def _with_gaps(parts: npt.NDArray[Any], usable: BoolArray) -> ComplexArray:
+    """Return an array for all matrices from that of the usable ones, NaN for the others."""
+    if usable.all():
+        return parts.astype(complex, copy=False)
+    every = np.full((len(usable), *parts.shape[1:]), np.nan, complex)
+    every[usable] = parts
+    return every
+
+
 def eigenvalues(A: FloatArray) -> ComplexArray:
     """Return the eigenvalues (m, n) of (m, n, n) matrices, NaN for those without finite eigenvalues."""
-    usable: BoolArray | None = None
-    if np.abs(A).max(initial=0.0) < LARGEST:
-        try:
-            return np.asarray(np.linalg.eigvals(A), complex)
-        except np.linalg.LinAlgError:
-            usable = _one_by_one(A)
-    usable = _usable(A) if usable is None else usable
-    found = np.full(A.shape[:2], np.nan, complex)
-    if usable.any():
-        found[usable] = np.linalg.eigvals(A[usable])
-    return found
-
-
-def _usable(A: FloatArray) -> BoolArray:
-    """Return which matrices have finite entries whose squares are finite, too."""
-    # a comparison with NaN is false
-    return np.asarray((np.abs(A) < LARGEST).all(axis=(1, 2)))
-
-
-def _one_by_one(A: FloatArray) -> BoolArray:
-    """Return for which matrices the eigenvalue iteration converges."""
-    found = np.zeros(len(A), bool)
-    for i, matrix in enumerate(A):
-        try:
-            np.linalg.eig(matrix)
-            found[i] = _usable(matrix[None])[0]
-        except np.linalg.LinAlgError:
-            pass
-    return found
-
-
-def _inverses(right: ComplexArray) -> tuple[ComplexArray, BoolArray]:
-    """Return the inverses of matrices of eigenvectors, and which of them are useless because a matrix is defective."""
-    try:
-        left = np.linalg.inv(right)
-    except np.linalg.LinAlgError:
-        left = np.full(right.shape, np.inf, complex)
-        for i, matrix in enumerate(right):
-            with suppress(np.linalg.LinAlgError):
-                left[i] = np.linalg.inv(matrix)
-    size = np.abs(left).max(axis=(1, 2))
-    return np.asarray(left, complex), np.asarray(~(size < _DEFECTIVE))
-
-
-def _left_of(A: FloatArray, right: ComplexArray) -> ComplexArray:
-    """Return left eigenvectors as rows for right ones as columns, with ``W V = I``.
-
-    A defective matrix has no complete set of eigenvectors. Its left ones are those that LAPACK finds by themselves,
-    and are divided by the smallest number instead of zero.
-    """
-    left, defective = _inverses(right)
-    for i in np.flatnonzero(defective):
-        found = eig(A[i], left=True, right=False, check_finite=False)[1].conj().T
-        products = (found * right[i].T).sum(axis=1, keepdims=True)
-        left[i] = found / np.where(np.abs(products) > 1.0 / _LONGEST, products, 1.0 / _LONGEST)
-    return left
+    return _with_gaps(*_decomposed(np.linalg.eigvals, A))
 
 
 @dataclass(frozen=True, eq=False)
@@ -436,147 +178,215 @@ class Eigensystem:
         Eigenvalues.
     right : (m, n, n) array
         Right eigenvectors as columns.
-    known_left : (m, n, n) array, optional
-        Left eigenvectors, where they were computed with the right ones.
     """
 
     A: FloatArray
     values: ComplexArray
     right: ComplexArray
-    known_left: ComplexArray | None = None
 
     @classmethod
     def of(cls, A: FloatArray) -> Eigensystem:
         """Return the eigensystems of (m, n, n) matrices."""
-        if np.abs(A).max(initial=0.0) < LARGEST:
-            if (library := kernels()) is not None and (found := compiled_eigensystems(library, A, _LONGEST)):
-                return cls(A, *found)
-            try:
-                values, right = np.linalg.eig(A)
-                return cls(A, values.astype(complex, copy=False), right.astype(complex, copy=False))
-            except np.linalg.LinAlgError:
-                usable = _one_by_one(A)
-        else:
-            usable = _usable(A)
-        values, right = np.full(A.shape[:2], np.nan, complex), np.full(A.shape, np.nan, complex)
-        if usable.any():
-            values[usable], right[usable] = np.linalg.eig(A[usable])
-        return cls(A, values, right)
+        (values, right), usable = _decomposed(np.linalg.eig, A)
+        return cls(A, _with_gaps(values, usable), _with_gaps(right, usable))
 
     @cached_property
     def left(self) -> ComplexArray:
-        """Left eigenvectors as rows, with ``W V = I``."""
-        if self.known_left is not None:
-            return self.known_left
-        usable = ~np.isnan(self.values[:, 0])
-        if usable.all():
-            return _left_of(self.A, self.right)
-        found = np.full(self.right.shape, np.nan, complex)
-        if usable.any():
-            found[usable] = _left_of(self.A[usable], self.right[usable])
-        return found
+        """Left eigenvectors as rows, with ``W V = I``.
 
-    def slopes(self, loops: npt.NDArray[np.intp], which: npt.NDArray[np.intp], dA: FloatArray) -> ComplexArray:
+        A defective matrix has no complete set of eigenvectors. Its left ones are those that LAPACK finds by themselves,
+        and are divided by the smallest number instead of zero.
+        """
+        try:
+            left = np.asarray(np.linalg.inv(self.right))
+        except np.linalg.LinAlgError:
+            left = np.full(self.right.shape, np.inf, complex)
+        defective = ~(np.abs(left).max(axis=(1, 2)) < _DEFECTIVE) & ~np.isnan(self.values[:, 0])
+        for i in np.flatnonzero(defective):
+            rows = eig(self.A[i], left=True, right=False, check_finite=False)[1].conj().T
+            products = (rows * self.right[i].T).sum(axis=1, keepdims=True)
+            left[i] = rows / np.where(np.abs(products) > 1.0 / _LONGEST, products, 1.0 / _LONGEST)
+        return left
+
+    def slopes(self, loops: IntArray, which: IntArray, dA: FloatArray) -> ComplexArray:
         """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with ``w v = 1``; dA is (m, d, n, n)."""
         return bilinear(self.left[loops, which], dA[loops], self.right[loops, :, which])
 
+    def second_slopes(
+        self, loop: int, which: IntArray, dA: FloatArray, d2A: FloatArray, reach: FloatArray
+    ) -> ComplexArray:
+        r"""Return second derivatives (k, d, d) of chosen eigenvalues of one loop; NaN where eigenvalues nearly meet.
 
-def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float | None = None) -> FloatArray:
-    """Return derivatives (k, d) of the damping factor from those of the eigenvalues in continuous time."""
-    magnitude = np.abs(rates)[:, None]
-    along = (rates.conj()[:, None] * slopes).real
-    found = -slopes.real / magnitude + rates.real[:, None] * along / magnitude**3
-    if sample_time is None:
-        return np.asarray(found)
-    short = brevity(rates, sample_time)[:, None]
-    fading = np.where((short > 0) & (short < 1), -slopes.real * sample_time / FADE, 0.0)
-    return np.asarray((1 - short) * found + (1 - damping_factors(rates)[:, None]) * fading)
-
-
-# ---- Eigenvalues of the same loops at nearby designs, and their gradients.
-
-
-class NearbyEigenvalues:
-    """Eigenvalues of m loops at several designs that lie near the first one.
-
-    Where kernels are compiled, eigenvectors of the first design are the start of an inverse iteration for those of the
-    others: a solution takes a tenth of the time of all eigenvalues.
-
-    Parameters
-    ----------
-    loops : Derivatives
-        The m loops at the first design, then those at the second one, and so on.
-    m : int
-        Number of loops.
-    """
-
-    def __init__(self, loops: Derivatives, m: int) -> None:
-        self._loops, self._m, self._library = loops, m, kernels()
-        self._system = Eigensystem.of(loops.A if self._library is None else loops.A[:m])
-
-    def slopes(self, which: npt.NDArray[np.intp], places: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the eigenvalues (k,) nearest to known ones, and their gradients (k, d).
+        With :math:`P_p = W \,\partial_p A\, V` the derivative of :math:`\lambda_k` by the gains p and q is
+        :math:`w_k \,\partial_{pq} A\, v_k + \sum_{j \ne k} (P_{p,kj} P_{q,jk} + P_{q,kj} P_{p,jk}) / (\lambda_k -
+        \lambda_j)`.
 
         Parameters
         ----------
-        which : (n, q) array
-            Loop of each of n eigenvalues in each of q designs.
-        places : (n,) array
-            Where they are at the first design.
+        loop : int
+            The loop.
+        which : (k,) array
+            The eigenvalues.
+        dA, d2A : (d, n, n) and (d, d, n, n) arrays
+            First and second derivatives of its matrix.
+        reach : (d,) array
+            Changes of the gains that must not mix an eigenvector with others by more than itself.
         """
-        system, flat = self._system, which.ravel()
-        if self._library is None:
-            at = np.abs(system.values[which] - places[:, None, None]).argmin(axis=2).ravel()
-            return system.values[flat, at], system.slopes(flat, at, self._loops.dA)
-        first = flat % self._m
-        at = np.abs(system.values[first] - np.repeat(places, which.shape[1])[:, None]).argmin(axis=1)
-        known = system.values[first, at], system.right[first, :, at], system.left[first, at]
-        return compiled_eigenvalue_slopes(self._library, self._loops.A, self._loops.dA, flat, known)
+        W, V, values = self.left[loop], self.right[loop], self.values[loop]
+        P = W @ dA @ V
+        gaps = values[which, None] - values
+        gaps[np.arange(len(which)), which] = np.inf
+        mixing = (reach[:, None, None] * np.abs(P[:, :, which])).max(axis=0).T
+        gaps[np.abs(gaps) < mixing] = np.nan
+        with np.errstate(all="ignore"):
+            mixed = P[:, which].transpose(1, 0, 2) @ (P[:, :, which] / gaps.T).transpose(2, 1, 0)
+        outer = (W[which, :, None] * V.T[which, None, :]).reshape(len(which), -1)
+        flat = d2A.reshape(-1, outer.shape[1]).T
+        direct = (outer.real @ flat + 1j * (outer.imag @ flat)).reshape(mixed.shape)
+        return np.asarray(direct + mixed + mixed.transpose(0, 2, 1))
 
 
-# ---- Complex Schur form of a balanced matrix, and the eigenvalues near given places.
+# ---- Clusters of eigenvalues that are about to meet, by functions of the gains that are smooth where they meet.
+
+_FARTHEST = 1e8
+"""Angle between a subspace and the others, as a cotangent, from which on it is not determined."""
 
 
-@dataclass(frozen=True, eq=False)
-class SchurForm:
-    """Complex Schur form of a matrix in balanced units of its states, which decide how good it is.
-
-    With the balanced matrix ``A / unit[:, None] * unit`` it is ``basis form basis*``.
+@dataclass(frozen=True)
+class Cluster:
+    """Cluster of k eigenvalues of one loop: mean, and power sums of their distances from it, with derivatives.
 
     Attributes
     ----------
-    packed : complex array
-        Form (n, n), vectors of the basis as rows (n, n), units (n,) as pairs of real numbers, and eigenvalues (n,).
-    n : int
-        Number of states.
+    values : (k,) array
+        The eigenvalues.
+    mean : complex
+        Their mean.
+    mean_slope : (d,) array
+        Its derivatives.
+    powers : (k - 1,) array
+        Power sums ``sum_i ((lambda_i - mean) / rate)^j / k`` for j = 2 ... k; all are zero where the k meet.
+    powers_slope : (k - 1, d) array
+        Their derivatives.
     """
 
-    packed: ComplexArray
-    n: int
-
-    @classmethod
-    def of(cls, A: FloatArray) -> SchurForm | None:
-        """Return the form of a finite matrix (n, n); None when it is not found."""
-        n, library = len(A), kernels()
-        found = None if library is None else compiled_schur_form(library, A)
-        if found is not None:
-            return cls(found, n)
-        balanced, _, _, unit, _ = dgebal(A, scale=1)
-        form, _, _, basis, _, failed = zgees(lambda _: None, balanced)
-        pairs = np.append(unit, np.zeros(n % 2)).view(complex)
-        return None if failed else cls(np.concatenate([form.ravel(), basis.T.ravel(), pairs, np.diag(form)]), n)
+    values: ComplexArray
+    mean: complex
+    mean_slope: ComplexArray
+    powers: ComplexArray
+    powers_slope: ComplexArray
 
     @property
-    def form(self) -> ComplexArray:
-        """Upper triangular matrix (n, n)."""
-        return self.packed[: self.n**2].reshape(self.n, self.n)
+    def real(self) -> bool:
+        """Whether mean and power sums are real, because the cluster holds the conjugate of each of its eigenvalues."""
+        return abs(self.mean.imag) <= 1e-9 * abs(self.mean)
 
-    @property
-    def basis(self) -> ComplexArray:
-        """Unitary matrix (n, n)."""
-        return self.packed[self.n**2 : 2 * self.n**2].reshape(self.n, self.n).T
 
-    @property
-    def unit(self) -> FloatArray:
-        """Units of the states (n,)."""
-        return self.packed[2 * self.n**2 : -self.n].view(float)[: self.n]
+def power_sums(values: ComplexArray, rate: float) -> tuple[complex, ComplexArray]:
+    """Return mean and power sums of eigenvalues, see `Cluster`; both hardly change by the rounding of each of them."""
+    size = len(values)
+    mean = complex(values.sum() / size)
+    distances = (values - mean) / rate
+    return mean, np.array([(distances**j).sum() / size for j in range(2, size + 1)])
+
+
+class SchurForm(NamedTuple):
+    """Complex Schur form of a matrix in balanced units of its states: ``A / unit[:, None] * unit = basis form basis*``.
+
+    Attributes
+    ----------
+    form, basis : (n, n) arrays
+        Upper triangular matrix, and unitary one.
+    unit : (n,) array
+        Units of the states.
+    """
+
+    form: ComplexArray
+    basis: ComplexArray
+    unit: FloatArray
+
+
+def schur_form(A: FloatArray) -> SchurForm | None:
+    """Return the Schur form of a finite matrix (n, n); None if the QR iteration fails."""
+    balanced, _, _, unit, _ = dgebal(A, scale=1)
+    form, _, _, basis, _, failed = zgees(lambda _: None, balanced)
+    return None if failed else SchurForm(form, basis, unit)
+
+
+class InvariantSubspaces:
+    """Invariant subspaces of the matrix of a loop, from one Schur form.
+
+    Parameters
+    ----------
+    A : (n, n) array
+        Matrix of the loop.
+    dA : (d, n, n) array
+        Its derivatives by the gains.
+    """
+
+    def __init__(self, A: FloatArray, dA: FloatArray) -> None:
+        usable = np.isfinite(dA).all() and np.abs(A).max() < LARGEST  # which NaN is not, either
+        self._dA, self._schur = dA, schur_form(A) if usable else None
+
+    def cluster(self, centre: complex, size: int, rate: float) -> Cluster | None:
+        """Return the cluster of the eigenvalues nearest to a place in the complex plane.
+
+        They span the invariant subspace ``A Q = Q M``, which is accurate where eigenvectors are not. With the left
+        basis ``L Q = I`` the derivative is ``dM = L dA Q``, and with ``N = M - mean I`` those of the power sums are
+        ``d tr N^j = j tr(N^(j-1) dN)``.
+
+        Parameters
+        ----------
+        centre : complex
+            Place in the complex plane.
+        size : int
+            Number of eigenvalues.
+        rate : float
+            Unit of distances [rad/s].
+
+        Returns
+        -------
+        Cluster, or None when the subspace is not determined up to rounding.
+        """
+        if self._schur is None or size > len(self._schur.unit):
+            return None
+        form, basis, unit = self._schur
+        n = len(unit)
+        left = basis.conj().T
+        if size < n:
+            distance = np.abs(form.diagonal() - centre)
+            order = np.argsort(distance, kind="stable")
+            if distance[order[size]] <= distance[order[size - 1]] * (1 + 1e-9):
+                return None
+            chosen = np.zeros(n, np.int32)
+            chosen[order[:size]] = 1
+            form, basis, _, inside, *_, failed = ztrsen(chosen, form, basis, job=b"N")
+            if failed or inside != size:
+                return None
+            X, scale, failed = ztrsyl(form[:size, :size], form[size:, size:], form[:size, size:], isgn=-1)
+            if failed < 0 or not np.abs(X).max() < _FARTHEST * scale:
+                return None
+            left = basis.conj().T
+            left = left[:size] + (X / scale) @ left[size:]
+        return _cluster(form[:size, :size], left / unit, unit[:, None] * basis[:, :size], self._dA, rate)
+
+
+def _cluster(M: ComplexArray, left: ComplexArray, right: ComplexArray, dA: FloatArray, rate: float) -> Cluster:
+    """Return the cluster of all eigenvalues of an upper triangular matrix ``M = left A right``."""
+    size, d = len(M), len(dA)
+    values = M.diagonal().copy()
+    mean = complex(values.sum() / size)
+    N = M / rate
+    N[range(size), range(size)] = (values - mean) / rate
+    # trace of N^(j-1) left dA right as a product of right N^(j-1) left with dA, for all j at once
+    powers = [np.eye(size, dtype=complex)]
+    for _ in range(size):
+        powers.append(powers[-1] @ N)
+    traces = np.array([power.trace() for power in powers], complex)
+    flat = (right @ np.array(powers[:-1]) @ left).transpose(0, 2, 1).reshape(size, -1)
+    products = np.vstack([flat.real, flat.imag]) @ dA.reshape(d, -1).T
+    inner = products[:size] + 1j * products[size:]
+    mean_slope = inner[0] / size
+    factors = np.arange(2, size + 1)[:, None] / (size * rate)
+    slopes = np.asarray(factors * (inner[1:] - traces[1:-1, None] * mean_slope), complex)
+    return Cluster(values, mean, mean_slope, traces[2:] / size, slopes)

@@ -10,27 +10,22 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import accumulate
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import ztrsen, ztrsyl
 
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
-from gbid.control.tuning.peaks import IntArray, Peaks, find_peaks, peak_slopes, respond
+from gbid.control.tuning.peaks import Peaks, find_peaks, peak_slopes, respond
 from gbid.control.tuning.plane import (
-    LARGEST,
+    Cluster,
     Eigensystem,
-    NearbyEigenvalues,
-    SchurForm,
-    compiled_cluster,
-    compiled_near_sums,
+    IntArray,
+    InvariantSubspaces,
     damping_factors,
     damping_slopes,
     eigenvalues,
-    kernels,
     rate_slopes,
     true_rates,
 )
@@ -238,168 +233,6 @@ def merit(score: Score, penalty: float) -> float:
     return score.value - penalty * score.violation if score.usable else -np.inf
 
 
-# ---- Clusters of eigenvalues that are about to meet, by functions of the gains that are smooth where they meet.
-
-_FARTHEST = 1e8
-"""Angle between a subspace and the others, as a cotangent, from which on it is not determined."""
-
-
-@dataclass(frozen=True)
-class Cluster:
-    """Cluster of k eigenvalues of one loop: mean, and power sums of their distances from it, with derivatives.
-
-    Attributes
-    ----------
-    size : int
-        Number k of eigenvalues.
-    values : (k,) array
-        The eigenvalues.
-    mean : complex
-        Their mean.
-    mean_slope : (d,) array
-        Its derivatives.
-    powers : (k - 1,) array
-        Power sums ``sum_i ((lambda_i - mean) / rate)^j / k`` for j = 2 ... k; all are zero where the k meet.
-    powers_slope : (k - 1, d) array
-        Their derivatives.
-    """
-
-    size: int
-    values: ComplexArray
-    mean: complex
-    mean_slope: ComplexArray
-    powers: ComplexArray
-    powers_slope: ComplexArray
-
-    @property
-    def radius(self) -> float:
-        """Largest distance of an eigenvalue from the mean, with room for rounding."""
-        return float(np.abs(self.values - self.mean).max()) * 1.01 + 1e-6 * abs(self.mean)
-
-    @property
-    def real(self) -> bool:
-        """Whether mean and power sums are real, because the cluster holds the conjugate of each of its eigenvalues."""
-        return abs(self.mean.imag) <= 1e-9 * abs(self.mean)
-
-
-class InvariantSubspaces:
-    """Invariant subspaces of the matrix of a loop, from one Schur form of the balanced matrix.
-
-    Parameters
-    ----------
-    A : (n, n) array
-        Matrix of the loop.
-    dA : (d, n, n) array
-        Its derivatives by the gains.
-    """
-
-    def __init__(self, A: FloatArray, dA: FloatArray) -> None:
-        self.dA = dA
-        usable = np.isfinite(dA).all() and np.abs(A).max() < LARGEST  # which NaN is not, either
-        self._schur = SchurForm.of(A) if usable else None
-
-    def cluster(self, centre: complex, size: int, rate: float) -> Cluster | None:
-        """Return the cluster of the eigenvalues nearest to a place in the complex plane.
-
-        They span the invariant subspace ``A Q = Q M``, which is accurate where eigenvectors are not. With the left
-        basis ``L Q = I`` the derivative is ``dM = L dA Q``, and with ``N = M - mean I`` those of the power sums are
-        ``d tr N^j = j tr(N^(j-1) dN)``.
-
-        Parameters
-        ----------
-        centre : complex
-            Place in the complex plane.
-        size : int
-            Number of eigenvalues.
-        rate : float
-            Unit of distances [rad/s].
-
-        Returns
-        -------
-        Cluster, or None when the subspace is not determined up to rounding.
-        """
-        if self._schur is None or size > self._schur.n:
-            return None
-        if (library := kernels()) is not None:
-            found = compiled_cluster(library, self._schur.packed, self.dA, size, centre, rate, _FARTHEST)
-            if found is None:
-                return None
-            values, mean, powers, mean_slope, powers_slope = found
-            return Cluster(size, values, complex(mean[0]), mean_slope, powers, powers_slope)
-        form, basis, n = self._schur.form, self._schur.basis, self._schur.n
-        left = basis.conj().T
-        if size < n:
-            distance = np.abs(np.diag(form) - centre)
-            order = np.argsort(distance, kind="stable")
-            if distance[order[size]] <= distance[order[size - 1]] * (1 + 1e-9):
-                return None
-            chosen = np.zeros(n, np.int32)
-            chosen[order[:size]] = 1
-            form, basis, _, inside, *_, failed = ztrsen(chosen, form, basis, job=b"N")
-            if failed or inside != size:
-                return None
-            X, scale, failed = ztrsyl(form[:size, :size], form[size:, size:], form[:size, size:], isgn=-1)
-            if failed < 0 or not np.abs(X).max() < _FARTHEST * scale:
-                return None
-            left = basis.conj().T
-            left = left[:size] + (X / scale) @ left[size:]
-        right = self._schur.unit[:, None] * basis[:, :size]
-        return _cluster(form[:size, :size], left / self._schur.unit, right, self.dA, rate)
-
-
-def near_sums(A: FloatArray, places: FloatArray) -> tuple[ComplexArray, list[tuple[complex, ComplexArray]]]:
-    """Return the eigenvalues of a matrix, and mean and power sums of those nearest to each of some places.
-
-    Parameters
-    ----------
-    A : (n, n) array
-        Matrix of a loop.
-    places : (c, 4) array
-        Real and imaginary part of each place, unit of distances [rad/s], and number of eigenvalues.
-    """
-    sizes = [int(k) for k in places[:, 3]]
-    if (library := kernels()) is not None:
-        values, sums = compiled_near_sums(library, A, places, sum(sizes))
-        ends = list(accumulate(sizes))
-        return values, [(complex(sums[end - k]), sums[end - k + 1 : end]) for k, end in zip(sizes, ends, strict=True)]
-    values = eigenvalues(A[None])[0]
-    orders = [np.argsort(np.abs(values - complex(x, y)), kind="stable") for x, y in places[:, :2]]
-    return values, [power_sums(values[order[:k]], row[2]) for order, k, row in zip(orders, sizes, places, strict=True)]
-
-
-def power_sums(values: ComplexArray, rate: float) -> tuple[complex, ComplexArray]:
-    """Return mean and power sums of eigenvalues, see `Cluster`; both hardly change by the rounding of each of them."""
-    size = len(values)
-    mean = complex(values.sum() / size)
-    distances = (values - mean) / rate
-    return mean, np.array([(distances**j).sum() / size for j in range(2, size + 1)])
-
-
-def _cluster(M: ComplexArray, left: ComplexArray, right: ComplexArray, dA: FloatArray, rate: float) -> Cluster:
-    """Return the cluster of all eigenvalues of an upper triangular matrix ``M = left A right``."""
-    size, d = len(M), len(dA)
-    mean = complex(np.trace(M) / size)
-    N = (M - mean * np.eye(size)) / rate
-    # trace of N^(j-1) left dA right as a product of right N^(j-1) left with dA, for all j at once
-    weights, traces, turned = [right @ left], [complex(size)], right
-    for _ in range(1, size):
-        turned = turned @ N
-        weights.append(turned @ left)
-    powers = np.empty(size - 1, complex)
-    power = N
-    for j in range(2, size + 1):
-        traces.append(complex(np.trace(power)))
-        power = power @ N
-        powers[j - 2] = np.trace(power) / size
-    flat = np.array(weights).transpose(0, 2, 1).reshape(size, -1)
-    products = np.vstack([flat.real, flat.imag]) @ dA.reshape(d, -1).T
-    inner = products[:size] + 1j * products[size:]
-    mean_slope = inner[0] / size
-    factors = np.arange(2, size + 1)[:, None] / (size * rate)
-    slopes = factors * (inner[1:] - np.array(traces[1:])[:, None] * mean_slope)
-    return Cluster(size, np.diag(M).copy(), mean, mean_slope, powers, slopes)
-
-
 # ---- Invariant subspaces of many loops at one design.
 
 
@@ -440,14 +273,38 @@ class LoopSubspaces:
         return self._forms[family, loop]
 
 
-_RESPONSES = ("sensitivity", "control", "static")
+_EIGENVALUES, _RESPONSES = ("aim", "pole"), ("sensitivity", "control", "static")
+_DIFFERENCE = 1e-6
+"""Step of differences of gradients, as a share of the bounds."""
 WINDOW = 0.3
 """Largest distance of an active function from the worst one (in damping, or in the logarithm of a limited gain)."""
 
 
+class Cut(NamedTuple):
+    """Frequency [rad/s] of a peak between those of the grid, which an exact norm has located."""
+
+    kind: str
+    family: int
+    loop: int
+    frequency: float
+
+
 @dataclass(eq=False)
+class Evaluations:
+    """Number of designs that a search has evaluated so far, and the number at which it ends (None: by itself)."""
+
+    count: int = 0
+    most: int | None = None
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the allowed number of evaluations is used up."""
+        return self.most is not None and self.count >= self.most
+
+
+@dataclass(frozen=True, eq=False)
 class GainProblem:
-    """Design problem: loops, limits and bounds. It evaluates designs and counts the evaluations.
+    """Design problem: loops, limits and bounds. Problems that are made from it by `replace` share its evaluations.
 
     Parameters
     ----------
@@ -459,14 +316,12 @@ class GainProblem:
         Bounds of the gains.
     scale : float
         Typical magnitude of an eigenvalue [rad/s], the unit of rates.
-    cuts : list
-        Frequencies of peaks found by an exact norm, as (kind, family, loop, frequency).
     linear : tuple of (name, row, limit)
         Linear limits ``row x <= limit``.
-    evaluations : int
-        Number of designs evaluated so far.
-    most_evaluations : int, optional
-        Number of evaluations after which a search ends.
+    cuts : tuple of Cut
+        Peaks between the frequencies of the grid.
+    evaluations : Evaluations
+        State of the search: it counts the designs.
     """
 
     families: tuple[LoopFamily, ...]
@@ -474,15 +329,9 @@ class GainProblem:
     lower: FloatArray
     upper: FloatArray
     scale: float
-    cuts: list[tuple[str, int, int, float]] = field(default_factory=list)
     linear: tuple[tuple[str, FloatArray, float], ...] = ()
-    evaluations: int = 0
-    most_evaluations: int | None = None
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether the allowed number of evaluations is used up."""
-        return self.most_evaluations is not None and self.evaluations >= self.most_evaluations
+    cuts: tuple[Cut, ...] = ()
+    evaluations: Evaluations = field(default_factory=Evaluations)
 
     @property
     def slowest(self) -> float:
@@ -494,7 +343,7 @@ class GainProblem:
 
         By some loops of each family it is a bound, and counts for no evaluation.
         """
-        self.evaluations += some is None
+        self.evaluations.count += some is None
         value, violation = np.inf, 0.0
         every = [family.matrices(x) for family in self.families]
         if some is not None:
@@ -551,12 +400,16 @@ class GainProblem:
         unit = 1.0 if self.limits.objective == "damping" or not self.limits.weight else self.scale
         return aim * unit / (self.limits.weight or 1.0)
 
+    def step(self, stage: str, score: Score) -> SearchStep:
+        """Return the progress of a search after one stage."""
+        return SearchStep(stage, self.evaluations.count, self.in_units(score.value), score.violation)
+
     def functions(self, x: FloatArray, window: float = WINDOW) -> ActiveFunctions:
         """Return all functions within a window of the worst one at a design, with gradients.
 
         A window of zero leaves the worst one of the objective and the limits that do not hold.
         """
-        self.evaluations += 1
+        self.evaluations.count += 1
         aims: list[ActiveFunction] = []
         limits: list[ActiveFunction] = []
         slopes_by = [family.derivatives(x) for family in self.families]
@@ -644,55 +497,83 @@ class GainProblem:
         """Return the invariant subspaces of all loops at a design."""
         return LoopSubspaces(self.families, x, 0.01 * self.scale, known)
 
-    def slopes_at(self, functions: Sequence[ActiveFunction], designs: Sequence[FloatArray]) -> FloatArray:
-        """Return the gradients of known functions at nearby designs (q, n, d), those of peaks at their old frequency.
+    def curvature(
+        self, x: FloatArray, states: Sequence[LoopState], weighted: Sequence[tuple[ActiveFunction, float]]
+    ) -> FloatArray:
+        """Return the second derivative (d, d) of a weighted sum of functions that were active at a nearby design.
 
-        NaN where a gradient is not available: for two eigenvalues too close to each other, and for additional limits.
+        That of an eigenvalue comes from the eigensystem. Second derivatives of matrices, and those of peaks at their
+        old frequency, are differences of first ones. Other limits, means of clusters (which need a Schur form for each
+        gain), and functions without a second derivative are left out.
+
+        Parameters
+        ----------
+        x : (d,) array
+            The design.
+        states : sequence of LoopState
+            Its loops.
+        weighted : sequence of (ActiveFunction, float)
+            Functions with their weights.
         """
-        found = np.full((len(designs), len(functions), len(self.lower)), np.nan)
-        for f, family in enumerate(self.families):
-            own = [i for i, piece in enumerate(functions) if piece.family == f]
-            if not own:
+        step = _DIFFERENCE * (self.upper - self.lower)
+        step = np.where(x + step > self.upper, -step, step)
+        total = np.zeros((len(x), len(x)))
+        for f, state in enumerate(states):
+            own = [entry for entry in weighted if entry[0].family == f]
+            known = [(piece, weight) for piece, weight in own if piece.kind in (*_EIGENVALUES, *_RESPONSES)]
+            if not known:
                 continue
-            used = np.unique([functions[i].loop for i in own])
-            parts = [family.derivatives(x) for x in designs]
-            if len(used) < len(family):
-                parts = [part.of(used) for part in parts]
-            loops = Derivatives.joined(parts)
-            spectral = any(functions[i].kind in ("aim", "pole") for i in own)
-            near = NearbyEigenvalues(loops, len(used)) if spectral else None
-            for kind in {functions[i].kind for i in own}:
-                same = [i for i in own if functions[i].kind == kind]
-                # the loop of each piece in each design (n, q)
-                first = np.searchsorted(used, [functions[i].loop for i in same])
-                which = first[:, None] + len(used) * np.arange(len(designs))
-                places = np.array([functions[i].place for i in same])
-                found[:, same] = self._slopes_of(kind, places, f, loops, near, which).transpose(1, 0, 2)
-        for i, piece in enumerate(functions):
-            rows = [row for name, row, _ in self.linear if name == piece.kind]
-            if rows:
-                found[:, i] = rows[0]
-        return found
+            used = np.unique([piece.loop for piece, _ in known])
+            designs = [state.derivatives, *(state.family.derivatives(y) for y in x + np.diag(step))]
+            near = Derivatives.joined([loops.of(used) for loops in designs])
+            for kind in {piece.kind for piece, _ in known}:
+                same = [(piece, weight) for piece, weight in known if piece.kind == kind]
+                weights = np.array([weight for _, weight in same])
+                loops = np.searchsorted(used, [piece.loop for piece, _ in same])
+                places = np.array([piece.place for piece, _ in same])
+                if kind in _RESPONSES:
+                    slopes = self._peak_slopes_near(rows_of(state.family, kind), near, len(used), loops, places.imag)
+                else:
+                    slopes = self._eigenvalue_slopes_near(kind, f, state, near, used, loops, places, step)
+                second = (slopes[:, 1:] - slopes[:, :1]) / step[:, None]
+                sound = np.isfinite(second).all(axis=(1, 2))
+                total += np.einsum("n,nqd->qd", weights[sound], second[sound])
+        return total
 
-    def _slopes_of(
+    @staticmethod
+    def _peak_slopes_near(
+        rows: slice, near: Derivatives, m: int, loops: IntArray, frequencies: FloatArray
+    ) -> FloatArray:
+        """Return the gradients of n peaks, each at q designs (n, q, d); `near` has m loops of each design in turn."""
+        which = loops[:, None] + np.arange(0, len(near.A), m)
+        peaks = Peaks(which.ravel(), np.repeat(frequencies, which.shape[1]), np.ones(which.size))
+        slopes, heights = peak_slopes(near, rows, peaks)
+        return (slopes / heights[:, None]).reshape(*which.shape, -1)
+
+    def _eigenvalue_slopes_near(
         self,
         kind: str,
-        places: ComplexArray,
         f: int,
-        loops: Derivatives,
-        near: NearbyEigenvalues | None,
-        which: IntArray,
+        state: LoopState,
+        near: Derivatives,
+        used: IntArray,
+        loops: IntArray,
+        places: ComplexArray,
+        step: FloatArray,
     ) -> FloatArray:
-        """Return the gradients of n functions in the chosen loops (n, q, d), NaN where they are not available."""
-        shape, flat = (*which.shape, len(self.lower)), which.ravel()
-        if kind in _RESPONSES:
-            peaks = Peaks(flat, np.repeat(places.imag, which.shape[1]), np.ones(len(flat)))
-            by_gains, heights = peak_slopes(loops, rows_of(self.families[f], kind), peaks)
-            return (by_gains / heights[:, None]).reshape(shape)
-        if near is None or kind not in ("aim", "pole"):
-            return np.full(shape, np.nan)
-        values, slopes = near.slopes(which, places)
-        return self._of_values(kind, f, values, slopes)[1].reshape(shape)
+        """Return the gradients of n functions of eigenvalues at q designs to first order in their steps (n, q, d)."""
+        d = len(step)
+        dA = near.dA.reshape(d + 1, len(used), d, *near.A.shape[1:])
+        values, slopes = np.empty((len(loops), d + 1), complex), np.empty((len(loops), d + 1, d), complex)
+        for k in np.unique(loops):
+            loop, own = int(used[k]), np.flatnonzero(loops == k)
+            which = np.abs(state.system.values[loop] - places[own, None]).argmin(axis=1)
+            first = state.system.slopes(np.full(len(own), loop), which, state.derivatives.dA)
+            d2A = (dA[1:, k] - dA[0, k]) / step[:, None, None, None]
+            second = state.system.second_slopes(loop, which, dA[0, k], d2A, np.abs(step))
+            values[own, 0], slopes[own, 0] = state.system.values[loop, which], first
+            values[own, 1:], slopes[own, 1:] = values[own, :1] + step * first, first[:, None] + step[:, None] * second
+        return self._of_values(kind, f, values.ravel(), slopes.reshape(-1, d))[1].reshape(slopes.shape)
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
         """Return measures of a design in each loop of a family, larger is worse (n, m).
@@ -724,7 +605,7 @@ class GainProblem:
         for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
             if family.n_outputs:
                 system = Eigensystem.of(loops.A) if systems is None else systems[f]
-                cuts = [cut for cut in self.cuts if cut[1] == f and len(loops.A) == len(family)]
+                cuts = [cut for cut in self.cuts if cut.family == f and len(loops.A) == len(family)]
                 own = self._peaks(family, loops, system, cuts, room)
                 found += [(kind, f, peaks, limit) for kind, peaks, limit in own]
         return found
@@ -734,15 +615,15 @@ class GainProblem:
         family: LoopFamily,
         loops: Loops,
         system: Eigensystem,
-        cuts: list[tuple[str, int, int, float]],
+        cuts: Sequence[Cut],
         room: float = np.inf,
     ) -> list[tuple[str, Peaks, float]]:
         """Return the peaks of all limited responses of one family: kind, peaks, limit."""
         found = []
         for kind, limit in (("sensitivity", self.limits.peak_sensitivity), ("control", self.limits.peak_control)):
             if limit is not None:
-                own = [cut for cut in cuts if cut[0] == kind]
-                extra = (np.array([c[2] for c in own], int), np.array([c[3] for c in own])) if own else None
+                own = [cut for cut in cuts if cut.kind == kind]
+                extra = (np.array([c.loop for c in own], int), np.array([c.frequency for c in own])) if own else None
                 peaks = find_peaks(loops, system, rows_of(family, kind), extra, least=limit * float(np.exp(-room)))
                 found.append((kind, peaks, limit))
         if self.limits.static_amplification is not None:

@@ -15,7 +15,6 @@ from gbid.control.loop.sensitivity import structured_singular_values
 from gbid.control.tuning.goals import Bound, BoundLike, DesignContext, Wanted, bound_over_frequency, positive
 from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
 from gbid.control.tuning.peaks import (
-    IntArray,
     ModalResponse,
     Peaks,
     around,
@@ -24,7 +23,7 @@ from gbid.control.tuning.peaks import (
     find_peaks,
     peak_slopes,
 )
-from gbid.control.tuning.plane import Eigensystem, searched_frequencies, true_frequencies
+from gbid.control.tuning.plane import Eigensystem, IntArray, searched_frequencies, true_frequencies
 from gbid.control.tuning.problem import ExtraLimit, Limits, LoopState, Measure, Pieces
 from gbid.core.arrays import ComplexArray, FloatArray, is_finite
 from gbid.core.errors import UsageError

@@ -1,9 +1,9 @@
-"""Climbs to local optima, as many iterations as their stage is worth."""
+"""Search over gains: start values, local searches in rungs, basin hopping."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from heapq import heapify, heappop, heappush
 
 import numpy as np
@@ -11,8 +11,7 @@ import numpy as np
 from gbid.control.tuning.certificate import certify
 from gbid.control.tuning.local import LocalOptimum, ascend, optimise_locally
 from gbid.control.tuning.loops import LoopFamily
-from gbid.control.tuning.peaks import IntArray
-from gbid.control.tuning.plane import eigenvalues, true_rates
+from gbid.control.tuning.plane import IntArray, eigenvalues, true_rates
 from gbid.control.tuning.problem import GainProblem, Limits, Score, SearchStep, merit
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
@@ -45,37 +44,95 @@ def best_of(found: list[LocalOptimum]) -> LocalOptimum:
     return best
 
 
+@dataclass(frozen=True)
+class SearchOptions:
+    """Effort of a search over gains. The figures behind the numbers are in docs/decisions/0078-search-over-gains.md.
+
+    Parameters
+    ----------
+    starts : int, optional
+        Number of random starts. By default a grid for up to three gains. For more gains 16, and 8 for more than eight;
+        where only eigenvalues count 24, and 12 for more than twelve.
+    seed : int
+        Seed of the random starts and moves.
+    finalists : int
+        Number of the best designs that are fully optimised.
+    short : int
+        Iterations of a short local search: from each start, then again from the better two thirds.
+    full : int
+        Iterations of the full ones.
+    hops : int
+        Largest number of random moves of a design, each with a new local search: basin-hopping steps, for more than
+        three gains. They are needed because a local search may stop early where eigenvalues meet.
+    patience : int
+        Number of moves in vain, one after the other, that end them. One move of six leaves a lower local optimum.
+    returned : int
+        Number of moves back to the same optimum that end them.
+    hop_sizes : tuple of float
+        Sizes of the moves in turn, as shares of the bounds; the way out of a basin may be a few %.
+    free_hop_sizes : tuple of float
+        Sizes where only eigenvalues count, in units or shares of the gains.
+    hop_radius : float
+        Trust region after a move, as a share of the bounds.
+    sketch : bool
+        Whether several different designs are wanted, as starts for similar loops: each finalist is moved a few times.
+    sketch_hops : int
+        Number of these moves.
+    """
+
+    starts: int | None = None
+    seed: int = 0
+    finalists: int = 3
+    short: int = 30
+    full: int = 100
+    hops: int = 48
+    patience: int = 16
+    returned: int = 8
+    hop_sizes: tuple[float, ...] = (0.005, 0.01, 0.02, 0.05)
+    free_hop_sizes: tuple[float, ...] = (1e-3, 1e-2, 0.1, 0.5)
+    hop_radius: float = 0.01
+    sketch: bool = False
+    sketch_hops: int = 6
+
+
+Progress = Callable[[SearchStep], None]
+
+
+@dataclass(frozen=True)
+class SearchTask:
+    """Where and how to search.
+
+    Parameters
+    ----------
+    neutral : (d,) array
+        Gains near which the loops are probably stable. Random starts are moved towards it until they are stable.
+    first : tuple of (d,) arrays
+        Additional start values.
+    options : SearchOptions
+        Effort.
+    progress : callable, optional
+        Called with a `SearchStep` after each stage.
+    """
+
+    neutral: FloatArray
+    first: tuple[FloatArray, ...] = ()
+    options: SearchOptions = SearchOptions()
+    progress: Progress | None = None
+
+
 GRID = {1: 61, 2: 25, 3: 9}
 """Number of grid points per gain, for up to three gains."""
-_HOP_SIZES = (0.005, 0.01, 0.02, 0.05)
-"""Sizes of random moves with limits on responses, as shares of the bounds; the way out of a basin may be a few %."""
-_FINE_HOPS = (0.0015, 0.005, 0.015, 0.05)
-"""The same on the way to a design for sampled loops, whose eigenvalues meet in narrower regions."""
-_HOP_RADIUS, _FINE_RADIUS = 0.01, 0.02
-"""Trust regions after random moves, and after those."""
-_FREE_HOPS = (1e-3, 1e-2, 0.1, 0.5)
-"""Sizes of random moves without limits on responses, in units or shares of the gains."""
-_ROUGH = 30
-"""Number of iterations from each start where more than eigenvalues counts; the better two thirds get as many again."""
-LATER_RADIUS = 0.02
-"""Trust region with which these go on, as a share of the bounds."""
-_SMALL = 8
-"""Largest number of gains for which twice as many starts with limits take about a second."""
-_FEW = 6
-"""Largest number of gains whose first climbs are not plain: they are cheap, and end in the lower basin less often."""
-_NEXT = 1e-3
-"""Distance from a bound, as a share of the bounds, of a gain that is next to it."""
-_SHORT = (1e-3, 5e-3)
-"""Trust regions of the short climbs from a design without a certificate."""
-_BEHIND = 4e-3
-"""By what share of its goal a climb may be behind for each iteration that is left to reach it."""
-_RACED = 100
-"""Largest number of iterations of a full optimisation in a race: one that creeps gets on faster by a random move."""
+_AT_BOUND = 1e-3
+"""Distance from a bound, as a share of the bounds, of a gain that a further local search begins at that bound."""
+_PACE = 4e-3
+"""By what share of its goal a local search after a random move may be behind for each iteration that is left."""
+_SHORT_STEPS = (1e-3, 5e-3)
+"""Trust regions of further local searches from a design without a certificate."""
 
 
 @dataclass(frozen=True, eq=False)
-class Climber:
-    """Local optimisation of a problem: steps over all active functions, and BFGS where nothing but damping counts.
+class LocalSearch:
+    """Local search of a problem: SQP over all active functions, and BFGS where nothing but eigenvalues counts.
 
     Limits make a ridge of every design on them, along which BFGS is slow. Without limits it is the faster one: its
     evaluations need one gradient only.
@@ -86,120 +143,91 @@ class Climber:
         The design problem.
     unit : (d,) array
         Units of the gains.
-    fine : bool
-        Whether some random moves are shorter, as a design for a sampled loop needs them.
+    options : SearchOptions
+        Numbers of iterations, sizes of moves.
     """
 
     problem: GainProblem
     unit: FloatArray
-    fine: bool = False
+    options: SearchOptions
     _certified: dict[bytes, bool] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def free(self) -> bool:
-        """Whether only eigenvalues count."""
+        """Whether only eigenvalues count, and BFGS takes the place of SQP; few gains need no help."""
         limits = self.problem.limits
-        return not (limits.has_responses or limits.measures or self.problem.linear)
+        limited = limits.has_responses or limits.measures or self.problem.linear
+        return len(self.unit) not in GRID and not limited
 
-    @property
-    def starts(self) -> int:
-        """Number of random starts."""
-        if not self.free:
-            return 8 if len(self.unit) > _SMALL else 16
-        return 24 if len(self.unit) <= 12 else 12
+    def short(self, start: FloatArray, goal: float, again: bool = False) -> LocalOptimum:
+        """Return a better design near a start by few evaluations, fewer where a goal is out of reach.
 
-    @property
-    def hop_sizes(self) -> tuple[float, ...]:
-        """Sizes of random moves."""
-        if self.free:
-            return _FREE_HOPS
-        return _FINE_HOPS if self.fine else _HOP_SIZES
-
-    def rough(self, start: FloatArray, goal: float, radius: float = 0.1) -> LocalOptimum:
-        """Return a design near a start that is better, with few evaluations; fewer where the goal is out of reach."""
+        It begins with shorter steps, and has curvature and coalescence, where it is called `again`.
+        """
         if self.free:
             return self._ascent(start, 100 + 20 * len(start))
-        plain = radius > LATER_RADIUS and len(start) > _FEW
+        radius, few = 0.02 if again else 0.1, self.options.short
         return optimise_locally(
-            self.problem,
-            start,
-            radius=radius,
-            max_iterations=_ROUGH,
-            tolerance=1e-5,
-            goal=goal,
-            behind=self._behind,
-            rough=plain,
-            repair=False,
+            self.problem, start, radius=radius, max_iterations=few, plain=not again, goal=goal, repair=False
         )
 
-    def full(self, start: FloatArray, goal: float | None = None) -> LocalOptimum:
-        """Return a local optimum; with a goal, as in a race of many starts, only one that soon reaches it."""
-        if goal is not None:
-            return optimise_locally(self.problem, start, max_iterations=_RACED, goal=goal, behind=self._behind)
-        if not self.free:
-            return optimise_locally(self.problem, start, max_iterations=300)
-        if len(start) in GRID:
-            found = optimise_locally(self.problem, start, max_iterations=_RACED)
-            if found.converged and self.certified(found):
-                return found
-        return optimise_locally(self.problem, self._ascent(start, 200 + 60 * len(start)).x, max_iterations=300)
+    def full(self, start: FloatArray, goal: float = -np.inf) -> LocalOptimum:
+        """Return a local optimum; less good where it will not soon reach a goal."""
+        if self.free:
+            start = self._ascent(start, 200 + 60 * len(start)).x
+        return optimise_locally(self.problem, start, max_iterations=self.options.full, goal=goal, pace=_PACE)
 
     def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
         """Return the local optimum after a random move of some size; less good where it will not be better."""
-        x = best.x
-        step = size * rng.standard_normal(len(x))
-        if not self.free:
-            moved = x + step * (self.problem.upper - self.problem.lower)
-            radius, goal = _FINE_RADIUS if self.fine else _HOP_RADIUS, rank(best)
-            return optimise_locally(self.problem, moved, max_iterations=60, radius=radius, goal=goal, behind=_BEHIND)
-        found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
-        return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
+        step = size * rng.standard_normal(len(best.x))
+        if self.free:
+            ascent = self._ascent(best.x + step * np.maximum(self.unit, np.abs(best.x)), 100 + 40 * len(best.x))
+            return optimise_locally(self.problem, ascent.x, max_iterations=20, radius=1e-3)
+        x, radius = best.x + step * (self.problem.upper - self.problem.lower), self.options.hop_radius
+        return optimise_locally(self.problem, x, max_iterations=60, radius=radius, goal=rank(best), pace=_PACE)
 
     def with_certificate(self, best: LocalOptimum) -> LocalOptimum:
-        """Return a certified design by short climbs from a design without a certificate, or else the best one of them.
+        """Return a certified design by local searches with short steps from one without, or else the best of them.
 
-        A climb along a narrow ridge may creep and end early: others with other first steps do not. One of them begins
-        with the gains at the bounds that they are next to.
+        A local search along a narrow ridge may creep and end early: those with other first steps do not. One of them
+        begins with the gains at the bounds that they are next to.
         """
         low, high = self.problem.lower, self.problem.upper
-        near = _NEXT * (high - low)
+        near = _AT_BOUND * (high - low)
         at_bounds = np.where(best.x - low < near, low, np.where(high - best.x < near, high, best.x))
         for start in [best.x, at_bounds] if (at_bounds != best.x).any() else [best.x]:
-            for radius in _SHORT:
-                if self.certified(best) or self.problem.exhausted:
+            for radius in _SHORT_STEPS:
+                if self.problem.evaluations.exhausted or self.certified(best):
                     return best
-                found = optimise_locally(self.problem, start, max_iterations=60, radius=radius)
-                best = found if better(found.score, best.score) else best
+                again = optimise_locally(self.problem, start, max_iterations=60, radius=radius)
+                best = again if better(again.score, best.score) else best
         return best
 
     def certified(self, best: LocalOptimum) -> bool:
         """Return whether a design is optimal to first order."""
         key = best.x.tobytes()
-        if key not in self._certified:  # to find no certificate takes a hundred times as long as to find one
+        if key not in self._certified:  # that there is no certificate takes a hundred times as long as to find one
             self._certified[key] = certify(self.problem, best.x, certificate_units(self.unit, best.x))[0].holds
         return self._certified[key]
 
-    @property
-    def _behind(self) -> float:
-        """How far climbs from starts may be behind; without an end for few gains, whose starts are cheap."""
-        return _BEHIND if len(self.unit) > _SMALL else np.inf
-
-    @property
-    def _left(self) -> int:
-        return max((self.problem.most_evaluations or 0) - self.problem.evaluations, 1)
+    def settled(self, finals: list[LocalOptimum]) -> bool:
+        """Return whether three of the best designs have the same value and the best one is certified."""
+        best = best_of(finals)
+        return sum(_same(one.score, best.score, _AGREE) for one in finals) > 2 and self.certified(best)
 
     def _ascent(self, start: FloatArray, most: int) -> LocalOptimum:
-        problem = self.problem
-        x = np.clip(start, problem.lower, problem.upper)
-        found = ascend(
+        problem, evaluations = self.problem, self.problem.evaluations
+        if evaluations.most is not None:
+            most = min(most, max(evaluations.most - evaluations.count, 1))
+        ascent = ascend(
             lambda y: problem.merit_and_slope(y, PENALTY),
-            x,
+            np.clip(start, problem.lower, problem.upper),
             problem.lower,
             problem.upper,
             self.unit,
-            max_evaluations=most if problem.most_evaluations is None else min(most, self._left),
+            max_evaluations=most,
         )
-        return LocalOptimum(found.x, problem.score(found.x), found.evaluations, True)
+        return LocalOptimum(ascent.x, problem.score(ascent.x), ascent.evaluations, True)
 
 
 def certificate_units(unit: FloatArray, x: FloatArray) -> FloatArray:
@@ -207,126 +235,60 @@ def certificate_units(unit: FloatArray, x: FloatArray) -> FloatArray:
     return np.maximum(unit, np.abs(x))
 
 
-# ---- Basin hopping: random moves of a design, each with a new local optimisation.
+# ---- Basin hopping: random moves of a design, each with a new local search.
 
 Note = Callable[[str, Score], None]
-_HOPPED = 2
-"""Number of different designs for basin hopping; the best one before it need not be the best one after it."""
-_FIRST, _LATER = 12, 4
-"""Number of random moves of each size with limits until the first improvement, and after an improvement."""
 _PROGRESS = 3e-4
 """Relative gain of a random move below which it counts as in vain."""
 _OTHER = 1e-3
 """Relative difference of values from which on designs count as different optima."""
-_STALLED = 0.03
-"""Relative gain by random moves from which on the first climbs are taken for stalled ones."""
-_KNOWN = 3e-4
-"""Relative difference of values of two lines of random moves that count as the same optimum."""
-_SAME = 1e-4
-"""Relative difference of values after random moves that count as the same optimum."""
-_WIDE, _RETURNED = 3, 8
-"""Number of random moves to the same optimum, the shortest moves not counted, from which on its basin counts as wide,
-and after which no more moves are made."""
+_SAME, _AGREE = 1e-4, 1e-5
+"""Relative difference of values that count as the same optimum: after random moves, and of full local searches."""
 
 
-@dataclass(frozen=True)
-class HoppedLine:
-    """Best design of a line of random moves, how many longer moves came back to it, and the optima on the way."""
+def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator, note: Note) -> LocalOptimum:
+    """Move the best design at random, then others as long as the best one cannot be trusted.
 
-    best: LocalOptimum
-    returned: int
-    optima: tuple[Score, ...]
-
-
-def hop_freely(
-    climber: Climber, finals: list[LocalOptimum], rng: np.random.Generator, most: int, note: Note
-) -> LocalOptimum:
-    """Move the best different designs at random, then the best one that was found."""
-    kinds = len(climber.hop_sizes)
-    apart = _apart(finals, 0.1 * (climber.problem.upper - climber.problem.lower))[:_HOPPED]
-    lines = [hop_basins(climber, start, rng, most, kinds, note).best for start in apart]
-    return hop_basins(climber, best_of(lines), rng, most, 2 * kinds, note).best
-
-
-def hop_with_limits(
-    climber: Climber, finals: list[LocalOptimum], rng: np.random.Generator, most: int, note: Note
-) -> LocalOptimum:
-    """Move the best design at random, then other ones where the best one cannot be trusted.
-
-    All others where it has no certificate, or where the moves made it much better: the first climbs had stalled, so
-    their order says little. One other where the moves came back or led nowhere: a better one may lie far off.
+    It cannot where it has no certificate. One other design is moved where the moves of the best one led nowhere: a
+    better one may lie far off.
     """
-    kinds = len(climber.hop_sizes)
     start = best_of(finals)
-    others = [one for one in finals if abs(one.score.value - start.score.value) > _OTHER * abs(start.score.value)]
-    line = hop_basins(climber, start, rng, most, _LATER * kinds, note, first=_FIRST * kinds)
-    known = line.optima
-    best = climber.with_certificate(line.best)
-    much_better = best.score.value - start.score.value > _STALLED * abs(start.score.value)
-    stuck = line.returned >= _WIDE or _same(best.score, start.score, _OTHER)
-    doubted = len(others) if much_better else int(stuck)
-    for moved, other in enumerate(sorted(others, key=rank, reverse=True)):
-        if climber.problem.exhausted or (moved >= doubted and climber.certified(best)):
+    others = [one for one in sorted(finals, key=rank, reverse=True) if not _same(one.score, start.score, _OTHER)]
+    best = local.with_certificate(hop_line(local, start, rng, note))
+    doubted = int(_same(best.score, start.score, _OTHER))
+    less = replace(local, options=replace(local.options, patience=local.options.patience // 2))
+    for i, other in enumerate(others):
+        if local.problem.evaluations.exhausted or (i >= doubted and local.certified(best)):
             break
-        line = hop_basins(climber, other, rng, most, 2 * kinds, note, known)
-        known += line.optima
-        if better(line.best.score, best.score):
-            line = hop_basins(climber, line.best, rng, most, 3 * kinds, note, known)
-            known += line.optima
-            best = climber.with_certificate(line.best)
+        line = hop_line(less, other, rng, note)
+        best = local.with_certificate(line) if better(line.score, best.score) else best
     return best
 
 
-def hop_basins(
-    climber: Climber,
-    best: LocalOptimum,
-    rng: np.random.Generator,
-    most: int,
-    in_vain: int,
-    note: Note,
-    known: tuple[Score, ...] = (),
-    first: int = 0,
-) -> HoppedLine:
-    """Move a design at random and optimise again, until a number of moves in a row gave no improvement.
-
-    Before any improvement `first` moves may be in vain, if that is more: where one move of five leads to a better
-    design, ten in a row miss it once in ten times. With limits, fewer moves are enough when several of them come back
-    to the same optimum, or when one leads to an optimum that is known from another line.
-    """
-    vain = returned = 0
-    optima: list[Score] = []
-    for i in range(most):
-        enough = vain >= (in_vain if vain < i else max(first, in_vain))
-        if enough or returned == _RETURNED or climber.problem.exhausted:
+def hop_line(local: LocalSearch, best: LocalOptimum, rng: np.random.Generator, note: Note) -> LocalOptimum:
+    """Move a design at random and optimise again, until a number of moves in a row were in vain or came back."""
+    options, vain, returned = local.options, 0, 0
+    sizes = options.free_hop_sizes if local.free else options.hop_sizes
+    for i in range(options.hops):
+        if vain >= options.patience or returned >= options.returned or local.problem.evaluations.exhausted:
             break
-        size = climber.hop_sizes[i % len(climber.hop_sizes)]
-        again = climber.hop(best, size, rng)
+        size = sizes[i % len(sizes)]
+        again = local.hop(best, size, rng)
+        improved = better(again.score, best.score)
         progress = again.score.value - best.score.value > _PROGRESS * abs(best.score.value)
         repaired = again.score.violation <= FEASIBLE < best.score.violation
-        improved = better(again.score, best.score)
-        vain = 0 if improved and (progress or repaired) else vain + 1
-        counts = _same(again.score, best.score) and size > climber.hop_sizes[0] and not climber.free
-        returned = returned + counts if vain else 0
+        if improved and (progress or repaired):
+            vain = returned = 0
+        else:
+            vain += 1
+            returned += _same(again.score, best.score, _SAME) and size > sizes[0] and not local.free
         best = again if improved else best
         note("basin hopping", best.score)
-        if improved and any(_same(best.score, one, _KNOWN) for one in known):
-            break
-        if improved:
-            optima.append(best.score)
-    return HoppedLine(best, returned, tuple(optima))
+    return best
 
 
-def _same(one: Score, other: Score, share: float = _SAME) -> bool:
-    return one.violation <= FEASIBLE and abs(one.value - other.value) <= share * abs(other.value)
-
-
-def _apart(found: list[LocalOptimum], distance: FloatArray) -> list[LocalOptimum]:
-    """Return designs that differ by more than a distance in some gain, best first."""
-    chosen: list[LocalOptimum] = []
-    for one in sorted(found, key=rank, reverse=True):
-        if all((np.abs(one.x - other.x) > distance).any() for other in chosen):
-            chosen.append(one)
-    return chosen
+def _same(score: Score, other: Score, share: float) -> bool:
+    return score.violation <= FEASIBLE and abs(score.value - other.value) <= share * abs(other.value)
 
 
 # ---- Random points that fill a box evenly.
@@ -392,7 +354,7 @@ def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n
 
 def stabilised(problem: GainProblem, x: FloatArray, unit: FloatArray) -> FloatArray:
     """Return gains whose loops are stable, by an ascent of the slowest decay; or where that ascent ends."""
-    decay = GainProblem(problem.families, Limits("decay"), problem.lower, problem.upper, problem.scale)
+    decay = replace(problem, limits=Limits("decay"), linear=(), cuts=())
     enough = 1.1 * problem.slowest / problem.scale + 1e-3
     found = ascend(
         lambda y: decay.merit_and_slope(y, 0.0),
@@ -403,7 +365,6 @@ def stabilised(problem: GainProblem, x: FloatArray, unit: FloatArray) -> FloatAr
         max_evaluations=60 + 15 * len(x),
         enough=enough,
     )
-    problem.evaluations += decay.evaluations
     return found.x
 
 
@@ -585,48 +546,7 @@ def _movement(before: ComplexArray, after: ComplexArray, scale: float) -> float:
     return float(distance.max()) / scale
 
 
-# ---- Global search: choice of start values, and the best of the local optima.
-
-Progress = Callable[[SearchStep], None]
-_FINALISTS = 3
-"""Number of the best designs that are then fully optimised."""
-_SKETCHED = 6
-"""Number of random moves of each of them in a search for other loops."""
-_OTHER_RADII = (0.2, 0.02)
-"""Trust regions of further climbs from the most promising design of other loops, as shares of the bounds."""
-_SAME_GLOBAL_SEARCH = 1e-3
-"""Distance of rough designs of few gains, as a share of the bounds, within which they belong to one optimum."""
-_AGREE = 1e-5
-"""Relative difference of local optima that count as one."""
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Computational effort of the search.
-
-    Parameters
-    ----------
-    starts : int, optional
-        Number of random starts. By default a grid for up to three gains; for more gains 24 for up to twelve, else
-        12, but 8 where more than eigenvalues counts.
-    seed : int
-        Seed of the random starts.
-    finalists : int
-        Number of the best designs that are fully optimised.
-    hops : int
-        Largest number of basin hops of each of the best designs, with more than three gains. A hop is a random move
-        and a new local optimisation. It is needed because a local optimisation may stop early where eigenvalues meet.
-        Hopping ends after several hops without improvement.
-    sketch : bool
-        Whether the search, for more than three gains, ends with several different designs: each of the best after a few
-        hops, as starts for other loops.
-    """
-
-    starts: int | None = None
-    seed: int = 0
-    finalists: int = 5
-    hops: int = 48
-    sketch: bool = False
+# ---- Search: start values, rungs of local searches, basin hopping.
 
 
 @dataclass(frozen=True)
@@ -638,149 +558,79 @@ class SearchOutcome:
     ends: tuple[LocalOptimum, ...]
 
 
-def search(
-    problem: GainProblem,
-    neutral: FloatArray,
-    effort: Effort,
-    first: Iterable[FloatArray] = (),
-    progress: Progress | None = None,
-) -> SearchOutcome:
+def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
     """Return the best design within the bounds.
 
-    Parameters
-    ----------
-    problem : GainProblem
-        The design problem.
-    neutral : (d,) array
-        Gains near which the loops are probably stable. Random starts are moved towards it until they are stable.
-    effort : Effort
-        Computational effort.
-    first : iterable of (d,) arrays
-        Additional start values.
-    progress : callable, optional
-        Called with a `SearchStep` after each stage.
-
-    Returns
-    -------
-    SearchOutcome
-
-    Notes
-    -----
-    For up to three gains: a grid, whose best points that are not neighbours are optimised. For more gains: evenly
-    spread points, with some steps of local optimisation from each start. Then the best designs are fully optimised.
+    The starts (the best points of a grid for up to three gains, else evenly spread ones, and those that are given) go
+    through short local searches, the better two thirds of them once more, and the best few through full ones. The best
+    of these is moved at random.
     """
+    options, d = task.options, len(task.neutral)
     history: list[SearchStep] = []
-
-    top: list[Score] = []
+    top = Score(-np.inf, np.inf)
 
     def note(stage: str, score: Score) -> None:
-        if not top or better(score, top[0]):
-            top[:] = [score]
-        history.append(SearchStep(stage, problem.evaluations, problem.in_units(top[0].value), top[0].violation))
-        if progress is not None:
-            progress(history[-1])
+        nonlocal top
+        top = score if better(score, top) else top
+        history.append(problem.step(stage, top))
+        if task.progress is not None:
+            task.progress(history[-1])
 
-    d = len(neutral)
-    given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (neutral, *first)]
-    climber = Climber(problem, gain_units(problem, given[0]), fine=effort.sketch)
-    rough: list[LocalOptimum] = []
-    if d in GRID and effort.starts is None:
-        for x in (*given, *grid_starts(problem, given[0], climber.unit, GRID[d], effort.finalists)):
-            rough.append(optimise_locally(problem, x, max_iterations=10, tolerance=1e-4, rough=True, repair=False))
-        note("global", best_of(rough).score)
+    given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (task.neutral, *task.first)]
+    local = LocalSearch(problem, gain_units(problem, given[0]), options)
+    if d in GRID and options.starts is None:
+        starts = grid_starts(problem, given[0], local.unit, GRID[d], _NODES)
     else:
-        n = effort.starts if effort.starts is not None else climber.starts
-        for start in (*given, *random_starts(problem, given[0], climber.unit, n, effort.seed)):
-            rough.append(climber.rough(start, max(map(rank, rough), default=-np.inf)))
-            note("global", best_of(rough).score)
-            if problem.exhausted:
-                break
-    rough.sort(key=rank, reverse=True)
-    raced = not climber.free and d not in GRID and len(rough) > _FINALISTS
-    if raced:
-        lead, further = rank(rough[0]), []
-        for one in rough[: -(-2 * len(rough) // 3)]:
-            further.append(climber.rough(one.x, lead, LATER_RADIUS))
-            lead = lead if effort.sketch else max(lead, rank(further[-1]))
-        note("global", best_of(further).score)
-        rough = sorted(further, key=rank, reverse=True)[:_FINALISTS]
-    finals: list[LocalOptimum] = []
-    for start in rough[: effort.finalists]:
-        same = (problem.upper - problem.lower) * (_SAME_GLOBAL_SEARCH if d in GRID else 1e-6)
-        if any((np.abs(start.x - other.x) <= same).all() for other in finals):
-            continue
-        goal = max(map(rank, finals), default=-np.inf) if raced else None
-        finals.append(start if problem.exhausted else climber.full(start.x, goal))
-        note("local", best_of(finals).score)
-        if d in GRID and _settled(climber, finals):
+        starts = random_starts(problem, given[0], local.unit, _n_starts(local), options.seed)
+    designs: list[LocalOptimum] = []
+    for start in (*given, *starts):
+        designs.append(local.short(start, max(map(rank, designs), default=-np.inf)))
+        note("global", best_of(designs).score)
+        if problem.evaluations.exhausted:
             break
-    if d not in GRID and effort.sketch:
-        rng = np.random.default_rng(effort.seed)
-        if _settled(climber, finals):
-            return SearchOutcome(best_of(finals), tuple(history), (best_of(finals),))
-        best_ones = sorted(finals, key=rank, reverse=True)[:_FINALISTS]
-        ends = [hop_basins(climber, one, rng, _SKETCHED, _SKETCHED, note).best for one in best_ones]
-        return SearchOutcome(best_of(ends), tuple(history), tuple(ends))
-    best = best_of(finals)
-    if d not in GRID and effort.hops and not _settled(climber, finals):
-        rng = np.random.default_rng(effort.seed)
-        hop = hop_freely if climber.free else hop_with_limits
-        best = hop(climber, finals, rng, effort.hops, note)
-    if d in GRID and not climber.free and not problem.exhausted:
-        # a climb along a flat limit may have stopped early; a fresh one with short steps costs little
-        again = optimise_locally(problem, best.x, max_iterations=60, radius=1e-3)
-        best = again if better(again.score, best.score) else best
-    if not best.converged and not problem.exhausted:
-        best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
+    designs.sort(key=rank, reverse=True)
+    if not local.free and len(designs) > 2 * options.finalists:
+        better_ones, designs = designs[: -(-2 * len(designs) // 3)], []
+        for one in better_ones:
+            designs.append(local.short(one.x, max(map(rank, designs), default=rank(one)), again=True))
+        designs.sort(key=rank, reverse=True)
+        note("global", designs[0].score)
+    finals: list[LocalOptimum] = []
+    same = _NEIGHBOURS * (problem.upper - problem.lower)
+    for design in designs:
+        if len(finals) == options.finalists or (finals and local.settled(finals)):
+            break
+        if any((np.abs(design.x - other.x) <= same).all() for other in finals):
+            continue
+        goal = max(map(rank, finals), default=-np.inf)
+        finals.append(design if problem.evaluations.exhausted else local.full(design.x, goal))
+        note("local", best_of(finals).score)
+    if d in GRID or local.settled(finals):
+        ends = [best_of(finals)]
+    else:
+        rng = np.random.default_rng(options.seed)
+        if options.sketch:
+            few = replace(local, options=replace(options, hops=options.sketch_hops))
+            ends = [hop_line(few, one, rng, note) for one in finals]
+        else:
+            ends = [hop(local, finals, rng, note)]
+    best = best_of(ends)
+    if not options.sketch and not problem.evaluations.exhausted:
+        best = local.with_certificate(best)
         note("local", best.score)
-    return SearchOutcome(best, tuple(history), (best,))
+    return SearchOutcome(best, tuple(history), tuple(ends))
 
 
-def refine(
-    problem: GainProblem, starts: Sequence[FloatArray], effort: Effort, progress: Progress | None = None
-) -> SearchOutcome:
-    """Return the best design near some that were found for other loops, such as those in continuous time.
-
-    The best design of the other loops need not lie near the best one of these. So all of them are climbed. From the one
-    that leads highest further climbs begin with longer and shorter steps, and the best end is moved at random: a local
-    optimum of the other loops often lies beside the narrow region in which eigenvalues of these loops meet.
-    """
-    history: list[SearchStep] = []
-    found: list[LocalOptimum] = []
-
-    def note(stage: str, score: Score) -> None:
-        history.append(SearchStep(stage, problem.evaluations, problem.in_units(score.value), score.violation))
-        if progress is not None:
-            progress(history[-1])
-
-    climber = Climber(problem, gain_units(problem, starts[0]), fine=True)
-    same = _SAME_GLOBAL_SEARCH * (problem.upper - problem.lower)
-    apart = [x for i, x in enumerate(starts) if not any((np.abs(x - y) <= same).all() for y in starts[:i])]
-    for x in apart:
-        found.append(climber.full(x, None if climber.free else max(map(rank, found), default=-np.inf)))
-        note("local", best_of(found).score)
-    best = best_of(found)
-    leader = next(x for x, one in zip(apart, found, strict=True) if one is best)
-    for radius in () if climber.free else _OTHER_RADII:
-        best = best_of([best, optimise_locally(problem, leader, max_iterations=100, radius=radius)])
-        note("local", best.score)
-    if effort.hops:
-        rng = np.random.default_rng(effort.seed)
-        best = hop_basins(climber, best, rng, effort.hops, 2 * len(climber.hop_sizes), note).best
-        best = climber.with_certificate(best)
-        note("local", best.score)
-    if not best.converged and not climber.certified(best):
-        best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
-        note("local", best.score)
-    return SearchOutcome(best, tuple(history), (best,))
+_NODES = 5
+"""Number of points of a grid from which a search begins."""
+_NEIGHBOURS = 1e-3
+"""Distance of designs, as a share of the bounds, within which they belong to one optimum."""
 
 
-def _settled(climber: Climber, finals: list[LocalOptimum]) -> bool:
-    """Return whether three of the best designs have the same value and the best one is certified."""
-    best = best_of(finals)
-    close = [
-        one
-        for one in finals
-        if abs(one.score.value - best.score.value) <= _AGREE * abs(best.score.value) and one.score.violation <= FEASIBLE
-    ]
-    return len(close) > 2 and climber.certified(best)
+def _n_starts(local: LocalSearch) -> int:
+    """Return the number of random starts."""
+    if local.options.starts is not None:
+        return local.options.starts
+    if local.free:
+        return 24 if len(local.unit) <= 12 else 12
+    return 16 if len(local.unit) <= 8 else 8

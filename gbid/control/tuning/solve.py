@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import count
 from typing import Any
 
 import casadi as ca
@@ -14,7 +16,7 @@ from gbid.control.tuning.certificate import Certificate, certify
 from gbid.control.tuning.local import LocalOptimum, optimise_locally
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.plants import PlantSet
-from gbid.control.tuning.problem import GainProblem, Limits, Objective, SearchStep
+from gbid.control.tuning.problem import Cut, Evaluations, GainProblem, Limits, Objective, SearchStep
 from gbid.control.tuning.result import (
     GainResult,
     GainStatus,
@@ -26,14 +28,14 @@ from gbid.control.tuning.result import (
 )
 from gbid.control.tuning.search import (
     FEASIBLE,
-    Effort,
     Progress,
+    SearchOptions,
     SearchOutcome,
+    SearchTask,
     best_of,
     better,
     certificate_units,
     gain_units,
-    refine,
     search,
     typical_rate,
     usable_start,
@@ -45,245 +47,245 @@ from gbid.lpv import Domain
 
 _FAR = 1e9
 """Angular frequency that stands for infinity [rad/s]; of sampled loops, in units of 2 / T, for half the sample rate."""
-_MOST_ROUNDS = 3
+_CUTS = 10
+"""Largest number of rounds in which peaks between the grid frequencies are added."""
+_CERTIFICATES = 3
 """Largest number of certificates, each after a better design that the one before had found."""
 
 
-def solve(
-    problem: GainProblem,
-    neutral: FloatArray,
-    effort: Effort,
-    first: Iterable[FloatArray] = (),
-    progress: Progress | None = None,
-    found: LocalOptimum | None = None,
-    of_others: bool = False,
-) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
-    """Return the optimum and the history of a search, or of a local optimisation from a known design.
+@dataclass(frozen=True)
+class Solution:
+    """Best design of a problem, with the problem as it was at the end (its cuts), and the history."""
 
-    With `of_others` the first designs are those of other loops, and the search goes on from them.
+    problem: GainProblem
+    best: LocalOptimum
+    history: tuple[SearchStep, ...] = ()
 
-    Afterwards peaks between the grid frequencies are added as cuts, until exact norms exceed no limit.
-    """
-    if found is not None:
-        near = optimise_locally(problem, found.x, max_iterations=300, radius=0.02)
-        result = SearchOutcome(near, (), (near,))
-    elif of_others:
-        result = refine(problem, [*first], effort, progress)
-    else:
-        result = search(problem, neutral, effort, first, progress)
-    best, history = result.best, list(result.history)
-    for _ in range(10):
-        if not add_cuts(problem, best.x):
-            break
-        best = optimise_locally(problem, best.x, max_iterations=200, radius=0.02)
-        history.append(SearchStep("cut", problem.evaluations, problem.in_units(best.score.value), best.score.violation))
+    def noted(self, stage: str, progress: Progress | None) -> Solution:
+        """Return this solution with one more step of its history, which is told, too."""
+        step = self.problem.step(stage, self.best.score)
         if progress is not None:
-            progress(history[-1])
-    best = certified(problem, best)
+            progress(step)
+        return replace(self, history=(*self.history, step))
+
+
+def solve(problem: GainProblem, task: SearchTask) -> Solution:
+    """Return the best design of a search, with exact peaks and certificate."""
+    outcome = search(problem, task)
+    return _verified(Solution(problem, outcome.best, outcome.history), task)
+
+
+def _improve(problem: GainProblem, known: Solution, task: SearchTask) -> Solution:
+    """Return a local optimum near the design of a similar problem, with exact peaks and certificate."""
+    best = optimise_locally(problem, known.best.x, max_iterations=300, radius=0.02)
+    return _verified(Solution(problem, best, known.history), task)
+
+
+def _verified(solution: Solution, task: SearchTask) -> Solution:
+    """Return a design whose peaks exceed no limit between the grid frequencies, either, with its certificate."""
+    for _ in range(_CUTS):
+        problem = with_cuts(solution.problem, solution.best.x)
+        if problem is solution.problem:
+            break
+        best = optimise_locally(problem, solution.best.x, max_iterations=200, radius=0.02)
+        solution = replace(solution, problem=problem, best=best).noted("cut", task.progress)
+    problem, best = solution.problem, _certified(solution.problem, solution.best)
     if problem.uses_responses and not problem.stable(best.x):
-        best = _stable_instead(problem, best, neutral, effort)
-    history.append(
-        SearchStep("certificate", problem.evaluations, problem.in_units(best.score.value), best.score.violation)
-    )
-    if progress is not None:
-        progress(history[-1])
-    return best, tuple(history)
+        best = _stable_instead(problem, best, task)
+    return replace(solution, best=best).noted("certificate", task.progress)
 
 
-def _stable_instead(problem: GainProblem, found: LocalOptimum, neutral: FloatArray, effort: Effort) -> LocalOptimum:
+def _stable_instead(problem: GainProblem, unstable: LocalOptimum, task: SearchTask) -> LocalOptimum:
     """Return a stable design in place of an unstable one, where there are stable ones.
 
     The response of an unstable loop can exceed limits that nothing keeps by less than those of the stable ones.
     """
-    plain = replace(problem, limits=Limits("decay"), cuts=[], linear=())
-    safe = search(plain, neutral, effort, [found.x]).best.x
-    problem.evaluations = plain.evaluations
+    plain = replace(problem, limits=Limits("decay"), cuts=(), linear=())
+    safe = search(plain, replace(task, first=(unstable.x,), progress=None)).best.x
     if not problem.stable(safe):
-        return found
-    near = [optimise_locally(problem, safe, max_iterations=100, radius=0.02).x]
-    way = [safe + share * (found.x - safe) for share in np.linspace(0.0, 1.0, 40, endpoint=False)]
-    stable = [replace(found, x=x, score=problem.score(x), certificate=None) for x in [*way, *near] if problem.stable(x)]
-    return best_of([one for one in stable if one.score.usable] or [found])
+        return unstable
+    near = optimise_locally(problem, safe, max_iterations=100, radius=0.02).x
+    way = [safe + share * (unstable.x - safe) for share in np.linspace(0.0, 1.0, 40, endpoint=False)]
+    stable = [
+        replace(unstable, x=x, score=problem.score(x), certificate=None) for x in [*way, near] if problem.stable(x)
+    ]
+    return best_of([design for design in stable if design.score.usable] or [unstable])
 
 
-def certified(problem: GainProblem, found: LocalOptimum) -> LocalOptimum:
+def _certified(problem: GainProblem, design: LocalOptimum) -> LocalOptimum:
     """Return a design with its certificate; where the certificate finds a better one near it, that one."""
-    unit = gain_units(problem, found.x)
-    for _ in range(_MOST_ROUNDS):
-        certificate, x = certify(problem, found.x, certificate_units(unit, found.x))
-        if certificate.holds or x is found.x or problem.exhausted:
+    unit = gain_units(problem, design.x)
+    for _ in range(_CERTIFICATES):
+        certificate, x = certify(problem, design.x, certificate_units(unit, design.x))
+        if certificate.holds or x is design.x or problem.evaluations.exhausted:
             break
-        moved = optimise_locally(problem, x, max_iterations=60, radius=1e-3)
-        if not better(moved.score, found.score) or add_cuts(problem, moved.x):
+        nearby = optimise_locally(problem, x, max_iterations=60, radius=1e-3)
+        if not better(nearby.score, design.score) or with_cuts(problem, nearby.x) is not problem:
             break
-        found = moved
-    # a climb that ended early has no less reached an optimum where this is certified
-    return replace(found, certificate=certificate, converged=found.converged or certificate.holds)
+        design = nearby
+    # a local search that ended early has no less reached an optimum where this is certified
+    return replace(design, certificate=certificate, converged=design.converged or certificate.holds)
 
 
-def add_cuts(problem: GainProblem, x: FloatArray) -> bool:
-    """Add frequencies at which exact norms exceed a limit between the grid points; return whether there were any."""
+def with_cuts(problem: GainProblem, x: FloatArray) -> GainProblem:
+    """Return the problem with the frequencies at which exact norms exceed a limit between the grid points.
+
+    It is the same object where there are none.
+    """
+    if not problem.limits.has_responses or not problem.stable(x):
+        return problem
     known = problem.score(x).violation
-    added = False
+    cuts = list(problem.cuts)
     for kind, limit in (("sensitivity", problem.limits.peak_sensitivity), ("control", problem.limits.peak_control)):
-        if limit is None or not problem.stable(x):
+        if limit is None:
             continue
         least = limit * float(np.exp(min(max(known, 0.0), 300.0) + 1e-7))
         for f, family in enumerate(problem.families):
+            far = _FAR if family.sample_time is None else 2 * _FAR / family.sample_time
             for i, norm in enumerate(exact_norms(family, x, kind, least)):
-                far = _FAR if family.sample_time is None else 2 * _FAR / family.sample_time
-                cut = kind, f, i, min(norm.frequency, far)
-                if norm.value > least and cut not in problem.cuts:
-                    problem.cuts.append(cut)
-                    added = True
-    return added
+                cut = Cut(kind, f, i, min(norm.frequency, far))
+                if norm.value > least and cut not in cuts:
+                    cuts.append(cut)
+    return replace(problem, cuts=tuple(cuts)) if len(cuts) > len(problem.cuts) else problem
 
 
-# ---- Optimisation over many loops with a working set: loops are added when the design is worse there.
+# ---- Exchange of loops: design for some of them, find those in which the design is worse, add them, design again.
 
 _FEW, _MANY = 5, 30
-"""Largest number of loops without a working set: with many gains, and with up to three."""
-
-
-def solve_over_points(
-    problem: GainProblem,
-    plants: PlantSet,
-    points: FloatArray,
-    neutral: FloatArray,
-    effort: Effort,
-    first: list[FloatArray],
-    progress: Progress | None,
-    of_others: bool = False,
-) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
-    """Return the optimum over all loops and the history; many loops are handled with a working set.
-
-    The search starts with some loops and adds those in which the design is worse. A design that is optimal for some
-    loops and not worse in the others is optimal for all. With `of_others` the first
-    designs are those of similar loops, and the first search goes on from them. With few gains every round is a global
-    search, so that this also holds for the result. With many gains each round is a local optimisation from the last
-    design.
-    """
-    whole = problem.families
-    few_gains = len(neutral) <= 3
-    if len(whole[0]) <= (_MANY if few_gains else _FEW):
-        return solve(problem, neutral, effort, first, progress, of_others=of_others)
-    chosen = plants.first(points)
-    problem.families = (plants.family(points, chosen),)
-    found, history = solve(problem, neutral, effort, first, progress, of_others=of_others)
-    while True:
-        measures = problem.by_loop(whole[0], found.x)
-        measures[0] += found.score.value
-        measures[1:] -= found.score.violation
-        worst = {int(row.argmax()) for row in measures if row.max() > 1e-7} - set(chosen)
-        if not worst:
-            break
-        chosen += sorted(worst)
-        problem.families, problem.cuts = (plants.family(points, chosen),), []
-        if few_gains:
-            found, more = solve(problem, neutral, effort, [found.x, *first], progress)
-        else:
-            found, more = solve(problem, neutral, effort, found=found, progress=progress)
-        history += more
-    problem.families, problem.cuts = whole, []
-    found, more = solve(problem, neutral, effort, found=found, progress=progress)
-    return found, history + more
-
-
-def sketch_over_points(
-    problem: GainProblem,
-    plants: PlantSet,
-    points: FloatArray,
-    neutral: FloatArray,
-    effort: Effort,
-    first: list[FloatArray],
-    progress: Progress | None,
-) -> SearchOutcome:
-    """Return different good designs of the loops with which a search begins, as first designs of similar loops."""
-    if len(problem.families[0]) > _FEW:
-        problem.families = (plants.family(points, plants.first(points)),)
-    return search(problem, neutral, replace(effort, sketch=True), first, progress)
-
-
-# ---- Design over a whole rectangle of operating points by an exchange method: worst points are added.
-
+"""Largest number of loops that are designed for at once: with many gains, and with up to three."""
 TOLERANCE = 5e-5
+"""By how much a design may be worse at a point of the rectangle than at its own points."""
 _GRID = 33
-_MOST_ROUNDS_WORST_POINTS = 20
+"""Number of pressures and of speeds at which a design over a rectangle is examined."""
+_ROUNDS = 20
+"""Largest number of rounds in which worst points are added."""
 
 
-def add_worst_points(
-    problem: GainProblem, found: LocalOptimum, plants: PlantSet, domain: Domain, progress: Progress | None
-) -> tuple[LocalOptimum, GainProblem, tuple[SearchStep, ...], str]:
-    """Return a design over the whole domain: find points that are worse, add them, optimise again.
+def _exchange(
+    solution: Solution,
+    extended: Callable[[Solution], GainProblem | None],
+    design: Callable[[GainProblem, Solution], Solution],
+    rounds: int | None = None,
+) -> Solution:
+    """Return a design that is no worse in any other loop; without an optimum after a number of rounds.
+
+    A design that is optimal for some loops and not worse in the others is optimal for all.
 
     Parameters
     ----------
-    problem : GainProblem
-        Problem over the first points.
-    found : LocalOptimum
-        Its optimum.
+    solution : Solution
+        Design for some loops.
+    extended : callable
+        From a design to the problem with the loops in which it is worse; None when there are none.
+    design : callable
+        From this problem and the design before to the next one.
+    rounds : int, optional
+        Largest number of rounds.
+    """
+    for i in count():
+        problem = extended(solution)
+        if problem is None:
+            return solution
+        if i == rounds:
+            break
+        solution = design(problem, solution)
+    return replace(solution, best=replace(solution.best, converged=False))
+
+
+def solve_over_points(problem: GainProblem, plants: PlantSet, points: FloatArray, task: SearchTask) -> Solution:
+    """Return the best design over all loops of the plants at the points; of many loops, some are designed for first.
+
+    With few gains every round is a search, with many gains a local optimisation from the last design.
+    """
+    few_gains, every = len(task.neutral) <= 3, problem.families
+    if len(every[0]) <= (_MANY if few_gains else _FEW):
+        return solve(problem, task)
+    chosen = plants.first(points)
+
+    def extended(solution: Solution) -> GainProblem | None:
+        measures = problem.by_loop(every[0], solution.best.x)
+        measures[0] += solution.best.score.value
+        measures[1:] -= solution.best.score.violation
+        worst = {int(row.argmax()) for row in measures if row.max() > 1e-7} - set(chosen)
+        chosen.extend(sorted(worst))
+        return replace(problem, families=(plants.family(points, chosen),)) if worst else None
+
+    def design(larger: GainProblem, last: Solution) -> Solution:
+        if not few_gains:
+            return _improve(larger, last, task)
+        again = solve(larger, replace(task, first=(last.best.x, *task.first)))
+        return replace(again, history=last.history + again.history)
+
+    first = solve(replace(problem, families=(plants.family(points, chosen),)), task)
+    return _improve(problem, _exchange(first, extended, design), task)
+
+
+def sketch_over_points(problem: GainProblem, plants: PlantSet, points: FloatArray, task: SearchTask) -> SearchOutcome:
+    """Return different good designs of the loops with which a search begins, as first designs of similar loops."""
+    if len(problem.families[0]) > _FEW:
+        problem = replace(problem, families=(plants.family(points, plants.first(points)),))
+    return search(problem, replace(task, options=replace(task.options, sketch=True)))
+
+
+def add_worst_points(solution: Solution, plants: PlantSet, domain: Domain, task: SearchTask) -> tuple[Solution, str]:
+    """Return a design over a whole rectangle of operating points, and how it was verified.
+
+    Parameters
+    ----------
+    solution : Solution
+        Design over the first points.
     plants : PlantSet
         Loops at any operating points.
     domain : Domain
         Rectangle of operating points.
-    progress : callable, optional
-        Called with a `SearchStep` after each round.
-
-    Returns
-    -------
-    LocalOptimum
-        Final design.
-    GainProblem
-        Problem over all points.
-    tuple of SearchStep
-        History.
-    str
-        How the design was verified.
+    task : SearchTask
+        Its `progress` is told of each round.
     """
-    points = problem.families[0].points
-    assert points is not None
-    points = np.unique(points, axis=0)
-    history: list[SearchStep] = []
-    for _ in range(_MOST_ROUNDS_WORST_POINTS):
-        worse = _worse_points(problem, found, plants, domain)
+    quiet = replace(task, progress=None)
+
+    def extended(known: Solution) -> GainProblem | None:
+        worse = _worse_points(known, plants, domain)
         if not len(worse):
-            break
-        points = np.vstack([points, worse])
-        problem.families = (plants.family(points),)
-        problem.linear = plants.gain_limits(points)
-        problem.cuts.clear()
-        evaluated = problem.evaluations
-        found, _ = solve(problem, found.x, Effort(), found=found)
-        assert problem.evaluations > evaluated
-        score = found.score
-        history.append(SearchStep("points", problem.evaluations, problem.in_units(score.value), score.violation))
-        if progress is not None:
-            progress(history[-1])
-    else:
-        found = LocalOptimum(found.x, found.score, found.iterations, False)
-    text = (
-        f"eigenvalues and exact H-infinity norms of {len(problem.families[0])} loops; no point of the rectangle worse "
-        f"by more than {TOLERANCE:g}, by a {_GRID} x {_GRID} grid with a zoom into its worst places"
+            return None
+        points = known.problem.families[0].points
+        assert points is not None
+        points = np.vstack([np.unique(points, axis=0), worse])
+        families, linear = (plants.family(points),), plants.gain_limits(points)
+        return replace(known.problem, families=families, linear=linear, cuts=())
+
+    def design(problem: GainProblem, last: Solution) -> Solution:
+        improved = _improve(problem, last, quiet)
+        return replace(improved, history=last.history).noted("points", task.progress)
+
+    solution = _exchange(solution, extended, design, _ROUNDS)
+    return solution, (
+        f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops; no point of the "
+        f"rectangle worse by more than {TOLERANCE:g}, by a {_GRID} x {_GRID} grid with a zoom into its worst places"
     )
-    return found, problem, tuple(history), text
 
 
-def _worse_points(problem: GainProblem, found: LocalOptimum, plants: PlantSet, domain: Domain) -> FloatArray:
+def _worse_points(solution: Solution, plants: PlantSet, domain: Domain) -> FloatArray:
     """Return points at which the design is worse than at its own points, each refined to the worst nearby: (k, 2)."""
     axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     step = np.array([axis[1] - axis[0] if len(axis) > 1 else 0.0 for axis in axes])
-    tables = measure(problem, found.x, plants, grid.reshape(-1, 2)).reshape(-1, *grid.shape[:2])
+    low, high = np.array([domain.pressure_bar, domain.speed_rpm]).T
+    score, x = solution.best.score, solution.best.x
+
+    def measured(points: FloatArray, which: int | slice = slice(None)) -> FloatArray:
+        return np.asarray(measure(solution.problem, x, plants, np.clip(points, low, high))[which])
+
+    tables = measured(grid.reshape(-1, 2)).reshape(-1, *grid.shape[:2])
     worse: list[FloatArray] = []
     for which, table in enumerate(tables):
-        allowed = -found.score.value if which == 0 else max(found.score.violation, 0.0)
+        allowed = -score.value if which == 0 else max(score.violation, 0.0)
         padded = np.pad(table, 1, constant_values=-np.inf)
         top = table > allowed - 0.02
         for a, b in np.ndindex(3, 3):
             top &= table >= padded[a : a + table.shape[0], b : b + table.shape[1]]
         places = sorted(zip(*np.nonzero(top), strict=True), key=lambda place: -table[place])[:4]
         for place in places:
-            point, value = _zoom(problem, found.x, plants, grid[place], step, domain, which)
+            point, value = _zoom(partial(measured, which=which), grid[place], step)
             if value > allowed + TOLERANCE:
                 worse.append(point)
     return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
@@ -299,26 +301,18 @@ def measure(problem: GainProblem, x: FloatArray, plants: PlantSet, points: Float
 
 
 def _zoom(
-    problem: GainProblem,
-    x: FloatArray,
-    plants: PlantSet,
-    point: FloatArray,
-    step: FloatArray,
-    domain: Domain,
-    which: int,
+    measured: Callable[[FloatArray], FloatArray], point: FloatArray, step: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return the largest value of one measure near a point, by grids that shrink around the best."""
-    low = np.array([domain.pressure_bar[0], domain.speed_rpm[0]])
-    high = np.array([domain.pressure_bar[1], domain.speed_rpm[1]])
+    """Return place and height of the largest value near a point, by grids that shrink around the best."""
     offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
-    value = -np.inf
+    top = -np.inf
     for _ in range(5):
-        points = np.clip(point + offsets * step, low, high)
-        values = measure(problem, x, plants, points)[which]
-        if values.max() > value:
-            point, value = points[values.argmax()], float(values.max())
+        points = point + offsets * step
+        values = measured(points)
+        if values.max() > top:
+            point, top = points[values.argmax()], float(values.max())
         step = step / 3
-    return point, value
+    return point, top
 
 
 # ---- Gains with the largest damping, for any closed-loop matrices that depend on gains.
@@ -422,12 +416,12 @@ def maximise_damping(
         raise UsageError("limits on frequency responses need functions from the gains to A, B, C and D of every loop")
     given = [] if start is None else [np.clip(as_start(start, names), low, high)]
     neutral = usable_start(families, [neutral, *given], low, high, int(seed))
-    problem = GainProblem(families, limits, low, high, typical_rate(families, neutral))
-    problem.most_evaluations = evaluations
-    optimum, history = solve(problem, neutral, Effort(starts, seed), given, progress)
-    count = sum(len(family) for family in families)
+    scale, designs = typical_rate(families, neutral), Evaluations(most=evaluations)
+    problem = GainProblem(families, limits, low, high, scale, evaluations=designs)
+    solution = solve(problem, SearchTask(neutral, tuple(given), SearchOptions(starts, seed), progress))
+    n_loops = sum(len(family) for family in families)
     norms = " and exact H-infinity norms" if limits.has_responses else ""
-    return summarise(problem, optimum, names, history, f"eigenvalues{norms} of the {count} closed-loop matrices")
+    return summarise(solution, names, f"eigenvalues{norms} of the {n_loops} closed-loop matrices")
 
 
 def check_counts(seed: int, starts: int | None, evaluations: int | None = None) -> None:
@@ -453,21 +447,16 @@ def _listed(functions: Any) -> list[Any]:
 
 
 def summarise(
-    problem: GainProblem,
-    found: LocalOptimum,
-    names: tuple[str, ...],
-    history: tuple[SearchStep, ...],
-    verified_on: str,
-    notes: tuple[str, ...] = (),
-    **more: Any,
+    solution: Solution, names: tuple[str, ...], verified_on: str, notes: tuple[str, ...] = (), **more: Any
 ) -> GainResult:
     """Return the result, from eigenvalues and exact norms of the final design."""
-    x = np.clip(found.x, problem.lower, problem.upper)
+    problem, best = solution.problem, solution.best
+    x = np.clip(best.x, problem.lower, problem.upper)
     score, stable = problem.score(x), problem.stable(x)
     worst = worst_mode(problem, x)
-    certificate = found.certificate
+    certificate = best.certificate
     status = GainStatus.OPTIMAL if certificate is not None and certificate.holds else GainStatus.STALLED
-    if not found.converged or (problem.exhausted and status is GainStatus.STALLED):
+    if not best.converged or (problem.evaluations.exhausted and status is GainStatus.STALLED):
         status = GainStatus.ITERATION_LIMIT
     if not stable:
         status = GainStatus.NO_STABILISING_GAINS
@@ -490,7 +479,7 @@ def summarise(
         worst,
         _active(problem, x, names, stable),
         notes,
-        history=history,
+        history=solution.history,
         **more,
     )
 

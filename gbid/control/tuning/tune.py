@@ -23,7 +23,6 @@ from gbid.control.tuning.goals import (
     limits_of,
     positive,
 )
-from gbid.control.tuning.local import LocalOptimum
 from gbid.control.tuning.loops import LoopFamily, loop_delay, loop_equations, smallest_sampled_damping
 from gbid.control.tuning.plane import Eigensystem
 from gbid.control.tuning.plants import (
@@ -36,11 +35,12 @@ from gbid.control.tuning.plants import (
     Uncertainty,
     plants_of,
 )
-from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits, Objective, SearchStep
+from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits, Objective
 from gbid.control.tuning.response_goals import PeakControl, PeakSensitivity, StaticAmplification
 from gbid.control.tuning.result import GainResult, GoalFigure, distance_to_edge
-from gbid.control.tuning.search import Effort, Progress, typical_rate
+from gbid.control.tuning.search import Progress, SearchOptions, SearchTask, typical_rate
 from gbid.control.tuning.solve import (
+    Solution,
     add_worst_points,
     as_bounds,
     as_start,
@@ -218,8 +218,7 @@ class ShortForm:
 
 def notes_of(
     design: DesignPlants,
-    problem: GainProblem,
-    optimum: LocalOptimum,
+    solution: Solution,
     names: tuple[str, ...],
     structure: Structure | Scheduled,
     points: tuple[tuple[float, float], ...],
@@ -228,7 +227,7 @@ def notes_of(
     """Return the remarks on a design: unfinished fits, unstable open loops, distance to the edge, the sampled loop."""
     labels = [point_label(P, Omega) for P, Omega in design.points]
     if design.lpv is None:
-        labels = list(problem.families[0].labels)
+        labels = list(solution.problem.families[0].labels)
     unstable = [label for label, rate in zip(labels, design.slowest, strict=True) if rate < 0]
     notes = tuple(
         ControlNote.FIT_NOT_CONVERGED(f"the plant {fit.model.name!r} is a fit that did not converge")
@@ -236,9 +235,9 @@ def notes_of(
     )
     if unstable:
         notes += (ControlNote.UNSTABLE_OPEN_LOOP(f"the open loop is not stable at {'; '.join(unstable)}"),)
-    notes += _edge_notes(problem, optimum, names)
+    notes += _edge_notes(solution, names)
     if sampling is not None and design.lpv is not None:
-        gains = dict(zip(names, map(float, optimum.x), strict=True))
+        gains = dict(zip(names, map(float, solution.best.x), strict=True))
         truly, (P, Omega) = smallest_sampled_damping(
             design.lpv, structure, gains, sorted(points), sampling.sample_time, sampling.computation_s, sampling.method
         )
@@ -250,13 +249,14 @@ def notes_of(
     return notes
 
 
-def goal_figures(problem: GainProblem, optimum: LocalOptimum, result: GainResult) -> GainResult:
+def goal_figures(solution: Solution, result: GainResult) -> GainResult:
     """Return the result with the figures of goals beside those that have a field, and with the damping it reached."""
+    problem, x = solution.problem, solution.best.x
     limits = problem.limits
     if not limits.measures:
         return result
     figures = []
-    states = [problem.state(family, family.matrices(optimum.x), optimum.x) for family in problem.families]
+    states = [problem.state(family, family.matrices(x), x) for family in problem.families]
     for measure in limits.measures:
         found = [(float(e), name) for s in states for e, name in zip(measure.excess(s), s.family.labels, strict=True)]
         figures.append(GoalFigure(measure.name, measure in limits.soft, *max(found)))
@@ -270,11 +270,12 @@ def goal_figures(problem: GainProblem, optimum: LocalOptimum, result: GainResult
     return replace(result, value=worst.damping if limits.objective == "damping" else decay)
 
 
-def _edge_notes(problem: GainProblem, found: LocalOptimum, names: tuple[str, ...]) -> tuple[str, ...]:
+def _edge_notes(solution: Solution, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return a note on the distance to instability of a design without a limit on a response."""
-    if problem.limits.peak_sensitivity is not None or problem.limits.measures or not problem.stable(found.x):
+    problem, x = solution.problem, solution.best.x
+    if problem.limits.peak_sensitivity is not None or problem.limits.measures or not problem.stable(x):
         return ()
-    edge = distance_to_edge(problem, found.x, names)
+    edge = distance_to_edge(problem, x, names)
     note = "damping alone was maximised: the peak of S_o is not limited"
     if np.isfinite(edge.change):
         note += f"; a change of {edge.gain} by {edge.change:+.2g} makes a loop unstable"
@@ -409,59 +410,39 @@ def tune(
     names = tuple(parameter.name for parameter in structure.parameters)
     given = _by_gain("start", start, names)
     first = [as_start([given.get(n, v) for n, v in zip(names, start_gains, strict=True)], names)] if given else []
-    effort = Effort(starts, seed)
+    options = SearchOptions(starts, seed)
     if isinstance(structure, Scheduled) and structure.terms != ("1",):
-        first.append(_constant_gains(design, structure, limits, effort))
-    problem, optimum, history = _search(design, limits, (low, high, start_gains), effort, first, progress)
-    verified = f"eigenvalues and exact H-infinity norms of {len(problem.families[0])} loops"
+        first.append(_constant_gains(design, structure, limits, options))
+    task = SearchTask(start_gains, tuple(first), options, progress)
+    solution = _search(design, limits, low, high, task)
+    verified = f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops"
     if design.domain is not None:
-        plants = design.sampled or design.continuous
-        optimum, problem, more, verified = add_worst_points(problem, optimum, plants, design.domain, progress)
-        history += more
-    used = problem.families[0].points
+        solution, verified = add_worst_points(solution, design.sampled or design.continuous, design.domain, task)
+    used = solution.problem.families[0].points
     points = () if used is None else tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used))
-    notes = notes_of(design, problem, optimum, names, structure, points, sampling)
-    result = summarise(
-        problem,
-        optimum,
-        names,
-        history,
-        verified,
-        notes,
-        points=points,
-        controller=structure,
-        sample_time=sample_time,
-    )
-    return goal_figures(problem, optimum, result)
+    notes = notes_of(design, solution, names, structure, points, sampling)
+    more = {"points": points, "controller": structure, "sample_time": sample_time}
+    return goal_figures(solution, summarise(solution, names, verified, notes, **more))
 
 
-def _search(
-    design: DesignPlants,
-    limits: Limits,
-    box: tuple[FloatArray, FloatArray, FloatArray],
-    effort: Effort,
-    first: list[FloatArray],
-    progress: Progress | None,
-) -> tuple[GainProblem, LocalOptimum, tuple[SearchStep, ...]]:
-    """Return problem, optimum and history: of the continuous loops, or of the sampled ones with starts from these."""
-    low, high, neutral = box
+def _search(design: DesignPlants, limits: Limits, low: FloatArray, high: FloatArray, task: SearchTask) -> Solution:
+    """Return the best design: of the continuous loops, or of the sampled ones with starts from these."""
 
-    def posed(plants: PlantSet) -> GainProblem:
-        family = plants.family(design.points)
-        problem = GainProblem((family,), limits, low, high, typical_rate((family,), neutral))
-        problem.linear = plants.gain_limits(design.points)
-        return problem
+    def problem_of(plants: PlantSet) -> GainProblem:
+        families = (plants.family(design.points),)
+        scale = typical_rate(families, task.neutral)
+        return GainProblem(families, limits, low, high, scale, plants.gain_limits(design.points))
 
-    history: tuple[SearchStep, ...] = ()
-    plants, of_others = design.continuous, False
-    if design.sampled is not None:
-        known = sketch_over_points(posed(plants), plants, design.points, neutral, effort, first, progress)
-        plants, history, first = design.sampled, known.history, [*(one.x for one in known.ends), *first]
-        # few gains: a search of the whole box again, because it costs little; else from the continuous designs
-        of_others = len(neutral) > 3
-    problem = posed(plants)
-    found, more = solve_over_points(problem, plants, design.points, neutral, effort, first, progress, of_others)
-    return problem, found, history + more
+    plants = design.continuous
+    if design.sampled is None:
+        return solve_over_points(problem_of(plants), plants, design.points, task)
+    sketch = sketch_over_points(problem_of(plants), plants, design.points, task)
+    first = (*(end.x for end in sketch.ends), *task.first)
+    # few gains: a search of the whole box again, because it costs little; else from the continuous designs
+    options = task.options if len(task.neutral) <= 3 else replace(task.options, starts=0)
+    task, plants = replace(task, first=first, options=options), design.sampled
+    solution = solve_over_points(problem_of(plants), plants, design.points, task)
+    return replace(solution, history=sketch.history + solution.history)
 
 
 def _gain_bounds(
@@ -488,7 +469,7 @@ def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...])
     return dict(given or {})
 
 
-def _constant_gains(design: DesignPlants, structure: Scheduled, limits: Limits, effort: Effort) -> FloatArray:
+def _constant_gains(design: DesignPlants, structure: Scheduled, limits: Limits, options: SearchOptions) -> FloatArray:
     """Return the best constant gains as coefficients, a start value with which a schedule cannot become worse."""
     known, constant = design.continuous, replace(structure, terms=("1",))
     assert isinstance(known, LoopsAtPoints)
@@ -498,8 +479,8 @@ def _constant_gains(design: DesignPlants, structure: Scheduled, limits: Limits, 
     low, high, start = _gain_bounds(constant, None)
     family = plants.family(design.points)
     problem = GainProblem((family,), limits, low, high, typical_rate((family,), start))
-    best, _ = solve_over_points(problem, plants, design.points, start, effort, [], None)
-    values = dict(zip((p.name for p in constant.parameters), best.x, strict=True))
+    solution = solve_over_points(problem, plants, design.points, SearchTask(start, options=options))
+    values = dict(zip((p.name for p in constant.parameters), solution.best.x, strict=True))
     return np.array([values.get(p.name, 0.0) for p in structure.parameters])
 
 
