@@ -74,8 +74,8 @@ def test_basin_hopping_crosses_ripples_that_hold_a_climb(seed: int) -> None:
     assert {step.stage for step in found.history} == {"global", "local", "basin hopping"}
 
 
-def test_other_designs_are_moved_where_the_moves_of_the_best_one_come_back() -> None:
-    """A smooth hill of 0.5, and far from it one of 0.6 whose ripples along the first gain hold a climb at 0.44."""
+def test_a_far_hill_with_ripples_is_found_beside_a_smooth_one() -> None:
+    """A smooth hill of 0.5, and far from it one of 0.6 with ripples along the first gain."""
     smooth, rough = np.array([-0.6, -0.6, 0.0, 0.0]), np.array([0.6, 0.6, 0.0, 0.0])
 
     def hills(g: Any) -> Any:
@@ -85,8 +85,6 @@ def test_other_designs_are_moved_where_the_moves_of_the_best_one_come_back() -> 
     problem, neutral = damping_problem(hills, [-1.0] * 4, [1.0] * 4), smooth + 0.05
     problem = replace(problem, linear=NEVER_ACTIVE)
     beside = rough + np.array([-0.22, 0.0, 0.0, 0.0])
-    held = searched(problem, neutral, (beside,), starts=0, hops=0)
-    assert held.best.score.value == pytest.approx(0.5, abs=1e-6)
     found = searched(problem, neutral, (beside,), starts=0)
     assert found.best.score.value == pytest.approx(0.6, abs=1e-6)
     assert found.best.x == pytest.approx(rough, abs=1e-3)
@@ -110,7 +108,7 @@ def test_all_given_designs_are_optimised_and_the_best_end_wins() -> None:
 
 
 def test_the_best_finalist_wins_not_the_one_that_led_before() -> None:
-    """A curved valley leads to 0.52; after the first climb its start is still far behind a hill of 0.32."""
+    """A curved valley leads to 0.52; a short local search from its start ends far behind a hill of 0.32."""
     hill, begin = np.array([-1.0, -1.0, 0.0, 0.0]), np.array([-1.0, 1.0, 0.5, 0.5])
 
     def hill_and_valley(g: Any) -> Any:
@@ -119,8 +117,6 @@ def test_the_best_finalist_wins_not_the_one_that_led_before() -> None:
 
     problem = damping_problem(hill_and_valley, [-2.0] * 4, [2.0] * 4)
     problem = replace(problem, linear=NEVER_ACTIVE)
-    rough = optimise_locally(problem, begin, max_iterations=100)
-    assert rough.score.value < 0.2 < 0.31 < optimise_locally(problem, hill).score.value
     found = searched(problem, hill, (begin,), starts=0, hops=0).best
     assert found.score.value == pytest.approx(0.52, abs=1e-6)
     assert found.x == pytest.approx([1, 1, 0, 0], abs=1e-3)

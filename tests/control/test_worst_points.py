@@ -14,7 +14,7 @@ from gbid.control.tuning.local import optimise_locally
 from gbid.control.tuning.plants import LoopsAtPoints, Uncertainty
 from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits
 from gbid.control.tuning.search import SearchTask
-from gbid.control.tuning.solve import TOLERANCE, Solution, add_worst_points, measure
+from gbid.control.tuning.solve import TOLERANCE, GainSolution, add_worst_points, measure
 from gbid.lpv import Domain
 
 DOMAIN = Domain((2.0, 7.0), (0.0, 8000.0))
@@ -28,9 +28,9 @@ def bump(P: Any, Omega: Any, exp: Any = ca.exp) -> Any:
     return exp(-(((P - TOP[0]) / 0.5) ** 2) - ((Omega - TOP[1]) / 600) ** 2)
 
 
-def at_corners(loops: LoopsAtPoints, limits: Limits) -> Solution:
+def at_corners(loops: LoopsAtPoints, limits: Limits) -> GainSolution:
     problem = GainProblem((loops.family(CORNERS),), limits, np.array([-3.0]), np.array([3.0]), 1.0)
-    return Solution(problem, optimise_locally(problem, np.zeros(1)))
+    return GainSolution(problem, optimise_locally(problem, np.zeros(1)))
 
 
 def asks_for_more(g: Any, s: Any) -> Any:

@@ -389,4 +389,4 @@ def _cluster(M: ComplexArray, left: ComplexArray, right: ComplexArray, dA: Float
     mean_slope = inner[0] / size
     factors = np.arange(2, size + 1)[:, None] / (size * rate)
     slopes = np.asarray(factors * (inner[1:] - traces[1:-1, None] * mean_slope), complex)
-    return Cluster(values, mean, mean_slope, traces[2:] / size, slopes)
+    return Cluster(values, mean, mean_slope, np.asarray(traces[2:] / size, complex), slopes)

@@ -582,6 +582,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
         starts = grid_starts(problem, given[0], local.unit, GRID[d], _NODES)
     else:
         starts = random_starts(problem, given[0], local.unit, _n_starts(local), options.seed)
+    many = not local.free and len(given) + len(starts) > 2 * options.finalists
     designs: list[LocalOptimum] = []
     for start in (*given, *starts):
         designs.append(local.short(start, max(map(rank, designs), default=-np.inf)))
@@ -589,7 +590,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
         if problem.evaluations.exhausted:
             break
     designs.sort(key=rank, reverse=True)
-    if not local.free and len(designs) > 2 * options.finalists:
+    if many:
         better_ones, designs = designs[: -(-2 * len(designs) // 3)], []
         for one in better_ones:
             designs.append(local.short(one.x, max(map(rank, designs), default=rank(one)), again=True))
@@ -602,7 +603,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
             break
         if any((np.abs(design.x - other.x) <= same).all() for other in finals):
             continue
-        goal = max(map(rank, finals), default=-np.inf)
+        goal = max(map(rank, finals), default=-np.inf) if many else -np.inf  # of few, each may be a curved valley
         finals.append(design if problem.evaluations.exhausted else local.full(design.x, goal))
         note("local", best_of(finals).score)
     if d in GRID or local.settled(finals):

@@ -54,14 +54,14 @@ _CERTIFICATES = 3
 
 
 @dataclass(frozen=True)
-class Solution:
+class GainSolution:
     """Best design of a problem, with the problem as it was at the end (its cuts), and the history."""
 
     problem: GainProblem
     best: LocalOptimum
     history: tuple[SearchStep, ...] = ()
 
-    def noted(self, stage: str, progress: Progress | None) -> Solution:
+    def noted(self, stage: str, progress: Progress | None) -> GainSolution:
         """Return this solution with one more step of its history, which is told, too."""
         step = self.problem.step(stage, self.best.score)
         if progress is not None:
@@ -69,19 +69,19 @@ class Solution:
         return replace(self, history=(*self.history, step))
 
 
-def solve(problem: GainProblem, task: SearchTask) -> Solution:
+def solve(problem: GainProblem, task: SearchTask) -> GainSolution:
     """Return the best design of a search, with exact peaks and certificate."""
     outcome = search(problem, task)
-    return _verified(Solution(problem, outcome.best, outcome.history), task)
+    return _verified(GainSolution(problem, outcome.best, outcome.history), task)
 
 
-def _improve(problem: GainProblem, known: Solution, task: SearchTask) -> Solution:
+def _improve(problem: GainProblem, known: GainSolution, task: SearchTask) -> GainSolution:
     """Return a local optimum near the design of a similar problem, with exact peaks and certificate."""
     best = optimise_locally(problem, known.best.x, max_iterations=300, radius=0.02)
-    return _verified(Solution(problem, best, known.history), task)
+    return _verified(GainSolution(problem, best, known.history), task)
 
 
-def _verified(solution: Solution, task: SearchTask) -> Solution:
+def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
     """Return a design whose peaks exceed no limit between the grid frequencies, either, with its certificate."""
     for _ in range(_CUTS):
         problem = with_cuts(solution.problem, solution.best.x)
@@ -162,18 +162,18 @@ _ROUNDS = 20
 
 
 def _exchange(
-    solution: Solution,
-    extended: Callable[[Solution], GainProblem | None],
-    design: Callable[[GainProblem, Solution], Solution],
+    solution: GainSolution,
+    extended: Callable[[GainSolution], GainProblem | None],
+    design: Callable[[GainProblem, GainSolution], GainSolution],
     rounds: int | None = None,
-) -> Solution:
+) -> GainSolution:
     """Return a design that is no worse in any other loop; without an optimum after a number of rounds.
 
     A design that is optimal for some loops and not worse in the others is optimal for all.
 
     Parameters
     ----------
-    solution : Solution
+    solution : GainSolution
         Design for some loops.
     extended : callable
         From a design to the problem with the loops in which it is worse; None when there are none.
@@ -192,7 +192,7 @@ def _exchange(
     return replace(solution, best=replace(solution.best, converged=False))
 
 
-def solve_over_points(problem: GainProblem, plants: PlantSet, points: FloatArray, task: SearchTask) -> Solution:
+def solve_over_points(problem: GainProblem, plants: PlantSet, points: FloatArray, task: SearchTask) -> GainSolution:
     """Return the best design over all loops of the plants at the points; of many loops, some are designed for first.
 
     With few gains every round is a search, with many gains a local optimisation from the last design.
@@ -202,7 +202,7 @@ def solve_over_points(problem: GainProblem, plants: PlantSet, points: FloatArray
         return solve(problem, task)
     chosen = plants.first(points)
 
-    def extended(solution: Solution) -> GainProblem | None:
+    def extended(solution: GainSolution) -> GainProblem | None:
         measures = problem.by_loop(every[0], solution.best.x)
         measures[0] += solution.best.score.value
         measures[1:] -= solution.best.score.violation
@@ -210,7 +210,7 @@ def solve_over_points(problem: GainProblem, plants: PlantSet, points: FloatArray
         chosen.extend(sorted(worst))
         return replace(problem, families=(plants.family(points, chosen),)) if worst else None
 
-    def design(larger: GainProblem, last: Solution) -> Solution:
+    def design(larger: GainProblem, last: GainSolution) -> GainSolution:
         if not few_gains:
             return _improve(larger, last, task)
         again = solve(larger, replace(task, first=(last.best.x, *task.first)))
@@ -227,12 +227,14 @@ def sketch_over_points(problem: GainProblem, plants: PlantSet, points: FloatArra
     return search(problem, replace(task, options=replace(task.options, sketch=True)))
 
 
-def add_worst_points(solution: Solution, plants: PlantSet, domain: Domain, task: SearchTask) -> tuple[Solution, str]:
+def add_worst_points(
+    solution: GainSolution, plants: PlantSet, domain: Domain, task: SearchTask
+) -> tuple[GainSolution, str]:
     """Return a design over a whole rectangle of operating points, and how it was verified.
 
     Parameters
     ----------
-    solution : Solution
+    solution : GainSolution
         Design over the first points.
     plants : PlantSet
         Loops at any operating points.
@@ -243,7 +245,7 @@ def add_worst_points(solution: Solution, plants: PlantSet, domain: Domain, task:
     """
     quiet = replace(task, progress=None)
 
-    def extended(known: Solution) -> GainProblem | None:
+    def extended(known: GainSolution) -> GainProblem | None:
         worse = _worse_points(known, plants, domain)
         if not len(worse):
             return None
@@ -253,7 +255,7 @@ def add_worst_points(solution: Solution, plants: PlantSet, domain: Domain, task:
         families, linear = (plants.family(points),), plants.gain_limits(points)
         return replace(known.problem, families=families, linear=linear, cuts=())
 
-    def design(problem: GainProblem, last: Solution) -> Solution:
+    def design(problem: GainProblem, last: GainSolution) -> GainSolution:
         improved = _improve(problem, last, quiet)
         return replace(improved, history=last.history).noted("points", task.progress)
 
@@ -264,7 +266,7 @@ def add_worst_points(solution: Solution, plants: PlantSet, domain: Domain, task:
     )
 
 
-def _worse_points(solution: Solution, plants: PlantSet, domain: Domain) -> FloatArray:
+def _worse_points(solution: GainSolution, plants: PlantSet, domain: Domain) -> FloatArray:
     """Return points at which the design is worse than at its own points, each refined to the worst nearby: (k, 2)."""
     axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -447,7 +449,7 @@ def _listed(functions: Any) -> list[Any]:
 
 
 def summarise(
-    solution: Solution, names: tuple[str, ...], verified_on: str, notes: tuple[str, ...] = (), **more: Any
+    solution: GainSolution, names: tuple[str, ...], verified_on: str, notes: tuple[str, ...] = (), **more: Any
 ) -> GainResult:
     """Return the result, from eigenvalues and exact norms of the final design."""
     problem, best = solution.problem, solution.best

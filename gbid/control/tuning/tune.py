@@ -40,7 +40,7 @@ from gbid.control.tuning.response_goals import PeakControl, PeakSensitivity, Sta
 from gbid.control.tuning.result import GainResult, GoalFigure, distance_to_edge
 from gbid.control.tuning.search import Progress, SearchOptions, SearchTask, typical_rate
 from gbid.control.tuning.solve import (
-    Solution,
+    GainSolution,
     add_worst_points,
     as_bounds,
     as_start,
@@ -218,7 +218,7 @@ class ShortForm:
 
 def notes_of(
     design: DesignPlants,
-    solution: Solution,
+    solution: GainSolution,
     names: tuple[str, ...],
     structure: Structure | Scheduled,
     points: tuple[tuple[float, float], ...],
@@ -249,7 +249,7 @@ def notes_of(
     return notes
 
 
-def goal_figures(solution: Solution, result: GainResult) -> GainResult:
+def goal_figures(solution: GainSolution, result: GainResult) -> GainResult:
     """Return the result with the figures of goals beside those that have a field, and with the damping it reached."""
     problem, x = solution.problem, solution.best.x
     limits = problem.limits
@@ -270,7 +270,7 @@ def goal_figures(solution: Solution, result: GainResult) -> GainResult:
     return replace(result, value=worst.damping if limits.objective == "damping" else decay)
 
 
-def _edge_notes(solution: Solution, names: tuple[str, ...]) -> tuple[str, ...]:
+def _edge_notes(solution: GainSolution, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return a note on the distance to instability of a design without a limit on a response."""
     problem, x = solution.problem, solution.best.x
     if problem.limits.peak_sensitivity is not None or problem.limits.measures or not problem.stable(x):
@@ -425,7 +425,7 @@ def tune(
     return goal_figures(solution, summarise(solution, names, verified, notes, **more))
 
 
-def _search(design: DesignPlants, limits: Limits, low: FloatArray, high: FloatArray, task: SearchTask) -> Solution:
+def _search(design: DesignPlants, limits: Limits, low: FloatArray, high: FloatArray, task: SearchTask) -> GainSolution:
     """Return the best design: of the continuous loops, or of the sampled ones with starts from these."""
 
     def problem_of(plants: PlantSet) -> GainProblem:
