@@ -12,8 +12,8 @@ import casadi as ca
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.discretise import Hold
-from gbid.structure.delay import pade_delay
-from gbid.structure.linear import as_names
+from gbid.structure.delay import with_filters
+from gbid.structure.linear import LoopParts, as_names
 from gbid.structure.parameter import Parameter, Values
 
 AXES = ("x", "y")
@@ -107,46 +107,20 @@ class RotorBearing(Brief):
 
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return the matrices of Eq. 10, or of Eqs. 6 and 7 with exact delays."""
-        found = self._of_bearing(p)
-        if not self.unbalance:
-            return found
-        n = found["A"].shape[0]
-        turned = ca.vertcat(ca.horzcat(p["e_cos"], -p["e_sin"]), ca.horzcat(p["e_sin"], p["e_cos"]))
-        found["B"] = ca.horzcat(found["B"], ca.vertcat(ca.SX(2, 2), turned, ca.SX(n - 4, 2)))
-        found["D"] = ca.SX(2, 4)
-        if self.delay == "exact":
-            found["B_delayed"] = ca.horzcat(found["B_delayed"], ca.SX(n, 2))
-            found["delay"] = ca.vertcat(found["delay"], ca.SX.zeros(2, 1))
-        return found
-
-    def _of_bearing(self, p: Values) -> dict[str, Any]:
-        """Return the matrices without unbalance."""
         stiffness, damping, input_gain = (square(p, letter) for letter in "kdb")
-        if self.delay == "exact":
-            zero, eye = ca.SX(2, 2), ca.SX.eye(2)
-            return {
-                "A": ca.blockcat([[zero, eye], [stiffness, damping]]),
-                "B": ca.SX(4, 2),
-                "B_delayed": ca.vertcat(zero, input_gain),
-                "delay": ca.vertcat(p["tau_x"], p["tau_y"]),
-                "C": ca.horzcat(eye, zero),
-                "D": zero,
-                "K": self._gain(p),
-            }
-        n_tau = self.pade_order
-        delays = [pade_delay(p[f"tau_{axis}"], n_tau) for axis in AXES]
-        A_tau, B_tau, C_tau, D_tau = (ca.diagcat(*(getattr(delay, letter) for delay in delays)) for letter in "ABCD")
         zero, eye = ca.SX(2, 2), ca.SX.eye(2)
-        A = ca.blockcat(
-            [
-                [ca.horzcat(zero, eye), ca.SX(2, 2 * n_tau)],
-                [ca.horzcat(stiffness, damping), input_gain @ C_tau],
-                [ca.SX(2 * n_tau, 4), A_tau],
-            ]
+        parts = LoopParts(
+            ca.blockcat([[zero, eye], [stiffness, damping]]), ca.SX(4, 2), ca.horzcat(eye, zero), zero, self._gain(p)
         )
-        B = ca.vertcat(zero, input_gain @ D_tau, B_tau)
-        C = ca.horzcat(eye, ca.SX(2, 2 + 2 * n_tau))
-        return {"A": A, "B": B, "C": C, "D": zero, "K": ca.vertcat(self._gain(p), ca.SX(2 * n_tau, 2))}
+        B_delayed, delays = ca.vertcat(zero, input_gain), [p[f"tau_{axis}"] for axis in AXES]
+        if self.unbalance:
+            turned = ca.vertcat(ca.horzcat(p["e_cos"], -p["e_sin"]), ca.horzcat(p["e_sin"], p["e_cos"]))
+            parts = parts._replace(B=ca.horzcat(parts.B, ca.vertcat(zero, turned)), D=ca.SX(2, 4))
+            B_delayed = ca.horzcat(B_delayed, ca.SX(4, 2))
+        if self.delay == "pade":
+            return with_filters(parts, B_delayed, dict(enumerate(delays)), self.pade_order)._asdict()
+        none = ca.SX.zeros(parts.B.shape[1] - 2, 1)
+        return {**parts._asdict(), "B_delayed": B_delayed, "delay": ca.vertcat(*delays, none)}
 
     @property
     def forgotten_states(self) -> tuple[int, ...]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import block_diag
 
 from gbid.core.errors import UsageError
-from gbid.structure.linear import Matrices
+from gbid.structure.linear import LoopParts, Matrices, constant_like
 from gbid.structure.models import LinearModel
 
 
@@ -81,7 +81,41 @@ def _unit_ladder(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]
     return gain[:, None] * A, (gain * b)[:, None], c[None, :], sign
 
 
-# ---- Models with exact delays converted to Pade approximations.
+# ---- Delayed inputs of a model or structure replaced by filters.
+
+
+def with_filters(plant: LoopParts, B_delayed: Any, delays: Mapping[int, Any], order: int) -> LoopParts:
+    """Return a plant whose delayed inputs pass Pade filters; casadi.SX or arrays.
+
+    Parameters
+    ----------
+    plant : LoopParts
+        The plant without its delayed inputs.
+    B_delayed : (n, n_inputs) casadi.SX or array
+        Input matrix of the delayed inputs.
+    delays : dict of int to casadi.SX or float
+        Delay of each delayed input [s], by the column of `B_delayed`.
+    order : int
+        Order of the filters; each adds as many states, which follow those of the plant.
+    """
+    if not delays:
+        return plant
+    filters = [pade_delay(delay, order) for delay in delays.values()]
+    A, B, C, D = (ca.diagcat(*(getattr(each, letter) for each in filters)) for letter in "ABCD")
+    if not isinstance(plant.A, ca.SX):
+        A, B, C, D = (np.asarray(ca.DM(matrix), float) for matrix in (A, B, C, D))
+    n, n_all, n_u = plant.A.shape[0], plant.A.shape[0] + A.shape[0], plant.B.shape[1]
+    x_in, z_in, chosen = (
+        constant_like(plant.A, matrix) for matrix in (np.eye(n_all, n), np.eye(n_all)[:, n:], np.eye(n_u)[list(delays)])
+    )
+    drive = B_delayed @ chosen.T
+    return LoopParts(
+        x_in @ (plant.A @ x_in.T + drive @ C @ z_in.T) + z_in @ A @ z_in.T,
+        x_in @ (plant.B + drive @ D @ chosen) + z_in @ B @ chosen,
+        plant.C @ x_in.T,
+        plant.D,
+        x_in @ plant.K,
+    )
 
 
 def with_pade(model: LinearModel, order: int = 3) -> LinearModel:
@@ -106,39 +140,27 @@ def with_pade(model: LinearModel, order: int = 3) -> LinearModel:
     """
     if model.delay is None or model.B_delayed is None:
         return model
-    late = [i for i in range(model.B.shape[1]) if model.B_delayed[:, i].any() and model.delay[i] > 0]
-    prompt = np.setdiff1d(np.arange(model.B.shape[1]), late)
-    parts = [pade_delay(float(model.delay[i]), order) for i in late]
-    A_tau, B_tau, C_tau, D_tau = (
-        block_diag(*(np.asarray(ca.DM(getattr(part, letter)), float) for part in parts)) if parts else np.zeros((0, 0))
-        for letter in "ABCD"
-    )
-    n, n_tau = model.n_states, len(A_tau)
-    B = np.array(model.B)
-    B[:, prompt] += model.B_delayed[:, prompt]
-    into = np.zeros((n_tau, B.shape[1]))
-    if late:
-        B[:, late] += model.B_delayed[:, late] @ D_tau
-        into[:, late] = B_tau
-    drive = model.B_delayed[:, late] @ C_tau if late else np.zeros((n, 0))
-    names = tuple(f"delay_{model.input_names[i]}_{k + 1}" for i in late for k in range(order))
+    late = model.B_delayed.any(axis=0) & (model.delay > 0)
+    delays = {int(i): float(model.delay[i]) for i in np.flatnonzero(late)}
+    K = np.zeros((model.n_states, len(model.C))) if model.K is None else model.K
+    plant = LoopParts(model.A, model.B + np.where(late, 0.0, model.B_delayed), model.C, model.D, K)
+    A, B, C, D, K = with_filters(plant, model.B_delayed, delays, order)
+    names = tuple(f"delay_{model.input_names[i]}_{k + 1}" for i in delays for k in range(order))
     return replace(
         model,
-        A=np.block([[model.A, drive], [np.zeros((n_tau, n)), A_tau]]),
-        B=np.vstack([B, into]),
-        C=np.hstack([model.C, np.zeros((model.C.shape[0], n_tau))]),
-        K=None if model.K is None else np.vstack([model.K, np.zeros((n_tau, model.K.shape[1]))]),
+        A=A,
+        B=B,
+        C=C,
+        D=D,
+        K=None if model.K is None else K,
         state_names=(*model.state_names, *names),
         B_delayed=None,
         delay=None,
     )
 
 
-# ---- Symbolic matrices whose exact delays are replaced by Padé filters.
-
-
 def pade_matrices(m: Matrices, order: int) -> Matrices:
-    """Return the matrices without exact delays: the signal of each delayed input passes a Padé filter.
+    """Return the matrices without exact delays: the signal of each delayed input passes a Pade filter.
 
     In a loop the delayed signal is not known in advance, so the delay must be a part of the state.
 
@@ -151,21 +173,12 @@ def pade_matrices(m: Matrices, order: int) -> Matrices:
     """
     if not m.has_delay:
         return m
-    late = sorted(set(m.B_delayed.sparsity().get_triplet()[1]))
-    filters = [pade_delay(m.delay[i], order) for i in late]
-    A, B, C, D = (ca.diagcat(*(getattr(each, letter) for each in filters)) for letter in "ABCD")
-    n, n_u, n_y, added = m.A.shape[0], m.B.shape[1], m.C.shape[0], order * len(late)
-    into = ca.SX(len(late), n_u)
-    for row, i in enumerate(late):
-        into[row, i] = 1
-    drive = m.B_delayed[:, late]
-    return Matrices(
-        A=ca.blockcat([[m.A, drive @ C], [ca.SX(added, n), A]]),
-        B=ca.vertcat(m.B + drive @ D @ into, B @ into),
-        C=ca.horzcat(m.C, ca.SX(n_y, added)),
-        D=m.D,
-        K=ca.vertcat(m.K, ca.SX(added, n_y)),
-        B_delayed=ca.SX(n + added, n_u),
+    delays = {i: m.delay[i] for i in sorted(set(m.B_delayed.sparsity().get_triplet()[1]))}
+    parts = with_filters(LoopParts(m.A, m.B, m.C, m.D, m.K), m.B_delayed, delays, order)
+    n, added = parts.A.shape[0], parts.A.shape[0] - m.A.shape[0]
+    return m._replace(
+        **parts._asdict(),
+        B_delayed=ca.SX(n, m.B.shape[1]),
         delay=ca.SX(0, 1),
         x0=ca.vertcat(m.x0, ca.SX(added, 1)) if m.x0.numel() else m.x0,
     )

@@ -128,7 +128,7 @@ def closed_parts(plant: LoopParts, law: ControlLaw, measured: Sequence[int], set
     n, n_z, n_y = plant.A.shape[0], law.A.shape[0], plant.C.shape[0]
     told = np.eye(len(measured), plant.B.shape[1]) * set_point  # the set point as the first columns
     x_in, z_in, S, less = (
-        _like(plant.A, matrix)
+        constant_like(plant.A, matrix)
         for matrix in (np.eye(n + n_z, n), np.eye(n + n_z)[:, n:], np.eye(n_y)[list(measured)], told)
     )
     via = x_in @ law.drive @ law.D + z_in @ law.B  # from what the controller gets to all states
@@ -138,8 +138,8 @@ def closed_parts(plant: LoopParts, law: ControlLaw, measured: Sequence[int], set
     return LoopParts(A, B, C, plant.D, x_in @ plant.K + via @ S)
 
 
-def _like(kind: Any, matrix: FloatArray) -> Any:
-    """Return a constant matrix that multiplies matrices of a kind."""
+def constant_like(kind: Any, matrix: FloatArray) -> Any:
+    """Return a constant matrix as one that multiplies casadi.SX, or arrays and duals."""
     return ca.sparsify(ca.DM(matrix)) if isinstance(kind, ca.SX) else matrix
 
 
