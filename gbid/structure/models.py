@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,148 +17,6 @@ from gbid.core.errors import UsageError
 from gbid.core.extras import Pictured, extra_package
 from gbid.core.hdf5 import Stored
 from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
-
-# ---- Protocol of a state-space model, for functions that need only its matrices and names.
-
-
-class StateSpace(Protocol):
-    """Matrices and names of a `LinearModel`."""
-
-    @property
-    def A(self) -> FloatArray:
-        """State matrix (n, n)."""
-        ...
-
-    @property
-    def B(self) -> FloatArray:
-        """Input matrix (n, n_inputs)."""
-        ...
-
-    @property
-    def C(self) -> FloatArray:
-        """Output matrix (n_outputs, n)."""
-        ...
-
-    @property
-    def D(self) -> FloatArray:
-        """Feedthrough (n_outputs, n_inputs)."""
-        ...
-
-    @property
-    def K(self) -> FloatArray | None:
-        """Disturbance gain (n, n_outputs)."""
-        ...
-
-    @property
-    def dt(self) -> float | None:
-        """Sample time [s]; None in continuous time."""
-        ...
-
-    @property
-    def B_delayed(self) -> FloatArray | None:
-        """Input matrix of delayed inputs (n, n_inputs)."""
-        ...
-
-    @property
-    def delay(self) -> FloatArray | None:
-        """Exact delays (n_inputs,) [s]."""
-        ...
-
-    @property
-    def name(self) -> str:
-        """Name of the model."""
-        ...
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        ...
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-        ...
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states."""
-        ...
-
-
-# ---- Preparation of a simulation over sampled inputs: state transition, forcing and initial state.
-
-
-def sampled_run(
-    model: StateSpace,
-    inputs: npt.ArrayLike,
-    sample_time: float | None,
-    initial_state: npt.ArrayLike | None,
-    intersample: str | Sequence[str],
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the recursion ``x[k+1] = F x[k] + f[k]`` of a simulation, after a check of its inputs.
-
-    Parameters
-    ----------
-    model : StateSpace
-        The model.
-    inputs : (n_samples, n_inputs) array
-        Input signals.
-    sample_time : float, optional
-        Time between samples [s]; a discrete model has its own.
-    initial_state : (n,) array, optional
-        State at the first sample; zero when not given.
-    intersample : {"zoh", "foh"} or sequence of these
-        Inter-sample behaviour of the inputs.
-
-    Returns
-    -------
-    F : (n, n) array
-        State transition.
-    f : (n_samples, n) array
-        Effect of the inputs on the state, with delayed inputs.
-    inputs : (n_samples, n_inputs) array
-        Inputs as a float array.
-    initial_state : (n,) array
-        State at the first sample.
-
-    Raises
-    ------
-    UsageError
-        As for `LinearModel.simulate`.
-    """
-    u = channels(model.name, "inputs", inputs, model.B.shape[1])
-    if model.dt is None:
-        if sample_time is None:
-            raise UsageError(f"model {model.name!r} is continuous: give the sample time [s]")
-        check_sample_time(model.name, sample_time)
-        F, now, following = discretise(np.array(model.A), np.array(model.B), sample_time, intersample)
-    else:
-        if sample_time is not None and not np.isclose(sample_time, model.dt, rtol=1e-9):
-            raise UsageError(f"model {model.name!r} has sample time {model.dt} s, not {sample_time} s")
-        if any(hold != "zoh" for hold in check_holds(intersample, model.B.shape[1])):
-            raise UsageError(f"model {model.name!r} is discrete: its inputs cannot be interpolated")
-        F, now, following = model.A, model.B, np.zeros_like(model.B)
-    x0 = np.zeros(len(model.A)) if initial_state is None else np.asarray(initial_state, float)
-    if x0.shape != (len(model.A),):
-        raise UsageError(f"model {model.name!r}: initial_state has shape {x0.shape}, expected ({len(model.A)},)")
-    forcing = u @ now.T
-    forcing[:-1] += u[1:] @ following.T
-    if model.delay is not None and sample_time is not None:
-        forcing += _delayed_forcing(model, u, sample_time, check_holds(intersample, u.shape[1]))
-    return F, forcing, u, x0
-
-
-def _delayed_forcing(model: StateSpace, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
-    """Return the effect of the delayed inputs on the state; before the record they have their first value."""
-    assert model.delay is not None
-    assert model.B_delayed is not None
-    forcing = np.zeros((len(u), len(model.A)))
-    for i, hold in enumerate(holds):
-        taps = delayed_taps(np.array(model.A), model.B_delayed[:, [i]], float(model.delay[i]), sample_time, hold)
-        for j, column in enumerate(taps.columns):
-            rows = np.clip(np.arange(len(u)) - taps.shift + 1 - j, 0, len(u) - 1)
-            forcing += u[rows, i : i + 1] @ column.T
-    return forcing
 
 
 def channels(model: str, what: str, values: npt.ArrayLike, count: int, n_samples: int | None = None) -> FloatArray:
@@ -195,152 +53,6 @@ def check_sample_time(model: str, sample_time: float) -> None:
     """Refuse sample times that are not positive numbers."""
     if not (np.isfinite(sample_time) and sample_time > 0):
         raise UsageError(f"model {model!r}: sample time {sample_time} s; it must be a positive number")
-
-
-def checked_fields(model: StateSpace) -> dict[str, Any]:
-    """Return the matrices of a model as read-only arrays, its delays, and its names with those that were not given.
-
-    Raises
-    ------
-    UsageError
-        As `LinearModel`.
-    """
-    if model.dt is not None:
-        check_sample_time(model.name, model.dt)
-    given = {letter: getattr(model, letter) for letter in "ABCDK"}
-    matrices = {letter: np.atleast_2d(np.array(m, float)) for letter, m in given.items() if m is not None}
-    n, n_u, n_y = matrices["A"].shape[0], matrices["B"].shape[1], matrices["C"].shape[0]
-    expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y)}
-    for letter, matrix in matrices.items():
-        if matrix.shape != expected[letter]:
-            raise UsageError(f"model {model.name!r}: {letter} has shape {matrix.shape}, expected {expected[letter]}")
-        if not np.isfinite(matrix).all():
-            raise UsageError(f"model {model.name!r}: {letter} holds entries that are not finite")
-    arrays = {**matrices, **_checked_delay(model, n, n_u)}
-    for array in arrays.values():
-        array.setflags(write=False)
-    counts = {"input_names": (n_u, "u"), "output_names": (n_y, "y"), "state_names": (n, "x")}
-    return {**arrays, **{field: _names(model, field, *default) for field, default in counts.items()}}
-
-
-def _checked_delay(model: StateSpace, n: int, n_u: int) -> dict[str, FloatArray]:
-    if (model.delay is None) != (model.B_delayed is None):
-        raise UsageError(f"model {model.name!r}: give both delay and B_delayed, or neither")
-    if model.delay is None:
-        return {}
-    delay, B_delayed = np.array(model.delay, float), np.array(model.B_delayed, float)
-    if delay.shape != (n_u,) or B_delayed.shape != (n, n_u):
-        raise UsageError(
-            f"model {model.name!r}: delay has shape {delay.shape} and B_delayed {B_delayed.shape}, "
-            f"expected {(n_u,)} and {(n, n_u)}"
-        )
-    if model.dt is not None:
-        raise UsageError(f"model {model.name!r}: exact delays are possible in continuous time only")
-    if not (np.isfinite(B_delayed).all() and np.isfinite(delay).all() and (delay >= 0).all()):
-        raise UsageError(f"model {model.name!r}: delays must be finite and not negative, B_delayed finite")
-    return {"delay": delay, "B_delayed": B_delayed}
-
-
-def _names(model: StateSpace, field: str, count: int, letter: str) -> tuple[str, ...]:
-    names = tuple(getattr(model, field)) or tuple(f"{letter}{i + 1}" for i in range(count))
-    if len(names) != count:
-        raise UsageError(f"model {model.name!r}: {field} has {len(names)} names for {count}")
-    return names
-
-
-# ---- Poles, static gain and frequency response of a linear model.
-
-
-def continuous_poles(model: StateSpace) -> ComplexArray:
-    """Return the poles in continuous time [rad/s], shape (n,), by rising magnitude."""
-    poles = np.linalg.eigvals(model.A).astype(complex)
-    if model.dt is not None:
-        poles = poles_of_samples(poles, model.dt)
-    return poles[np.lexsort((poles.imag, np.abs(poles)))]
-
-
-def static_gain(model: StateSpace) -> FloatArray:
-    """Return the static gain, shape (n_outputs, n_inputs); see `LinearModel.static_gain`."""
-    system = -model.A if model.dt is None else np.eye(len(model.A)) - model.A
-    if len(model.A) and np.linalg.cond(system) > 1e15:
-        raise UsageError(f"model {model.name!r} has an integrator, so it has no static gain")
-    B = model.B if model.B_delayed is None else model.B + model.B_delayed
-    return np.asarray(model.C @ np.linalg.solve(system, B) + model.D)
-
-
-def frequency_response(model: StateSpace, frequency_hz: npt.ArrayLike) -> ComplexArray:
-    """Return the frequency response (n_frequencies, n_outputs, n_inputs); see `LinearModel.frequency_response`."""
-    s = 2j * np.pi * np.atleast_1d(np.asarray(frequency_hz, float))
-    if not np.isfinite(s).all():
-        raise UsageError(f"model {model.name!r}: frequency_hz holds values that are not finite")
-    B = np.broadcast_to(model.B, (len(s), *model.B.shape)).astype(complex)
-    if model.delay is not None:
-        B = B + model.B_delayed * np.exp(-s[:, None] * model.delay)[:, None]
-    if model.dt is not None:
-        s = np.exp(s * model.dt)
-    system = s[:, None, None] * np.eye(len(model.A)) - model.A
-    try:
-        states = np.linalg.solve(system, B)
-    except np.linalg.LinAlgError:
-        raise UsageError(f"model {model.name!r} has a pole at one of the given frequencies") from None
-    return np.asarray(model.C @ states + model.D)
-
-
-# ---- Conversion of linear models to objects of other libraries, and back.
-
-
-def scipy_state_space(model: StateSpace) -> Any:
-    """Return the model as ``scipy.signal.StateSpace``; see `LinearModel.to_scipy`."""
-    from scipy import signal
-
-    _refuse_delays(model, "scipy")
-    matrices = (np.array(m) for m in (model.A, model.B, model.C, model.D))
-    return signal.StateSpace(*matrices, **({} if model.dt is None else {"dt": model.dt}))
-
-
-def control_state_space(model: StateSpace) -> Any:
-    """Return the model as ``control.StateSpace``; see `LinearModel.to_control`."""
-    control = extra_package("control", "control", f"model {model.name!r}: conversion to python-control")
-    _refuse_delays(model, "python-control")
-    return control.StateSpace(
-        *(np.array(m) for m in (model.A, model.B, model.C, model.D)),
-        0 if model.dt is None else model.dt,
-        inputs=_labels(model.input_names),
-        outputs=_labels(model.output_names),
-        states=_labels(model.state_names),
-        name=model.name,
-        remove_useless_states=False,
-    )
-
-
-def from_state_space(system: Any, name: str | None) -> dict[str, Any]:
-    """Return the fields of a `LinearModel` given by a state-space system; see `LinearModel.from_control`."""
-    if not all(hasattr(system, part) for part in ("A", "B", "C", "D", "dt", "input_labels")):
-        raise UsageError(
-            f"a {type(system).__name__} is not a state-space system of python-control; "
-            "convert it first, control.ss(system)"
-        )
-    if system.dt is None or isinstance(system.dt, bool):
-        raise UsageError(
-            f"system {system.name!r} has dt = {system.dt}, which is not a sample time; "
-            "set system.dt to 0 for continuous time, or to the sample time in seconds"
-        )
-    return {
-        **{letter: np.asarray(getattr(system, letter), float) for letter in "ABCD"},
-        "dt": None if system.dt == 0 else float(system.dt),
-        "input_names": tuple(system.input_labels),
-        "output_names": tuple(system.output_labels),
-        "state_names": tuple(system.state_labels),
-        "name": system.name if name is None else name,
-    }
-
-
-def _refuse_delays(model: StateSpace, library: str) -> None:
-    if model.delay is not None:
-        raise UsageError(
-            f"model {model.name!r} has exact delays, which {library} does not support; "
-            "replace them by Pade approximations first: with_pade(model, order)"
-        )
 
 
 def _labels(names: tuple[str, ...]) -> list[str]:
@@ -398,8 +110,47 @@ class LinearModel(Brief, Pictured):
     delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
 
     def __post_init__(self) -> None:
-        for field, value in checked_fields(self).items():
+        if self.dt is not None:
+            check_sample_time(self.name, self.dt)
+        given = {letter: getattr(self, letter) for letter in "ABCDK"}
+        matrices = {letter: np.atleast_2d(np.array(m, float)) for letter, m in given.items() if m is not None}
+        n, n_u, n_y = matrices["A"].shape[0], matrices["B"].shape[1], matrices["C"].shape[0]
+        expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y)}
+        for letter, matrix in matrices.items():
+            if matrix.shape != expected[letter]:
+                raise UsageError(f"model {self.name!r}: {letter} has shape {matrix.shape}, expected {expected[letter]}")
+            if not np.isfinite(matrix).all():
+                raise UsageError(f"model {self.name!r}: {letter} holds entries that are not finite")
+        arrays = {**matrices, **self._checked_delay(n, n_u)}
+        for array in arrays.values():
+            array.setflags(write=False)
+        counts = {"input_names": (n_u, "u"), "output_names": (n_y, "y"), "state_names": (n, "x")}
+        names = {field: self._names(field, *default) for field, default in counts.items()}
+        for field, value in {**arrays, **names}.items():
             object.__setattr__(self, field, value)
+
+    def _checked_delay(self, n: int, n_u: int) -> dict[str, FloatArray]:
+        if (self.delay is None) != (self.B_delayed is None):
+            raise UsageError(f"model {self.name!r}: give both delay and B_delayed, or neither")
+        if self.delay is None:
+            return {}
+        delay, B_delayed = np.array(self.delay, float), np.array(self.B_delayed, float)
+        if delay.shape != (n_u,) or B_delayed.shape != (n, n_u):
+            raise UsageError(
+                f"model {self.name!r}: delay has shape {delay.shape} and B_delayed {B_delayed.shape}, "
+                f"expected {(n_u,)} and {(n, n_u)}"
+            )
+        if self.dt is not None:
+            raise UsageError(f"model {self.name!r}: exact delays are possible in continuous time only")
+        if not (np.isfinite(B_delayed).all() and np.isfinite(delay).all() and (delay >= 0).all()):
+            raise UsageError(f"model {self.name!r}: delays must be finite and not negative, B_delayed finite")
+        return {"delay": delay, "B_delayed": B_delayed}
+
+    def _names(self, field: str, count: int, letter: str) -> tuple[str, ...]:
+        names = tuple(getattr(self, field)) or tuple(f"{letter}{i + 1}" for i in range(count))
+        if len(names) != count:
+            raise UsageError(f"model {self.name!r}: {field} has {len(names)} names for {count}")
+        return names
 
     @property
     def summary(self) -> str:
@@ -421,7 +172,10 @@ class LinearModel(Brief, Pictured):
 
     def poles(self) -> ComplexArray:
         """Return the poles in continuous time [rad/s], shape (n,), by rising magnitude."""
-        return continuous_poles(self)
+        poles = np.linalg.eigvals(self.A).astype(complex)
+        if self.dt is not None:
+            poles = poles_of_samples(poles, self.dt)
+        return poles[np.lexsort((poles.imag, np.abs(poles)))]
 
     def is_stable(self) -> bool:
         """Return whether the model is asymptotically stable."""
@@ -464,7 +218,11 @@ class LinearModel(Brief, Pictured):
         UsageError
             When the model has an integrator (a pole at zero) and therefore no static gain.
         """
-        return static_gain(self)
+        system = -self.A if self.dt is None else np.eye(len(self.A)) - self.A
+        if len(self.A) and np.linalg.cond(system) > 1e15:
+            raise UsageError(f"model {self.name!r} has an integrator, so it has no static gain")
+        B = self.B if self.B_delayed is None else self.B + self.B_delayed
+        return np.asarray(self.C @ np.linalg.solve(system, B) + self.D)
 
     def frequency_response(self, frequency_hz: npt.ArrayLike) -> ComplexArray:
         """Return the frequency response, shape (n_frequencies, n_outputs, n_inputs).
@@ -479,7 +237,20 @@ class LinearModel(Brief, Pictured):
         UsageError
             When a frequency is not finite, or when an undamped pole lies exactly on it.
         """
-        return frequency_response(self, frequency_hz)
+        s = 2j * np.pi * np.atleast_1d(np.asarray(frequency_hz, float))
+        if not np.isfinite(s).all():
+            raise UsageError(f"model {self.name!r}: frequency_hz holds values that are not finite")
+        B = np.broadcast_to(self.B, (len(s), *self.B.shape)).astype(complex)
+        if self.delay is not None:
+            B = B + self.B_delayed * np.exp(-s[:, None] * self.delay)[:, None]
+        if self.dt is not None:
+            s = np.exp(s * self.dt)
+        system = s[:, None, None] * np.eye(len(self.A)) - self.A
+        try:
+            states = np.linalg.solve(system, B)
+        except np.linalg.LinAlgError:
+            raise UsageError(f"model {self.name!r} has a pole at one of the given frequencies") from None
+        return np.asarray(self.C @ states + self.D)
 
     def discretise(self, sample_time: float) -> LinearModel:
         """Return the discrete-time model for zero-order hold of inputs and disturbance.
@@ -494,7 +265,8 @@ class LinearModel(Brief, Pictured):
         UsageError
             When the model is discrete already, or when it has exact delays (see `with_pade`).
         """
-        self._require_continuous()
+        if self.dt is not None:
+            raise UsageError(f"model {self.name!r} is discrete already (sample time {self.dt} s)")
         if self.delay is not None:
             raise UsageError(
                 f"model {self.name!r} has exact delays; "
@@ -538,8 +310,77 @@ class LinearModel(Brief, Pictured):
             When shapes do not fit, when an input is not finite, when the sample time is missing or differs, or when
             `intersample` is given for a discrete model.
         """
-        F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
+        F, forcing, u, x0 = self._sampled_run(inputs, sample_time, initial_state, intersample)
         return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+
+    def _sampled_run(
+        self,
+        inputs: npt.ArrayLike,
+        sample_time: float | None,
+        initial_state: npt.ArrayLike | None,
+        intersample: str | Sequence[str],
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the recursion ``x[k+1] = F x[k] + f[k]`` of a simulation, after a check of its inputs.
+
+        Parameters
+        ----------
+        inputs : (n_samples, n_inputs) array
+            Input signals.
+        sample_time : float, optional
+            Time between samples [s]; a discrete model has its own.
+        initial_state : (n,) array, optional
+            State at the first sample; zero when not given.
+        intersample : {"zoh", "foh"} or sequence of these
+            Inter-sample behaviour of the inputs.
+
+        Returns
+        -------
+        F : (n, n) array
+            State transition.
+        f : (n_samples, n) array
+            Effect of the inputs on the state, with delayed inputs.
+        inputs : (n_samples, n_inputs) array
+            Inputs as a float array.
+        initial_state : (n,) array
+            State at the first sample.
+
+        Raises
+        ------
+        UsageError
+            As for `simulate`.
+        """
+        u = channels(self.name, "inputs", inputs, self.B.shape[1])
+        if self.dt is None:
+            if sample_time is None:
+                raise UsageError(f"model {self.name!r} is continuous: give the sample time [s]")
+            check_sample_time(self.name, sample_time)
+            F, now, following = discretise(np.array(self.A), np.array(self.B), sample_time, intersample)
+        else:
+            if sample_time is not None and not np.isclose(sample_time, self.dt, rtol=1e-9):
+                raise UsageError(f"model {self.name!r} has sample time {self.dt} s, not {sample_time} s")
+            if any(hold != "zoh" for hold in check_holds(intersample, self.B.shape[1])):
+                raise UsageError(f"model {self.name!r} is discrete: its inputs cannot be interpolated")
+            F, now, following = self.A, self.B, np.zeros_like(self.B)
+        x0 = np.zeros(len(self.A)) if initial_state is None else np.asarray(initial_state, float)
+        if x0.shape != (len(self.A),):
+            raise UsageError(f"model {self.name!r}: initial_state has shape {x0.shape}, expected ({len(self.A)},)")
+        forcing = u @ now.T
+        forcing[:-1] += u[1:] @ following.T
+        if self.delay is not None and sample_time is not None:
+            forcing += self._delayed_forcing(u, sample_time, check_holds(intersample, u.shape[1]))
+        return F, forcing, u, x0
+
+    def _delayed_forcing(self, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
+        """Return the effect of the delayed inputs on the state; before the record they have their first value."""
+        assert self.delay is not None
+        assert self.B_delayed is not None
+        forcing = np.zeros((len(u), len(self.A)))
+        for i, hold in enumerate(holds):
+            taps = delayed_taps(np.array(self.A), self.B_delayed[:, [i]], float(self.delay[i]), sample_time, hold)
+            for j, column in enumerate(taps.columns):
+                rows = np.clip(np.arange(len(u)) - taps.shift + 1 - j, 0, len(u) - 1)
+                forcing += u[rows, i : i + 1] @ column.T
+        return forcing
 
     def predict(
         self,
@@ -577,7 +418,7 @@ class LinearModel(Brief, Pictured):
         UsageError
             As for `simulate`, or when the outputs do not fit.
         """
-        F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
+        F, forcing, u, x0 = self._sampled_run(inputs, sample_time, initial_state, intersample)
         y = channels(self.name, "outputs", outputs, len(self.C), len(u))
         if self.K is not None:
             gain = np.array(self.K)
@@ -594,7 +435,11 @@ class LinearModel(Brief, Pictured):
         UsageError
             When the model has exact delays; replace them first with `with_pade`.
         """
-        return scipy_state_space(self)
+        from scipy import signal
+
+        self._refuse_delays("scipy")
+        matrices = (np.array(m) for m in (self.A, self.B, self.C, self.D))
+        return signal.StateSpace(*matrices, **({} if self.dt is None else {"dt": self.dt}))
 
     def to_control(self) -> Any:
         """Return the model as ``control.StateSpace`` with its names, without the disturbance gain.
@@ -607,7 +452,17 @@ class LinearModel(Brief, Pictured):
             When the model has exact delays (replace them first with `with_pade`), or when python-control is not
             installed: install the extra ``gbid[control]``.
         """
-        return control_state_space(self)
+        control = extra_package("control", "control", f"model {self.name!r}: conversion to python-control")
+        self._refuse_delays("python-control")
+        return control.StateSpace(
+            *(np.array(m) for m in (self.A, self.B, self.C, self.D)),
+            0 if self.dt is None else self.dt,
+            inputs=_labels(self.input_names),
+            outputs=_labels(self.output_names),
+            states=_labels(self.state_names),
+            name=self.name,
+            remove_useless_states=False,
+        )
 
     @classmethod
     def from_control(cls, system: Any, name: str | None = None) -> LinearModel:
@@ -630,11 +485,35 @@ class LinearModel(Brief, Pictured):
             When it is another type of system, or when its ``dt`` is None or True and the sample time is therefore
             unknown.
         """
-        return cls(**from_state_space(system, name))
+        if not all(hasattr(system, part) for part in ("A", "B", "C", "D", "dt", "input_labels")):
+            raise UsageError(
+                f"a {type(system).__name__} is not a state-space system of python-control; "
+                "convert it first, control.ss(system)"
+            )
+        if system.dt is None or isinstance(system.dt, bool):
+            raise UsageError(
+                f"system {system.name!r} has dt = {system.dt}, which is not a sample time; "
+                "set system.dt to 0 for continuous time, or to the sample time in seconds"
+            )
+        A, B, C, D = (np.asarray(getattr(system, letter), float) for letter in "ABCD")
+        return cls(
+            A,
+            B,
+            C,
+            D,
+            dt=None if system.dt == 0 else float(system.dt),
+            input_names=tuple(system.input_labels),
+            output_names=tuple(system.output_labels),
+            state_names=tuple(system.state_labels),
+            name=system.name if name is None else name,
+        )
 
-    def _require_continuous(self) -> None:
-        if self.dt is not None:
-            raise UsageError(f"model {self.name!r} is discrete already (sample time {self.dt} s)")
+    def _refuse_delays(self, library: str) -> None:
+        if self.delay is not None:
+            raise UsageError(
+                f"model {self.name!r} has exact delays, which {library} does not support; "
+                "replace them by Pade approximations first: with_pade(model, order)"
+            )
 
 
 # ---- Frequency grid adapted to the poles of a model.

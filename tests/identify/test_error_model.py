@@ -13,6 +13,7 @@ from gbid.identify.uncertainty.coloured import (
     lag_products,
     longest_order,
     score_covariance,
+    transformed,
 )
 
 COUPLED = np.array([[[0.6, 0.3], [-0.2, 0.5]], [[-0.3, 0.0], [0.1, -0.2]]])
@@ -108,7 +109,9 @@ def covariance_of_errors(model, n):
 def test_the_covariance_of_the_gradient_is_the_sum_over_all_pairs_of_samples(left_out):
     record = records(700, left_out=left_out)
     weight, kept = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([0, 1, 2, 5])
-    total, (model,) = score_covariance([record], weight, TINY * np.eye(4), kept)  # as if nothing was fitted
+    total, (model,) = score_covariance(
+        [transformed(record, kept)], weight, TINY * np.eye(4)
+    )  # as if nothing was fitted
     total /= TINY**2
     assert model.order >= 2
     weighted = np.einsum("ab,bmk->kam", weight, record.psi)
@@ -129,8 +132,8 @@ def test_records_of_different_noise_add_up():
     one, two = records(500, 1), records(800, 2)
     two = two._replace(errors=10 * two.errors)
     kept, nothing = np.arange(6), TINY * np.eye(6)
-    apart = [score_covariance([record], np.eye(2), nothing, kept)[0] for record in (one, two)]
-    together, models = score_covariance(iter([one, two]), np.eye(2), nothing, kept)
+    apart = [score_covariance([transformed(record, kept)], np.eye(2), nothing)[0] for record in (one, two)]
+    together, models = score_covariance((transformed(record, kept) for record in (one, two)), np.eye(2), nothing)
     np.testing.assert_allclose(together, apart[0] + apart[1], rtol=1e-12)
     assert len(models) == 2
 
@@ -154,9 +157,9 @@ def test_what_the_fit_takes_from_narrow_band_errors_is_given_back():
         e = lfilter([1.0], a, drive)[2000:]
         e = e - slopes.T @ (inverse @ (slopes @ e))
         record = RecordSensitivities(np.arange(4), slopes[None], e[:, None], np.ones(n, bool))
-        found, _ = score_covariance([record], np.eye(1), root, np.arange(4))
+        found, _ = score_covariance([transformed(record, np.arange(4))], np.eye(1), root)
         stated.append(np.diag(back.T @ found @ back))
-        found, _ = score_covariance([record], np.eye(1), TINY * np.eye(4), np.arange(4))
+        found, _ = score_covariance([transformed(record, np.arange(4))], np.eye(1), TINY * np.eye(4))
         plain.append(np.diag(found) / TINY**2)
     given_back, without = (np.mean(np.mean(found, axis=0) / np.diag(true)) for found in (stated, plain))
     assert without < 0.8

@@ -1,10 +1,9 @@
-"""Autoregressive model of residuals: their colour, exactly and without a longest lag."""
+"""Coloured residuals: their autoregressive model, the covariance of the gradient, bootstrap, test of whiteness."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -257,7 +256,7 @@ class RecordSensitivities(NamedTuple):
 
 
 class SegmentSensitivities(NamedTuple):
-    """The same for one segment, by the parameters of its predictor and, after them, the state at its start."""
+    """Sensitivities of a segment by the parameters of its predictor and the state at its start, (n_y, n_p + n, N)."""
 
     psi: FloatArray
     errors: FloatArray
@@ -373,20 +372,18 @@ _LONG = 10_000  # samples of a record for which this part is negligible
 
 
 def score_covariance(
-    records: Iterable[RecordSensitivities], weight: FloatArray, root: FloatArray, kept: IntArray
+    transforms: Iterable[Transform], weight: FloatArray, root: FloatArray
 ) -> tuple[FloatArray, list[ErrorModel]]:
     """Return the covariance of ``sum psi' W e`` for errors of the colour that the residuals have.
 
     Parameters
     ----------
-    records : iterable of RecordSensitivities
-        Sensitivities and residuals.
+    transforms : iterable of Transform
+        Residuals of each record, and the transform of its sensitivities.
     weight : (n_y, n_y) array
         Weight W of the errors.
     root : (n_kept, n) array
         Root R of the inverse of the Gauss-Newton Hessian, ``R R' = H^-1``.
-    kept : (n_kept,) integer array
-        The unknowns that count as estimated.
 
     Returns
     -------
@@ -403,13 +400,6 @@ def score_covariance(
     damped modes, this is a notch in their spectrum just where S counts. So the expected products of the part that is
     missing, ``psi C psi'`` with the covariance C of the estimates, are added to those of the residuals.
     """
-    return covariance_of(map(partial(transformed, kept=kept), records), weight, root)
-
-
-def covariance_of(
-    transforms: Iterable[Transform], weight: FloatArray, root: FloatArray
-) -> tuple[FloatArray, list[ErrorModel]]:
-    """Return the same as `score_covariance` from sensitivities that are transformed already."""
     n_kept = len(root)
     models, short = [], []
     long = np.zeros((2, n_kept, n_kept))  # of sensitivities as they are, and what feedback of errors changes
@@ -664,7 +654,7 @@ def bootstrap_factors(
             t._replace(errors=e - np.einsum("amk,m->ka", psi, step[t.columns], optimize=True))
             for e, psi, t in zip(drawn, slopes, plain, strict=True)
         ]
-        J = covariance_of(left, estimator.weight, estimator.root)[0] + estimator.known
+        J = score_covariance(left, estimator.weight, estimator.root)[0] + estimator.known
         J[estimator.blurred] = J[:, estimator.blurred] = 0.0
         variance = np.einsum("im,mn,in->i", estimator.onto, J, estimator.onto)
         ratio[:] = np.abs(step) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
@@ -734,20 +724,13 @@ def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
     return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)
 
 
-class _Autocorrelation(NamedTuple):
-    """Autocorrelation of the residuals of one record about their means."""
-
-    n_samples: int
-    rho: FloatArray  # (n_y, lags), from lag 1
-
-
 def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
     """Return the whiteness test of the residuals of one or several records.
 
     Parameters
     ----------
     errors : list of (n_samples, n_y) array
-        Residuals of each record.
+        Residuals of each record; records of at most twice as many samples as lags do not count.
     lags : int
         Number of lags.
 
@@ -756,18 +739,9 @@ def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
     Whiteness
         Statistic and p-value of each output.
     """
-    return _portmanteau([_autocorrelation(record, lags) for record in errors], lags)
-
-
-def _autocorrelation(errors: FloatArray, lags: int) -> _Autocorrelation:
-    centred = errors - column_means(errors)
-    return _Autocorrelation(len(errors), np.array([correlation(channel, channel, lags)[1:] for channel in centred.T]))
-
-
-def _portmanteau(records: list[_Autocorrelation], lags: int) -> Whiteness:
-    """Sum up the statistic of Ljung and Box over the records that are long enough."""
-    used = [(n, rho[:, :lags]) for n, rho in records if n > 2 * lags]
-    statistic = np.zeros(len(records[0].rho))
-    for n, rho in used:
+    statistic, used = np.zeros(errors[0].shape[1]), [record for record in errors if len(record) > 2 * lags]
+    for record in used:
+        n, centred = len(record), record - column_means(record)
+        rho = np.array([correlation(channel, channel, lags)[1:] for channel in centred.T])
         statistic += n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum(axis=1)
     return Whiteness(statistic, np.asarray(chdtrc(lags * max(1, len(used)), statistic)), lags)

@@ -1,4 +1,4 @@
-"""Covariance of the estimates: for white residuals, and a robust one for coloured residuals."""
+"""Covariance of the estimates, for white and for coloured residuals; standard deviations of modes and static gain."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from gbid.identify.uncertainty.coloured import (
     RecordSensitivities,
     Transform,
     bootstrap_factors,
-    covariance_of,
     joined_segments,
     of_segment,
+    score_covariance,
     tied_sensitivities,
     tied_values,
     transformed,
@@ -292,11 +292,10 @@ def _omitted(
 # ---- Sensitivities of the predictions of an unstable model, from its shooting windows.
 #
 # Over a whole record the sensitivities by the initial state of an unstable model grow without bound. Within a window
-# they
-# do not. So the state at the start of each window is written as a bounded function of the parameters and of a few
-# further
-# coordinates: of all trajectories that close the gaps, those of least norm, and an orthonormal basis of the free ones.
-# The coordinates stand for the initial states. The covariance of the parameters does not depend on this choice.
+# they do not. So the state at the start of each window is written as a bounded function of the parameters and of a few
+# further coordinates: of all trajectories that close the gaps, those of least norm, and an orthonormal basis of the
+# free ones. The coordinates stand for the initial states. The covariance of the parameters does not depend on this
+# choice.
 
 _GROWTH = 1e3  # of a model over a record, up to which one pass over the record is accurate
 
@@ -325,25 +324,10 @@ class WindowSlopes(NamedTuple):
     end: FloatArray
 
 
-class WindowedRecord(NamedTuple):
-    """Sensitivities of a record by all parameters and its own coordinates of free trajectories.
-
-    Attributes
-    ----------
-    psi : (n_samples, n_y, n_p + n) array
-    errors : (n_samples, n_y) array
-    counted : (n_samples,) boolean array
-    """
-
-    psi: FloatArray
-    errors: FloatArray
-    counted: BoolArray
-
-
 def windowed_records(
     problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, *, known_starts: BoolArray
-) -> Iterator[WindowedRecord]:
-    """Yield the sensitivities of each record.
+) -> Iterator[RecordSensitivities]:
+    """Yield the sensitivities of each record by all parameters and its own coordinates of free trajectories.
 
     Parameters
     ----------
@@ -366,7 +350,7 @@ def windowed_records(
         )
     ]
     following = {int(a): int(b) for a, b in problem.links}
-    for first, known in zip(record_window, known_starts, strict=True):
+    for record, (first, known) in enumerate(zip(record_window, known_starts, strict=True)):
         chain = [int(first)]
         while chain[-1] in following:
             chain.append(following[chain[-1]])
@@ -387,7 +371,9 @@ def windowed_records(
             psi.append(by_start * counts[:, None, None])
             errors.append(own.errors[at, live] * counts[:, None])
             counted.append(counts)
-        yield WindowedRecord(np.concatenate(psi), np.concatenate(errors), np.concatenate(counted))
+        columns = np.concatenate([np.arange(n_p), n_p + record * n + np.arange(n)])
+        slopes_of_record = np.ascontiguousarray(np.concatenate(psi).transpose(1, 2, 0))
+        yield RecordSensitivities(columns, slopes_of_record, np.concatenate(errors), np.concatenate(counted))
 
 
 def _onto(slopes: FloatArray, tie: FloatArray | None) -> FloatArray:
@@ -481,18 +467,14 @@ def information_by_windows(
     weight, shaped : (n_y, n_y) array
         Weights of the errors for the two Hessians.
     """
-    n, n_p = problem.n_states, problem.n_theta
-    n_all = n_p + len(record_window) * n
+    n_all = problem.n_theta + len(record_window) * problem.n_states
     hessians = np.zeros((2, n_all, n_all))
-    sensitivities = []
-    records = windowed_records(problem, theta, starts, record_window, known_starts=known_starts)
-    for i, record in enumerate(records):
-        columns = np.concatenate([np.arange(n_p), n_p + i * n + np.arange(n)])
+    records = list(windowed_records(problem, theta, starts, record_window, known_starts=known_starts))
+    for record in records:
         for total, W in zip(hessians, (weight, shaped), strict=True):
-            total[np.ix_(columns, columns)] += np.einsum("kyi,yz,kzj->ij", record.psi, W, record.psi, optimize=True)
-        psi = np.ascontiguousarray(record.psi.transpose(1, 2, 0))
-        sensitivities.append(RecordSensitivities(columns, psi, record.errors, record.counted > 0))
-    return Information(hessians[0], hessians[1], None, iter(sensitivities))
+            products = np.einsum("yik,yz,zjk->ij", record.psi, W, record.psi, optimize=True)
+            total[np.ix_(record.columns, record.columns)] += products
+    return Information(hessians[0], hessians[1], None, iter(records))
 
 
 def grows(problem: Shooting, theta: FloatArray, starts: FloatArray) -> bool:
@@ -645,7 +627,7 @@ def covariance(
         # Unlike a generator, `map` does not hold the sensitivities while their transform is in use.
         transforms: Iterable[Transform] = map(partial(transformed, kept=np.flatnonzero(keep)), found.sensitivities)
         transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
-        J, models = covariance_of(transforms, weight, root)
+        J, models = score_covariance(transforms, weight, root)
         J_known = root.T @ (known * unit)[kept] @ root
         J += J_known
         blurred = eigenvalues[~dark] < _RESOLVED * eigenvalues[-1]
