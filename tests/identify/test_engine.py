@@ -351,7 +351,7 @@ def test_without_a_compiler_the_portable_pass_is_used_and_said(fresh, tmp_path):
     said = [note for note in result.notes if "portable pass" in note]
     assert said == [
         "no C compiler found (/nonexistent/cc): the slower portable pass was used; "
-        "install gcc or clang, or set CC [GB116]"
+        "install gcc, clang or gbid[compiler], or set CC [GB116]"
     ]
     assert list(tmp_path.iterdir()) == []
 

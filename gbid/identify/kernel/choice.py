@@ -64,7 +64,7 @@ def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> Ch
     except _TooLargeError as large:
         reason = f"a compiled pass of {large} would take minutes to build: the slower portable pass was used"
     except (CompilerMissingError, NotImplementedError) as missing:
-        reason = f"{missing}: the slower portable pass was used; install gcc or clang, or set CC"
+        reason = f"{missing}: the slower portable pass was used; install gcc, clang or gbid[compiler], or set CC"
     return ChosenKernel(_portable(predictor), "numpy", (FitNote.SLOW_ENGINE(reason), *notes))
 
 
