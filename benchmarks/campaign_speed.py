@@ -28,7 +28,7 @@ from gbid.experiment.campaign import collect, run_campaign, working
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import writing_keyed
 from gbid.experiment.load import load_experiment
-from gbid.experiment.run import Job, Outcome, Silent, perform
+from gbid.experiment.run import Job, Outcome, Reporter, perform
 from gbid.experiment.stages.fit import fit_arguments
 from gbid.experiment.stages.rig import rig_tasks
 from gbid.experiment.structures import make_structure
@@ -103,7 +103,7 @@ def time_of_a_fit(path: Path, repeats: int = 50) -> float:
 
 
 @dataclass
-class Meter(Silent):
+class Meter(Reporter):
     """A reporter that looks at processor time and memory of the runner and its workers as the fits come in."""
 
     total: int

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from gbid.cli.printing import tell
 from gbid.core.names import printable
-from gbid.experiment.run import Outcome, Reporter, Silent
+from gbid.experiment.run import Outcome, Reporter
 
 if TYPE_CHECKING:
     from gbid.control.tuning.problem import SearchStep
@@ -292,7 +292,7 @@ def reporting(quiet: bool = False, verbose: bool = False) -> Iterator[Reporter]:
         Whether each item and each iteration has a line.
     """
     if quiet:
-        yield Silent()
+        yield Reporter()
     elif verbose or not sys.stderr.isatty():
         reporter = ProgressReporter(verbose)
         yield reporter
@@ -331,7 +331,7 @@ class _Idle:
         return text
 
 
-class ProgressReporter:
+class ProgressReporter(Reporter):
     """Reporter of a verb: a line for each result, for many results at intervals and for failures; iterations between.
 
     Parameters

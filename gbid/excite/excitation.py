@@ -172,7 +172,7 @@ class PlayedFile(NamedTuple):
     sample_time: float
 
 
-def save_excitation(excitation: Excitation, path: str | Path, overwrite: bool = False, comment: str = "") -> Path:
+def save_excitation(excitation: Excitation, path: str | Path, overwrite: bool = False) -> Path:
     """Write an excitation as a CSV file, and return its path.
 
     Comment lines say what it is and which standard deviations are to be expected. The headings are time [s], then
@@ -186,8 +186,6 @@ def save_excitation(excitation: Excitation, path: str | Path, overwrite: bool = 
         The new file.
     overwrite : bool
         Whether an existing file may be replaced.
-    comment : str
-        Further comment line.
 
     Raises
     ------
@@ -212,9 +210,7 @@ def save_excitation(excitation: Excitation, path: str | Path, overwrite: bool = 
         f"standard deviations to be expected: {expected}",
     ]
     with atomic_path(path, overwrite) as part:
-        write_csv(
-            plain_table(heads, np.column_stack(columns).tolist()), part, [*notes, *([comment] if comment else [])]
-        )
+        write_csv(plain_table(heads, np.column_stack(columns).tolist()), part, notes)
         add_text_checksum(part, ".csv")
     return path
 

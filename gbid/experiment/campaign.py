@@ -1,4 +1,4 @@
-"""Run of a campaign, from the start or after an interruption."""
+"""Campaign: its parts, plan and engines, the lock of the results folder, its run and its table."""
 
 from __future__ import annotations
 
@@ -9,26 +9,29 @@ import os
 import re
 import shutil
 import socket
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import Literal, get_args
 
 from gbid.core.errors import DataError, UsageError
 from gbid.core.files import find_stale_parts, remove_stale_parts
 from gbid.core.tables import write_csv
-from gbid.experiment.engines import make_engine
+from gbid.experiment.dask import DaskEngine
 from gbid.experiment.experiment import Experiment, fit_models
 from gbid.experiment.fields import stored_key
+from gbid.experiment.pool import ProcessPool
 from gbid.experiment.run import (
     FOLDER,
+    InTurn,
     Job,
     Outcome,
     Reporter,
-    Silent,
     Stage,
     Task,
+    TaskEngine,
     go_on,
     produce,
     remembered_failure,
@@ -153,6 +156,79 @@ def early_tasks(job: Job) -> list[tuple[Stage, list[Task]]]:
     return [(stage, [item for item in stage.tasks(job) if isinstance(item, Task)]) for stage in early]
 
 
+# ---- Engines that run the tasks: this process, a pool of processes, or Dask.
+
+EngineName = Literal["auto", "serial", "pool", "dask"]
+
+FEW = 8
+"""Smallest number of tasks of a stage for which worker processes are started."""
+
+
+def make_engine(name: str = "auto", workers: int | None = None, scheduler: str | None = None) -> TaskEngine:
+    """Return an engine that runs tasks.
+
+    Parameters
+    ----------
+    name : {"auto", "serial", "pool", "dask"}
+        "serial" is this process; "pool" is a pool of processes on this machine; "auto" is this process for a few tasks
+        and the pool for many.
+    workers : int, optional
+        Number of processes; the default is the number of processors that this process may use.
+    scheduler : str, optional
+        Address of a Dask scheduler.
+
+    Returns
+    -------
+    TaskEngine
+        The engine; close it after use.
+
+    Raises
+    ------
+    UsageError
+        When the name is unknown, the options contradict each other, or the scheduler does not answer.
+    """
+    if name not in get_args(EngineName):
+        raise UsageError(f"engine {name!r}; choose {', '.join(get_args(EngineName))}")
+    if workers is not None and workers < 1:
+        raise UsageError(f"{workers} workers; give at least 1")
+    if scheduler is not None and name not in ("auto", "dask"):
+        raise UsageError(f"a scheduler is for the engine dask, not {name}; leave one of the two out")
+    if scheduler is not None and workers is not None:
+        raise UsageError("a scheduler has its own workers; leave the number of workers out")
+    if workers is not None and name == "serial":
+        raise UsageError("the engine serial is this process alone; leave the number of workers out, or choose pool")
+    count = workers or _processors()
+    if name == "dask" or scheduler is not None:
+        return DaskEngine(scheduler, count)
+    if name == "serial":
+        return InTurn()
+
+    return ProcessPool(count) if name == "pool" else Auto(ProcessPool(count))
+
+
+class Auto:
+    """Engine that runs a few tasks in this process and many on a pool; a pool that has started runs all."""
+
+    def __init__(self, pool: TaskEngine) -> None:
+        self._pool, self._started = pool, False
+
+    def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
+        """Run tasks; yield number and outcome of each, as in `gbid.experiment.run.TaskEngine`."""
+        self._started = self._started or len(tasks) >= FEW
+        yield from (self._pool if self._started else InTurn()).outcomes(job, tasks)
+
+    def close(self) -> None:
+        """Close the pool."""
+        self._pool.close()
+
+
+def _processors() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # missing on some systems
+        return os.cpu_count() or 1
+
+
 # ---- Lock of a results folder: one runner at a time, or several shards of one campaign.
 
 NAME = ".gbid.lock"
@@ -256,7 +332,7 @@ def working(
     reporter : Reporter, optional
         Receiver of the progress; none by default.
     engine, workers, scheduler
-        Options of `gbid.experiment.engines.make_engine`.
+        Options of `make_engine`.
     shared : bool
         Whether other shards may use the folder at the same time.
 
@@ -276,7 +352,7 @@ def working(
         chosen = make_engine(engine, workers, scheduler)
         try:
             remove_stale_parts(experiment.results)
-            yield Job(experiment, overwrite, reporter or Silent(), chosen, retry)
+            yield Job(experiment, overwrite, reporter or Reporter(), chosen, retry)
         finally:
             chosen.close()
             remove_stale_parts(experiment.results)

@@ -1,4 +1,4 @@
-"""Plan of a design: structure, model, impact and sampling from its controller section."""
+"""Controllers of an experiment: designs, impacts, the control chain, and the loops of recordings."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
 from gbid.core.units import SIGNALS
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
-from gbid.experiment.fields import InputError, Result, about, file_digest, nearest, stored_key
+from gbid.experiment.fields import InputError, Result, about, file_digest, nearest, needed, stored_key
 from gbid.experiment.machine import RigRun, rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection
 from gbid.experiment.schema import (
@@ -416,19 +416,6 @@ class LoopController:
     key: str
 
 
-def impacts_section(experiment: Experiment) -> ImpactsSection:
-    """Return the impacts section.
-
-    Raises
-    ------
-    UsageError
-        When the experiment has no such section.
-    """
-    if experiment.spec.impacts is None:
-        raise UsageError(f"{experiment.file.path}: no section 'impacts'; add one")
-    return experiment.spec.impacts
-
-
 def study_name(point: ImpactPoint, loop: str) -> str:
     """Return the name of the study of one operating point in one loop, e.g. ``p6_n0_open``."""
     return f"p{point.pressure_bar:g}_n{point.speed_rpm:g}_{loop}"
@@ -465,14 +452,13 @@ def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
     UsageError
         When the model is missing or has no actuators.
     """
-    section = impacts_section(experiment)
+    section = needed(experiment.spec.impacts, "impacts")
     if section.model is None:
         model = rig_model(experiment)
         return with_actuators(model), f"rig {model.name}"
     path = Path(section.model)
     if section.model == "lpv":
-        assert experiment.spec.lpv is not None
-        path = experiment.path("lpv", experiment.spec.lpv.fit, ".yaml")
+        path = experiment.path("lpv", needed(experiment.spec.lpv, "lpv").fit, ".yaml")
         if not path.is_file():
             raise UsageError(f"{path}: file is missing; `gbid lpv` makes it")
     elif path.suffix in (".yaml", ".yml"):
@@ -490,7 +476,7 @@ def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "close
     UsageError
         When there is none, its file is faulty, or its sample time is not that of the rig.
     """
-    section = impacts_section(experiment)
+    section = needed(experiment.spec.impacts, "impacts")
     word = {"closed": section.controller, **section.beside}[loop]
     if word == "paper":
         design = _published(experiment)
@@ -506,14 +492,29 @@ def loop_controller(experiment: Experiment, path: Path, conditions: Mapping[str,
     UsageError
         When the file is faulty, or its sample time is not that of the rig.
     """
-    rig, made = experiment.spec.rig, load_controller(path)
-    assert rig is not None
-    if abs(made.sample_time - rig.sample_time_s) > 1e-9 * rig.sample_time_s:
-        raise UsageError(
-            f"{path}: sample time is {made.sample_time:g} s, that of the rig {rig.sample_time_s:g} s; save it for that"
-        )
-    at = (conditions["pressure_bar"], conditions["speed_rpm"])
-    return LoopController(made.at(*at), made.sampled_at(*at), made, file_digest(path))
+    return running_controller(experiment, load_controller(path), conditions, file_digest(path))
+
+
+def running_controller(
+    experiment: Experiment, design: ControllerDesign, conditions: Mapping[str, float], key: str = ""
+) -> LoopController:
+    """Return a controller at an operating point, as the rig runs it.
+
+    Raises
+    ------
+    UsageError
+        When it is not for two axes, or when its sample time is not that of the rig.
+    """
+    time = needed(experiment.spec.rig, "rig").sample_time_s
+    at = at_point(design, conditions)
+    continuous = design.at(*at)
+    if continuous.D.shape != (2, 2):
+        raise UsageError(f"controller {design.name!r} has not two inputs and two outputs, the axes x and y of the rig")
+    if abs(design.sample_time - time) > 1e-9 * time:
+        text = f"sample time is {design.sample_time:g} s, that of the rig {time:g} s; make it for that"
+        raise UsageError(f"controller {design.name!r}: {text}")
+    sampled = design.sampled_at(*at) if continuous.dt is None else continuous
+    return LoopController(continuous, sampled, design, key)
 
 
 def controller_path(experiment: Experiment, word: str) -> Path:
@@ -588,8 +589,7 @@ _SHARE_OF_SETTLING = 0.2
 
 def loop_settings(experiment: Experiment) -> dict[str, Any]:
     """Return the settings of the loop for content keys; empty for sampled matrices."""
-    rig = experiment.spec.rig
-    assert rig is not None
+    rig = needed(experiment.spec.rig, "rig")
     return {} if rig.controller == "python" else {"compiled": asdict(chain_options(experiment))}
 
 
@@ -604,8 +604,7 @@ def loop_of(experiment: Experiment, controller: LoopController, run: RigRun) -> 
     UsageError
         When there is no C compiler for the control chain.
     """
-    rig = experiment.spec.rig
-    assert rig is not None
+    rig = needed(experiment.spec.rig, "rig")
     options = {**run.options, "faults": None}
     still = replace(run, experiment=Stationary(_ZEROING_S), surfaces=None, options=options).record()
     if rig.controller == "python":
@@ -738,15 +737,13 @@ def controller_identity(experiment: Experiment, section: ControllerChoice) -> di
 
 def closed_loop_settings(experiment: Experiment) -> dict[str, Any]:
     """Return the settings of the rig's loop for content keys; known before a design is tuned."""
-    rig, prefilter = experiment.spec.rig, experiment.spec.prefilter
-    assert rig is not None
-    assert rig.loop is not None
+    loop, prefilter = needed(needed(experiment.spec.rig, "rig").loop, "rig.loop"), experiment.spec.prefilter
     settings = {
-        "loop": controller_identity(experiment, rig.loop),
-        "runout": rig.loop.runout,
+        "loop": controller_identity(experiment, loop),
+        "runout": loop.runout,
         **loop_settings(experiment),
     }
-    if rig.loop.runout == "online" and prefilter is not None:
+    if loop.runout == "online" and prefilter is not None:
         settings["map"] = prefilter.model_dump(include={"method", "harmonics", "bins"})
     return settings
 
@@ -799,7 +796,7 @@ def early_design(experiment: Experiment, name: str) -> Result:
     return design_result(experiment, name)
 
 
-def at_point(design: ControllerDesign, conditions: dict[str, float]) -> tuple[float | None, float | None]:
+def at_point(design: ControllerDesign, conditions: Mapping[str, float]) -> tuple[float | None, float | None]:
     """Return the operating point at which a design is needed: pressure and speed, or nothing.
 
     Raises

@@ -1,4 +1,4 @@
-"""Roles of the channels of a file by their names: time, reference, piezo position, disc position, shaft angle."""
+"""Draft of an experiment from a folder of measured files: roles of channels, names, kinds, and the YAML."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Models and controllers that `gbid export` finds in an experiment or file."""
+"""Models and controllers that `gbid export` finds in an experiment or file, and their export."""
 
 from __future__ import annotations
 

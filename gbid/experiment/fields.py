@@ -1,4 +1,4 @@
-"""Types of the values in an experiment YAML; they are strict: no value is converted to another type."""
+"""Types of values in an experiment YAML, problems of the file, and content keys of results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import AllowInfNan, BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
 
@@ -21,6 +21,8 @@ from gbid._version import __version__
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import add_text_checksum, atomic_path, is_changed
 from gbid.core.hdf5 import changing, opened
+
+T = TypeVar("T")
 
 
 def _as_list(value: Any) -> Any:
@@ -89,6 +91,19 @@ class Section(BaseModel):
     """Section of the YAML: unknown keys are refused, and values are constant."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
+
+
+def needed(section: T | None, name: str) -> T:
+    """Return a section of the YAML; refuse an experiment without it.
+
+    Raises
+    ------
+    UsageError
+        When there is no such section.
+    """
+    if section is None:
+        raise UsageError(f"no section {name!r}; add one")
+    return section
 
 
 def given(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Reading of an experiment YAML: first the form of each value, then the checks across sections."""
+"""Reading of an experiment YAML, checks across its sections, its JSON schema, and checks of recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Model of the rig, and its true parameters at an operating point."""
+"""The rig of an experiment: its model, its machine and runs, and the true values of parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gbid.core.errors import UsageError
 from gbid.core.units import SIGNALS
 from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Found, Location
+from gbid.experiment.fields import Found, Location, needed
 from gbid.experiment.rig_schema import ActuatorSection, OperatingPoint, RigSection
 from gbid.experiment.schema import HammerTrain, ImpactPoint
 from gbid.lpv import Domain, LPVModel, PublishedMachine, load_machine
@@ -70,8 +70,7 @@ def rig_machine(experiment: Experiment) -> PublishedMachine:
     UsageError
         When the model is missing or its file is faulty.
     """
-    assert experiment.spec.rig is not None
-    name = experiment.spec.rig.model
+    name = needed(experiment.spec.rig, "rig").model
     if Path(name).suffix in (".yaml", ".yml"):
         return load_machine(experiment.folder_of(name) / name)
     return load_machine(name)
@@ -113,7 +112,7 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     UsageError
         When the point lies outside the domain of the model, or the rig refuses a value.
     """
-    rig = _rig(experiment)
+    rig = needed(experiment.spec.rig, "rig")
     place = None if (course := course_of(experiment, planned)) is None else course.at(np.array(0.0))
     true = true_parameters(model, planned) if place is None else true_parameters_at(model, *map(float, place))
     return Machine.from_parameters(
@@ -139,7 +138,7 @@ def course_of(experiment: Experiment, planned: PlannedRecording) -> Course | Non
     UsageError
         When times and values do not fit each other.
     """
-    rig = _rig(experiment)
+    rig = needed(experiment.spec.rig, "rig")
     if planned.run[:1] != ("course",):
         return None
     section = rig.courses[int(planned.run[1])]
@@ -164,7 +163,7 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
     UsageError
         When the rig refuses a value.
     """
-    rig = _rig(experiment)
+    rig = needed(experiment.spec.rig, "rig")
     match planned.run:
         case ("prbs",):
             return Prbs(rig.duration_s, rig.prbs.amplitude_m, rig.prbs.hold_s)
@@ -227,7 +226,7 @@ def _played(experiment: Experiment, name: str) -> Played:
 
 def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[str, Any]:
     """Return the arguments of `gbid.rig.record` except machine, experiment and controller."""
-    rig = _rig(experiment)
+    rig = needed(experiment.spec.rig, "rig")
     return {
         "conditions": dict(planned.conditions),
         "seed": rig.seed,
@@ -289,11 +288,6 @@ def rig_run(experiment: Experiment, planned: PlannedRecording) -> RigRun:
     return RigRun(machine_at(experiment, planned, model), run, record_options(experiment, planned), surfaces)
 
 
-def _rig(experiment: Experiment) -> RigSection:
-    assert experiment.spec.rig is not None
-    return experiment.spec.rig
-
-
 def _stacks(section: ActuatorSection) -> PiezoStacks:
     base = [
         replace(stack, hysteresis=section.hysteresis_m, creep=section.creep, creep_times=section.creep_times_s)
@@ -344,8 +338,7 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: An
 
 def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> dict[str, float]:
     """Return the true values that all recordings share; scatter changes them, and stacks have no linear parameters."""
-    rig = experiment.spec.rig
-    assert rig is not None
+    rig = needed(experiment.spec.rig, "rig")
     known = true_parameters(rig_model(experiment), planned[0])
     if rig.actuators.kind == "stacks":
         known = {name: value for name, value in known.items() if name in KEY_PARAMETERS}

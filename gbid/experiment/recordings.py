@@ -11,7 +11,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.excite import ExcitationLimits, rig_limits
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Result, file_digest, stored_key
+from gbid.experiment.fields import Result, file_digest, needed, stored_key
 from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
 from gbid.experiment.run import Job
 from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
@@ -24,8 +24,7 @@ from gbid.recording import ProblemKind, Recording, find_problems, load_recording
 
 def data_file(experiment: Experiment, entry: ImportedSection) -> Path:
     """Return the path of the file of an imported recording."""
-    assert experiment.spec.imported is not None
-    return experiment.folder / experiment.spec.imported.data_folder / entry.file
+    return experiment.folder / needed(experiment.spec.imported, "import").data_folder / entry.file
 
 
 def mapping_of(entry: ImportedSection) -> dict[str, Any]:

@@ -76,47 +76,23 @@ class Made:
 # ---- Reporter: receiver of the progress of a run.
 
 
-class Reporter(Protocol):
-    """Receiver of the progress of stages."""
+class Reporter:
+    """Receiver of the progress of stages; this one ignores it."""
 
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
         """Receive the numbers of items of a stage to make, existing, and failed before; their outcomes follow."""
-        ...
 
     def begin(self, stage: str, item: str) -> None:
         """Receive the start of work on an item."""
-        ...
 
     def iteration(self, progress: Progress) -> None:
         """Receive an iteration of the solver."""
-        ...
 
     def search(self, step: SearchStep) -> None:
         """Receive a step of a search for gains."""
-        ...
 
     def end(self, outcome: Outcome) -> None:
         """Receive the outcome of an item."""
-        ...
-
-
-class Silent:
-    """Reporter that ignores all progress."""
-
-    def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
-        """Ignore the numbers of items."""
-
-    def begin(self, stage: str, item: str) -> None:
-        """Ignore the start of an item."""
-
-    def iteration(self, progress: Progress) -> None:
-        """Ignore an iteration."""
-
-    def search(self, step: SearchStep) -> None:
-        """Ignore a step of the search."""
-
-    def end(self, outcome: Outcome) -> None:
-        """Ignore an outcome."""
 
 
 # ---- Job and tasks: the part that all stages share.
@@ -201,7 +177,7 @@ class Job:
 
     experiment: Experiment
     overwrite: bool = False
-    reporter: Reporter = field(default_factory=Silent)
+    reporter: Reporter = field(default_factory=Reporter)
     engine: TaskEngine | None = None
     retry: bool = False
 

@@ -1,4 +1,4 @@
-"""Schema of the crossval section."""
+"""Schema of an experiment YAML, section by section, and patterns of file names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Structures of fits, built from their names and options in the YAML."""
+"""Structures of fits, built from their names and options in the YAML, and loops of them."""
 
 from __future__ import annotations
 

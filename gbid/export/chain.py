@@ -156,26 +156,27 @@ class ChainOptions:
         for name in ("limit_m", "stroke_m", "disc_limit_m", "ramp_s", "fade_s", "pressure_rate", "speed_rate"):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
-                raise UsageError(f"target: {name} = {value}; give a positive number")
+                raise UsageError(f"{name} = {value}; give a positive number")
         for name in ("beyond_samples", "bad_samples", "stuck_samples"):
             value = getattr(self, name)
             if not 1 <= value <= 30000:
-                raise UsageError(f"target: {name} = {value}; give a whole number from 1 to 30000")
+                raise UsageError(f"{name} = {value}; give a whole number from 1 to 30000")
         if self.median not in (1, 3):
-            raise UsageError(f"target: median = {self.median}; choose 1 (none) or 3")
+            raise UsageError(f"median = {self.median}; choose 1 (none) or 3")
         if self.spike_limit_m is not None and not (isfinite(self.spike_limit_m) and self.spike_limit_m > 0):
-            raise UsageError(f"target: spike_limit_m = {self.spike_limit_m}; give a positive number, or null for none")
+            raise UsageError(f"spike_limit_m = {self.spike_limit_m}; give a positive number, or null for none")
         if self.number not in ("double", "float"):
-            raise UsageError(f"target: number = {self.number!r}; choose 'double' or 'float'")
+            raise UsageError(f"number = {self.number!r}; choose 'double' or 'float'")
         if not (len(self.zero_m) == 2 and all(isfinite(v) for v in self.zero_m)):
-            raise UsageError(f"target: zero_m = {self.zero_m}; give two finite numbers, x and y")
+            raise UsageError(f"zero_m = {self.zero_m}; give two finite numbers, x and y")
         if not (isfinite(self.stuck_speed_rpm) and self.stuck_speed_rpm >= 0):
-            raise UsageError(f"target: stuck_speed_rpm = {self.stuck_speed_rpm}; give a number of at least zero")
+            raise UsageError(f"stuck_speed_rpm = {self.stuck_speed_rpm}; give a number of at least zero")
         room = min(self.offset_m, self.stroke_m - self.offset_m)
         if not self.limit_m <= room + 1e-12:
             raise UsageError(
-                f"target: limit_m = {self.limit_m:g} m around offset_m = {self.offset_m:g} m leaves the stroke of "
-                f"{self.stroke_m:g} m; at most {max(room, 0.0):g} m fit"
+                f"limit_m = {self.limit_m:g} m around offset_m = {self.offset_m:g} m leaves the stroke of "
+                f"{self.stroke_m:g} m; at most {max(room, 0.0):g} m fit",
+                "limit_m",
             )
 
     def samples(self, seconds: float, sample_time: float) -> int:

@@ -433,10 +433,10 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
         write_model(model, part)
 
 
-def write_model(model: LPVModel, path: Path, comment: str = "") -> None:
-    """Write a model as YAML, with an optional comment as the first line."""
+def write_model(model: LPVModel, path: Path) -> None:
+    """Write a model as YAML."""
     model.need_bearing()
-    write_yaml(_contents(model), path, comment)
+    write_yaml(_contents(model), path)
 
 
 def _contents(model: LPVModel) -> dict[str, Any]:

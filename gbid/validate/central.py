@@ -252,7 +252,7 @@ def summary_csv_table(summary: ValidationSummary) -> Table:
 
 
 def save_nominal_actuator(
-    nominal: NominalActuator, path: str | Path, *, source: str = "", overwrite: bool = False, comment: str = ""
+    nominal: NominalActuator, path: str | Path, *, source: str = "", overwrite: bool = False
 ) -> None:
     """Write a nominal actuator to a YAML file; its block ``actuators`` is that of a model file.
 
@@ -266,8 +266,6 @@ def save_nominal_actuator(
         Source of the model; by default the name of the chosen model.
     overwrite : bool
         Whether an existing file may be replaced.
-    comment : str
-        First line of the file, without ``#``.
 
     Raises
     ------
@@ -288,7 +286,7 @@ def save_nominal_actuator(
         "left_out": list(nominal.left_out),
     }
     with atomic_path(given_path(path), overwrite) as part:
-        write_yaml({key: value for key, value in contents.items() if value not in ([], {})}, part, comment)
+        write_yaml({key: value for key, value in contents.items() if value not in ([], {})}, part)
 
 
 def load_actuators(path: str | Path) -> dict[str, float]:

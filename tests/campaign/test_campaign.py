@@ -23,8 +23,7 @@ from places import SUPPORT
 from gbid import load_table
 from gbid.core.errors import NoSpaceError, UsageError
 from gbid.core.files import remove_stale_parts
-from gbid.experiment.campaign import Shard, locked, read_shard, run_campaign, tasks_of, working
-from gbid.experiment.engines import Auto, make_engine
+from gbid.experiment.campaign import Auto, Shard, locked, make_engine, read_shard, run_campaign, tasks_of, working
 from gbid.experiment.load import load_experiment
 from gbid.experiment.pool import ATTEMPTS, ProcessPool
 from gbid.experiment.run import InTurn, Job, remembered_failure, run_tasks

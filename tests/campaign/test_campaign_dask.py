@@ -12,8 +12,7 @@ from campaign_files import left_over, rows_of, task, write_springs
 from experiment_files import gbid
 
 from gbid.core.errors import GbidError, NoSpaceError, UsageError
-from gbid.experiment.campaign import run_campaign, working
-from gbid.experiment.engines import make_engine
+from gbid.experiment.campaign import make_engine, run_campaign, working
 from gbid.experiment.load import load_experiment
 from gbid.experiment.pool import ATTEMPTS
 from gbid.experiment.run import Job, run_tasks

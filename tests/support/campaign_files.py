@@ -17,7 +17,7 @@ from places import ROOT
 
 from gbid.cli.progress import Tally
 from gbid.core.errors import DataError, NoSpaceError
-from gbid.experiment.run import Made, Silent, Task
+from gbid.experiment.run import Made, Reporter, Task
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 
@@ -137,7 +137,7 @@ def meet(job, part, item):
     return write_number(job, part, item)
 
 
-class Watcher(Silent):
+class Watcher(Reporter):
     """A reporter that notes after each outcome how many of the tasks are done, and how many run."""
 
     def __init__(self):

@@ -1,1 +1,1 @@
-"""Stages of an experiment, one folder each: schema, checks, plan, and the tasks that make the results."""
+"""Stages of an experiment, one file each: checks, tasks, and what follows from them."""

@@ -1,4 +1,4 @@
-"""Checks of the crossval section: its fits and the recordings for validation exist."""
+"""Cross-validation: checks of its section, its pairs and rows, and the stages of its tables and of the figures."""
 
 from __future__ import annotations
 
@@ -537,3 +537,25 @@ def _write_summary(job: Job, part: Path, name: str, ending: str) -> None:
 
 CROSSVAL = Stage("crossval", "crossval", (crossval_has_partners,), crossval_tasks, (_summary_work,))
 """``crossval/<fit>.csv`` and its summary, ``<fit>_summary.h5`` and ``.csv``, for each fit that is cross-validated."""
+
+
+# ---- Stage of the figures of fits; `gbid.report` draws them from the results of the other stages.
+
+
+def figures_show_fits(experiment: Experiment) -> Found:
+    """Yield a problem for each figure of an unknown fit or of an empty time range."""
+    for name, section in experiment.spec.figures.items():
+        if name not in experiment.spec.fits:
+            yield ("figures", name), f"no fit of this name; {nearest(name, experiment.spec.fits)}"
+        begin = section.from_s or 0.0
+        if section.to_s is not None and section.to_s <= begin:
+            yield ("figures", name, "to_s"), f"{section.to_s:g} s is not after from_s = {begin:g} s; make it larger"
+        rig = experiment.spec.rig
+        if rig is not None and experiment.spec.imported is None and begin >= rig.duration_s:
+            yield (
+                ("figures", name, "from_s"),
+                f"{begin:g} s lies beyond the end of the recordings, {rig.duration_s:g} s; make it smaller",
+            )
+
+
+FIGURES = Stage("figure", "figures", (figures_show_fits,), lambda _: ())

@@ -14,16 +14,16 @@ import numpy as np
 from gbid.control.assess import TunedDesign
 from gbid.control.impact.study import ImpactStudy
 from gbid.core.arrays import FloatArray
-from gbid.core.errors import GbidError, UsageError
+from gbid.core.errors import GbidError
 from gbid.core.hdf5 import load
 from gbid.core.names import file_stem
 from gbid.core.tables import Table, plain_table, write_csv
 from gbid.experiment.controllers import TUNED, controller_section, surfaces_item, tuned_design
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, InputError, Result, refusal
+from gbid.experiment.fields import Found, InputError, Result, needed, refusal
 from gbid.experiment.machine import rig_model
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
-from gbid.experiment.schema import MOST_ROUNDS, CycleSection, ImpactPoint, ImpactsSection
+from gbid.experiment.schema import MOST_ROUNDS, ImpactPoint, ImpactsSection
 from gbid.experiment.stages.fit import fit_tasks
 from gbid.experiment.stages.impact import recording_tasks as impact_tasks
 from gbid.experiment.stages.impact import study_tasks, timing_problems
@@ -41,19 +41,6 @@ FOLDER = "cycle"
 _LATER = ("lpv", "controller", "impacts")  # folders of the results that each round has for itself
 
 
-def cycle_section(experiment: Experiment) -> CycleSection:
-    """Return the cycle section.
-
-    Raises
-    ------
-    UsageError
-        When the experiment has no such section.
-    """
-    if experiment.spec.cycle is None:
-        raise UsageError(f"{experiment.file.path}: no section 'cycle'; add one")
-    return experiment.spec.cycle
-
-
 def cycle_design(experiment: Experiment) -> str:
     """Return the name of the design.
 
@@ -62,13 +49,13 @@ def cycle_design(experiment: Experiment) -> str:
     UsageError
         When there is none, or several and the section names none.
     """
-    name = cycle_section(experiment).design
+    name = needed(experiment.spec.cycle, "cycle").design
     return tuned_design(experiment, f"tuned:{name}" if name else "tuned")
 
 
 def recording_points(experiment: Experiment) -> tuple[ImpactPoint, ...]:
     """Return the operating points of the new recordings."""
-    section, rig = cycle_section(experiment), experiment.spec.rig
+    section, rig = needed(experiment.spec.cycle, "cycle"), experiment.spec.rig
     if section.operating_points is not None:
         return section.operating_points
     points = rig.operating_points if rig is not None else ()
@@ -77,7 +64,7 @@ def recording_points(experiment: Experiment) -> tuple[ImpactPoint, ...]:
 
 def trial_points(experiment: Experiment) -> tuple[ImpactPoint, ...]:
     """Return the operating points of the impacts."""
-    return cycle_section(experiment).impacts.operating_points or recording_points(experiment)
+    return needed(experiment.spec.cycle, "cycle").impacts.operating_points or recording_points(experiment)
 
 
 @lru_cache(maxsize=2 * MOST_ROUNDS)
@@ -88,16 +75,16 @@ def round_experiment(experiment: Experiment, number: int) -> Experiment:
     controller and impacts lie in a folder of its own; round 0 has the surfaces and the controller of the experiment.
     """
     spec, name = experiment.spec, cycle_design(experiment)
-    assert spec.lpv is not None
+    lpv = needed(spec.lpv, "lpv")
     new = {name: planned for i in range(1, number + 1) for name, planned in round_recordings(experiment, i).items()}
-    fit = spec.fits[spec.lpv.fit]
+    fit = spec.fits[lpv.fit]
     if fit.recordings is not None:
         fit = fit.model_copy(update={"recordings": (*fit.recordings, *new)})
-    trial = {**dict(cycle_section(experiment).impacts), "operating_points": trial_points(experiment)}
+    trial = {**dict(needed(experiment.spec.cycle, "cycle").impacts), "operating_points": trial_points(experiment)}
     impacts = ImpactsSection(**trial, model="lpv", beside={f"round{number}": "tuned"})
     changed = {
-        "fits": {**spec.fits, spec.lpv.fit: fit},
-        "lpv": spec.lpv.model_copy(update={"direct": False}),
+        "fits": {**spec.fits, lpv.fit: fit},
+        "lpv": lpv.model_copy(update={"direct": False}),
         "controller": {name: spec.controller[name]},
         "impacts": impacts.model_copy(update={"loops": ()}),
     }
@@ -113,7 +100,7 @@ def round_recordings(experiment: Experiment, number: int) -> dict[str, PlannedRe
     controller = f"{before}{TUNED}/{file_stem(cycle_design(experiment))}.yaml"
     planned = {}
     for point in recording_points(experiment):
-        for i in range(cycle_section(experiment).recordings):
+        for i in range(needed(experiment.spec.cycle, "cycle").recordings):
             name = f"round{number}_p{point.pressure_bar:g}_n{point.speed_rpm:g}_prbs{i + 1}"
             run = ("round",)
             planned[name] = PlannedRecording(
@@ -127,9 +114,9 @@ def cycle_can_run(experiment: Experiment) -> Found:
     section, spec = experiment.spec.cycle, experiment.spec
     if section is None:
         return
-    for needed, why in (("rig", "runs on it"), ("lpv", "fits its surfaces again"), ("controller", "tunes it again")):
-        if not getattr(spec, needed):
-            yield ("cycle",), f"there is no section {needed!r}; add one, because the cycle {why}"
+    for other, why in (("rig", "runs on it"), ("lpv", "fits its surfaces again"), ("controller", "tunes it again")):
+        if not getattr(spec, other):
+            yield ("cycle",), f"there is no section {other!r}; add one, because the cycle {why}"
     if spec.rig is None or spec.lpv is None or not spec.controller:
         return
     yield from timing_problems(section.impacts, spec.rig.sample_time_s, ("cycle", "impacts"))
@@ -143,9 +130,7 @@ def cycle_can_run(experiment: Experiment) -> Found:
 
 
 def _point_problems(experiment: Experiment) -> Found:
-    section, rig = experiment.spec.cycle, experiment.spec.rig
-    assert section is not None
-    assert rig is not None
+    section, rig = needed(experiment.spec.cycle, "cycle"), needed(experiment.spec.rig, "rig")
     at = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points]
     if experiment.spec.prefilter is not None and experiment.spec.prefilter.method != "none":
         for i, q in enumerate(section.operating_points or ()):
@@ -316,8 +301,7 @@ def _of_new_recordings(tasks: Callable[[Job], Sequence[Task]], job: Job, _: Sequ
 
 
 def _fits_of_surfaces(job: Job) -> Sequence[Task]:
-    assert job.experiment.spec.lpv is not None
-    return fit_tasks(job, job.experiment.spec.lpv.fit)
+    return fit_tasks(job, needed(job.experiment.spec.lpv, "lpv").fit)
 
 
 _TRIALS: tuple[Step, ...] = (lambda job, _: impact_tasks(job), lambda job, _: study_tasks(job))
@@ -424,8 +408,7 @@ def made_rows(job: Job) -> list[CycleRow]:
 def _write_table(job: Job, part: Path) -> None:
     rows = []
     for number, each in enumerate(_rounds(job)):
-        assert each.experiment.spec.lpv is not None
-        fit = load_lpv_fit(each.path("lpv", each.experiment.spec.lpv.fit, ".yaml"))
+        fit = load_lpv_fit(each.path("lpv", needed(each.experiment.spec.lpv, "lpv").fit, ".yaml"))
         design = load(each.path(TUNED, cycle_design(job.experiment)), TunedDesign)
         rows += [_row(number, fit, design, load(task.path, ImpactStudy)) for task in study_tasks(each)]
     write_csv(cycle_table(rows), part)
@@ -433,7 +416,7 @@ def _write_table(job: Job, part: Path) -> None:
 
 def _rounds(job: Job) -> list[Job]:
     """Return the jobs of all rounds."""
-    return [round_job(job, number) for number in range(cycle_section(job.experiment).rounds + 1)]
+    return [round_job(job, number) for number in range(needed(job.experiment.spec.cycle, "cycle").rounds + 1)]
 
 
 CYCLE = Stage(

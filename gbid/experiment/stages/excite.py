@@ -1,4 +1,4 @@
-"""Checks of the excite section."""
+"""Excitations of the next recordings: check of their section, and their files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of the fits of an experiment."""
+"""Fits: checks of their sections, tasks, and arguments of `gbid.fit`."""
 
 from __future__ import annotations
 

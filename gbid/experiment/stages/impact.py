@@ -1,4 +1,4 @@
-"""Checks of the impacts section: rig, operating points inside the domain, and controller exist."""
+"""Impacts on the rig: checks of their section, recordings, studies and tables; checks of the control chain."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from gbid.experiment.controllers import (
     LOOPS,
     ImpactRecording,
     LoopController,
+    chain_options,
     controller_at,
     expecting_model,
-    impacts_section,
     is_tuned,
     loop_controllers,
     loop_of,
@@ -26,7 +26,7 @@ from gbid.experiment.controllers import (
     tuned_design,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, Result, refusal
+from gbid.experiment.fields import Found, Location, Result, needed, refusal
 from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_run
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import HammerTrain, ImpactPoint, ImpactsSection
@@ -132,7 +132,7 @@ def _studies_of(job: Job, made: Sequence[Outcome]) -> list[Task]:
 def study_tasks(job: Job) -> list[Task]:
     """Return the tasks of the studies, one for each operating point and loop."""
     tasks = []
-    section = impacts_section(job.experiment)
+    section = needed(job.experiment.spec.impacts, "impacts")
     for name, group in _studies(job.experiment).items():
         settings = {
             "harmonics": section.harmonics,
@@ -155,7 +155,7 @@ def loops_without_controller(experiment: Experiment) -> dict[str, str]:
     UsageError
         When the experiment has no section ``impacts``.
     """
-    section, idle = impacts_section(experiment), {}
+    section, idle = needed(experiment.spec.impacts, "impacts"), {}
     for loop in section.beside:
         try:
             for point in section.operating_points:
@@ -200,7 +200,7 @@ def _write_recording(job: Job, part: Path, name: str) -> None:
 
 
 def _write_study(job: Job, part: Path, name: str) -> Made:
-    experiment, section = job.experiment, impacts_section(job.experiment)
+    experiment, section = job.experiment, needed(job.experiment.spec.impacts, "impacts")
     group = _studies(experiment)[name]
     controller = _controller(experiment, group[0]) if group[0].loop != "open" else None
     study = study_impacts(
@@ -253,3 +253,22 @@ def _write_csv(job: Job, part: Path, table: str, studies: Sequence[str]) -> None
 
 IMPACT = Stage("impact", "impacts", (impacts_can_be_made,), recording_tasks, (_studies_of, _csv_tasks))
 """``impacts/<point>_<loop>.h5``, the recordings behind them, ``impacts.csv`` and ``responses.csv``."""
+
+
+# ---- Control chain; `gbid export --to c` writes it, and the rig runs it (``rig: controller: compiled``).
+
+
+def chain_can_run(experiment: Experiment) -> Found:
+    """Yield a problem when values of the section do not fit each other, or when the rig has no loop to close."""
+    rig = experiment.spec.rig
+    if rig is not None and rig.controller == "compiled" and experiment.spec.impacts is None:
+        yield (
+            ("rig", "controller"),
+            "closes the loop of impacts, but there is no section impacts; add it or remove this",
+        )
+    if experiment.spec.target is None:
+        return
+    yield from refusal(("target",), partial(chain_options, experiment))
+
+
+TARGET = Stage("target", "target", (chain_can_run,), lambda _: ())

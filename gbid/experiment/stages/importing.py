@@ -1,4 +1,4 @@
-"""Checks of the import section: its files exist, and its mappings are valid."""
+"""Recordings from files: checks of the import section, and the import."""
 
 from __future__ import annotations
 

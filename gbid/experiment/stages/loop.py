@@ -1,4 +1,4 @@
-"""Checks of loops: the controllers of the rig's recordings and of fits."""
+"""Loops: checks of the controllers of recordings and fits, designs tuned before, and the cost of a loop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of the lpv section."""
+"""Surfaces over pressure and speed: checks of their section, and their files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbid.core import hdf5
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.files import scratch_folder
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, InputError, Location, Result, refusal, stored_key
+from gbid.experiment.fields import Found, InputError, Location, Result, needed, refusal, stored_key
 from gbid.experiment.recordings import lpv_actuators
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
 from gbid.experiment.schema import LpvSection
@@ -92,10 +92,7 @@ class Surfaces:
 
     def __init__(self, job: Job) -> None:
         self._job = job
-        section = job.experiment.spec.lpv
-        if section is None:
-            raise UsageError("no section 'lpv'; add one")
-        self._section = section
+        self._section = needed(job.experiment.spec.lpv, "lpv")
 
     def result(self, item: str) -> Result:
         """Return the result file of surfaces: of the section, the existing fits, and the actuators."""

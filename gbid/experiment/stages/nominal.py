@@ -1,4 +1,4 @@
-"""Checks of the nominal section."""
+"""Nominal actuator: check of its section, and its file."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gbid.core.errors import DataError
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Result
+from gbid.experiment.fields import Found, Result, needed
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.stages.fit import a_fit_is_named, fit_entries, fit_result
 from gbid.identify import tabulate
@@ -47,12 +47,12 @@ def nominal_of(job: Job) -> tuple[NominalActuator, Result]:
 
     Raises
     ------
+    UsageError
+        When the section is missing.
     DataError
-        When the section is missing, or when its fit has no models.
+        When its fit has no models.
     """
-    section, experiment = job.experiment.spec.nominal, job.experiment
-    if section is None:
-        raise DataError("no section 'nominal'; add one")
+    experiment, section = job.experiment, needed(job.experiment.spec.nominal, "nominal")
     entries = fit_entries(job, section.fit)
     nominal = nominal_actuator(tabulate(entries))
     models = [fit_result(experiment, section.fit, entry.model) for entry in entries if entry.result is not None]
@@ -61,9 +61,8 @@ def nominal_of(job: Job) -> tuple[NominalActuator, Result]:
 
 
 def _write(job: Job, part: Path) -> Made:
-    experiment, (nominal, _) = job.experiment, nominal_of(job)
-    assert experiment.spec.nominal is not None
-    source = f"{experiment.spec.name}, fit {experiment.spec.nominal.fit}, model of {nominal.name}"
+    nominal, result = nominal_of(job)
+    source = f"{job.experiment.spec.name}, fit {result.item}, model of {nominal.name}"
     save_nominal_actuator(nominal, part, source=source, overwrite=True)
     return Made(f"{nominal.name}; {len(nominal.outliers)} outliers")
 

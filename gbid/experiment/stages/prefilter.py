@@ -1,4 +1,4 @@
-"""Checks of the prefilter section."""
+"""Prefilter: checks of its section, filtered recordings, and run-out maps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gbid.core.errors import DataError
 from gbid.core.hdf5 import save
 from gbid.experiment.controllers import answered, loop_stills
 from gbid.experiment.experiment import NO_POINT, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, Result
+from gbid.experiment.fields import Found, Result, needed
 from gbid.experiment.recordings import driving_channels, load_made, recording_result, refuse_bad_signals, used_channels
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import PrefilterSection
@@ -96,8 +96,7 @@ def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
 
 def prefiltered_result(experiment: Experiment, planned: PlannedRecording) -> Result:
     """Return the result file of a prefiltered recording."""
-    section = experiment.spec.prefilter
-    assert section is not None
+    section = needed(experiment.spec.prefilter, "prefilter")
     still = [] if section.method == "none" else _stationary(experiment, planned.point)
     if answered(experiment, planned) and section.method != "none":
         still = loop_stills(experiment, planned.point)
@@ -125,8 +124,7 @@ def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
 
 def _write_prefiltered(job: Job, part: Path, name: str) -> None:
     planned = job.experiment.recordings[name]
-    section = job.experiment.spec.prefilter
-    assert section is not None
+    section = needed(job.experiment.spec.prefilter, "prefilter")
     runout_map, answers = _stated_maps(job, planned)  # first, because without them nothing can be done
     raw = load_made(job, planned)
     driving = driving_channels(job.experiment, planned.name)
@@ -174,8 +172,7 @@ def _write_map(job: Job, part: Path, label: str) -> Made:
 @lru_cache(maxsize=64)
 def _runout_map(job: Job, point: str) -> RunoutMap | None:
     """Return the run-out map of an operating point; cached, because its recordings and the report use it."""
-    section = job.experiment.spec.prefilter
-    assert section is not None
+    section = needed(job.experiment.spec.prefilter, "prefilter")
     if section.method == "none":
         return None
     still: list[Recording] = []
@@ -208,8 +205,7 @@ def identified_map(still: list[Recording], section: PrefilterSection) -> tuple[R
 @lru_cache(maxsize=64)
 def _maps_in_loop(job: Job, point: str) -> dict[str, RunoutMap]:
     """Return the maps of p, r and u, which follow the shaft because the controller answers to the run-out."""
-    section = job.experiment.spec.prefilter
-    assert section is not None
+    section = needed(job.experiment.spec.prefilter, "prefilter")
     if section.method == "none":
         return {}
     still = [load_made(job, planned) for planned in loop_stills(job.experiment, point)]

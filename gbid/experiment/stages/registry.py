@@ -6,12 +6,11 @@ A new stage is a folder beside this module, an entry here, and a field of `gbid.
 from __future__ import annotations
 
 from gbid.experiment.run import Stage
-from gbid.experiment.stages.crossval import CROSSVAL
+from gbid.experiment.stages.crossval import CROSSVAL, FIGURES
 from gbid.experiment.stages.cycle import CYCLE
 from gbid.experiment.stages.excite import EXCITE
-from gbid.experiment.stages.figures import FIGURES
 from gbid.experiment.stages.fit import FIT
-from gbid.experiment.stages.impact import IMPACT
+from gbid.experiment.stages.impact import IMPACT, TARGET
 from gbid.experiment.stages.importing import IMPORT
 from gbid.experiment.stages.loop import LOOP, LOOP_COST
 from gbid.experiment.stages.lpv import LPV
@@ -19,7 +18,6 @@ from gbid.experiment.stages.nominal import NOMINAL
 from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import STATIC
-from gbid.experiment.stages.target import TARGET
 from gbid.experiment.stages.tune import TUNE
 
 STAGES: tuple[Stage, ...] = (

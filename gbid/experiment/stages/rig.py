@@ -1,4 +1,4 @@
-"""Checks of the rig section."""
+"""Recordings of the virtual rig: checks of its section, and its controller in closed loop."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError
 from gbid.experiment.controllers import (
     LoopController,
-    at_point,
     found_controller,
     loop_controller,
     loop_of,
+    running_controller,
     stationary_at,
 )
 from gbid.experiment.experiment import Check, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, Location, nearest, refusal
+from gbid.experiment.fields import Found, Location, nearest, needed, refusal
 from gbid.experiment.machine import RigRun, machine_at, outside_domain, rig_experiment, rig_model, rig_run
 from gbid.experiment.recordings import recording_result
 from gbid.experiment.rig_schema import RigLoopSection, RigSection
@@ -79,8 +79,7 @@ def _check_run(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     UsageError
         With what to do.
     """
-    rig, machine = experiment.spec.rig, machine_at(experiment, planned, model)
-    assert rig is not None
+    rig, machine = needed(experiment.spec.rig, "rig"), machine_at(experiment, planned, model)
     rig_experiment(experiment, planned)
     try:
         if not planned.in_loop:
@@ -219,20 +218,10 @@ def loop_controller_of(experiment: Experiment, planned: PlannedRecording) -> Loo
         model = found.model
         assert model is not None
         design = ControllerDesign(found.name, None, {}, model.dt or rig.sample_time_s, models={None: model})
-    continuous = design.at(*at_point(design, dict(planned.conditions)))
-    if continuous.D.shape != (2, 2):
-        raise UsageError(f"controller {found.name!r} has not two inputs and two outputs, the axes x and y of the rig")
-    if abs(design.sample_time - rig.sample_time_s) > 1e-9 * rig.sample_time_s:
-        raise UsageError(
-            f"controller {found.name!r}: sample time is {design.sample_time:g} s, that of the rig "
-            f"{rig.sample_time_s:g} s; make it for that"
-        )
-    sampled = (
-        continuous if continuous.dt is not None else design.sampled_at(*at_point(design, dict(planned.conditions)))
-    )
-    if rig.controller == "compiled" and continuous.dt is not None:
+    running = running_controller(experiment, design, planned.conditions)
+    if rig.controller == "compiled" and running.continuous.dt is not None:
         raise UsageError(f"controller {found.name!r} is sampled; the control chain in C needs a continuous one")
-    return LoopController(continuous, sampled, design, "")
+    return running
 
 
 def check_loop_stable(experiment: Experiment, planned: PlannedRecording, sampled: LinearModel) -> None:
@@ -292,8 +281,7 @@ def _map_at_rest(experiment: Experiment, point: str) -> RunoutMap:
 
 
 def _sections(experiment: Experiment) -> tuple[RigSection, RigLoopSection]:
-    rig = experiment.spec.rig
-    assert rig is not None
+    rig = needed(experiment.spec.rig, "rig")
     assert rig.loop is not None
     return rig, rig.loop
 

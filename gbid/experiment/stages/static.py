@@ -1,4 +1,4 @@
-"""Checks of the static sections: their recordings exist and have the signals."""
+"""Static characterisation: checks of its sections, maps and curves, and their tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of the controller section: structures, models, gains and operating points exist."""
+"""Tuned controllers: checks of their section, designs, and controller files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from gbid.experiment.controllers import (
     without_cap,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, InputError, Location, Result, nearest, refusal, stored_key
+from gbid.experiment.fields import Found, InputError, Location, Result, nearest, needed, refusal, stored_key
 from gbid.experiment.machine import outside_domain
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
@@ -91,8 +91,7 @@ def designs_can_be_tuned(experiment: Experiment) -> Found:
 
 
 def _surfaces_problems(experiment: Experiment, section: ControllerSection, where: Location) -> Found:
-    lpv = experiment.spec.lpv
-    assert lpv is not None
+    lpv = needed(experiment.spec.lpv, "lpv")
     if lpv.actuators is None:
         yield (*where, "model") if section.model else where, "the surfaces have no actuators; add lpv: actuators"
     if section.model == "lpv_direct" and not lpv.direct:

@@ -1,4 +1,4 @@
-"""Stage that finds the peaks, and counts them when all are there."""
+"""A stage of one file, beside its entry in the registry: the largest value of a signal of each recording."""
 
 from __future__ import annotations
 
@@ -6,15 +6,47 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from gbid.core.errors import DataError
 from gbid.core.tables import Column, Table
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.fields import Found, Names, Positive, Section, Text, given, nearest
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Document, Job, Made, Outcome, Stage, Task, View
-from peak_stage.checks import peaks_have_recordings
-from peak_stage.schema import peaks_of
+from gbid.experiment.schema import ExperimentFile
+
+
+class PeaksSection(Section):
+    """The largest value of a signal of each recording; one above `limit` is bad data."""
+
+    recordings: Names
+    signal: Text = "u"
+    limit: Positive | None = None
+
+
+class FileWithPeaks(ExperimentFile):
+    """An experiment with the section peaks."""
+
+    peaks: Annotated[PeaksSection | None, BeforeValidator(given)] = None
+
+
+def peaks_of(spec: ExperimentFile) -> PeaksSection | None:
+    """Return the section."""
+    assert isinstance(spec, FileWithPeaks)
+    return spec.peaks
+
+
+def peaks_have_recordings(experiment: Experiment) -> Found:
+    """There are recordings of these names."""
+    section = peaks_of(experiment.spec)
+    for pattern in section.recordings if section else ():
+        if not experiment.matching((pattern,)):
+            known = nearest(pattern, experiment.recordings)
+            yield ("peaks", "recordings"), f"no recording matches {pattern!r}; {known}"
 
 
 def peak_tasks(job: Job) -> list[Task]:

@@ -1,11 +1,10 @@
-"""A new stage is one folder (here tests/support/peak_stage), an entry in the registry and a field of the schema."""
+"""A new stage is one file (here tests/support/peak_stage.py), an entry in the registry and a field of the schema."""
 
 import json
 
 import pytest
 from experiment_files import gbid, write_spring
-from peak_stage.schema import FileWithPeaks
-from peak_stage.stage import PEAK, SHOWN_PEAK
+from peak_stage import PEAK, SHOWN_PEAK, FileWithPeaks
 
 from gbid.experiment import load
 from gbid.experiment import load as json_schema
