@@ -16,8 +16,8 @@ import numpy as np
 
 import gbid
 from gbid.core.arrays import FloatArray
-from gbid.lpv.estimates import Order, chosen_exponents, orthonormal, sandwich, tempered_sandwich, with_scatter
-from gbid.lpv.regression import kron_designs
+from gbid.lpv.estimates import Order, chosen_exponents, orthonormal
+from gbid.lpv.regression import kron_designs, sandwich, tempered_sandwich, with_scatter
 from gbid.rig import RotorBearingTruth, Scatter, scattered
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.scheduled import monomials

@@ -1,7 +1,7 @@
 """Linear parameter-varying (LPV) models: polynomials over scheduling variables, their fits, and their files."""
 
 from gbid.lpv.direct import fit_lpv_direct
-from gbid.lpv.estimates import Estimates, Outlier
+from gbid.lpv.estimates import Estimates
 from gbid.lpv.fit import LPVFit, fit_lpv, load_lpv_fit, lpv_of, save_lpv_fit
 from gbid.lpv.model import (
     ACTUATOR_PARAMETERS,
@@ -28,7 +28,7 @@ from gbid.lpv.model_file import (
     load_model,
     save_model,
 )
-from gbid.lpv.regression import OrderScore
+from gbid.lpv.regression import OrderScore, Outlier
 
 __all__ = [
     "ACTUATOR_PARAMETERS",

@@ -35,17 +35,18 @@ from gbid.identify.problem.nlp import CLEAR, near_instability
 from gbid.identify.problem.solve import Progress, Solution, solve
 from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.covariance import RecordInformation, profiled, record_information
-from gbid.lpv.estimates import (
-    Estimates,
-    Orthonormal,
-    orthonormal,
+from gbid.lpv.estimates import Estimates, Orthonormal, orthonormal
+from gbid.lpv.fit import LPVFit, with_coefficients
+from gbid.lpv.model import ACTUATOR_PARAMETERS, EXPONENTS, LPVModel
+from gbid.lpv.regression import (
+    in_terms,
+    in_units_of_terms,
+    kron_designs,
+    lack_of_fit,
     outliers,
     standardised,
     with_scatter,
 )
-from gbid.lpv.fit import LPVFit, with_coefficients
-from gbid.lpv.model import ACTUATOR_PARAMETERS, EXPONENTS, LPVModel
-from gbid.lpv.regression import in_terms, in_units_of_terms, kron_designs, lack_of_fit
 from gbid.recording import Recording
 from gbid.structure import (
     KEY_PARAMETERS,
@@ -62,13 +63,25 @@ from gbid.structure.scheduled import Exponents
 
 
 @dataclass(frozen=True, eq=False)
+class DirectOptions:
+    """Options of the programme and its solver; see `gbid.fit_lpv_direct`."""
+
+    focus: Focus
+    intersample: Hold | Sequence[Hold] | None
+    max_iterations: int
+    progress: Callable[[Progress], None] | None
+
+
+@dataclass(frozen=True, eq=False)
 class Setting:
     """Setting of a direct LPV fit.
 
     Attributes
     ----------
-    structures : tuple of Structure
-        Structure of each recording.
+    structures : tuple of OwnStructure
+        Structure of each recording, with the behaviour of its inputs between samples.
+    options : DirectOptions
+        Options of the fit.
     parameters : tuple of Parameter
         Parameters of the structures, with the fixed ones marked.
     held : dict of str to float
@@ -89,7 +102,8 @@ class Setting:
         Orthogonal terms.
     """
 
-    structures: tuple[Structure, ...]
+    structures: tuple[OwnStructure, ...]
+    options: DirectOptions
     parameters: tuple[Parameter, ...]
     held: Mapping[str, float]
     gains: tuple[str, ...]
@@ -108,11 +122,11 @@ class Setting:
     def ties(self, scatter: FloatArray) -> Ties:
         """Return the map from unknowns to parameters, with a scatter (n_names, n_names) between recordings.
 
-        The deviation of a recording from the surfaces is ``lift @ own``, with `own` of variance one.
+        The deviation of a recording from the surfaces is ``lift @ deviations``, with `deviations` of variance one.
         """
         lift = _factor(scatter)
-        own = tuple(Parameter(f"off_{i + 1}", 0.0) for i in range(lift.shape[1]))
-        return Ties(self.names, self.shared, self.X, own, lift)
+        deviations = tuple(Parameter(f"off_{i + 1}", 0.0) for i in range(lift.shape[1]))
+        return Ties(self.names, self.shared, self.X, deviations, lift)
 
     @property
     def back(self) -> FloatArray:
@@ -126,29 +140,37 @@ class Setting:
 
 
 def set_up(
-    recordings: Sequence[Recording], model: LPVModel, structures: Sequence[Structure], fixed: Mapping[str, float]
+    recordings: Sequence[Recording],
+    model: LPVModel,
+    structures: Sequence[Structure],
+    fixed: Mapping[str, float],
+    options: DirectOptions,
 ) -> Setting:
     """Return the setting of a direct LPV fit; parameters and errors are those of `gbid.fit_lpv_direct`."""
-    for one in structures:
-        missing = [key for key in KEY_PARAMETERS if key not in [q.name for q in one.parameters]]
+    for structure in structures:
+        missing = [key for key in KEY_PARAMETERS if key not in [q.name for q in structure.parameters]]
         if missing:
-            raise UsageError(f"structure {one.name!r} has no {', '.join(missing)}; surfaces need all key parameters")
-    parameters = {q.name: q for one in structures for q in one.parameters}
+            raise UsageError(
+                f"structure {structure.name!r} has no {', '.join(missing)}; surfaces need all key parameters"
+            )
+    parameters = {q.name: q for structure in structures for q in structure.parameters}
     names = list(parameters)
     for key in fixed:
         if key in KEY_PARAMETERS or key not in names:
             what = "is a surface, which is estimated" if key in KEY_PARAMETERS else "is not a parameter"
-            used = " or ".join(dict.fromkeys(repr(one.name) for one in structures))
+            used = " or ".join(dict.fromkeys(repr(structure.name) for structure in structures))
             raise UsageError(f"fixed: {key} {what} of structure {used}; leave it out")
     points = _points(recordings)
     exponents = _terms_of(model)
     design = orthonormal(points, exponents)
-    noise = frozenset[str]().union(*(kind_of(one).anatomy().gain_only for one in _different(structures)))
+    noise = frozenset[str]().union(*(kind_of(each).anatomy().gain_only for each in structures))
     others = [q for q in parameters.values() if q.name not in (*KEY_PARAMETERS, *noise, *fixed)]
-    for one in structures:
-        own = [q.name for q in one.parameters]
-        if lacking := [q.name for q in others if q.name not in own]:
-            raise UsageError(f"structure {one.name!r} has no {', '.join(lacking)}, which another has; fix them (fixed)")
+    for structure in structures:
+        known = [q.name for q in structure.parameters]
+        if lacking := [q.name for q in others if q.name not in known]:
+            raise UsageError(
+                f"structure {structure.name!r} has no {', '.join(lacking)}, which another has; fix them (fixed)"
+            )
     unknown = [q.name for q in others if q.name not in model.actuators and q.start is None]
     if unknown:
         raise UsageError(f"no start for {', '.join(unknown)}; give the start model actuators, or fix them (fixed)")
@@ -161,7 +183,8 @@ def set_up(
     X[:, :k, :m] = kron_designs(design.columns, k)
     X[:, k:, m:] = np.eye(len(others))
     return Setting(
-        tuple(structures),
+        tuple(OwnStructure(each, options.intersample or each.intersample) for each in structures),
+        options,
         tuple(
             Parameter(q.name, float(fixed[q.name]), fixed=True, unit=q.unit) if q.name in fixed else q
             for q in parameters.values()
@@ -177,11 +200,6 @@ def set_up(
     )
 
 
-def _different(structures: Sequence[Structure]) -> list[Structure]:
-    """Return each structure once."""
-    return [one for i, one in enumerate(structures) if one not in structures[:i]]
-
-
 def _in_columns(model: LPVModel, design: Orthonormal, exponents: Exponents) -> FloatArray:
     """Return the coefficients of a model in orthogonal terms, parameter by parameter."""
     places = [EXPONENTS.index(e) for e in exponents]
@@ -194,8 +212,8 @@ def _factor(scatter: FloatArray) -> FloatArray:
     size = np.sqrt(np.diag(scatter))
     scale = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(scatter / np.outer(scale, scale))
-    there = values > 1e-9 * max(values[-1], 1e-300)
-    return np.asarray(vectors[:, there] * np.sqrt(values[there]) * scale[:, None])
+    kept = values > 1e-9 * max(values[-1], 1e-300)
+    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]) * scale[:, None])
 
 
 def _points(recordings: Sequence[Recording]) -> FloatArray:
@@ -218,7 +236,7 @@ def _points(recordings: Sequence[Recording]) -> FloatArray:
 def _terms_of(model: LPVModel) -> Exponents:
     """Return the exponents of the terms that a model uses."""
     used = np.any([model.coefficients[key] for key in KEY_PARAMETERS], axis=0)
-    return tuple(e for e, there in zip(EXPONENTS, used, strict=True) if there)
+    return tuple(exponent for exponent, in_use in zip(EXPONENTS, used, strict=True) if in_use)
 
 
 # ---- Start values of disturbance gains for the direct LPV fit: a small fit for each recording with fixed surfaces.
@@ -245,61 +263,47 @@ class Gains:
     notes: tuple[str, ...] = ()
 
 
-def own_gains(
-    setting: Setting,
-    recordings: Sequence[Recording],
-    focus: Focus,
-    hold: Hold | Sequence[Hold] | None,
-) -> Gains:
+def start_gains(setting: Setting, recordings: Sequence[Recording]) -> Gains:
     """Return the disturbance gains of each recording, fitted with all other parameters fixed at the start.
 
     When a record does not determine a gain, the gain makes the predictor almost unstable and blocks all other
     parameters. It is then fixed at zero.
     """
     nothing = dict.fromkeys(setting.gains, 0.0)
+    focus = setting.options.focus
     if not setting.gains or focus == "simulation":
         return Gains([nothing for _ in recordings], np.zeros(len(recordings), dtype=bool))
     values, held = [], []
-    for recording, structure, X in zip(recordings, setting.structures, setting.X, strict=True):
+    for recording, (structure, hold), X in zip(recordings, setting.structures, setting.X, strict=True):
         names = [q.name for q in structure.parameters]
         if not set(setting.gains).intersection(names):
             values.append(nothing)
             held.append(False)
             continue
         known = {key: value for key, value in setting.held.items() if key in names}
-        behaviour = structure.intersample if hold is None else hold
-        predictor = build_predictor(structure, known, recording.sample_time, behaviour, focus)
+        assert isinstance(structure, Structure)  # fit_lpv_direct refuses others
+        predictor = build_predictor(structure, known, recording.sample_time, hold, focus)
         surface = dict(zip(setting.names, (X @ setting.start).tolist(), strict=True))
-        own = fit(
+        result = fit(
             structure,
             recording,
             focus=focus,
-            intersample=behaviour,
+            intersample=hold,
             fixed={**surface, **known},
             window=None,
             max_iterations=_ITERATIONS,
         )
-        found = np.array([own.parameters[q.name] for q in predictor.free])
-        told = own.success and not near_instability(predictor, found, CLEAR)
-        found_gains = {name: own.parameters[name] for name in setting.gains if name in names}
-        values.append({**nothing, **found_gains} if told else nothing)
-        held.append(not told)
+        estimates = np.array([result.parameters[q.name] for q in predictor.free])
+        determined = result.success and not near_instability(predictor, estimates, CLEAR)
+        gains = {name: result.parameters[name] for name in setting.gains if name in names}
+        values.append({**nothing, **gains} if determined else nothing)
+        held.append(not determined)
     names = [r.name for r, stays in zip(recordings, held, strict=True) if stays]
     note = f"disturbance gain fixed at zero in {len(names)} of {len(held)} recordings, which do not determine it: "
     return Gains(values, np.array(held), (note + ", ".join(names),) if names else ())
 
 
 # ---- Nonlinear programme of the direct LPV fit, for a given scatter between recordings.
-
-
-@dataclass(frozen=True, eq=False)
-class How:
-    """Options of the programme and its solver; see `gbid.fit_lpv_direct`."""
-
-    focus: Focus
-    hold: Hold | Sequence[Hold] | None
-    max_iterations: int
-    progress: Callable[[Progress], None] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,29 +334,26 @@ class DirectSolution:
     engine: str
 
 
-def solve_for(
-    setting: Setting, data: FitData, shared: FloatArray, scatter: FloatArray, gains: Gains, how: How
-) -> DirectSolution:
+def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: FloatArray, gains: Gains) -> DirectSolution:
     """Return the minimum of the prediction errors of all recordings over shared and own unknowns.
 
     A recording in which the free gain makes the predictor almost unstable does not determine this gain. It is fixed
     at zero there, and the problem is solved again. When the problem is not solved for another reason, all gains are
     fixed at their start values, and at zero where these make a predictor unstable. Notes report each.
     """
-    ties = setting.ties(scatter)
+    ties, options, each = setting.ties(scatter), setting.options, setting.structures
     at_first = dict(zip(setting.names, (setting.X[0] @ shared).tolist(), strict=True))
     parameters = tuple(q if q.fixed else replace(q, start=at_first.get(q.name, 0.0)) for q in setting.parameters)
     begin = {q.name: float(q.start or 0.0) for q in parameters}
-    local: dict[str, Scope] = dict.fromkeys(setting.gains if how.focus == "prediction" else (), "recording")
+    local: dict[str, Scope] = dict.fromkeys(setting.gains if options.focus == "prediction" else (), "recording")
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        each = [OwnStructure(one, how.hold or one.intersample) for one in setting.structures]
         assembly = assemble(
             each[0].structure,
             parameters,
             begin,
             data,
             intersample=each[0].intersample,
-            focus=how.focus,
+            focus=options.focus,
             local=local,
             left_out={},
             window=None,  # the start is near the solution: windows within a recording are not needed
@@ -374,13 +375,13 @@ def solve_for(
 
         def fix(chosen: BoolArray, value: float | None = None) -> None:
             """Fix the gains of the chosen recordings, at a value or at their start values."""
-            still = [place for own, stays in zip(places, chosen, strict=True) if stays for place in own]
-            unknowns[still] = unknowns[still] if value is None else value
-            lower[still] = upper[still] = unknowns[still]
+            at = [place for of_record, fixed in zip(places, chosen, strict=True) if fixed for place in of_record]
+            unknowns[at] = unknowns[at] if value is None else value
+            lower[at] = upper[at] = unknowns[at]
 
         def run() -> Solution:
             first = np.clip(unknowns, lower, upper)
-            return solve(problem, first, lower, upper, max_iterations=how.max_iterations, progress=how.progress)
+            return solve(problem, first, lower, upper, max_iterations=options.max_iterations, progress=options.progress)
 
         fix(gains.held)
         edge = unstable(unknowns) & ~gains.held
@@ -399,9 +400,11 @@ def solve_for(
             fix(held, 0.0)
             solution = run()
         theta, starts = problem.unpack(solution.unknowns)
-        own = [[q.name for q in problem.parts[part].predictor.free] for part in part_of]
-        kept = [np.array([names.index(name) for name in setting.names]) for names in own]
-        whole = record_information(problem, theta, starts, assembly.record_window, np.diag(problem.output_weights))
+        free = [[q.name for q in problem.parts[part].predictor.free] for part in part_of]
+        kept = [np.array([names.index(name) for name in setting.names]) for names in free]
+        information = record_information(
+            problem, theta, starts, assembly.record_window, np.diag(problem.output_weights)
+        )
     notes = list(gains.notes)
     if near := [r.name for r, now, before in zip(data.records, held, gains.held, strict=True) if now and not before]:
         if given_up:
@@ -420,7 +423,7 @@ def solve_for(
     return DirectSolution(
         theta[: len(ties.shared)],
         setting.X @ theta[: len(ties.shared)] + off.reshape(len(setting.X), -1) @ ties.lift.T,
-        [profiled(one, columns) for one, columns in zip(whole, kept, strict=True)],
+        [profiled(each_one, columns) for each_one, columns in zip(information, kept, strict=True)],
         Gains(ended, held, tuple(notes)),
         solution,
         assembly.engine,
@@ -460,8 +463,6 @@ class CoefficientUncertainty(NamedTuple):
         Coefficients with weights from scatter and own covariance.
     refined_covariance : (m, m) array
         Covariance of the refined coefficients.
-    settled : bool
-        Whether the scatter converged.
     """
 
     covariance: FloatArray
@@ -470,7 +471,6 @@ class CoefficientUncertainty(NamedTuple):
     own_covariance: FloatArray
     refined: FloatArray
     refined_covariance: FloatArray
-    settled: bool
 
 
 def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInformation]) -> CoefficientUncertainty:
@@ -512,7 +512,6 @@ def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInfor
         C * outer,
         mixed.coefficients,
         mixed.covariance,
-        mixed.settled,
     )
 
 
@@ -624,15 +623,16 @@ def fit_lpv_direct(
     """
     model = start.model if isinstance(start, LPVFit) else start
     structures = _structures_of(recordings, structure, RotorBearing(pade_order=model.pade_order))
-    if nonlinear := [one.name for one in structures if kind_of(equations_of(one)).nonlinear]:
+    if nonlinear := [each.name for each in structures if kind_of(equations_of(each)).nonlinear]:
         raise UsageError(
             f"structure {nonlinear[0]!r} is nonlinear: surfaces straight from the recordings are for linear "
             "structures; use fit_lpv on the fits"
         )
-    setting = set_up(recordings, model, structures, fixed or {})
-    channels = [Channels(as_names(one.inputs), as_names(one.outputs)) for one in structures]
+    setting = set_up(
+        recordings, model, structures, fixed or {}, DirectOptions(focus, intersample, max_iterations, progress)
+    )
+    channels = [Channels(as_names(each.inputs), as_names(each.outputs)) for each in structures]
     data = gather_own(recordings, channels, minimum=_SHORTEST)
-    how = How(focus, intersample, max_iterations, progress)
     known = start.scatter if scatter and isinstance(start, LPVFit) else np.zeros((len(KEY_PARAMETERS),) * 2)
     if negative := _negative_delay(setting, setting.start):
         raise DataError(
@@ -640,38 +640,38 @@ def fit_lpv_direct(
             "start from another model, or use longer recordings"
         )
     with one_blas_thread():
-        gains = own_gains(setting, recordings, focus, intersample)
+        gains = start_gains(setting, recordings)
         shared, S = setting.start, _padded(known, len(setting.names))
         iterations, ended = 0, ""
         for round_ in range(1, _ROUNDS + 1):
-            solved = solve_for(setting, data, shared, S, gains, how)
-            found = uncertainty(setting.X, solved.values, solved.information)
+            solved = solve_for(setting, data, shared, S, gains)
+            uncertain = uncertainty(setting.X, solved.values, solved.information)
             iterations += solved.solution.iterations
             if not (scatter and solved.solution.status.success):
                 break
-            if negative := _negative_delay(setting, found.refined):
+            if negative := _negative_delay(setting, uncertain.refined):
                 ended = f"stopped after round {round_}, as the next would begin with {negative}"
                 break
-            moved = np.abs(found.refined - shared) / np.sqrt(np.diag(found.refined_covariance))
-            shared, S, gains = found.refined, found.scatter, solved.gains
-            if round_ > 1 and moved.max() < _SETTLED:
+            change = np.abs(uncertain.refined - shared) / np.sqrt(np.diag(uncertain.refined_covariance))
+            shared, S, gains = uncertain.refined, uncertain.scatter, solved.gains
+            if round_ > 1 and change.max() < _SETTLED:
                 break
     options = {
         "method": "direct",
-        "structure": ", ".join(dict.fromkeys(one.name for one in structures)),
+        "structure": ", ".join(dict.fromkeys(each.name for each in structures)),
         "focus": focus,
-        "intersample": ", ".join(dict.fromkeys(_hold_text(intersample or one.intersample) for one in structures)),
+        "intersample": ", ".join(dict.fromkeys(_hold_text(hold) for _, hold in setting.structures)),
         "weighting": "scatter" if scatter else "none",
         "rounds": str(round_),
         "iterations": str(iterations),
         "engine": solved.engine,
     }
     notes = [*solved.gains.notes, ended] if ended else list(solved.gains.notes)
-    if scatter and not ended and solved.solution.status.success and moved.max() >= _SETTLED:
-        text = f"after {_ROUNDS} rounds the coefficients still moved by {moved.max():.2g} standard deviations"
+    if scatter and not ended and solved.solution.status.success and change.max() >= _SETTLED:
+        text = f"after {_ROUNDS} rounds the coefficients still moved by {change.max():.2g} standard deviations"
         notes.append(SurfaceNote.NOT_SETTLED(text))
     names = tuple(record.name for record in data.records)
-    result = _result(start, setting, names, solved, found, scatter=scatter)
+    result = _result(start, setting, names, solved, uncertain, scatter=scatter)
     return replace(
         result,
         model=replace(result.model, name=name or model.name),

@@ -23,7 +23,7 @@ from gbid.core.notes import SurfaceNote
 from gbid.identify import FitStatus
 from gbid.identify.result import FitResult
 from gbid.identify.table import FitTable
-from gbid.lpv.estimates import Estimates, Order, Outlier, as_estimates
+from gbid.lpv.estimates import Estimates, Order, as_estimates
 from gbid.lpv.model import (
     ACTUATOR_PARAMETERS,
     SCHEDULING,
@@ -36,7 +36,7 @@ from gbid.lpv.model import (
     regressors,
 )
 from gbid.lpv.model_file import load_model, save_model
-from gbid.lpv.regression import OrderScore, Weighting, in_terms, regression
+from gbid.lpv.regression import OrderScore, Outlier, Weighting, in_terms, regression
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.linear import Structure, as_names
 from gbid.structure.scheduled import Schedule

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import fdtrc, ndtr, ndtri
 
 from gbid.core.arrays import BoolArray, FloatArray, one_blas_thread
 from gbid.core.brief import Brief
@@ -20,27 +20,337 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import Stored
 from gbid.core.notes import SurfaceNote
 from gbid.lpv.estimates import (
-    CLIPPING_SLOPE,
     HIGHEST_ORDER,
-    HUBER,
     Estimates,
     Order,
     Orthonormal,
-    Outlier,
     as_estimates,
     check_points,
     chosen_exponents,
-    generalised,
-    huber_estimate,
     orthonormal,
-    outliers,
-    sandwich,
-    standardised,
-    tempered_sandwich,
     varying_exponents,
-    with_scatter,
 )
+from gbid.structure import KEY_PARAMETERS
 from gbid.structure.scheduled import EXPONENTS, SCHEDULING, Exponents, term_name
+
+# ---- Linear regression of vectors with known covariances and an unknown scatter between them (mixed-effects model).
+#
+# .. math:: y_i = X_i c + b_i + e_i, \quad b_i \sim (0, S), \quad e_i \sim (0, C_i)
+#
+# The parameters of the machine differ from one recording to the next, by far more than the covariance C_i of each
+# estimate. S is the covariance of this scatter. It is estimated by restricted maximum likelihood (Patterson and
+# Thompson, 1971). For known C_i the EM algorithm maximises the likelihood and keeps S positive semidefinite (Laird and
+# Ware, 1982).
+
+_TOLERANCE = 1e-4  # change of S in one step, relative to the variance of the residuals
+_LEAST = 1e-3  # smallest eigenvalue of the start value of S, in the same units
+_MOST = 500  # largest number of steps
+_ALONE = 0.99  # leverage from which a row is fitted by its own: less than a tenth of its error is in its residual
+
+
+class MixedFit(NamedTuple):
+    """Coefficients and scatter of a mixed-effects model.
+
+    Attributes
+    ----------
+    coefficients : (m,) array
+        Coefficients c.
+    covariance : (m, m) array
+        Covariance of the coefficients, ``(sum X_i' V_i^-1 X_i)^-1`` with ``V_i = C_i + S``.
+    scatter : (k, k) array
+        S.
+    steps : int
+        Number of EM steps.
+    settled : bool
+        Whether S has converged.
+    """
+
+    coefficients: FloatArray
+    covariance: FloatArray
+    scatter: FloatArray
+    steps: int
+    settled: bool
+
+
+class Weighted(NamedTuple):
+    """Generalised least-squares solution for given V: coefficients (m,), covariance (m, m), residuals (n, k)."""
+
+    coefficients: FloatArray
+    covariance: FloatArray
+    residuals: FloatArray
+
+
+def generalised(y: FloatArray, X: FloatArray, V: FloatArray) -> Weighted:
+    """Return the generalised least-squares solution.
+
+    Parameters
+    ----------
+    y : (n, k) array
+        Observations.
+    X : (n, k, m) array
+        Regressors of each row.
+    V : (n, k, k) array
+        Covariance of each row of y; rows are independent.
+    """
+    weighted = np.linalg.solve(V, X)  # V^-1 X
+    information = np.einsum("ikm,ikl->ml", X, weighted, optimize=True)
+    covariance = _inverse(information)
+    coefficients = covariance @ np.einsum("ikm,ik->m", weighted, y, optimize=True)
+    return Weighted(coefficients, covariance, y - X @ coefficients)
+
+
+def with_scatter(y: FloatArray, X: FloatArray, C: FloatArray, start: FloatArray | None = None) -> MixedFit:
+    """Return the coefficients and the scatter by restricted maximum likelihood.
+
+    Parameters
+    ----------
+    y : (n, k) array
+        Observations, scaled to the order of one.
+    X : (n, k, m) array
+        Regressors of each row.
+    C : (n, k, k) array
+        Covariance of the error of each row.
+    start : (k, k) array, optional
+        Start value of the scatter; by default from moments.
+
+    Returns
+    -------
+    MixedFit
+    """
+    n, k = y.shape
+    residuals = generalised(y, X, np.broadcast_to(np.eye(k), C.shape)).residuals
+    freedom = max(1.0, n - X.shape[2] / k)
+    size = np.sqrt(np.mean(residuals**2, axis=0) * n / freedom)
+    size = np.where(size > 0, size, 1.0)  # EM works on scaled data with residuals of size one
+    outer = np.outer(size, size)
+    y, X, C = y / size, X / size[:, None], C / outer
+    spread = residuals.T @ residuals / freedom / outer
+    S = _positive(spread - C.mean(axis=0)) if start is None else start / outer
+    # Recordings of one operating point have equal rows of X, so sums over points need fewer operations.
+    _, first, group = np.unique(X.reshape(n, -1), axis=0, return_index=True, return_inverse=True)
+    alike, distinct = group.ravel()[:, None] == np.arange(len(first)), X[first]
+    change, step = np.inf, 0
+    while change >= _TOLERANCE and step < _MOST:
+        step += 1
+        inverse = np.linalg.inv(C + S)
+        coefficients, covariance = _by_point(y, distinct, alike, inverse)
+        residuals = y - X @ coefficients
+        gain = S @ inverse
+        b = np.einsum("ikl,il->ik", gain, residuals)
+        surface = (distinct @ covariance @ distinct.transpose(0, 2, 1))[group.ravel()]
+        rest = S - gain @ S + gain @ surface @ gain.transpose(0, 2, 1)
+        following = (b.T @ b + rest.sum(axis=0)) / n
+        change = float(np.abs(following - S).max())
+        S = 0.5 * (following + following.T)
+    coefficients, covariance = _by_point(y, distinct, alike, np.linalg.inv(C + S))
+    return MixedFit(coefficients, covariance, S * outer, step, change < _TOLERANCE)
+
+
+def _by_point(
+    y: FloatArray, distinct: FloatArray, alike: BoolArray, inverse: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return coefficients (m,) and their covariance by generalised least squares, with sums over operating points."""
+    weights = np.einsum("ip,ikl->pkl", alike, inverse, optimize=True)
+    targets = np.einsum("ip,ikl,il->pk", alike, inverse, y, optimize=True)
+    transposed = distinct.transpose(0, 2, 1)
+    covariance = _inverse((transposed @ (weights @ distinct)).sum(axis=0))
+    return covariance @ np.einsum("pmk,pk->m", transposed, targets), covariance
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    """Replace eigenvalues that are not positive by small ones, because EM cannot leave a singular start value."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.maximum(values, _LEAST)) @ vectors.T)
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Return the inverse of a positive definite matrix, computed with scaling."""
+    scale = 1 / np.sqrt(np.diag(information))
+    return np.asarray(np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))
+
+
+def sandwich(y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """Return the covariance of generalised least-squares coefficients without the assumption that V is right, (m, m).
+
+    The residuals replace the errors. They are enlarged for rows with large leverage (HC3: MacKinnon and White, 1985).
+    """
+    inverse, weighted, pull = _leverage(X, V)
+    scores = _scores(y - X @ coefficients, pull, weighted) @ inverse
+    return np.asarray(scores.T @ scores)
+
+
+class LocalCovariance(NamedTuple):
+    """Covariance of coefficients (m, m), and rows whose residual says nothing, because they alone are fitted (n,)."""
+
+    covariance: FloatArray
+    alone: BoolArray
+
+
+def tempered_sandwich(
+    y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArray, factors: tuple[float, float] = (1.0, 1.0)
+) -> LocalCovariance:
+    """Return the covariance of generalised least-squares coefficients, where rows may scatter unequally.
+
+    The sandwich of `sandwich` takes the covariance of each row from its own residual. Where few rows determine a value
+    of the surface, that is a mean over few squares. So the covariance of row i is a weighted mean of the two,
+    ``(e_i e_i' + h_i V_i) / (1 + h_i)``, with the residual e_i of HC3 and the leverage h_i of the row, which is one
+    over the number of rows that determine its value. V_i counts as one more row beside these. A row that is fitted
+    exactly has no residual; there V_i alone is taken.
+
+    Parameters
+    ----------
+    y, X, V : arrays
+        As in `generalised`.
+    coefficients : (m,) array
+        Its solution.
+    factors : (float, float)
+        Factors on the covariance from residuals and on that from V, for data that are clipped.
+    """
+    inverse, weighted, pull = _leverage(X, V)
+    leverage = np.einsum("ikk->i", pull) / y.shape[1]
+    alone = np.linalg.eigvals(pull).real.max(axis=1) > _ALONE
+    share = np.where(alone, 0.0, 1 / (1 + leverage))
+    scores = _scores(y - X @ coefficients, np.where(alone[:, None, None], 0.0, pull), weighted) @ inverse
+    from_residuals = (scores * share[:, None]).T @ scores
+    from_model = inverse @ np.einsum("i,ikm,ikl->ml", 1 - share, X, weighted, optimize=True) @ inverse
+    covariance = factors[0] * from_residuals + factors[1] * from_model
+    return LocalCovariance(0.5 * (covariance + covariance.T), alone)
+
+
+def _leverage(X: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the inverse of the information (m, m), V^-1 X (n, k, m), and the leverages (n, k, k)."""
+    weighted = np.asarray(np.linalg.solve(V, X), float)
+    inverse = _inverse(np.einsum("ikm,ikl->ml", X, weighted, optimize=True))
+    return inverse, weighted, X @ inverse @ weighted.transpose(0, 2, 1)
+
+
+def _scores(residuals: FloatArray, pull: FloatArray, weighted: FloatArray) -> FloatArray:
+    """Return the gradient of each row at its residual as if the row had not been fitted, (n, m)."""
+    without = np.linalg.solve(np.eye(pull.shape[1]) - pull, residuals[:, :, None])
+    return np.asarray((weighted.transpose(0, 2, 1) @ without)[:, :, 0])
+
+
+# ---- Outliers from the surfaces: a robust rule that finds them, and Huber's estimate that gives them less weight.
+
+_MAD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
+_LEAST_OUTLIERS = 3.5  # Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
+_FALSE_ALARM = 0.05  # probability of at least one outlier when all entries are normal
+HUBER = 1.345  # standard deviations; 95 % efficient for normal errors (Huber, Robust Statistics, 1981)
+CLIPPING_SLOPE = 1 - 2 * float(ndtr(-HUBER))  # mean slope of the clipping function
+_DENSITY = float(
+    np.exp(-(HUBER**2) / 2) / np.sqrt(2 * np.pi)
+)  # density of a standard normal variable at HUBER; the next line is the variance of a clipped one
+_VARIANCE = CLIPPING_SLOPE - 2 * HUBER * _DENSITY + 2 * HUBER**2 * float(ndtr(-HUBER))
+_HUBER_ROUNDS, _HUBER_SETTLED = 30, 1e-2  # largest number of rounds; change that ends them, in standard deviations
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """Recording far from the surface of one parameter.
+
+    Attributes
+    ----------
+    recording, parameter : str
+        Names of the recording and of the parameter.
+    deviation : float
+        Estimate minus surface, SI per kg.
+    standardised : float
+        Deviation in robust standard deviations.
+    """
+
+    recording: str
+    parameter: str
+    deviation: Annotated[float, Stored("SI per kg", "estimate minus surface")]
+    standardised: Annotated[float, Stored("1", "the same in robust standard deviations")]
+
+
+def standardised(residuals: FloatArray, V: FloatArray) -> FloatArray:
+    """Return residuals (n, k) over their standard deviations.
+
+    `V` (n, k, k) gives the ratio of the standard deviations of the rows. The scale of each column comes from the
+    median, so that an outlier that has enlarged `V` is still found.
+    """
+    z = residuals / np.sqrt(np.einsum("ikk->ik", V))
+    return np.asarray(z / _scale(z))
+
+
+def _scale(z: FloatArray) -> FloatArray:
+    return np.maximum(_MAD * np.median(np.abs(z), axis=0), 1e-12)
+
+
+def threshold(count: int) -> float:
+    """Return the largest standardised residual that is not an outlier.
+
+    It is 3.5, and larger for many entries, because some normal values then exceed 3.5 by chance.
+    """
+    return max(_LEAST_OUTLIERS, float(-ndtri(_FALSE_ALARM / (2 * count))))
+
+
+def outliers(
+    recordings: tuple[str, ...], residuals: FloatArray, z: FloatArray, parameters: tuple[str, ...] = KEY_PARAMETERS
+) -> tuple[Outlier, ...]:
+    """Return the entries of (n, k) arrays beyond the threshold, the largest first."""
+    limit = threshold(z.size)
+    found = [
+        Outlier(recordings[i], parameters[j], float(residuals[i, j]), float(z[i, j]))
+        for i, j in zip(*np.nonzero(np.abs(z) > limit), strict=True)
+    ]
+    return tuple(sorted(found, key=lambda o: -abs(o.standardised)))
+
+
+class HuberEstimate(NamedTuple):
+    """Huber's estimate.
+
+    Attributes
+    ----------
+    coefficients : (m,) array
+        Coefficients.
+    scatter : (k, k) array
+        Scatter, corrected for the clipping.
+    clipped : (n, k) array
+        Data with clipped residuals.
+    cost : float
+        Factor on the covariance of the coefficients that accounts for the clipping.
+    """
+
+    coefficients: FloatArray
+    scatter: FloatArray
+    clipped: FloatArray
+    cost: float
+
+
+def huber_estimate(y: FloatArray, X: FloatArray, C: FloatArray | None) -> HuberEstimate:
+    """Return Huber's estimate by modified residuals, which are clipped at 1.345 standard deviations.
+
+    Parameters
+    ----------
+    y : (n, k) array
+        Observations.
+    X : (n, k, m) array
+        Regressors of each row.
+    C : (n, k, k) array or None
+        Covariance of the error of each row, to which scatter is added; None for rows of equal weight.
+    """
+    n, k = y.shape
+    S = np.zeros((k, k)) if C is None else with_scatter(y, X, C).scatter
+    V = np.broadcast_to(np.eye(k), (n, k, k)) if C is None else C + S
+    coefficients, clipped = generalised(y, X, V).coefficients, y
+    for _ in range(_HUBER_ROUNDS):
+        surface = X @ coefficients
+        sigma = np.sqrt(np.einsum("ikk->ik", V))
+        size = HUBER * sigma * _scale((y - surface) / sigma)
+        inside = np.clip(y - surface, -size, size)
+        clipped = surface + inside
+        if C is not None:
+            S = with_scatter(surface + inside / np.sqrt(_VARIANCE), X, C, start=S).scatter
+            V = C + S
+        fit = generalised(clipped, X, V)
+        change = np.abs(fit.coefficients - coefficients) / np.sqrt(np.diag(fit.covariance))
+        coefficients = fit.coefficients
+        if change.max() < _HUBER_SETTLED:
+            break
+    return HuberEstimate(coefficients, S, clipped, _VARIANCE / CLIPPING_SLOPE**2)
+
 
 # ---- Order of the surfaces: cross-validation over operating points, and lack-of-fit test.
 
@@ -134,7 +444,6 @@ def lack_of_fit(
 def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents, scheduling: Sequence[str]) -> FloatArray:
     distinct, group = np.unique(points, axis=0, return_inverse=True)
     group = group.ravel()
-    check_points(points, exponents, scheduling)
     columns = orthonormal(points, exponents, scheduling).columns
     errors = np.empty_like(values)
     for i in range(len(distinct)):
@@ -144,6 +453,8 @@ def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents, sche
         errors[out] = values[out] - columns[out] @ coefficients
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
+
+# ---- Surfaces through the estimates.
 
 Weighting = Literal["scatter", "fits", "ordinary"]
 _NAMED = 3  # recordings named in a note

@@ -10,8 +10,8 @@ from study_rig import CAMPAIGN, PAPER, POINTS
 import gbid
 from gbid.core.errors import DataError, UsageError
 from gbid.lpv import Estimates, characteristics, regressors
-from gbid.lpv.estimates import _finite, generalised, orthonormal, sandwich, with_scatter
-from gbid.lpv.regression import lack_of_fit, regression
+from gbid.lpv.estimates import _finite, orthonormal
+from gbid.lpv.regression import generalised, lack_of_fit, regression, sandwich, with_scatter
 from gbid.rig import Machine, Scatter, scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.scheduled import exponents_of

@@ -8,17 +8,8 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from gbid.lpv import TERMS
-from gbid.lpv.estimates import (
-    _VARIANCE,
-    CLIPPING_SLOPE,
-    HUBER,
-    chosen_exponents,
-    huber_estimate,
-    orthonormal,
-    outliers,
-    standardised,
-    threshold,
-)
+from gbid.lpv.estimates import chosen_exponents, orthonormal
+from gbid.lpv.regression import _VARIANCE, CLIPPING_SLOPE, HUBER, huber_estimate, outliers, standardised, threshold
 from gbid.structure.scheduled import exponents_of, monomials, term_name
 
 

@@ -8,9 +8,9 @@ from gbid.control.impact.ringdown import RingDown, RingDownStatus
 from gbid.control.impact.study import ImpactFigures, ImpactStudy, ImpactValidation
 from gbid.identify.table import FitTable
 from gbid.lpv import load_model
-from gbid.lpv.estimates import Estimates, Outlier
+from gbid.lpv.estimates import Estimates
 from gbid.lpv.fit import LPVFit
-from gbid.lpv.regression import OrderScore
+from gbid.lpv.regression import OrderScore, Outlier
 from gbid.prefilter.prefilter import PrefilterReport
 from gbid.prefilter.runout import RunoutMap
 from gbid.recording import Recording
