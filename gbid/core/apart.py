@@ -1,4 +1,4 @@
-"""Process of its own for libraries that may crash, never return or fill the memory on a damaged file.
+"""Reader process for libraries that may crash, never return or fill the memory on a damaged file.
 
 One process serves all files that are read one after the other. It has limits of time and memory for each. When a
 library crashes or exceeds a limit, the process ends and the next file gets a new one.
@@ -136,7 +136,7 @@ def _started() -> subprocess.Popen[bytes]:
 
 
 def _answer(child: subprocess.Popen[bytes], request: tuple[Any, ...]) -> tuple[Any, BaseException | None] | None:
-    """Return value and error from the process; None when it ended without an answer."""
+    """Send a request and return the pair (value, error) of the process; None if the process ended."""
     if child.stdin is None or child.stdout is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Types of arrays, for annotations, and checks of numbers."""
+"""Types of arrays, checks of numbers, poles, labels of operating points, and threads of BLAS and solver."""
 
 from __future__ import annotations
 

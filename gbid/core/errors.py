@@ -71,7 +71,7 @@ def from_interrupt(error: BaseException) -> bool:
 
 
 def origins(error: BaseException) -> Iterator[BaseException]:
-    """Return an error, what it came from, what that came from, and so on."""
+    """Return an error and its chain of causes and contexts, latest first."""
     found: BaseException | None = error
     while found is not None:
         yield found

@@ -1,4 +1,4 @@
-"""Data frames of pandas, which is an optional package."""
+"""Optional packages: data frames of pandas, and pictures by matplotlib."""
 
 from __future__ import annotations
 

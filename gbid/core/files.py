@@ -1,4 +1,4 @@
-"""Files that appear under their name only when they are complete, and what killed processes leave behind."""
+"""Files: atomic writing, leftovers of killed processes, checksums, and shared files of the package."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
 
 
 def _no_space(error: BaseException) -> BaseException | None:
-    """Return what says that the disk or the quota is full, or that files of this process may not be so large.
+    """Return the error that means a full disk, a full quota or a file above ``ulimit -f``; None without one.
 
     It is the error or what that came from, because a library may fail again on its way out.
     """
@@ -131,7 +131,7 @@ def remove_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[P
 
 
 def find_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[Path]:
-    """Return what `remove_stale_parts` would remove."""
+    """Return the temporary files and folders of killed processes in a folder and below it."""
     matched = [(path, _OURS.search(path.name)) for path in folder.glob(pattern)]
     return [path for path, m in matched if m and _is_stale(path, m["host"], int(m["process"]), m["begun"])]
 

@@ -1,4 +1,4 @@
-"""Free text made safe to show: names, units and contents of files may contain anything.
+"""Text and names: free text made safe to show, paths of callers, names of files.
 
 Text is kept as it is inside of gbid, and escaped where it is shown. What renderers have rules of their own for (HTML,
 CSV, C, XML) is escaped by them.
@@ -33,7 +33,7 @@ def one_line(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    r"""Return a text in which blanks of any kind are a space, and what cannot be printed is its code.
+    r"""Return a text with each blank as a space and each character that cannot be printed as its code.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ _DIGITS = 8
 
 
 def given_path(path: object) -> Path:
-    """Return a path as the caller gave it.
+    """Return the path of a caller after its check: a text or path-like without NUL character.
 
     Parameters
     ----------

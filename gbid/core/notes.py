@@ -1,4 +1,4 @@
-"""Kind of a note: its code, what it means, and what to do."""
+"""Notes on results: a code for each kind, with its meaning and remedy, as `gbid explain` prints them."""
 
 from __future__ import annotations
 

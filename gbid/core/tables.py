@@ -1,4 +1,4 @@
-"""Table: columns with name, unit and format, and rows of values. The renderers beside this module show it.
+"""Tables: columns with name, unit and format, rows of values, and renderers to CSV, HTML, Markdown and terminal.
 
 A table contains values, not texts. The same table is printed with few digits for readers and written to CSV with all
 digits.

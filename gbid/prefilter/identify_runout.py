@@ -697,7 +697,7 @@ def align_index(runout_map: RunoutMap, recording: Recording, *, orders: int = 10
 
 
 def refuse_lost_index(runout_map: RunoutMap, recording: Recording) -> None:
-    """Refuse a recording whose run-out is that of the map but rotated; the map would then add run-out.
+    """Refuse a recording whose run-out is a rotated copy of the map, which would then add run-out.
 
     Parameters
     ----------

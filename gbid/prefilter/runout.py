@@ -1,4 +1,4 @@
-"""Run-out map: sensor reading over the shaft angle while the piezos are at rest."""
+"""Run-out map over the shaft angle, portable cosine and sine, shaft angle of a recording, running median."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def cos_sin_of_one(angle: float) -> tuple[float, float]:
 
 
 def _within_a_quarter(angle: Any, quarters: Any) -> tuple[Any, Any]:
-    """Return cosine and sine of what angles are beyond their nearest quarter turns; of numbers or of arrays."""
+    """Return cosine and sine of the remainder of angles after their nearest quarter turns (numbers or arrays)."""
     rest = (angle - quarters * QUARTER[0]) - quarters * QUARTER[1]
     z = rest * rest
     return 1.0 - (0.5 * z - z * (z * _polynomial(COSINE, z))), rest + (z * rest) * _polynomial(SINE, z)

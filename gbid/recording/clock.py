@@ -1,4 +1,4 @@
-"""Even samples from samples whose times jitter: band-limited interpolation."""
+"""Clock of imported recordings: sample time, gaps, doubled samples, and interpolation of jittering times."""
 
 from __future__ import annotations
 
@@ -287,7 +287,7 @@ def _round_time(mean: float, share: float) -> float:
 def _chosen(
     path: Path, mapping: ImportMapping, found: list[ClockPiece], time: FloatArray, start: int
 ) -> tuple[ClockPiece, tuple[str, ...]]:
-    """Return the piece that the mapping names, else the longest, with what was found and done."""
+    """Return the piece that the mapping names, else the longest, with remarks on gaps and pieces."""
     if mapping.piece is not None and mapping.piece > len(found):
         raise UsageError(f"{path}: piece: there is no piece {mapping.piece}; the clock has {len(found)} without gap")
     taken = found[mapping.piece - 1] if mapping.piece else max(found, key=lambda each: len(each.rows))

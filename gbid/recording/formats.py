@@ -112,7 +112,7 @@ def _arrow_table(path: Path) -> Any:
 
 @contextmanager
 def _damage_named(path: Path) -> Iterator[None]:
-    """Return a context in which what a damaged file raises becomes a DataError."""
+    """Return a context in which errors of Arrow on a damaged file become a DataError."""
     with path.open("rb"):  # the library wraps the error of a file that is not there
         pass
     arrow = extra_package("pyarrow", "arrow", f"{path}: a file of columns")
@@ -225,7 +225,7 @@ def _listed_csv(table: TextTable) -> list[FloatArray | None]:
 
 
 def csv_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any]:
-    """Return the layout of a csv file as it is given or found, as plain values."""
+    """Return encoding, delimiter, decimal sign and header of a csv file, as plain values."""
     return read_table(path, options).layout.stated()
 
 
@@ -538,7 +538,7 @@ def _walk(path: Path, reference: str, value: Any, parts: list[str]) -> Any:
 
 
 def _rather(value: Any) -> str:
-    """Return what to write in place of the name of a whole object."""
+    """Return advice for a reference to a whole object: its fields, or saving plain arrays."""
     fields = list(value) if isinstance(value, MatObject) else []
     return (f"name one of its fields, there is {', '.join(fields[:30])}; or " if fields else "") + SAVE_PLAIN
 
@@ -605,7 +605,7 @@ def mdf_channels(path: Path) -> list[FileChannel]:
 
 @contextmanager
 def _opened_mdf(path: Path) -> Iterator[Any]:
-    """Return the open file; what its damage raises becomes a DataError."""
+    """Return a context with the open file, in which errors of its library become a DataError."""
     asammdf = extra_package("asammdf", "mdf", f"{path}: an MDF file")
     with path.open("rb") as handle:
         if handle.read(3) not in (b"MDF", b"UnF"):
@@ -726,7 +726,7 @@ def npz_channels(path: Path) -> list[FileChannel]:
 
 @contextmanager
 def _opened_npz(path: Path) -> Iterator[Any]:
-    """Return the open archive; what its damage raises becomes a DataError."""
+    """Return a context with the open archive, in which errors of its library become a DataError."""
     if not zipfile.is_zipfile(path):
         with path.open("rb"):  # is_zipfile is also False for a file that cannot be read
             pass
@@ -793,7 +793,7 @@ def tdms_channels(path: Path) -> list[FileChannel]:
 
 @contextmanager
 def _opened_tdms(path: Path) -> Iterator[Any]:
-    """Return the open file; what its damage raises becomes a DataError."""
+    """Return a context with the open file, in which errors of its library become a DataError."""
     nptdms = extra_package("nptdms", "tdms", f"{path}: a TDMS file")
     with path.open("rb") as handle:
         if handle.read(4) != b"TDSm":

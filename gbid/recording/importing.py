@@ -207,7 +207,7 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Fil
 
 
 def _another(name: str, unit: str) -> str:
-    """Return what to do when a signal has the name of one of the rig, and is another quantity."""
+    """Return advice for a signal with a name of the rig whose unit is of another quantity."""
     known = SIGNALS[name]
     return f"if it is not the {known.long_name} [{known.unit}], rename the signal, or give stored_unit: {unit or '...'}"
 

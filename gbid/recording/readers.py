@@ -1,4 +1,4 @@
-"""File format: what a reader of recordings consists of, and what it lists of a file."""
+"""Parts of an importer: the file format, its channels, and the listing of arrays."""
 
 from __future__ import annotations
 

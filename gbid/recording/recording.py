@@ -1,4 +1,4 @@
-"""Recording: the sampled signals of one experiment."""
+"""Recording: the sampled signals of one experiment, from data frames, in HDF5, with an unbalance signal."""
 
 from __future__ import annotations
 

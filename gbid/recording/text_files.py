@@ -1,4 +1,4 @@
-"""Text of a file whose encoding is given or found."""
+"""Tables in text files: encoding, delimiter, decimal sign, header, units, and columns of numbers."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ _OTHER_WORDS = {
 
 
 def written_unit(word: str) -> str:
-    """Return a unit of a file as gbid writes it."""
+    """Return the spelling of gbid for a unit that a file states, e.g. ``um`` for ``µm``."""
     word = word.strip()
     return _OTHER_WORDS.get(word, word)
 
@@ -152,7 +152,7 @@ _DIGITS = {  # digits are not given back (++): else a long cell that is no numbe
 
 
 class NumberedLine(NamedTuple):
-    """NumberedLine of a file with its number, counted from 1."""
+    """Line of a text file and its number, counted from 1."""
 
     number: int
     text: str

@@ -88,7 +88,7 @@ class FloorVibration(RigEffect):
         check_options(self, self.name)
 
     def force(self, run: RigRun) -> FloatArray:
-        """Return the force at the samples."""
+        """Return the force per moving mass, opposite to the acceleration of the frame, (n + 1, 2) [m/s^2]."""
         turn, first = np.radians(self.direction_deg), run.random.uniform(0.0, 2 * np.pi)
         sine = self.acceleration * np.sin(2 * np.pi * self.frequency_hz * run.time + first)
         return -np.outer(sine, [np.cos(turn), np.sin(turn)])
@@ -114,7 +114,7 @@ class MainsHum(RigEffect):
         check_options(self, self.name)
 
     def reading(self, run: RigRun) -> FloatArray:
-        """Return the same sine for x and y."""
+        """Return a sine at the mains frequency, equal in x and y, (n + 1, 2) [m]."""
         sine = np.sin(2 * np.pi * self.frequency_hz * run.time + run.random.uniform(0.0, 2 * np.pi))
         return np.asarray(self.amplitude_m * np.column_stack([sine, sine]))
 
@@ -137,5 +137,5 @@ class ProbeDrift(RigEffect):
         check_options(self, self.name)
 
     def reading(self, run: RigRun) -> FloatArray:
-        """Return the drift at the samples."""
+        """Return the linear drift of both probes, (n + 1, 2) [m]."""
         return np.outer(run.time, [self.x_m_per_s, self.y_m_per_s])

@@ -1,4 +1,4 @@
-"""Hammer impacts with a measured force (paper, Sec. 5.1)."""
+"""Runs of the rig: stationary, PRBS, given signal, hammer, run-up, course of pressure and speed, staircases."""
 
 from __future__ import annotations
 
@@ -75,8 +75,19 @@ class Impact:
         return np.outer(size, along)
 
 
+class AtRest:
+    """Base of runs in which the references of the pairs are zero."""
+
+    def reference(
+        self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
+    ) -> FloatArray:
+        """Return the references r, all zero, shape (n_samples, 2) [m]."""
+        del sample_time, random, n_settle
+        return np.zeros((n_samples, 2))
+
+
 @dataclass(frozen=True)
-class Hammer:
+class Hammer(AtRest):
     """Hammer test: impacts on the rotor, with the excitation of the piezos at zero.
 
     Parameters
@@ -101,13 +112,6 @@ class Hammer:
         if late or not self.impacts:
             what = f"an impact at {late[0]} s" if late else "no impacts"
             raise UsageError(f"hammer: {what}; give some that begin before duration_s = {self.duration_s} s")
-
-    def reference(
-        self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
-    ) -> FloatArray:
-        """Return the references r, all zero, shape (n_samples, 2) [m]."""
-        del sample_time, random, n_settle
-        return np.zeros((n_samples, 2))
 
     def force(self, time: FloatArray) -> FloatArray:
         """Return the force of all impacts along x and y, shape (n, 2) [N].
@@ -141,7 +145,7 @@ def whole_samples(what: str, seconds: float, sample_time: float) -> int:
 
 
 @dataclass(frozen=True)
-class Stationary:
+class Stationary(AtRest):
     """Recording without excitation, used to map run-out and unbalance over the shaft angle (Sec. 3.5).
 
     Parameters
@@ -151,13 +155,6 @@ class Stationary:
     """
 
     duration_s: float = 5.0
-
-    def reference(
-        self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
-    ) -> FloatArray:
-        """Return the references r, all zero, shape (n_samples, 2) [m]."""
-        del sample_time, random, n_settle
-        return np.zeros((n_samples, 2))
 
 
 @dataclass(frozen=True)
@@ -301,7 +298,7 @@ RPM = np.pi / 30
 
 
 @dataclass(frozen=True)
-class RunUp:
+class RunUp(AtRest):
     """Run-up: the speed changes at a constant rate, and the references are zero.
 
     The parameters of rotor and bearing do not follow the speed: they stay those of the machine. In a `ScheduledRun`
@@ -321,13 +318,6 @@ class RunUp:
 
     def __post_init__(self) -> None:
         check_options(self, "run-up")
-
-    def reference(
-        self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
-    ) -> FloatArray:
-        """Return the references r, all zero, shape (n_samples, 2) [m]."""
-        del sample_time, random, n_settle
-        return np.zeros((n_samples, 2))
 
     def turning(self) -> Turning:
         """Return the shaft angle, speed and acceleration over time."""
@@ -560,7 +550,7 @@ class Staircase:
 
 
 @dataclass(frozen=True)
-class StackStaircase:
+class StackStaircase(AtRest):
     """Staircase of one stack over its whole range and back, with the other stacks at r_0 (Figs. A.28 and A.29).
 
     In open loop the voltage of the stack goes from zero to its limit. With the PD controller on, its reference goes
@@ -590,13 +580,6 @@ class StackStaircase:
     def duration_s(self) -> float:
         """Length of the recording [s]."""
         return (2 * self.steps + 1) * self.hold_s
-
-    def reference(
-        self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
-    ) -> FloatArray:
-        """Return the references r of the pairs, all zero, shape (n_samples, 2) [m]."""
-        del sample_time, random, n_settle
-        return np.zeros((n_samples, 2))
 
     def command(self, top: float, n_samples: int, sample_time: float, n_settle: int) -> FloatArray:
         """Return the command of the stack, from zero to `top` and back, shape (n_samples,) [V or m].

@@ -1,4 +1,4 @@
-"""Machine of the virtual rig, given by its true parameters."""
+"""Machine of the virtual rig by its true parameters, its effects beyond Eq. 5, and the scatter of recordings."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class RigRun(Brief):
-    """Run of the rig, as an effect sees it: n samples from the start of the settling time, and one more.
+    """Times, angle, speed and operating point of a run, at n + 1 samples from the start of the settling time.
 
     Attributes
     ----------
@@ -196,7 +196,7 @@ class RigEffect:
         return None
 
     def reading(self, run: RigRun) -> FloatArray | None:  # noqa: ARG002
-        """Return what is added to the readings of p at the samples of `run`, (n + 1, 2) [m].
+        """Return the error of the readings of p at the samples of `run`, (n + 1, 2) [m].
 
         A controller sees it, too.
         """

@@ -1,4 +1,4 @@
-"""Simulation of one recording, as the data logger of the real rig would store it."""
+"""Simulation of one recording as the data logger of the rig stores it, with provenance and faults."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def program_loop(
     shown: FloatArray,
     pressure_bar: FloatArray,
 ) -> ProgramLoop | None:
-    """Return the program of the loop with what it sees at the samples; None for another controller."""
+    """Return the control program with angle, speed and pressure at the samples; None for another controller."""
     if not isinstance(controller, ProgramController):
         return None
     speed_rpm = turning.speed_at(time) / RPM

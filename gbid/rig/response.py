@@ -1,4 +1,4 @@
-r"""Exact motion of actuators and rotor at and between the samples.
+r"""Exact motion of actuators and rotor, in closed form, and the additional forces on the rotor.
 
 The references are held constant over each sample, as a digital-to-analogue converter does. Everything behind them
 is linear. The delays commute with the rotor, so each axis j is one chain of six states

@@ -1,4 +1,4 @@
-"""Sensors of the rig: run-out, offsets, noise and encoder counts."""
+"""Sensors of the rig (run-out, offsets, noise, encoder counts) and sampled controllers."""
 
 from __future__ import annotations
 

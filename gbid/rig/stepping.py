@@ -16,7 +16,7 @@ from gbid.core.compiled import CompilerMissingError, load_library
 from gbid.core.errors import UsageError
 from gbid.rig.excitation import Course, StackStaircase
 from gbid.rig.machine import ActuatorTruth, Machine, RotorBearingTruth
-from gbid.rig.piezo import ALLOCATION, N_PLAYS, PiezoStack, PiezoStacks, StackRest, pair_difference
+from gbid.rig.piezo import ALLOCATION, N_PLAYS, PiezoStacks, pair_difference
 from gbid.rig.response import MIN_OVERSAMPLING, Forces
 from gbid.rig.sensors import LoopProgram, SampledController
 
@@ -220,7 +220,8 @@ def rest_state(arrays: StepArrays, machine: Machine, base: FloatArray) -> StepSt
     creep, u = np.zeros((n_creep, 4)), np.zeros(2)
     if arrays.stacks is not None and isinstance(machine.actuator, PiezoStacks):
         for i, piezo in enumerate(machine.actuator.stacks):
-            rest = _rest(piezo, float(base[i]), bool(arrays.stacks.open_loop[i]))
+            command = float(base[i])
+            rest = piezo.rest(0.0, voltage=command) if arrays.stacks.open_loop[i] else piezo.rest(command)
             error = piezo.reference_gain * float(base[i]) - rest.position
             stack[:, i] = (piezo.pd_zero - piezo.pd_pole) / piezo.pd_pole * error, rest.voltage, rest.position
             plays[:, i] = rest.plays
@@ -232,10 +233,6 @@ def rest_state(arrays: StepArrays, machine: Machine, base: FloatArray) -> StepSt
     return StepState(
         rotor, np.zeros(2), stack, plays, creep, np.zeros(n_controller), np.zeros(2), np.tile(u, (kept + 1, 1))
     )
-
-
-def _rest(piezo: PiezoStack, command: float, is_open: bool) -> StackRest:
-    return piezo.rest(0.0, voltage=command) if is_open else piezo.rest(command)
 
 
 def _stack_arrays(actuator: PiezoStacks, h: float, open_loop: int | None) -> StackArrays:
@@ -475,7 +472,7 @@ void gbid_rig_steps(const long *restrict sizes, const double *restrict R, const 
 
 @dataclass(frozen=True, eq=False)
 class ProgramLoop:
-    """Program with what it sees beside the position.
+    """Control program with the angle, speed and pressure that it measures at each sample.
 
     Attributes
     ----------

@@ -93,7 +93,7 @@ _COMPRESSED = 10_000  # smallest number of values in a compressed dataset
 
 @dataclass
 class Context:
-    """State shared by the fields of one value while it is written or read.
+    """Units, lengths and keys that the fields of one value share while it is written or read.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ def attribute_of(place: str) -> tuple[str, str]:
 
 
 class Codec(Protocol):
-    """Codec: it writes a field of a dataclass to a group and reads it back."""
+    """Writer and reader of one field of a dataclass in a group."""
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context, /) -> None:
         """Write the value of the field `name`."""
@@ -241,7 +241,7 @@ class DataclassGroup:
         return self.get(read_group(group, name), {})
 
     def get(self, group: h5py.Group, given: Mapping[str, Any]) -> Any:
-        """Return the value from the fields in a group and those in `given`."""
+        """Return the dataclass from the fields of a group, completed by the values `given`."""
         context = Context()
         return self.made(**{name: codec.read(group, place, context) for name, place, codec in self.fields}, **given)
 
