@@ -1,4 +1,4 @@
-"""Optional packages: data frames of pandas, and pictures by matplotlib."""
+"""Optional packages, data frames of pandas, and values that have a picture."""
 
 from __future__ import annotations
 
