@@ -291,16 +291,16 @@ def delayed_taps(
         raise UsageError(f"delay = {seconds:g} s; it must not be negative")
     shift = int(np.floor(seconds / h))
     early = delay - shift * h  # time in the sample before the delayed input changes to its next piece
-    late = h - early
-    whole = _integrals(A, h, doublings)
-    after = _integrals(A, late, doublings)
+    rest = h - early
+    integrals = _integrals(A, h, doublings)
+    after = _integrals(A, rest, doublings)
     held_after = after.first @ b
-    held_before = whole.first @ b - held_after
+    held_before = integrals.first @ b - held_after
     if hold == "zoh":
         return Taps(shift, [0.0 * held_after, held_after, held_before])
     before = _integrals(A, early, doublings)
     rise_after = (after.second @ b) * (1 / h)
-    rise_before = (after.exp @ (before.second @ b)) * (1 / h) + held_before * (late * (1 / h))
+    rise_before = (after.exp @ (before.second @ b)) * (1 / h) + held_before * (rest * (1 / h))
     return Taps(shift, [rise_after, held_after - rise_after + rise_before, held_before - rise_before])
 
 

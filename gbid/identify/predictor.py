@@ -210,8 +210,8 @@ class Predictor(GeneralPredictor):
     def at_each(self, points: FloatArray) -> list[PredictorValues]:
         """Return the matrices at several points; see `GeneralPredictor`."""
         parts, shift = self._parts(points)
-        own = ([Dual(part.value[i], part.slope[:, i]) for part in parts] for i in range(len(points)))
-        return [self._values(each, shift) for each in own]
+        at_points = ([Dual(part.value[i], part.slope[:, i]) for part in parts] for i in range(len(points)))
+        return [self._values(each, shift) for each in at_points]
 
     def _parts(self, theta: FloatArray) -> tuple[tuple[Dual, ...], list[int]]:
         """Return F, G, C and H, and the whole samples in the delays."""
@@ -226,8 +226,8 @@ class Predictor(GeneralPredictor):
 
     def _values(self, parts: Sequence[Dual], shift: list[int]) -> PredictorValues:
         F, G, C, H = parts
-        own = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
-        return _with_zero_states(own, self.spare) if self.spare else own
+        values = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
+        return _with_zero_states(values, self.spare) if self.spare else values
 
     def _without_errors(self, theta: FloatArray) -> _WithoutErrors:
         """Return the discrete-time structure before errors are fed back; of a loop with its controller closed.
@@ -250,8 +250,8 @@ class Predictor(GeneralPredictor):
             drives.append(following.columns([prompt.index(i) for i in lead]))
             feeds.append(constant(np.zeros((n_y, len(lead))), n_p))
         for position, i in enumerate(self.delayed):
-            late = delay.rows(slice(position, position + 1))
-            taps = delayed_taps(A, B_delayed.columns([i]), late, self.sample_time, self.holds[i])
+            tau = delay.rows(slice(position, position + 1))
+            taps = delayed_taps(A, B_delayed.columns([i]), tau, self.sample_time, self.holds[i])
             columns = taps.columns if self.holds[i] == "foh" else taps.columns[1:]
             drives += columns
             feeds.append(constant(np.zeros((n_y, len(columns))), n_p))
@@ -260,16 +260,16 @@ class Predictor(GeneralPredictor):
             drives.append(constant(np.zeros((n, self.disturbances.n_columns)), n_p))
             feeds.append(disturbing_columns(self.disturbances, theta))
         held = now.columns(slice(len(prompt), None))
-        found = LoopParts(F, side_by_side(drives), C, side_by_side(feeds), held)
+        plant = LoopParts(F, side_by_side(drives), C, side_by_side(feeds), held)
         if self.feedback is None:
-            return _WithoutErrors(*found, x0, shift)
+            return _WithoutErrors(*plant, x0, shift)
         n_r = law[4].shape[1]
         gain = (
             held.columns(slice(n_r, None)) if self.feeds_back else constant(np.zeros((*F.value.shape[:-1], n_y)), n_p)
         )
         A_K, B_K, C_K, D_K, _, direct = law
         known = ControlLaw(A_K, B_K, C_K, D_K, held.columns(slice(0, n_r)), direct)
-        F, drive, C, feed, Kd = self.feedback.close(found._replace(K=gain), known)
+        F, drive, C, feed, Kd = self.feedback.close(plant._replace(K=gain), known)
         before = n - len(self.disturbances.walking)  # the states of random walks are the last
         order = [*range(before), *range(n, F.shape[0]), *range(before, n)]
         return _WithoutErrors(
@@ -284,12 +284,20 @@ class Predictor(GeneralPredictor):
         """
         A, B, C, D, K, B_delayed, delay, *_ = self._evaluate(theta)
         # the states of random walks are the last, but for spare ones
-        own = slice(self.n_states - self.spare - len(self.disturbances.walking))
+        states = slice(self.n_states - self.spare - len(self.disturbances.walking))
         if self.feedback is not None:
             A, B, C, D, K, _, _ = self._without_errors(theta)
             B, D = (part.columns(slice(0, self.n_inputs)) for part in (B, D))
             B_delayed = constant(np.zeros(B.shape), len(self.free))
-        return [A.rows(own).columns(own), B.rows(own), C.columns(own), D, K.rows(own), B_delayed.rows(own), delay]
+        return [
+            A.rows(states).columns(states),
+            B.rows(states),
+            C.columns(states),
+            D,
+            K.rows(states),
+            B_delayed.rows(states),
+            delay,
+        ]
 
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
@@ -309,11 +317,11 @@ class Predictor(GeneralPredictor):
         flat, jacobian = (flat[0], jacobian[0]) if np.ndim(theta) == 1 else (flat, jacobian.swapaxes(0, 1))
         result, start = [], 0
         for rows, columns in self._shapes:
-            own = slice(start, start + rows * columns)
-            value = flat[..., own].reshape(*flat.shape[:-1], columns, rows).swapaxes(-1, -2)
-            slope = jacobian[..., own].reshape(*jacobian.shape[:-1], columns, rows).swapaxes(-1, -2)
+            entries = slice(start, start + rows * columns)
+            value = flat[..., entries].reshape(*flat.shape[:-1], columns, rows).swapaxes(-1, -2)
+            slope = jacobian[..., entries].reshape(*jacobian.shape[:-1], columns, rows).swapaxes(-1, -2)
             result.append(Dual(np.ascontiguousarray(value), np.ascontiguousarray(slope)))
-            start = own.stop
+            start = entries.stop
         return result
 
 
@@ -436,7 +444,7 @@ def predictor_of(
 
 
 def with_spare_states(predictor: Predictor, n_states: int) -> Predictor:
-    """Return a predictor with as many states as others of the same problem; the added ones are zero without effect."""
+    """Return a predictor with spare states, zero and without effect, so that all of a problem have as many."""
     return replace(predictor, n_states=n_states, spare=predictor.spare + n_states - predictor.n_states)
 
 

@@ -262,14 +262,14 @@ class Plant(Brief):
 
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return the matrices A, B, C, D and K of the series connection."""
-        act, whole = self.actuators.matrices(p), self.bearing.matrices(p)
-        rb = {**whole, "B": whole["B"][:, :2], "D": whole["D"][:, :2]}
+        act, bearing = self.actuators.matrices(p), self.bearing.matrices(p)
+        rb = {**bearing, "B": bearing["B"][:, :2], "D": bearing["D"][:, :2]}
         if self.bearing.delay == "exact":
-            rb |= {"B_delayed": whole["B_delayed"][:, :2], "delay": whole["delay"][:2]}
-            found = self._with_exact_delay(act, rb)
+            rb |= {"B_delayed": bearing["B_delayed"][:, :2], "delay": bearing["delay"][:2]}
+            series = self._with_exact_delay(act, rb)
         else:
-            found = self._with_pade(act, rb)
-        return _with_forces(found, whole["B"][:, 2:]) if self.bearing.unbalance else found
+            series = self._with_pade(act, rb)
+        return _with_forces(series, bearing["B"][:, 2:]) if self.bearing.unbalance else series
 
     def _with_pade(self, act: dict[str, Any], rb: dict[str, Any]) -> dict[str, Any]:
         """Return the series connection with the delays of the bearing as states."""
@@ -292,15 +292,15 @@ class Plant(Brief):
         once without and once with the delay.
         """
         n_a, n_b = act["A"].shape[0], rb["A"].shape[0]
-        late = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B_delayed"] @ act["C"], rb["A"]]])
+        delayed = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B_delayed"] @ act["C"], rb["A"]]])
         late_B = ca.vertcat(act["B"], ca.SX(n_b, 2))
         to_p = ca.horzcat(ca.SX(2, n_a), rb["C"])
         n_prompt = n_a if self._explains_u else 0
         n = n_prompt + n_a + n_b
         if not self._explains_u:
-            A, B, B_delayed, C = late, ca.SX(n, 2), late_B, to_p
+            A, B, B_delayed, C = delayed, ca.SX(n, 2), late_B, to_p
         else:
-            A = ca.diagcat(act["A"], late)
+            A = ca.diagcat(act["A"], delayed)
             B = ca.vertcat(act["B"], ca.SX(n_a + n_b, 2))
             B_delayed = ca.vertcat(ca.SX(n_a, 2), late_B)
             C = ca.diagcat(act["C"], to_p)
@@ -324,14 +324,14 @@ def pade_order_of(structure: Any) -> int:
     return bearing.pade_order if isinstance(bearing, RotorBearing) else 1
 
 
-def _with_forces(found: dict[str, Any], forces: ca.SX) -> dict[str, Any]:
+def _with_forces(series: dict[str, Any], forces: ca.SX) -> dict[str, Any]:
     """Return the matrices with further inputs that act on the states of the bearing, which are the last."""
-    n, m = found["A"].shape[0], forces.shape[1]
+    n, m = series["A"].shape[0], forces.shape[1]
     acting = ca.vertcat(ca.SX(n - forces.shape[0], m), forces)
-    more = {"B": ca.horzcat(found["B"], acting), "D": ca.horzcat(found["D"], ca.SX(found["D"].shape[0], m))}
-    if "delay" in found:
+    more = {"B": ca.horzcat(series["B"], acting), "D": ca.horzcat(series["D"], ca.SX(series["D"].shape[0], m))}
+    if "delay" in series:
         more |= {
-            "B_delayed": ca.horzcat(found["B_delayed"], ca.SX(n, m)),
-            "delay": ca.vertcat(found["delay"], ca.SX.zeros(m, 1)),
+            "B_delayed": ca.horzcat(series["B_delayed"], ca.SX(n, m)),
+            "delay": ca.vertcat(series["delay"], ca.SX.zeros(m, 1)),
         }
-    return {**found, **more}
+    return {**series, **more}

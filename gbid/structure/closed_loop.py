@@ -232,29 +232,29 @@ class ClosedLoop(Brief):
         They forget their start within milliseconds, so that noisy data do not tell it.
         """
         _, m = symbolic_matrices(self.structure)
-        late = len(set(m.B_delayed.sparsity().get_triplet()[1])) if m.has_delay else 0
-        n = m.n_states + late * self.pade_order
-        own = self.structure.forgotten_states if isinstance(self.structure, Plant | RotorBearing) else ()
+        n_delayed = len(set(m.B_delayed.sparsity().get_triplet()[1])) if m.has_delay else 0
+        n = m.n_states + n_delayed * self.pade_order
+        of_plant = self.structure.forgotten_states if isinstance(self.structure, Plant | RotorBearing) else ()
         hidden = isinstance(self.structure, Plant) and "u" not in self.structure.outputs and not self.gains
         law = self.controller_model() if hidden else None
         unseen = range(n, n + law.n_states) if law is not None and _forgets(law) else ()
-        return (*own, *range(m.n_states, n), *unseen)
+        return (*of_plant, *range(m.n_states, n), *unseen)
 
     def matrices(self, p: Values) -> dict[str, Any]:
-        """Return the matrices of the loop; of a sampled one those of the plant, with its controller as "feedback"."""
+        """Return the matrices of a continuous loop; of a sampled one its plant, and its controller as "feedback"."""
         plant, law = self._plant(p), self._law(p)
         set_point = self.injected == "set point"
         drive, feed = plant.B, plant.D
         n, n_y = plant.A.shape[0], plant.C.shape[0]
         B, D = (ca.SX(n, len(self.measured)), ca.SX(n_y, len(self.measured))) if set_point else (drive, feed)
-        whole = ControlLaw(law.A, law.B, law.C, law.D, drive, feed)
+        control_law = ControlLaw(law.A, law.B, law.C, law.D, drive, feed)
         parts = LoopParts(plant.A, B, plant.C, D, plant.K)
         begins = {"x0": ca.vertcat(plant.x0, ca.SX(law.A.shape[0], 1))} if plant.x0.numel() else {}
         if self.sample_time is None:
-            return {**closed_parts(parts, whole, self.measured, set_point)._asdict(), **begins}
+            return {**closed_parts(parts, control_law, self.measured, set_point)._asdict(), **begins}
         return {
             **parts._asdict(),
-            "feedback": HeldFeedback(whole, self.measured, set_point, self.sample_time),
+            "feedback": HeldFeedback(control_law, self.measured, set_point, self.sample_time),
             **begins,
         }
 
@@ -280,9 +280,9 @@ class ClosedLoop(Brief):
         return LinearModel(A, B, C, D, dt=self.sample_time, name=self.controller.name)
 
     def _plant(self, p: Values) -> Matrices:
-        own, m = symbolic_matrices(self.structure)
+        symbols, m = symbolic_matrices(self.structure)
         values = ca.vertcat(*(p[q.name] for q in self.structure.parameters))
-        A, B, C, D, K, B_delayed, delay, x0 = ca.substitute(list(m[:8]), [own], [values])
+        A, B, C, D, K, B_delayed, delay, x0 = ca.substitute(list(m[:8]), [symbols], [values])
         return pade_matrices(Matrices(A, B, C, D, K, B_delayed, delay, x0), self.pade_order)
 
     def _law(self, p: Values) -> SymbolicLaw:
@@ -315,7 +315,7 @@ kind_of.register(ClosedLoop, LoopKind)
 
 
 def _forgets(law: LinearModel) -> bool:
-    """Return whether a controller forgets its start within a tenth of a second, which one that integrates does not."""
+    """Return whether all poles decay to 2 % within a tenth of a second; an integrator does not."""
     poles = np.linalg.eigvals(law.A)
     rates = poles.real if law.dt is None else np.log(np.maximum(np.abs(poles), 1e-300)) / law.dt
     return bool(np.all(rates < -_SLOWEST))

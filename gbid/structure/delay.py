@@ -140,10 +140,10 @@ def with_pade(model: LinearModel, order: int = 3) -> LinearModel:
     """
     if model.delay is None or model.B_delayed is None:
         return model
-    late = model.B_delayed.any(axis=0) & (model.delay > 0)
-    delays = {int(i): float(model.delay[i]) for i in np.flatnonzero(late)}
+    delayed = model.B_delayed.any(axis=0) & (model.delay > 0)
+    delays = {int(i): float(model.delay[i]) for i in np.flatnonzero(delayed)}
     K = np.zeros((model.n_states, len(model.C))) if model.K is None else model.K
-    plant = LoopParts(model.A, model.B + np.where(late, 0.0, model.B_delayed), model.C, model.D, K)
+    plant = LoopParts(model.A, model.B + np.where(delayed, 0.0, model.B_delayed), model.C, model.D, K)
     A, B, C, D, K = with_filters(plant, model.B_delayed, delays, order)
     names = tuple(f"delay_{model.input_names[i]}_{k + 1}" for i in delays for k in range(order))
     return replace(

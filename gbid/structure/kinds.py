@@ -105,8 +105,15 @@ class LinearKind(Kind):
         """Return the anatomy; see `Kind`."""
         _, m = symbolic_matrices(self._structure)
         every = list(range(m.B.shape[1]))
-        own = every if driven is None else list(driven)
-        parts = [m.A, m.C, m.B[:, own], m.D[:, own], m.B_delayed[:, own], *(m.feedback.law if m.feedback else ())]
+        columns = every if driven is None else list(driven)
+        parts = [
+            m.A,
+            m.C,
+            m.B[:, columns],
+            m.D[:, columns],
+            m.B_delayed[:, columns],
+            *(m.feedback.law if m.feedback else ()),
+        ]
         if m.has_delay:
             parts.append(m.delay[every if moving is None else list(moving), :])
         only = _names([m.K]) - _names([*parts, m.x0])
@@ -245,7 +252,7 @@ def _names(parts: Sequence[ca.SX]) -> frozenset[str]:
 
 
 def equations_of(structure: AnyStructure) -> AnyStructure:
-    """Return the structure with which a fit computes: that of a bearing whose film stiffens is nonlinear."""
+    """Return the equations of a structure for a fit: nonlinear ones for a bearing whose film stiffens."""
     nonlinear = isinstance(structure, RotorBearing) and structure.film != "linear"
     return film_bearing(structure) if nonlinear else structure  # type: ignore[arg-type]  # a bearing, see above
 
@@ -264,16 +271,16 @@ def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
     exact = bearing.delay == "exact"
 
     def dynamics(x: Any, u: Any, p: Values) -> Any:
-        own = bearing.matrices(p)
+        linear = bearing.matrices(p)
         film = p[STIFFENING] * (x[0] ** 2 + x[1] ** 2) * (square(p, "k") @ x[:2])
-        drive = own["B"] + own["B_delayed"] if exact else own["B"]
-        return own["A"] @ x + drive @ u + ca.vertcat(ca.SX(2, 1), film, ca.SX(x.numel() - 4, 1))
+        drive = linear["B"] + linear["B_delayed"] if exact else linear["B"]
+        return linear["A"] @ x + drive @ u + ca.vertcat(ca.SX(2, 1), film, ca.SX(x.numel() - 4, 1))
 
-    late = [] if exact else [f"late_{axis}{i}" for axis in AXES for i in range(bearing.pade_order)]
+    filters = [] if exact else [f"late_{axis}{i}" for axis in AXES for i in range(bearing.pade_order)]
     return NonlinearStructure(
         bearing.name,
         bearing.parameters,
-        ["p_x", "p_y", "v_x", "v_y", *late],
+        ["p_x", "p_y", "v_x", "v_y", *filters],
         dynamics,
         lambda x, _u, _p: x[:2],
         [f"{signal}.{axis}" for signal in bearing.inputs for axis in AXES],

@@ -399,7 +399,7 @@ def evaluate(
 
 
 def model_function(structure: Structure) -> Callable[..., LinearModel]:
-    """Return `evaluate` of one structure, whose symbolic matrices are made once, for many values."""
+    """Return a function from values to the numeric model of a structure; its symbolic matrices are made once."""
     p, symbolic = symbolic_matrices(structure)
     feedback, parameters = symbolic.feedback, structure.parameters
     law = tuple(feedback.law) if feedback else ()
@@ -410,9 +410,9 @@ def model_function(structure: Structure) -> Callable[..., LinearModel]:
         if missing:
             raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
         numeric = function(ca.DM([float(values[parameter.name]) for parameter in parameters]))
-        A, B, C, D, K, B_delayed, delay, *found = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
+        A, B, C, D, K, B_delayed, delay, *control_law = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
         if feedback:
-            A, B, C, D, K = _in_samples(feedback, LoopParts(A, B, C, D, K), ControlLaw(*found))
+            A, B, C, D, K = _in_samples(feedback, LoopParts(A, B, C, D, K), ControlLaw(*control_law))
         return LinearModel(
             A,
             B,
@@ -448,7 +448,7 @@ def _as_matrix(value: Any, letter: str, where: str) -> ca.SX:
     """Return nested lists, arrays, numbers or CasADi matrices as SX; a flat list is a row of C, else a column."""
     try:
         if isinstance(value, ca.SX | ca.DM):
-            found = ca.SX(value)
+            matrix = ca.SX(value)
         else:
             if isinstance(value, np.ndarray) and not value.size:
                 return ca.SX(*np.atleast_2d(value).shape)
@@ -458,18 +458,18 @@ def _as_matrix(value: Any, letter: str, where: str) -> ca.SX:
                 rows = [rows] if letter == "C" else [[entry] for entry in rows]
             if rows and not any(rows):  # no columns, as B of a structure without inputs
                 return ca.SX(len(rows), 0)
-            found = ca.SX(ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows)))
+            matrix = ca.SX(ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows)))
     except Exception as error:
         raise UsageError(f"{where}: {letter} is not a matrix: {in_one_line(error)}") from None
-    if _contains_nan(found):
-        entries = [(row, column) for row in range(found.shape[0]) for column in range(found.shape[1])]
-        row, column = next(entry for entry in entries if _contains_nan(found[entry]))
+    if _contains_nan(matrix):
+        entries = [(row, column) for row in range(matrix.shape[0]) for column in range(matrix.shape[1])]
+        row, column = next(entry for entry in entries if _contains_nan(matrix[entry]))
         raise UsageError(f"{where}: {letter}[{row}, {column}] is nan: a parameter lost its symbol; {_SYMBOLS}")
-    return found
+    return matrix
 
 
 def _contains_nan(matrix: ca.SX) -> bool:
-    """Return whether a constant in the expressions is nan, which is what Python makes of ``float(symbol)``."""
+    """Return whether an expression contains the constant nan, as ``float(symbol)`` is."""
     f = ca.Function("entries", ca.symvar(matrix), [matrix])
     constants = (f.instruction_constant(i) for i in range(f.n_instructions()) if f.instruction_id(i) == ca.OP_CONST)
     return any(isnan(value) for value in constants)

@@ -233,7 +233,7 @@ def symbolic_equations(structure: NonlinearStructure) -> Equations:
 
     dx = column("dynamics(x, u, p)", lambda: structure.dynamics(x, u, known), n, "state")
     y = column("output(x, u, p)", lambda: structure.output(x, u, known), n_y, "output")
-    gain, initial, late = structure.disturbance_gain, structure.x0, structure.delay
+    gain, initial, delays = structure.disturbance_gain, structure.x0, structure.delay
     K = ca.SX(n, n_y)
     if gain is not None:
         K = _expression(structure.name, "disturbance_gain(p)", lambda: gain(known))
@@ -244,7 +244,7 @@ def symbolic_equations(structure: NonlinearStructure) -> Equations:
             )
     x0 = ca.SX(0, 1) if initial is None else column("x0(p)", lambda: initial(known), n, "state")
     n_u = len(structure.inputs)
-    delay = ca.SX(n_u, 1) if late is None else ca.sparsify(column("delay(p)", lambda: late(known), n_u, "input"))
+    delay = ca.SX(n_u, 1) if delays is None else ca.sparsify(column("delay(p)", lambda: delays(known), n_u, "input"))
     inside = {
         "dynamics": (dx, [x, u, p]),
         "output": (y, [x, u, p]),
@@ -263,13 +263,13 @@ def symbolic_equations(structure: NonlinearStructure) -> Equations:
                 f"structure {structure.name!r}: {what} contains nan: a function that is not casadi's, such as "
                 "math.sin or float, was applied to a symbol; use functions of casadi, such as casadi.sin"
             )
-    own = Equations(x, u, p, dx, y, K, x0, delay)
-    if at_once := [structure.inputs[i] for i in own.delayed if ca.depends_on(y, u[i])]:
+    equations = Equations(x, u, p, dx, y, K, x0, delay)
+    if at_once := [structure.inputs[i] for i in equations.delayed if ca.depends_on(y, u[i])]:
         raise UsageError(
             f"structure {structure.name!r}: output contains the delayed input {', '.join(at_once)}; delayed inputs act "
             "on the derivatives of the states only"
         )
-    return own
+    return equations
 
 
 def jumps_in(equations: Equations) -> tuple[str, ...]:
@@ -315,8 +315,8 @@ def _expression(name: str, what: str, value: Callable[[], Any]) -> ca.SX:
 _RADIANS = 1.0  # that the fastest pole turns in a step of the explicit method, at the start
 
 
-def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float, own: Equations) -> int:
-    """Return the steps of the integrator in a sample: those of the structure, or what the fastest pole needs.
+def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float, equations: Equations) -> int:
+    """Return the number of integrator steps in a sample: stated by the structure, or from its fastest pole.
 
     With ``steps="auto"`` the fastest pole at rest turns by a radian at most in one step.
 
@@ -328,7 +328,7 @@ def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float
         Values of all parameters.
     sample_time : float
         Time between samples [s].
-    own : Equations
+    equations : Equations
         Its equations.
 
     Raises
@@ -338,8 +338,10 @@ def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float
     """
     if structure.steps != "auto":
         return structure.steps
-    slopes = ca.Function("slopes", [own.x, own.u, own.p], [ca.densify(ca.jacobian(own.dx, own.x))])
-    A = np.asarray(slopes(np.zeros(own.x.numel()), np.zeros(own.u.numel()), p), float)
+    slopes = ca.Function(
+        "slopes", [equations.x, equations.u, equations.p], [ca.densify(ca.jacobian(equations.dx, equations.x))]
+    )
+    A = np.asarray(slopes(np.zeros(equations.x.numel()), np.zeros(equations.u.numel()), p), float)
     if structure.integrator == "implicit" or not np.isfinite(A).all():
         return 1
     fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) * sample_time
@@ -473,7 +475,7 @@ class NonlinearModel(Brief):
         *,
         amplitude: npt.ArrayLike | None = None,
     ) -> LinearModel:
-        """Return the linear model of deviations from a working point: small ones, or those of an amplitude.
+        """Return the linear model at a working point, for small deviations or for sines of an amplitude.
 
         Parameters
         ----------
@@ -506,10 +508,10 @@ class NonlinearModel(Brief):
         A, B, C, D = (np.mean(each, axis=0) for each in zip(*slopes, strict=True))
         if not all(np.isfinite(m).all() for m in (A, B, C, D)):
             raise UsageError(f"model {self.name!r}: the derivatives at x0 = {x}, u0 = {u} are not finite; give another")
-        late = np.zeros(len(u)) if self.delay is None else self.delay
+        delays = np.zeros(len(u)) if self.delay is None else self.delay
         return LinearModel(
             A,
-            np.where(late > 0, 0.0, B),
+            np.where(delays > 0, 0.0, B),
             C,
             D,
             self.K if self.K.any() else None,
@@ -517,7 +519,7 @@ class NonlinearModel(Brief):
             input_names=self.input_names,
             output_names=self.output_names,
             state_names=self.state_names,
-            B_delayed=None if self.delay is None else np.where(late > 0, B, 0.0),
+            B_delayed=None if self.delay is None else np.where(delays > 0, B, 0.0),
             delay=self.delay,
         )
 
@@ -620,14 +622,14 @@ class NonlinearModel(Brief):
         n = len(u)
         length = min(n, _AT_ONCE)
         run = step.mapaccum(length) if length > 1 else step
-        found = []
+        samples = []
         for first in range(0, n, length):
             rows = np.minimum(np.arange(first, first + length), n - 1)
             around = u[rows].transpose(1, 0, 2).reshape(u.shape[1], -1)
             states, outputs = run(x, around, y[rows].T, self.parameters, sample_time)
             x = np.asarray(states[:, -1], float).ravel()
-            found.append(np.array(outputs, float).T)
-        return np.concatenate(found)[:n]
+            samples.append(np.array(outputs, float).T)
+        return np.concatenate(samples)[:n]
 
     def _step(self, holds: tuple[Hold, ...], *, feeds_back: bool) -> ca.Function:
         if (holds, feeds_back) not in self._made:
@@ -661,7 +663,7 @@ class NonlinearModel(Brief):
         output = self.function(x, u[:, 1], p)[1]
         error = y - output if feeds_back else ca.SX.zeros(n_y)
         f = ca.Function("f", [a, b], [self.function(a, b, p)[0] + ca.DM(self.K) @ error], {"allow_free": True})
-        early = [own / h - ca.floor(own / h) if own > 0 else None for own in delay.tolist()]
+        early = [each / h - ca.floor(each / h) if each > 0 else None for each in delay.tolist()]
         after = over_a_sample(self.integrator, f, x, u, holds, early, h, self.steps)
         return ca.Function("step", [x, u, y, p, h], [after, output])
 
@@ -672,10 +674,10 @@ class NonlinearModel(Brief):
         return ca.Function("slopes", [x, u, p], [ca.densify(ca.jacobian(y, at)) for y in outputs for at in (x, u)])
 
     def _sized(self, what: str, value: Any, size: int) -> FloatArray:
-        found = np.asarray(value, float).ravel()
-        if found.shape != (size,) or not np.isfinite(found).all():
+        vector = np.asarray(value, float).ravel()
+        if vector.shape != (size,) or not np.isfinite(vector).all():
             raise UsageError(f"model {self.name!r}: {what} = {value}; give {size} finite numbers")
-        return found
+        return vector
 
 
 def _sx(*sizes: int) -> list[ca.SX]:

@@ -112,7 +112,7 @@ _known: ContextVar[dict[tuple[str, int], tuple[Any, Any]] | None] = ContextVar("
 
 @contextmanager
 def asked_once() -> Iterator[None]:
-    """Return a context in which what was asked of a structure is kept: start, predictor and model ask for the same.
+    """Return a context that caches symbolic matrices and equations: start, predictor and model need them in turn.
 
     It is that of one fit. Functions of a user may return something else in the next one.
     """
@@ -127,14 +127,14 @@ def once(function: Callable[[_Asked], _Found]) -> Callable[[_Asked], _Found]:
     """Return a function of a structure that computes its result once within `asked_once`."""
 
     @wraps(function)
-    def asked(structure: _Asked) -> _Found:
+    def cached(structure: _Asked) -> _Found:
         known = _known.get()
         if known is None:
             return function(structure)
         key = function.__qualname__, id(structure)
         if key not in known:
             known[key] = structure, function(structure)  # with the structure, so that its id stays its own
-        found: _Found = known[key][1]
-        return found
+        result: _Found = known[key][1]
+        return result
 
-    return asked
+    return cached

@@ -191,12 +191,12 @@ class ScheduledStructure(Brief):
         The variables are scaled to -1 to 1 over the range of the recordings: a coefficient has the unit of its
         parameter.
         """
-        found: list[Parameter] = []
+        coefficients: list[Parameter] = []
         for q in self.base.parameters:
             if q.name in self.surfaces:
                 names = coefficient_names(q.name, len(self.exponents))
-                found += [Parameter(name, unit=q.unit) for name in names]
-        return (*found, *(q for q in self.base.parameters if q.name not in self.surfaces))
+                coefficients += [Parameter(name, unit=q.unit) for name in names]
+        return (*coefficients, *(q for q in self.base.parameters if q.name not in self.surfaces))
 
     @property
     def pade_order(self) -> int:

@@ -43,11 +43,11 @@ def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
     UsageError
         When the file is missing, when its import fails, when it has no such name, or when its equations do not fit.
     """
-    found = load_structure_or_model(reference, folder)
-    if isinstance(found, LinearModel):
+    loaded = load_structure_or_model(reference, folder)
+    if isinstance(loaded, LinearModel):
         file, _, name = reference.rpartition(":")
         raise UsageError(f"{(folder or Path()) / file}: {name} is not a structure; {_REMEDY}")
-    return found
+    return loaded
 
 
 def load_structure_or_model(reference: str, folder: Path | None = None) -> AnyStructure | LinearModel:
@@ -74,21 +74,21 @@ def load_structure_or_model(reference: str, folder: Path | None = None) -> AnySt
         raise UsageError(f"{path}: import failed: {in_one_line(error)}") from error
     if not hasattr(module, name):
         raise UsageError(f"{path}: no name {name!r} in this file")
-    found = getattr(module, name)
-    if not isinstance(found, AnyStructure | LinearModel) and callable(found):
+    loaded = getattr(module, name)
+    if not isinstance(loaded, AnyStructure | LinearModel) and callable(loaded):
         try:
-            found = found()
+            loaded = loaded()
         except Exception as error:
             raise UsageError(f"{path}: {name}() failed: {in_one_line(error)}") from error
-    if isinstance(found, LinearModel):
-        return found
-    if not isinstance(found, AnyStructure):
+    if isinstance(loaded, LinearModel):
+        return loaded
+    if not isinstance(loaded, AnyStructure):
         raise UsageError(f"{path}: {name} is not a structure; {_REMEDY}")
     try:
-        kind_of(found).anatomy()
+        kind_of(loaded).anatomy()
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
-    return found
+    return loaded
 
 
 # ---- Functions of CasADi for a structure: continuous model, discretised model, one-step predictor.
@@ -178,36 +178,48 @@ def _of_nonlinear(
     hold: str | Sequence[str],
     steps: int | None,
 ) -> ModelFunctions:
-    own = symbolic_equations(structure)
+    equations = symbolic_equations(structure)
     if steps is None:
-        steps = first_steps(structure, _numbers(structure, values), sample_time, own)
-    n_u, holds = own.u.numel(), check_holds(hold, own.u.numel())
-    whole = [0] * n_u  # samples in the delay of each input
-    if own.delayed:
-        delays = ca.Function("d", [own.p], [ca.densify(own.delay)])(_numbers(structure, values))
-        whole = [int(shift) for shift in np.floor(np.array(delays, float).ravel() / sample_time)]
-    early = [own.delay[i] / sample_time - whole[i] if i in own.delayed else None for i in range(n_u)]
-    lags = max((whole[i] + 1 for i in own.delayed), default=0)
-    u, y, e = ca.SX.sym("u", n_u, lags + 2), ca.SX.sym("y", own.y.numel()), ca.SX.sym("e", own.y.numel())
-    derivative, late, point = own.dx + own.K @ e, ca.SX.sym("u_delayed", n_u), [own.x, own.u]
-    if own.delayed:
-        taken = ca.vertcat(*(late[i] if i in own.delayed else own.u[i] for i in range(n_u)))
-        (derivative,), point = ca.substitute([derivative], [own.u], [taken]), [own.x, own.u, late]
-    (output,) = ca.substitute([own.y], [own.u], [u[:, 1]])
-    around = [u[i, whole[i] : whole[i] + 3] if i in own.delayed else ca.horzcat(u[i, :2], 0) for i in range(n_u)]
+        steps = first_steps(structure, _numbers(structure, values), sample_time, equations)
+    n_u, holds = equations.u.numel(), check_holds(hold, equations.u.numel())
+    shifts = [0] * n_u  # samples in the delay of each input
+    if equations.delayed:
+        delays = ca.Function("d", [equations.p], [ca.densify(equations.delay)])(_numbers(structure, values))
+        shifts = [int(shift) for shift in np.floor(np.array(delays, float).ravel() / sample_time)]
+    early = [equations.delay[i] / sample_time - shifts[i] if i in equations.delayed else None for i in range(n_u)]
+    lags = max((shifts[i] + 1 for i in equations.delayed), default=0)
+    u, y, e = ca.SX.sym("u", n_u, lags + 2), ca.SX.sym("y", equations.y.numel()), ca.SX.sym("e", equations.y.numel())
+    derivative, u_delayed, point = (
+        equations.dx + equations.K @ e,
+        ca.SX.sym("u_delayed", n_u),
+        [equations.x, equations.u],
+    )
+    if equations.delayed:
+        taken = ca.vertcat(*(u_delayed[i] if i in equations.delayed else equations.u[i] for i in range(n_u)))
+        (derivative,), point = (
+            ca.substitute([derivative], [equations.u], [taken]),
+            [equations.x, equations.u, u_delayed],
+        )
+    (output,) = ca.substitute([equations.y], [equations.u], [u[:, 1]])
+    around = [
+        u[i, shifts[i] : shifts[i] + 3] if i in equations.delayed else ca.horzcat(u[i, :2], 0) for i in range(n_u)
+    ]
 
     def after(error: ca.SX) -> ca.SX:
-        at, under = ca.SX.sym("at", own.x.numel()), ca.SX.sym("under", own.u.numel())  # `error` is that at the sample
-        (there,) = ca.substitute([own.dx], [ca.vertcat(own.x, own.u)], [ca.vertcat(at, under)])
-        f = ca.Function("f", [at, under], [ca.densify(there + own.K @ error)], {"allow_free": True})
+        at, under = (
+            ca.SX.sym("at", equations.x.numel()),
+            ca.SX.sym("under", equations.u.numel()),
+        )  # `error` is that at the sample
+        (at_error,) = ca.substitute([equations.dx], [ca.vertcat(equations.x, equations.u)], [ca.vertcat(at, under)])
+        f = ca.Function("f", [at, under], [ca.densify(at_error + equations.K @ error)], {"allow_free": True})
         taps = ca.vertcat(*around) if around else ca.SX(0, 3)
-        return over_a_sample(structure.integrator, f, own.x, taps, holds, early, ca.SX(sample_time), steps)
+        return over_a_sample(structure.integrator, f, equations.x, taps, holds, early, ca.SX(sample_time), steps)
 
     return _named(
         structure,
-        ([*point, e, own.p], [derivative, own.y + e]),
-        ([own.x, u, own.p], [after(ca.SX(own.y.numel(), 1)), output]),
-        ([own.x, u, y, own.p], [after(y - output), output]),
+        ([*point, e, equations.p], [derivative, equations.y + e]),
+        ([equations.x, u, equations.p], [after(ca.SX(equations.y.numel(), 1)), output]),
+        ([equations.x, u, y, equations.p], [after(y - output), output]),
         lags,
     )
 
@@ -231,15 +243,15 @@ def _of_linear(
     ]
     lags = max((each.shift + 1 for each in taps), default=0)
     x, e, y = ca.SX.sym("x", n), ca.SX.sym("e", n_y), ca.SX.sym("y", n_y)
-    held, late, u = ca.SX.sym("u", n_u), ca.SX.sym("u_delayed", n_u), ca.SX.sym("u", n_u, lags + 2)
+    held, u_delayed, u = ca.SX.sym("u", n_u), ca.SX.sym("u_delayed", n_u), ca.SX.sym("u", n_u, lags + 2)
     output = m.C @ x + m.D @ u[:, 1]
     plain = F @ x + now[:, :n_u] @ u[:, 1] + following[:, :n_u] @ u[:, 0]
     for i, each in enumerate(taps):
         for j, column in enumerate(each.columns):  # of the samples k - shift + 1, k - shift, k - shift - 1
             if each.shift + j or holds[i] == "foh":
                 plain += column * u[i, each.shift + j]
-    point, delayed = [x, held], [late] if m.has_delay else []
-    derivative = m.A @ x + m.B @ held + (m.B_delayed @ late if delayed else 0) + m.K @ e
+    point, delayed = [x, held], [u_delayed] if m.has_delay else []
+    derivative = m.A @ x + m.B @ held + (m.B_delayed @ u_delayed if delayed else 0) + m.K @ e
     return _named(
         structure,
         ([*point, *delayed, e, p], [derivative, m.C @ x + m.D @ held + e]),

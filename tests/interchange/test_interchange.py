@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def only_late() -> LinearModel:
 
 def some_fit() -> FitResult:
     model = replace(published(), K=np.arange(12.0).reshape(6, 2))
-    fields = dict.fromkeys(FitResult.__dataclass_fields__, None)
+    values = dict.fromkeys(each.name for each in fields(FitResult))
     known = {
         "structure": "rotor_bearing",
         "recordings": ("run-1",),
@@ -60,7 +60,7 @@ def some_fit() -> FitResult:
         "model": model,
         "sample_time": 2e-4,
     }
-    return FitResult(**{**fields, **known})
+    return FitResult(**{**values, **known})
 
 
 def response(A, B, C, D, frequency):

@@ -19,7 +19,7 @@ LANES = 8  # blocks in one group: number of doubles in the widest vector registe
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Uninterrupted part of one record.
+    """Consecutive samples of a record.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Blocks:
 
     @cached_property
     def followed(self) -> IntArray:
-        """Blocks with another one after them in their window."""
+        """Blocks that are not the last of their window."""
         return np.setdiff1d(np.arange(self.n_blocks), self.window_first) - 1
 
     @cached_property
@@ -132,22 +132,22 @@ class Blocks:
         return self._regressors[shift]
 
     def by_whole_segments(self) -> Blocks:
-        """Return the same blocks with each segment as one window."""
+        """Return the blocks with each segment as one window."""
         first = self.window_first[self.segment_first]
         size = np.diff(np.append(first, self.n_blocks))
         every = np.arange(len(first))
         return replace(self, per_window=int(size.max()), window_first=first, window_size=size, segment_first=every)
 
     def by_group(self, values: FloatArray) -> FloatArray:
-        """Return values of blocks, (n, W), as C takes them, (n_groups, n, lanes)."""
+        """Return values of blocks, (n, W), in the order of the compiled passes, (n_groups, n, lanes)."""
         return np.ascontiguousarray(values.reshape(len(values), -1, self.lanes).transpose(1, 0, 2))
 
-    def side_by_side(self, values: FloatArray, own: slice) -> FloatArray:
+    def side_by_side(self, values: FloatArray, some: slice) -> FloatArray:
         """Return values of some blocks, (n_groups, length, n, lanes), side by side, (length, n, n_blocks)."""
-        groups = slice(own.start // self.lanes, -(-own.stop // self.lanes))
+        groups = slice(some.start // self.lanes, -(-some.stop // self.lanes))
         rows = values[groups].transpose(1, 2, 0, 3).reshape(self.length, values.shape[2], -1)
         skipped = groups.start * self.lanes
-        return rows[:, :, own.start - skipped : own.stop - skipped]
+        return rows[:, :, some.start - skipped : some.stop - skipped]
 
     def by_segment(self, values: FloatArray) -> list[FloatArray]:
         """Return values of blocks, (n_groups, length, n, lanes), as one (n_samples, n) array for each segment."""
@@ -224,11 +224,11 @@ def cut(
 
 
 def reweighted(blocks: Blocks, weights: Sequence[FloatArray]) -> Blocks:
-    """Return the same blocks with other weights of the squared errors: one array for each segment."""
+    """Return blocks with new weights of the squared errors, one array for each segment."""
     segments = []
-    for segment, own in zip(blocks.segments, weights, strict=True):
+    for segment, squared in zip(blocks.segments, weights, strict=True):
         full = np.ones(len(segment.outputs))
-        segment.part(full)[:] = own
+        segment.part(full)[:] = squared
         segments.append(replace(segment, weights=full))
     used = _use(segments, blocks.length)
     return replace(blocks, segments=tuple(segments), used=used)
@@ -243,7 +243,7 @@ def _use(segments: Sequence[Segment], length: int) -> FloatArray:
 
 
 def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
-    """Return values of the samples of a record for those of a segment, (n, 1); ones where there are none."""
+    """Return the values of a record at the samples of a segment, (n, 1); ones for None."""
     return segment.part(np.ones(len(segment.outputs)) if values is None else values)[:, None]
 
 

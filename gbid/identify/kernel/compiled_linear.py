@@ -597,20 +597,20 @@ class CompiledLinearKernel(LinearKernel):
         return products, per_block(end_theta).transpose(0, 2, 1)
 
     def sensitivities(
-        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice
+        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, some: slice
     ) -> FloatArray:
         """Return the sensitivities of some blocks; see `Kernel`."""
         z = self._regressors(v, blocks)
         n_z, (n_p, n, _), n_y, length = z.shape[2], v.dF.shape, len(v.C), blocks.length
-        m, count = n_p + n, own.stop - own.start
+        m, count = n_p + n, some.stop - some.start
         onto_state = np.concatenate([v.dF, v.dG], axis=2).reshape(n_p * n, -1)
         onto_output = np.concatenate([v.dC, v.dH], axis=2).reshape(n_p * n_y, -1)
         entries = [array for matrix in (v.F, v.C, onto_state, onto_output) for array in _by_rows(matrix)]
-        starts = np.concatenate([linked.by_theta[own], linked.by_start[own]], axis=2).transpose(0, 2, 1)
+        starts = np.concatenate([linked.by_theta[some], linked.by_start[some]], axis=2).transpose(0, 2, 1)
         sides = _aligned((2 * m * n + n + n_z + m * n_y * _CHUNK) * LANES)
         psi = np.empty((n_y * m, count, length))
         run = load_library(_sensitivity_source()).gbid_sensitivities
-        sizes = (n, n_p, n_y, n_z, length, own.start, own.stop)
+        sizes = (n, n_p, n_y, n_z, length, some.start, some.stop)
         run_compiled(run, sizes, [*entries, prediction.states, z, blocks.used, starts], [sides, psi])
         return psi
 

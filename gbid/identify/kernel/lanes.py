@@ -111,7 +111,7 @@ def lane_source(functions: Mapping[str, LaneFunction]) -> str:
     NotImplementedError
         When a function has an operation that is unknown here.
     """
-    each = [own.function for own in functions.values()]
+    each = [lane.function for lane in functions.values()]
     met = {f.instruction_id(k) for f in each for k in range(f.n_instructions())}
     helpers = [
         f"static inline v {name}_(v a) {{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l]); return r; }}"
@@ -123,12 +123,12 @@ def lane_source(functions: Mapping[str, LaneFunction]) -> str:
         f"{{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l], b[l]); return r; }}"
         for name in sorted({name for operation, name in _OF_TWO.items() if operation in met})
     ]
-    return "\n".join([*helpers, *(_written(name, own) for name, own in functions.items())])
+    return "\n".join([*helpers, *(_written(name, lane) for name, lane in functions.items())])
 
 
-def _written(name: str, own: LaneFunction) -> str:
+def _written(name: str, lane: LaneFunction) -> str:
     """Return C of a function, and of the part of it that is constant in a pass."""
-    f = own.function
+    f = lane.function
     once: list[str] = []  # one statement for each constant value, all with names of their own
     lines: list[str] = []
     kept: dict[str, int] = {}  # constant values that the rest needs, and their places
@@ -142,11 +142,11 @@ def _written(name: str, own: LaneFunction) -> str:
     for k in range(f.n_instructions()):
         operation, into, given = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
         if operation == ca.OP_OUTPUT:
-            row = own.places[into[0]][into[1]] if into[0] in own.places else into[1]
+            row = lane.places[into[0]][into[1]] if into[0] in lane.places else into[1]
             lines.append(f"  r{into[0]}[{row}] = {seen(at[given[0]])};")
             continue
         if operation == ca.OP_INPUT:
-            fixed, names = given[0] in own.constant, [f"a{given[0]}[{given[1]}]"]
+            fixed, names = given[0] in lane.constant, [f"a{given[0]}[{given[1]}]"]
         else:
             fixed, names = all(at[i].startswith("k") for i in given), [at[i] for i in given]
         if fixed:
@@ -160,7 +160,7 @@ def _written(name: str, own: LaneFunction) -> str:
     once += [f"  c[{place}] = {value};" for value, place in kept.items()]
     arguments = [f"const v *restrict a{i}" for i in range(f.n_in())]
     results = [f"v *restrict r{i}" for i in range(f.n_out())]
-    same = [arguments[i] for i in own.constant]
+    same = [arguments[i] for i in lane.constant]
     return "\n".join(
         [
             f"enum {{ {name}_size = {max(1, len(kept))} }};",
@@ -206,8 +206,8 @@ _ARGUMENTS = "const v *restrict a, const v *s, const v *restrict b, v *r"
 def product_source(functions: SampleFunctions) -> str:
     """Return C functions that put Jacobians in place, multiply columns by them, and feed errors back."""
     by_start, by_state, by_theta = (functions.output_jacobian.sparsity_out(i) for i in (3, 4, 5))
-    of_step, own = (functions.step_jacobian.sparsity_out(i) for i in (1, 2))
-    F, G, C, D, X = (_pattern(each) for each in (of_step, own, by_state, by_theta, by_start))
+    of_step, of_input = (functions.step_jacobian.sparsity_out(i) for i in (1, 2))
+    F, G, C, D, X = (_pattern(each) for each in (of_step, of_input, by_state, by_theta, by_start))
     n, n_p = X.shape
     n_e = G.shape[1] - n_p
     through = reached(F, G)
@@ -282,14 +282,14 @@ def _products(name: str, matrix: dict[tuple[int, int], int], columns: BoolArray,
 
     They are loops over neighbours of the same kind: with the same rows that can differ from zero.
     """
-    own = [tuple(np.flatnonzero(column).tolist()) for column in columns.T]
-    if len(set(own)) > _MOST_KINDS:
-        own = [tuple(np.flatnonzero(columns.any(axis=1)).tolist())] * len(own)
-    kinds = sorted(set(own))
-    every = range(len(own))
+    rows_of = [tuple(np.flatnonzero(column).tolist()) for column in columns.T]
+    if len(set(rows_of)) > _MOST_KINDS:
+        rows_of = [tuple(np.flatnonzero(columns.any(axis=1)).tolist())] * len(rows_of)
+    kinds = sorted(set(rows_of))
+    every = range(len(rows_of))
     for what, chosen in (("states", every[n_plain]), ("rest", [c for c in every if c not in every[n_plain]])):
         calls = []
-        for rows, run in groupby(chosen, key=own.__getitem__):
+        for rows, run in groupby(chosen, key=rows_of.__getitem__):
             column, *more = run
             ends = f"int c = {column - chosen[0]}; c < {column - chosen[0] + len(more) + 1}; c++"
             calls.append(f"  for ({ends}) {name}_{what}_{kinds.index(rows)}(a, s + c*N, b + c*N, r + c*N);")
@@ -414,12 +414,12 @@ class LanesRunner:
         return by_theta, starts
 
     def sensitivities(
-        self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, first: FloatArray, own: slice
+        self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, first: FloatArray, some: slice
     ) -> FloatArray:
         """Return the sensitivities of some blocks; see `SampleRunner`."""
-        m, n_y, count = self._n_p + self._n, blocks.y.shape[2], own.stop - own.start
-        groups = slice(own.start // LANES, -(-own.stop // LANES))
-        skipped, n_groups = own.start - groups.start * LANES, groups.stop - groups.start
+        m, n_y, count = self._n_p + self._n, blocks.y.shape[2], some.stop - some.start
+        groups = slice(some.start // LANES, -(-some.stop // LANES))
+        skipped, n_groups = some.start - groups.start * LANES, groups.stop - groups.start
         starts = np.zeros((n_groups * LANES, m, self._n))
         starts[skipped : skipped + count] = first.transpose(0, 2, 1)
         slopes = np.empty((n_groups, blocks.length, m, n_y, LANES))

@@ -232,13 +232,13 @@ class LinearKernel(Kernel):
         """
 
 
-def _back_along_windows(blocks: Blocks, own: FloatArray, transition: FloatArray) -> FloatArray:
+def _back_along_windows(blocks: Blocks, single: FloatArray, transition: FloatArray) -> FloatArray:
     """Return the adjoint at the start of every block, (n, W), from the adjoints of single blocks."""
     backwards = blocks.window_size[:, None] - 1 - np.arange(blocks.per_window)
     inside = backwards >= 0
     blocks_of = blocks.window_first[:, None] + np.maximum(backwards, 0)
-    result = np.zeros_like(own)
-    result[:, blocks_of[inside]] = scan(transition.T, own[:, blocks_of][..., None])[:, inside, 0]
+    result = np.zeros_like(single)
+    result[:, blocks_of[inside]] = scan(transition.T, single[:, blocks_of][..., None])[:, inside, 0]
     return result
 
 
@@ -246,7 +246,7 @@ def _by_parameters(v: PredictorValues, sums: FloatArray) -> FloatArray:
     """Return derivatives by the predictor's parameters from those by the entries of its matrices."""
     n, n_p = len(v.F), len(v.dF)
     pairs = ((v.dF, sums[:n, :n]), (v.dG, sums[:n, n:]), (v.dC, sums[n:, :n]), (v.dH, sums[n:, n:]))
-    return np.asarray(sum(slopes.reshape(n_p, -1) @ own.ravel() for slopes, own in pairs))
+    return np.asarray(sum(slopes.reshape(n_p, -1) @ products.ravel() for slopes, products in pairs))
 
 
 # ---- Passes without a C compiler.
@@ -305,10 +305,10 @@ class PortableLinearKernel(LinearKernel):
         return products.reshape(-1, n_p, n), s.reshape(-1, n_p, n).transpose(0, 2, 1)
 
     def sensitivities(
-        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice
+        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, some: slice
     ) -> FloatArray:
         """Return the sensitivities of some blocks; see `Kernel`."""
-        return sample_sensitivities(self._run, v, blocks, prediction, linked, own)
+        return sample_sensitivities(self._run, v, blocks, prediction, linked, some)
 
 
 def _driving(v: PredictorValues, blocks: Blocks, states: FloatArray) -> FloatArray:

@@ -36,13 +36,13 @@ class NonlinearKernel(Kernel):
         self, v: NonlinearValues, blocks: Blocks, starts: FloatArray, weights: Sequence[FloatArray]
     ) -> list[Traced]:
         """Return the sums of each block for each weight; see `Kernel`."""
-        begin, found = self.begin(v, blocks, starts), []
+        begin, passes = self.begin(v, blocks, starts), []
         for weight in weights:
             root = np.ascontiguousarray(np.linalg.cholesky(weight).T)
             by_block, start_hessian, end_start = self.run.sums(v, blocks, begin, root)
             linked = linked_along(blocks, by_block.end_theta, end_start)
-            found.append(Traced(begin, joined(blocks, by_block, start_hessian, linked), linked, by_block))
-        return found
+            passes.append(Traced(begin, joined(blocks, by_block, start_hessian, linked), linked, by_block))
+        return passes
 
     def begin(self, v: NonlinearValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
         """Return the state at the start of each block; see `Kernel`."""
@@ -92,7 +92,7 @@ class NonlinearKernel(Kernel):
         sweep: Sweep | None,
         state_scale: FloatArray,
     ) -> float:
-        """Return the growth along the trajectory of the segment with the largest one; see `Kernel`."""
+        """Return the largest growth along the trajectory of a segment; see `Kernel`."""
         if sweep is None:
             return np.inf
         by_start = sweep.end_start / state_scale[:, None] * state_scale
@@ -105,14 +105,14 @@ class NonlinearKernel(Kernel):
         return mean_predictor(self.steps, v, blocks, prediction)
 
     def sensitivities(
-        self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice
+        self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, linked: Linked, some: slice
     ) -> FloatArray:
         """Return the sensitivities of some blocks; see `Kernel`."""
-        return sample_sensitivities(self.run, v, blocks, prediction, linked, own)
+        return sample_sensitivities(self.run, v, blocks, prediction, linked, some)
 
 
 def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -> Linked:
-    """Follow each window through its blocks, of which each has its own transition.
+    """Return the sensitivities of the starts of blocks, each of which has its own transition.
 
     Parameters
     ----------
@@ -173,22 +173,22 @@ def mean_predictor(steps: MappedSteps, v: NonlinearValues, blocks: Blocks, predi
     size = np.where(size > 0, size, 1.0)
 
     def at(theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        own = v._replace(theta=theta)
-        F, C = _one_sample(steps, own, x, z)[1:]
+        at_theta = v._replace(theta=theta)
+        F, C = _one_sample(steps, at_theta, x, z)[1:]
         sides = []
         for j in range(n_y):
-            moved = np.zeros(len(z))
-            moved[len(z) - n_y + j] = step = _DIFFERENCE * size[j]
-            above, below = (_one_sample(steps, own, x, side)[0] for side in (z + moved, z - moved))
+            change = np.zeros(len(z))
+            change[len(z) - n_y + j] = step = _DIFFERENCE * size[j]
+            above, below = (_one_sample(steps, at_theta, x, side)[0] for side in (z + change, z - change))
             sides.append((above - below) / (2 * step))
         return F, np.stack(sides, axis=1), C
 
     F, G, C = at(v.theta)
     slopes = []
     for i, value in enumerate(v.theta):
-        moved = np.zeros(len(v.theta))
-        moved[i] = step = _DIFFERENCE * (abs(value) if value else 1.0)
-        slopes.append([(a - b) / (2 * step) for a, b in zip(at(v.theta + moved), at(v.theta - moved), strict=True)])
+        change = np.zeros(len(v.theta))
+        change[i] = step = _DIFFERENCE * (abs(value) if value else 1.0)
+        slopes.append([(a - b) / (2 * step) for a, b in zip(at(v.theta + change), at(v.theta - change), strict=True)])
     dF, dG, dC = (np.array([slope[i] for slope in slopes]) for i in range(3))
     none = np.zeros((n_y, n_y))
     return PredictorValues(F, G, C, none, dF, dG, dC, np.zeros((len(v.theta), n_y, n_y)), ())
@@ -202,7 +202,7 @@ def _mean(values: FloatArray, live: BoolArray) -> FloatArray:
 def _one_sample(
     steps: MappedSteps, v: NonlinearValues, x: FloatArray, z: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the state after a sample, its derivative by the state, and that of the outputs."""
+    """Return the state after a sample, and the derivatives of state and outputs by the state before."""
     slopes = np.concatenate([np.zeros((len(x), v.n_parameters)), np.eye(len(x))], axis=1)
     after, slopes, _, psi = steps.with_slopes(v, x[None], z[None], slopes[None])
     return after[0], slopes[0][:, v.n_parameters :], psi[0][:, v.n_parameters :]

@@ -62,9 +62,12 @@ class SampleRunner(Protocol):
         ...
 
     def sensitivities(
-        self, v: Any, blocks: Blocks, prediction: Prediction, first: FloatArray, own: slice
+        self, v: Any, blocks: Blocks, prediction: Prediction, first: FloatArray, some: slice
     ) -> FloatArray:
-        """Return those of some blocks, (length, n_y, m, n_blocks), from those of their starts, (n_blocks, n, m)."""
+        """Return the sensitivities of the predictions of some blocks, (length, n_y, m, n_blocks).
+
+        `first` are those of the starts of these blocks, (n_blocks, n, m).
+        """
         ...
 
 
@@ -161,9 +164,9 @@ class Mapped:
             self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg, arg-type]  # as above
 
     def __call__(self, *arguments: FloatArray | float) -> list[FloatArray]:
-        """Return results (width, columns, rows) for arguments of that shape, or that are the same for all columns."""
-        for own, value in zip(self._arguments, arguments, strict=True):
-            own[:] = value
+        """Return results (width, columns, rows) for arguments of this shape, or one value for all columns."""
+        for array, value in zip(self._arguments, arguments, strict=True):
+            array[:] = value
         self._run()
         return self._results
 
@@ -318,11 +321,11 @@ class PortableRunner:
         )
 
     def sensitivities(
-        self, v: Any, blocks: Blocks, prediction: Prediction, first: FloatArray, own: slice
+        self, v: Any, blocks: Blocks, prediction: Prediction, first: FloatArray, some: slice
     ) -> FloatArray:
         """Return the sensitivities of some blocks; see `SampleRunner`."""
-        z = np.ascontiguousarray(blocks.side_by_side(blocks.z(v.shift), own).transpose(0, 2, 1))
-        x = np.ascontiguousarray(blocks.side_by_side(prediction.states, own)[0].T)
+        z = np.ascontiguousarray(blocks.side_by_side(blocks.z(v.shift), some).transpose(0, 2, 1))
+        x = np.ascontiguousarray(blocks.side_by_side(prediction.states, some)[0].T)
         return np.stack([psi for *_, psi in self._with_slopes(v, z, x, first)]).transpose(0, 2, 3, 1)
 
     def _with_slopes(
@@ -362,7 +365,7 @@ class MappedRunner(PortableRunner):
 
 
 def _counted(used: FloatArray, values: FloatArray) -> FloatArray:
-    """Return values with zeros where samples do not count, also where they overflow there."""
+    """Return values with zeros at samples that do not count, even if the values overflow."""
     return np.where(used != 0, values, 0.0)
 
 
@@ -373,6 +376,6 @@ def flat(values: FloatArray) -> FloatArray:
 
 
 def _grouped(values: FloatArray, blocks: Blocks) -> FloatArray:
-    """Return the opposite of `_flat`."""
+    """Return (length, n_groups * lanes, n) values as groups of blocks, (n_groups, length, n, lanes)."""
     length, _, n = values.shape
     return np.ascontiguousarray(values.reshape(length, -1, blocks.lanes, n).transpose(1, 0, 3, 2))

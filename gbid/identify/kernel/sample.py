@@ -114,19 +114,19 @@ class SampleFunctions(NamedTuple):
     feeds_back: bool
 
 
-def sample_functions(own: SampleEquations) -> SampleFunctions:
-    """Return the functions of a sample; equal equations, as in a campaign, have the same ones."""
-    return _functions(_ByContent(own))
+def sample_functions(equations: SampleEquations) -> SampleFunctions:
+    """Return the functions of a sample, cached by the content of the equations for the fits of a campaign."""
+    return _functions(_ByContent(equations))
 
 
 class _ByContent:
     """Equations that are equal when their content is, since symbols of CasADi are equal only to themselves."""
 
-    def __init__(self, own: SampleEquations) -> None:
-        symbols, rest = [own.x, own.theta, own.known, own.u], own._asdict()
-        values = [own.dx, own.y, own.K, own.x0, own.coefficients, own.early]
+    def __init__(self, equations: SampleEquations) -> None:
+        symbols, rest = [equations.x, equations.theta, equations.known, equations.u], equations._asdict()
+        values = [equations.dx, equations.y, equations.K, equations.x0, equations.coefficients, equations.early]
         written = ca.Function("equations", symbols, values).serialize()
-        self.own = own
+        self.own = equations
         options = ("walking", "prompt", "lead", "delayed", "holds", "disturbances", "impulse", "integrator")
         self._content = (written, *(rest[name] for name in options))
 
@@ -139,52 +139,52 @@ class _ByContent:
 
 @lru_cache(maxsize=32)
 def _functions(equations: _ByContent) -> SampleFunctions:
-    own = equations.own
-    n, n_y = own.x.numel(), own.y.numel()
-    feeds_back = own.K.nnz() > 0
-    taps = [3 if own.holds[i] == "foh" else 2 for i in own.delayed]
-    rest = [own.disturbances.n_columns, int(own.impulse), n_y * feeds_back]
-    widths = [len(own.prompt), len(own.lead), sum(taps), *rest]
+    eq = equations.own
+    n, n_y = eq.x.numel(), eq.y.numel()
+    feeds_back = eq.K.nnz() > 0
+    taps = [3 if eq.holds[i] == "foh" else 2 for i in eq.delayed]
+    rest = [eq.disturbances.n_columns, int(eq.impulse), n_y * feeds_back]
+    widths = [len(eq.prompt), len(eq.lead), sum(taps), *rest]
     z = ca.SX.sym("z", sum(widths))
-    now, lead, late, trend, impulse, measured = _parts(z, widths)
-    u = ca.SX(own.u.numel(), 3)  # see `step_inputs`
-    early: list[ca.SX | None] = [None] * own.u.numel()
-    for row, i in enumerate(own.prompt):
+    now, lead, delayed, trend, impulse, measured = _parts(z, widths)
+    u = ca.SX(eq.u.numel(), 3)  # see `step_inputs`
+    early: list[ca.SX | None] = [None] * eq.u.numel()
+    for row, i in enumerate(eq.prompt):
         u[i, 1] = now[row]
-    for row, i in enumerate(own.lead):
+    for row, i in enumerate(eq.lead):
         u[i, 0] = lead[row]
-    for row, (i, mine) in enumerate(zip(own.delayed, _parts(late, taps), strict=True)):
-        u[i, 3 - mine.numel() :], early[i] = mine.T, own.early[row]
+    for row, (i, mine) in enumerate(zip(eq.delayed, _parts(delayed, taps), strict=True)):
+        u[i, 3 - mine.numel() :], early[i] = mine.T, eq.early[row]
 
     # Output of a sample, and its derivatives at the state that has begun there.
-    at = own.x + own.x0 * impulse if own.impulse else own.x
-    (y,) = ca.substitute([own.y], [own.u], [u[:, 1]])
-    for walk, output in enumerate(own.walking):
-        y[output] += own.x[n - len(own.walking) + walk]
-    if own.disturbances.n_columns:
-        gain = ca.SX(n_y, own.disturbances.n_columns)
-        for row, column, coefficient in zip(*own.disturbances.places, ca.vertsplit(own.coefficients), strict=True):
+    at = eq.x + eq.x0 * impulse if eq.impulse else eq.x
+    (y,) = ca.substitute([eq.y], [eq.u], [u[:, 1]])
+    for walk, output in enumerate(eq.walking):
+        y[output] += eq.x[n - len(eq.walking) + walk]
+    if eq.disturbances.n_columns:
+        gain = ca.SX(n_y, eq.disturbances.n_columns)
+        for row, column, coefficient in zip(*eq.disturbances.places, ca.vertsplit(eq.coefficients), strict=True):
             gain[int(row), int(column)] = coefficient
         y = y + gain @ trend
-    both = ca.vertcat(own.x, own.theta)
-    y, slopes = ca.substitute([ca.densify(y), ca.jacobian(y, both)], [own.x], [at])
+    both = ca.vertcat(eq.x, eq.theta)
+    y, slopes = ca.substitute([ca.densify(y), ca.jacobian(y, both)], [eq.x], [at])
     e_value = measured - y if feeds_back else ca.SX.zeros(n_y)
 
     # Step of the integrator.
     e, t, w = ca.SX.sym("e", n_y), ca.SX.sym("t"), ca.SX.sym("w")
-    derivative = ca.vertcat(own.dx, ca.SX(len(own.walking), 1)) + own.K @ e
-    f = ca.Function("f", [own.x, own.u], [ca.densify(derivative)], {"allow_free": True})
-    ends = step_inputs(u, own.holds, early, t, w)
-    after = one_step(own.integrator, f, own.x, ends, own.known[-1] * w)
+    derivative = ca.vertcat(eq.dx, ca.SX(len(eq.walking), 1)) + eq.K @ e
+    f = ca.Function("f", [eq.x, eq.u], [ca.densify(derivative)], {"allow_free": True})
+    ends = step_inputs(u, eq.holds, early, t, w)
+    after = one_step(eq.integrator, f, eq.x, ends, eq.known[-1] * w)
 
     a, v = ca.SX.sym("a", n), ca.SX.sym("v", n_y)
-    point, fixed = [own.x, z], [own.theta, own.known]
-    every = ca.vertcat(own.x, e, own.theta)
+    point, fixed = [eq.x, z], [eq.theta, eq.known]
+    every = ca.vertcat(eq.x, e, eq.theta)
     back = ca.jtimes(ca.vertcat(at, y), both, ca.vertcat(a, v), True)
     step_back = ca.jtimes(after, every, a, True)
     moving = [e, *fixed, t, w]
     by_every = ca.jacobian(after, every)
-    of_output = [ca.jacobian(at, own.theta), slopes[:, :n], slopes[:, n:]]
+    of_output = [ca.jacobian(at, eq.theta), slopes[:, :n], slopes[:, n:]]
     return SampleFunctions(
         _function("output", [*point, *fixed], [at, y, e_value]),
         _function("step", [*point, *moving], [after]),
@@ -206,11 +206,11 @@ def _function(
 
 
 def _parts(z: ca.SX, widths: Sequence[int]) -> list[ca.SX]:
-    found, at = [], 0
+    parts, at = [], 0
     for width in widths:
-        found.append(z[at : at + width])
+        parts.append(z[at : at + width])
         at += width
-    return found
+    return parts
 
 
 # ---- Predictor of a nonlinear structure.
@@ -318,14 +318,14 @@ def build_nonlinear_predictor(
     UsageError
         When no free parameter remains.
     """
-    own = symbolic_equations(structure)
-    n, n_y = own.x.numel(), own.y.numel()
+    eq = symbolic_equations(structure)
+    n, n_y = eq.x.numel(), eq.y.numel()
     gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
-    K = own.K if focus == "prediction" else ca.SX(n, n_y)
-    x0 = own.x0 if len(released) and own.x0.numel() else ca.SX(n, 1)
+    K = eq.K if focus == "prediction" else ca.SX(n, n_y)
+    x0 = eq.x0 if len(released) and eq.x0.numel() else ca.SX(n, 1)
     x0 = ca.diag(ca.SX([float(each) for each in released] or [0.0] * n)) @ x0
-    seen = names_in(ca.veccat(own.dx, own.y, K, x0, own.delay))
-    nowhere = {q.name for q in structure.parameters} - seen - names_in(own.K) - names_in(own.x0) - set(fixed)
+    seen = names_in(ca.veccat(eq.dx, eq.y, K, x0, eq.delay))
+    nowhere = {q.name for q in structure.parameters} - seen - names_in(eq.K) - names_in(eq.x0) - set(fixed)
     if nowhere:
         raise UsageError(
             f"structure {structure.name!r}: its equations do not contain the parameter {', '.join(sorted(nowhere))}; "
@@ -337,42 +337,40 @@ def build_nonlinear_predictor(
         raise UsageError(f"structure {structure.name!r}: no free parameter to estimate")
     coefficients = ca.vertcat(*(ca.SX.sym(term.name) for term in disturbances.terms))
     gain_symbols = ca.vertcat(*(ca.SX.sym(q.name) for q in gains))
-    symbols = dict(
-        zip((q.name for q in structure.parameters), ca.vertsplit(own.p) if own.p.numel() else [], strict=True)
-    )
+    symbols = dict(zip((q.name for q in structure.parameters), ca.vertsplit(eq.p) if eq.p.numel() else [], strict=True))
     others = [q.name for q in structure.parameters if q not in free]
     theta = ca.vertcat(*(symbols[q.name] for q in free), gain_symbols, coefficients)
-    h, shift = ca.SX.sym("sample_time"), ca.SX.sym("shift", len(own.delayed))
+    h, shift = ca.SX.sym("sample_time"), ca.SX.sym("shift", len(eq.delayed))
     known = ca.vertcat(*(symbols[name] for name in others), shift, h)
     walking = disturbances.walking
     onto = ca.SX(len(walking), n_y)
     for row, output in enumerate(walking):
         onto[row, output] = gain_symbols[row] if gains else 0
-    holds = check_holds(intersample, own.u.numel())
-    acting = names_in(ca.veccat(own.dx, own.y))
-    acts = [i for i, symbol in enumerate(_each(own.u)) if symbol.name() in acting]
-    prompt = tuple(i for i in acts if i not in own.delayed)
-    late = own.delay[list(own.delayed), 0]
+    holds = check_holds(intersample, eq.u.numel())
+    acting = names_in(ca.veccat(eq.dx, eq.y))
+    acts = [i for i, symbol in enumerate(_each(eq.u)) if symbol.name() in acting]
+    prompt = tuple(i for i in acts if i not in eq.delayed)
+    delays = eq.delay[list(eq.delayed), 0]
     full_K = ca.sparsify(ca.vertcat(K, onto))
     driven = acts or full_K.nnz() or disturbances.n_columns
     walks = tuple(range(len(free), len(free) + len(gains)))
     noise = kind_of(structure).anatomy().gain_only
-    x_all = ca.vertcat(own.x, ca.SX.sym("walk", len(walking)))
+    x_all = ca.vertcat(eq.x, ca.SX.sym("walk", len(walking)))
     x0_all = ca.vertcat(x0, ca.SX(len(walking), 1))
     equations = SampleEquations(
         x=x_all,
         theta=theta,
         known=known,
-        u=own.u,
-        dx=own.dx,
-        y=own.y,
+        u=eq.u,
+        dx=eq.dx,
+        y=eq.y,
         K=full_K,
         x0=x0_all,
         walking=walking,
         prompt=prompt,
         lead=tuple(i for i in prompt if holds[i] == "foh"),
-        delayed=own.delayed,
-        early=late / h - shift,
+        delayed=eq.delayed,
+        early=delays / h - shift,
         holds=holds,
         disturbances=disturbances,
         coefficients=coefficients,
@@ -385,23 +383,23 @@ def build_nonlinear_predictor(
         noise=(*(i for i, q in enumerate(free) if q.name in noise), *walks),
         unused=unused,
         n_states=x_all.numel(),
-        n_inputs=own.u.numel(),
+        n_inputs=eq.u.numel(),
         n_outputs=n_y,
         holds=holds,
         prompt=prompt,
-        delayed=own.delayed,
+        delayed=eq.delayed,
         feeds_back=full_K.nnz() > 0,
         disturbances=disturbances,
         walks=walks,
         sample_time=sample_time,
         released=any(released),
         functions=sample_functions(equations),
-        known=np.array([*(values[name] for name in others), *[0.0] * len(own.delayed), sample_time]),
-        steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), sample_time, own),
+        known=np.array([*(values[name] for name in others), *[0.0] * len(eq.delayed), sample_time]),
+        steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), sample_time, eq),
         adapts=structure.steps == "auto",
-        jumps=jumps_in(own),
+        jumps=jumps_in(eq),
         _x0=ca.Function("x0", [theta, known], [ca.densify(x0_all)]),
-        _delay=ca.Function("delay", [theta, known], [ca.densify(late), ca.densify(ca.jacobian(late, theta))]),
+        _delay=ca.Function("delay", [theta, known], [ca.densify(delays), ca.densify(ca.jacobian(delays, theta))]),
     )
 
 

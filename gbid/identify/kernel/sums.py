@@ -214,8 +214,8 @@ def growth_along(transitions: FloatArray, samples: int) -> float:
         return np.inf
     half = len(transitions) // 2
     (first, _), (second, after) = (_product(steps) for steps in (transitions[:half], transitions[half:]))
-    there, here = (max(float(np.linalg.norm(product)), _TINY) for product in (second @ first, first))
-    growth = float(np.log(there)) + after - (float(np.log(here)) if half else 0.0)
+    size_last, size_half = (max(float(np.linalg.norm(product)), _TINY) for product in (second @ first, first))
+    growth = float(np.log(size_last)) + after - (float(np.log(size_half)) if half else 0.0)
     growth *= len(transitions) / (len(transitions) - half)
     return float(np.exp((growth if growth > np.log(_TENFOLD) else min(growth, 0.0)) / samples))
 
@@ -238,7 +238,7 @@ def _product(steps: FloatArray) -> tuple[FloatArray, float]:
 
 
 class Traced(NamedTuple):
-    """Pass over segments, with what happens within the windows.
+    """Sums of a pass by window and by block, with the sensitivities of the starts of blocks.
 
     Attributes
     ----------
@@ -259,7 +259,7 @@ class Traced(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """Predictor with one parameter moved.
+    """Predictor with a step in one parameter.
 
     Attributes
     ----------
@@ -356,7 +356,7 @@ class Kernel(ABC):
         """Return a linear predictor whose last regressors are the measured outputs, (n_y)."""
 
     @abstractmethod
-    def sensitivities(self, v: Any, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice) -> FloatArray:
+    def sensitivities(self, v: Any, blocks: Blocks, prediction: Prediction, linked: Linked, some: slice) -> FloatArray:
         """Return sensitivities of the predictions by the parameters and the start of the window, for some blocks.
 
         Returns

@@ -27,7 +27,7 @@ def window_starts(
     weight: FloatArray,
     first: FloatArray,
 ) -> tuple[FloatArray, Sweep]:
-    """Return the state at the start of each window that explains its samples best, and the pass from there.
+    """Return the least-squares state at the start of each window, and the sums of the pass from these states.
 
     Each window is a small least-squares problem of its own. Levenberg's and Marquardt's method solves all of them at
     once.
@@ -58,20 +58,20 @@ def window_starts(
         _check_finite(predictor, v, blocks, guess)
     damping = np.full(len(starts), _DAMPED)
     for _ in range(_ROUNDS):
-        found = kernel.sweep(v, blocks, starts, weight)
-        H, g = found.hessian_start, found.gradient_start
+        sums = kernel.sweep(v, blocks, starts, weight)
+        H, g = sums.hessian_start, sums.gradient_start
         usable = np.array(np.isfinite(H).all(axis=(1, 2)) & np.isfinite(g).all(axis=1), bool)
         H, g = np.where(usable[:, None, None], H, np.eye(H.shape[1])), np.where(usable[:, None], g, 0.0)
-        own = np.diagonal(H, axis1=1, axis2=2)
-        ridge = damping[:, None] * (own + 1e-9 * own.sum(axis=1, keepdims=True)) + np.finfo(float).tiny
-        moved = starts - np.linalg.solve(H + ridge[:, :, None] * np.eye(H.shape[1]), g[:, :, None])[:, :, 0]
-        there = squares(moved)
-        better = np.array(there < least, bool)
+        diagonal = np.diagonal(H, axis1=1, axis2=2)
+        ridge = damping[:, None] * (diagonal + 1e-9 * diagonal.sum(axis=1, keepdims=True)) + np.finfo(float).tiny
+        candidates = starts - np.linalg.solve(H + ridge[:, :, None] * np.eye(H.shape[1]), g[:, :, None])[:, :, 0]
+        reached = squares(candidates)
+        better = np.array(reached < least, bool)
         fell = better & np.isfinite(least)
-        fall = float(np.sum(least[fell] - there[fell]))
-        starts = np.where(better[:, None], moved, starts)
+        fall = float(np.sum(least[fell] - reached[fell]))
+        starts = np.where(better[:, None], candidates, starts)
         damping = np.where(better, damping / 10, damping * 10)
-        least = np.minimum(least, there)
+        least = np.minimum(least, reached)
         if fall <= _SETTLED * float(least[np.isfinite(least)].sum()) and better.mean() > 0.5:
             break
     return starts, kernel.sweep(v, blocks, starts, weight)
@@ -92,8 +92,8 @@ def _from_outputs(predictor: NonlinearPredictor, v: NonlinearValues, blocks: Blo
     z = blocks.z(v.shift)[at // blocks.lanes, 0, :, at % blocks.lanes]
     y = blocks.y[at // blocks.lanes, 0, :, at % blocks.lanes]
     function = predictor.functions.output_jacobian.map("starts", "serial", len(at), [2, 3], [], {})
-    found = function(np.zeros((n, len(at))), z.T, v.theta, v.known)
-    yhat, slopes = (np.asarray(ca.densify(found[i]), float) for i in (1, 4))
+    results = function(np.zeros((n, len(at))), z.T, v.theta, v.known)
+    yhat, slopes = (np.asarray(ca.densify(results[i]), float) for i in (1, 4))
     slopes = slopes.reshape(n_y, len(at), n).transpose(1, 0, 2)
     if not (np.isfinite(slopes).all() and np.isfinite(yhat).all()):
         return np.zeros((len(at), n))
@@ -101,7 +101,7 @@ def _from_outputs(predictor: NonlinearPredictor, v: NonlinearValues, blocks: Blo
 
 
 def _check_finite(predictor: NonlinearPredictor, v: NonlinearValues, blocks: Blocks, guess: FloatArray) -> None:
-    """Refuse equations without a finite value at the first sample; what overflows later is another matter."""
+    """Refuse equations without a finite value at the first sample."""
     first = blocks.window_first[0]
     z = blocks.z(v.shift)[first // blocks.lanes, 0, :, first % blocks.lanes]
     for x in (guess[0], np.zeros(predictor.n_states)):

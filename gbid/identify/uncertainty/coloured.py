@@ -176,7 +176,7 @@ _NEAR = np.geomspace(0.1, 100.0, 14)  # distances of further frequencies from a 
 
 
 def feedback_term(v: PredictorValues, model: ErrorModel, weight: FloatArray) -> FloatArray | None:
-    """Return what the feedback of errors adds to the covariance of the gradient, for each sample.
+    """Return the covariance of the gradient that the feedback of errors adds, per sample.
 
     Parameters
     ----------
@@ -201,13 +201,13 @@ def feedback_term(v: PredictorValues, model: ErrorModel, weight: FloatArray) -> 
     """
     n, n_y = v.F.shape[0], v.C.shape[0]
     gain, gain_slopes = v.G[:, -n_y:], v.dG[:, :, -n_y:]
-    own = v.F + gain @ v.C
-    poles = np.concatenate([np.linalg.eigvals(own), np.linalg.eigvals(v.F)])
+    closed = v.F + gain @ v.C
+    poles = np.concatenate([np.linalg.eigvals(closed), np.linalg.eigvals(v.F)])
     if np.abs(poles).max() >= 1:
         return None
     w = _frequencies(poles)
     z = np.exp(1j * w)[:, None, None]
-    state = np.linalg.solve(z * np.eye(n) - own, np.broadcast_to(gain + 0j, (len(w), n, n_y)))
+    state = np.linalg.solve(z * np.eye(n) - closed, np.broadcast_to(gain + 0j, (len(w), n, n_y)))
     output = v.C @ state + np.eye(n_y)
     onto = np.linalg.solve(z * np.eye(n) - v.F.T, np.broadcast_to(v.C.T + 0j, (len(w), n, n_y))).transpose(0, 2, 1)
     spectrum = model.spectrum(w)
@@ -215,9 +215,9 @@ def feedback_term(v: PredictorValues, model: ErrorModel, weight: FloatArray) -> 
     for dF, dG, dC in zip(v.dF, gain_slopes, v.dC, strict=True):
         response = dC @ state + onto @ (dF @ state + dG @ output)
         terms.append(weight @ response @ spectrum)
-    found = np.array(terms)
+    weighted = np.array(terms)
     steps = np.diff(w, prepend=w[0]) / 2 + np.diff(w, append=w[-1]) / 2
-    return np.asarray(np.einsum("ifab,jfba,f->ij", found, found, steps, optimize=True).real / np.pi)
+    return np.asarray(np.einsum("ifab,jfba,f->ij", weighted, weighted, steps, optimize=True).real / np.pi)
 
 
 def _frequencies(poles: FloatArray) -> FloatArray:
@@ -300,17 +300,17 @@ def of_segment(
     )
 
 
-def tied_sensitivities(own: SegmentSensitivities, tie: FloatArray | None) -> SegmentSensitivities:
-    """Return sensitivities by the parameters to which those of the predictor are tied; see `RecordGroup`."""
+def tied_sensitivities(sensitivities: SegmentSensitivities, tie: FloatArray | None) -> SegmentSensitivities:
+    """Return sensitivities by the unknowns of a problem, ``theta = tie @ unknowns``; see `RecordGroup`."""
     if tie is None:
-        return own
+        return sensitivities
     n = len(tie)
-    by_theta = np.einsum("op,yot->ypt", tie, own.psi[:, :n], optimize=True)
-    return own._replace(psi=np.concatenate([by_theta, own.psi[:, n:]], axis=1))
+    by_theta = np.einsum("op,yot->ypt", tie, sensitivities.psi[:, :n], optimize=True)
+    return sensitivities._replace(psi=np.concatenate([by_theta, sensitivities.psi[:, n:]], axis=1))
 
 
 def tied_values(v: PredictorValues, tie: FloatArray | None) -> PredictorValues:
-    """Return a predictor with derivatives by the parameters to which its own are tied."""
+    """Return a predictor with derivatives by the unknowns of a problem, ``theta = tie @ unknowns``."""
     if tie is None:
         return v
     dF, dG, dC, dH = (np.tensordot(tie.T, slope, 1) for slope in (v.dF, v.dG, v.dC, v.dH))
@@ -336,10 +336,10 @@ def joined_segments(
         Sensitivities by the unknowns that matter.
     """
     if len(segments) == 1:  # its start is the initial state itself
-        own, index, start = segments[0]
+        segment, index, start = segments[0]
         columns = np.concatenate([index, np.flatnonzero(start.any(axis=0))])
         among = None if feedback is None else (feedback[0], np.arange(len(index)))
-        return RecordSensitivities(columns, own.psi, own.errors, own.counted, among)
+        return RecordSensitivities(columns, segment.psi, segment.errors, segment.counted, among)
     n_all = segments[0][2].shape[1]
     touched = np.zeros(n_all, bool)
     for _, index, start in segments:
@@ -348,16 +348,16 @@ def joined_segments(
     columns = np.flatnonzero(touched)
     place = np.cumsum(touched) - 1
     stretches = []
-    for own, index, start in segments:
+    for segment, index, start in segments:
         n_p = len(index)
-        psi = start[:, columns].T @ own.psi[:, n_p:]
-        psi[:, place[index]] += own.psi[:, :n_p]
+        psi = start[:, columns].T @ segment.psi[:, n_p:]
+        psi[:, place[index]] += segment.psi[:, :n_p]
         stretches.append(psi)
     return RecordSensitivities(
         columns,
         np.concatenate(stretches, axis=2),
-        np.concatenate([own.errors for own, _, _ in segments]),
-        np.concatenate([own.counted for own, _, _ in segments]),
+        np.concatenate([segment.errors for segment, _, _ in segments]),
+        np.concatenate([segment.counted for segment, _, _ in segments]),
         None if feedback is None else (feedback[0], place[feedback[1]]),
     )
 
@@ -410,15 +410,15 @@ def score_covariance(
             _add(long, transform, models[i], weight)
         else:
             short.append((i, transform, products, count))
-    found = _joined(long, root)
+    J = _joined(long, root)
     for again in range(_ROUNDS + 1 if short else 0):
-        C, total = root @ found @ root.T, long.copy()
+        C, total = root @ J @ root.T, long.copy()
         for i, transform, products, count in short:
             if again:
                 models[i] = error_model(products + _taken(transform, C, len(products) - 1), count)
             _add(total, transform, models[i], weight)
-        found = _joined(total, root)
-    return found, models
+        J = _joined(total, root)
+    return J, models
 
 
 def _joined(total: FloatArray, root: FloatArray) -> FloatArray:
@@ -465,22 +465,22 @@ class Transform(NamedTuple):
 def transformed(record: RecordSensitivities, kept: IntArray) -> Transform:
     """Return the transform of the sensitivities by the unknowns that count as estimated, (n_kept,) integers."""
     place = np.searchsorted(kept, record.columns)
-    own = np.flatnonzero(kept[np.minimum(place, len(kept) - 1)] == record.columns)
+    chosen = np.flatnonzero(kept[np.minimum(place, len(kept) - 1)] == record.columns)
     n = len(record.errors)
     size = next_fast_len(n + min(n, _APART), real=True)
-    psi = record.psi if len(own) == len(place) else record.psi[:, own]
-    feedback = _feedback(record, place, own)
+    psi = record.psi if len(chosen) == len(place) else record.psi[:, chosen]
+    feedback = _feedback(record, place, chosen)
     onto = np.fft.rfft(psi, size)  # pads row by row; that of scipy copies all rows first
-    return Transform(onto, place[own], size, feedback, record.errors, record.counted)
+    return Transform(onto, place[chosen], size, feedback, record.errors, record.counted)
 
 
 def _feedback(
-    record: RecordSensitivities, place: IntArray, own: IntArray
+    record: RecordSensitivities, place: IntArray, chosen: IntArray
 ) -> tuple[PredictorValues, IntArray, IntArray] | None:
     if record.feedback is None:
         return None
     v, columns = record.feedback
-    which = np.flatnonzero(np.isin(columns, own))
+    which = np.flatnonzero(np.isin(columns, chosen))
     return v, which, place[columns[which]]
 
 
@@ -499,8 +499,8 @@ def _products(record: Transform) -> tuple[FloatArray, int]:
 
 def _add(total: FloatArray, transform: Transform, model: ErrorModel, weight: FloatArray) -> None:
     """Add the covariance of the gradient of a record."""
-    psi, own, size = transform.psi, transform.columns, transform.size
-    found = np.zeros((len(own), len(own)))
+    psi, columns, size = transform.psi, transform.columns, transform.size
+    products = np.zeros((len(columns), len(columns)))
     factors = _weighted(model, weight, size)
     for first in range(0, psi.shape[2], _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
@@ -509,8 +509,8 @@ def _add(total: FloatArray, transform: Transform, model: ErrorModel, weight: Flo
             for factor, slopes in zip(row[1:], psi[1:, :, some], strict=True):
                 coloured += factor * slopes
             parts = coloured.view(float)
-            found += parts @ parts.T
-    total[0][np.ix_(own, own)] += 2 / size * found
+            products += parts @ parts.T
+    total[0][np.ix_(columns, columns)] += 2 / size * products
     if transform.feedback is not None and model.order:
         v, which, places = transform.feedback
         term = feedback_term(v, model, weight)
@@ -529,9 +529,9 @@ def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> FloatArray:
 
 def _taken(transform: Transform, C: FloatArray, longest: int) -> FloatArray:
     """Return the expected products, at all pairs of lags, of the part of the errors that the fit explained."""
-    psi, own, size = transform.psi, transform.columns, transform.size
-    scale = np.sqrt(np.maximum(np.diag(C)[own], np.finfo(float).tiny))
-    values, axes = np.linalg.eigh(C[np.ix_(own, own)] / np.outer(scale, scale))
+    psi, columns, size = transform.psi, transform.columns, transform.size
+    scale = np.sqrt(np.maximum(np.diag(C)[columns], np.finfo(float).tiny))
+    values, axes = np.linalg.eigh(C[np.ix_(columns, columns)] / np.outer(scale, scale))
     part = (scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))).T @ psi
     spectrum = np.einsum("amf,bmf->fab", part, part.conj(), optimize=True)
     lags = irfft(spectrum, size, axis=0)[: longest + 1]  # sums of q[k] q[k - lag]'
@@ -709,16 +709,16 @@ def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
     (lags + 1,) array
         Correlation at each lag.
     """
-    own = first is second
+    alike = first is second
     first = np.ascontiguousarray(first)
-    second = first if own else np.ascontiguousarray(second)
+    second = first if alike else np.ascontiguousarray(second)
     if lags <= _FEW:
         size = len(first)
         product = np.array([first[: size - lag] @ second[lag:] if lag < size else 0.0 for lag in range(lags + 1)])
     else:
         n = next_fast_len(len(first) + lags + 1, real=True)
         ahead = rfft(first, n)
-        behind = ahead if own else rfft(second, n)
+        behind = ahead if alike else rfft(second, n)
         product = irfft(np.conj(ahead) * behind, n)[: lags + 1]
     scale = np.sqrt(float(first @ first) * float(second @ second))
     return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)

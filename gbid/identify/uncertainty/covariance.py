@@ -171,18 +171,18 @@ def record_information(
     list of RecordInformation
         In the order of the records.
     """
-    found = {}
+    information = {}
     for v, part, first in zip(problem.values(theta), problem.parts, problem.first_window[:-1], strict=True):
         for segment, window in zip(part.blocks.segments, part.blocks.segment_first, strict=True):
             length = min(max(len(segment.outputs) // _BLOCKS, _SHORTEST), LONGEST_BLOCK)
             blocks = cut([segment], part.predictor, None, longest_block=length)
-            (own,) = part.kernel.trace(v, blocks, starts[first + window][None], [weight])
-            mixed = own.sums.hessian_mixed[0]
-            found[int(first + window)] = RecordInformation(
-                np.block([[own.sums.hessian, mixed], [mixed.T, own.sums.hessian_start[0]]]),
-                -_scores(own),
+            (traced,) = part.kernel.trace(v, blocks, starts[first + window][None], [weight])
+            mixed = traced.sums.hessian_mixed[0]
+            information[int(first + window)] = RecordInformation(
+                np.block([[traced.sums.hessian, mixed], [mixed.T, traced.sums.hessian_start[0]]]),
+                -_scores(traced),
             )
-    return [found[int(window)] for window in record_window]
+    return [information[int(window)] for window in record_window]
 
 
 def profiled(information: RecordInformation, kept: IntArray) -> RecordInformation:
@@ -198,12 +198,12 @@ def profiled(information: RecordInformation, kept: IntArray) -> RecordInformatio
     )
 
 
-def _scores(own: Traced) -> FloatArray:
+def _scores(traced: Traced) -> FloatArray:
     """Return the gradient of each block by the parameters and the start of its window."""
-    live = slice(0, int(own.linked.by_theta.shape[0]))
-    by_start = own.by_block.gradient_start[live][:, None, :]
-    by_theta = own.by_block.gradient[live] + (by_start @ own.linked.by_theta)[:, 0]
-    return np.hstack([by_theta, (by_start @ own.linked.by_start)[:, 0]])
+    live = slice(0, int(traced.linked.by_theta.shape[0]))
+    by_start = traced.by_block.gradient_start[live][:, None, :]
+    by_theta = traced.by_block.gradient[live] + (by_start @ traced.linked.by_theta)[:, 0]
+    return np.hstack([by_theta, (by_start @ traced.linked.by_start)[:, 0]])
 
 
 def _sensitivities(
@@ -213,7 +213,7 @@ def _sensitivities(
     passes: Sequence[Traced],
     chains: dict[int, tuple[FloatArray, int]],
 ) -> Iterator[RecordSensitivities]:
-    """Make the sensitivities of one record after the other; those of all records would fill the memory."""
+    """Return an iterator over the sensitivities of the records; all at once would fill the memory."""
     of_record: dict[int, list[tuple[int, int, int]]] = {}  # windows, parts and places of its segments
     for k, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
         for i, window in enumerate(part.blocks.segment_first):
@@ -240,18 +240,18 @@ def _sensitivities(
     return (of(of_record[record]) for record in sorted(of_record))  # holds none that it has given away
 
 
-def _symmetric(own: PartHessian, tie: FloatArray | None) -> PartHessian:
-    """Return the symmetric part of what Gauss-Newton omits, by the parameters to which those of the part are tied."""
-    theta = (own.theta + own.theta.T) / 2
-    return PartHessian(theta, own.mixed) if tie is None else PartHessian(tie.T @ theta @ tie, tie.T @ own.mixed)
+def _symmetric(omitted: PartHessian, tie: FloatArray | None) -> PartHessian:
+    """Return the symmetric part of the second-order term, by the unknowns of the problem."""
+    theta = (omitted.theta + omitted.theta.T) / 2
+    return PartHessian(theta, omitted.mixed) if tie is None else PartHessian(tie.T @ theta @ tie, tie.T @ omitted.mixed)
 
 
 def _add(
-    total: FloatArray, index: IntArray, own: PartHessian, of_starts: FloatArray, along: Sequence[FloatArray]
+    total: FloatArray, index: IntArray, hessian: PartHessian, of_starts: FloatArray, along: Sequence[FloatArray]
 ) -> None:
     """Add the Hessian of a part; the sensitivities `along` convert its starts of windows to all unknowns."""
-    total[np.ix_(index, index)] += own.theta
-    for mixed, of_start, T in zip(own.mixed, of_starts, along, strict=True):
+    total[np.ix_(index, index)] += hessian.theta
+    for mixed, of_start, T in zip(hessian.mixed, of_starts, along, strict=True):
         across = mixed @ T
         total[index] += across
         total[:, index] += across.T
@@ -279,7 +279,7 @@ def _follow_segments(problem: Shooting, sums: Sequence[Sweep], chains: dict[int,
 def _omitted(
     problem: Shooting, theta: FloatArray, starts: FloatArray, sums: Sequence[Sweep], weight: FloatArray
 ) -> list[PartHessian]:
-    """Return what Gauss-Newton omits for all parameters, with each segment as one window."""
+    """Return the second-order term of the Hessian for all parameters, with each segment as one window."""
     joined_up, kept = in_one_window(problem)
     _, starts = joined_up.unpack(problem.pack(theta, starts)[kept])
     ends, values = np.zeros_like(starts), problem.values(theta)
@@ -377,7 +377,7 @@ def windowed_records(
 
 
 def _onto(slopes: FloatArray, tie: FloatArray | None) -> FloatArray:
-    """Return derivatives (..., n_own) by the parameters to which those of a predictor are tied."""
+    """Return derivatives (..., n_own) by the unknowns of a problem, ``theta = tie @ unknowns``."""
     return slopes if tie is None else np.asarray(slopes @ tie)
 
 
@@ -427,8 +427,8 @@ def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray,
     right = (by_theta / scale[:, None]).reshape(-1, n_p)
     gaps = csc_array(bmat(blocks)) if links else csc_array((0, size))
     if known.any():
-        still = csc_array(eye_array(n, size))[known]
-        gaps = csc_array(bmat([[still], [gaps]])) if links else csc_array(still)
+        fixed = csc_array(eye_array(n, size))[known]
+        gaps = csc_array(bmat([[fixed], [gaps]])) if links else csc_array(fixed)
         right = np.vstack([np.zeros((int(known.sum()), n_p)), right])
     sides = np.zeros((size, 2 * n))  # a free trajectory is seen at the first window or, where it grows, at the last
     sides[:n, :n] = sides[-n:, n:] = np.eye(n)
@@ -592,9 +592,11 @@ def covariance(
     # Weighted by the inverse of the covariance of the errors, one pass gives both.
     alike = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
     if grows(problem, theta, starts):
-        found = information_by_windows(problem, theta, starts, record_window, weight, shaped, known_starts=settled)
+        information = information_by_windows(
+            problem, theta, starts, record_window, weight, shaped, known_starts=settled
+        )
     else:
-        found = information_over_records(
+        information = information_over_records(
             problem, _BLOCK, theta, starts, record_window, weight, shaped=None if alike else shaped, observed=modelled
         )
 
@@ -603,16 +605,16 @@ def covariance(
     known = unit * _known(problem, theta, starts, n_all)
     keep = np.concatenate([~held, ~settled.ravel()])
     kept = np.ix_(keep, keep)
-    H = (found.hessian + known)[kept]
-    J_white = ((share * found.hessian if alike else found.shaped) + known * unit)[kept]
+    H = (information.hessian + known)[kept]
+    J_white = ((share * information.hessian if alike else information.shaped) + known * unit)[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
     free = _along_constraints(problem, theta, starts, n_all)[:, keep] / scale
     along = null_space(free) if len(free) else np.eye(len(scale))
     eigenvalues, vectors = np.linalg.eigh(along.T @ (H / np.outer(scale, scale)) @ along)
     vectors = along @ vectors
-    dark = eigenvalues < _UNDETERMINED * eigenvalues[-1]
-    root = vectors[:, ~dark] / np.sqrt(eigenvalues[~dark]) / scale[:, None]  # root root' is the inverse
+    undetermined = eigenvalues < _UNDETERMINED * eigenvalues[-1]
+    root = vectors[:, ~undetermined] / np.sqrt(eigenvalues[~undetermined]) / scale[:, None]  # root root' is the inverse
     flatness, n_kept = np.nan, int((~held).sum())
 
     def over_parameters(J: FloatArray, onto: FloatArray) -> FloatArray:
@@ -625,18 +627,20 @@ def covariance(
     drawn, models = None, list[ErrorModel]()
     if modelled:
         # Unlike a generator, `map` does not hold the sensitivities while their transform is in use.
-        transforms: Iterable[Transform] = map(partial(transformed, kept=np.flatnonzero(keep)), found.sensitivities)
+        transforms: Iterable[Transform] = map(
+            partial(transformed, kept=np.flatnonzero(keep)), information.sensitivities
+        )
         transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
         J, models = score_covariance(transforms, weight, root)
         J_known = root.T @ (known * unit)[kept] @ root
         J += J_known
-        blurred = eigenvalues[~dark] < _RESOLVED * eigenvalues[-1]
+        blurred = eigenvalues[~undetermined] < _RESOLVED * eigenvalues[-1]
         onto = root
-        if found.observed is not None:
-            exact = root.T @ (found.observed + known)[kept] @ root
-            own, axes = np.linalg.eigh(_with_rounding(exact, blurred, np.eye(len(blurred))))
-            flatness = float(own[0])
-            onto = root @ (axes / own) @ axes.T if flatness >= FLATTEST else root
+        if information.observed is not None:
+            exact = root.T @ (information.observed + known)[kept] @ root
+            curvatures, axes = np.linalg.eigh(_with_rounding(exact, blurred, np.eye(len(blurred))))
+            flatness = float(curvatures[0])
+            onto = root @ (axes / curvatures) @ axes.T if flatness >= FLATTEST else root
         robust = over_parameters(_with_rounding(J, blurred, J_white), onto)
         if bootstrap is not None:
             estimator = Estimator(weight, root, onto, J_known, blurred)
@@ -644,8 +648,8 @@ def covariance(
             factors[~held] = bootstrap_factors(list(transforms), models, estimator, bootstrap)[:n_kept]
             drawn = robust * np.outer(factors, factors)
 
-    directions = np.zeros((int(dark.sum()), n_p))
-    directions[:, ~held] = vectors[:n_kept, dark].T
+    directions = np.zeros((int(undetermined.sum()), n_p))
+    directions[:, ~held] = vectors[:n_kept, undetermined].T
     # A direction of initial states alone does not concern the parameters.
     directions = directions[np.linalg.norm(directions, axis=1) > 1e-2]
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
@@ -672,7 +676,7 @@ def _along_constraints(problem: Shooting, theta: FloatArray, starts: FloatArray,
 
 
 def _with_rounding(matrix: FloatArray, blurred: BoolArray, instead: FloatArray) -> FloatArray:
-    """Return a matrix with another one in the directions that rounding has blurred."""
+    """Return a matrix whose rows and columns of blurred directions are those of `instead`."""
     result = matrix.copy()
     result[blurred], result[:, blurred] = instead[blurred], instead[:, blurred]
     return result
@@ -773,7 +777,7 @@ def model_spreads(
     names: Sequence[str],
     tie: FloatArray | None = None,
 ) -> ModelSpreads:
-    """Return slopes and standard deviations; of a nonlinear model those of the linear one at its working point.
+    """Return slopes and standard deviations of the model, for a nonlinear one at its working point.
 
     Parameters
     ----------
@@ -791,7 +795,7 @@ def model_spreads(
         Matrix from all free parameters to the predictor's own at the model's point, for a scheduled structure.
     """
     part, predictor = problem.parts[0], problem.parts[0].predictor
-    own = chosen[np.ix_(part.index, part.index)] if tie is None else tie @ chosen @ tie.T
+    local_covariance = chosen[np.ix_(part.index, part.index)] if tie is None else tie @ chosen @ tie.T
     tie = np.eye(len(theta))[part.index] if tie is None else tie
     dt: float | None = None
     local = tie @ theta
@@ -810,9 +814,9 @@ def model_spreads(
         dt = predictor.feedback.sample_time if predictor.feedback else None
     slopes = ModelSlopes(*(np.tensordot(tie.T, slope, 1) for slope in by_own))
     gain_std = np.full(D.value.shape, np.nan)
-    if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
+    if not (np.isfinite(local_covariance).all() and np.isfinite(A.value).all()):
         return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)
     at_rest = A if dt is None else A - np.eye(A.shape[0])  # x[k+1] = x[k]
     if np.linalg.cond(at_rest.value) < 1e15:
-        gain_std = spread(static_gain_slopes(at_rest, B, C, D)[1], own)
-    return ModelSpreads(slopes, spread(mode_slopes(A, dt)[1], own), gain_std)
+        gain_std = spread(static_gain_slopes(at_rest, B, C, D)[1], local_covariance)
+    return ModelSpreads(slopes, spread(mode_slopes(A, dt)[1], local_covariance), gain_std)

@@ -241,10 +241,10 @@ def response_slopes(model: LinearModel, slopes: ModelSlopes, frequency_hz: Float
     drive = np.broadcast_to(model.B, (len(s), *model.B.shape)).astype(complex)
     d_drive = np.broadcast_to(slopes.B[:, None], (len(slopes.B), *drive.shape)).astype(complex)
     if model.delay is not None and model.B_delayed is not None:
-        late = np.exp(-s[:, None] * model.delay)[:, None]
-        drive = drive + model.B_delayed * late
-        d_drive = d_drive + slopes.B_delayed[:, None] * late
-        d_drive -= (s[:, None, None] * late * model.B_delayed) * slopes.delay[:, None, None]
+        delays = np.exp(-s[:, None] * model.delay)[:, None]
+        drive = drive + model.B_delayed * delays
+        d_drive = d_drive + slopes.B_delayed[:, None] * delays
+        d_drive -= (s[:, None, None] * delays * model.B_delayed) * slopes.delay[:, None, None]
     states = inverse @ drive
     return np.asarray(
         np.einsum("pyn,fnu->pfyu", slopes.C, states, optimize=True)
@@ -403,9 +403,9 @@ def time_response(source: ModelLike, kind: Excited = "step", duration_s: float |
             b = Dual(matrix[:, [j]], slope[:, :, [j]])
             if not (b.value.any() or b.slope.any()):
                 continue
-            found, moved = _course(A, b, C, t - delay, kind, d_delay)
-            value[:, :, j] += found
-            change[..., j] += moved
+            course, course_slopes = _course(A, b, C, t - delay, kind, d_delay)
+            value[:, :, j] += course
+            change[..., j] += course_slopes
         if kind == "step":
             value[:, :, j] += model.D[:, j]
             change[..., j] += slopes.D[:, None, :, j]
@@ -578,11 +578,13 @@ def ellipse(covariance: FloatArray, level: float = LEVEL, n: int = 60) -> FloatA
     (n, 2) array
         Points of the closed edge.
     """
-    own, axes = np.linalg.eigh(covariance)
+    variances, axes = np.linalg.eigh(covariance)
     angle = np.linspace(0, 2 * np.pi, n)
-    single = own[0] <= 1e-9 * own[1]  # one variable only, as for a real pole
+    single = variances[0] <= 1e-9 * variances[1]  # one variable only, as for a real pole
     radius = quantile(level) if single else sqrt(-2 * log(1 - level))
-    return np.asarray(radius * np.column_stack([np.cos(angle), np.sin(angle)]) * np.sqrt(np.maximum(own, 0)) @ axes.T)
+    return np.asarray(
+        radius * np.column_stack([np.cos(angle), np.sin(angle)]) * np.sqrt(np.maximum(variances, 0)) @ axes.T
+    )
 
 
 def _pencil(
@@ -604,11 +606,14 @@ def _pencil(
 def _zero_pencil(
     model: LinearModel, slopes: ModelSlopes | None
 ) -> tuple[FloatArray, FloatArray, FloatArray | None] | None:
-    """Return the pencil M, N of the zeros and the derivatives of M; None where there are no zeros to be had."""
+    """Return the pencil (M, N) of the transmission zeros, and the derivatives of M.
+
+    None for a system that is not square, or with an input that acts both promptly and with a delay.
+    """
     n_y, n_u = model.D.shape
     prompt = model.B.any(axis=0) | model.D.any(axis=0)
-    late = np.zeros(n_u, bool) if model.B_delayed is None else model.B_delayed.any(axis=0)
-    if n_y != n_u or not n_u or (prompt & late).any():
+    delayed = np.zeros(n_u, bool) if model.B_delayed is None else model.B_delayed.any(axis=0)
+    if n_y != n_u or not n_u or (prompt & delayed).any():
         return None
     B = model.B if model.B_delayed is None else model.B + model.B_delayed
     M = np.block([[model.A, B], [model.C, model.D]])

@@ -69,17 +69,17 @@ def hardly_determined(values: FloatArray, white: FloatArray, names: npt.NDArray[
     open_sign = np.isfinite(sigma) & (sigma > np.abs(values)) & (values != 0)
     if not open_sign.any():
         return []
-    own = np.flatnonzero(open_sign)
-    size = np.abs(values[own])
-    _, axes = np.linalg.eigh(white[np.ix_(own, own)] / np.outer(size, size))
-    notes, told = [], np.zeros(len(own), bool)
+    chosen = np.flatnonzero(open_sign)
+    size = np.abs(values[chosen])
+    _, axes = np.linalg.eigh(white[np.ix_(chosen, chosen)] / np.outer(size, size))
+    notes, told = [], np.zeros(len(chosen), bool)
     for direction in axes.T[::-1]:
         strong = np.abs(direction) > _INVOLVED * np.abs(direction).max()
         if told[strong].all():
             continue
         told |= strong
-        involved = names[own[strong]]
-        times = float((sigma[own] / size)[strong].max())
+        involved = names[chosen[strong]]
+        times = float((sigma[chosen] / size)[strong].max())
         if len(involved) == 1:
             text = (
                 f"the data leave even the sign of {involved[0]} open: its standard deviation for white errors is "
@@ -97,9 +97,9 @@ def hardly_determined(values: FloatArray, white: FloatArray, names: npt.NDArray[
     return notes
 
 
-def far_below_white(found: Covariance, names: npt.NDArray[np.str_]) -> list[str]:
-    """Return a note on parameters whose robust standard deviation is far below the one for white errors."""
-    white, robust = (np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (found.white, found.robust))
+def far_below_white(estimate: Covariance, names: npt.NDArray[np.str_]) -> list[str]:
+    """Return a note on parameters with a robust standard deviation far below that for white errors."""
+    white, robust = (np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (estimate.white, estimate.robust))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = robust / white
     low = np.flatnonzero(np.isfinite(ratio) & (white > 0) & (ratio < _FAR_BELOW))
@@ -166,7 +166,7 @@ _OF_A_MEAN = 10.0  # the same for short records, over the number of samples
 
 
 def explains_nothing(problem: Shooting, products: FloatArray, outputs: list[FloatArray]) -> bool:
-    """Return whether the errors are larger than those of a constant for each record, its mean.
+    """Return whether the fit is worse than the mean of each record.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ _CERTAIN = 50.0  # the same times the number of samples: far beyond chance for a
 
 
 def share_of_feedback(record: Record, errors: FloatArray) -> float:
-    """Return the share of what is new in the inputs that past errors explain, the largest of all inputs.
+    """Return the share of an input's innovation that past errors explain, the largest of all inputs.
 
     Parameters
     ----------
@@ -260,8 +260,8 @@ def share_of_feedback(record: Record, errors: FloatArray) -> float:
     squares = triangle[:, sum(columns) :] ** 2
     new, left = (squares[above:].sum(axis=0) for above in (columns[0], sum(columns)))
     share = 1 - left / np.where(new > 0, new, 1.0)
-    found = float(np.max(share[new > 1e-9 * (n - begin)], initial=0.0))  # known from its past: left out
-    return found if found * (n - begin) > _CERTAIN * columns[1] / 8 else 0.0
+    largest = float(np.max(share[new > 1e-9 * (n - begin)], initial=0.0))  # known from its past: left out
+    return largest if largest * (n - begin) > _CERTAIN * columns[1] / 8 else 0.0
 
 
 def feedback_notes(records: Sequence[Record], errors: Sequence[FloatArray]) -> tuple[str, ...]:
