@@ -29,10 +29,10 @@ def check(
     loaded = options.load(experiment)
     problems, code, (needed, free) = find_data_problems(loaded)
     reported = "\n".join(problems)
-    for planned, text, own in find_import_problems(loaded) if not quick else ():
+    for planned, text, severity in find_import_problems(loaded) if not quick else ():
         if text not in reported:
             problems.append(f"{loaded.file.position(planned.location)}: {text}")
-            code = max(code, own)
+            code = max(code, severity)
     print_notes(changed_files(loaded))
     for text in problems:
         tell(f"gbid: error: {text}")
@@ -68,17 +68,17 @@ def doctor(options: CommonOptions) -> None:
     from gbid.core.tables import Column, Table
     from gbid.experiment.examination import Verdict, examine
 
-    found = examine()
+    findings = examine()
     if options.as_json:
-        print_json({"findings": [finding.document() for finding in found]})
+        print_json({"findings": [finding.document() for finding in findings]})
     else:
         columns = [Column("what"), Column("verdict"), Column("found", wrap=True)]
-        rows = [[finding.what, finding.verdict.value, finding.found] for finding in found]
+        rows = [[finding.what, finding.verdict.value, finding.found] for finding in findings]
         print_tables(Table("this machine", columns, rows))
-    for finding in found:
+    for finding in findings:
         if finding.remedy:
             tell(f"gbid: {finding.verdict.value}: {finding.what}: {finding.remedy}")
-    if any(finding.verdict is Verdict.BAD for finding in found):
+    if any(finding.verdict is Verdict.BAD for finding in findings):
         raise typer.Exit(1)
 
 

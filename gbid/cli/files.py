@@ -117,10 +117,10 @@ def _signal(text: str) -> tuple[str, tuple[str, ...]]:
     """Return name and columns of an option like ``p=Weg x,Weg y``."""
     name, _, columns = text.partition("=")
     counts = {"r": 2, "u": 2, "p": 2, "phi": 1}
-    found = tuple(column.strip() for column in columns.split(",") if column.strip())
-    if len(found) != counts.get(name.strip()):
+    names = tuple(column.strip() for column in columns.split(",") if column.strip())
+    if len(names) != counts.get(name.strip()):
         raise UsageError(f"--signal: expected r, u or p with two columns, or phi with one, as p=X,Y; found {text!r}")
-    return name.strip(), found
+    return name.strip(), names
 
 
 def _drafted(options: DraftOptions, target: Path) -> Draft:
@@ -232,15 +232,15 @@ def export(
     from gbid.experiment.exporting import find_exports, write_exports
 
     export_target(to)
-    found = find_exports(source, at, options.results)
-    request = ExportRequest(output or found.folder, options.overwrite, at, number, mass)
-    files = [str(path) for path in write_exports(found, to, request)]
+    exports = find_exports(source, at, options.results)
+    request = ExportRequest(output or exports.folder, options.overwrite, at, number, mass)
+    files = [str(path) for path in write_exports(exports, to, request)]
     if options.as_json:
-        print_json({"files": files, "left_out": list(found.left_out), "notes": list(found.notes)})
+        print_json({"files": files, "left_out": list(exports.left_out), "notes": list(exports.notes)})
     else:
         typer.echo("\n".join(files))
-    print_notes(found.notes)
-    for text in found.left_out:
+    print_notes(exports.notes)
+    for text in exports.left_out:
         tell(f"gbid: warning: left out: {text}")
 
 
@@ -266,15 +266,15 @@ def clean(
     loaded = options.load(experiment)
     cache = cache_folder() if kernels else None
     if options.dry_run or not loaded.results.is_dir():
-        found = stale_files(loaded.results, everything, cache)
+        stale = stale_files(loaded.results, everything, cache)
     else:
         with locked(loaded.results):
-            found = stale_files(loaded.results, everything, cache)
-            remove(loaded.results, found)
+            stale = stale_files(loaded.results, everything, cache)
+            remove(loaded.results, stale)
     if options.as_json:
-        print_json({"results": loaded.results, "removed": [] if options.dry_run else found, "found": found})
+        print_json({"results": loaded.results, "removed": [] if options.dry_run else stale, "found": stale})
         return
     if not options.quiet:
-        for path in found:
+        for path in stale:
             typer.echo(str(path))
-    typer.echo(f"{len(found)} files {'would be ' if options.dry_run else ''}removed")
+    typer.echo(f"{len(stale)} files {'would be ' if options.dry_run else ''}removed")

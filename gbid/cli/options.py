@@ -27,11 +27,11 @@ def files_ending(*endings: str) -> Callable[[str], list[str]]:
         written, slash, begun = incomplete.rpartition("/")
         folder = Path(written + slash).expanduser() if slash else Path()
         try:
-            found = sorted(folder.iterdir())
+            paths = sorted(folder.iterdir())
         except OSError:
             return []
         offered = []
-        for path in found:
+        for path in paths:
             if path.name.startswith(begun) and (begun.startswith(".") or not path.name.startswith(".")):
                 if path.is_dir():
                     offered.append(f"{written}{slash}{path.name}/")

@@ -41,8 +41,8 @@ class Tally:
         Numbers of items to make, existing, and failed before.
     """
 
-    def __init__(self, stage: str = "", todo: int = 0, there: int = 0, failed: int = 0) -> None:
-        self.stage, self.todo, self.there, self.before = stage, todo, there, failed
+    def __init__(self, stage: str = "", todo: int = 0, kept: int = 0, failed: int = 0) -> None:
+        self.stage, self.todo, self.there, self.before = stage, todo, kept, failed
         self.done = self.failed = self.stuck = 0
         self._running: set[str] = set()
         self.worst, self.worst_item = math.inf, ""

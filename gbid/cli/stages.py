@@ -127,9 +127,9 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
 
 
 def _exit_code(failed: Sequence[Outcome], stuck: Sequence[Outcome], missed: Sequence[Mapping[str, Any]]) -> int:
-    found = [_CODES.get(o.cause, DataError.exit_code) for o in failed]
-    found += [NotConvergedError.exit_code] * bool(stuck) + [ThresholdError.exit_code] * bool(missed)
-    return min(found, default=0)
+    codes = [_CODES.get(o.cause, DataError.exit_code) for o in failed]
+    codes += [NotConvergedError.exit_code] * bool(stuck) + [ThresholdError.exit_code] * bool(missed)
+    return min(codes, default=0)
 
 
 # ---- What a verb would make, without making it: `--dry-run`.

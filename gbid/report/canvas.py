@@ -44,10 +44,10 @@ def figure_of(drawn: Drawn) -> Figure:
     drawn : matplotlib Figure, Axes, or array of Axes
         A figure, or axes of one.
     """
-    found: Any = drawn.flat[0] if isinstance(drawn, np.ndarray) else drawn
-    while not isinstance(found, Figure):  # axes, or axes in a subfigure
-        found = found.figure
-    return found
+    artist: Any = drawn.flat[0] if isinstance(drawn, np.ndarray) else drawn
+    while not isinstance(artist, Figure):  # axes, or axes in a subfigure
+        artist = artist.figure
+    return artist
 
 
 def save_figure(figure: Drawn, path: Path, *, kind: str | None = None, note: str = "") -> None:
@@ -97,10 +97,10 @@ def unit_label(unit: str) -> tuple[float, str]:
 
 def symbol(name: str) -> str:
     """Return the name of a channel as the paper writes it: ``p_x`` with an index. Other names stay as they are."""
-    found = _SYMBOL.fullmatch(name)
-    if found is None:
+    match = _SYMBOL.fullmatch(name)
+    if match is None:
         return plain_label(name)
-    return f"${found[1]}_{{{found[2]}}}$" if found[2] else f"${found[1]}$"
+    return f"${match[1]}_{{{match[2]}}}$" if match[2] else f"${match[1]}$"
 
 
 P = ParamSpec("P")
@@ -137,8 +137,8 @@ def own_style() -> Iterator[None]:
     program that does not use pyplot, as the command line, draws on white.
     """
     now: Any = mpl.rcParams
-    own: Any = {key: now[key] for key in _COLOURS} if "matplotlib.pyplot" in sys.modules else {}
-    with mpl.rc_context(rc=own, fname=STYLE):
+    colours: Any = {key: now[key] for key in _COLOURS} if "matplotlib.pyplot" in sys.modules else {}
+    with mpl.rc_context(rc=colours, fname=STYLE):
         yield
 
 

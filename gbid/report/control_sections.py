@@ -117,14 +117,14 @@ def _impact(
 def held_back(design: TunedDesign) -> list[str]:
     """Return the warnings of a design: limits that are not met, and gains on their bounds."""
     result = design.result
-    found = []
+    texts = []
     if not result.success:
-        found.append(f"{result.status}, limits exceeded by {100 * result.violation:.2g} %")
+        texts.append(f"{result.status}, limits exceeded by {100 * result.violation:.2g} %")
     stuck = [text for text in result.active if text.endswith("bound")]
     if stuck:
-        found.append(f"limited by {', '.join(stuck)}; wider bounds may damp more")
-    found += [f"under the cap {cap:g}: {entry.status}" for cap, entry in design.front if not entry.success]
-    return found
+        texts.append(f"limited by {', '.join(stuck)}; wider bounds may damp more")
+    texts += [f"under the cap {cap:g}: {entry.status}" for cap, entry in design.front if not entry.success]
+    return texts
 
 
 def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
@@ -227,14 +227,14 @@ def _modes(results: Results, design: AssessedDesign) -> list[Block]:
         if known.kind != "expected" or not design.plant.domain.contains(*point):
             continue
         plant = design.plant.plant_at(*point)
-        found = (close_loop(plant, design.at(point)) if known.loop == "closed" else plant).modes()
+        modes = (close_loop(plant, design.at(point)) if known.loop == "closed" else plant).modes()
         for k, (frequency, damping) in enumerate(known.modes):
             rows.append(
                 (
                     f"{point_label(*point)}, {known.loop} loop, mode {k + 1}",
-                    found[k][0] if k < len(found) else None,
+                    modes[k][0] if k < len(modes) else None,
                     frequency,
-                    found[k][1] if k < len(found) else None,
+                    modes[k][1] if k < len(modes) else None,
                     damping,
                     known.source,
                 )
@@ -273,9 +273,9 @@ def cycle_section(results: Results) -> PageSection | None:
         return None
     rows = results.cycle
     if not rows:
-        asked = not results.experiment.spec.cycle.in_run
-        text = "`gbid cycle` runs the rounds; `gbid run` leaves them out" if asked else _INCOMPLETE
-        return PageSection("cycle", "Cycle", [Words(text, "" if asked else "warn")])
+        on_request = not results.experiment.spec.cycle.in_run
+        text = "`gbid cycle` runs the rounds; `gbid run` leaves them out" if on_request else _INCOMPLETE
+        return PageSection("cycle", "Cycle", [Words(text, "" if on_request else "warn")])
     return PageSection("cycle", "Cycle", [cycle_summary(cycle_documents(rows))])
 
 

@@ -72,7 +72,7 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
                 "parameter": name,
                 "estimate": estimate,
                 "std": finite_or_none(std),
-                **{key: finite_or_none(own[name]) for key, own in by_kind.items()},
+                **{key: finite_or_none(stds[name]) for key, stds in by_kind.items()},
                 "truth": true,
                 "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
                 "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
@@ -197,11 +197,11 @@ def summary_lines(document: Row) -> Iterator[Line]:
     (word, text)
         Heading and text of each line.
     """
-    own = "one step ahead" if document["options"].get("focus") == "prediction" else "simulated"
+    how = "one step ahead" if document["options"].get("focus") == "prediction" else "simulated"
     for recording in document["recordings"]:
         fits = [row for row in document["fit_percent"] if row["recording"] == recording]
         text = ", ".join(f"{row['output']} {row['fit_percent']:.2f} %" for row in fits)
-        yield "fit", f"{text} ({own}, on {recording})"
+        yield "fit", f"{text} ({how}, on {recording})"
     if len(document["whiteness"]) > 1:
         det = document["options"].get("criterion") == "det"
         yield "outputs", "weighted by the covariance of their errors (det)" if det else "squared errors summed (trace)"
@@ -377,19 +377,19 @@ def campaign_document(experiment: Experiment, outcomes: Sequence[Outcome], table
 def _fit_of_campaign(table: FitTable, name: str) -> Row:
     """Return numbers of converged and missing fits of one name, their median fit percent, and the worst fit."""
     rows = table.select(fit=name)
-    there = np.isfinite(rows.fit_percent).any(axis=1)
-    smallest = rows.fit_percent[there].min(axis=1, initial=np.inf)
+    made = np.isfinite(rows.fit_percent).any(axis=1)
+    smallest = rows.fit_percent[made].min(axis=1, initial=np.inf)
     worst = int(np.argmin(smallest)) if smallest.size else None
     return {
         "fit": name,
         "fits": len(rows),
         "converged": int(rows.success.sum()),
-        "not_converged": int(there.sum() - rows.success.sum()),
-        "missing": int((~there).sum()),
+        "not_converged": int(made.sum() - rows.success.sum()),
+        "missing": int((~made).sum()),
         "median_fit_percent": {
-            output: float(np.median(rows.fit_percent[there, j])) for j, output in enumerate(rows.output_names)
+            output: float(np.median(rows.fit_percent[made, j])) for j, output in enumerate(rows.output_names)
         },
-        "worst": None if worst is None else str(rows.model[there][worst]),
+        "worst": None if worst is None else str(rows.model[made][worst]),
         "worst_fit_percent": None if worst is None else float(smallest[worst]),
     }
 

@@ -117,16 +117,18 @@ def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal[
     UsageError
         When a loop has no impact along this axis.
     """
-    found = {"open loop": validation_along(open_loop, axis), "closed loop": validation_along(closed_loop, axis)}
+    validations = {"open loop": validation_along(open_loop, axis), "closed loop": validation_along(closed_loop, axis)}
     j = "xy".index(axis)
-    starts = {label: max(0, v.windows[0][0] - _BEFORE) for label, v in found.items()}
-    first = found["open loop"]
-    length = min(first.windows[0][1] - starts["open loop"], *(_until_next(v) - starts[k] for k, v in found.items()))
+    starts = {label: max(0, v.windows[0][0] - _BEFORE) for label, v in validations.items()}
+    first = validations["open loop"]
+    length = min(
+        first.windows[0][1] - starts["open loop"], *(_until_next(v) - starts[k] for k, v in validations.items())
+    )
     parts = {label: slice(start, start + length) for label, start in starts.items()}
     return ImpactCurves(
         first.time[parts["open loop"]] - first.time[first.windows[0][0]],
-        {label: v.measured[parts[label], j] for label, v in found.items()},
-        {label: v.force[parts[label], j] for label, v in found.items()},
+        {label: v.measured[parts[label], j] for label, v in validations.items()},
+        {label: v.force[parts[label], j] for label, v in validations.items()},
         axis,
         place_of(open_loop.conditions),
     )
@@ -175,8 +177,8 @@ def validation_along(study: ImpactStudy, axis: str) -> ImpactValidation:
     for validation in study.validations:
         if validation.axis == axis:
             return validation
-    there = ", ".join(v.axis for v in study.validations) or "none"
-    raise UsageError(f"no impact along {axis} in {study.loop} loop; there is {there}")
+    axes = ", ".join(v.axis for v in study.validations) or "none"
+    raise UsageError(f"no impact along {axis} in {study.loop} loop; there is {axes}")
 
 
 def _until_next(validation: ImpactValidation) -> int:
@@ -237,13 +239,13 @@ def impact_loops_data(studies: Mapping[str, ImpactStudy], duration_s: float = 0.
     UsageError
         When there are no studies, or when their operating points or sample times differ.
     """
-    found = list(studies.values())
-    steps = [float(v.time[1] - v.time[0]) for study in found for v in study.validations]
-    if not steps or any(s.conditions != found[0].conditions for s in found) or np.ptp(steps) > 1e-9:
+    compared = list(studies.values())
+    steps = [float(v.time[1] - v.time[0]) for study in compared for v in study.validations]
+    if not steps or any(s.conditions != compared[0].conditions for s in compared) or np.ptp(steps) > 1e-9:
         raise UsageError("loops to be compared need impacts at one operating point, sampled alike")
     before = round(_BEFORE_S / steps[0])
     after = round(duration_s / steps[0])
-    for study in found:
+    for study in compared:
         for v in study.validations:
             ends = [*(start for start, _ in v.windows[1:]), len(v.time)]
             after = min(after, *(end - start for (start, _), end in zip(v.windows, ends, strict=True)))
@@ -253,7 +255,7 @@ def impact_loops_data(studies: Mapping[str, ImpactStudy], duration_s: float = 0.
         np.asarray(steps[0] * np.arange(-before, after)),
         {label: mean for label, (mean, _) in parts.items()},
         {label: spread for label, (_, spread) in parts.items()},
-        place_of(found[0].conditions),
+        place_of(compared[0].conditions),
     )
 
 
@@ -267,8 +269,8 @@ def _averaged(study: ImpactStudy, before: int, after: int) -> tuple[FloatArray, 
 
 
 def _cut(v: ImpactValidation, j: int, before: int, after: int) -> FloatArray:
-    moved = v.measured[:, j] - v.stationary[:, j]
-    return np.array([moved[start - before : start + after] for start, _ in v.windows])
+    motion = v.measured[:, j] - v.stationary[:, j]
+    return np.array([motion[start - before : start + after] for start, _ in v.windows])
 
 
 @styled

@@ -685,19 +685,19 @@ def plot_cycle(rows: Sequence[CycleRow], ax: Sequence[Axes] | None = None) -> Ax
     _, (damping, certainty, *_) = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.9))
     points = list(dict.fromkeys((row.pressure_bar, row.speed_rpm) for row in rows))
     for i, point in enumerate(points):
-        own = [row for row in rows if (row.pressure_bar, row.speed_rpm) == point]
-        at = np.array([row.round for row in own])
+        rounds = [row for row in rows if (row.pressure_bar, row.speed_rpm) == point]
+        at = np.array([row.round for row in rounds])
         look = series(i)
         away = _APART * (i - (len(points) - 1) / 2)
-        reached, std = np.array([row.reached for row in own]).T
+        reached, std = np.array([row.reached for row in rounds]).T
         bars = {**look, "linestyle": "none", "capsize": 2.5, "elinewidth": 0.9}
         damping.errorbar(at + away, reached, _INTERVAL * std, label=point_label(*point), **bars)
-        expected = [row.expected_damping for row in own]
+        expected = [row.expected_damping for row in rounds]
         line = {**look, "marker": None, "linewidth": 0.8}
         damping.plot(at + away, expected, **line)
-        first = own[0]
+        first = rounds[0]
         for name, mark in (("damping", "full"), ("frequency", "none")):
-            stds = [_relative(row, name) / _relative(first, name) for row in own]
+            stds = [_relative(row, name) / _relative(first, name) for row in rounds]
             certainty.plot(at + away, stds, **{**look, "fillstyle": mark}, label=f"{name}, {point_label(*point)}")
     promised = {row.round: row.promised_damping for row in rows}
     damping.plot(list(promised), list(promised.values()), color=GREY, linewidth=0.8, label="promised by the design")

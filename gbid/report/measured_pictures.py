@@ -209,12 +209,12 @@ def crossval_data(summary: ValidationSummary) -> list[Histogram]:
     list of Histogram
         Histogram of each output; its label states the number of pairs below the first bin.
     """
-    found = []
+    histograms = []
     for j, name in enumerate(summary.output_names):
         label = f"{symbol(name)}" + (f", {summary.below[j]} more to the left" if summary.below[j] else "")
         edges, counts = (np.asarray(values[j]) for values in (summary.edges, summary.counts))
-        found.append(Histogram(label, edges, counts, float(summary.mean[j]), float(summary.std[j])))
-    return found
+        histograms.append(Histogram(label, edges, counts, float(summary.mean[j]), float(summary.std[j])))
+    return histograms
 
 
 def _histogram(summary: ValidationSummary) -> npt.NDArray[np.object_]:
@@ -262,12 +262,12 @@ class PiezoStaircase(Brief):
     def single_steps(self) -> list[tuple[FloatArray, FloatArray]]:
         """Return time [s] and position [m] of each step, both from its start; falling steps are mirrored."""
         ends = [*self.steps[1:], len(self.time)]
-        found = []
+        steps = []
         for begin, end in zip(self.steps, ends, strict=True):
             before = self.position[max(begin - 1, 0)]
             sign = np.sign(self.command[begin] - self.command[max(begin - 1, 0)]) or 1.0
-            found.append((self.time[begin:end] - self.time[begin], sign * (self.position[begin:end] - before)))
-        return found
+            steps.append((self.time[begin:end] - self.time[begin], sign * (self.position[begin:end] - before)))
+        return steps
 
 
 def piezo_staircase_data(
@@ -329,9 +329,9 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
         command, position, rising = staircase.plateaus()
         line = series(k, marker=None, linewidth=0.9)
         panel.plot(scale * command, 1e6 * position, label=plain_label(staircase.label), **line)
-        for there, marker in ((rising, "^"), (~rising, "v")):
+        for direction, marker in ((rising, "^"), (~rising, "v")):
             look = series(k, linestyle="none", marker=marker, markersize=3.5, markerfacecolor="none")
-            panel.plot(scale * command[there], 1e6 * position[there], **look)
+            panel.plot(scale * command[direction], 1e6 * position[direction], **look)
         panel.set_xlabel(f"command [{unit}]")
         panel.set_ylabel("piezo position [µm]")
         panel.legend(loc="upper left", fontsize=7.5)
@@ -414,7 +414,7 @@ def piezo_data(
 
 
 def _staircases(results: Results) -> list[PiezoStaircase]:
-    return [piezo_data(*found) for found in results.piezos]
+    return [piezo_data(*parts) for parts in results.piezos]
 
 
 # ---- Signals of a recording over time, a panel for each signal.
@@ -531,8 +531,8 @@ def residuals_data(test: ResidualTest) -> list[list[ResidualPanel]]:
     milliseconds = 1e3 * float(test.time[-1]) / max(int(test.lags[-1]), 1)
     rows = []
     for j, output in enumerate(test.output_names):
-        own, lags, cross = test.autocorrelation[j, 1:], test.lags[1:], test.cross_lags
-        row = [ResidualPanel(output, output, lags, np.asarray(milliseconds * lags), own, test.band)]
+        autocorrelation, lags, cross = test.autocorrelation[j, 1:], test.lags[1:], test.cross_lags
+        row = [ResidualPanel(output, output, lags, np.asarray(milliseconds * lags), autocorrelation, test.band)]
         for i, source in enumerate(test.input_names):
             band = float(test.cross_band[j, i])
             values = test.crosscorrelation[j, i]
@@ -795,14 +795,14 @@ _ZOOM = (1.2, 1.4)  # part of the recording that Fig. 7 shows [s]
 def _shown_response(results: Results) -> Validation:
     """Return the validation of a bearing model on its own recording, at the paper's operating point or the first."""
     name = results.fit_with("rotor_bearing")
-    there = [
+    made = [
         model
         for model in fit_models(results.experiment, name)
         if fit_result(results.experiment, name, model).path.is_file()
     ]
-    if not there:
+    if not made:
         raise DataError(f"no model of fit {name!r} is there; run `gbid fit` or `gbid run`")
-    model = next((m for m in there if m.startswith("p5_n6000_")), there[0])
+    model = next((m for m in made if m.startswith("p5_n6000_")), made[0])
     return validate_pair(results.job, name, model, recordings_of(results.experiment, name, model)[0])
 
 
@@ -872,7 +872,7 @@ def plot_static_map(
             rms = float(np.sqrt(np.mean((sweep.p[:, i] - sweep.gain[i] * sweep.u - sweep.offset[i]) ** 2)))
             line = sweep.gain[i] * ends + sweep.offset[i]
             panel.plot(_MICROMETRES * ends, _MICROMETRES * line, color=ink(), linewidth=0.9, label="straight line")
-            for there, marker, color, label in (
+            for direction, marker, color, label in (
                 (sweep.rising, "^", BLUE, "rising"),
                 (~sweep.rising, "v", RED, "falling"),
             ):
@@ -882,7 +882,7 @@ def plot_static_map(
                     "markerfacecolor": "none",
                     "linestyle": "none",
                 }
-                u, p = _MICROMETRES * sweep.u[there], _MICROMETRES * sweep.p[there, i]
+                u, p = _MICROMETRES * sweep.u[direction], _MICROMETRES * sweep.p[direction, i]
                 panel.plot(u, p, marker=marker, label=label, **points)
             text = f"$g_{{{output}{sweep.axis}}}$ = {sweep.gain[i]:z.3f} m/m, rms {_MICROMETRES * rms:.2g} µm"
             panel.set_title(text, loc="right", pad=4, fontsize=8)
@@ -919,9 +919,9 @@ def static_map_data(result: StaticMap) -> list[StaticSweep]:
     return sweeps
 
 
-def static_map_figure(found: StaticMap) -> npt.NDArray[np.object_]:
+def static_map_figure(result: StaticMap) -> npt.NDArray[np.object_]:
     """Draw a static map with its operating point (Fig. 5)."""
-    return plot_static_map(static_map_data(found), title=place_of(found.conditions))
+    return plot_static_map(static_map_data(result), title=place_of(result.conditions))
 
 
 FIGURES = (

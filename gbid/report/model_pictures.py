@@ -73,19 +73,19 @@ def labelled(sources: Sources) -> dict[str, UncertainModel]:
         When there is no model, when one of them is something else, or when their channels differ in number.
     """
     if isinstance(sources, Mapping):
-        found = {label: as_uncertain(source) for label, source in sources.items()}
+        labelled_models = {label: as_uncertain(source) for label, source in sources.items()}
     else:
         models = [as_uncertain(s) for s in (sources if isinstance(sources, Sequence) else [sources])]
         names = [m.model.name for m in models]
         numbered = [f"{name} ({i})" if names.count(name) > 1 else name for i, name in enumerate(names, 1)]
-        found = dict(zip(numbered, models, strict=True))
-    if not found:
+        labelled_models = dict(zip(numbered, models, strict=True))
+    if not labelled_models:
         raise UsageError("no model to draw; give at least one")
-    shapes = {label: m.model.D.shape for label, m in found.items()}
+    shapes = {label: m.model.D.shape for label, m in labelled_models.items()}
     if len(set(shapes.values())) > 1:
         listed = ", ".join(f"{label} {n_y} x {n_u}" for label, (n_y, n_u) in shapes.items())
         raise UsageError(f"models with different numbers of outputs and inputs in one figure: {listed}")
-    return found
+    return labelled_models
 
 
 _MEASURED: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.0, "color": GREY, "zorder": 1}
@@ -306,11 +306,11 @@ def campbell_data(models: Mapping[float, ModelLike]) -> Campbell:
     speeds = sorted(models)
     rows = []
     for speed in speeds:
-        found = pole_zero(models[speed])
-        keep = np.flatnonzero(one_of_each_pair(found.poles))
-        poles = found.poles[keep]
+        poles_of_model = pole_zero(models[speed])
+        keep = np.flatnonzero(one_of_each_pair(poles_of_model.poles))
+        poles = poles_of_model.poles[keep]
         towards = np.column_stack([poles.real, poles.imag]) / np.abs(poles)[:, None]
-        variance = np.einsum("ia,iab,ib->i", towards, found.pole_covariance[keep], towards)
+        variance = np.einsum("ia,iab,ib->i", towards, poles_of_model.pole_covariance[keep], towards)
         rows.append((np.abs(poles) / (2 * np.pi), np.sqrt(variance) / (2 * np.pi), -poles.real / np.abs(poles)))
     most = max(len(row[0]) for row in rows)
     columns = np.full((3, len(rows), most), np.nan)
@@ -584,13 +584,13 @@ def plot_poles(sources: Sources, ax: Axes | None = None, *, level: float = LEVEL
     figure, (axes, *_) = panels(ax, size=(4.6, 3.6))
     axes.axvline(0.0, color=GREY, linewidth=0.8)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
-    for k, (label, found) in enumerate(data.items()):
+    for k, (label, roots) in enumerate(data.items()):
         color, (cross, ring) = series(k)["color"], _MARKS[k % len(_MARKS)]
-        axes.plot(found.poles.real, found.poles.imag, cross, color=color, label=label, markersize=7)
-        _ellipses(axes, found.poles, found.pole_covariance, level, color)
-        if zeros and len(found.zeros):
-            axes.plot(found.zeros.real, found.zeros.imag, ring, color=color, markersize=6, fillstyle="none")
-            _ellipses(axes, found.zeros, found.zero_covariance, level, color)
+        axes.plot(roots.poles.real, roots.poles.imag, cross, color=color, label=label, markersize=7)
+        _ellipses(axes, roots.poles, roots.pole_covariance, level, color)
+        if zeros and len(roots.zeros):
+            axes.plot(roots.zeros.real, roots.zeros.imag, ring, color=color, markersize=6, fillstyle="none")
+            _ellipses(axes, roots.zeros, roots.zero_covariance, level, color)
     axes.set_xlabel("real part [1/s]")
     axes.set_ylabel("imaginary part [rad/s]")
     if len(data) > 1:

@@ -83,13 +83,13 @@ def _embedded(text: str, prefix: str, alt: str) -> str:
     """Return the SVG element without the parts that only a file needs; ids get a prefix, paths two decimals."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    found = _SIZE.search(body)
-    assert found is not None
-    body = body[found.end() :]
+    size = _SIZE.search(body)
+    assert size is not None
+    body = body[size.end() :]
     body = _IDS.sub(rf"\g<1>{prefix}", body.replace("xlink:href", "href"))
     body = _PATH.sub(lambda path: _LONG.sub(r"\1", path[0]), body)
     body = re.sub(r"\n\s*", "\n", body)
-    width, height = found["box"].split()[2:]
+    width, height = size["box"].split()[2:]
     # matplotlib measures in points of 1/72 inch, a page in pixels of 1/96
     look = f'style="--natural:{float(width) * 4 / 3:.0f}px;max-width:var(--natural)" class="picture"'
     return f'<svg {look} viewBox="0 0 {width} {height}" role="img" aria-label="{escape(alt, quote=True)}">{body}'
@@ -322,8 +322,8 @@ def packed(values: FloatArray) -> dict[str, Any]:
     """Return a curve as base64 of little-endian 16-bit integers, and the factor from these to the values."""
     largest = float(np.abs(values).max(initial=0.0))
     scale = largest / _LARGEST if largest > 0 else 1.0
-    whole = np.round(values / scale).astype("<i2")
-    return {"scale": scale, "values": b64encode(whole.tobytes()).decode("ascii")}
+    integers = np.round(values / scale).astype("<i2")
+    return {"scale": scale, "values": b64encode(integers.tobytes()).decode("ascii")}
 
 
 # ---- Data of the gain explorer in the page: numbers of the model, ranges, and gains at the start.

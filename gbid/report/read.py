@@ -109,24 +109,24 @@ class AssessedDesign:
         worst = {name: value for name, (value, _) in self.figures.worst.items()}
         if not self.figures.stable.all():
             return ["not stable at every operating point"]
-        found = []
+        texts = []
         if not self.figures.sampled_stable.all():
-            found.append(f"sampled loop not stable at every point, {sampling_words(self.sample_time, self.method)}")
+            texts.append(f"sampled loop not stable at every point, {sampling_words(self.sample_time, self.method)}")
         if worst["sampled_damping"] < KEPT * worst["damping"]:
             text = f"sampled, its smallest damping factor is {worst['sampled_damping']:.3f}"
-            found.append(f"{text}, not {worst['damping']:.3f}")
+            texts.append(f"{text}, not {worst['damping']:.3f}")
         peak = worst["sampled_peak_output" if self.for_sampling else "peak_output"]
         if self.cap is not None and peak > self.cap * (1 + 1e-4):
-            found.append(f"peak of S_o {peak:.3f}, above {self.cap:g}")
+            texts.append(f"peak of S_o {peak:.3f}, above {self.cap:g}")
         if self.figures.exceeds_travel.any():
-            found.append("the reference impact asks for more travel than a stack has")
-        return found
+            texts.append("the reference impact asks for more travel than a stack has")
+        return texts
 
 
 def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[AssessedDesign, ...]:
     """Return tuned designs with structure and plant, each group followed by its published controller."""
     experiment, groups = job.experiment, assessed_alike(designs)
-    found: list[AssessedDesign] = []
+    assessed: list[AssessedDesign] = []
     for group in groups:
         first = next(iter(group))
         for name, design in group.items():
@@ -137,9 +137,9 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
             for figures in design.performance[: None if name == first else 1]:
                 came = None if figures is design.performance[0] else published_design(experiment, section)
                 form = published_structure(came) if came else design_structure(experiment, section, plant.domain)
-                own = name if came is None else figures.name if len(groups) == 1 else f"{figures.name} (as {first})"
-                found.append(AssessedDesign(own, first, figures, form, *conditions, came=came is not None))
-    return tuple(sorted(found, key=lambda q: q.name not in designs))
+                label = name if came is None else figures.name if len(groups) == 1 else f"{figures.name} (as {first})"
+                assessed.append(AssessedDesign(label, first, figures, form, *conditions, came=came is not None))
+    return tuple(sorted(assessed, key=lambda q: q.name not in designs))
 
 
 def assessed_published(job: Job, model: LPVModel | None) -> tuple[AssessedDesign, ...]:
@@ -420,7 +420,7 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
     load : callable
         Function that loads the result of a task.
     """
-    found: dict[str, Value] = {}
+    results: dict[str, Value] = {}
     missing: dict[str, str] = {}
     for task in tasks:
         try:
@@ -430,10 +430,10 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
             elif outcome.state == "failed":
                 missing[task.item] = f"{task.stage} {task.item} failed: {outcome.text}"
             else:
-                found[task.item] = load(task)
+                results[task.item] = load(task)
         except GbidError as error:
             missing[task.item] = str(error)
-    return StageResults(found, missing)
+    return StageResults(results, missing)
 
 
 # ---- Results of an experiment: each is loaded at its first use; nothing is computed.
@@ -496,21 +496,21 @@ class Results:
     @cached_property
     def recordings(self) -> tuple[RecordingSignals, ...]:
         """Signals of the existing excited recordings."""
-        there = {f.item for f in self.standings if f.stage in ("rig", "import") and f.state == "there"}
+        made = {f.item for f in self.standings if f.stage in ("rig", "import") and f.state == "there"}
         planned = self.experiment.recordings.items()
-        return tuple(read_signals(self.job, name) for name, q in planned if q.excited and name in there)
+        return tuple(read_signals(self.job, name) for name, q in planned if q.excited and name in made)
 
     @cached_property
     def prefiltered(self) -> list[Row]:
         """Corrections by the prefilter, for each channel."""
-        there = [f.item for f in self.standings if f.stage == "prefilter" and f.state == "there"]
-        return [row for item in there for row in prefilter_rows([read_report(self.job.path(PREFILTERED, item))])]
+        made = [f.item for f in self.standings if f.stage == "prefilter" and f.state == "there"]
+        return [row for item in made for row in prefilter_rows([read_report(self.job.path(PREFILTERED, item))])]
 
     @cached_property
     def fits(self) -> tuple[MadeFit, ...]:
         """Existing fits."""
-        there = [f.item.partition("/") for f in self.standings if f.stage == "fit" and f.state == "there"]
-        return tuple(read_fit(self.job, fit, model) for fit, _, model in there)
+        made = [f.item.partition("/") for f in self.standings if f.stage == "fit" and f.state == "there"]
+        return tuple(read_fit(self.job, fit, model) for fit, _, model in made)
 
     def fit_with(self, structure: str) -> str:
         """Return the name of the first fit with a structure."""
@@ -524,13 +524,13 @@ class Results:
     @cached_property
     def crossval(self) -> dict[str, tuple[list[CrossvalRow], ValidationSummary]]:
         """Rows and summary of each existing cross-validation, by fit."""
-        found = {}
+        validated = {}
         for name in self.experiment.spec.crossval:
             rows = read_crossval(self.job, name)
             summary = read_summary(self.job, name) if rows else None
             if summary is not None:
-                found[name] = rows, summary
-        return found
+                validated[name] = rows, summary
+        return validated
 
     def summary(self, structure: str) -> ValidationSummary:
         """Return the cross-validation of the first fit with a structure."""
@@ -583,19 +583,19 @@ class Results:
     @property
     def piezos(self) -> list[tuple[PiezoCurve, Recording, str, str | None]]:
         """Characterised piezos with recording, and signal and channel of the command."""
-        found = []
+        piezos = []
         for name, curve in self._statics("piezo", PiezoCurve).items():
             section = self.experiment.spec.static[name]
             recording = load_made(self.job, self.experiment.matching(section.recordings)[0])
-            found.append((curve, recording, wanted_signals(section)["command"], section.command_channel))
-        return found
+            piezos.append((curve, recording, wanted_signals(section)["command"], section.command_channel))
+        return piezos
 
     def _statics(self, kind: str, result: type[Kind]) -> dict[str, Kind]:
         """Return all characterisations of a kind; at least one must be planned, and all must exist."""
-        asked = [name for name, section in self.experiment.spec.static.items() if section.kind == kind]
-        if not asked:
+        planned = [name for name, section in self.experiment.spec.static.items() if section.kind == kind]
+        if not planned:
             raise DataError(f"no static characterisation with kind: {kind}; add one to section 'static'")
-        _all_there({name: why for name, why in self.statics.missing.items() if name in asked})
+        _all_there({name: why for name, why in self.statics.missing.items() if name in planned})
         return {name: q for name, q in self.statics.found.items() if isinstance(q, result)}
 
     # ------------------------------------------------------------ designs and impacts
@@ -637,12 +637,10 @@ class Results:
             return StageResults({}, {})
         try:
             idle = loops_without_controller(self.experiment)
-            found = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda q: load(q.path, ImpactStudy))
+            made = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda q: load(q.path, ImpactStudy))
         except UsageError as error:  # their controller or model is missing
             return StageResults({}, {"impacts": str(error)})
-        return StageResults(
-            found.found, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **found.missing}
-        )
+        return StageResults(made.found, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **made.missing})
 
     @cached_property
     def loop_costs(self) -> list[LoopCostRow]:
@@ -665,8 +663,8 @@ class Results:
 
     def impacts_at(self, rotating: bool) -> dict[str, ImpactStudy]:
         """Return the impact studies of both loops at the first operating point at rest, or with a turning shaft."""
-        there = [loops for loops in self.loops if {"open", "closed"} <= set(loops)]
-        return self._loops_at(there, rotating, "in open and closed loop ")
+        points = [loops for loops in self.loops if {"open", "closed"} <= set(loops)]
+        return self._loops_at(points, rotating, "in open and closed loop ")
 
     def beside_at(self, rotating: bool) -> dict[str, ImpactStudy]:
         """Return the impact studies with further controllers at such a point, by their labels in figures."""
@@ -690,9 +688,9 @@ class Results:
 
     def _loops_at(self, points: list[dict[str, ImpactStudy]], rotating: bool, what: str) -> dict[str, ImpactStudy]:
         self._need_impacts()
-        there = (q for q in points if bool(next(iter(q.values())).conditions["speed_rpm"]) == rotating)
+        matching = (q for q in points if bool(next(iter(q.values())).conditions["speed_rpm"]) == rotating)
         why = "".join(f"; {text}" for text in self.studies.missing.values())
-        return _first(there, f"no impacts {what}{'with a turning shaft' if rotating else 'at rest'}{why}")
+        return _first(matching, f"no impacts {what}{'with a turning shaft' if rotating else 'at rest'}{why}")
 
     def _need_impacts(self) -> None:
         if self.experiment.spec.impacts is None:

@@ -67,9 +67,9 @@ def fits_section(results: Results) -> PageSection:
         rows = [(Cell(f.item, href=f"#fit&{f.item.replace('/', '%2F')}"), f.state, f.text) for f in lost]
         blocks.append(Table("Fits that are not there", [Column("fit"), Column("state"), Column("reason")], rows))
     for name in results.experiment.spec.fits:
-        there = [q for q in results.fits if q.fit == name]
-        if there:
-            blocks += _overview(results, name, there)
+        made = [q for q in results.fits if q.fit == name]
+        if made:
+            blocks += _overview(results, name, made)
     blocks += _notes(results.fits)
     data = fit_data(results)
     if data["fits"]:
@@ -106,12 +106,12 @@ def _place(results: Results, q: MadeFit) -> str:
     return point_words(results.experiment, q.result.recordings[0]) if q.point else "several"
 
 
-def _overview(results: Results, name: str, there: Sequence[MadeFit]) -> list[Block]:
-    outputs = there[0].result.model.output_names
-    focus = there[0].result.options.focus
-    own = "one step ahead" if focus == "prediction" else focus
+def _overview(results: Results, name: str, made: Sequence[MadeFit]) -> list[Block]:
+    outputs = made[0].result.model.output_names
+    focus = made[0].result.options.focus
+    how = "one step ahead" if focus == "prediction" else focus
     by_point: dict[str, list[MadeFit]] = {}
-    for q in there:
+    for q in made:
         by_point.setdefault(_place(results, q), []).append(q)
     rows: list[list[Entry]] = []
     for point, fits in by_point.items():
@@ -125,19 +125,19 @@ def _overview(results: Results, name: str, there: Sequence[MadeFit]) -> list[Blo
         *(Column(output, "%", ".2f") for output in outputs),
         Column("worst"),
     ]
-    caption = f"{name}: median fit on its own recording ({own}), by operating point"
+    caption = f"{name}: median fit on its own recording ({how}), by operating point"
     blocks: list[Block] = [Table(caption, columns, rows)]
-    if len(there) > 2 * _NAMED:
-        ordered = sorted(there, key=_smallest)
+    if len(made) > 2 * _NAMED:
+        ordered = sorted(made, key=_smallest)
         for word, chosen in (("worst", ordered[:_NAMED]), ("best", ordered[: -_NAMED - 1 : -1])):
             items = [
                 Link(f"{q.model}: {_smallest(q):.2f} % at {_place(results, q)}", fit_href(name, q.model))
                 for q in chosen
             ]
             blocks.append(Fold(f"{name}: the {word} {_NAMED}", [Listed(items)]))
-    stuck = [q for q in there if not q.result.success]
+    stuck = [q for q in made if not q.result.success]
     if stuck:
-        blocks.append(Words(f"{name}, not converged: {len(stuck)} of {len(there)} fits", "bad"))
+        blocks.append(Words(f"{name}, not converged: {len(stuck)} of {len(made)} fits", "bad"))
         blocks.append(Listed([Link(f"{q.model}: {q.result.status}", fit_href(name, q.model)) for q in stuck]))
     return blocks
 
@@ -151,8 +151,8 @@ def _notes(fits: Sequence[MadeFit]) -> list[Block]:
     if not carried:
         return []
     items = [
-        Link(f"{text} ({len(there)} {'fit' if len(there) == 1 else 'fits'})", fit_href(there[0].fit, there[0].model))
-        for text, there in sorted(carried.items(), key=lambda item: -len(item[1]))
+        Link(f"{text} ({len(noted)} {'fit' if len(noted) == 1 else 'fits'})", fit_href(noted[0].fit, noted[0].model))
+        for text, noted in sorted(carried.items(), key=lambda item: -len(item[1]))
     ]
     return [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])]
 
@@ -203,11 +203,11 @@ _LISTED = 40
 
 def validation_section(results: Results, pictures: Pictures) -> PageSection:
     """Return the section with the fit of models on recordings to which they were not fitted."""
-    asked = results.experiment.spec.crossval
-    if not asked:
+    planned = results.experiment.spec.crossval
+    if not planned:
         return PageSection("validation", "Cross-validation", [Words("This experiment asks for no cross-validation.")])
     blocks: list[Block] = []
-    for name in asked:
+    for name in planned:
         if name not in results.crossval:
             blocks.append(Words(f"{name}: not validated with the present fits; `gbid crossval` does it.", "warn"))
             continue
@@ -238,9 +238,9 @@ def _validated(
         text = f"{name}: {len(missed)} of {len(rows)} stay below the {missed[0].minimum_percent:g} % asked for."
         blocks.append(Words(text, "bad"))
     worst = sorted(rows, key=lambda row: row.fit_percent)[:_LISTED]
-    whole = "all pairs" if len(rows) <= _LISTED else f"the worst {_LISTED} of {len(rows)}"
+    shown = "all pairs" if len(rows) <= _LISTED else f"the worst {_LISTED} of {len(rows)}"
     pairs = [{**asdict(row), "missed": row.missed} for row in worst]
-    blocks.append(Fold(f"{name}: {whole}", [crossval_table(name, pairs)]))
+    blocks.append(Fold(f"{name}: {shown}", [crossval_table(name, pairs)]))
     return blocks
 
 
@@ -397,48 +397,48 @@ _STAGES = {"rig": "recordings", "import": "recordings", "prefilter": "prefiltere
 
 def warnings(results: Results) -> list[Link]:
     """Return the warnings of all results, each with a link to its section."""
-    found = [
+    links = [
         Link(f"{f.stage} {f.item}: {f.text}", "#data")
         for f in results.standings
         if f.stage != "fit" and f.state == "failed"
     ]
     lost = Counter(f.state for f in lost_fits(results))
-    found += [Link(f"{n} {_fits(n)} {_LOST[state]}", "#fits") for state, n in lost.items()]
+    links += [Link(f"{n} {_fits(n)} {_LOST[state]}", "#fits") for state, n in lost.items()]
     problems = sum(len(q.problems) for q in results.recordings)
     if problems:
-        found.append(Link(f"{problems} problems in the signals of the recordings", "#data"))
+        links.append(Link(f"{problems} problems in the signals of the recordings", "#data"))
     stuck = sum(not q.result.success for q in results.fits)
     if stuck:
-        found.append(Link(f"{stuck} {_fits(stuck)} did not converge", "#fits"))
+        links.append(Link(f"{stuck} {_fits(stuck)} did not converge", "#fits"))
     for name, (rows, summary) in results.crossval.items():
         missed = sum(row.missed for row in rows)
         if missed:
-            found.append(Link(f"{name}: {missed} validations below the minimum asked for", "#validation"))
+            links.append(Link(f"{name}: {missed} validations below the minimum asked for", "#validation"))
         coloured = sum(row.residuals_white is False for row in rows)
         if coloured:
             tested = sum(row.residuals_white is not None for row in rows)
-            found.append(Link(f"{name}: residuals of {coloured} of {tested} validations are not white", "#validation"))
-        found += [Link(f"{name}: {text}", "#validation") for text in summary.failed]
+            links.append(Link(f"{name}: residuals of {coloured} of {tested} validations are not white", "#validation"))
+        links += [Link(f"{name}: {text}", "#validation") for text in summary.failed]
     for name in results.experiment.spec.crossval:
         if name not in results.crossval:
-            found.append(Link(f"{name}: not validated with the present fits", "#validation"))
+            links.append(Link(f"{name}: not validated with the present fits", "#validation"))
     if results.experiment.spec.nominal is not None:
-        found += _of_nominal(results)
+        links += _of_nominal(results)
     if results.experiment.spec.lpv is not None and not results.surfaces:
-        found.append(Link("no surfaces were drawn with the present fits", "#surfaces"))
+        links.append(Link("no surfaces were drawn with the present fits", "#surfaces"))
     for item, fit in results.surfaces.items():
         if (fit.lack_of_fit < LACK).any():
-            found.append(Link(f"surfaces {item} miss the means of some parameters by more than chance", "#surfaces"))
+            links.append(Link(f"surfaces {item} miss the means of some parameters by more than chance", "#surfaces"))
         if not fit.success:
-            found.append(Link(f"surfaces {item}: {fit.status}", "#surfaces"))
+            links.append(Link(f"surfaces {item}: {fit.status}", "#surfaces"))
         if fit.outliers:
-            found.append(Link(f"surfaces {item}: far off lie {len(fit.outliers)} of the estimates", "#surfaces"))
+            links.append(Link(f"surfaces {item}: far off lie {len(fit.outliers)} of the estimates", "#surfaces"))
     for design in results.assessed:
-        found += [Link(f"controller {design.name}: {text}", "#controller") for text in design.warnings()]
-    found += [Link(f"controller {name}: {text}", "#controller") for name, text in results.designs.missing.items()]
+        links += [Link(f"controller {design.name}: {text}", "#controller") for text in design.warnings()]
+    links += [Link(f"controller {name}: {text}", "#controller") for name, text in results.designs.missing.items()]
     for name, made in results.designs.found.items():
-        found += [Link(f"controller {name}: {text}", "#controller") for text in held_back(made)]
-    return found
+        links += [Link(f"controller {name}: {text}", "#controller") for text in held_back(made)]
+    return links
 
 
 def _of_nominal(results: Results) -> list[Link]:
@@ -456,11 +456,11 @@ def _fits(n: int) -> str:
     return "fit" if n == 1 else "fits"
 
 
-def summary_section(results: Results, found: list[Link]) -> PageSection:
+def summary_section(results: Results, links: list[Link]) -> PageSection:
     """Return the section with warnings first, then the numbers of results."""
     blocks: list[Block] = []
-    if found:
-        blocks += [Words(f"{len(found)} {'thing' if len(found) == 1 else 'things'} to look at:", "warn"), Listed(found)]
+    if links:
+        blocks += [Words(f"{len(links)} {'thing' if len(links) == 1 else 'things'} to look at:", "warn"), Listed(links)]
     else:
         blocks.append(Words("Nothing to warn of.", "good"))
     counts: dict[str, Counter[str]] = {}
@@ -483,7 +483,7 @@ def not_done(results: Results) -> list[str]:
         ("nominal", spec.nominal is not None, "no nominal actuator was chosen"),
         ("lpv", spec.lpv is not None, "no surfaces over pressure and speed"),
     ]
-    texts = [f"{text} (no section {name})" for name, there, text in missing if not there]
+    texts = [f"{text} (no section {name})" for name, done, text in missing if not done]
     if not results.designs.found:
         texts.append("no controller was designed")
     if not results.assessed:

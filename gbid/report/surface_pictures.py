@@ -95,13 +95,13 @@ def delays_data(
     """
     kilohertz = 1e-3 / sample_time
     labels = {f"tau_{axis}": f"$\\tau_{axis}$ [samples at {kilohertz:g} kHz]" for axis in "xy"}
-    found = {name: np.asarray(values, float) / sample_time for name, values in (estimates or {}).items()}
+    samples = {name: np.asarray(values, float) / sample_time for name, values in (estimates or {}).items()}
 
     def at(bar: float, rpm: float) -> Sequence[float]:
         values = model.key_parameters(bar, rpm)
         return [float(values[name]) / sample_time for name in labels]
 
-    return _panels(model, labels, at, speeds_rpm, points, found)
+    return _panels(model, labels, at, speeds_rpm, points, samples)
 
 
 def modes_data(
@@ -206,11 +206,14 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
         for k, speed in enumerate(quantity.speed_rpm):
             line = series(k, marker=None)
             panel.plot(quantity.pressure_bar, quantity.values[k], label=f"model, {speed:g} rpm", **line)
-            there = quantity.points[:, 1] == speed
-            if there.any():
+            at_speed = quantity.points[:, 1] == speed
+            if at_speed.any():
                 marks = series(k, linestyle="none", markersize=4.5, markerfacecolor="none", markeredgewidth=0.9)
                 panel.plot(
-                    quantity.points[there, 0], quantity.estimates[there], label=f"estimates, {speed:g} rpm", **marks
+                    quantity.points[at_speed, 0],
+                    quantity.estimates[at_speed],
+                    label=f"estimates, {speed:g} rpm",
+                    **marks,
                 )
         panel.set_ylabel(quantity.label)
         if i >= len(data) - 2:
@@ -267,16 +270,16 @@ def fit_over_pressure_data(
     list of PressurePanel
         Panels of the quantity.
     """
-    found = dict(zip(CHARACTERISTICS, fit.characteristics[0].T, strict=True))
+    values = dict(zip(CHARACTERISTICS, fit.characteristics[0].T, strict=True))
     points = fit.estimates.points
     speeds = [float(speed) for speed in np.unique(points[:, 1])]
     if what == "delay":
-        estimates = {name: found[name] for name in ("tau_x", "tau_y")}
+        estimates = {name: values[name] for name in ("tau_x", "tau_y")}
         return delays_data(fit.model, sample_time=sample_time, speeds_rpm=speeds, points=points, estimates=estimates)
     if what == "gain":
-        estimates = {f"g_{pair}": found[f"g_{pair}"] for pair in _PAIRS}
+        estimates = {f"g_{pair}": values[f"g_{pair}"] for pair in _PAIRS}
         return static_gains_data(fit.model, speeds_rpm=speeds, points=points, estimates=estimates)
-    estimates = {f"{what}_{i}": found[f"{_MODES[what]}_{i}"] for i in (1, 2)}
+    estimates = {f"{what}_{i}": values[f"{_MODES[what]}_{i}"] for i in (1, 2)}
     return modes_data(fit.model, what, speeds_rpm=speeds, points=points, estimates=estimates)
 
 
@@ -367,9 +370,11 @@ def surfaces_data(
     surfaces = []
     for name in names:
         values = np.broadcast_to(np.asarray(grid[name], float), (n, n))
-        where, found = _marked(name, points, estimates)
-        at = np.asarray(model.key_parameters(*where.T, extrapolate=True)[name], float) if len(found) else np.zeros(0)
-        surfaces.append(Surface(name, _UNITS[name.split("_")[0]], pressure, speed, values, where, found, at))
+        where, values_at = _marked(name, points, estimates)
+        at = (
+            np.asarray(model.key_parameters(*where.T, extrapolate=True)[name], float) if len(values_at) else np.zeros(0)
+        )
+        surfaces.append(Surface(name, _UNITS[name.split("_")[0]], pressure, speed, values, where, values_at, at))
     return surfaces
 
 

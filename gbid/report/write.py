@@ -71,9 +71,9 @@ def write_report(job: Job, path: Path | None = None) -> Outcome:
 def report_text(results: Results, key: str = "") -> str:
     """Return the report as HTML text."""
     pictures = Pictures()
-    found = warnings(results)
+    links = warnings(results)
     middle: list[PageSection | None] = [
-        summary_section(results, found),
+        summary_section(results, links),
         quality_section(results),
         static_section(results, pictures),
         fits_section(results),

@@ -64,7 +64,7 @@ class Explored:
     sampled: bool = False
 
 
-def explored_loop(design: AssessedDesign, asked: Explored) -> dict[str, Any]:
+def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
     """Return the loop of a design with other gains, as numbers for JSON.
 
     Parameters
@@ -88,27 +88,27 @@ def explored_loop(design: AssessedDesign, asked: Explored) -> dict[str, Any]:
         When the axis or a gain is unknown, a gain is not finite, or the point lies outside the domain.
     """
     names = [parameter.name for parameter in design.structure.parameters]
-    unknown = [name for name in asked.gains if name not in names]
-    if unknown or asked.axis not in ("x", "y"):
-        raise UsageError(f"explorer: no gain {unknown[0]!r}" if unknown else f"explorer: axis = {asked.axis!r}")
-    gains = {**design.figures.gains, **asked.gains}
+    unknown = [name for name in settings.gains if name not in names]
+    if unknown or settings.axis not in ("x", "y"):
+        raise UsageError(f"explorer: no gain {unknown[0]!r}" if unknown else f"explorer: axis = {settings.axis!r}")
+    gains = {**design.figures.gains, **settings.gains}
     if not all(isfinite(value) for value in gains.values()):
         raise UsageError("explorer: give finite gains")
-    point = asked.pressure_bar, asked.speed_rpm
+    point = settings.pressure_bar, settings.speed_rpm
     plant, controller = design.plant.plant_at(*point), controller_at(design.structure, gains, *point)
     continuous = sensitivities(plant, controller)
-    if asked.sampled:
+    if settings.sampled:
         sampled = sampled_loop(exact_plant(design.plant, *point), controller, design.sample_time, method=design.method)
         loop, closed, damping = sampled.sensitivities, sampled.closed, sampled.damping
     else:
         loop, closed = continuous, continuous.model("plant")
         damping = smallest_damping(closed)
-    top = min(_RANGE[1], 0.5 / design.sample_time) if asked.sampled else _RANGE[1]
+    top = min(_RANGE[1], 0.5 / design.sample_time) if settings.sampled else _RANGE[1]
     frequency = np.geomspace(_RANGE[0], top, _FREQUENCIES)
     S = loop.response("output", frequency)
     stable = closed.is_stable()
     peak = loop.peak("output")
-    place = "xy".index(asked.axis)
+    place = "xy".index(settings.axis)
     impact = design.impact.towards(90.0 * place)
     response = impact_response(plant, controller, impact, duration_s=_SHOWN_S)
     alone = impact_response(plant, None, impact, duration_s=_SHOWN_S)
@@ -364,21 +364,21 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "text/plain", f"no page {parts.path}; there are {', '.join(answers)}")
             return
         kind, answer = answers[parts.path]
-        asked = {name: values[-1] for name, values in parse_qs(parts.query).items()}
+        query = {name: values[-1] for name, values in parse_qs(parts.query).items()}
         try:
-            self._send(HTTPStatus.OK, kind, answer(asked))
+            self._send(HTTPStatus.OK, kind, answer(query))
         except GbidError as error:
             self._send(HTTPStatus.BAD_REQUEST, "text/plain", str(error))
 
-    def _loop(self, asked: dict[str, str]) -> str:
+    def _loop(self, query: dict[str, str]) -> str:
         """Return the loop of a design as JSON; numbers in the query are operating point and gains."""
         designs = self._live.known_designs()
-        name = asked.pop("design", next(iter(designs)))
+        name = query.pop("design", next(iter(designs)))
         if name not in designs:
             raise UsageError(f"no design {name!r}; there are {', '.join(designs)}")
-        axis, sampled = asked.pop("axis", "x"), asked.pop("sampled", "0") == "1"
+        axis, sampled = query.pop("axis", "x"), query.pop("sampled", "0") == "1"
         try:
-            numbers = {key: float(value) for key, value in asked.items()}
+            numbers = {key: float(value) for key, value in query.items()}
             point = numbers.pop("pressure_bar"), numbers.pop("speed_rpm")
         except (ValueError, KeyError) as error:
             raise UsageError(f"loop: {error}; give pressure_bar, speed_rpm and gains as numbers") from None

@@ -114,11 +114,7 @@ def test_tables_keep_their_form(name, plain):
 def test_files_for_other_programs(name, plain, tmp_path):
     result = plain[0]
     found = named(result, name)
-    _, usual = save_mat(result, tmp_path / "usual.mat")
-    numbers, function = save_mat(found, tmp_path / "awful.mat")
-    assert len(function.read_text().split("\n")) == len(usual.read_text().split("\n"))
-    lines = zip(function.read_text().split("\n"), usual.read_text().replace("usual", "awful").split("\n"), strict=True)
-    assert all(a == b or a.startswith("%") for a, b in lines)
+    numbers = save_mat(found, tmp_path / "awful.mat")
     assert loadmat(numbers)["InputName"][0, 0].item() == name.replace("\0", " ")
     table = save_csv(found, tmp_path / "awful.csv")
     assert len({len(row) for row in csv.reader(table.read_text(encoding="utf-8").split("\n")[:-1])}) == 1
