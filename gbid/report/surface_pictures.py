@@ -370,11 +370,9 @@ def surfaces_data(
     surfaces = []
     for name in names:
         values = np.broadcast_to(np.asarray(grid[name], float), (n, n))
-        where, values_at = _marked(name, points, estimates)
-        at = (
-            np.asarray(model.key_parameters(*where.T, extrapolate=True)[name], float) if len(values_at) else np.zeros(0)
-        )
-        surfaces.append(Surface(name, _UNITS[name.split("_")[0]], pressure, speed, values, where, values_at, at))
+        where, measured = _marked(name, points, estimates)
+        at = np.asarray(model.key_parameters(*where.T, extrapolate=True)[name], float) if len(measured) else np.zeros(0)
+        surfaces.append(Surface(name, _UNITS[name.split("_")[0]], pressure, speed, values, where, measured, at))
     return surfaces
 
 

@@ -26,6 +26,7 @@ from gbid.control.loop.sampled import exact_plant
 from gbid.control.loop.sensitivity import static_amplification
 from gbid.core.arrays import ComplexArray, is_real, oscillatory_modes
 from gbid.core.errors import GbidError, UsageError
+from gbid.core.tables import finite_or_none
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report.page import environment, page_part, script
@@ -71,7 +72,7 @@ def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
     ----------
     design : AssessedDesign
         Design with plant, structure, sample time and impact.
-    asked : Explored
+    settings : Explored
         Operating point and gains.
 
     Returns
@@ -116,8 +117,8 @@ def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
     return {
         "stable": stable,
         "damping": damping,
-        "peak": {"value": _finite(peak.value), "frequency_hz": _finite(peak.frequency_hz)},
-        "static_amplification": _finite(static_amplification(loop) if stable else inf),
+        "peak": {"value": finite_or_none(peak.value), "frequency_hz": finite_or_none(peak.frequency_hz)},
+        "static_amplification": finite_or_none(static_amplification(loop) if stable else inf),
         "modes": _modes(rates),
         "open_modes": _modes(_rates(plant)),
         "real": sorted(rates[is_real(rates)].real.tolist()),
@@ -128,7 +129,7 @@ def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
         "time_s": alone.time_s[::_EVERY].tolist(),
         "closed_m": _drawn(response.p, place),
         "open_m": _drawn(alone.p, place),
-        "stack_travel_m": _finite(response.stack_travel_m),
+        "stack_travel_m": finite_or_none(response.stack_travel_m),
     }
 
 
@@ -144,12 +145,7 @@ def _modes(rates: ComplexArray) -> list[list[float]]:
 
 
 def _drawn(positions: Any, place: int) -> list[float | None]:
-    return [_finite(float(value)) for value in np.asarray(positions)[::_EVERY, place]]
-
-
-def _finite(value: float) -> float | None:
-    """Return a number for JSON, which has no infinity."""
-    return float(value) if isfinite(value) else None
+    return [finite_or_none(float(value)) for value in np.asarray(positions)[::_EVERY, place]]
 
 
 # ---- Present results of an experiment, read anew when they change.
