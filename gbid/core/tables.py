@@ -6,12 +6,13 @@ digits.
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from math import floor, isfinite, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from gbid.core.extras import data_frame
 from gbid.core.names import html_text, one_line, printable
@@ -19,6 +20,7 @@ from gbid.core.names import html_text, one_line, printable
 if TYPE_CHECKING:
     from rich.console import Group
 
+T = TypeVar("T")
 
 # ---- Numbers in engineering notation: exponents in steps of three and significant digits.
 
@@ -294,6 +296,27 @@ def plain_table(names: Sequence[str], rows: Sequence[Sequence[Entry]], notes: Se
 def table_of_records(records: Sequence[Mapping[str, Value]]) -> Table:
     """Return a table for a file of records; their common keys are the names of the columns."""
     return plain_table(list(records[0]) if records else (), [list(record.values()) for record in records])
+
+
+def table_of_values(kind: type, values: Sequence[object], notes: Sequence[str] = ()) -> Table:
+    """Return a table for a file of values of a dataclass; the names of its fields are those of the columns."""
+    names = [field.name for field in fields(kind)]
+    return plain_table(names, [[getattr(value, name) for name in names] for value in values], notes)
+
+
+_CELLS: dict[str, Callable[[str], Any]] = {"int": int, "float": float, "bool": lambda cell: cell == "true", "str": str}
+
+
+def read_values(path: Path, kind: type[T]) -> list[T]:
+    """Return the values in a CSV file of `table_of_values`, with cells read by the types of the fields."""
+    readers = {field.name: _CELLS[str(field.type)] for field in fields(cast(Any, kind))}
+    return [kind(**{name: read(row[name]) for name, read in readers.items()}) for row in csv_rows(path)]
+
+
+def csv_rows(path: Path) -> list[dict[str, str]]:
+    """Return the cells of a CSV file by row and heading, without comments."""
+    with path.open(encoding="utf-8", newline="") as handle:
+        return list(csv.DictReader(line for line in handle if not line.startswith("#")))
 
 
 # ---- CSV renderer of tables: numbers with all digits, for programs and spreadsheets.

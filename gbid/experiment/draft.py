@@ -432,6 +432,10 @@ class DraftData:
         Kind by word of the names, beyond the words that gbid knows.
     from_s, to_s : float or None
         Part of the files to use [s].
+    harmonics : int or None
+        Number of harmonics of the run-out maps; None when no map can be compared.
+    runout : tuple of str
+        What a map leaves over at each operating point, or why nothing can be compared.
     notes : tuple of str
         What was found and assumed.
     """
@@ -441,6 +445,8 @@ class DraftData:
     kinds: Mapping[str, Kind]
     from_s: float | None
     to_s: float | None
+    harmonics: int | None
+    runout: tuple[str, ...]
     notes: tuple[str, ...]
 
 
@@ -474,7 +480,8 @@ def read_data(options: DraftOptions, files: Sequence[SurveyedFile]) -> DraftData
         names.commas or not _tells_kinds(names, kinds or {}, [q for q in drafted if q.survey.path in patterned])
     ):
         names = None
-    return DraftData(tuple(drafted), names, kinds or {}, from_s, to_s, tuple(notes))
+    harmonics, words = find_harmonics(drafted)
+    return DraftData(tuple(drafted), names, kinds or {}, from_s, to_s, harmonics, words, (*notes, *words))
 
 
 def _names(options: DraftOptions, files: Sequence[SurveyedFile]) -> tuple[NamesRead | None, set[Path]]:
@@ -580,24 +587,12 @@ def _tells_kinds(names: NamesRead, kinds: Mapping[str, Kind], drafted: Sequence[
     return True
 
 
-@dataclass(frozen=True)
-class RunoutFound:
-    """Choice of the harmonics of the run-out maps.
+def find_harmonics(files: Sequence[DraftedFile]) -> tuple[int | None, tuple[str, ...]]:
+    """Return the number of harmonics of the run-out maps, and what is left over at each operating point, as text.
 
-    Attributes
-    ----------
-    harmonics : int or None
-        Largest number chosen at an operating point; None when no map can be compared.
-    words : tuple of str
-        What is left over at each operating point, or why nothing can be compared.
+    It is the largest number chosen at an operating point by stationary recordings on held-out data; None when no map
+    can be compared.
     """
-
-    harmonics: int | None
-    words: tuple[str, ...]
-
-
-def find_harmonics(files: Sequence[DraftedFile]) -> RunoutFound:
-    """Return the number of harmonics by what is left over of stationary recordings on held-out data."""
     points: dict[tuple[float, ...], list[Recording]] = {}
     for each in files:
         if each.kind == "stationary" and "phi" in each.recording.signals:
@@ -616,13 +611,13 @@ def find_harmonics(files: Sequence[DraftedFile]) -> RunoutFound:
             sizes.append(chosen.size)
             left = ", ".join(f"{1e9 * rms:.0f}" for rms in chosen.residual_rms)
             words.append(f"{label}: {chosen.size} harmonics leave {left} nm")
-    return RunoutFound(max(sizes, default=None), tuple(words))
+    return max(sizes, default=None), tuple(words)
 
 
 # ---- Text of a drafted experiment: commented YAML.
 
 
-def draft_text(name: str, target: Path, options: DraftOptions, data: DraftData, runout: RunoutFound) -> str:
+def draft_text(name: str, target: Path, options: DraftOptions, data: DraftData) -> str:
     """Return the YAML of an experiment.
 
     Parameters
@@ -635,8 +630,6 @@ def draft_text(name: str, target: Path, options: DraftOptions, data: DraftData, 
         What was given.
     data : DraftData
         The files.
-    runout : RunoutFound
-        Harmonics of the run-out maps.
     """
     excited = [each for each in data.files if each.kind == "excited"]
     lines = [
@@ -649,7 +642,7 @@ def draft_text(name: str, target: Path, options: DraftOptions, data: DraftData, 
         f"  data_folder: {_quoted(os.path.relpath(options.folder.resolve(), target.resolve()))}",
         *_files(options, data),
         "",
-        *_prefilter(data, runout),
+        *_prefilter(data),
         "",
         *_models(excited, options),
     ]
@@ -722,7 +715,7 @@ def _files(options: DraftOptions, data: DraftData) -> list[str]:
     return lines
 
 
-def _prefilter(data: DraftData, runout: RunoutFound) -> list[str]:
+def _prefilter(data: DraftData) -> list[str]:
     points = {
         kind: {tuple(q.conditions.values()) for q in data.files if q.kind == kind} for kind in ("excited", "stationary")
     }
@@ -733,8 +726,8 @@ def _prefilter(data: DraftData, runout: RunoutFound) -> list[str]:
             "  method: none                 # so that run-out stays in the signals; means and spikes are removed",
         ]
     lines = ["prefilter:                     # run-out over the shaft angle; on held-out data:"]
-    lines += [f"  # {words}" for words in runout.words]
-    return [*lines, f"  harmonics: {runout.harmonics or 10}"]
+    lines += [f"  # {words}" for words in data.runout]
+    return [*lines, f"  harmonics: {data.harmonics or 10}"]
 
 
 def _models(excited: Sequence[DraftedFile], options: DraftOptions) -> list[str]:
@@ -820,8 +813,7 @@ def draft_experiment(options: DraftOptions, target: Path) -> Draft:
     """
     files, others = survey(options)
     data = read_data(options, files)
-    runout = find_harmonics(data.files)
-    notes = [*data.notes, *runout.words]
+    notes = [*data.notes]
     if others:
         notes.append(f"left out, of a kind that is not imported: {', '.join(others)}")
-    return Draft(draft_text(name_of(target.name), target, options, data, runout), tuple(notes))
+    return Draft(draft_text(name_of(target.name), target, options, data), tuple(notes))

@@ -10,11 +10,11 @@ import gbid
 from gbid.cli.stages import next_step
 from gbid.control import exact_plant, load_controller, ringing_modes
 from gbid.core.errors import UsageError
-from gbid.core.tables import write_csv
+from gbid.core.tables import read_values, write_csv
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.cycle import CYCLE as CYCLE_STAGE
-from gbid.experiment.stages.cycle import CycleRow, cycle_table, made_rows, modes_of_surfaces, read_cycle
+from gbid.experiment.stages.cycle import CycleRow, cycle_table, made_rows, modes_of_surfaces
 from gbid.experiment.stages.fit import FIT
 from gbid.experiment.stages.lpv import LPV
 from gbid.experiment.stages.rig import RIG
@@ -102,7 +102,7 @@ def test_nothing_is_made_twice_and_a_changed_cycle_is_refused(cycled):
 def test_rows_are_read_as_written_and_shown(cycled, tmp_path):
     rows = made_rows(cycled)
     write_csv(cycle_table(rows), tmp_path / "cycle.csv")
-    assert read_cycle(tmp_path / "cycle.csv") == rows
+    assert read_values(tmp_path / "cycle.csv", CycleRow) == rows
     axes = plot_cycle(rows)
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["promised by the design", "6 bar, 0 rpm"]
     section = cycle_section(Results(cycled))

@@ -9,7 +9,7 @@ from experiment_files import gbid, write_quick
 import gbid as package  # the command line has its name
 from gbid.control import controller_structure, p_controller, sample_controller
 from gbid.core.files import share_folder
-from gbid.core.tables import markdown_table
+from gbid.core.tables import markdown_table, read_values
 from gbid.experiment.controllers import early_design
 from gbid.experiment.fields import InputError
 from gbid.experiment.load import load_experiment
@@ -187,7 +187,7 @@ def test_the_price_of_a_loop_is_the_ratio_of_the_standard_deviations(tmp_path, m
     monkeypatch.setattr(cost, "fit_entries", entries)
     monkeypatch.setattr(cost, "load_fit_input", recording)
     cost._write(job, tmp_path / "held.csv", "held", "open")
-    (row,) = cost.read_costs(tmp_path / "held.csv")
+    (row,) = read_values(tmp_path / "held.csv", cost.LoopCostRow)
     assert (row.parameter, row.std, row.std_beside, row.recordings_beside) == ("k", 6.0, 2.0, 3)
     assert (row.peak, row.peak_beside, row.duration_s) == (3e-6, 2e-6, 1.0)
     (table,) = loop_tables(loop_documents([row]))

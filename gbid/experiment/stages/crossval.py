@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ import numpy as np
 
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import load, save
-from gbid.core.tables import Table, Value, plain_table, write_csv
+from gbid.core.tables import Table, Value, csv_rows, plain_table, write_csv
 from gbid.experiment.experiment import SPECIAL, Experiment, figure_pairs, validation_pairs
 from gbid.experiment.fields import Found, Result, nearest, stored_key
 from gbid.experiment.run import (
@@ -273,8 +272,7 @@ def rows_table(rows: Sequence[CrossvalRow]) -> Table:
 
 def read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
     """Return the rows in the CSV table of the cross-validation of a fit."""
-    with path.open(encoding="utf-8", newline="") as handle:
-        table = list(csv.DictReader(line for line in handle if not line.startswith("#")))
+    table = csv_rows(path)
     minimum = job.experiment.spec.crossval[name].minimum_percent
     n_outputs = len({row["output"] for row in table})
     rows = []

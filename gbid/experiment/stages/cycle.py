@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import GbidError
 from gbid.core.hdf5 import load
 from gbid.core.names import file_stem
-from gbid.core.tables import Table, plain_table, write_csv
+from gbid.core.tables import Table, read_values, table_of_values, write_csv
 from gbid.experiment.controllers import TUNED, controller_section, surfaces_item, tuned_design
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, InputError, Result, needed, refusal
@@ -152,7 +151,6 @@ def _point_problems(experiment: Experiment) -> Found:
 
 _STEP = 1e-3  # of the difference quotients, in standard deviations of a parameter
 _MODES = ("frequency_1_hz", "frequency_2_hz", "damping_1", "damping_2")
-_READ: dict[str, Callable[[str], Any]] = {"int": int, "float": float, "bool": lambda text: text == "true"}
 
 
 @dataclass(frozen=True)
@@ -219,16 +217,7 @@ def cycle_table(rows: Sequence[CycleRow]) -> Table:
         "model_: modes of the bearing without controller, from the surfaces of the round; expected_damping: of the "
         "sampled loop, by the same surfaces; frequency and damping: of the loop on the rig, measured by impacts",
     )
-    names = [field.name for field in fields(CycleRow)]
-    return plain_table(names, [list(asdict(row).values()) for row in rows], notes)
-
-
-def read_cycle(path: Path) -> list[CycleRow]:
-    """Return the rows in the CSV file of a cycle."""
-    with path.open(encoding="utf-8", newline="") as handle:
-        table = list(csv.DictReader(line for line in handle if not line.startswith("#")))
-    kinds = {field.name: _READ[str(field.type)] for field in fields(CycleRow)}
-    return [CycleRow(**{name: kind(row[name]) for name, kind in kinds.items()}) for row in table]
+    return table_of_values(CycleRow, rows, notes)
 
 
 def _row(number: int, fit: LPVFit, design: TunedDesign, study: ImpactStudy) -> CycleRow:
@@ -402,7 +391,7 @@ def made_rows(job: Job) -> list[CycleRow]:
         task = table_task(job)
     except (GbidError, OSError):  # files of a round are missing
         return []
-    return read_cycle(task.path) if task.is_made else []
+    return read_values(task.path, CycleRow) if task.is_made else []
 
 
 def _write_table(job: Job, part: Path) -> None:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from gbid.core.errors import GbidError
-from gbid.core.tables import plain_table, write_csv
+from gbid.core.tables import read_values, table_of_values, write_csv
 from gbid.experiment.controllers import (
     chosen,
     early_design,
@@ -109,7 +108,6 @@ LOOP = Stage("loop", "rig", (rig_loop_can_run, fit_loops_are_known), loop_tasks,
 # ---- What a loop costs in precision: standard deviations in the loop beside those without controller.
 
 FOLDER = "loops"
-_READ: dict[str, Callable[[str], Any]] = {"int": int, "float": float}
 
 
 @dataclass(frozen=True)
@@ -170,15 +168,7 @@ def cost_tasks(job: Job) -> list[Task]:
 
 def made_costs(job: Job) -> list[LoopCostRow]:
     """Return the rows of all tables that were made from the present fits; nothing is computed."""
-    return [row for task in cost_tasks(job) if task.is_made for row in read_costs(task.path)]
-
-
-def read_costs(path: Path) -> list[LoopCostRow]:
-    """Return the rows of a table."""
-    with path.open(encoding="utf-8", newline="") as handle:
-        table = list(csv.DictReader(line for line in handle if not line.startswith("#")))
-    kinds = {field.name: _READ.get(str(field.type), str) for field in fields(LoopCostRow)}
-    return [LoopCostRow(**{name: kind(row[name]) for name, kind in kinds.items()}) for row in table]
+    return [row for task in cost_tasks(job) if task.is_made for row in read_values(task.path, LoopCostRow)]
 
 
 def cost_rows(job: Job, name: str, beside: str) -> list[LoopCostRow]:
@@ -251,10 +241,9 @@ def _median_std(results: Sequence[FitResult], parameter: str) -> float | None:
 
 
 def _write(job: Job, part: Path, name: str, beside: str) -> None:
-    names = [field.name for field in fields(LoopCostRow)]
     notes = ("standard deviations: medians over the recordings of an operating point; only of fits that converged",)
     rows = cost_rows(job, name, beside)
-    write_csv(plain_table(names, [list(asdict(row).values()) for row in rows], notes), part)
+    write_csv(table_of_values(LoopCostRow, rows, notes), part)
 
 
 def _in_run(experiment: Experiment) -> bool:
