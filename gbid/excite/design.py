@@ -107,9 +107,9 @@ def as_excitation(
     earlier = known.earlier_of(lines.free)
     together = None
     if earlier is not None:
-        own = np.isfinite(np.diag(expected.covariance))
+        determined = np.isfinite(np.diag(expected.covariance))
         joined = earlier.copy()
-        joined[np.ix_(own, own)] += np.linalg.inv(expected.covariance[np.ix_(own, own)])
+        joined[np.ix_(determined, determined)] += np.linalg.inv(expected.covariance[np.ix_(determined, determined)])
         together = quantities.std(np.asarray(np.linalg.inv(joined), float))
     use = use_of(limits, lines, signal, with_machines=True)
     units = {q.name: q.unit for q in known.structure.parameters}

@@ -111,7 +111,7 @@ class LineModel(Brief):
         return Lines(frequency_hz, response, np.einsum("ij,fpju->fpiu", self._whiten, slopes))
 
     def response(self, frequency_hz: FloatArray, parameters: dict[str, float] | None = None) -> ComplexArray:
-        """Return the response alone, also for other parameters than those of the model."""
+        """Response at lines (n_lines, n_outputs, n_inputs), also for changed parameters."""
         known = {**self.known.parameters, **(parameters or {})}
         v = self.predictor.at(np.array([float(known[name]) for name in self.free])) if parameters else self._values
         z = self._turns(frequency_hz)
@@ -147,9 +147,9 @@ class LineModel(Brief):
         def seen(to_input: bool, count: int) -> ComplexArray:
             columns = []
             for i in range(count):
-                moved = none.copy()
-                moved[:, i] = impulse[:, 0]
-                u, y = (moved, none) if to_input else (none, moved)
+                pulse = none.copy()
+                pulse[:, i] = impulse[:, 0]
+                u, y = (pulse, none) if to_input else (none, pulse)
                 columns.append(turned @ self.predictor.regressors(u[:, :n_u], y[:, :n_y], v.shift))
             return np.stack(columns, axis=-1)
 
@@ -192,7 +192,7 @@ _SINGULAR = 1e-14
 
 @dataclass(frozen=True, eq=False)
 class Quantities:
-    """Free parameters and what follows from them.
+    """Free parameters of a model, and frequency and damping of its oscillatory modes.
 
     Attributes
     ----------

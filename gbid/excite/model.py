@@ -23,7 +23,7 @@ from gbid.structure.parameter import Values
 
 
 def tangent_structure(fit: FitResult) -> tuple[LinearStructure, list[int]]:
-    """Return the structure whose matrices are the tangents of those of a fit, and the parameters that act in it.
+    """Return a fitted model linearised in its parameters, as a structure, and the parameters that act in it.
 
     Its matrices are ``A(p) = A + sum dA/dp_i (p_i - p_i0)``, and so on. At the estimates it has the same predictions
     with the same derivatives as the structure of the fit, so it has the same information. A stored fit knows its
@@ -65,9 +65,9 @@ def tangent_structure(fit: FitResult) -> tuple[LinearStructure, list[int]]:
 
 
 def _parts(slopes: ModelSlopes) -> dict[str, FloatArray]:
-    found = {"A": slopes.A, "B": slopes.B, "C": slopes.C, "D": slopes.D, "B_delayed": slopes.B_delayed}
-    found["delay"] = slopes.delay[:, :, None]
-    return found if slopes.K is None else {**found, "K": slopes.K}
+    parts = {"A": slopes.A, "B": slopes.B, "C": slopes.C, "D": slopes.D, "B_delayed": slopes.B_delayed}
+    parts["delay"] = slopes.delay[:, :, None]
+    return parts if slopes.K is None else {**parts, "K": slopes.K}
 
 
 def _moved(value: FloatArray, slope: FloatArray | None, acting: list[int], steps: list[Any]) -> ca.SX:

@@ -1,4 +1,4 @@
-"""Signals of an excitation: multisines with optimal spectrum and small peaks, PRBS, and what they use of the limits."""
+"""Signals of an excitation: multisines with optimal spectrum and small peaks, PRBS, and their use of the limits."""
 
 from __future__ import annotations
 
@@ -310,7 +310,7 @@ def use_of(
 def disc_in_machines(
     limits: ExcitationLimits, lines: LineModel, bins: IntArray, spectrum: ComplexArray, period: int
 ) -> Iterator[float]:
-    """Yield the largest radius of the disc in each machine of the limits, over what is left of its clearance.
+    """Yield the largest radius of the disc in each machine of the limits, over the rest of its clearance.
 
     Parameters
     ----------
@@ -451,7 +451,7 @@ def _crest(signal: LimitedSignal, made: Multisine) -> float:
 def _limited(
     limits: ExcitationLimits, lines: LineModel, frequency_hz: FloatArray, response: ComplexArray, hard: Sequence[int]
 ) -> list[LimitedSignal]:
-    """Return the limited signals, with those of the machines that come closest to the wall."""
+    """Limited signals of the model, and of the machines that come closest to the wall."""
     chosen = replace(limits, machines=tuple(limits.machines[i] for i in hard))
     others = [lines.response(frequency_hz, dict(machine.parameters)) for machine in chosen.machines]
     return limited_signals(chosen, lines.known, response, others)

@@ -130,7 +130,7 @@ class Setting:
 
     @property
     def back(self) -> FloatArray:
-        """Matrix from coefficients of the orthogonal terms to those of the six terms in bar and rpm, (6, m)."""
+        """Matrix from the coefficients of the orthogonal terms to the coefficients in bar and rpm, (6, m)."""
         return in_terms(self.design.back, self.exponents)
 
     def coefficients(self, shared: FloatArray) -> FloatArray:
@@ -146,7 +146,7 @@ def set_up(
     fixed: Mapping[str, float],
     options: DirectOptions,
 ) -> Setting:
-    """Return the setting of a direct LPV fit; parameters and errors are those of `gbid.fit_lpv_direct`."""
+    """Return the setting of a direct LPV fit: shared unknowns, their matrix to parameters, gains."""
     for structure in structures:
         missing = [key for key in KEY_PARAMETERS if key not in [q.name for q in structure.parameters]]
         if missing:
@@ -335,7 +335,7 @@ class DirectSolution:
 
 
 def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: FloatArray, gains: Gains) -> DirectSolution:
-    """Return the minimum of the prediction errors of all recordings over shared and own unknowns.
+    """Minimum of the prediction errors of all recordings over the shared unknowns and those of each recording.
 
     A recording in which the free gain makes the predictor almost unstable does not determine this gain. It is fixed
     at zero there, and the problem is solved again. When the problem is not solved for another reason, all gains are
@@ -698,7 +698,7 @@ def _hold_text(hold: Hold | Sequence[Hold]) -> str:
 
 
 def _negative_delay(setting: Setting, shared: FloatArray) -> str:
-    """Return a text with a delay that the surfaces make negative, and its operating point; empty when there is none."""
+    """Negative delay of the surfaces with its operating point, as a text; empty when all delays are positive."""
     values = setting.X @ shared
     for key in ("tau_x", "tau_y"):
         delay = values[:, setting.names.index(key)]

@@ -42,7 +42,7 @@ class Orthonormal(NamedTuple):
 
 
 def varying_exponents(points: FloatArray, order: int) -> Exponents:
-    """Return the powers up to an order, without those of a variable that is the same at all points (n, n_variables)."""
+    """Powers up to an order of the variables that differ between the points (n, n_variables)."""
     fixed = np.ptp(points, axis=0) == 0
     powers = exponents_of(order, points.shape[1])
     return tuple(e for e in powers if not any(power and fixed[i] for i, power in enumerate(e)))

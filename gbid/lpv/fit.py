@@ -372,7 +372,7 @@ def fit_lpv(
 def _surfaces(
     fits: Sequence[FitResult], structure: Structure, scheduling: tuple[str, ...], parameters: Sequence[str] | None
 ) -> tuple[str, ...]:
-    """Return the parameters of a structure that become surfaces, after checks that the fits and names are its own."""
+    """Parameters of a structure that become surfaces; fits of another structure and unknown names are refused."""
     if not fits or any(fit.structure != structure.name for fit in fits):
         names = ", ".join(sorted({fit.structure for fit in fits})) or "none"
         raise UsageError(f"fit_lpv: the fits are of {names}; give fits of the structure {structure.name!r}")
@@ -389,7 +389,7 @@ def _surfaces(
 def _held_at_mean(
     fits: Sequence[FitResult], structure: Structure, surfaces: tuple[str, ...]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return the mean over the fits of the parameters that are no surfaces, and a note on those that the fits vary."""
+    """Mean over the fits of each parameter that is no surface, and a note with the names that the fits estimate."""
     known = [parameter.name for parameter in structure.parameters]
     good = [fit for fit in fits if fit.success]
     if lacking := [key for key in known if any(key not in fit.parameters for fit in good)]:
@@ -432,7 +432,7 @@ def lpv_of(
     title: str = "",
     source: str = "",
 ) -> LPVFit:
-    """Return the surfaces that the fit of a scheduled structure found, for tuning, figures and reports.
+    """Return the fit of a scheduled structure as an LPV fit in bar and rpm, for tuning, figures and reports.
 
     Parameters
     ----------

@@ -608,7 +608,7 @@ class Deviation:
 
 
 def deviations(estimated: FloatArray, surface: FloatArray, recordings: tuple[str, ...]) -> tuple[Deviation, ...]:
-    """Return the deviations of estimated characteristics from those of the surfaces, both (n, 10), by recording.
+    """Deviations of the estimated characteristics (n, 10) from the characteristics of the surfaces (n, 10).
 
     Rows without two modes do not count for the modes.
     """

@@ -1,4 +1,4 @@
-"""Model files: the LPV model of a machine in YAML, with what its source publishes beside the model."""
+"""Model files in YAML: the LPV model of a machine, and its published controller, dimensions, modes and corrections."""
 
 from __future__ import annotations
 
@@ -377,7 +377,7 @@ def load_model(name_or_path: str | Path) -> LPVModel:
 
 
 def load_machine(name_or_path: str | Path) -> PublishedMachine:
-    """Return the model of a file with what its source publishes beside it: controllers, dimensions, modes, corrections.
+    """Return the published machine of a file: model, controllers, dimensions, modes and corrections.
 
     Parameters
     ----------

@@ -291,11 +291,11 @@ def outliers(
 ) -> tuple[Outlier, ...]:
     """Return the entries of (n, k) arrays beyond the threshold, the largest first."""
     limit = threshold(z.size)
-    found = [
+    beyond = [
         Outlier(recordings[i], parameters[j], float(residuals[i, j]), float(z[i, j]))
         for i, j in zip(*np.nonzero(np.abs(z) > limit), strict=True)
     ]
-    return tuple(sorted(found, key=lambda o: -abs(o.standardised)))
+    return tuple(sorted(beyond, key=lambda o: -abs(o.standardised)))
 
 
 class HuberEstimate(NamedTuple):
@@ -494,7 +494,7 @@ class SurfaceRegression(Brief):
 
 
 def regression(estimates: Estimates, weighting: Weighting, order: Order, robust: bool) -> SurfaceRegression:
-    """Return the surfaces through estimates; the options are those of `gbid.fit_lpv`.
+    """Return the weighted regression of estimates on terms; options as of `gbid.fit_lpv`.
 
     Raises
     ------
@@ -595,7 +595,7 @@ def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robu
 
 
 def kron_designs(columns: FloatArray, k: int) -> FloatArray:
-    """Return the regressors of k parameters with the same terms: (n, n_terms) to (n, k, k n_terms)."""
+    """Regressors ``I_k kron columns`` of k parameters, (n, k, k n_terms), from the columns (n, n_terms) of one."""
     n, m = columns.shape
     X = np.zeros((n, k, k, m))
     X[:, np.arange(k), np.arange(k)] = columns[:, None]

@@ -224,11 +224,11 @@ def _one_fit(models: FitTable | Sequence[FitResult], fit: str | None) -> FitTabl
     return models
 
 
-def _robust_z(logs: FloatArray, own: FloatArray) -> FloatArray:
-    """Return the columns standardised by median and robust scale; `own` has the standard deviation of each estimate."""
+def _robust_z(logs: FloatArray, std: FloatArray) -> FloatArray:
+    """Columns standardised by median and robust scale, at least the median standard deviation."""
     deviation = logs - np.median(logs, axis=0)
     scale = _MAD * np.median(np.abs(deviation), axis=0)
-    typical = [np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in own.T]
+    typical = [np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in std.T]
     return np.asarray(deviation / np.maximum(np.maximum(scale, typical), 1e-9))
 
 
@@ -316,16 +316,16 @@ def load_actuators(path: str | Path) -> dict[str, float]:
     """
     file = read_yaml(given_path(path))
     data = file.data
-    found = data.get("actuators")
-    if data.get("kind") != ACTUATORS_KIND or not isinstance(found, dict):
+    values = data.get("actuators")
+    if data.get("kind") != ACTUATORS_KIND or not isinstance(values, dict):
         raise DataError(f"{path}: not a file with a nominal actuator (kind: {ACTUATORS_KIND}); run `gbid run`")
     for name in ACTUATOR:
-        value = found.get(name)
+        value = values.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= sys.float_info.max:
             raise DataError(f"{path}: actuators.{name} = {value!r}; expected a positive number")
     for note in file.notes:
         warnings.warn(note, ChangedFileWarning, stacklevel=2)
-    return {name: float(found[name]) for name in ACTUATOR}
+    return {name: float(values[name]) for name in ACTUATOR}
 
 
 def _known(value: float) -> float | None:

@@ -200,24 +200,24 @@ class ValidationSummary(Brief, hdf5.InFile):
         return brief(self, about, **outputs, failed=self.failed)
 
 
-def join_scores(found: Sequence[tuple[str, ValidationData, FloatArray, FloatArray]]) -> ValidationScores:
+def join_scores(pairs: Sequence[tuple[str, ValidationData, FloatArray, FloatArray]]) -> ValidationScores:
     """Return the scores of single pairs joined in one table.
 
     Parameters
     ----------
-    found : sequence of (model, data, fit_percent, infinity_norm)
+    pairs : sequence of (model, data, fit_percent, infinity_norm)
         At least one.
     """
-    first = found[0][1]
+    first = pairs[0][1]
     return ValidationScores(
-        tuple(model for model, *_ in found),
-        tuple(data.name for _, data, *_ in found),
-        np.array([data.conditions.get("pressure_bar", np.nan) for _, data, *_ in found]),
-        np.array([data.conditions.get("speed_rpm", np.nan) for _, data, *_ in found]),
+        tuple(model for model, *_ in pairs),
+        tuple(data.name for _, data, *_ in pairs),
+        np.array([data.conditions.get("pressure_bar", np.nan) for _, data, *_ in pairs]),
+        np.array([data.conditions.get("speed_rpm", np.nan) for _, data, *_ in pairs]),
         first.output_names,
         first.output_units,
-        np.array([fit for _, _, fit, _ in found]).reshape(len(found), -1),
-        np.array([norm for *_, norm in found]).reshape(len(found), -1),
+        np.array([fit for _, _, fit, _ in pairs]).reshape(len(pairs), -1),
+        np.array([norm for *_, norm in pairs]).reshape(len(pairs), -1),
     )
 
 
@@ -470,8 +470,8 @@ def cross_validate_many(
         raise DataError("no pair of model and recording to validate; give recordings that no model was fitted to")
     fitted = {i: simulator(results[i]) for i in dict.fromkeys(i for i, _ in pairs)}
     data = {j: validation_data(results[pairs[0][0]], recordings[j]) for j in dict.fromkeys(j for _, j in pairs)}
-    found = [(i, j, *score(fitted[i], data[j])) for i, j in pairs]
-    return join_scores([(" ".join(results[i].recordings), data[j], fit, norm) for i, j, fit, norm in found])
+    scores = [(i, j, *score(fitted[i], data[j])) for i, j in pairs]
+    return join_scores([(" ".join(results[i].recordings), data[j], fit, norm) for i, j, fit, norm in scores])
 
 
 def score(fitted: Simulator, data: ValidationData) -> tuple[FloatArray, FloatArray]:

@@ -255,10 +255,10 @@ def _bartlett(residual: FloatArray, source: FloatArray, lags: int) -> FloatArray
     residuals. The window reduces the noise of long lags and keeps the covariance positive.
     """
     most = 2 * lags
-    own = correlation(residual, residual, most) * (1 - np.arange(most + 1) / (most + 1))
-    other = correlation(source, source, most + lags)
-    both = np.concatenate([own[:0:-1], own])
-    return np.array([both @ other[np.abs(np.arange(-most, most + 1) + k)] for k in range(lags + 1)])
+    of_residual = correlation(residual, residual, most) * (1 - np.arange(most + 1) / (most + 1))
+    of_source = correlation(source, source, most + lags)
+    both = np.concatenate([of_residual[:0:-1], of_residual])
+    return np.array([both @ of_source[np.abs(np.arange(-most, most + 1) + k)] for k in range(lags + 1)])
 
 
 def _independent(cross: FloatArray, variance: FloatArray, n: int) -> float:
@@ -343,13 +343,13 @@ def shaft_lines(result: FitResult, recording: Recording, left_out: Ranges = ()) 
         return []
     error, names = residuals_of(result, recording, left_out)
     power, frequency = power_of(error - error.mean(axis=0), recording.sample_time)
-    found = []
+    clear = []
     for j, name in enumerate(names):
         lines = _lines(power[:, j], frequency, turning)
         if lines:
             order, rms = max(lines, key=lambda line: line[1])
-            found.append(ShaftLine(name, order, order * turning, rms))
-    return found
+            clear.append(ShaftLine(name, order, order * turning, rms))
+    return clear
 
 
 def _lines(power: FloatArray, frequency: FloatArray, turning: float) -> list[tuple[int, float]]:
