@@ -15,7 +15,7 @@ from gbid.core.errors import UsageError
 from gbid.core.units import SIGNALS
 from gbid.discretise import Hold, check_holds
 from gbid.identify import FitResult
-from gbid.identify.predictor import Focus
+from gbid.identify.options import Focus
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
 from gbid.structure import LinearModel, LinearStructure, Parameter, Structure, as_names, kind_of
 from gbid.structure.linear import evaluate

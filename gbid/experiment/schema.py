@@ -43,7 +43,8 @@ from gbid.experiment.fields import (
 )
 from gbid.experiment.rig_schema import LoopSection, RigSection
 from gbid.export.chain import ChainOptions
-from gbid.identify.disturbances import HIGHEST_DEGREE, TREND_WORDS, TrendName
+from gbid.identify.disturbances import TREND_WORDS
+from gbid.identify.options import HIGHEST_DEGREE, FitOptions, Scope, TrendName
 
 
 class CrossvalSection(Section):
@@ -289,8 +290,11 @@ class MultiStartSection(Section):
     reach: Positive = 0.5
 
 
-class FitSection(Section):
-    """One fit of a structure, to each recording or to all together; see `gbid.fit`.
+Stretches = Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length=1)]
+
+
+class FitSection(Section, FitOptions):  # type: ignore[misc]  # sections are frozen by their configuration
+    """One fit of a structure, to each recording or to all together; its other keys are the options of `gbid.fit`.
 
     `left_out`: by name of a recording, stretches ``[from, to]`` [s] from the first sample; the sample at ``to`` is used
     again. `local` needs `together`. ``inputs: []`` is a free decay. `loop`: the recordings were made under a
@@ -302,33 +306,26 @@ class FitSection(Section):
     loop: Annotated[LoopSection | None, BeforeValidator(given)] = None
     recordings: Names | None = None
     together: Switch = False
+    multi_start: MultiStartSection | None = None
+    # Options of `gbid.fit` that have another form in the YAML.
     inputs: NamesOrNone | None = None
     outputs: Names | None = None
-    focus: Literal["prediction", "simulation"] = "prediction"
     intersample: Holds | None = None
-    criterion: Literal["auto", "trace", "det"] = "auto"
     output_weights: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     window: Annotated[
         int | Literal["auto"] | None,
         BeforeValidator(_window),
         WithJsonSchema({"anyOf": [{"enum": ["auto", "one"]}, {"type": "integer", "minimum": 2}]}),
     ] = "auto"
-    stop: Literal["tolerance", "paper"] = "tolerance"
-    max_iterations: Count = 100
     start: Annotated[
         dict[Text, Number] | Literal["data"],
         BeforeValidator(_start),
         WithJsonSchema({"anyOf": [{"const": "data"}, {"type": "object", "additionalProperties": {"type": "number"}}]}),
     ] = Field(default_factory=dict)
     fixed: dict[Text, Number] = Field(default_factory=dict)
-    bounds: dict[Text, tuple[Number | None, Number | None]] = Field(default_factory=dict)
-    prior: dict[Text, PriorSection] = Field(default_factory=dict)
-    local: dict[Text, Literal["recording", "operating_point"]] = Field(default_factory=dict)
-    robust: Literal["huber", "student"] | None = None
-    robust_threshold: Positive | None = None
-    std: Literal["auto", "bootstrap"] = "auto"
-    bootstrap_draws: Annotated[int, Strict(), Field(ge=50)] | None = None
-    bootstrap_seed: CountOrZero | None = None
+    bounds: dict[Text, tuple[Number | None, Number | None]] = Field(default_factory=dict)  # type: ignore[assignment]
+    prior: dict[Text, PriorSection] = Field(default_factory=dict)  # type: ignore[assignment]
+    local: dict[Text, Scope] = Field(default_factory=dict)
     trend: Annotated[
         TrendName | dict[Text, TrendName],
         BeforeValidator(_trend),
@@ -340,11 +337,8 @@ class FitSection(Section):
         BeforeValidator(_initial_state),
         WithJsonSchema({"anyOf": [{"enum": ["auto"]}, _STATE, {"type": "object", "additionalProperties": _STATE}]}),
     ] = "auto"
-    left_out: dict[Text, Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length=1)]] = Field(
-        default_factory=dict
-    )
+    left_out: dict[Text, Stretches] = Field(default_factory=dict)  # type: ignore[assignment]  # in seconds
     ipopt: dict[Text, Number | Text] = Field(default_factory=dict)
-    multi_start: MultiStartSection | None = None
 
 
 # ---- Schema of the import section: recordings listed one by one, found by file name, or listed in a table.

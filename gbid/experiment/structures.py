@@ -16,7 +16,7 @@ from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import about, nearest
 from gbid.experiment.rig_schema import LoopSection
 from gbid.experiment.schema import StructureOptions
-from gbid.identify.disturbances import Disturbances, asked_disturbances
+from gbid.identify.disturbances import Disturbances, disturbances_of
 from gbid.structure import (
     AnyStructure,
     ClosedLoop,
@@ -265,7 +265,7 @@ def fit_disturbances(experiment: Experiment, fit: str, structure: AnyStructure) 
     """
     section, labels = experiment.spec.fits[fit], tuple(output_labels(experiment, fit, structure))
     with about("trend"):
-        return asked_disturbances(section.trend, section.hum, labels, 0.0, section.focus)
+        return disturbances_of(section, labels, 0.0)
 
 
 def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

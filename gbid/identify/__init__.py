@@ -3,9 +3,10 @@
 from gbid.identify.data import select
 from gbid.identify.fit import fit
 from gbid.identify.multistart import Minimum, MultiStart, fit_multistart
+from gbid.identify.options import FitOptions, SettledOptions
+from gbid.identify.pose import FitProblem, fit_problem
 from gbid.identify.problem.solve import Progress
-from gbid.identify.request import FitProblem, fit_problem
-from gbid.identify.result import FitOptions, FitResult, StartsTried, load_fit, save_fit
+from gbid.identify.result import FitResult, StartsTried, load_fit, save_fit
 from gbid.identify.status import FitStatus
 from gbid.identify.table import FitTable, TableEntry, load_table, save_table, tabulate
 from gbid.identify.uncertainty.coloured import Whiteness, correlation, whiteness_test
@@ -28,6 +29,7 @@ __all__ = [
     "MultiStart",
     "PoleZero",
     "Progress",
+    "SettledOptions",
     "StartsTried",
     "TableEntry",
     "TimeResponse",

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.polynomial import legendre
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.discretise import Dual
+from gbid.identify.options import FitOptions, TrendName
 from gbid.structure import LinearModel, Matrices, NonlinearModel, Parameter
 
 
@@ -199,44 +199,28 @@ UNDISTURBED = Disturbances()
 
 # ---- Disturbances that the options of a fit ask for.
 
-TrendName = Literal["none", "offset", "linear", "random walk"] | int
 """Trend of an output: a word, or the degree of a polynomial."""
 TREND_WORDS = {"none": Trend(0), "offset": Trend(1), "linear": Trend(2), "random walk": Trend(0, random_walk=True)}
-HIGHEST_DEGREE = 9
 
 
-def asked_disturbances(
-    trend: TrendName | Mapping[str, TrendName],
-    hum: float | Sequence[float],
-    outputs: tuple[str, ...],
-    sample_time: float,
-    focus: str,
-) -> Disturbances:
-    """Return the disturbances for the options `trend` and `hum` of `gbid.fit`.
+def disturbances_of(options: FitOptions, outputs: tuple[str, ...], sample_time: float) -> Disturbances:
+    """Return the disturbances of the outputs for the options `trend` and `hum` of a fit.
 
     Parameters
     ----------
-    trend : str, int or dict
-        Trend of all outputs, or of each output channel by name.
-    hum : float or sequence of float
-        Frequencies [Hz].
+    options : FitOptions
+        Options of the fit.
     outputs : tuple of str
         Names of the output channels.
     sample_time : float
         Time between samples [s]; 0 when it is not known yet.
-    focus : {"prediction", "simulation"}
-        Focus of the fit.
-
-    Returns
-    -------
-    Disturbances
-        The disturbances.
 
     Raises
     ------
     UsageError
-        When an option is unknown or does not fit the data.
+        When an option does not fit the outputs or the sample time.
     """
+    trend, hum = options.trend, options.hum
     if isinstance(trend, Mapping):
         unknown = [name for name in trend if name not in outputs]
         if unknown:
@@ -246,7 +230,7 @@ def asked_disturbances(
         trends = tuple(_trend(trend.get(name, "none")) for name in outputs)
     else:
         trends = (_trend(trend),) * len(outputs)
-    if focus == "simulation" and any(each.random_walk for each in trends):
+    if options.focus == "simulation" and any(each.random_walk for each in trends):
         raise UsageError("trend = 'random walk' is for focus = 'prediction'; give a degree for a simulation")
     frequencies = (hum,) if isinstance(hum, int | float) else tuple(hum)
     highest = 1 / (2 * sample_time) if sample_time else math.inf
@@ -259,12 +243,7 @@ def asked_disturbances(
 
 
 def _trend(name: TrendName) -> Trend:
-    if isinstance(name, str) and name in TREND_WORDS:
-        return TREND_WORDS[name]
-    if isinstance(name, int) and not isinstance(name, bool) and 0 <= name <= HIGHEST_DEGREE:
-        return Trend(name + 1)
-    words = ", ".join(map(repr, TREND_WORDS))
-    raise UsageError(f"trend = {name!r}; choose {words}, or a degree from 0 to {HIGHEST_DEGREE}")
+    return TREND_WORDS[name] if isinstance(name, str) else Trend(name + 1)
 
 
 # ---- Disturbances in the equations of a predictor: columns of known regressors, and states of random walks.

@@ -13,10 +13,11 @@ from gbid.core.arrays import BoolArray, FloatArray, is_whole
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, NoValueAtStartError, UsageError
 from gbid.core.notes import FitNote
-from gbid.identify.fit import fit
+from gbid.identify.fit import fitted
+from gbid.identify.options import FitArguments
+from gbid.identify.pose import Recordings
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
-from gbid.recording import Recording
 from gbid.structure import AnyStructure, kind_of
 
 _SAME_LOSS = 1e-6  # largest relative difference of the losses of fits at one minimum
@@ -87,7 +88,7 @@ class MultiStart(Brief):
 
 def fit_multistart(
     structure: AnyStructure,
-    recordings: Recording | Sequence[Recording],
+    recordings: Recordings,
     *,
     starts: int = 10,
     seed: int = 0,
@@ -127,20 +128,20 @@ def fit_multistart(
         raise UsageError(f"starts = {starts!r}; give a whole number of at least 1")
     if not isinstance(reach, float | int | np.number) or not 0 < reach < np.inf:
         raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")
-    first = fit(structure, recordings, **options)
+    asked = FitArguments(**options)
+    first = fitted(structure, recordings, asked)
     results = {0: first}
     searched = not kind_of(structure).nonlinear  # start values are found in the data for linear ones only
     if starts > 1 and searched and "data" not in first.start_origin.values():
-        results |= _from_data(structure, recordings, options)
+        with suppress(DataError):  # the recordings may not suffice for that
+            results[1] = fitted(structure, recordings, replace(asked, start="data"))
     rng = np.random.default_rng(seed)
-    given = options.pop("start", None)
-    asked = {} if isinstance(given, str) else dict(given or {})
-    fixed = set(options.get("fixed") or {})
-    bounds = options.get("bounds") or {}
+    start = {} if isinstance(asked.start, str) else asked.start or {}
+    fixed, bounds = asked.fixed or {}, asked.bounds or {}
     own = first.own_names
     centres = {own.get(name, name): first.start[name] for name in first.free}  # one draw for all values of a local one
     for number in range(len(results), starts):
-        drawn = dict(asked)
+        drawn = dict(start)
         for q in structure.parameters:
             if q.name in fixed or q.fixed or q.name not in centres:
                 continue
@@ -150,18 +151,8 @@ def fit_multistart(
             low, high = (lower, upper) if np.isfinite([lower, upper]).all() else (centre - half, centre + half)
             drawn[q.name] = float(np.clip(rng.uniform(low, high), lower, upper))
         with suppress(NoValueAtStartError):
-            results[number] = fit(structure, recordings, start=drawn, **options)
+            results[number] = fitted(structure, recordings, replace(asked, start=drawn))
     return _summary(results, starts, seed)
-
-
-def _from_data(
-    structure: AnyStructure, recordings: Recording | Sequence[Recording], options: Any
-) -> dict[int, FitResult]:
-    """Return the fit from a start that is found in the data; none when the recordings do not suffice for that."""
-    try:
-        return {1: fit(structure, recordings, **{**options, "start": "data"})}
-    except DataError:
-        return {}
 
 
 def _summary(found: Mapping[int, FitResult], starts: int, seed: int) -> MultiStart:

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import singledispatch
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.discretise import Dual, Hold, check_holds, constant, delayed_taps, discretise, side_by_side
 from gbid.identify.disturbances import UNDISTURBED, Disturbances, disturbing_columns, with_random_walks
+from gbid.identify.options import Focus
 from gbid.structure import Parameter, Structure, kind_of, symbolic_matrices
 from gbid.structure.linear import ControlLaw, HeldFeedback, LoopParts
 
@@ -122,9 +123,6 @@ class GeneralPredictor(ABC):
     @abstractmethod
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
-
-
-Focus = Literal["prediction", "simulation"]
 
 
 class PredictorValues(NamedTuple):

@@ -16,76 +16,16 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief, estimates
 from gbid.core.errors import UsageError
 from gbid.core.extras import Pictured
-from gbid.core.hdf5 import NOT_STORED, Stored
+from gbid.core.hdf5 import AS_JSON, NOT_STORED, Stored
 from gbid.core.tables import Column, Entry, Table, html_table
-from gbid.discretise import Hold
 from gbid.identify.disturbances import Disturbances
 from gbid.identify.kernel.choice import RunEngine
-from gbid.identify.predictor import Focus
-from gbid.identify.problem.nlp import Criterion
-from gbid.identify.problem.solve import Stop
-from gbid.identify.robust import RobustLoss
+from gbid.identify.options import SettledOptions
 from gbid.identify.status import FitStatus
-from gbid.identify.uncertainty.coloured import Bootstrap, StdName
 from gbid.identify.uncertainty.curves import Bode, bode
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes, UncertainModel
 from gbid.structure import LinearModel, NonlinearModel
 from gbid.structure.scheduled import Schedule
-
-# ---- Options of a fit, stored with its result.
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """Options of a fit, with the choices that it made itself.
-
-    Attributes
-    ----------
-    inputs, outputs : tuple of str
-        Signals or channels, as the caller named them.
-    focus : {"prediction", "simulation"}
-        Focus of the errors.
-    intersample : tuple of {"zoh", "foh"}
-        Behaviour between samples of each input channel.
-    criterion : {"trace", "det"}
-        Criterion.
-    stop : {"tolerance", "paper"}
-        Stopping rule.
-    initial_state : {"estimated", "zero", "structure", "given"}
-        Initial state of each recording; "given" when it differs between recordings or states.
-    disturbances : Disturbances
-        Trends and hum of the outputs that were estimated along.
-    robust : RobustLoss or None
-        Robust loss; None for squared errors.
-    window : int or None
-        Number of samples in a shooting window; None for one window per recording.
-    engine : {"compiled", "numpy"}
-        Engine of the pass over the samples.
-    bootstrap : Bootstrap or None
-        Bootstrap of the standard deviations; None without one, also in a file of an earlier version.
-    schedule : Schedule or None
-        Terms of the surfaces of a scheduled structure; None for constant parameters.
-    """
-
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    focus: Focus
-    intersample: tuple[Hold, ...]
-    criterion: Criterion
-    stop: Stop
-    initial_state: Literal["estimated", "zero", "structure", "given"]
-    disturbances: Disturbances
-    robust: RobustLoss | None
-    window: int | None
-    engine: RunEngine
-    bootstrap: Bootstrap | None = None
-    schedule: Schedule | None = None
-
-    @property
-    def std(self) -> StdName:
-        """Standard deviations that were asked for: "bootstrap", or by the whiteness test ("auto")."""
-        return "auto" if self.bootstrap is None else "bootstrap"
-
 
 StdKind = Literal["white", "robust", "bootstrap"]
 
@@ -192,8 +132,14 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         Origin of each start value: ``"data"``, ``"user"`` or ``"structure"``.
     notes : tuple of str
         Notes: active bounds, parameters that are not determined, engine of the pass.
-    options : FitOptions
-        Options of the fit: focus, intersample, criterion, window, stop and so on.
+    options : SettledOptions
+        Options of the fit, with the choices that it made itself.
+    disturbances : Disturbances
+        Trends and hum of the outputs that were estimated along.
+    engine : {"compiled", "numpy"}
+        Engine of the pass over the samples.
+    schedule : Schedule or None
+        Terms of the surfaces of a scheduled structure; None for constant parameters.
     model : LinearModel
         The structure at the estimates, in continuous time; with local parameters, those of the first recording.
     sample_time : float
@@ -240,7 +186,10 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     start: Annotated[Mapping[str, float], _of_each("start", "start values")]
     start_origin: Annotated[Mapping[str, str], _texts_of_each("start_origin")]
     notes: tuple[str, ...]
-    options: FitOptions
+    options: Annotated[SettledOptions, AS_JSON]
+    disturbances: Disturbances
+    engine: RunEngine
+    schedule: Schedule | None
     model: LinearModel | NonlinearModel
     sample_time: Annotated[float, Stored("s", "time between samples")]
     local_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray
-from gbid.core.errors import UsageError
 from gbid.identify.kernel.blocks import reweighted
+from gbid.identify.options import FitOptions, LossName
 from gbid.identify.problem.nlp import Shooting
 from gbid.identify.problem.solve import Solution
 
-LossName = Literal["huber", "student"]
 EFFICIENCY = 0.95
 """Efficiency of the default thresholds for normal errors without outliers."""
 
@@ -90,39 +88,15 @@ class WeightMoments:
     curvature: float
 
 
-def robust_loss(kind: LossName | None, threshold: float | None, n_outputs: int) -> RobustLoss | None:
-    """Return a loss, None for squared errors; the default threshold has an efficiency of 95 % for normal errors.
+def robust_loss(options: FitOptions, n_outputs: int) -> RobustLoss | None:
+    """Return the loss of the options of a fit, None for squared errors.
 
-    Parameters
-    ----------
-    kind : {"huber", "student"}, optional
-        The loss.
-    threshold : float, optional
-        Threshold of Huber in standard deviations, or degrees of freedom of Student.
-    n_outputs : int
-        Number of outputs.
-
-    Returns
-    -------
-    RobustLoss or None
-        The loss.
-
-    Raises
-    ------
-    UsageError
-        When the loss is unknown, or its threshold is not positive.
+    The default threshold has an efficiency of 95 % for normal errors.
     """
+    kind, threshold = options.robust, options.robust_threshold
     if kind is None:
-        if threshold is not None:
-            raise UsageError("robust_threshold is for robust = 'huber' or 'student'; give one of them, too")
         return None
-    if kind not in ("huber", "student"):
-        raise UsageError(f"robust = {kind!r}; choose 'huber' or 'student', or None for squared errors")
-    if threshold is None:
-        return _default(kind, n_outputs)
-    if not (np.isfinite(threshold) and threshold > 0):
-        raise UsageError(f"robust_threshold = {threshold}; it must be above 0")
-    return RobustLoss(kind, float(threshold))
+    return _default(kind, n_outputs) if threshold is None else RobustLoss(kind, float(threshold))
 
 
 @lru_cache(maxsize=32)

@@ -21,16 +21,9 @@ from gbid.core.notes import SurfaceNote
 from gbid.discretise import Hold
 from gbid.identify.data import Channels, FitData, gather_own
 from gbid.identify.fit import fit
-from gbid.identify.predictor import Focus, build_predictor
-from gbid.identify.problem.assemble import (
-    OwnStructure,
-    Scope,
-    Ties,
-    assemble,
-    build_problem,
-    full_start,
-    unknown_bounds,
-)
+from gbid.identify.options import FitArguments, Focus, Scope
+from gbid.identify.predictor import build_predictor
+from gbid.identify.problem.assemble import OwnStructure, Ties, assemble, build_problem, full_start, unknown_bounds
 from gbid.identify.problem.nlp import CLEAR, near_instability
 from gbid.identify.problem.solve import Progress, Solution, solve
 from gbid.identify.status import FitStatus
@@ -379,9 +372,11 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
             unknowns[at] = unknowns[at] if value is None else value
             lower[at] = upper[at] = unknowns[at]
 
+        limits = FitArguments(max_iterations=options.max_iterations, progress=options.progress)
+
         def run() -> Solution:
             first = np.clip(unknowns, lower, upper)
-            return solve(problem, first, lower, upper, max_iterations=options.max_iterations, progress=options.progress)
+            return solve(problem, first, lower, upper, limits)
 
         fix(gains.held)
         edge = unstable(unknowns) & ~gains.held

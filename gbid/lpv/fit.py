@@ -454,7 +454,7 @@ def lpv_of(
     UsageError
         When the fit is of another structure, or did not converge.
     """
-    schedule = result.options.schedule
+    schedule = result.schedule
     if schedule is None:
         raise UsageError(
             f"the fit of {result.structure!r} has constant parameters; surfaces through several fits: gbid.fit_lpv"

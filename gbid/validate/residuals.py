@@ -219,7 +219,7 @@ def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple
     model, between = result.model, result.options.intersample
     overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     with np.errstate(over="ignore", invalid="ignore"):
-        disturbances = result.options.disturbances
+        disturbances = result.disturbances
         fitted = simulator_of(model, recording.sample_time, between, disturbances)
         if isinstance(fitted, NonlinearSimulator) and result.options.focus == "prediction":
             fitted = replace(

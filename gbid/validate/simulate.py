@@ -384,19 +384,18 @@ simulator_of.register(NonlinearModel, NonlinearSimulator)
 
 def refuse_scheduled(result: FitResult) -> None:
     """Refuse the fit of a scheduled structure, whose model holds in the middle of the range only."""
-    if result.options.schedule is not None:
+    if result.schedule is not None:
         raise UsageError(
-            f"the parameters of {result.structure!r} follow {', '.join(result.options.schedule.variables)}; its model "
+            f"the parameters of {result.structure!r} follow {', '.join(result.schedule.variables)}; its model "
             "is that of the middle of their range. Take gbid.lpv_of(result).model.at(...) at an operating point"
         )
 
 
 def simulator(result: FitResult) -> Simulator:
     """Return a fitted model prepared for the simulation on many recordings."""
-    options = result.options
     refuse_scheduled(result)
     return simulator_of(
-        result.model, result.sample_time, options.intersample, options.disturbances, ", ".join(result.recordings)
+        result.model, result.sample_time, result.options.intersample, result.disturbances, ", ".join(result.recordings)
     )
 
 

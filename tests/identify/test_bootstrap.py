@@ -7,15 +7,14 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from gbid.core.errors import UsageError
-from gbid.identify import fit, load_fit, save_fit
+from gbid.identify import FitOptions, fit, load_fit, save_fit
 from gbid.identify.uncertainty.coloured import (
-    _FEWEST,
     Bootstrap,
     ErrorModel,
     Estimator,
     RecordSensitivities,
-    asked_bootstrap,
     bootstrap_factors,
+    bootstrap_of,
     transformed,
 )
 
@@ -32,16 +31,16 @@ def result():
 
 
 def test_the_fewest_draws_are_those_of_a_quantile():
-    assert asked_bootstrap("bootstrap", _FEWEST, None) == Bootstrap(_FEWEST, 0)
-    with pytest.raises(UsageError, match="at least"):
-        asked_bootstrap("bootstrap", _FEWEST - 1, None)
+    assert bootstrap_of(FitOptions(std="bootstrap", bootstrap_draws=50)) == Bootstrap(50, 0)
+    with pytest.raises(UsageError, match="bootstrap_draws = 49; give a whole number of at least 50 or None"):
+        FitOptions(std="bootstrap", bootstrap_draws=49)
 
 
 def test_it_is_a_kind_of_its_own(result):
     assert result.success
     assert result.trusted == "bootstrap"
     assert result.options.std == "bootstrap"
-    assert result.options.bootstrap == Bootstrap(60, 0)
+    assert (result.options.bootstrap_draws, result.options.bootstrap_seed) == (60, 0)
     assert result.std == result.std_with("bootstrap")
     np.testing.assert_array_equal(result.covariance, result.covariance_bootstrap)
     assert any("not white: standard deviations are those of the bootstrap" in note for note in result.notes)
@@ -95,8 +94,8 @@ def test_what_is_no_estimate_has_no_bootstrap():
         ({"std": "white"}, "std = 'white'; choose"),
         ({"bootstrap_draws": 100}, "bootstrap_draws is for std"),
         ({"bootstrap_seed": 1}, "bootstrap_seed is for std"),
-        ({"std": "bootstrap", "bootstrap_draws": 10}, "bootstrap_draws = 10; a 95 % quantile needs"),
-        ({"std": "bootstrap", "bootstrap_seed": -1}, "bootstrap_seed = -1; it must be"),
+        ({"std": "bootstrap", "bootstrap_draws": 10}, "bootstrap_draws = 10; give a whole number of at least 50"),
+        ({"std": "bootstrap", "bootstrap_seed": -1}, "bootstrap_seed = -1; give a whole number of at least 0"),
     ],
 )
 def test_wrong_options_are_named(options, says):

@@ -9,9 +9,9 @@ from shaken_rig import TRUE, shaken
 import gbid
 from gbid.core.errors import UsageError
 from gbid.identify.data import gather
+from gbid.identify.optimum import FOUND, SUSPECTED, lower_elsewhere
 from gbid.identify.problem.assemble import assemble, build_problem
 from gbid.identify.problem.hessian import ExactHessian, held_up, in_one_window, in_windows
-from gbid.identify.restarts import FOUND, SUSPECTED, lower_elsewhere
 from gbid.rig import FilmStiffening, ProcessNoise
 from gbid.structure import evaluate
 

@@ -6,8 +6,8 @@ from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, innovations, levels, si
 
 import gbid
 from gbid.core.errors import UsageError
-from gbid.identify import fit
-from gbid.identify.disturbances import Disturbances, Trend, asked_disturbances, with_walking_offsets
+from gbid.identify import FitOptions, fit
+from gbid.identify.disturbances import Disturbances, Trend, disturbances_of, with_walking_offsets
 from gbid.structure import evaluate
 
 N = 1500
@@ -117,7 +117,7 @@ def test_random_walks_do_not_spoil_the_standard_deviations():
 def test_the_walking_model_predicts_as_the_fit_did():
     rec = walking(5, 0.02, n=1200)
     result = fit(MODE, rec, trend="random walk", window=None)
-    model = with_walking_offsets(result.model, result.options.disturbances, result.parameters)
+    model = with_walking_offsets(result.model, result.disturbances, result.parameters)
     assert model.n_states == 3
     first = [*result.initial_states[0], 2.0]
     error = rec.signal("y") - model.predict(rec.signal("u"), rec.signal("y"), H, initial_state=first)
@@ -127,9 +127,7 @@ def test_the_walking_model_predicts_as_the_fit_did():
 
 def test_the_walking_model_keeps_delays():
     delayed = gbid.LinearModel([[-2.0]], [[0.0]], [[1.0]], [[0.0]], B_delayed=[[2.0]], delay=[0.3])
-    model = with_walking_offsets(
-        delayed, asked_disturbances("random walk", (), ("y",), H, "prediction"), {"walk_y": 0.1}
-    )
+    model = with_walking_offsets(delayed, disturbances_of(FitOptions(trend="random walk"), ("y",), H), {"walk_y": 0.1})
     np.testing.assert_array_equal(model.B_delayed, [[2.0], [0.0]])
     u = levels(200)
     np.testing.assert_allclose(model.simulate(u, H), delayed.simulate(u, H), atol=1e-12)
@@ -144,7 +142,7 @@ def test_results_come_back_from_their_file(tmp_path):
     gbid.save_fit(result, tmp_path / "fit.h5")
     again = gbid.load_fit(tmp_path / "fit.h5")
     assert again.options == result.options
-    assert again.options.disturbances.trends == (Trend(0), Trend(0, random_walk=True))
+    assert again.disturbances.trends == (Trend(0), Trend(0, random_walk=True))
     assert dict(again.parameters) == dict(result.parameters)
 
 
@@ -181,8 +179,11 @@ def test_start_values_of_a_bearing_are_found_beside_a_drift():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"trend": "cubic"}, "trend = 'cubic'; choose 'none', 'offset', 'linear', 'random walk', or a degree from 0"),
-        ({"trend": 12}, "a degree from 0 to 9"),
+        (
+            {"trend": "cubic"},
+            "trend = 'cubic'; give 'none', 'offset', 'linear', 'random walk', a whole",
+        ),
+        ({"trend": 12}, "trend = 12; give"),
         ({"trend": True}, "trend = True"),
         ({"trend": {"p": "linear"}}, "trend names 'p', which is no output of the fit; they are y"),
         ({"trend": "random walk", "focus": "simulation"}, "is for focus = 'prediction'"),

@@ -237,7 +237,7 @@ def test_both_engines_fit_alike(focus, fresh, cache):
     a = fit(MODE, rec, focus=focus)
     with no_compiler():
         b = fit(MODE, rec, focus=focus)
-    assert (a.options.engine, b.options.engine) == ("compiled", "numpy")
+    assert (a.engine, b.engine) == ("compiled", "numpy")
     assert a.notes == tuple(note for note in b.notes if "portable" not in note)
     assert a.loss == pytest.approx(b.loss, rel=1e-9)
     for name in a.free:
@@ -335,7 +335,7 @@ def test_without_a_compiler_nonlinear_structures_are_fitted(fresh, tmp_path):
     fresh.setenv("CC", "/nonexistent/cc")
     recording = mass_recording(3, n=60)
     result = fit(SAME["nonlinear"], recording, max_iterations=2)
-    assert result.options.engine == "numpy"
+    assert result.engine == "numpy"
     assert any("the slower portable pass was used" in note for note in result.notes)
 
 
@@ -347,7 +347,7 @@ def test_without_a_compiler_the_portable_pass_is_used_and_said(fresh, tmp_path):
     fresh.setenv("CC", "/nonexistent/cc")
     result = fit(MODE, DATA, focus="simulation")
     assert result.success
-    assert result.options.engine == "numpy"
+    assert result.engine == "numpy"
     said = [note for note in result.notes if "portable pass" in note]
     assert said == [
         "no C compiler found (/nonexistent/cc): the slower portable pass was used; "
@@ -364,7 +364,7 @@ def test_a_compiler_that_fails_is_none(fresh, tmp_path):
     fresh.setenv("CC", str(compiler))
     result = fit(MODE, DATA, focus="simulation")
     assert result.success
-    assert result.options.engine == "numpy"
+    assert result.engine == "numpy"
     assert any("failed on the kernel: no luck: the slower portable pass was used" in note for note in result.notes)
     assert not list((tmp_path / "cache").glob("*.so"))
 
@@ -377,7 +377,7 @@ def test_a_cache_that_cannot_be_written_is_said(fresh, tmp_path):
         pytest.skip("no C compiler on this machine: it is missed first")
     result = fit(MODE, DATA, focus="simulation")
     assert result.success
-    assert result.options.engine == "numpy"
+    assert result.engine == "numpy"
     assert any("cache of compiled kernels cannot be used" in note for note in result.notes)
     assert (tmp_path / "file").read_text() == "mine"
 
@@ -393,7 +393,7 @@ from gbid.identify import fit
 
 result = fit(MODE, simulated(MODE, MODE_AT, levels(300), noise=0.3), focus="simulation")
 smallest = np.array([5e-324, 1e-310])
-print(result.options.engine, (smallest * 1.0).tolist() == [5e-324, 1e-310], 5e-324 / 1.0 > 0, 1e-308 / 4 > 0)
+print(result.engine, (smallest * 1.0).tolist() == [5e-324, 1e-310], 5e-324 / 1.0 > 0, 1e-308 / 4 > 0)
 """
 
 

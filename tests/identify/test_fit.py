@@ -28,8 +28,9 @@ from places import SUPPORT
 
 from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
+from gbid.identify.options import FitArguments
+from gbid.identify.pose import pose
 from gbid.identify.problem.solve import solve
-from gbid.identify.request import request
 from gbid.recording import Recording
 from gbid.structure import KEY_PARAMETERS, LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, evaluate
 
@@ -172,11 +173,11 @@ def test_windows_do_not_move_the_optimum_of_the_rotor(rotor, rotor_fit, window):
 @pytest.mark.parametrize("window", [None, 500])
 def test_scaling_does_not_move_the_optimum_of_the_rotor(rotor, rotor_fit, window):
     """Stiffnesses of 1e5 beside delays of 1e-4: the solver's tolerance says nothing then, so success is not asked."""
-    asked = request(RotorBearing(), rotor, {})
-    posed = asked.posed(asked.first.values, window)
-    ones = np.ones(posed.problem.n_theta), np.ones(posed.problem.n_states)
-    unscaled = replace(posed.problem, theta_scale=ones[0], state_scale=ones[1], _last={}, _met={})
-    box = [unscaled.pack(*posed.problem.unpack(x)) for x in (posed.unknowns, posed.lower, posed.upper)]
+    task = pose(RotorBearing(), rotor, FitArguments())
+    posed = task.problem(task.begin.values, window)
+    ones = np.ones(posed.shooting.n_theta), np.ones(posed.shooting.n_states)
+    unscaled = replace(posed.shooting, theta_scale=ones[0], state_scale=ones[1], _last={}, _met={})
+    box = [unscaled.pack(*posed.shooting.unpack(x)) for x in (posed.unknowns, *posed.box)]
     theta, starts = unscaled.unpack(solve(unscaled, *box).unknowns)
     found = dict(zip((q.name for q in posed.assembly.free), theta, strict=True))
     products = unscaled.error_products(unscaled.values(theta), starts) / unscaled.n_samples
@@ -470,8 +471,6 @@ import os, signal, sys
 sys.path.insert(0, {tests!r})
 from fit_cases import MODE, MODE_AT, levels, simulated
 from gbid.identify import fit
-from gbid.identify.problem.solve import solve
-from gbid.identify.request import request
 
 seen = []
 def progress(p):
@@ -524,8 +523,6 @@ import os, sys, threading
 sys.path.insert(0, {tests!r})
 from fit_cases import MODE, MODE_AT, levels, simulated
 from gbid.identify import fit
-from gbid.identify.problem.solve import solve
-from gbid.identify.request import request
 from gbid.core.arrays import one_solver
 
 rec = simulated(MODE, MODE_AT, levels(500), noise=0.3)
@@ -623,12 +620,12 @@ WRONG_USE = {
     "unknown fixed": ({"fixed": {"q": 1.0}}, "fixed names unknown parameters: q"),
     "unknown bounds": ({"bounds": {"q": (0, 1)}}, "bounds names unknown parameters: q"),
     "focus": ({"focus": "predict"}, "focus = 'predict'; choose 'prediction' or 'simulation'"),
-    "criterion": ({"criterion": "sum"}, "criterion = 'sum'; choose 'auto', 'trace' or 'det'"),
+    "criterion": ({"criterion": "sum"}, "criterion = 'sum'; choose 'trace', 'det' or 'auto'"),
     "stop": ({"stop": "now"}, "stop = 'now'; choose 'tolerance' or 'paper'"),
-    "intersample": ({"intersample": "linear"}, "intersample = 'linear'; choose 'zoh' or 'foh'"),
+    "intersample": ({"intersample": "linear"}, "intersample = 'linear'; give 'zoh', 'foh', a list"),
     "number of holds": ({"intersample": ("zoh", "foh")}, "intersample names 2 inputs; there are 1"),
-    "window": ({"window": 1}, "window = 1; a shooting window needs at least 2 samples"),
-    "iterations": ({"max_iterations": 0}, "max_iterations = 0; it must be at least 1"),
+    "window": ({"window": 1}, "window = 1; give a whole number of at least 2, 'auto' or None"),
+    "iterations": ({"max_iterations": 0}, "max_iterations = 0; give a whole number of at least 1"),
     "nothing free": ({"fixed": MODE_AT}, "structure 'mode': no free parameter to estimate"),
     "start is no number": ({"start": {"w": float("nan")}}, "start = nan is not finite"),
 }

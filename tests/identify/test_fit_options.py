@@ -115,7 +115,7 @@ LOCAL = {
         UsageError,
         "local names parameters that are not estimated: b",
     ),
-    "scope": ({"local": {"b": "day"}}, UsageError, "local = 'day'; choose 'recording' or 'operating_point'"),
+    "scope": ({"local": {"b": "day"}}, UsageError, "'day'}; give a dict by name .'recording' or 'operating_point'"),
     "no point": (
         {"local": {"b": "operating_point"}},
         DataError,
@@ -269,7 +269,7 @@ def test_initial_states_zero_given_and_estimated():
     assert all(known[name] < 1.001 * unknown[name] for name in PHYSICAL)
     assert any(known[name] < 0.98 * unknown[name] for name in PHYSICAL)  # not estimating it leaves more information
     assert np.abs(away(given, MODE_AT, PHYSICAL)).max() < 4
-    assert [r.options.initial_state for r in (estimated, given, zero)] == ["estimated", "given", "zero"]
+    assert [r.options.initial_state for r in (estimated, given, zero)] == ["estimated", (3.0, -4.0), "zero"]
 
 
 def test_a_given_initial_state_holds_for_every_window_length_and_recording():
@@ -281,7 +281,7 @@ def test_a_given_initial_state_holds_for_every_window_length_and_recording():
 
 
 INITIAL = {
-    "word": ("rest", "initial_state = 'rest'; choose 'estimated', 'zero', 'structure' or give the state"),
+    "word": ("rest", "initial_state = 'rest'; give 'auto', 'estimated', 'zero', 'structure', a list"),
     "too long": ([0.0, 0.0, 0.0], r"initial_state has shape \(3,\); the structure has 2 states"),
     "not finite": ([0.0, np.nan], "initial_state"),
 }
@@ -389,8 +389,8 @@ WRONG = {
         {"output_weights": [1.0, 2.0]},
         r"output_weights = \[1.0, 2.0\]; give one positive number for each of y",
     ),
-    "weight of zero": ({"output_weights": [0.0]}, "give one positive number for each of y"),
-    "weight of nan": ({"output_weights": [np.nan]}, "give one positive number for each of y"),
+    "weight of zero": ({"output_weights": [0.0]}, "give a positive number for each output or None"),
+    "weight of nan": ({"output_weights": [np.nan]}, "give a positive number for each output or None"),
     "prior of a stranger": ({"prior": {"q": (1.0, 1.0)}}, "prior names a parameter that is not estimated: q"),
     "prior of a fixed one": (
         {"prior": {"z": (0.1, 1.0)}, "fixed": {"z": 0.1}},

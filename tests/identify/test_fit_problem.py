@@ -117,7 +117,7 @@ def test_constraints_on_initial_states_and_bounds():
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"extra_cost": 3.0}, "extra_cost = 3.0 is no function"),
+        ({"extra_cost": 3.0}, "extra_cost = 3.0; give a function"),
         ({"extra_cost": lambda p, x0: p.q}, "no parameter 'q'"),
         ({"extra_cost": lambda p, x0: [p.k]}, "is list, which is no CasADi expression"),
         ({"extra_cost": lambda p, x0: x0["duffing 3"]}, r"has shape \(2, 1\)"),

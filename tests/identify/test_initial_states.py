@@ -23,7 +23,7 @@ def test_each_recording_has_the_state_that_is_given():
     found = fit(MODE, recordings(), initial_state=STARTS, focus="simulation")
     np.testing.assert_allclose(found.initial_states, list(STARTS.values()), atol=1e-12)
     free = fit(MODE, recordings(), focus="simulation")
-    assert found.options.initial_state == "given"
+    assert found.options.initial_state == {name: tuple(state) for name, state in STARTS.items()}
     for name in "wzg":
         assert abs(found.parameters[name] - MODE_AT[name]) < 4 * found.std[name]
         assert found.std[name] < free.std[name]  # what is known need not be estimated
@@ -42,7 +42,7 @@ def test_zero_is_a_state_of_a_recording():
 def test_some_states_are_given_and_others_estimated():
     states = {"a": [2.0, "estimated"], "b": "estimated"}
     found = fit(MODE, recordings(), initial_state=states, focus="simulation")
-    assert found.options.initial_state == "given"
+    assert found.options.initial_state == {"a": (2.0, "estimated"), "b": "estimated"}
     assert found.initial_states[0, 0] == 2.0
     both = recordings()
 
@@ -78,9 +78,12 @@ def test_some_states_are_given_and_others_estimated():
         ({"a": [2.0], "b": "zero"}, "initial_state has shape (1,); the structure has 2 states"),
         (
             {"a": "rest", "b": "zero"},
-            "initial_state = 'rest'; choose 'estimated', 'zero', 'structure' or give the state",
+            "'rest', 'b': 'zero'}; give 'auto', 'estimated', 'zero', 'structure', a list",
         ),
-        ([0.0, "free"], "initial_state: state 'free'; give a number, 'estimated' or 'structure'"),
+        (
+            [0.0, "free"],
+            "initial_state = [0.0, 'free']; give 'auto', 'estimated', 'zero'",
+        ),
         ([0.0, float("inf")], "it must be finite"),
         ("structure", "structure 'mode' states none; add x0 to its matrices(p)"),
     ],

@@ -1,13 +1,15 @@
 """Fits from several starts."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from fit_cases import MODE, MODE_AT, H, levels, simulated
 
-from gbid.core.errors import UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify import FitStatus, fit, fit_multistart, load_fit, save_fit
+from gbid.identify.fit import fitted
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 
@@ -86,11 +88,12 @@ def test_the_best_is_the_smallest_loss_whatever_its_status(rec, monkeypatch, tmp
     """A fit that nearly arrived at the best minimum beats one that converged at a worse one, and says what it is."""
     limits = iter((100, 4))  # the first converges to a poor minimum; the second is stopped on its way to the best one
 
-    def limited(structure, recordings, **options):
-        return fit(structure, recordings, **{**options, "max_iterations": next(limits)})
+    def limited(structure, recordings, options):
+        if options.start == "data":
+            raise DataError("too short")
+        return fitted(structure, recordings, replace(options, max_iterations=next(limits)))
 
-    monkeypatch.setattr("gbid.identify.multistart.fit", limited)
-    monkeypatch.setattr("gbid.identify.multistart._from_data", lambda *_: [])
+    monkeypatch.setattr("gbid.identify.multistart.fitted", limited)
     near = LinearStructure("near", [Parameter("w", 1.0, 0.5, 30.0), *WIDE.parameters[1:]], WIDE.matrices)
     monkeypatch.setattr(np.random, "default_rng", lambda seed: Fixed())
     found = fit_multistart(near, rec, starts=2, seed=0, window=None)
@@ -126,11 +129,11 @@ def test_starts_lie_within_bounds_and_reach(monkeypatch):
     """Between two finite bounds; else within reach of the start, and about zero where that is zero."""
     seen = []
 
-    def watched(structure, recordings, **options):
-        seen.append(options.get("start"))
-        return fit(structure, recordings, **options)
+    def watched(structure, recordings, options):
+        seen.append(options.start)
+        return fitted(structure, recordings, options)
 
-    monkeypatch.setattr("gbid.identify.multistart.fit", watched)
+    monkeypatch.setattr("gbid.identify.multistart.fitted", watched)
     structure = LinearStructure(
         "four",
         [

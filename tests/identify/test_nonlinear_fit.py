@@ -111,7 +111,7 @@ def test_both_engines_find_the_same():
     a = gbid.fit(DUFFING, recording, window=None)
     with no_compiler():
         b = gbid.fit(DUFFING, recording, window=None)
-    assert b.options.engine == "numpy"
+    assert b.engine == "numpy"
     for name in a.free:
         assert b.parameters[name] == pytest.approx(a.parameters[name], rel=1e-9)
         assert b.covariance_robust == pytest.approx(a.covariance_robust, rel=1e-5)

@@ -10,7 +10,7 @@ from shooting_problem import problem
 
 import gbid
 from gbid.core.errors import UsageError
-from gbid.identify import fit
+from gbid.identify import FitOptions, fit
 from gbid.identify.problem.hessian import on_ends, own_gradients
 from gbid.identify.robust import _counted, _with_weights, efficiency, robust_loss
 
@@ -42,15 +42,15 @@ def estimates(outliers, seeds, **options):
 
 def test_thresholds_are_those_of_the_textbook():
     """Huber (1981): 1.345 for 95 % of one output; bivariate 1.5 (Maronna, Martin, Yohai, 2006)."""
-    assert robust_loss("huber", None, 1).threshold == pytest.approx(1.345, abs=0.003)
+    assert robust_loss(FitOptions(robust="huber"), 1).threshold == pytest.approx(1.345, abs=0.003)
     for kind in LOSSES:
         for n_outputs in (1, 2, 4):
-            assert efficiency(robust_loss(kind, None, n_outputs), n_outputs) == pytest.approx(0.95, abs=1e-3)
+            assert efficiency(robust_loss(FitOptions(robust=kind), n_outputs), n_outputs) == pytest.approx(0.95, abs=1e-3)
 
 
 @pytest.mark.parametrize("kind", LOSSES)
 def test_the_elasticity_is_the_derivative_of_the_weight(kind):
-    loss, squared, step = robust_loss(kind, 2.5, 1), np.array([0.3, 1.7, 8.0, 90.0]), 1e-6
+    loss, squared, step = robust_loss(FitOptions(robust=kind, robust_threshold=2.5), 1), np.array([0.3, 1.7, 8.0, 90.0]), 1e-6
     there = loss.weight(squared * (1 + step) ** 2, 1)
     np.testing.assert_allclose((there / loss.weight(squared, 1) - 1) / step, loss.elasticity(squared), atol=1e-5)
 
@@ -132,9 +132,9 @@ def test_an_outlier_of_one_output_does_not_spoil_the_other(tmp_path):
 
 
 def test_unknown_losses_are_refused():
-    with pytest.raises(UsageError, match="robust = 'tukey'; choose 'huber' or 'student'"):
+    with pytest.raises(UsageError, match="robust = 'tukey'; give 'huber', 'student' or None"):
         fit(MODE, data(0), robust="tukey")
-    with pytest.raises(UsageError, match="robust_threshold = -1; it must be above 0"):
+    with pytest.raises(UsageError, match="robust_threshold = -1; give a number above 0"):
         fit(MODE, data(0), robust="huber", robust_threshold=-1)
     with pytest.raises(UsageError, match="robust_threshold is for robust"):
         fit(MODE, data(0), robust_threshold=2.0)

@@ -50,7 +50,7 @@ def test_constant_surfaces_are_the_fit_with_constant_parameters():
     plain = gbid.fit(BASE, ramp())
     result = gbid.fit(gbid.scheduled(BASE, "gap", order=0, piece_s=0.3), ramp())
     assert result.success
-    assert result.options.schedule.pieces == 5
+    assert result.schedule.pieces == 5
     for name in ("k", "d", "b"):
         assert result.parameters[f"{name}_0"] == pytest.approx(plain.parameters[name], abs=1e-4 * plain.std[name])
         assert result.std[f"{name}_0"] == pytest.approx(plain.std[name], rel=1e-4)

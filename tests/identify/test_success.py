@@ -47,7 +47,7 @@ def test_an_unstable_start_in_windows_of_the_caller(window):
 @pytest.mark.parametrize("window", [None, 100, "auto"])
 def test_a_fit_that_stays_at_an_unstable_model_is_no_success_and_not_white(start, window, monkeypatch):
     """Where no observer can be found, what stays is a status; whiteness is not believed."""
-    monkeypatch.setattr(import_module("gbid.identify.fit"), "settled_start", lambda *_, **__: None)
+    monkeypatch.setattr(import_module("gbid.identify.restarts"), "settled_start", lambda *_, **__: None)
     problem = start_problem("spring")
     result = fit(problem.structure, problem.recording, start=start, focus="simulation", window=window)
     variance = float(np.var(problem.recording.signal("y")))

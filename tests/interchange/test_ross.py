@@ -136,7 +136,7 @@ def test_coefficients_of_two_bearings_are_found_from_four_sensors():
     structure = gbid.from_ross(rotor(**START), sensors=SENSORS, actuators=ACTUATORS, speed_rpm=3000, modes=6)
     result = gbid.fit(structure, gbid.Recording({"f": force, "p": measured}, step, name="run"), focus="simulation")
     assert result.success
-    assert result.options.engine == "numpy"
+    assert result.engine == "numpy"
     assert any("would take minutes to build: the slower portable pass was used" in note for note in result.notes)
     true = {
         f"{key[-1]}_{a}{b}_{key[:-2]}": matrix[i, j]

@@ -50,7 +50,7 @@ def plainly(result, recording, left_out=()):
 
     n = result.model.n_states
     columns = [run(0 * u, unit) for unit in np.eye(n)]
-    disturbances, t = result.options.disturbances, recording.time
+    disturbances, t = result.disturbances, recording.time
     courses = [t**power for power in range(disturbances.n_polynomials)]
     courses += [wave(2 * np.pi * f * t) for f in disturbances.hum for wave in (np.cos, np.sin)]
     columns += [np.outer(course, unit) for course in courses for unit in np.eye(y.shape[1])]

@@ -15,9 +15,10 @@ from gbid.core.hdf5.file import (
     reading,
     writing,
 )
-from gbid.core.hdf5.types import NOT_STORED, InFile, Stored, load, read_fields, save, write_fields
+from gbid.core.hdf5.types import AS_JSON, NOT_STORED, InFile, Stored, load, read_fields, save, write_fields
 
 __all__ = [
+    "AS_JSON",
     "NOT_STORED",
     "DamagedError",
     "FileKind",

@@ -48,6 +48,7 @@ from gbid.core.hdf5.file import (
     where,
     writing,
 )
+from gbid.core.option_types import plain
 
 # ---- Declaration of a stored field, written beside the field: unit, long name, shape and place in the HDF5 file.
 
@@ -83,6 +84,8 @@ class Stored:
 
 NOT_STORED = Stored(at="nowhere")
 """Mark of a field that is not stored; the reader passes it, or it has a default."""
+AS_JSON = Stored(long_name="JSON")
+"""Mark of a dataclass of plain values, such as options, that is stored as one text of JSON."""
 
 
 _DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
@@ -430,6 +433,8 @@ def _codec(hint: Any, stored: Stored | None) -> Codec:
     origin, args = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return OneOf(tuple(_codec(arg, stored) for arg in args if arg is not NoneType), NoneType in args)
+    if stored is AS_JSON:
+        return Leaf("U", lambda text: hint(**plain(json.loads(text))), (), False, Stored(), _of_fields)
     if _is_record(hint):
         return record(hint)
     if leaf := _leaf(hint, stored):
@@ -439,6 +444,10 @@ def _codec(hint: Any, stored: Stored | None) -> Codec:
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return _mapping(hint, args[1], stored)
     raise TypeError(f"{hint} cannot be stored")
+
+
+def _of_fields(value: Any) -> str:
+    return json.dumps(vars(value))
 
 
 def _is_record(hint: Any) -> bool:

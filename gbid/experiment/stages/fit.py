@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -31,7 +31,7 @@ from gbid.experiment.structures import (
     structure_or_none,
     structure_settings,
 )
-from gbid.identify import FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
+from gbid.identify import FitOptions, FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
 from gbid.identify.problem.states import initial_states
 from gbid.recording import ProblemKind, Recording
 from gbid.structure import Anatomy, AnyStructure, Parameter, kind_of
@@ -322,11 +322,6 @@ OPTION_CHECKS: tuple[Check, ...] = (
 
 FOLDER = "fits"
 _OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples")
-_AS_THEY_ARE = (
-    *("inputs", "outputs", "focus", "criterion", "output_weights", "window", "stop", "max_iterations"),
-    *("start", "fixed", "local", "trend", "hum", "robust", "robust_threshold"),
-    *("std", "bootstrap_draws", "bootstrap_seed", "ipopt"),
-)
 
 
 def fit_tasks(job: Job, only: str | None = None) -> list[Task]:
@@ -397,7 +392,7 @@ def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) 
     section = experiment.spec.fits[name]
     hold, state = section.intersample, section.initial_state
     return {
-        **{key: getattr(section, key) for key in _AS_THEY_ARE},
+        **{option.name: getattr(section, option.name) for option in fields(FitOptions)},
         "intersample": hold[0] if hold and len(hold) == 1 else hold,
         "bounds": {
             key: (-inf if low is None else low, inf if high is None else high)

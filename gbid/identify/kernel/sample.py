@@ -24,7 +24,8 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.discretise import Hold, IntegratorName, check_holds, one_step, step_inputs
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
-from gbid.identify.predictor import Focus, GeneralPredictor, predictor_of
+from gbid.identify.options import Focus
+from gbid.identify.predictor import GeneralPredictor, predictor_of
 from gbid.structure import Parameter, kind_of
 from gbid.structure.nonlinear import NonlinearStructure, first_steps, jumps_in, symbolic_equations
 

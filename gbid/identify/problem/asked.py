@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,16 +12,12 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.identify.data import FitData
+from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import Assembly
 from gbid.identify.problem.nlp import ExtraTerms, PlacedTerms, Shooting, compiled_terms
 from gbid.identify.problem.states import InitialStates
 from gbid.structure import Parameter, Values
 from gbid.structure.linear import in_one_line
-
-ExtraCost = Callable[[Any, Any], Any]
-"""``extra_cost(p, x0)``, an expression."""
-Constraints = Callable[[Any, Any], Sequence[tuple[float, Any, float]]]
-"""``constraints(p, x0)``, expressions between their bounds."""
 
 _NEAR = 1e-4  # of the size of a constraint
 
@@ -33,8 +29,7 @@ def with_extra_terms(
     states: InitialStates,
     parameters: Sequence[Parameter],
     start: FloatArray,
-    extra_cost: ExtraCost | None,
-    constraints: Constraints | None,
+    options: FitArguments,
 ) -> Shooting:
     """Return a problem with the extra cost and the constraints of a caller.
 
@@ -48,14 +43,15 @@ def with_extra_terms(
         Parameters of the structure; fixed ones are numbers in the expressions.
     start : (n_unknowns,) array
         Start, scaled; there the size of each constraint is taken.
-    extra_cost, constraints : callable, optional
-        As for `gbid.fit`.
+    options : FitArguments
+        Options with the extra cost and the constraints.
 
     Raises
     ------
     UsageError
         When a function fails, or returns what is no expression in the parameters and initial states.
     """
+    extra_cost, constraints = options.extra_cost, options.constraints
     if extra_cost is None and constraints is None:
         return problem
     theta = [ca.SX.sym(q.name) for q in assembly.free]

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from math import inf
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,14 +22,9 @@ from gbid.identify.kernel.nonlinear import NonlinearKernel
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.kernel.sums import Kernel, Sweep, tied
 from gbid.identify.kernel.window_starts import window_starts
-from gbid.identify.predictor import (
-    Focus,
-    GeneralPredictor,
-    Predictor,
-    predictor_of,
-    with_spare_states,
-)
-from gbid.identify.problem.nlp import Criterion, Prior, RecordGroup, Shooting
+from gbid.identify.options import Criterion, Focus, Scope
+from gbid.identify.predictor import GeneralPredictor, Predictor, predictor_of, with_spare_states
+from gbid.identify.problem.nlp import Prior, RecordGroup, Shooting
 from gbid.identify.problem.states import InitialStates
 from gbid.structure import AnyStructure, Parameter
 
@@ -231,7 +226,6 @@ def record_windows(windows: list[tuple[int, int]], counts: list[int]) -> IntArra
 
 # ---- Assembly of a fit from recordings and options: parts, links, and shared parameters.
 
-Scope = Literal["recording", "operating_point"]
 _WINDOW = {"prediction": 256, "simulation": 128}  # samples; measured outputs stabilise a prediction, so it is longer
 _MOST_WINDOWS = {
     "prediction": 64,

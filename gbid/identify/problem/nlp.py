@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sums import Kernel, Sweep, spectral_radius, tied
+from gbid.identify.options import Criterion
 from gbid.identify.predictor import GeneralPredictor, Predictor, PredictorValues
 
 # ---- Parts of the shooting problem: groups of records, prior knowledge, and values at a point.
@@ -497,7 +498,6 @@ def compiled_terms(
 # one.
 # Unknowns and constraints are scaled to the order of one. One pass over the samples gives all values of an iterate.
 
-Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # floor of the cost, as a part of the outputs' power
 _WELL_BELOW = 0.01  # part of that floor that a fit without errors reaches with its next step
 

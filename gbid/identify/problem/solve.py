@@ -5,10 +5,10 @@ from __future__ import annotations
 import signal
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.sparse.linalg import MatrixRankWarning, splu
 
 from gbid.core.arrays import FloatArray, IntArray, one_solver
 from gbid.core.errors import GbidError, UsageError
+from gbid.identify.options import FitArguments, Stop
 from gbid.identify.problem.hessian import Curvature, ExactHessian, GaussNewton, in_one_window, in_windows
 from gbid.identify.problem.nlp import Iterate, Pattern, Shooting
 from gbid.identify.status import FitStatus
@@ -359,7 +360,6 @@ def _active_rows(problem: Shooting, iterate: Iterate, x: FloatArray) -> tuple[Fl
 
 # ---- Watch over the iterations of the solver: progress, stopping rules, Ctrl-C.
 
-Stop = Literal["tolerance", "paper"]
 PAPER_TOLERANCE = 1e-4
 _GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
 _STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
@@ -534,9 +534,6 @@ def _iterations_ahead(sigma: float, before: float) -> float:
 
 # ---- IPOPT on the shooting problem.
 
-IpoptOptions = Mapping[str, str | float]
-"""Options of IPOPT by name; a whole number is a number, too."""
-
 _TOLERANCE = 1e-6  # of IPOPT on the scaled optimality conditions
 _REST = 0.1  # standard deviations that the next step of a solution may still be long
 _REST_BY_PAPER = 1.0  # the same for the paper's rule, which stops earlier
@@ -591,11 +588,7 @@ def solve(
     start: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
-    *,
-    stop: Stop = "tolerance",
-    max_iterations: int = 100,
-    progress: Callable[[Progress], None] | None = None,
-    ipopt: IpoptOptions | None = None,
+    options: FitArguments = FitArguments(),  # noqa: B008
 ) -> Solution:
     """Minimise the cost with all gaps closed.
 
@@ -610,14 +603,10 @@ def solve(
     problem : Shooting
     start, lower, upper : (n_unknowns,) array
         Start and bounds, scaled.
-    stop : {"tolerance", "paper"}
-        IPOPT's own test or a step far below the estimates' standard deviations, whichever is met first; or the
-        paper's: the relative change of the parameters below 1e-4 (Sec. 3.6).
-    max_iterations : int
-    progress : callable, optional
-        Called with each `Progress`.
-    ipopt : dict, optional
-        Options of IPOPT that replace those of this module.
+    options : FitArguments
+        Options of a fit: `stop`, `max_iterations`, `progress` and `ipopt`. "tolerance" stops by IPOPT's own test or at
+        a step far below the estimates' standard deviations, whichever is met first; "paper" at a relative change of
+        the parameters below 1e-4 (Sec. 3.6).
 
     Returns
     -------
@@ -630,134 +619,126 @@ def solve(
     Exception
         What `progress` raises.
     """
-    given = ipopt or {}
+    most = options.max_iterations
     with _interruptible() as interrupt:
-        watch = Watch(problem, stop, progress, interrupt, (lower, upper), changes_over=True)
-        first = _run(problem, watch, (start, lower, upper), _TOLERANCE, max_iterations, GaussNewton(problem), given)
+        runs = _Runs(problem, (lower, upper), GaussNewton, options, interrupt)
+        first, watch = runs.run(start, most, changes_over=True)
         if not watch.creeping:
-            return _at_rest(
-                problem, first, (lower, upper), interrupt, stop, max_iterations, progress, GaussNewton, given
-            )
+            return runs.at_rest(first, most)
         joined, kept = in_one_window(problem)
-        box = (first.unknowns[kept], lower[kept], upper[kept])
-        watch = Watch(joined, stop, progress, interrupt, box[1:], earlier=first.history)
-        left = max_iterations - first.iterations
-        last = _run(joined, watch, box, _TOLERANCE, left, ExactHessian(joined), given)
-        last = _at_rest(joined, last, box[1:], interrupt, stop, left, progress, ExactHessian, given)
+        runs = _Runs(joined, (lower[kept], upper[kept]), ExactHessian, options, interrupt)
+        most -= first.iterations
+        last, _ = runs.run(first.unknowns[kept], most, earlier=first.history)
+        last = runs.at_rest(last, most)
+    return _continued(first, replace(last, unknowns=in_windows(problem, joined, last.unknowns)))
+
+
+def _continued(first: Solution, last: Solution) -> Solution:
+    """Return the last solution with the iterations of the first, which ended where the last one began."""
     return replace(
         last,
-        unknowns=in_windows(problem, joined, last.unknowns),
         iterations=first.iterations + last.iterations,
         overflows=first.overflows + last.overflows,
         history=(*first.history, *last.history[1:]),
     )
 
 
-def _at_rest(
-    problem: Shooting,
-    solution: Solution,
-    box: tuple[FloatArray, FloatArray],
-    interrupt: Interrupt,
-    stop: Stop,
-    max_iterations: int,
-    progress: Callable[[Progress], None] | None,
-    curvature: Callable[[Shooting], Curvature],
-    ipopt: IpoptOptions,
-) -> Solution:
-    """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
-    known = np.isfinite(solution.rest)  # the watch has looked already
-    rest = solution.rest if known else distance_from_rest(problem, solution.unknowns, box)
-    if not solution.status.success or rest <= _REST or any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0])):
-        return replace(solution, rest=rest)
-    if solution.status is FitStatus.CONVERGED_BY_PAPER_RULE:
-        return replace(solution, rest=rest, status=solution.status if rest <= _REST_BY_PAPER else FitStatus.STALLED)
-    left = max(1, max_iterations - solution.iterations)
-    watch = Watch(problem, stop, progress, interrupt, box, earlier=solution.history)
-    last = _run(problem, watch, (solution.unknowns, *box), _TOLERANCE * _TIGHTER, left, curvature(problem), ipopt)
-    rest = distance_from_rest(problem, last.unknowns, box)
-    status = FitStatus.STALLED if last.status.success and rest > _REST else last.status
-    return replace(
-        last,
-        status=status,
-        rest=rest,
-        iterations=solution.iterations + last.iterations,
-        overflows=solution.overflows + last.overflows,
-        history=(*solution.history, *last.history[1:]),
-    )
+@dataclass(frozen=True, eq=False)
+class _Runs:
+    """Runs of IPOPT on one problem, within bounds and with one kind of Hessian."""
 
+    problem: Shooting
+    box: tuple[FloatArray, FloatArray]
+    curvature: Callable[[Shooting], Curvature]
+    options: FitArguments
+    interrupt: Interrupt
 
-def _run(
-    problem: Shooting,
-    watch: Watch,
-    box: tuple[FloatArray, FloatArray, FloatArray],
-    tolerance: float,
-    max_iterations: int,
-    curvature: Curvature,
-    ipopt: IpoptOptions,
-) -> Solution:
-    """Run IPOPT once from a start within bounds."""
-    start, lower, upper = box
-    trouble = Trouble(most=_FARTHEST)
-    solver, functions = _ipopt(problem, watch, tolerance, max_iterations, curvature, trouble, ipopt)
-    if watch.interrupt.error is None:
-        with one_solver():
-            result = solver(x0=start, lbx=lower, ubx=upper, lbg=functions.lower, ubg=functions.upper)
-    if watch.interrupt.error is not None:
-        raise watch.interrupt.error
-    if trouble.defect is not None:
-        raise trouble.defect
-    unknowns = np.asarray(result["x"], float).ravel()
-    status = _status(str(solver.stats()["return_status"]), watch)
-    if not np.isfinite(unknowns).all():
-        unknowns, status = np.asarray(start, float), FitStatus.OVERFLOW
-    iterations = int(solver.stats()["iter_count"])
-    rest = watch.rest[1] if np.array_equal(watch.rest[0], unknowns) else np.inf
-    return Solution(unknowns, status, iterations, tuple(watch.history), rest, trouble.points)
+    def run(
+        self,
+        start: FloatArray,
+        most: int,
+        *,
+        tolerance: float = _TOLERANCE,
+        earlier: Sequence[Progress] = (),
+        changes_over: bool = False,
+    ) -> tuple[Solution, Watch]:
+        """Run IPOPT once, at most so many iterations; `earlier` is the progress of the run before."""
+        options, (lower, upper), trouble = self.options, self.box, Trouble(most=_FARTHEST)
+        watch = Watch(
+            self.problem,
+            options.stop,
+            options.progress,
+            self.interrupt,
+            self.box,
+            earlier=earlier,
+            changes_over=changes_over,
+        )
+        solver, functions = self._solver(watch, tolerance, most, trouble)
+        if self.interrupt.error is None:
+            with one_solver():
+                result = solver(x0=start, lbx=lower, ubx=upper, lbg=functions.lower, ubg=functions.upper)
+        if self.interrupt.error is not None:
+            raise self.interrupt.error
+        if trouble.defect is not None:
+            raise trouble.defect
+        unknowns = np.asarray(result["x"], float).ravel()
+        status = _status(str(solver.stats()["return_status"]), watch)
+        if not np.isfinite(unknowns).all():
+            unknowns, status = np.asarray(start, float), FitStatus.OVERFLOW
+        rest = watch.rest[1] if np.array_equal(watch.rest[0], unknowns) else np.inf
+        iterations = int(solver.stats()["iter_count"])
+        return Solution(unknowns, status, iterations, tuple(watch.history), rest, trouble.points), watch
 
+    def at_rest(self, solution: Solution, most: int) -> Solution:
+        """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
+        problem, known = self.problem, np.isfinite(solution.rest)  # the watch may have looked already
+        rest = solution.rest if known else distance_from_rest(problem, solution.unknowns, self.box)
+        at_edge = any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0]))
+        if not solution.status.success or rest <= _REST or at_edge:
+            return replace(solution, rest=rest)
+        if solution.status is FitStatus.CONVERGED_BY_PAPER_RULE:
+            return replace(solution, rest=rest, status=solution.status if rest <= _REST_BY_PAPER else FitStatus.STALLED)
+        left = max(1, most - solution.iterations)
+        last, _ = self.run(solution.unknowns, left, tolerance=_TOLERANCE * _TIGHTER, earlier=solution.history)
+        rest = distance_from_rest(problem, last.unknowns, self.box)
+        status = FitStatus.STALLED if last.status.success and rest > _REST else last.status
+        return _continued(solution, replace(last, status=status, rest=rest))
 
-def _ipopt(
-    problem: Shooting,
-    watch: Watch,
-    tolerance: float,
-    max_iterations: int,
-    curvature: Curvature,
-    trouble: Trouble,
-    ipopt: IpoptOptions,
-) -> tuple[ca.Function, NlpFunctions]:
-    """Build the solver; also return the callbacks, which must outlive it."""
-    functions = nlp_functions(problem, curvature, trouble)
-    x = ca.MX.sym("x", problem.n_unknowns)
-    f, g = functions.value(x)
-    options: dict[str, Any] = {
-        **functions.derivatives,
-        "iteration_callback": watch,
-        "print_time": False,
-        "error_on_fail": False,
-        "show_eval_warnings": False,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": tolerance,
-            "constr_viol_tol": tolerance,
-            "dual_inf_tol": tolerance,
-            "acceptable_tol": 10 * tolerance,
-            "acceptable_iter": 15,
-            "max_iter": max_iterations,
-            "nlp_scaling_method": "none",
-            "mu_init": 1e-6,
-            "bound_push": 1e-8,
-            "bound_frac": 1e-8,
-            "bound_relax_factor": 0.0,
-            "mumps_pivot_order": 0,  # approximate minimum degree: analysed sooner, and as good for an arrow
-            **ipopt,
-        },
-    }
-    try:
-        return ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options), functions
-    except RuntimeError as error:
-        if not ipopt:
-            raise
-        raise UsageError(f"ipopt = {dict(ipopt)}: {str(error).splitlines()[-1].strip()}") from None
+    def _solver(self, watch: Watch, tolerance: float, most: int, trouble: Trouble) -> tuple[ca.Function, NlpFunctions]:
+        """Build the solver; also return the callbacks, which must outlive it."""
+        functions, ipopt = nlp_functions(self.problem, self.curvature(self.problem), trouble), self.options.ipopt or {}
+        x = ca.MX.sym("x", self.problem.n_unknowns)
+        f, g = functions.value(x)
+        options: dict[str, Any] = {
+            **functions.derivatives,
+            "iteration_callback": watch,
+            "print_time": False,
+            "error_on_fail": False,
+            "show_eval_warnings": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "tol": tolerance,
+                "constr_viol_tol": tolerance,
+                "dual_inf_tol": tolerance,
+                "acceptable_tol": 10 * tolerance,
+                "acceptable_iter": 15,
+                "max_iter": most,
+                "nlp_scaling_method": "none",
+                "mu_init": 1e-6,
+                "bound_push": 1e-8,
+                "bound_frac": 1e-8,
+                "bound_relax_factor": 0.0,
+                "mumps_pivot_order": 0,  # approximate minimum degree: analysed sooner, and as good for an arrow
+                **ipopt,
+            },
+        }
+        try:
+            return ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options), functions
+        except RuntimeError as error:
+            if not ipopt:
+                raise
+            raise UsageError(f"ipopt = {dict(ipopt)}: {str(error).splitlines()[-1].strip()}") from None
 
 
 def _status(by_ipopt: str, watch: Watch) -> FitStatus:

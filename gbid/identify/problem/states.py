@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -14,15 +13,13 @@ from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, moves
 from gbid.identify.disturbances import Disturbances
+from gbid.identify.options import InitialState, OwnState
 from gbid.identify.problem.nlp import Shooting
 from gbid.structure import (
     AnyStructure,
     Parameter,
     kind_of,
 )
-
-OwnState = Literal["estimated", "zero", "structure"] | Sequence[float | Literal["estimated", "structure"]]
-InitialState = Literal["auto"] | OwnState | Mapping[str, OwnState]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,15 +33,15 @@ class InitialStates:
     released : (n_records, n) boolean array
         States that are functions of the parameters: ``x0`` of the structure. Together with the inputs of the model they
         act like an impulse at the first sample, whose response starts from there.
-    word : {"estimated", "zero", "structure", "given"}
-        The common choice for all recordings; "given" when there are several.
+    choice : str, sequence or dict
+        As for `gbid.fit`, with what "auto" is.
     notes : tuple of str
         What was chosen for the caller.
     """
 
     values: FloatArray
     released: BoolArray
-    word: Literal["estimated", "zero", "structure", "given"]
+    choice: InitialState
     notes: tuple[str, ...] = ()
 
     @property
@@ -111,8 +108,7 @@ def initial_states(
             f"initial_state: no recording begins at the state of which {', '.join(lost)} is a parameter; fix each "
             "(fixed=...), or use initial_state='structure'"
         )
-    word = asked if isinstance(asked, str) else "given"
-    return InitialStates(values, released, word, notes)  # type: ignore[arg-type]  # `_entries` has refused other words
+    return InitialStates(values, released, asked, notes)
 
 
 def released_states(problem: Shooting, theta: FloatArray, record_window: IntArray) -> FloatArray:

@@ -14,7 +14,7 @@ from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, Record
-from gbid.identify.predictor import Focus
+from gbid.identify.options import FitArguments, Focus
 from gbid.identify.problem.assemble import Ties, assemble, automatic_window, build_problem, full_start, unknown_bounds
 from gbid.identify.problem.solve import solve
 from gbid.identify.start.start import Begin, begin_values
@@ -136,7 +136,7 @@ def _edges(values: FloatArray, longest: int) -> tuple[int, ...]:
 
 # ---- Fit of a structure with constant parameters to a part of a recording, for start values: estimates and variances.
 
-_ITERATIONS = 30
+_OPTIONS = FitArguments(stop="paper", max_iterations=30)
 
 
 class PartFit(NamedTuple):
@@ -173,7 +173,7 @@ def fit_part(
     )
     problem, unknowns = build_problem(assembly, part, "det", None, full_start(assembly, begin), {})
     lower, upper = unknown_bounds(problem, assembly)
-    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, stop="paper", max_iterations=_ITERATIONS)
+    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, _OPTIONS)
     theta, starts = problem.unpack(solution.unknowns)
     values = problem.values(theta)
     products = problem.error_products(values, starts)

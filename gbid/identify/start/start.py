@@ -17,6 +17,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold, check_holds, discretise, hold_response
 from gbid.identify.data import FitData, Record, column_means, moves
+from gbid.identify.options import FitArguments
 from gbid.identify.predictor import build_predictor
 from gbid.identify.problem.assemble import assemble, automatic_window, build_problem, full_start, unknown_bounds
 from gbid.identify.problem.solve import solve
@@ -717,7 +718,7 @@ def gain_parameters(
 
 _REACHES = (0.3, 1.0, 3.0)  # memory of the observers, in time constants: the first one trusts the start values little
 _NOISE = 0.1  # assumed standard deviation of the noise, as a part of that of the output
-_MOST = 50  # iterations; start values need not be exact
+_OPTIONS = FitArguments(max_iterations=50)  # start values need not be exact
 
 
 def settled_start(
@@ -781,7 +782,7 @@ def _fitted(
     )
     problem, unknowns = build_problem(assembly, data, "trace", weights, full_start(assembly, values), {})
     lower, upper = unknown_bounds(problem, assembly)
-    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, max_iterations=_MOST)
+    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, _OPTIONS)
     theta, _ = problem.unpack(solution.unknowns)
     if not np.isfinite(theta).all():
         return dict(values)

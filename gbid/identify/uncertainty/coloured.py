@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -12,10 +12,10 @@ from scipy.linalg import cho_factor, eigh, solve_triangular
 from scipy.special import chdtrc
 
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from gbid.core.errors import UsageError
 from gbid.identify.data import column_means
 from gbid.identify.kernel.blocks import Blocks, Prediction
 from gbid.identify.kernel.sums import Kernel, Linked
+from gbid.identify.options import DRAWS, FitOptions
 from gbid.identify.predictor import PredictorValues
 
 _LONGEST = 150  # largest order of the model
@@ -541,10 +541,6 @@ def _taken(transform: Transform, C: FloatArray, longest: int) -> FloatArray:
 
 # ---- Bootstrap of the standard deviations: the whole way from errors to intervals, again and again, for drawn errors.
 
-StdName = Literal["auto", "bootstrap"]
-DRAWS = 200
-"""Number of draws by default."""
-_FEWEST = 50  # draws from which a quantile of 95 % can be read
 _LEVEL = 0.95  # of the intervals that are to hold
 _QUANTILE = 1.959963984540054  # of the normal distribution, for this level
 
@@ -565,27 +561,11 @@ class Bootstrap:
     seed: int
 
 
-def asked_bootstrap(std: StdName, draws: int | None, seed: int | None) -> Bootstrap | None:
-    """Return the bootstrap that is asked for, None for ``std="auto"``.
-
-    Raises
-    ------
-    UsageError
-        When a word or number is wrong, or is given without the bootstrap.
-    """
-    if std not in ("auto", "bootstrap"):
-        raise UsageError(f"std = {std!r}; choose 'auto' or 'bootstrap'")
-    if std == "auto":
-        for name, value in (("bootstrap_draws", draws), ("bootstrap_seed", seed)):
-            if value is not None:
-                raise UsageError(f"{name} is for std = 'bootstrap'; give that, too")
+def bootstrap_of(options: FitOptions) -> Bootstrap | None:
+    """Return the bootstrap of the options of a fit; None for ``std="auto"``."""
+    if options.std == "auto":
         return None
-    draws, seed = DRAWS if draws is None else draws, 0 if seed is None else seed
-    if draws < _FEWEST:
-        raise UsageError(f"bootstrap_draws = {draws}; a 95 % quantile needs at least {_FEWEST} draws")
-    if seed < 0:
-        raise UsageError(f"bootstrap_seed = {seed}; it must be 0 or above")
-    return Bootstrap(draws, seed)
+    return Bootstrap(options.bootstrap_draws or DRAWS, options.bootstrap_seed or 0)
 
 
 class Estimator(NamedTuple):

@@ -1,10 +1,10 @@
-"""What a fit was asked for: options checked, data gathered, start values found; and the problem posed from it."""
+"""The problem of a fit: data gathered, start values found, and the shooting problem posed from them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple, TypedDict, Unpack
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -12,14 +12,14 @@ import numpy as np
 from gbid.core.arrays import FloatArray, one_blas_thread
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import takes_options
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
-from gbid.identify.disturbances import Disturbances, TrendName, asked_disturbances
-from gbid.identify.predictor import Focus
-from gbid.identify.problem.asked import Constraints, ExtraCost, with_extra_terms
+from gbid.identify.disturbances import Disturbances, disturbances_of
+from gbid.identify.options import Criterion, FitArguments
+from gbid.identify.problem.asked import with_extra_terms
 from gbid.identify.problem.assemble import (
     Assembly,
-    Scope,
     assemble,
     automatic_window,
     build_problem,
@@ -27,18 +27,19 @@ from gbid.identify.problem.assemble import (
     unknown_bounds,
 )
 from gbid.identify.problem.hessian import GaussNewton
-from gbid.identify.problem.nlp import Criterion, Shooting
+from gbid.identify.problem.nlp import Shooting
 from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.problem.states import (
-    InitialState,
     InitialStates,
     check_inputs_suffice,
     disturbance_starts,
     initial_states,
     without_disturbances,
 )
+from gbid.identify.robust import RobustLoss, robust_loss
 from gbid.identify.start.scheduled_start import Courses, read_courses, scheduled_start, tied_equations
 from gbid.identify.start.start import Begin, begin_values
+from gbid.identify.uncertainty.coloured import Bootstrap, bootstrap_of
 from gbid.recording import Recording
 from gbid.structure import (
     AnyStructure,
@@ -49,58 +50,12 @@ from gbid.structure import (
     known_names,
 )
 
-
-class RequestOptions(TypedDict, total=False):
-    """Options of `gbid.fit` that settle its problem."""
-
-    inputs: str | Sequence[str] | None
-    outputs: str | Sequence[str] | None
-    focus: Focus
-    intersample: Hold | Sequence[Hold] | None
-    criterion: Criterion | Literal["auto"]
-    output_weights: Sequence[float] | None
-    start: Mapping[str, float] | Literal["data"] | None
-    fixed: Mapping[str, float] | None
-    bounds: Mapping[str, tuple[float, float]] | None
-    prior: Mapping[str, tuple[float, float]] | None
-    extra_cost: ExtraCost | None
-    constraints: Constraints | None
-    local: Mapping[str, Scope] | None
-    trend: TrendName | Mapping[str, TrendName]
-    hum: float | Sequence[float]
-    initial_state: InitialState
-    left_out: Mapping[str, Sequence[tuple[int, int]]] | None
-
-
-class Posed(NamedTuple):
-    """A problem posed for the solver.
-
-    Attributes
-    ----------
-    parameters : tuple of Parameter
-        Parameters of the structure, with those fixed that are.
-    assembly : Assembly
-        Parts, links and shared parameters.
-    begin : dict of str to float
-        Start values by full name.
-    problem : Shooting
-        The problem.
-    unknowns, lower, upper : (n_unknowns,) array
-        Start and bounds, scaled.
-    """
-
-    parameters: tuple[Parameter, ...]
-    assembly: Assembly
-    begin: dict[str, float]
-    problem: Shooting
-    unknowns: FloatArray
-    lower: FloatArray
-    upper: FloatArray
+Recordings = Recording | Sequence[Recording]
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
-    """A request for a fit.
+class FitTask:
+    """Structure, data and options of a fit, which all attempts at it share.
 
     Attributes
     ----------
@@ -110,20 +65,22 @@ class Request:
         Its parameters, with the starts, fixed values and bounds of the caller.
     data, undisturbed : FitData
         Data, and the same with trends and hum subtracted.
-    inputs, outputs : tuple of str
-        Signals or channels, as the caller named them.
-    intersample : {"zoh", "foh"} or sequence of these
+    options : FitArguments
+        Options, with the names of inputs and outputs.
+    hold : {"zoh", "foh"} or sequence of these
         Hold of the inputs.
-    focus, criterion : str
-        Focus and criterion.
+    criterion : {"trace", "det"}
+        Criterion.
     states : InitialStates
-        Initial states.
+        Initial states: estimated, fixed, or functions of the parameters.
     disturbances : Disturbances
         Trends and hum.
-    first : Begin
+    loss : RobustLoss or None
+        Robust loss; None for squared errors.
+    bootstrap : Bootstrap or None
+        Bootstrap of the standard deviations; None without one.
+    begin : Begin
         Start values, and where they come from.
-    options : RequestOptions
-        Options as they were given.
     courses : Courses or None
         Scheduling variables of a scheduled structure.
     """
@@ -132,139 +89,155 @@ class Request:
     parameters: tuple[Parameter, ...]
     data: FitData
     undisturbed: FitData
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    intersample: Hold | Sequence[Hold]
-    focus: Focus
+    options: FitArguments
+    hold: Hold | Sequence[Hold]
     criterion: Criterion
     states: InitialStates
     disturbances: Disturbances
-    first: Begin
-    options: RequestOptions
-    courses: Courses | None = None
+    loss: RobustLoss | None
+    bootstrap: Bootstrap | None
+    begin: Begin
+    courses: Courses | None
 
-    def posed(self, own: Mapping[str, float], window: int | None, *, gain_held: bool = False) -> Posed:
-        """Return the problem at start values by the structure's names, in windows of this many samples.
+    def problem(self, start: Mapping[str, float], window: int | None, *, gain_held: bool = False) -> PosedProblem:
+        """Return the shooting problem for start values by the structure's names, in windows of this many samples.
 
         `gain_held` fixes the parameters on which only the disturbance gain depends.
         """
-        asked = self.options
-        used = _with_gain_held(self.structure, self.parameters) if gain_held else self.parameters
-        stated = tied_equations(self.structure, used, own, self.courses)
+        options, parameters = self.options, self.parameters
+        if gain_held:
+            gains = kind_of(self.structure).anatomy().gain_only
+            parameters = tuple(
+                replace(q, fixed=True) if q.name in gains and q.start is not None else q for q in parameters
+            )
+        tied = tied_equations(self.structure, parameters, start, self.courses)
         assembly = assemble(
-            stated.structure,
-            stated.parameters,
-            stated.begin,
+            tied.structure,
+            tied.parameters,
+            tied.begin,
             self.data,
-            intersample=self.intersample,
-            focus=self.focus,
+            intersample=self.hold,
+            focus=options.focus,
             disturbances=self.disturbances,
             released=self.states.released,
-            local=asked.get("local") or {},
-            left_out=asked.get("left_out") or {},
+            local=options.local or {},
+            left_out=options.left_out or {},
             window=window,
-            ties=stated.ties,
+            ties=tied.ties,
         )
-        model = stated.structure, stated.begin
-        per_record = disturbance_starts(self.disturbances, *model, self.data, self.intersample)
-        begin = full_start(assembly, own, per_record)
-        weights, prior = asked.get("output_weights"), asked.get("prior") or {}
-        problem, unknowns = build_problem(assembly, self.data, self.criterion, weights, begin, prior)
-        extra = asked.get("extra_cost"), asked.get("constraints")
-        problem = with_extra_terms(problem, assembly, self.data, self.states, used, unknowns, *extra)
-        return Posed(used, assembly, begin, problem, unknowns, *unknown_bounds(problem, assembly, self.states))
+        per_record = disturbance_starts(self.disturbances, tied.structure, tied.begin, self.data, self.hold)
+        begin = full_start(assembly, start, per_record)
+        shooting, unknowns = build_problem(
+            assembly, self.data, self.criterion, options.output_weights, begin, options.prior or {}
+        )
+        shooting = with_extra_terms(shooting, assembly, self.data, self.states, parameters, unknowns, options)
+        return PosedProblem(
+            self,
+            start,
+            window,
+            parameters,
+            assembly,
+            begin,
+            shooting,
+            unknowns,
+            unknown_bounds(shooting, assembly, self.states),
+        )
 
 
-def request(structure: AnyStructure, recordings: Recording | Sequence[Recording], options: RequestOptions) -> Request:
-    """Return a request for a fit, checked; see `gbid.fit`.
+@dataclass(frozen=True, eq=False)
+class PosedProblem:
+    """A problem posed for the solver, from one start and in windows of one length.
+
+    Attributes
+    ----------
+    task : FitTask
+        The fit.
+    start : dict of str to float
+        Start values by the structure's names.
+    window : int or None
+        Samples in a shooting window; None for one window.
+    parameters : tuple of Parameter
+        Parameters of the structure, with those fixed that are.
+    assembly : Assembly
+        Parts, links and shared parameters.
+    begin : dict of str to float
+        Start values by full name.
+    shooting : Shooting
+        The problem.
+    unknowns : (n_unknowns,) array
+        Start, scaled.
+    box : (n_unknowns,) array, (n_unknowns,) array
+        Bounds, scaled.
+    """
+
+    task: FitTask
+    start: Mapping[str, float]
+    window: int | None
+    parameters: tuple[Parameter, ...]
+    assembly: Assembly
+    begin: dict[str, float]
+    shooting: Shooting
+    unknowns: FloatArray
+    box: tuple[FloatArray, FloatArray]
+
+
+def pose(structure: AnyStructure, recordings: Recordings, options: FitArguments) -> FitTask:
+    """Return the task of a fit: names and data checked, start values found.
 
     Raises
     ------
     UsageError, DataError
         As for `gbid.fit`.
     """
-    focus, start = options.get("focus", "prediction"), options.get("start")
-    wanted, fixed = options.get("criterion", "auto"), options.get("fixed") or {}
-    _check(focus, wanted)
     recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    inputs, outputs, hold = options.get("inputs"), options.get("outputs"), options.get("intersample")
-    in_names = as_names(structure.inputs if inputs is None else inputs)
-    out_names = as_names(structure.outputs if outputs is None else outputs)
-    hold = structure.intersample if hold is None else hold
-    given = _given_starts(start)
-    from_data = isinstance(start, str)
-    parameters = _with_options(structure.parameters, given, fixed, options.get("bounds") or {}, from_data=from_data)
-    data = gather(recordings, in_names, out_names, minimum=len(parameters) + 10)
+    inputs = as_names(structure.inputs if options.inputs is None else options.inputs)
+    outputs = as_names(structure.outputs if options.outputs is None else options.outputs)
+    hold = structure.intersample if options.intersample is None else options.intersample
+    from_data = options.start == "data"
+    parameters = _with_options(structure.parameters, options)
+    data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10)
+    by_default: Criterion = "det" if len(data.output_names) > 1 and options.output_weights is None else "trace"
+    criterion = by_default if options.criterion == "auto" else options.criterion
+    options = replace(options, inputs=inputs, outputs=outputs)
     stated, structure = structure, equations_of(structure)
     scheduled = kind_of(structure).scheduled
     courses = read_courses(scheduled, recordings) if scheduled else None
-    if courses is not None and not in_names:
+    if courses is not None and not inputs:
         raise UsageError(f"{structure.name}: inputs=() is for structures with constant parameters")
-    check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
+    check_inputs_suffice(structure, data, parameters, no_inputs=not inputs)
     names = [record.name for record in data.records]
-    states = initial_states(structure, parameters, options.get("initial_state", "auto"), names)
-    if wanted == "auto":
-        wanted = "det" if len(data.output_names) > 1 and options.get("output_weights") is None else "trace"
-    trend, hum = options.get("trend", "none"), options.get("hum", ())
-    disturbances = asked_disturbances(trend, hum, data.output_names, data.sample_time, focus)
+    states = initial_states(structure, parameters, options.initial_state, names)
+    disturbances = disturbances_of(options, data.output_names, data.sample_time)
+    loss = robust_loss(options, len(data.output_names))
+    given = {*({} if from_data else options.start or {}), *(options.fixed or {})}
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
         if scheduled and courses:
-            how = hold, focus, {*given, *fixed}
-            first = scheduled_start(scheduled, parameters, undisturbed, courses, *how)
+            begin = scheduled_start(scheduled, parameters, undisturbed, courses, hold, options.focus, given)
         else:
-            first = begin_values(stated, parameters, undisturbed, hold, {*given, *fixed}, from_data=from_data)
-    structure = structure if in_names else kind_of(structure).without_inputs()
-    return Request(
+            begin = begin_values(stated, parameters, undisturbed, hold, given, from_data=from_data)
+    structure = structure if inputs else kind_of(structure).without_inputs()
+    return FitTask(
         structure,
         parameters,
         data,
         undisturbed,
-        in_names,
-        out_names,
+        options,
         hold,
-        focus,
-        wanted,
+        criterion,
         states,
         disturbances,
-        first,
-        options,
+        loss,
+        bootstrap_of(options),
+        begin,
         courses,
     )
 
 
-def check_choices(choices: Mapping[str, tuple[str, tuple[str, ...]]]) -> None:
-    """Refuse values of options that are none of their words."""
-    for name, (value, allowed) in choices.items():
-        if value not in allowed:
-            *others, last = map(repr, allowed)
-            raise UsageError(f"{name} = {value!r}; choose {', '.join(others)} or {last}")
-
-
-def _check(focus: str, criterion: str) -> None:
-    check_choices(
-        {
-            "focus": (focus, ("prediction", "simulation")),
-            "criterion": (criterion, ("auto", "trace", "det")),
-        }
-    )
-
-
-def _with_gain_held(structure: AnyStructure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-    """Return the parameters with those fixed on which only the disturbance gain depends."""
-    names = kind_of(structure).anatomy().gain_only
-    return tuple(replace(q, fixed=True) if q.name in names and q.start is not None else q for q in parameters)
-
-
-def _with_options(
-    parameters: tuple[Parameter, ...],
-    start: Mapping[str, float],
-    fixed: Mapping[str, float],
-    bounds: Mapping[str, tuple[float, float]],
-    *,
-    from_data: bool,
-) -> tuple[Parameter, ...]:
+def _with_options(parameters: tuple[Parameter, ...], options: FitArguments) -> tuple[Parameter, ...]:
     """Return the parameters with the start values, fixed values and bounds of the caller."""
+    start = {} if isinstance(options.start, str) else options.start or {}
+    fixed, bounds = options.fixed or {}, options.bounds or {}
     for what, given in (("start", start), ("fixed", fixed), ("bounds", bounds)):
         known_names(parameters, given, what)
     changed = []
@@ -274,19 +247,10 @@ def _with_options(
             continue
         lower, upper = bounds.get(q.name, (q.lower, q.upper))
         stated = start.get(q.name, q.start)
-        if from_data and stated is not None and not lower <= stated <= upper:
+        if options.start == "data" and stated is not None and not lower <= stated <= upper:
             stated = None  # it would be one of many starts of a match, and lies outside of the bounds of the caller
         changed.append(replace(q, start=stated, lower=lower, upper=upper))
     return tuple(changed)
-
-
-def _given_starts(start: Mapping[str, float] | str | None) -> dict[str, float]:
-    """Return the start values of the caller; none when they are to be found in the data."""
-    if isinstance(start, str):
-        if start != "data":
-            raise UsageError(f"start = {start!r}; give values by name, or 'data' to find all of them in the recordings")
-        return {}
-    return dict(start or {})
 
 
 # ---- The nonlinear programme of a fit as functions of CasADi.
@@ -321,7 +285,7 @@ class FitProblem(Brief):
     scale: FloatArray
     n_gaps: int
     functions: NlpFunctions
-    _posed: Posed = field(repr=False)
+    _posed: PosedProblem = field(repr=False)
 
     def _brief(self) -> Description:
         about = f"{len(self.names)} unknowns, {len(self.functions.lower)} constraints, {self.n_gaps} of them gaps"
@@ -406,14 +370,11 @@ class FitProblem(Brief):
         return {q.name: float(v) for q, v in zip(self._posed.assembly.free, own, strict=False)}
 
 
-def fit_problem(
-    structure: AnyStructure,
-    recordings: Recording | Sequence[Recording],
-    *,
-    window: int | Literal["auto"] | None = "auto",
-    **options: Unpack[RequestOptions],
-) -> FitProblem:
+@takes_options(FitArguments)
+def fit_problem(structure: AnyStructure, recordings: Recordings, options: FitArguments) -> FitProblem:
     """Return the nonlinear programme that `gbid.fit` would solve, as functions of CasADi.
+
+    Options of the solver and of the standard deviations have no effect.
 
     Parameters
     ----------
@@ -421,12 +382,7 @@ def fit_problem(
         The structure.
     recordings : Recording or sequence of Recording
         The recordings.
-    window : int, None or "auto"
-        Number of samples in a shooting window, as for `gbid.fit`.
     **options
-        Options of `gbid.fit` that settle the problem: inputs, outputs, focus, intersample, criterion, output_weights,
-        start, fixed, bounds, prior, extra_cost, constraints, local, trend, hum, initial_state,
-        left_out.
 
     Returns
     -------
@@ -438,28 +394,27 @@ def fit_problem(
     UsageError, DataError
         As for `gbid.fit`.
     """
-    asked = request(structure, recordings, options)
-    samples = automatic_window(asked.data, asked.focus) if window == "auto" else window
+    task = pose(structure, recordings, options)
+    samples = automatic_window(task.data, options.focus) if options.window == "auto" else options.window
     with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        posed = asked.posed(asked.first.values, samples)
-    problem = posed.problem
-    states = kind_of(asked.structure).state_names
-    starts = _names_of_starts(posed, [record.name for record in asked.data.records], states)
+        posed = task.problem(task.begin.values, samples)
+    shooting = posed.shooting
+    states = kind_of(task.structure).state_names
+    starts = _names_of_starts(posed, [record.name for record in task.data.records], states)
     return FitProblem(
         (*(q.name for q in posed.assembly.free), *starts),
-        np.clip(posed.unknowns, posed.lower, posed.upper),
-        posed.lower,
-        posed.upper,
-        problem.pack(np.ones(problem.n_theta), np.ones((problem.n_windows, problem.n_states))) ** -1,
-        problem.n_gaps,
-        nlp_functions(problem, GaussNewton(problem), Trouble()),
+        np.clip(posed.unknowns, *posed.box),
+        *posed.box,
+        shooting.pack(np.ones(shooting.n_theta), np.ones((shooting.n_windows, shooting.n_states))) ** -1,
+        shooting.n_gaps,
+        nlp_functions(shooting, GaussNewton(shooting), Trouble()),
         posed,
     )
 
 
-def _names_of_starts(posed: Posed, records: Sequence[str], states: Sequence[str]) -> list[str]:
+def _names_of_starts(posed: PosedProblem, records: Sequence[str], states: Sequence[str]) -> list[str]:
     """Return the names of the states at the starts of all windows, in the order of the windows."""
-    problem = posed.problem
+    problem = posed.shooting
     following = {int(a): int(b) for a, b in problem.links}
     named: dict[int, str] = {}
     for name, window in zip(records, posed.assembly.record_window, strict=True):
