@@ -45,12 +45,18 @@ def test_thresholds_are_those_of_the_textbook():
     assert robust_loss(FitOptions(robust="huber"), 1).threshold == pytest.approx(1.345, abs=0.003)
     for kind in LOSSES:
         for n_outputs in (1, 2, 4):
-            assert efficiency(robust_loss(FitOptions(robust=kind), n_outputs), n_outputs) == pytest.approx(0.95, abs=1e-3)
+            assert efficiency(robust_loss(FitOptions(robust=kind), n_outputs), n_outputs) == pytest.approx(
+                0.95, abs=1e-3
+            )
 
 
 @pytest.mark.parametrize("kind", LOSSES)
 def test_the_elasticity_is_the_derivative_of_the_weight(kind):
-    loss, squared, step = robust_loss(FitOptions(robust=kind, robust_threshold=2.5), 1), np.array([0.3, 1.7, 8.0, 90.0]), 1e-6
+    loss, squared, step = (
+        robust_loss(FitOptions(robust=kind, robust_threshold=2.5), 1),
+        np.array([0.3, 1.7, 8.0, 90.0]),
+        1e-6,
+    )
     there = loss.weight(squared * (1 + step) ** 2, 1)
     np.testing.assert_allclose((there / loss.weight(squared, 1) - 1) / step, loss.elasticity(squared), atol=1e-5)
 

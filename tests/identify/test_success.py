@@ -11,8 +11,9 @@ from gbid import LinearStructure, Parameter, Recording, fit
 from gbid.discretise import discretise
 from gbid.discretise.exact import squarings_for
 from gbid.identify import FitStatus, load_fit, save_fit
+from gbid.identify.options import FitArguments
+from gbid.identify.pose import pose
 from gbid.identify.predictor import Predictor
-from gbid.identify.problem import solve as solver
 from gbid.identify.problem.solve import Watch, distance_from_rest, solve
 from gbid.identify.start.start import gain_parameters, observer_gain, with_gain
 from gbid.identify.uncertainty.doubts import verdict
@@ -91,13 +92,13 @@ def test_a_parameter_on_a_bound_is_a_success_without_a_standard_deviation():
 
 
 @pytest.mark.parametrize("name", ["spring", "spring_with_gain", "cross_coupled", "maglev", "free_decay"])
-def test_optimality_is_zero_at_the_minimum_and_counts_standard_deviations(name, monkeypatch):
+def test_optimality_is_zero_at_the_minimum_and_counts_standard_deviations(name):
     """Away from the minimum it is the distance to it, which is also found from the covariance."""
     problem = start_problem(name)
-    kept = []
-    monkeypatch.setattr("gbid.identify.problem.solve._at_rest", _keeping(kept))
     result = fit(problem.structure, problem.recording, start=problem.true, **problem.options)
-    shooting, box = kept[-1]
+    task = pose(problem.structure, problem.recording, FitArguments(start=problem.true, **problem.options))
+    posed = task.problem(problem.true, result.options.window)
+    shooting, box = posed.shooting, posed.box
     theta = np.array([result.parameters[name] for name in result.free])
     shift = 0.01 * np.sqrt(np.diag(result.covariance_white))
     first, _ = shooting.unpack(shooting.pack(theta, np.zeros((shooting.n_windows, shooting.n_states))))
@@ -106,16 +107,6 @@ def test_optimality_is_zero_at_the_minimum_and_counts_standard_deviations(name, 
     assert result.optimality < 0.01
     distance = _distance_when_moved(shooting, box, theta + shift)
     assert distance == pytest.approx(expected, rel=0.2)  # of the exact Hessian; the step is that of Gauss-Newton
-
-
-def _keeping(kept):
-    own = solver._at_rest
-
-    def at_rest(problem, solution, box, *more):
-        kept.append((problem, box))
-        return own(problem, solution, box, *more)
-
-    return at_rest
 
 
 def _distance_when_moved(shooting, box, theta):
