@@ -57,7 +57,7 @@ from gbid.control.tuning.goals import (
     Wanted,
     recorded_disturbance,
 )
-from gbid.control.tuning.plants import Uncertainty
+from gbid.control.tuning.plants import TuneOptions, Uncertainty
 from gbid.control.tuning.problem import SearchStep
 from gbid.control.tuning.response_goals import (
     MinDiskMargin,
@@ -66,6 +66,7 @@ from gbid.control.tuning.response_goals import (
     PeakComplementary,
     PeakControl,
     PeakSensitivity,
+    PiezoTravel,
     ResponseGoal,
     RollOff,
     StaticAmplification,
@@ -73,7 +74,7 @@ from gbid.control.tuning.response_goals import (
 from gbid.control.tuning.result import GainResult, GainStatus, GoalFigure, WorstMode
 from gbid.control.tuning.robust import PlantDraws, PriceOfRobustness, RobustDesign, price_of_robustness, tune_robust
 from gbid.control.tuning.solve import maximise_damping
-from gbid.control.tuning.tune import ParetoFront, PiezoTravel, pareto, tune
+from gbid.control.tuning.tune import ParetoFront, pareto, tune
 
 __all__ = [
     "ISO_LIMITS",
@@ -127,6 +128,7 @@ __all__ = [
     "SensitivityZones",
     "SlowestPole",
     "StaticAmplification",
+    "TuneOptions",
     "Uncertainty",
     "Wanted",
     "WorstMode",

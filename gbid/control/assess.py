@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from gbid.control.controllers.scheduled import Scheduled, controller_at
 from gbid.control.controllers.structures import controller_structure
-from gbid.control.impact.half_sine import HalfSine, ImpactResponse, impact_response
+from gbid.control.impact.half_sine import HalfSine, impact_response
 from gbid.control.loop.close import Method, smallest_damping
 from gbid.control.loop.norm import Peak
 from gbid.control.loop.sampled import exact_plant, sampled_loop
@@ -36,24 +36,6 @@ from gbid.structure import PiezoPair, evaluate
 from gbid.structure.linear import Structure
 
 # ---- Performance figures of a design at one operating point.
-
-FIGURES = (
-    "damping",
-    "peak_output",
-    "peak_control",
-    "disk_margin",
-    "static_amplification",
-    "stiffness_ratio",
-    "slowest_decay_hz",
-    "impact_p_m",
-    "stack_travel_m",
-    "decay_time_s",
-    "sampled_damping",
-    "sampled_peak_output",
-)
-"""Figures by which designs are compared."""
-
-LOWEST_IS_WORST = ("damping", "disk_margin", "stiffness_ratio", "slowest_decay_hz", "sampled_damping")
 
 
 @dataclass(frozen=True)
@@ -119,21 +101,7 @@ class PointAssessment:
 
     def figures(self) -> dict[str, float]:
         """Return the figures by which designs are compared, in the order of `FIGURES`."""
-        values = (
-            self.damping,
-            self.peak_output.value,
-            self.peak_control.value,
-            self.disk.alpha,
-            self.static_amplification,
-            min(self.stiffness_ratio) if self.stable else -inf,
-            self.slowest_decay_hz,
-            self.impact_p_m,
-            self.stack_travel_m,
-            self.decay_time_s,
-            self.sampled_damping,
-            self.sampled_peak_output.value,
-        )
-        return dict(zip(FIGURES, values, strict=True))
+        return {name: figure.of(self) for name, figure in FIGURES.items()}
 
     @property
     def sampling_cost(self) -> float:
@@ -141,53 +109,33 @@ class PointAssessment:
         return self.damping - self.sampled_damping
 
 
-def assess_point(
-    lpv: LPVModel,
-    structure: Structure | Scheduled,
-    gains: Mapping[str, float],
-    point: tuple[float, float],
-    sample_time: float,
-    computation: float,
-    method: Method,
-    impact: HalfSine,
-    piezo_travel_m: float,
-) -> PointAssessment:
-    """Return all figures of a design at one operating point; see `gbid.assess` for the arguments."""
-    plant, controller = lpv.plant_at(*point), controller_at(structure, gains, *point)
-    loop = sensitivities(plant, controller)
-    closed = loop.model("plant")
-    actuators = evaluate(PiezoPair(), lpv.actuators, plant.input_names, ("u_x", "u_y"))
-    impacts = [
-        impact_response(plant, controller, turned, actuators=actuators, piezo_travel_m=piezo_travel_m)
-        for turned in (impact.towards(0.0), impact.towards(90.0))
-    ]
-    sampled = sampled_loop(exact_plant(lpv, *point), controller, sample_time, computation_s=computation, method=method)
-    stable = closed.is_stable()
-    stiffness = static_stiffness_ratio(loop) if stable else np.full(len(plant.C), np.nan)
-    return PointAssessment(
-        *point,
-        stable,
-        smallest_damping(closed),
-        tuple(closed.modes()),
-        float(-loop.poles.real.max() / (2 * np.pi)),
-        loop.peak("output"),
-        loop.peak("control"),
-        disk_margin(loop),
-        static_amplification(loop) if stable else inf,
-        tuple(float(ratio) for ratio in stiffness),
-        _largest(impacts, "peak_p_m"),
-        _largest(impacts, "peak_r_m"),
-        _largest(impacts, "stack_travel_m"),
-        any(impact.exceeds_travel for impact in impacts),
-        _largest(impacts, "decay_time_s"),
-        sampled.stable,
-        sampled.damping,
-        sampled.peak_output,
-    )
+class Figure(NamedTuple):
+    """Figure by which designs are compared: heading, value at a point, factor and format of tables."""
+
+    heading: str
+    of: Callable[[PointAssessment], float]
+    factor: float = 1.0
+    format: str = ".3f"
+    lowest_is_worst: bool = False
 
 
-def _largest(impacts: Sequence[ImpactResponse], figure: str) -> float:
-    return max(float(getattr(impact, figure)) for impact in impacts)
+FIGURES = {
+    "damping": Figure("smallest damping", lambda q: q.damping, lowest_is_worst=True),
+    "peak_output": Figure("peak S_o", lambda q: q.peak_output.value),
+    "peak_control": Figure("peak K S_o", lambda q: q.peak_control.value),
+    "disk_margin": Figure("disk margin", lambda q: q.disk.alpha, lowest_is_worst=True),
+    "static_amplification": Figure("static S_o", lambda q: q.static_amplification),
+    "stiffness_ratio": Figure(
+        "stiffness ratio", lambda q: min(q.stiffness_ratio) if q.stable else -inf, lowest_is_worst=True
+    ),
+    "slowest_decay_hz": Figure("slowest decay [Hz]", lambda q: q.slowest_decay_hz, format=".1f", lowest_is_worst=True),
+    "impact_p_m": Figure("disc [um]", lambda q: q.impact_p_m, 1e6, ".2f"),
+    "stack_travel_m": Figure("stack [um]", lambda q: q.stack_travel_m, 1e6, ".2f"),
+    "decay_time_s": Figure("decay [ms]", lambda q: q.decay_time_s, 1e3, ".1f"),
+    "sampled_damping": Figure("sampled damping", lambda q: q.sampled_damping, lowest_is_worst=True),
+    "sampled_peak_output": Figure("sampled peak S_o", lambda q: q.sampled_peak_output.value),
+}
+"""Figures by name."""
 
 
 @dataclass(frozen=True)
@@ -220,7 +168,7 @@ class Assessment(Brief):
     points: tuple[PointAssessment, ...]
     sample_time: float
     computation_s: float
-    method: str
+    method: Method
     impact: HalfSine
 
     def _brief(self) -> Description:
@@ -256,11 +204,11 @@ class Assessment(Brief):
     @property
     def worst(self) -> dict[str, tuple[float, PointAssessment]]:
         """Worst value of each of `FIGURES`, and the point where it occurs."""
-        found = {}
-        for name in FIGURES:
-            entries = [(point.figures()[name], point) for point in self.points]
-            found[name] = (min if name in LOWEST_IS_WORST else max)(entries, key=lambda entry: entry[0])
-        return found
+        worst = {}
+        for name, figure in FIGURES.items():
+            entries = [(figure.of(point), point) for point in self.points]
+            worst[name] = (min if figure.lowest_is_worst else max)(entries, key=lambda entry: entry[0])
+        return worst
 
 
 def assess(
@@ -318,30 +266,62 @@ def assess(
         raise UsageError(f"assess: no operating points; give points=[(pressure_bar, speed_rpm), ...] for {lpv.name!r}")
     impact = impact or HalfSine()
     computation = sample_time if computation_s is None else computation_s
-    conditions = sample_time, computation, method, impact, piezo_travel_m
-    results = tuple(assess_point(lpv, structure, gains, (float(bar), float(rpm)), *conditions) for bar, rpm in chosen)
-    return Assessment(
-        name or structure.name, structure.name, dict(gains), results, sample_time, computation, method, impact
+    about = name or structure.name, structure.name, dict(gains)
+    plan = Assessment(*about, (), sample_time, computation, method, impact)
+    results = (_assess_point(lpv, structure, plan, piezo_travel_m, (float(bar), float(rpm))) for bar, rpm in chosen)
+    return replace(plan, points=tuple(results))
+
+
+def _assess_point(
+    lpv: LPVModel,
+    structure: Structure | Scheduled,
+    plan: Assessment,
+    piezo_travel_m: float,
+    point: tuple[float, float],
+) -> PointAssessment:
+    """Return all figures of a design at one operating point, under the conditions of an assessment."""
+    plant, controller = lpv.plant_at(*point), controller_at(structure, plan.gains, *point)
+    loop = sensitivities(plant, controller)
+    closed = loop.model("plant")
+    actuators = evaluate(PiezoPair(), lpv.actuators, plant.input_names, ("u_x", "u_y"))
+    impacts = [
+        impact_response(
+            plant, controller, plan.impact.towards(angle), actuators=actuators, piezo_travel_m=piezo_travel_m
+        )
+        for angle in (0.0, 90.0)
+    ]
+
+    def largest(figure: str) -> float:
+        return max(float(getattr(response, figure)) for response in impacts)
+
+    sampled = sampled_loop(
+        exact_plant(lpv, *point), controller, plan.sample_time, computation_s=plan.computation_s, method=plan.method
+    )
+    stable = closed.is_stable()
+    stiffness = static_stiffness_ratio(loop) if stable else np.full(len(plant.C), np.nan)
+    return PointAssessment(
+        *point,
+        stable,
+        smallest_damping(closed),
+        tuple(closed.modes()),
+        float(-loop.poles.real.max() / (2 * np.pi)),
+        loop.peak("output"),
+        loop.peak("control"),
+        disk_margin(loop),
+        static_amplification(loop) if stable else inf,
+        tuple(float(ratio) for ratio in stiffness),
+        largest("peak_p_m"),
+        largest("peak_r_m"),
+        largest("stack_travel_m"),
+        any(response.exceeds_travel for response in impacts),
+        largest("decay_time_s"),
+        sampled.stable,
+        sampled.damping,
+        sampled.peak_output,
     )
 
 
 # ---- Comparison of control designs.
-
-COLUMNS = (
-    ("smallest damping", "damping", 1.0, ".3f"),
-    ("peak S_o", "peak_output", 1.0, ".3f"),
-    ("peak K S_o", "peak_control", 1.0, ".3f"),
-    ("disk margin", "disk_margin", 1.0, ".3f"),
-    ("static S_o", "static_amplification", 1.0, ".3f"),
-    ("stiffness ratio", "stiffness_ratio", 1.0, ".3f"),
-    ("slowest decay [Hz]", "slowest_decay_hz", 1.0, ".1f"),
-    ("disc [um]", "impact_p_m", 1e6, ".2f"),
-    ("stack [um]", "stack_travel_m", 1e6, ".2f"),
-    ("decay [ms]", "decay_time_s", 1e3, ".1f"),
-    ("sampled damping", "sampled_damping", 1.0, ".3f"),
-    ("sampled peak S_o", "sampled_peak_output", 1.0, ".3f"),
-)
-"""Heading, figure of `Assessment.worst`, factor and format of each column."""
 
 
 @dataclass(frozen=True)
@@ -419,13 +399,14 @@ def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
                 "or another sampling; assess them alike"
             )
     values = tuple(
-        tuple(factor * assessment.worst[figure][0] for _, figure, factor, _ in COLUMNS) for assessment in assessments
+        tuple(figure.factor * assessment.worst[name][0] for name, figure in FIGURES.items())
+        for assessment in assessments
     )
     rows = tuple(
-        (assessment.name, *(format(value, spec) for value, (*_, spec) in zip(row, COLUMNS, strict=True)))
+        (assessment.name, *(format(value, figure.format) for value, figure in zip(row, FIGURES.values(), strict=True)))
         for assessment, row in zip(assessments, values, strict=True)
     )
-    return Comparison(("design", *(heading for heading, *_ in COLUMNS)), values, rows)
+    return Comparison(("design", *(figure.heading for figure in FIGURES.values())), values, rows)
 
 
 def _conditions(assessment: Assessment) -> tuple[object, ...]:
@@ -482,11 +463,11 @@ class DesignFigures:
     @property
     def worst(self) -> dict[str, tuple[float, tuple[float, float]]]:
         """Worst value of each figure and the operating point where it occurs."""
-        found = {}
-        for name, column in zip(FIGURES, self.figures.T, strict=True):
-            row = int((np.argmin if name in LOWEST_IS_WORST else np.argmax)(column))
-            found[name] = (float(column[row]), (float(self.points[row, 0]), float(self.points[row, 1])))
-        return found
+        worst = {}
+        for (name, figure), column in zip(FIGURES.items(), self.figures.T, strict=True):
+            row = int((np.argmin if figure.lowest_is_worst else np.argmax)(column))
+            worst[name] = (float(column[row]), (float(self.points[row, 0]), float(self.points[row, 1])))
+        return worst
 
 
 class CappedDesign(NamedTuple):
@@ -584,4 +565,4 @@ class TunedDesign(hdf5.InFile):
         """Write this design to the `group`, with the names of the figures."""
         hdf5.write_fields(group, self)
         for performance in group["performance"].values():
-            hdf5.add_texts(performance["figures"], "columns", FIGURES)
+            hdf5.add_texts(performance["figures"], "columns", tuple(FIGURES))

@@ -141,15 +141,6 @@ def _transfer_function(given: Mapping[str, Sequence[float]], what: str) -> Linea
 
 SURFACES = {"lpv": "", "lpv_direct": "_direct"}
 """Words for the surfaces of an experiment, and the suffixes of their files."""
-SHORT_FORM = (
-    "peak_sensitivity",
-    "peak_control",
-    "static_amplification",
-    "slowest_pole",
-    "objective",
-    "impact",
-)
-"""Keys of a design in whose place goals come."""
 _SAMPLE_TIME_S = 2e-4
 
 
@@ -272,11 +263,9 @@ def structure_text(experiment: Experiment, section: ControllerSection) -> bytes:
 
 
 def impact(section: ControllerSection) -> HalfSine:
-    """Return the impact for the assessment of designs: that of the goals or of the section, or the default."""
-    goal, given = impact_of_goals(section), section.impact
-    if goal is not None:
-        return goal.impact
-    return HalfSine() if given is None else HalfSine(given.peak_n, given.duration_s)
+    """Return the impact for the assessment of designs: that of the goals, or the default."""
+    goal = impact_of_goals(section)
+    return HalfSine() if goal is None else goal.impact
 
 
 def tune_options(section: ControllerSection) -> dict[str, Any]:
@@ -292,21 +281,18 @@ def tune_options(section: ControllerSection) -> dict[str, Any]:
         "seed": section.seed,
     }
     if section.goals is None:
-        options |= {key: getattr(section, key) for key in SHORT_FORM[1:5]}
-    if section.impact is not None:
-        options |= {"impact": impact(section), "piezo_travel_m": section.impact.piezo_travel_m}
+        options["objective"] = section.objective
     return options
 
 
 def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
     """Return the arguments of `gbid.control.assess` from the section, except the points."""
     goal = impact_of_goals(section)
-    travel = section.impact.piezo_travel_m if section.impact else goal.travel_m if goal else None
     return {
         "sample_time": sample_time(experiment, section),
         "method": section.method,
         "impact": impact(section),
-        **({} if travel is None else {"piezo_travel_m": travel}),
+        **({} if goal is None else {"piezo_travel_m": goal.travel_m}),
     }
 
 

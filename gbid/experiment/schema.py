@@ -740,14 +740,6 @@ else:
     ]
 
 
-class ImpactSection(Section):
-    """Half-sine impact along x and along y, under which no piezo stack may exceed its travel."""
-
-    peak_n: Positive = 12.0
-    duration_s: Positive = 2e-3
-    piezo_travel_m: Positive = 45e-6
-
-
 class DrawnPlantsSection(Section):
     """Plants besides the surfaces themselves; the design must meet the limits for each.
 
@@ -790,9 +782,9 @@ class ControllerSection(Section):
     left out, the surfaces are used if there is a section lpv, else the model of the rig.
     `operating_points`: ``model`` for those of the model, ``domain`` for its whole rectangle, or a list.
     `peak_sensitivity`: null for none. `goals`: objectives and limits by the names of `gbid.control`, each with its
-    arguments, such as ``{goal: PeakSensitivity, limit: 2.0}``; they replace `objective`, `peak_sensitivity`,
-    `peak_control`, `static_amplification`, `slowest_pole` and `impact`. `robust`: a design that holds with a
-    probability; it needs goals and, as `uncertainty` does, the surfaces of this experiment.
+    arguments, such as ``{goal: PeakSensitivity, limit: 2.0}``; they replace `objective` and `peak_sensitivity`.
+    `robust`: a design that holds with a probability; it needs goals and, as `uncertainty` does, the surfaces of this
+    experiment.
     `pareto`: further caps on the peak of S_o; the same design is tuned under each.
     `sample_time_s` and `method`: sampling of the controller file; the default is the sample time of the rig.
     `design_for`: ``sampled`` tunes the loop as it runs, with the delay of sampling and one sample for computation;
@@ -808,12 +800,8 @@ class ControllerSection(Section):
     model: Text | None = None
     operating_points: PointsSchema = "model"
     peak_sensitivity: Cap | None = 2.6
-    peak_control: Positive | None = None
-    static_amplification: Positive | None = None
-    slowest_pole: NotNegative | None = None
     objective: Literal["damping", "decay"] = "damping"
     design_for: Literal["continuous", "sampled"] = "continuous"
-    impact: Annotated[ImpactSection | None, BeforeValidator(given)] = None
     goals: Annotated[tuple[GoalEntry, ...] | None, BeforeValidator(given), Field(min_length=1)] = None
     bounds: dict[Text, Pair] = Field(default_factory=dict)
     uncertainty: Annotated[DrawnPlantsSection | None, BeforeValidator(given)] = None

@@ -9,12 +9,11 @@ from typing import Literal
 import numpy as np
 
 from gbid.control import HalfSine, close_loop, impact_response
-from gbid.control.assess import FIGURES as FIGURES_POINT_ASSESSMENT
 from gbid.control.assess import TunedDesign
 from gbid.control.loop.sensitivity import sensitivity_data
 from gbid.core.arrays import point_label
 from gbid.core.errors import GbidError, UsageError
-from gbid.core.tables import Column, Table
+from gbid.core.tables import Column, Entry, Table
 from gbid.experiment.controllers import published_machine
 from gbid.lpv import LPVFit
 from gbid.lpv.model import TERMS
@@ -251,12 +250,9 @@ def _modes(results: Results, design: AssessedDesign) -> list[Block]:
 
 
 def _by_point(design: AssessedDesign) -> Block:
-    rows = [
-        (
-            point_label(*point),
-            *(factor * figures[FIGURES_POINT_ASSESSMENT.index(name)] for _, _, name, factor, _ in _BY_POINT),
-        )
-        for point, figures in zip(design.figures.points, design.figures.figures.tolist(), strict=True)
+    rows: list[list[Entry]] = [
+        [point_label(*point), *(factor * design.figures.at(i)[name] for _, _, name, factor, _ in _BY_POINT)]
+        for i, point in enumerate(design.figures.points)
     ]
     columns = [Column("operating point"), *(Column(name, unit, form) for name, unit, _, _, form in _BY_POINT)]
     return Fold(f"{design.name} at each operating point", [Table(design.name, columns, rows)])

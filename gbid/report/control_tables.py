@@ -8,8 +8,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gbid.control.assess import COLUMNS, DesignFigures, TunedDesign
-from gbid.control.assess import FIGURES as FIGURES_POINT_ASSESSMENT
+from gbid.control.assess import FIGURES as POINT_FIGURES
+from gbid.control.assess import DesignFigures, TunedDesign
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows
 from gbid.control.tuning.result import GainResult
@@ -278,8 +278,8 @@ def comparison_table(title: str, performances: Sequence[DesignFigures], note: st
 
 def _compared(title: str, worst: Mapping[str, Mapping[str, float]], notes: Sequence[str]) -> Table:
     rows = [
-        [heading, *(formatted(factor * figures[name], form) for figures in worst.values())]
-        for heading, name, factor, form in COLUMNS
+        [shown.heading, *(formatted(shown.factor * figures[name], shown.format) for figures in worst.values())]
+        for name, shown in POINT_FIGURES.items()
     ]
     return Table(title, [Column("figure"), *(Column(name, format=4) for name in worst)], rows, notes)
 
@@ -314,7 +314,7 @@ def _performance_row(performance: DesignFigures) -> Row:
             {
                 "pressure_bar": float(p),
                 "speed_rpm": float(n),
-                **dict(zip(FIGURES_POINT_ASSESSMENT, map(float, row), strict=True)),
+                **dict(zip(POINT_FIGURES, map(float, row), strict=True)),
             }
             for (p, n), row in zip(performance.points, performance.figures, strict=True)
         ],

@@ -36,8 +36,8 @@ from gbid.control import (
     static_amplification,
 )
 from gbid.control.controllers.structures import controller_structure
-from gbid.control.tuning.goals import DesignContext, Goal, limits_of
-from gbid.control.tuning.plants import DesignPlants, Sampling, plants_of
+from gbid.control.tuning.goals import Goal, limits_of
+from gbid.control.tuning.plants import LpvPlants, TuneOptions, plants_of
 from gbid.control.tuning.problem import GainProblem
 from gbid.control.tuning.response_goals import _intervals
 from gbid.core.errors import UsageError
@@ -56,12 +56,11 @@ def spectrum() -> DisturbanceSpectrum:
     return DisturbanceSpectrum(f, size[:, None, None] * np.array([[1.0, 0.2], [0.2, 2.0]]))
 
 
-def problem_of(goal: Goal, sampled: bool = False) -> tuple[GainProblem, DesignPlants]:
-    sampling = Sampling(T, T) if sampled else None
-    design = plants_of(MODEL, BIQUAD, TWO, None, None, sampling, (None, None))
-    family = (design.sampled or design.continuous).family(design.points)
+def problem_of(goal: Goal, sampled: bool = False) -> tuple[GainProblem, LpvPlants]:
+    design = plants_of(MODEL, BIQUAD, TuneOptions(operating_points=TWO, sample_time=T if sampled else None))
+    family = design.family(design.points)
     low, high = np.array([(p.lower, p.upper) for p in BIQUAD.parameters]).T
-    limits = limits_of([MaxDamping(), goal], DesignContext(design.plant))
+    limits = limits_of([MaxDamping(), goal], design.plant)
     return GainProblem((family,), limits, low, high, 500.0), design
 
 
@@ -170,8 +169,8 @@ def test_goals_on_any_time_scale_see_narrow_limits(rate: float) -> None:
     plant = gbid.LinearModel(rate * np.array([[0, 1], [-1, -2 * zeta]]), [[0], [rate]], [[0.5, 0]], [[0]], name="slow")
     form = controller_structure("lead-lag", axes=("",), lowpass_hz=10 * unit, corner_khz=(1e-4 * unit, 1e-2 * unit))
     gains = np.array([-0.8, -0.2, 3e-3 * unit])
-    design = plants_of(plant, form, None, None, None, None, (None, None))
-    family = design.continuous.family(design.points)
+    design = plants_of(plant, form, TuneOptions())
+    family = design.family(design.points)
     low, high = np.array([(p.lower, p.upper) for p in form.parameters]).T
     w = 2j * np.pi * unit * np.geomspace(1e-3, 1e4, 400_001)
     hz = np.abs(w) / (2 * np.pi)
@@ -190,7 +189,7 @@ def test_goals_on_any_time_scale_see_narrow_limits(rate: float) -> None:
         (MinPhaseMargin(30.0), 30 / np.abs(np.degrees(np.angle(L[crossings])))),
     ]
     for goal, shares in cases:
-        limits = limits_of([MaxDamping(), goal], DesignContext(design.plant))
+        limits = limits_of([MaxDamping(), goal], design.plant)
         problem = GainProblem((family,), limits, low, high, rate)
         found = limits.measures[0].excess(problem.state(family, family.matrices(gains), gains))
         assert found[0] == pytest.approx(np.log(shares.max()), abs=2e-3), goal
@@ -271,9 +270,11 @@ def test_gradients_are_those_of_differences(goal: Goal, sampled: bool) -> None:
         assert gradient[which, i] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=2e-3, abs=2e-4)
 
 
-def test_short_form_and_values_are_the_same_design() -> None:
-    short = gbid.tune(MODEL, operating_points=ONE, peak_sensitivity=2.0, slowest_pole=50.0)
-    values = gbid.tune(MODEL, "P", operating_points=ONE, goals=[MaxDamping(), PeakSensitivity(2.0), SlowestPole(50.0)])
+def test_a_peak_alone_and_goals_are_the_same_design() -> None:
+    short = gbid.tune(MODEL, operating_points=ONE, peak_sensitivity=2.0)
+    slowest = min(2 * np.pi * f * zeta for f, zeta in MODEL.at(6, 0).modes())
+    goals = [MaxDamping(), PeakSensitivity(2.0), SlowestPole(slowest)]
+    values = gbid.tune(MODEL, "P", operating_points=ONE, goals=goals)
     assert dict(values.gains) == dict(short.gains)
     assert values.value == short.value
 
@@ -353,5 +354,5 @@ def test_goals_that_make_no_sense_are_refused(goals: object, message: str) -> No
 
 
 def test_both_forms_at_once_are_refused() -> None:
-    with pytest.raises(UsageError, match="peak_control beside goals"):
-        gbid.tune(MODEL, operating_points=ONE, goals=[MaxDamping()], peak_control=2.0)
+    with pytest.raises(UsageError, match="peak_sensitivity beside goals"):
+        gbid.tune(MODEL, operating_points=ONE, goals=[MaxDamping()], peak_sensitivity=2.0)

@@ -14,9 +14,20 @@ from places import DOCS
 import gbid
 from benchmarks import tune_speed
 from benchmarks.tune_speed import FINE, Loops, brute_force, survivors
-from gbid.control import HalfSine, controller_at, impact_response, p_controller, scheduled
+from gbid.control import (
+    HalfSine,
+    MaxDamping,
+    PeakControl,
+    PeakSensitivity,
+    PiezoTravel,
+    SlowestPole,
+    StaticAmplification,
+    controller_at,
+    impact_response,
+    p_controller,
+    scheduled,
+)
 from gbid.control.tuning.loops import loop_equations
-from gbid.control.tuning.tune import travel_limit
 from gbid.core.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
@@ -119,9 +130,13 @@ def test_all_limits_hold_at_once() -> None:
     result = gbid.tune(
         MODEL,
         operating_points=ONE,
-        peak_control=0.8 * free.peak_control,
-        static_amplification=2.0,
-        slowest_pole=150.0,
+        goals=[
+            MaxDamping(),
+            PeakSensitivity(2.6),
+            PeakControl(0.8 * free.peak_control),
+            StaticAmplification(2.0),
+            SlowestPole(150.0),
+        ],
         bounds={"kappa_x": (0.0, 1.0)},
     )
     assert result.success
@@ -145,7 +160,8 @@ def test_piezo_travel_limits_the_gains() -> None:
 
     free = designed()
     allowed = 0.8 * travel(dict(free.gains))
-    result = gbid.tune(MODEL, operating_points=ONE, impact=impact, piezo_travel_m=2 * allowed)
+    goals = [MaxDamping(), PeakSensitivity(2.6), PiezoTravel(impact=impact, travel_m=2 * allowed)]
+    result = gbid.tune(MODEL, operating_points=ONE, goals=goals)
     assert result.success
     assert travel(dict(result.gains)) <= allowed * (1 + 1e-5)
     assert travel(dict(result.gains)) >= 0.99 * allowed
@@ -160,7 +176,7 @@ def test_travel_of_all_loops_is_that_of_simulated_responses() -> None:
     points = np.array([(3.0, 0.0), (5.0, 4000.0), (7.0, 6000.0)])
     family = loop_equations(MODEL, structure).family(points)
     impact = HalfSine(peak_n=9.0, duration_s=1.5e-3)
-    limit = travel_limit(MODEL.plant_at(3, 0), impact, 45e-6)
+    limit = PiezoTravel(impact=impact).measure(MODEL.plant_at(3, 0))
     found = limit.function(family, np.array(list(values.values())))
     assert limit.limit == 22.5e-6
     for point, value in zip(points, found, strict=True):
@@ -266,7 +282,7 @@ def test_draws_follow_their_covariance() -> None:
 
 
 def test_limits_that_contradict_give_the_least_violation() -> None:
-    result = gbid.tune(MODEL, operating_points=ONE, peak_sensitivity=1.05, slowest_pole=150.0)
+    result = gbid.tune(MODEL, operating_points=ONE, goals=[MaxDamping(), PeakSensitivity(1.05), SlowestPole(150.0)])
     assert (result.status, result.success) == ("limits contradict", False)
     assert result.violation > 0
     assert "exceeds" in result.notes[-1]
@@ -301,7 +317,6 @@ def test_an_unstable_open_loop_is_named() -> None:
         ({"bounds": {"kapa_x": (0, 1)}}, "no gain kapa_x"),
         ({"bounds": {"kappa_x": (1, 0)}}, "lower first"),
         ({"start": {"kapa_x": 1.0}}, "no gain kapa_x"),
-        ({"slowest_pole": -1.0}, "slowest_pole"),
         ({"controller": "PIDD"}, "PIDD"),
         ({"actuator": {"p1_x": 3000.0}}, "no actuator"),
         ({"bounds": {"kappa_x": (0, 1, 2)}}, "kappa_x.*give .lower, upper."),

@@ -11,7 +11,7 @@ import pytest
 from gain_problems import loops_of
 
 from gbid.control.tuning.local import optimise_locally
-from gbid.control.tuning.plants import LoopsAtPoints, Uncertainty
+from gbid.control.tuning.plants import LpvPlants, Uncertainty
 from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits
 from gbid.control.tuning.search import SearchTask
 from gbid.control.tuning.solve import TOLERANCE, GainSolution, add_worst_points, measure
@@ -28,7 +28,7 @@ def bump(P: Any, Omega: Any, exp: Any = ca.exp) -> Any:
     return exp(-(((P - TOP[0]) / 0.5) ** 2) - ((Omega - TOP[1]) / 600) ** 2)
 
 
-def at_corners(loops: LoopsAtPoints, limits: Limits) -> GainSolution:
+def at_corners(loops: LpvPlants, limits: Limits) -> GainSolution:
     problem = GainProblem((loops.family(CORNERS),), limits, np.array([-3.0]), np.array([3.0]), 1.0)
     return GainSolution(problem, optimise_locally(problem, np.zeros(1)))
 

@@ -90,7 +90,7 @@ def test_every_goal_has_its_entry_and_its_arguments(tmp_path: Path) -> None:
         ),
         ("{goals: [{goal: MaxDamping}, {goal: MaxDecay}]}", "goals", "exclude each other"),
         ("{goals: [{goal: PeakSensitivity, limit: 2}]}", "goals", "none of them is an objective"),
-        ("{goals: [{goal: MaxDamping}], slowest_pole: 3}", "slowest_pole", "write it as a goal, too"),
+        ("{goals: [{goal: MaxDamping}], objective: decay}", "objective", "write it as a goal, too"),
         (
             "{goals: [{goal: MaxDamping}, {goal: RmsPosition, limit_m: 1.0e-6, disturbance: stil}]}",
             "goals[1].disturbance",

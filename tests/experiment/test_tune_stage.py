@@ -132,7 +132,11 @@ def test_changed_settings_stop_and_replace(tuned, tmp_path):
 
 
 def test_limits_that_contradict_are_an_outcome_with_the_least_violating_design(tmp_path):
-    path = write_quick(tmp_path, ("peak_sensitivity: 2.28317", "slowest_pole: 2000"), text=RIG + FEEDBACK)
+    path = write_quick(
+        tmp_path,
+        ("peak_sensitivity: 2.28317", "goals: [{goal: MaxDamping}, {goal: SlowestPole, rate: 2000}]"),
+        text=RIG + FEEDBACK,
+    )
     result = call("tune", path, "--json")
     assert result.exit_code == 4
     assert "limits contradict" in result.stderr
@@ -180,7 +184,8 @@ def test_unstable_open_loop_is_said(tmp_path):
 def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
     text = RIG + (
         "controller:\n"
-        "  own: {structure: 'own.py:structure', impact: {peak_n: 10.0}, "
+        "  own: {structure: 'own.py:structure', goals: [{goal: MaxDamping}, {goal: PeakSensitivity, limit: 2.6}, "
+        "{goal: PiezoTravel, impact: {peak_n: 10.0}}], "
         "operating_points: [{pressure_bar: 6, speed_rpm: 0}]}\n"
         "  follows: {schedule: ['1', P], operating_points: [{pressure_bar: 5, speed_rpm: 0}, "
         "{pressure_bar: 6, speed_rpm: 0}]}\n"
@@ -251,7 +256,7 @@ def test_worst_figures_are_those_of_the_assessment():
         ("{p: {operating_points: [{pressure_bar: 9, speed_rpm: 0}]}}", ("points[0].pressure_bar", "3 to 7")),
         ("{p: {operating_points: [{pressure_bar: 6, speed_rpm: 0, speed: 1}]}}", ("points[0].speed:", "unknown key")),
         ("{p: {tune_corner: true, order: 0}}", ("controller.p.structure", "tune_corner needs a low-pass")),
-        ("{p: {impact: }}", ("controller.p.impact", "is empty")),
+        ("{p: {goals: }}", ("controller.p.goals", "is empty")),
         (
             "{p: {}, q: {}}\nimpacts: {controller: tuned, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}",
             ("impacts.controller", "write tuned:NAME, there is p, q"),

@@ -15,7 +15,7 @@ from figure_cases import BlankPictures
 from typer.testing import CliRunner
 
 from gbid.cli.main import app
-from gbid.control.assess import COLUMNS
+from gbid.control.assess import FIGURES
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report import write as report_file
@@ -34,9 +34,11 @@ controller:
   slow:
     sample_time_s: 1e-3
     method: zoh
-    impact: {peak_n: 5.0, duration_s: 1e-3, piezo_travel_m: 20e-6}
     operating_points: [{pressure_bar: 6, speed_rpm: 0}, {pressure_bar: 4, speed_rpm: 3000}]
-    peak_sensitivity: 3.0
+    goals:
+      - {goal: MaxDamping}
+      - {goal: PeakSensitivity, limit: 3.0}
+      - {goal: PiezoTravel, impact: {peak_n: 5.0, duration_s: 1e-3}, travel_m: 20e-6}
 """
 WORDS = "half-sine impact of 5 N, 1 ms; sampled at 1 ms (zero-order hold)"
 
@@ -58,11 +60,11 @@ def document(made):
 def expected(document):
     """Row by row what each design is to be shown with."""
 
-    def cell(design, figure, factor, form):
-        value = design["worst"][figure]["value"]
-        return "inf" if value is None else format(factor * value, form)  # JSON knows no infinity
+    def cell(design, name, figure):
+        value = design["worst"][name]["value"]
+        return "inf" if value is None else format(figure.factor * value, figure.format)  # JSON knows no infinity
 
-    return {heading: [cell(design, *column) for design in document["performance"]] for heading, *column in COLUMNS}
+    return {q.heading: [cell(design, name, q) for design in document["performance"]] for name, q in FIGURES.items()}
 
 
 def test_the_conditions_are_those_of_the_experiment(document, expected):
@@ -88,8 +90,8 @@ def test_paper_tables(made, expected, monkeypatch):
     folder = made.parent / "results" / "slow" / "figures"
     lines = [line for line in (folder / "designs.csv").read_text().splitlines() if not line.startswith("#")]
     rows = {row[0]: row[1:] for row in csv.reader(lines)}
-    for (heading, *_, form), cells in zip(COLUMNS, expected.values(), strict=True):
-        assert [format(float(cell), form) for cell in rows[heading]] == cells
+    for figure, cells in zip(FIGURES.values(), expected.values(), strict=True):
+        assert [format(float(cell), figure.format) for cell in rows[figure.heading]] == cells
     text = (folder / "designs.md").read_text()
     assert WORDS in text
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("| ")]

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.control.tuning.loops import LoopEquations, LoopFamily, families_of
-from gbid.control.tuning.plants import LoopsAtPoints, Uncertainty
+from gbid.control.tuning.plants import LpvPlants, Uncertainty
 from gbid.control.tuning.problem import GainProblem, Limits
 from gbid.structure import KEY_PARAMETERS, Parameter
 
@@ -26,7 +26,7 @@ def damping_problem(
     return GainProblem(families, limits or Limits(), np.array(lower), np.array(upper), 1.0)
 
 
-def loops_of(damping: Callable[[Any, Any], Any], uncertainty: Uncertainty | None = None) -> LoopsAtPoints:
+def loops_of(damping: Callable[[Any, Any], Any], uncertainty: Uncertainty | None = None) -> LpvPlants:
     """Loops of one gain whose damping factor is a function of the gain and of pressure, speed and deviations."""
     g, s = ca.SX.sym("g"), ca.SX.sym("scenario", 2 + len(KEY_PARAMETERS))
     eye = ca.SX.eye(2)
@@ -37,7 +37,7 @@ def loops_of(damping: Callable[[Any, Any], Any], uncertainty: Uncertainty | None
     equations = LoopEquations(
         (Parameter("g", 0.0, -3.0, 3.0),), ca.Function("loop", [g, s], matrices), ca.Function("slopes", [g, s], slopes)
     )
-    return LoopsAtPoints(None, equations, np.zeros((0, 2)), uncertainty)
+    return LpvPlants(None, np.zeros((0, 2)), equations=equations, lpv=None, uncertainty=uncertainty)
 
 
 def responding(damping: Any, g: Any, rates: tuple[float, ...] = (1.0,), size: Any = 1.0) -> LoopFamily:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from math import isfinite
 from typing import Any
 
-import numpy as np
-
-from gbid.control.controllers.built_in import built_in_structures
+from gbid.control.controllers.built_in import PStructure, built_in_structures
 from gbid.control.controllers.parts import INPUTS, NOT_OPTIONS, OUTPUTS, PerAxis
 from gbid.core.errors import UsageError
 from gbid.structure import LinearModel
@@ -43,28 +42,10 @@ def p_controller(kappa_x: float, kappa_y: float, lowpass_hz: float = 1000.0, ord
     UsageError
         When gains are not finite, the corner frequency is not positive, or the order is negative.
     """
-    for name, gain in (("kappa_x", kappa_x), ("kappa_y", kappa_y)):
-        if not np.isfinite(gain):
-            raise UsageError(f"p_controller: {name} = {gain}; give a finite number")
-    if not (np.isfinite(lowpass_hz) and lowpass_hz > 0):
-        raise UsageError(f"p_controller: lowpass_hz = {lowpass_hz}; give a positive number of Hz")
-    if order < 0:
-        raise UsageError(f"p_controller: order = {order}; it must be at least 0")
-    corner = 2.0 * np.pi * lowpass_hz
-    chain = corner * (np.eye(order, k=-1) - np.eye(order))  # the output of each stage is the input of the next
-    first, last = np.zeros((order, 1)), np.zeros((1, order))
-    first[:1], last[:, -1:] = corner, 1.0
-    axes, gains = np.eye(2), np.diag(np.array([kappa_x, kappa_y], float))
-    return LinearModel(
-        np.asarray(np.kron(axes, chain), np.float64),
-        np.asarray(np.kron(axes, first), np.float64),
-        np.asarray(np.kron(gains, last), np.float64),
-        gains if order == 0 else np.zeros((2, 2)),
-        input_names=("p_x", "p_y"),
-        output_names=("r_x", "r_y"),
-        state_names=tuple(f"lowpass{i + 1}_{axis}" for axis in "xy" for i in range(order)),
-        name="p_controller",
-    )
+    structure = PStructure(lowpass_hz, order)
+    model = controller_model(structure, {"kappa_x": kappa_x, "kappa_y": kappa_y})
+    states = tuple(f"lowpass{i + 1}_{axis}" for axis in structure.axes for i in range(order))
+    return replace(model, state_names=states, name="p_controller")
 
 
 def controller_structure(kind: str | Structure, **options: Any) -> Structure:
@@ -112,6 +93,12 @@ def controller_structure(kind: str | Structure, **options: Any) -> Structure:
     return built_in[kind](**options)
 
 
+@lru_cache(maxsize=16)
+def _of_built_in(structure: PerAxis) -> Callable[..., LinearModel]:
+    """Return the models of a structure for gains; they are kept, because maps ask for many."""
+    return model_function(structure)
+
+
 def controller_model(structure: Structure, gains: Mapping[str, float]) -> LinearModel:
     """Return the model of a controller structure for given gains.
 
@@ -139,20 +126,10 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
     for name in names:
         if name in gains and not isfinite(gains[name]):
             raise UsageError(f"controller {structure.name!r}: {name} = {gains[name]}; give a finite number")
-    return _model_function(structure)(gains, *channels_of(structure))
-
-
-def _model_function(structure: Structure) -> Callable[..., LinearModel]:
-    """Return the models of a structure for gains; those of built-in structures are kept, because maps ask for many."""
     if isinstance(structure, PerAxis):
-        with suppress(TypeError):  # a list among its options
-            return _of_built_in(structure)
-    return model_function(structure)
-
-
-@lru_cache(maxsize=16)
-def _of_built_in(structure: PerAxis) -> Callable[..., LinearModel]:
-    return model_function(structure)
+        with suppress(TypeError):  # a list among its options is no key
+            return _of_built_in(structure)(gains, *channels_of(structure))
+    return model_function(structure)(gains, *channels_of(structure))
 
 
 def channels_of(structure: Structure) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -298,27 +298,37 @@ def force_response(
     n = plant.n_states
     if E.shape != (n, 2):
         raise UsageError(f"impact: entry of the force on {plant.name!r} has shape {E.shape}, expected ({n}, 2)")
-    A, C = np.array(plant.A), np.array(plant.C)
-    if controller is None:
-        F = expm(A * sample_time)
-    elif controller.dt is not None:
-        held = sample_plant(plant, sample_time, sample_time if computation_s is None else computation_s)
-        closed = close_loop(held, controller)
-        F, C = np.array(closed.A), np.array(closed.C)
-    else:
-        if plant.delay is not None:
-            raise UsageError(
-                f"model {plant.name!r} has exact delays and {controller.name!r} is continuous: give the sampled "
-                "controller (sample_controller), or replace the delays: with_pade(plant, order)"
-            )
-        closed = close_loop(plant, controller)
-        A, C = np.array(closed.A), np.array(closed.C)
-        E = np.vstack([E, np.zeros((controller.n_states, 2))])
-        F = expm(A * sample_time)
+    loop = loop_of_impact(plant, controller, sample_time, computation_s)
+    F, C = np.array(loop.A) if loop.dt is not None else expm(np.array(loop.A) * sample_time), np.array(loop.C)
+    # The states of the plant come first in every loop. Between samples of a sampled one the force acts on them only.
+    A = np.array(plant.A if loop.dt is not None else loop.A)
+    E = np.vstack([E, np.zeros((len(A) - n, 2))])
     if (np.abs(np.linalg.eigvals(F)) >= 1).any():
         what = plant.name if controller is None else f"{plant.name}, closed by {controller.name}"
         raise UsageError(f"impact: {what!r} is unstable, so there is no response to compare with")
-    # The states of the plant come first in every loop. Between samples the force acts on them only.
     forcing = np.zeros((n_samples, len(F)))
     forcing[:, : len(A)] = pulse_forcing(A, E, pulses, n_samples, sample_time)
     return np.asarray(propagate(F, forcing, np.zeros(len(F))) @ C.T)
+
+
+def loop_of_impact(
+    plant: LinearModel, controller: LinearModel | None, sample_time: float, computation_s: float | None
+) -> LinearModel:
+    """Return the plant, its continuous loop, or its sampled loop with one sample of computation by default.
+
+    Raises
+    ------
+    UsageError
+        When the models do not fit together.
+    """
+    if controller is None:
+        return plant
+    if controller.dt is not None:
+        computation = sample_time if computation_s is None else computation_s
+        return close_loop(sample_plant(plant, sample_time, computation), controller)
+    if plant.delay is not None:
+        raise UsageError(
+            f"model {plant.name!r} has exact delays and {controller.name!r} is continuous: give the sampled "
+            "controller (sample_controller), or replace the delays: with_pade(plant, order)"
+        )
+    return close_loop(plant, controller)

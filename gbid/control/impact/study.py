@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from gbid.control.impact.half_sine import force_response
+from gbid.control.impact.half_sine import force_response, loop_of_impact
 from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
 from gbid.control.impact.ringdown import (
     RingDown,
@@ -17,12 +17,12 @@ from gbid.control.impact.ringdown import (
     harmonics_for,
     quiet_basis,
 )
-from gbid.control.loop.close import close_loop, force_entry, sample_plant
+from gbid.control.loop.close import force_entry
 from gbid.control.loop.sampled import exact_plant
 from gbid.core import hdf5
 from gbid.core.arrays import FloatArray, one_of_each_pair, oscillatory_modes
 from gbid.core.brief import Brief
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError
 from gbid.core.hdf5 import Stored
 from gbid.discretise import discretise, propagate
 from gbid.lpv import LPVModel
@@ -399,19 +399,12 @@ def ringing_modes(
         When models do not fit together.
     """
     E = force_entry(plant) if entry is None else np.asarray(entry, float)
-    model = plant
-    if controller is not None and controller.dt is not None:
-        late = controller.dt if computation_s is None else computation_s
-        model = close_loop(sample_plant(plant, controller.dt, late), controller)
-    elif controller is not None:
-        if plant.delay is not None:
-            raise UsageError(f"model {plant.name!r} has exact delays; give the sampled controller")
-        model = close_loop(plant, controller)
+    model = loop_of_impact(plant, controller, 0.0 if controller is None else controller.dt or 0.0, computation_s)
     E = np.vstack([E, np.zeros((model.n_states - len(E), E.shape[1]))])
     values, vectors = np.linalg.eig(model.A)
     residues = np.einsum("im,mj->mij", model.C @ vectors, np.linalg.pinv(vectors) @ E)
-    there = np.abs(values) > 1e-9 if model.dt is not None else np.ones(len(values), dtype=bool)
-    values, residues = values[there].astype(complex), residues[there]  # those of shift registers decay at once
+    lasting = np.abs(values) > 1e-9 if model.dt is not None else np.ones(len(values), dtype=bool)
+    values, residues = values[lasting].astype(complex), residues[lasting]  # those of shift registers decay at once
     poles = values if model.dt is None else np.log(values) / model.dt
     keep = np.flatnonzero(one_of_each_pair(poles))
     energy = (np.abs(residues[keep]) ** 2).sum(axis=(1, 2)) / np.maximum(np.abs(poles[keep].real), 1e-9)

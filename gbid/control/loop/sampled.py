@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from gbid.control.loop.close import Method, close_loop, sample_controller, sample_plant, smallest_damping
@@ -72,8 +73,13 @@ def exact_plant(lpv: LPVModel, pressure_bar: float, speed_rpm: float) -> LinearM
     """
     name = lpv.plant_at(pressure_bar, speed_rpm).name  # raises the errors of plant_at
     values = {**lpv.actuators, **lpv.key_parameters(float(pressure_bar), float(speed_rpm))}
+    return replace(exact_plant_of(values), name=f"{name}, exact delays")
+
+
+def exact_plant_of(values: Mapping[str, float]) -> LinearModel:
+    """Plant from r to p with exact delays, from the parameters of actuators and bearing."""
     structure = Plant(RotorBearing(delay="exact", disturbance_gain="none"), PiezoPair(), outputs=("p",))
-    return replace(evaluate(structure, values, ("r_x", "r_y"), ("p_x", "p_y")), name=f"{name}, exact delays")
+    return evaluate(structure, values, ("r_x", "r_y"), ("p_x", "p_y"))
 
 
 def sampled_loop(

@@ -29,32 +29,19 @@ from gbid.recording import Recording
 from gbid.structure import LinearModel
 
 
-@dataclass(frozen=True, eq=False)
-class DesignContext:
-    """What goals need to know about the loops.
-
-    Attributes
-    ----------
-    plant : LinearModel
-        One of the plants in continuous time.
-    """
-
-    plant: LinearModel
-
-
 class Goal(ABC):
     """Objective or limit of a design; see `gbid.tune`."""
 
     @abstractmethod
-    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+    def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this goal.
 
         Parameters
         ----------
         limits : Limits
             Objective and limits so far.
-        context : DesignContext
-            What goals need to know about the loops.
+        plant : LinearModel
+            One of the plants in continuous time.
         """
 
 
@@ -81,18 +68,18 @@ class Wanted(Goal):
             raise UsageError(f"{type(self).__name__}: weight belongs to an objective; give soft=True as well")
 
     @abstractmethod
-    def measure(self, context: DesignContext) -> Measure:
+    def measure(self, plant: LinearModel) -> Measure:
         """Return the measure of this goal with its weight.
 
         Parameters
         ----------
-        context : DesignContext
-            What goals need to know about the loops.
+        plant : LinearModel
+            One of the plants in continuous time.
         """
 
-    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+    def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this goal among the objectives or the limits."""
-        found = self.measure(context)
+        found = self.measure(plant)
         return (
             replace(limits, soft=(*limits.soft, found)) if self.soft else replace(limits, extra=(*limits.extra, found))
         )
@@ -124,7 +111,7 @@ def band(goal: Goal, low_hz: float, high_hz: float) -> None:
         raise UsageError(f"{type(goal).__name__}: low_hz = {low_hz!r}, high_hz = {high_hz!r}; give 0 <= low < high")
 
 
-def limits_of(goals: Sequence[Goal], context: DesignContext) -> Limits:
+def limits_of(goals: Sequence[Goal], plant: LinearModel) -> Limits:
     """Return objective and limits of a list of goals.
 
     Raises
@@ -137,7 +124,7 @@ def limits_of(goals: Sequence[Goal], context: DesignContext) -> Limits:
             raise UsageError(f"goals: {goal!r} is no goal; give a list such as [MaxDamping(), PeakSensitivity(2.0)]")
     limits = Limits(weight=inf)  # no objective yet
     for goal in goals:
-        limits = goal.add_to(limits, context)
+        limits = goal.add_to(limits, plant)
     if limits.weight == inf:
         if not limits.soft:
             raise UsageError("goals: none of them is an objective; add MaxDamping(), or make one soft=True")
@@ -310,7 +297,7 @@ class MaxDamping(Goal):
         positive(self, weight=self.weight)
         band(self, self.low_hz, self.high_hz)
 
-    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+    def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this objective."""
         if (self.low_hz, self.high_hz) == (0.0, inf):
             _only_one(limits)
@@ -334,7 +321,7 @@ class MaxDecay(Goal):
     def __post_init__(self) -> None:
         positive(self, weight=self.weight)
 
-    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+    def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this objective."""
         _only_one(limits)
         return replace(limits, objective="decay", weight=1 / self.weight)
@@ -364,7 +351,7 @@ class MinDamping(Wanted):
         if not (is_finite(self.limit) and -1 < self.limit < 1):
             raise UsageError(f"MinDamping: limit = {self.limit!r}; give a damping factor below 1")
 
-    def measure(self, context: DesignContext) -> ModeMeasure:
+    def measure(self, plant: LinearModel) -> ModeMeasure:
         """Return the measure of this goal."""
         return ModeMeasure("damping of modes", self.limit, False, self.low_hz, self.high_hz, self.weight)
 
@@ -393,14 +380,14 @@ class SlowestPole(Wanted):
         if not (is_finite(self.rate) and self.rate >= 0):
             raise UsageError(f"SlowestPole: rate = {self.rate!r}; give a rate of at least 0 in 1/s")
 
-    def measure(self, context: DesignContext) -> ModeMeasure:
+    def measure(self, plant: LinearModel) -> ModeMeasure:
         """Return the measure of this goal."""
         return ModeMeasure("slowest pole in the band", self.rate, True, self.low_hz, self.high_hz, self.weight)
 
-    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+    def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this goal."""
         if self.soft or (self.low_hz, self.high_hz) != (0.0, inf):
-            return super().add_to(limits, context)
+            return super().add_to(limits, plant)
         return replace(limits, slowest_pole=max(limits.slowest_pole, self.rate))
 
 
@@ -541,13 +528,13 @@ class RmsGoal(Wanted):
         if not isinstance(self.disturbance, DisturbanceSpectrum):
             raise UsageError(f"{type(self).__name__}: give disturbance=recorded_disturbance(...)")
 
-    def measure(self, context: DesignContext) -> ExtraLimit:
+    def measure(self, plant: LinearModel) -> ExtraLimit:
         """Return the measure of this goal."""
         given = self.disturbance
-        if given.density.shape[1] != len(context.plant.C):
+        if given.density.shape[1] != len(plant.C):
             raise UsageError(
                 f"{type(self).__name__}: the disturbance has {given.density.shape[1]} channels, the plant "
-                f"{len(context.plant.C)} outputs"
+                f"{len(plant.C)} outputs"
             )
         hz, power = _lines(given)
 

@@ -1,12 +1,13 @@
-"""Controller as numbers for given gains: its matrices and their derivatives, continuous or sampled."""
+"""Plants of a design, their loops as numbers with derivatives by the gains, and the options of `gbid.tune`."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from functools import cached_property
+from typing import Any, Literal, Self
 
 import casadi as ca
 import numpy as np
@@ -15,7 +16,8 @@ from scipy.linalg import expm, expm_frechet
 
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.loop.close import Method, sample_plant
-from gbid.control.loop.sampled import exact_plant
+from gbid.control.loop.sampled import exact_plant, exact_plant_of
+from gbid.control.tuning.goals import Goal, MaxDamping, MaxDecay, SlowestPole
 from gbid.control.tuning.loops import (
     PADE_ORDER,
     Derivatives,
@@ -27,12 +29,14 @@ from gbid.control.tuning.loops import (
     loop_delay,
     loop_equations,
 )
+from gbid.control.tuning.problem import Limits, Objective
+from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.core.arrays import ComplexArray, FloatArray, is_real, is_whole, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.identify import FitResult
 from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, regressors
-from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, evaluate, pade_delay, with_pade
+from gbid.structure import KEY_PARAMETERS, LinearModel, pade_delay, with_pade
 from gbid.structure.linear import Structure
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -125,49 +129,6 @@ class ControllerLaw:
         pairs = zip(base, slopes, strict=True)
         found = np.array([[expm_frechet(a, s, compute_expm=False) for s in of] for a, of in pairs])
         return found[..., :n, :n], found[..., :n, n:]
-
-
-# ---- Plants of a design: loops at any of their points, and the points with which a search starts.
-
-
-class PlantSet(ABC):
-    """Plants with one controller structure, whose loops have common gains."""
-
-    structure: Any
-    """Structure or Scheduled."""
-
-    @abstractmethod
-    def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Return the loops at points (m, 2), or some of them."""
-
-    @abstractmethod
-    def first(self, points: FloatArray) -> list[int]:
-        """Return the indices of the loops with which a search over many loops starts."""
-
-    def gain_limits(self, points: FloatArray) -> tuple[tuple[str, FloatArray, float], ...]:
-        """Return the bounds of scheduled gains at the points, as rows over the coefficients in units of their width."""
-        if not isinstance(self.structure, Scheduled):
-            return ()
-        names = [parameter.name for parameter in self.structure.parameters]
-        units = np.eye(len(names))
-        rows = []
-        for P, Omega in dict.fromkeys(map(tuple, points)):
-            columns = [self.structure.gains(dict(zip(names, unit, strict=True)), P, Omega) for unit in units]
-            for gain in self.structure.base.parameters:
-                row = np.array([float(column[gain.name]) for column in columns])
-                width = gain.upper - gain.lower
-                where = f"{gain.name} at {point_label(P, Omega)}"
-                rows.append((f"upper bound of {where}", row / width, gain.upper / width))
-                rows.append((f"lower bound of {where}", -row / width, -gain.lower / width))
-        return tuple(rows)
-
-
-def corners(points: FloatArray) -> list[int]:
-    """Return the indices of the points nearest to the corners of the rectangle that contains all points."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    unit = (points - low) / np.where(high > low, high - low, 1.0)
-    places = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
-    return list(dict.fromkeys(int(np.argmin(((unit - corner) ** 2).sum(axis=1))) for corner in places))
 
 
 # ---- Uncertainty of the plant: draws from the covariance of an LPV fit.
@@ -290,44 +251,279 @@ def _root(covariance: FloatArray) -> FloatArray:
     return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-# ---- Loops of an LPV plant at operating points, with all drawn plants.
+# ---- Options of a design.
+
+Point = tuple[float, float]
+PlantLike = LPVModel | LPVFit | LinearModel | FitResult
+"""What `gbid.tune` takes as a plant."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Sampling of a loop on the target.
+
+    Parameters
+    ----------
+    sample_time : float
+        T_s [s].
+    computation_s : float
+        Time from the sample of p to the change of r [s].
+    method : {"tustin", "zoh"}
+        Discretisation of the controller.
+    """
+
+    sample_time: float
+    computation_s: float
+    method: Method = "tustin"
 
 
 @dataclass(frozen=True, eq=False)
-class LoopsAtPoints(PlantSet):
-    """Continuous loops of one plant and one controller structure at operating points, with all drawn plants.
+class TuneOptions:
+    """Options of `gbid.tune`.
+
+    Parameters
+    ----------
+    goals : sequence of Goal, optional
+        Objectives and limits as values from `gbid.control`, such as ``[MaxDamping(), PeakSensitivity(2.0)]``, in place
+        of `objective` and `peak_sensitivity`. Without `SlowestPole` among them stability is required only.
+    operating_points : sequence of (pressure_bar, speed_rpm), or "domain", optional
+        Operating points; by default those of the model. ``"domain"``: the whole rectangle. The worst points are then
+        found and added until none is worse by more than 1e-4.
+    actuator : dict of str to float, optional
+        Parameters of Eq. 12 [rad/s, m/m]; by default those of the model.
+    inputs, outputs : sequence of str, optional
+        Channels of linear models that the controller drives and measures, in the order of its outputs and inputs.
+    peak_sensitivity : float, optional
+        Limit M on the peak of the output sensitivity; None maximises damping without this limit, see the notes of
+        `gbid.tune`.
+    bounds : dict of str to (lower, upper), optional
+        Bounds of gains in place of those of the structure.
+    uncertainty : Uncertainty, optional
+        Drawn plants for which the design must also hold.
+    objective : {"damping", "decay"}
+        Smallest damping factor of the oscillatory modes, or slowest decay ``-Re`` of all poles [1/s].
+    sample_time : float, optional
+        Sample time of the target [s]. The design is then that of the sampled controller itself: the plant is
+        discretised exactly with held references and its own delays, and the objective is the damping of the sampled
+        loop. Continuous designs with Padé delays of order 3 are the starts. Without `sample_time` the loop is
+        continuous and has more damping than the sampled one.
+    computation_s : float, optional
+        Time from the sample of p to the change of r [s]; one sample when not given.
+    method : {"tustin", "zoh"}
+        Discretisation of a sampled controller, see `gbid.control.sample_controller`.
+    start : dict of str to float, optional
+        Gains as an additional start value.
+    starts : int, optional
+        Number of starts, as for `gbid.maximise_damping`.
+    seed : int
+        Seed of the starts.
+
+    Raises
+    ------
+    UsageError
+        When a value is not allowed.
+    """
+
+    goals: Sequence[Goal] | None = None
+    operating_points: Sequence[Point] | Literal["domain"] | None = None
+    actuator: Mapping[str, float] | None = None
+    inputs: Sequence[str] | None = None
+    outputs: Sequence[str] | None = None
+    peak_sensitivity: float | None = 2.6
+    bounds: Mapping[str, tuple[float, float]] | None = None
+    uncertainty: Uncertainty | None = None
+    objective: Objective = "damping"
+    sample_time: float | None = None
+    computation_s: float | None = None
+    method: Method = "tustin"
+    start: Mapping[str, float] | None = None
+    starts: int | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.goals is not None and not isinstance(self.goals, Iterable):
+            raise UsageError(f"goals = {self.goals!r}; give a list such as [MaxDamping(), PeakSensitivity(2.0)]")
+        if self.goals is not None and (self.objective, self.peak_sensitivity) != ("damping", 2.6):
+            raise UsageError("tune: objective or peak_sensitivity beside goals; write them as goals, too")
+        Limits(self.objective, peak_sensitivity=self.peak_sensitivity)  # raises errors that name the arguments
+        loop_delay(self.sample_time, self.computation_s)  # raises the errors of the two
+        if self.uncertainty is not None and not isinstance(self.uncertainty, Uncertainty):
+            raise UsageError(f"uncertainty is a {type(self.uncertainty).__name__}; give gbid.Uncertainty(covariance)")
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the loop by sampling and computation [s]."""
+        return loop_delay(self.sample_time, self.computation_s)
+
+    @property
+    def sampling(self) -> Sampling | None:
+        """Sampling of the target; None for a continuous design."""
+        if self.sample_time is None:
+            return None
+        computation = self.sample_time if self.computation_s is None else self.computation_s
+        return Sampling(self.sample_time, computation, self.method)
+
+    def default_goals(self, slowest_mode: float) -> list[Goal]:
+        """Goals of a design that names none: the objective, the peak of S_o, and a slowest decay of all poles [1/s]."""
+        best = MaxDamping() if self.objective == "damping" else MaxDecay()
+        if self.peak_sensitivity is None:
+            return [best]
+        return [best, SlowestPole(rate=max(slowest_mode, 0.0)), PeakSensitivity(self.peak_sensitivity)]
+
+
+# ---- Plants of a design: loops at any of their points, and the points with which a search starts.
+
+
+@dataclass(frozen=True, eq=False)
+class Plants(ABC):
+    """Plants with one controller structure, whose loops have common gains.
 
     Parameters
     ----------
     structure : Structure or Scheduled
         Structure of the controller.
-    equations : LoopEquations
-        Symbolic closed loop of this model and structure.
     points : (m, 2) array
-        Operating points of the design: pressure [bar] and speed [rpm].
-    uncertainty : Uncertainty or None
-        Draws of the plant for which the design must also hold.
-    lpv : LPVModel, optional
-        The model of the equations.
+        Points of the design.
     delay_s : float
-        Delay of sampling and computation in them [s].
+        Delay of continuous loops by sampling and computation [s].
+    sampling : Sampling, optional
+        Rate of the target; None for continuous loops, in which delays are Padé delays.
     """
 
-    structure: Structure | Scheduled
-    equations: LoopEquations
+    structure: Any
     points: FloatArray
-    uncertainty: Uncertainty | None
-    lpv: LPVModel | None = None
     delay_s: float = 0.0
+    sampling: Sampling | None = None
+    _known: dict[tuple[float, ...], LinearModel] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def continuous(self) -> Self:
+        """The same plants in continuous time."""
+        return replace(self, sampling=None)
 
     def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Return the loops at given points, or some of them."""
+        """Loops at points (m, 2), or some of them."""
         scenarios, labels = self.scenarios(points)
         chosen = list(range(len(scenarios)) if which is None else which)
-        return self.equations.family(scenarios[chosen], [labels[i] for i in chosen])
+        rows, names = scenarios[chosen], tuple(labels[i] for i in chosen)
+        continuous = self.continuous_family(rows, names)
+        if self.sampling is None:
+            return continuous
+        for row in map(tuple, rows):
+            if row not in self._known:
+                self._known[row] = self.sampled(row, self.sampling)
+        plants = stacked([self._known[row] for row in map(tuple, rows)])
+        where, T = np.ascontiguousarray(rows[:, :2]), self.sampling.sample_time
+        law = ControllerLaw(self.structure, where, self.plant.D.shape[::-1], T, self.sampling.method)
+        return model_family(plants, law, names, continuous.points, continuous)
+
+    @property
+    @abstractmethod
+    def plant(self) -> LinearModel:
+        """One of the plants in continuous time."""
+
+    @property
+    @abstractmethod
+    def slowest(self) -> tuple[float, ...]:
+        """Slowest decay of the oscillatory modes of each open loop [1/s]."""
+
+    @abstractmethod
+    def scenarios(self, points: FloatArray) -> tuple[FloatArray, Sequence[str]]:
+        """Every plant at every point, as rows that begin with the point, and their names."""
+
+    @abstractmethod
+    def continuous_family(self, scenarios: FloatArray, labels: tuple[str, ...]) -> LoopFamily:
+        """Continuous loops of scenarios."""
+
+    @abstractmethod
+    def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
+        """Plant of a scenario, sampled with exact delays."""
+
+    @abstractmethod
+    def first(self, points: FloatArray) -> list[int]:
+        """Return the indices of the loops with which a search over many loops starts."""
+
+    def gain_limits(self, points: FloatArray) -> tuple[tuple[str, FloatArray, float], ...]:
+        """Bounds of scheduled gains at the points, as rows over the coefficients in units of their width."""
+        if not isinstance(self.structure, Scheduled):
+            return ()
+        names = [parameter.name for parameter in self.structure.parameters]
+        units = np.eye(len(names))
+        rows = []
+        for P, Omega in dict.fromkeys(map(tuple, points)):
+            columns = [self.structure.gains(dict(zip(names, unit, strict=True)), P, Omega) for unit in units]
+            for gain in self.structure.base.parameters:
+                row = np.array([float(column[gain.name]) for column in columns])
+                width = gain.upper - gain.lower
+                where = f"{gain.name} at {point_label(P, Omega)}"
+                rows.append((f"upper bound of {where}", row / width, gain.upper / width))
+                rows.append((f"lower bound of {where}", -row / width, -gain.lower / width))
+        return tuple(rows)
+
+
+def corners(points: FloatArray) -> list[int]:
+    """Return the indices of the points nearest to the corners of the rectangle that contains all points."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    unit = (points - low) / np.where(high > low, high - low, 1.0)
+    places = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
+    return list(dict.fromkeys(int(np.argmin(((unit - corner) ** 2).sum(axis=1))) for corner in places))
+
+
+# ---- Plants of an LPV model at operating points, with all drawn plants.
+
+
+@dataclass(frozen=True, eq=False)
+class LpvPlants(Plants):
+    """Plants of an LPV model at operating points: pressure [bar] and speed [rpm].
+
+    Parameters
+    ----------
+    equations : LoopEquations
+        Symbolic continuous loop of this model and structure.
+    lpv : LPVModel
+        The model with its actuators.
+    uncertainty : Uncertainty, optional
+        Draws of the plant for which the design must also hold.
+    domain : Domain, optional
+        Domain over which the design must hold.
+    """
+
+    equations: LoopEquations = field(kw_only=True)
+    lpv: LPVModel = field(kw_only=True)
+    uncertainty: Uncertainty | None = None
+    domain: Domain | None = None
+
+    @classmethod
+    def of(cls, lpv: LPVModel, structure: Structure | Scheduled, options: TuneOptions) -> LpvPlants:
+        """Plants of a model with the options of a design."""
+        lpv, points = _with_actuators(lpv, options.actuator), _points(lpv, options.operating_points)
+        return cls(
+            structure,
+            points,
+            options.delay_s,
+            options.sampling,
+            equations=_equations(lpv, structure, options.delay_s),
+            lpv=lpv,
+            uncertainty=options.uncertainty,
+            domain=lpv.domain if isinstance(options.operating_points, str) else None,
+        )
+
+    def with_structure(self, structure: Structure | Scheduled) -> LpvPlants:
+        """Return these plants with another controller."""
+        return replace(self, structure=structure, equations=_equations(self.lpv, structure, self.delay_s))
+
+    @cached_property
+    def plant(self) -> LinearModel:
+        """Plant at the first point."""
+        return self.lpv.plant_at(float(self.points[0, 0]), float(self.points[0, 1]))
+
+    @property
+    def slowest(self) -> tuple[float, ...]:
+        """Slowest decay of the oscillatory modes of each open loop [1/s]."""
+        return tuple(slowest_mode(self.lpv.at(float(P), float(Omega)).poles()) for P, Omega in self.points)
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
-        """Return every plant at every point (m, 2) or (m, 16), and their names."""
+        """Every plant at every point (m, 2) or (m, 16), and their names."""
         scenarios = points if self.uncertainty is None else self.uncertainty.scenarios(points)
         labels = [
             point_label(P, Omega) + (f", plant {i // len(points)}" if i >= len(points) else "")
@@ -335,9 +531,171 @@ class LoopsAtPoints(PlantSet):
         ]
         return scenarios, labels
 
+    def continuous_family(self, scenarios: FloatArray, labels: tuple[str, ...]) -> LoopFamily:
+        """Continuous loops of scenarios."""
+        return self.equations.family(scenarios, labels)
+
+    def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
+        """Plant of a scenario, sampled with exact delays."""
+        values = dict(self.lpv.key_parameters(*scenario[:2]))
+        for name, change in zip(KEY_PARAMETERS, scenario[2:], strict=False):
+            values[name] += change
+        negative = [name for name in ("tau_x", "tau_y") if values[name] <= 0]
+        if negative:
+            raise UsageError(
+                f"model {self.lpv.name!r}: a drawn plant has {negative[0]} = {values[negative[0]]:g} s; fix the delays"
+            )
+        try:
+            exact = exact_plant_of({**self.lpv.actuators, **values})
+            return sample_plant(exact, sampling.sample_time, sampling.computation_s)
+        except UsageError as error:
+            raise UsageError(
+                f"model {self.lpv.name!r} at {point_label(*scenario[:2])}, or a plant drawn around it, cannot be "
+                f"sampled: {error}"
+            ) from None
+
     def first(self, points: FloatArray) -> list[int]:
-        """Return the points nearest to the corners of the operating range."""
+        """Points nearest to the corners of the operating range."""
         return corners(points)
+
+
+def _equations(lpv: LPVModel, structure: Structure | Scheduled, delay_s: float) -> LoopEquations:
+    delayed = replace(lpv, pade_order=PADE_ORDER) if delay_s else lpv
+    return loop_equations(delayed, structure, delay_s=delay_s)
+
+
+# ---- Plants given as linear models: any plants with named inputs and outputs.
+
+_FIRST = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ModelPlants(Plants):
+    """Plants given as models; the first column of a point is the index of its model.
+
+    Parameters
+    ----------
+    models : tuple of LinearModel
+        Continuous plants with equal inputs and outputs; delays may be exact.
+    unfinished : tuple of FitResult
+        Plants that are fits which did not converge.
+    """
+
+    models: tuple[LinearModel, ...] = field(kw_only=True)
+    unfinished: tuple[FitResult, ...] = ()
+
+    @property
+    def plant(self) -> LinearModel:
+        """First of the models."""
+        return self.models[0]
+
+    @property
+    def slowest(self) -> tuple[float, ...]:
+        """Slowest decay of the oscillatory modes of each open loop [1/s]."""
+        return tuple(slowest_mode(model.poles()) for model in self.models)
+
+    def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
+        """Points, and the names of their models."""
+        labels = [self.models[int(i)].name for i in points[:, 0]]
+        if len(set(labels)) < len(labels):
+            labels = [f"{name} ({int(i) + 1})" for name, i in zip(labels, points[:, 0], strict=True)]
+        return points, labels
+
+    def continuous_family(self, scenarios: FloatArray, labels: tuple[str, ...]) -> LoopFamily:
+        """Continuous loops of the models, with Padé delays."""
+        models = [_with_pade_delays(self.models[int(i)], self.delay_s) for i in scenarios[:, 0]]
+        law = ControllerLaw(self.structure, scenarios, self.plant.D.shape[::-1])
+        return model_family(stacked(models), law, labels, None)
+
+    def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
+        """Model, sampled with exact delays."""
+        return sample_plant(self.models[int(scenario[0])], sampling.sample_time, sampling.computation_s)
+
+    def first(self, points: FloatArray) -> list[int]:
+        """Return some models, evenly among all."""
+        return sorted({round(i) for i in np.linspace(0, len(points) - 1, _FIRST)})
+
+
+def _with_pade_delays(model: LinearModel, delay_s: float) -> LinearModel:
+    """Return a model with all inputs delayed and its own delays, as Padé delays."""
+    smooth = model if model.delay is None else with_pade(model, PADE_ORDER)
+    if not delay_s:
+        return smooth
+    late = pade_delay(delay_s, PADE_ORDER)
+    each = np.eye(smooth.D.shape[1])
+    a, b, c, d = (np.kron(each, np.array(ca.DM(M))) for M in (late.A, late.B, late.C, late.D))
+    A = np.block([[smooth.A, smooth.B @ c], [np.zeros((len(a), len(smooth.A))), a]])
+    B, C = np.vstack([smooth.B @ d, b]), np.hstack([smooth.C, smooth.D @ c])
+    return replace(smooth, A=A, B=B, C=C, D=smooth.D @ d, K=None, state_names=())
+
+
+def checked_models(
+    models: Sequence[LinearModel],
+    structure: Structure | Scheduled,
+    inputs: Sequence[str] | None,
+    outputs: Sequence[str] | None,
+) -> tuple[LinearModel, ...]:
+    """Return the models with the chosen channels only, in order.
+
+    Parameters
+    ----------
+    models : sequence of LinearModel
+        Continuous plants.
+    structure : Structure
+        Structure of the controller.
+    inputs, outputs : sequence of str, optional
+        Channels of the plant that the controller drives and measures, in the order of its outputs and inputs; by
+        default all.
+
+    Raises
+    ------
+    UsageError
+        When a model is sampled or has no such channel, when their number does not fit the controller, or when the
+        controller is scheduled.
+    """
+    if isinstance(structure, Scheduled):
+        raise UsageError(f"controller {structure.name!r}: a schedule needs an LPV model, with pressure and speed")
+    found = []
+    for model in models:
+        if model.dt is not None:
+            raise UsageError(
+                f"model {model.name!r} is sampled at {model.dt:g} s; give the continuous model, and sample_time"
+            )
+        columns = _places(model, "input", model.input_names, inputs)
+        rows = _places(model, "output", model.output_names, outputs)
+        for what, n, names in (("outputs", len(columns), structure.outputs), ("inputs", len(rows), structure.inputs)):
+            if n != len(names):
+                raise UsageError(
+                    f"controller {structure.name!r} has {len(names)} {what} ({', '.join(names)}), the plant "
+                    f"{model.name!r} {n}; choose channels by inputs= and outputs=, or axes= of the structure"
+                )
+        found.append(_channels(model, columns, rows))
+    return tuple(found)
+
+
+def _places(model: LinearModel, what: str, names: tuple[str, ...], wanted: Sequence[str] | None) -> list[int]:
+    if wanted is not None and len(set(wanted)) < len(wanted):
+        raise UsageError(f"{what}s = {wanted!r}: give each {what} once")
+    for name in wanted or ():
+        if name not in names:
+            raise UsageError(f"model {model.name!r} has no {what} {name!r}; there are {', '.join(names)}")
+    return list(range(len(names))) if wanted is None else [names.index(name) for name in wanted]
+
+
+def _channels(model: LinearModel, columns: list[int], rows: list[int]) -> LinearModel:
+    delayed = None if model.B_delayed is None else model.B_delayed[:, columns]
+    return LinearModel(
+        model.A,
+        model.B[:, columns],
+        model.C[rows],
+        model.D[np.ix_(rows, columns)],
+        input_names=tuple(model.input_names[i] for i in columns),
+        output_names=tuple(model.output_names[i] for i in rows),
+        state_names=model.state_names,
+        name=model.name,
+        B_delayed=delayed,
+        delay=None if model.delay is None else model.delay[columns],
+    )
 
 
 # ---- Loops of given plants and one controller, as numbers: continuous, or sampled in the plane of the search.
@@ -496,93 +854,6 @@ def _transformed_slopes(
     )
 
 
-# ---- Sampled loops of an LPV plant at operating points: zero-order hold and delays exact, a controller with its rate.
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """Sampling of a loop on the target.
-
-    Parameters
-    ----------
-    sample_time : float
-        T_s [s].
-    computation_s : float
-        Time from the sample of p to the change of r [s].
-    method : {"tustin", "zoh"}
-        Discretisation of the controller.
-    """
-
-    sample_time: float
-    computation_s: float
-    method: Method = "tustin"
-
-
-@dataclass(frozen=True, eq=False)
-class SampledLoops(PlantSet):
-    """Sampled loops of an LPV plant and one controller structure, with all drawn plants.
-
-    Parameters
-    ----------
-    continuous : LoopsAtPoints
-        The same loops in continuous time.
-    lpv : LPVModel
-        The plant with its actuators.
-    sampling : Sampling
-        Rate, computation time and method of the target.
-    """
-
-    continuous: LoopsAtPoints
-    lpv: LPVModel
-    sampling: Sampling
-    _known: dict[tuple[float, ...], LinearModel] = field(default_factory=dict, init=False, repr=False)
-
-    @property
-    def structure(self) -> object:
-        """Structure of the controller."""
-        return self.continuous.structure
-
-    def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Return the loops at given points, or some of them."""
-        scenarios, labels = self.continuous.scenarios(points)
-        chosen = list(range(len(scenarios)) if which is None else which)
-        plants = stacked([self._sampled(scenarios[i]) for i in chosen])
-        where = np.ascontiguousarray(scenarios[chosen, :2])
-        T, method = self.sampling.sample_time, self.sampling.method
-        law = ControllerLaw(self.continuous.structure, where, (2, 2), T, method)
-        names = tuple(labels[i] for i in chosen)
-        return model_family(plants, law, names, where, self.continuous.equations.family(scenarios[chosen], names))
-
-    def first(self, points: FloatArray) -> list[int]:
-        """Return the points nearest to the corners of the operating range."""
-        return corners(points)
-
-    def _sampled(self, scenario: FloatArray) -> LinearModel:
-        key = tuple(float(v) for v in scenario)
-        if key not in self._known:
-            self._known[key] = self._sample(scenario)
-        return self._known[key]
-
-    def _sample(self, scenario: FloatArray) -> LinearModel:
-        values = dict(self.lpv.key_parameters(float(scenario[0]), float(scenario[1])))
-        for name, change in zip(KEY_PARAMETERS, scenario[2:], strict=False):
-            values[name] += change
-        late = [name for name in ("tau_x", "tau_y") if values[name] <= 0]
-        if late:
-            raise UsageError(
-                f"model {self.lpv.name!r}: a drawn plant has {late[0]} = {values[late[0]]:g} s; fix the delays"
-            )
-        structure = Plant(RotorBearing(delay="exact", disturbance_gain="none"), PiezoPair(), outputs=("p",))
-        try:
-            exact = evaluate(structure, {**self.lpv.actuators, **values}, ("r_x", "r_y"), ("p_x", "p_y"))
-            return sample_plant(exact, self.sampling.sample_time, self.sampling.computation_s)
-        except UsageError as error:
-            where = point_label(float(scenario[0]), float(scenario[1]))
-            raise UsageError(
-                f"model {self.lpv.name!r} at {where}, or a plant drawn around it, cannot be sampled: {error}"
-            ) from None
-
-
 def stacked(models: Sequence[LinearModel]) -> PlantMatrices:
     """Return models as stacked matrices of equal size.
 
@@ -600,244 +871,38 @@ def stacked(models: Sequence[LinearModel]) -> PlantMatrices:
     return PlantMatrices(A, B, C, np.array([model.D for model in models]))
 
 
-# ---- Loops of given linear models: any plants with named inputs and outputs.
-
-_FIRST = 4
-
-
-@dataclass(frozen=True, eq=False)
-class ModelLoops(PlantSet):
-    """Loops of given models and one controller; the first column of a point is the index of its model.
-
-    Parameters
-    ----------
-    structure : Structure
-        Structure of the controller.
-    models : tuple of LinearModel
-        Continuous plants with equal inputs and outputs; delays may be exact.
-    sampling : Sampling, optional
-        Rate of the target; None for continuous loops, in which exact delays are replaced by Padé delays.
-    delay_s : float
-        Additional delay of continuous loops by sampling and computation [s].
-    """
-
-    structure: Structure
-    models: tuple[LinearModel, ...]
-    sampling: Sampling | None = None
-    delay_s: float = 0.0
-
-    @property
-    def points(self) -> FloatArray:
-        """One point for each model (m, 2)."""
-        return np.column_stack([np.arange(len(self.models), dtype=float), np.zeros(len(self.models))])
-
-    def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Return the loops of the models at points, or some of them."""
-        chosen = points if which is None else points[list(which)]
-        models = [self.models[int(i)] for i in chosen[:, 0]]
-        labels = tuple(model.name for model in models)
-        if len(set(labels)) < len(labels):
-            labels = tuple(f"{name} ({int(i) + 1})" for name, i in zip(labels, chosen[:, 0], strict=True))
-        smooth = [_late(model, self.delay_s) for model in models]
-        size = self.models[0].D.shape[::-1]
-        law = ControllerLaw(self.structure, chosen, size)
-        continuous = model_family(stacked(smooth), law, labels, None)
-        if self.sampling is None:
-            return continuous
-        T, computation = self.sampling.sample_time, self.sampling.computation_s
-        plants = stacked([sample_plant(model, T, computation) for model in models])
-        law = ControllerLaw(self.structure, chosen, size, T, self.sampling.method)
-        return model_family(plants, law, labels, None, continuous)
-
-    def first(self, points: FloatArray) -> list[int]:
-        """Return some models, evenly among all."""
-        return sorted({round(i) for i in np.linspace(0, len(points) - 1, _FIRST)})
-
-
-def _late(model: LinearModel, delay_s: float) -> LinearModel:
-    """Return a model with all inputs delayed and its own delays, as Padé delays."""
-    smooth = model if model.delay is None else with_pade(model, PADE_ORDER)
-    if not delay_s:
-        return smooth
-    late = pade_delay(delay_s, PADE_ORDER)
-    each = np.eye(smooth.D.shape[1])
-    a, b, c, d = (np.kron(each, np.array(ca.DM(M))) for M in (late.A, late.B, late.C, late.D))
-    A = np.block([[smooth.A, smooth.B @ c], [np.zeros((len(a), len(smooth.A))), a]])
-    B, C = np.vstack([smooth.B @ d, b]), np.hstack([smooth.C, smooth.D @ c])
-    return replace(smooth, A=A, B=B, C=C, D=smooth.D @ d, K=None, state_names=())
-
-
-def checked_models(
-    models: Sequence[LinearModel],
-    structure: Structure | Scheduled,
-    inputs: Sequence[str] | None,
-    outputs: Sequence[str] | None,
-) -> tuple[LinearModel, ...]:
-    """Return the models with the chosen channels only, in order.
-
-    Parameters
-    ----------
-    models : sequence of LinearModel
-        Continuous plants.
-    structure : Structure
-        Structure of the controller.
-    inputs, outputs : sequence of str, optional
-        Channels of the plant that the controller drives and measures, in the order of its outputs and inputs; by
-        default all.
-
-    Raises
-    ------
-    UsageError
-        When a model is sampled or has no such channel, when their number does not fit the controller, or when the
-        controller is scheduled.
-    """
-    if isinstance(structure, Scheduled):
-        raise UsageError(f"controller {structure.name!r}: a schedule needs an LPV model, with pressure and speed")
-    found = []
-    for model in models:
-        if model.dt is not None:
-            raise UsageError(
-                f"model {model.name!r} is sampled at {model.dt:g} s; give the continuous model, and sample_time"
-            )
-        columns = _places(model, "input", model.input_names, inputs)
-        rows = _places(model, "output", model.output_names, outputs)
-        for what, n, names in (("outputs", len(columns), structure.outputs), ("inputs", len(rows), structure.inputs)):
-            if n != len(names):
-                raise UsageError(
-                    f"controller {structure.name!r} has {len(names)} {what} ({', '.join(names)}), the plant "
-                    f"{model.name!r} {n}; choose channels by inputs= and outputs=, or axes= of the structure"
-                )
-        found.append(_channels(model, columns, rows))
-    return tuple(found)
-
-
-def _places(model: LinearModel, what: str, names: tuple[str, ...], wanted: Sequence[str] | None) -> list[int]:
-    if wanted is not None and len(set(wanted)) < len(wanted):
-        raise UsageError(f"{what}s = {wanted!r}: give each {what} once")
-    for name in wanted or ():
-        if name not in names:
-            raise UsageError(f"model {model.name!r} has no {what} {name!r}; there are {', '.join(names)}")
-    return list(range(len(names))) if wanted is None else [names.index(name) for name in wanted]
-
-
-def _channels(model: LinearModel, columns: list[int], rows: list[int]) -> LinearModel:
-    delayed = None if model.B_delayed is None else model.B_delayed[:, columns]
-    return LinearModel(
-        model.A,
-        model.B[:, columns],
-        model.C[rows],
-        model.D[np.ix_(rows, columns)],
-        input_names=tuple(model.input_names[i] for i in columns),
-        output_names=tuple(model.output_names[i] for i in rows),
-        state_names=model.state_names,
-        name=model.name,
-        B_delayed=delayed,
-        delay=None if model.delay is None else model.delay[columns],
-    )
-
-
 # ---- Plants of a design from what a user gives: an LPV model, linear models, fits, or a list of these.
-
-Point = tuple[float, float]
-PlantLike = LPVModel | LPVFit | LinearModel | FitResult
-"""What `gbid.tune` takes as a plant."""
-
-
-@dataclass(frozen=True, eq=False)
-class DesignPlants:
-    """Plants of a design.
-
-    Attributes
-    ----------
-    continuous : PlantSet
-        Loops in continuous time, with the delay of sampling when there is one.
-    sampled : PlantSet or None
-        Sampled loops; None for a continuous design.
-    points : (m, 2) array
-        Points of the loops.
-    plant : LinearModel
-        One of the plants in continuous time.
-    slowest : tuple of float
-        Slowest decay of the oscillatory modes of each open loop [1/s].
-    lpv : LPVModel or None
-        The LPV model; None for given models.
-    domain : Domain or None
-        Domain over which the design must hold.
-    unfinished : tuple of FitResult
-        Plants that are fits which did not converge.
-    """
-
-    continuous: PlantSet
-    sampled: PlantSet | None
-    points: FloatArray
-    plant: LinearModel
-    slowest: tuple[float, ...]
-    lpv: LPVModel | None = None
-    domain: Domain | None = None
-    unfinished: tuple[FitResult, ...] = ()
 
 
 def plants_of(
-    model: PlantLike | Sequence[PlantLike],
-    structure: Structure | Scheduled,
-    operating_points: Sequence[Point] | Literal["domain"] | None,
-    actuator: Mapping[str, float] | None,
-    uncertainty: Uncertainty | None,
-    sampling: Sampling | None,
-    channels: tuple[Sequence[str] | None, Sequence[str] | None],
-) -> DesignPlants:
-    """Return the plants of a design; the arguments are those of `gbid.tune`.
+    model: PlantLike | Sequence[PlantLike], structure: Structure | Scheduled, options: TuneOptions
+) -> LpvPlants | ModelPlants:
+    """Plants of a design.
 
     Raises
     ------
     UsageError
-        When a model is of another kind, or when arguments do not belong to it.
+        When a model is of another kind, or when options do not belong to it.
     """
-    if uncertainty is not None and not isinstance(uncertainty, Uncertainty):
-        raise UsageError(f"uncertainty is a {type(uncertainty).__name__}; give gbid.Uncertainty(covariance)")
     if isinstance(model, LPVFit):
         model = model.model
     if isinstance(model, LPVModel):
-        if channels != (None, None):
+        if (options.inputs, options.outputs) != (None, None):
             raise UsageError("tune: inputs and outputs choose channels of linear models; an LPV model has r and p")
-        return _of_lpv(model, structure, operating_points, actuator, uncertainty, sampling)
+        return LpvPlants.of(model, structure, options)
     given = list(model) if isinstance(model, Sequence) else [model]
     if not given:
         raise UsageError("tune: no models")
-    if uncertainty is not None:
+    if options.uncertainty is not None:
         raise UsageError("tune: uncertainty belongs to an LPV model; give the drawn models in the list")
-    models = [one for each in given for one in _linear(each, operating_points, actuator, sampling is not None)]
-    for name, value in (("operating_points", operating_points), ("actuator", actuator)):
-        if value is not None and not any(isinstance(each, LPVModel | LPVFit) for each in given):
+    models = [one for each in given for one in _linear(each, options)]
+    for name in ("operating_points", "actuator"):
+        if getattr(options, name) is not None and not any(isinstance(each, LPVModel | LPVFit) for each in given):
             raise UsageError(f"tune: {name} belongs to LPV models; leave it out")
-    chosen = checked_models(models, structure, *channels)
-    assert not isinstance(structure, Scheduled)
-    continuous = ModelLoops(structure, chosen, delay_s=_delay(sampling))
-    sampled = None if sampling is None else ModelLoops(structure, chosen, sampling)
-    slowest = tuple(slowest_mode(one.poles()) for one in chosen)
+    chosen = checked_models(models, structure, options.inputs, options.outputs)
+    points = np.column_stack([np.arange(len(chosen), dtype=float), np.zeros(len(chosen))])
     unfinished = tuple(each for each in given if isinstance(each, FitResult) and not each.success)
-    return DesignPlants(continuous, sampled, continuous.points, chosen[0], slowest, unfinished=unfinished)
-
-
-def _of_lpv(
-    lpv: LPVModel,
-    structure: Structure | Scheduled,
-    operating_points: Sequence[Point] | Literal["domain"] | None,
-    actuator: Mapping[str, float] | None,
-    uncertainty: Uncertainty | None,
-    sampling: Sampling | None,
-) -> DesignPlants:
-    machine = _with_actuators(lpv, actuator)
-    points = _points(lpv, operating_points)
-    slowest = tuple(slowest_mode(lpv.at(float(P), float(Omega)).poles()) for P, Omega in points)
-    delay_s = _delay(sampling)
-    late = replace(machine, pade_order=PADE_ORDER) if delay_s else machine
-    equations = loop_equations(late, structure, delay_s=delay_s)
-    continuous = LoopsAtPoints(structure, equations, points, uncertainty, late, delay_s)
-    sampled = None if sampling is None else SampledLoops(continuous, machine, sampling)
-    plant = machine.plant_at(float(points[0, 0]), float(points[0, 1]))
-    domain = lpv.domain if isinstance(operating_points, str) else None
-    return DesignPlants(continuous, sampled, points, plant, slowest, machine, domain)
+    return ModelPlants(structure, points, options.delay_s, options.sampling, models=chosen, unfinished=unfinished)
 
 
 def _with_actuators(lpv: LPVModel, actuator: Mapping[str, float] | None) -> LPVModel:
@@ -848,30 +913,23 @@ def _with_actuators(lpv: LPVModel, actuator: Mapping[str, float] | None) -> LPVM
     return lpv if actuator is None else replace(lpv, actuators=dict(actuator))
 
 
-def _delay(sampling: Sampling | None) -> float:
-    return 0.0 if sampling is None else loop_delay(sampling.sample_time, sampling.computation_s)
-
-
-def _linear(
-    given: PlantLike,
-    operating_points: Sequence[Point] | Literal["domain"] | None,
-    actuator: Mapping[str, float] | None,
-    exact: bool,
-) -> list[LinearModel]:
-    """Return the linear models of one entry of a list: one for each operating point of an LPV model."""
+def _linear(given: PlantLike, options: TuneOptions) -> list[LinearModel]:
+    """Linear models of one entry of a list: one for each operating point of an LPV model."""
     if isinstance(given, LPVFit):
         given = given.model
     if isinstance(given, LPVModel):
-        machine = _with_actuators(given, actuator)
-        places = [(float(P), float(Omega)) for P, Omega in _points(machine, operating_points)]
-        return [exact_plant(machine, *place) if exact else machine.plant_at(*place) for place in places]
-    found = given.model if isinstance(given, FitResult) else given
-    if not isinstance(found, LinearModel):
+        machine = _with_actuators(given, options.actuator)
+        places = [(float(P), float(Omega)) for P, Omega in _points(machine, options.operating_points)]
+        return [
+            machine.plant_at(*place) if options.sampling is None else exact_plant(machine, *place) for place in places
+        ]
+    model = given.model if isinstance(given, FitResult) else given
+    if not isinstance(model, LinearModel):
         raise UsageError(
             f"tune: a {type(given).__name__} is no plant; give an LPV model, a LinearModel (of a nonlinear one its "
             "linearise(x0, u0)), a fit, or a list of these"
         )
-    return [found]
+    return [model]
 
 
 def _points(lpv: LPVModel, given: Sequence[Point] | str | None) -> FloatArray:

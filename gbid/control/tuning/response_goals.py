@@ -1,18 +1,20 @@
-"""Goals on responses over frequency: sensitivities, control effort, roll-off, and the disk margin."""
+"""Goals on responses: sensitivities, control effort, roll-off and margins over frequency, travel after an impact."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from math import radians
+from math import pi, radians
 from typing import Any, ClassVar
 
 import numpy as np
 
+from gbid.control.impact.half_sine import HalfSine
+from gbid.control.loop.close import force_entry
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.loop.sensitivity import structured_singular_values
-from gbid.control.tuning.goals import Bound, BoundLike, DesignContext, Wanted, bound_over_frequency, positive
+from gbid.control.tuning.goals import Bound, BoundLike, Wanted, bound_over_frequency, positive
 from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
 from gbid.control.tuning.peaks import (
     ModalResponse,
@@ -27,6 +29,7 @@ from gbid.control.tuning.plane import Eigensystem, IntArray, searched_frequencie
 from gbid.control.tuning.problem import ExtraLimit, Limits, LoopState, Measure, Pieces
 from gbid.core.arrays import ComplexArray, FloatArray, is_finite
 from gbid.core.errors import UsageError
+from gbid.structure import LinearModel
 
 # ---- Measure of a response over frequency: its peak over a bound, with exact gradients.
 
@@ -173,15 +176,15 @@ class ResponseGoal(Wanted):
         super().__post_init__()
         bound_over_frequency(self.limit, f"{type(self).__name__}: limit")
 
-    def measure(self, context: DesignContext) -> ResponseMeasure:
+    def measure(self, plant: LinearModel) -> ResponseMeasure:
         """Return the measure of this goal."""
         bound = bound_over_frequency(self.limit, type(self).__name__)
         return ResponseMeasure(f"{self.label} over frequency", self.response, bound, weight=self.weight)
 
-    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+    def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this goal; one hard limit for all frequencies is verified by an exact norm."""
         if self.soft or not self.native or not is_finite(self.limit):
-            return super().add_to(limits, context)
+            return super().add_to(limits, plant)
         known = getattr(limits, self.native)
         changed: dict[str, Any] = {self.native: float(self.limit if known is None else min(known, self.limit))}
         return replace(limits, **changed)
@@ -257,7 +260,7 @@ class RollOff(Wanted):
         if not (is_finite(self.slope_db) and 0 <= self.slope_db <= 200):
             raise UsageError(f"RollOff: slope_db = {self.slope_db!r}; give 0 to 200 dB per decade")
 
-    def measure(self, context: DesignContext) -> ResponseMeasure:
+    def measure(self, plant: LinearModel) -> ResponseMeasure:
         """Return the measure of this goal."""
         places = self.from_hz * (1 + 1e-9) * np.geomspace(1.0, 1e3, 25)
         bound = Bound(self._bound, places)
@@ -286,7 +289,7 @@ class StaticAmplification(Wanted):
         super().__post_init__()
         positive(self, limit=self.limit)
 
-    def measure(self, context: DesignContext) -> ResponseMeasure:
+    def measure(self, plant: LinearModel) -> ResponseMeasure:
         """Return the measure of this goal."""
 
         def at_rest(hz: FloatArray) -> FloatArray:
@@ -296,10 +299,10 @@ class StaticAmplification(Wanted):
             "static amplification", LoopResponse.SENSITIVITY, Bound(at_rest, np.zeros(0)), weight=self.weight
         )
 
-    def add_to(self, limits: Limits, context: DesignContext) -> Limits:
+    def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this goal."""
         if self.soft:
-            return super().add_to(limits, context)
+            return super().add_to(limits, plant)
         known = limits.static_amplification
         return replace(limits, static_amplification=self.limit if known is None else min(known, self.limit))
 
@@ -329,12 +332,12 @@ class MinDiskMargin(Wanted):
         if not (is_finite(self.alpha) and 0 < self.alpha < 2):
             raise UsageError(f"MinDiskMargin: alpha = {self.alpha!r}; give a number between 0 and 2")
 
-    def measure(self, context: DesignContext) -> ResponseMeasure:
+    def measure(self, plant: LinearModel) -> ResponseMeasure:
         """Return the measure of this goal."""
-        n = len(context.plant.C)
+        n = len(plant.C)
         if self.channel is not None and self.channel not in range(n):
             raise UsageError(f"MinDiskMargin: channel = {self.channel!r}; there are {n}, from 0")
-        name = "disk margin" if self.channel is None else f"disk margin of {context.plant.output_names[self.channel]}"
+        name = "disk margin" if self.channel is None else f"disk margin of {plant.output_names[self.channel]}"
         bound = bound_over_frequency(2 / self.alpha, "MinDiskMargin")
         return ResponseMeasure(name, LoopResponse.BALANCED, bound, True, self.channel, self.weight)
 
@@ -366,7 +369,7 @@ class MinGainMargin(Wanted):
         if not (is_finite(self.factor) and self.factor > 1):
             raise UsageError(f"MinGainMargin: factor = {self.factor!r}; give a number above 1")
 
-    def measure(self, context: DesignContext) -> ExtraLimit:
+    def measure(self, plant: LinearModel) -> ExtraLimit:
         """Return the measure of this goal."""
         wanted = float(np.log(self.factor))
 
@@ -396,7 +399,7 @@ class MinPhaseMargin(Wanted):
         if not (is_finite(self.degrees) and 0 < self.degrees < 180):
             raise UsageError(f"MinPhaseMargin: degrees = {self.degrees!r}; give a number between 0 and 180")
 
-    def measure(self, context: DesignContext) -> ExtraLimit:
+    def measure(self, plant: LinearModel) -> ExtraLimit:
         """Return the measure of this goal."""
         wanted = radians(self.degrees)
 
@@ -495,3 +498,83 @@ def _opened(loops: Loops, channel: int) -> ComplexArray:
     direct = loops.D[:, channel, channel][:, None, None]
     back = loops.B[:, :, channel, None] @ loops.C[:, None, channel]
     return np.asarray(np.linalg.eigvals(loops.A - back / np.where(np.abs(direct) > 1e-9, direct, np.inf)), complex)
+
+
+# ---- Goal on the travel of the piezo stacks after an impact.
+
+UNSTABLE = 1e3
+"""Travel that is assigned to an unstable loop, over the limit."""
+_AFTER_S = 0.05
+_STEP_S = 1e-4
+_ZOOM = np.linspace(-1.0, 1.0, 17)
+
+
+@dataclass(frozen=True)
+class PiezoTravel(Wanted):
+    """Motion of every stack after an impact in x and in y: at most half its travel to each side.
+
+    Parameters
+    ----------
+    impact : HalfSine
+        The impact.
+    travel_m : float
+        Whole travel of a stack [m].
+    soft, weight
+        See `Wanted`.
+    """
+
+    impact: HalfSine = field(default_factory=HalfSine)
+    travel_m: float = 45e-6
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive(self, travel_m=self.travel_m)
+        if not isinstance(self.impact, HalfSine):
+            raise UsageError(f"PiezoTravel: impact = {self.impact!r}; give a HalfSine")
+
+    def measure(self, plant: LinearModel) -> ExtraLimit:
+        """Measure of this goal; the entry of a force is the same for all plants."""
+        entry = force_entry(plant) * (self.impact.peak_n / self.impact.mass_kg)
+        limit = self.travel_m / 2
+
+        def largest(family: LoopFamily, gains: FloatArray) -> FloatArray:
+            # of sampled loops the continuous ones with the delay of sampling
+            loops = (getattr(family, "companion", None) or family).matrices(gains)
+            # the states of the plant come first in every loop; the force does not act on the controller
+            E = np.vstack([entry, np.zeros((loops.A.shape[1] - len(entry), entry.shape[1]))])
+            system = Eigensystem.of(loops.A)
+            stable = (system.values.real < 0).all(axis=1)
+            peaks = np.full(len(family), UNSTABLE * limit)
+            if stable.any():
+                to_r = loops.C[stable, family.n_outputs :] @ system.right[stable]
+                reached = _peaks(system.values[stable], to_r, system.left[stable] @ E, self.impact.duration_s)
+                peaks[stable] = np.minimum(reached, UNSTABLE * limit)
+            return np.asarray(np.maximum(peaks, 1e-12))
+
+        return ExtraLimit("piezo travel", largest, limit / self.weight)
+
+
+def _peaks(values: ComplexArray, outputs: ComplexArray, inputs: ComplexArray, length: float) -> FloatArray:
+    """Return the largest ``|r|`` of each loop over both stacks and directions: (m,)."""
+    m, n = values.shape
+    weights = (outputs[:, None] * inputs.transpose(0, 2, 1)[:, :, None]).reshape(m, -1, n)  # (m, direction x stack, n)
+    n_during = max(20, int(np.ceil(length / _STEP_S)))
+    after = np.arange(_STEP_S, _AFTER_S, _STEP_S)
+    time = np.concatenate([np.linspace(0.0, length, n_during + 1), length + after])
+    r = np.abs((weights @ _modes(values[:, :, None], time, length)).real)
+    best, place = r.max(axis=2), time[r.argmax(axis=2)]
+    step = max(_STEP_S, length / n_during)
+    for _ in range(3):
+        at = np.clip(place[:, :, None] + step * _ZOOM, 0.0, time[-1])
+        sizes = np.abs((weights[:, :, None] @ _modes(values[:, None, :, None], at[:, :, None], length)).real[:, :, 0])
+        best, top = np.maximum(best, sizes.max(axis=2)), sizes.argmax(axis=2)
+        place, step = np.take_along_axis(at, top[:, :, None], axis=2)[:, :, 0], step / 8
+    return np.asarray(best.max(axis=1))
+
+
+def _modes(values: ComplexArray, time: FloatArray, length: float) -> ComplexArray:
+    r"""Return the solution of :math:`\dot z = \lambda z + \sin(\pi t / T)` up to T, then of the free motion."""
+    w = pi / length
+    during, later = np.minimum(time, length), np.maximum(time - length, 0.0)
+    forced = w * (np.exp(values * during) - np.cos(w * during)) - values * np.sin(w * during)
+    return np.asarray(np.exp(values * later) * forced / (values**2 + w**2))

@@ -11,12 +11,12 @@ from scipy.special import bdtrc, betaincinv
 
 from gbid.control.controllers.scheduled import Scheduled, with_schedule
 from gbid.control.controllers.structures import controller_structure
-from gbid.control.tuning.goals import DesignContext, Goal, limits_of
-from gbid.control.tuning.plants import PlantSet, Sampling, Uncertainty, plants_of
+from gbid.control.tuning.goals import Goal, limits_of
+from gbid.control.tuning.plants import Plants, TuneOptions, Uncertainty, plants_of
 from gbid.control.tuning.problem import GainProblem
 from gbid.control.tuning.result import GainResult
-from gbid.control.tuning.search import typical_rate
-from gbid.control.tuning.tune import tune
+from gbid.control.tuning.search import Progress, typical_rate
+from gbid.control.tuning.tune import tuned
 from gbid.core.arrays import FloatArray, is_finite, is_whole
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
@@ -91,14 +91,14 @@ def lower_bound(share: float, n: int, confidence: float) -> float:
     return float(betaincinv(k, n - k + 1, 1 - confidence)) if k else 0.0
 
 
-def on_draws(problem: GainProblem, plants: PlantSet, points: FloatArray, x: FloatArray, n: int) -> PlantDraws:
+def on_draws(problem: GainProblem, plants: Plants, points: FloatArray, x: FloatArray, n: int) -> PlantDraws:
     """Return the performance of gains on n drawn plants, without the nominal one.
 
     Parameters
     ----------
     problem : GainProblem
         Objective and limits.
-    plants : PlantSet
+    plants : Plants
         Plants with n draws: m loops of the nominal plant, then m of each draw.
     points : (m, 2) array
         Operating points.
@@ -239,7 +239,8 @@ def tune_robust(
     machine, known = _plant_and_uncertainty(model, uncertainty, draws, seed)
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
     structure = with_schedule(structure, machine.domain)
-    trial = _Trial(machine, structure, tuple(goals or ()), options)
+    progress = options.pop("progress", None)
+    trial = _Trial(machine, structure, TuneOptions(goals=tuple(goals or ()), **options), progress)
     chosen: tuple[int, ...] = ()
     # the share of failures that is allowed in the draws leaves room for the confidence on the fresh ones
     target = min(probability + (1 - probability) * 0.4, 1 - 0.5 / draws)
@@ -271,35 +272,29 @@ def tune_robust(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Designs and trials of one plant, structure and list of goals."""
+    """Designs and trials of one plant, structure and set of options."""
 
     lpv: LPVModel
     structure: Structure | Scheduled
-    goals: tuple[Goal, ...]
-    options: Mapping[str, Any]
+    options: TuneOptions
+    progress: Progress | None = None
 
     def design(self, chosen: tuple[int, ...], known: Uncertainty, start: Mapping[str, float] | None) -> GainResult:
-        """Return the design for the nominal plant and chosen draws."""
+        """Design for the nominal plant and chosen draws."""
+        starts = 1 if chosen and self.options.starts is None else self.options.starts
         plants = replace(known, chosen=chosen) if chosen else None
-        options = {**self.options, **({"starts": 1} if chosen and "starts" not in self.options else {})}
-        return tune(self.lpv, self.structure, goals=self.goals, uncertainty=plants, start=start, **options)
+        options = replace(self.options, uncertainty=plants, start=start, starts=starts)
+        return tuned(self.lpv, self.structure, options, self.progress)
 
     def on(self, drawn: Uncertainty, gains: Mapping[str, float]) -> PlantDraws:
         """Return the performance of gains on all draws."""
-        take = {key: self.options.get(key) for key in ("operating_points", "actuator")}
-        sampling, T = None, self.options.get("sample_time")
-        if T is not None:
-            late = self.options.get("computation_s")
-            sampling = Sampling(T, T if late is None else late, self.options.get("method", "tustin"))
-        args = self.lpv, self.structure, take["operating_points"], take["actuator"], drawn, sampling, (None, None)
-        design = plants_of(*args)
-        plants = design.sampled or design.continuous
+        plants = plants_of(self.lpv, self.structure, replace(self.options, uncertainty=drawn))
         x = np.array([gains[p.name] for p in self.structure.parameters])
-        nominal = plants.family(design.points, range(len(design.points)))
-        limits = limits_of(self.goals, DesignContext(design.plant))
+        nominal = plants.family(plants.points, range(len(plants.points)))
+        limits = limits_of(self.options.goals or (), plants.plant)
         low, high = (np.array([getattr(p, side) for p in self.structure.parameters]) for side in ("lower", "upper"))
         problem = GainProblem((nominal,), limits, low, high, typical_rate((nominal,), x))
-        return on_draws(problem, plants, design.points, x, drawn.draws)
+        return on_draws(problem, plants, plants.points, x, drawn.draws)
 
 
 def _shortfall(seen: PlantDraws, value: float) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from gbid.control.tuning.certificate import Certificate, certify
 from gbid.control.tuning.local import LocalOptimum, optimise_locally
 from gbid.control.tuning.loops import families_of
-from gbid.control.tuning.plants import PlantSet
+from gbid.control.tuning.plants import Plants
 from gbid.control.tuning.problem import Cut, Evaluations, GainProblem, Limits, Objective, SearchStep
 from gbid.control.tuning.result import (
     GainResult,
@@ -192,7 +192,7 @@ def _exchange(
     return replace(solution, best=replace(solution.best, converged=False))
 
 
-def solve_over_points(problem: GainProblem, plants: PlantSet, points: FloatArray, task: SearchTask) -> GainSolution:
+def solve_over_points(problem: GainProblem, plants: Plants, points: FloatArray, task: SearchTask) -> GainSolution:
     """Return the best design over all loops of the plants at the points; of many loops, some are designed for first.
 
     With few gains every round is a search, with many gains a local optimisation from the last design.
@@ -220,7 +220,7 @@ def solve_over_points(problem: GainProblem, plants: PlantSet, points: FloatArray
     return _improve(problem, _exchange(first, extended, design), task)
 
 
-def sketch_over_points(problem: GainProblem, plants: PlantSet, points: FloatArray, task: SearchTask) -> SearchOutcome:
+def sketch_over_points(problem: GainProblem, plants: Plants, points: FloatArray, task: SearchTask) -> SearchOutcome:
     """Return different good designs of the loops with which a search begins, as first designs of similar loops."""
     if len(problem.families[0]) > _FEW:
         problem = replace(problem, families=(plants.family(points, plants.first(points)),))
@@ -228,7 +228,7 @@ def sketch_over_points(problem: GainProblem, plants: PlantSet, points: FloatArra
 
 
 def add_worst_points(
-    solution: GainSolution, plants: PlantSet, domain: Domain, task: SearchTask
+    solution: GainSolution, plants: Plants, domain: Domain, task: SearchTask
 ) -> tuple[GainSolution, str]:
     """Return a design over a whole rectangle of operating points, and how it was verified.
 
@@ -236,7 +236,7 @@ def add_worst_points(
     ----------
     solution : GainSolution
         Design over the first points.
-    plants : PlantSet
+    plants : Plants
         Loops at any operating points.
     domain : Domain
         Rectangle of operating points.
@@ -266,7 +266,7 @@ def add_worst_points(
     )
 
 
-def _worse_points(solution: GainSolution, plants: PlantSet, domain: Domain) -> FloatArray:
+def _worse_points(solution: GainSolution, plants: Plants, domain: Domain) -> FloatArray:
     """Return points at which the design is worse than at its own points, each refined to the worst nearby: (k, 2)."""
     axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -293,7 +293,7 @@ def _worse_points(solution: GainSolution, plants: PlantSet, domain: Domain) -> F
     return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
 
 
-def measure(problem: GainProblem, x: FloatArray, plants: PlantSet, points: FloatArray) -> FloatArray:
+def measure(problem: GainProblem, x: FloatArray, plants: Plants, points: FloatArray) -> FloatArray:
     """Return measures of a design at points over all plants, larger is worse: minus objective, then limits (n, m)."""
     parts = []
     for block in np.array_split(points, max(1, len(points) // 128)):

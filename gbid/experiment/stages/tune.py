@@ -21,12 +21,11 @@ from gbid.control import (
     tune,
 )
 from gbid.control.assess import CappedDesign, DesignFigures, RobustPromise, TunedDesign
-from gbid.control.tuning.goals import DesignContext, limits_of
+from gbid.control.tuning.goals import limits_of
 from gbid.core.errors import GbidError
 from gbid.core.files import scratch_folder
 from gbid.core.hdf5 import load, save
 from gbid.experiment.controllers import (
-    SHORT_FORM,
     TUNED,
     assess_options,
     controller_section,
@@ -120,7 +119,7 @@ def _goal_problems(experiment: Experiment, section: ControllerSection, where: Lo
             yield (*where, "pareto"), "is not for robust designs; write price: [...] below robust, or a second design"
     if section.goals is None:
         return
-    for key in SHORT_FORM:
+    for key in ("peak_sensitivity", "objective"):
         if key in section.model_fields_set:
             yield (*where, key), "stands beside goals; write it as a goal, too"
     goals = []
@@ -134,7 +133,7 @@ def _goal_problems(experiment: Experiment, section: ControllerSection, where: Lo
     if len(goals) < len(section.goals):
         return
     plant = load_model("theisen2016").plant_at(6.0, 0.0)  # every plant has the channels of this one
-    yield from refusal((*where, "goals"), lambda: limits_of(goals, DesignContext(plant)))
+    yield from refusal((*where, "goals"), lambda: limits_of(goals, plant))
 
 
 def _disturbance_problems(experiment: Experiment, pattern: str, where: Location) -> Found:
@@ -163,7 +162,7 @@ def _gain_problems(section: ControllerSection, structure: Structure | Scheduled,
 
 
 def design_goals(job: Job, section: ControllerSection) -> list[Goal] | None:
-    """Return the goals of a design; None when the section has none and uses the short form.
+    """Return the goals of a design; None when the section has none.
 
     Raises
     ------
