@@ -544,6 +544,8 @@ class Results:
     @cached_property
     def nominal(self) -> NominalActuator:
         """The nominal actuator."""
+        if self.experiment.spec.nominal is None:
+            raise DataError("no section 'nominal'; add one")
         return nominal_of(self.job)[0]
 
     # ------------------------------------------------------------ surfaces

@@ -140,7 +140,7 @@ def residual_test():
         disturbances=Disturbances(),
         schedule=None,
     )
-    result = SimpleNamespace(model=nothing, options=options, recordings=("one",), free=())
+    result = SimpleNamespace(model=nothing, options=options, recordings=("one",), free=(), schedule=None)
     recording = gbid.Recording({"u": u, "p": y}, 1e-3, name="two")
     return gbid.check_residuals(result, recording, lags=20), u, y
 
