@@ -32,7 +32,7 @@ from gbid.core.hdf5 import load
 from gbid.core.units import SIGNALS
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import InputError, Result, about, file_digest, nearest, needed, stored_key
-from gbid.experiment.machine import RigRun, rig_machine, rig_model
+from gbid.experiment.machine import PlannedRun, rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection
 from gbid.experiment.schema import (
     GOALS,
@@ -579,7 +579,9 @@ def loop_settings(experiment: Experiment) -> dict[str, Any]:
     return {} if rig.controller == "python" else {"compiled": asdict(chain_options(experiment))}
 
 
-def loop_of(experiment: Experiment, controller: LoopController, run: RigRun) -> SampledController | ProgramController:
+def loop_of(
+    experiment: Experiment, controller: LoopController, run: PlannedRun
+) -> SampledController | ProgramController:
     """Return the controller of the rig for one recording.
 
     Sampled matrices get the zero position from a stationary run with the same shaft angle. The control chain gets the

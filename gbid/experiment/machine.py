@@ -242,7 +242,7 @@ def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[st
 
 
 @dataclass(frozen=True, eq=False)
-class RigRun:
+class PlannedRun:
     """One recording of the rig: the arguments of `gbid.rig.record` except the controller.
 
     Attributes
@@ -275,7 +275,7 @@ class RigRun:
         }
 
 
-def rig_run(experiment: Experiment, planned: PlannedRecording) -> RigRun:
+def rig_run(experiment: Experiment, planned: PlannedRecording) -> PlannedRun:
     """Return the run of the rig for a recording.
 
     Raises
@@ -285,7 +285,7 @@ def rig_run(experiment: Experiment, planned: PlannedRecording) -> RigRun:
     """
     model, run = rig_model(experiment), rig_experiment(experiment, planned)
     surfaces = model.key_parameters if isinstance(run, ScheduledRun) else None
-    return RigRun(machine_at(experiment, planned, model), run, record_options(experiment, planned), surfaces)
+    return PlannedRun(machine_at(experiment, planned, model), run, record_options(experiment, planned), surfaces)
 
 
 def _stacks(section: ActuatorSection) -> PiezoStacks:

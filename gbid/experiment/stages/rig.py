@@ -22,7 +22,7 @@ from gbid.experiment.controllers import (
 )
 from gbid.experiment.experiment import Check, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, nearest, needed, refusal
-from gbid.experiment.machine import RigRun, machine_at, outside_domain, rig_experiment, rig_model, rig_run
+from gbid.experiment.machine import PlannedRun, machine_at, outside_domain, rig_experiment, rig_model, rig_run
 from gbid.experiment.recordings import recording_result
 from gbid.experiment.rig_schema import RigLoopSection, RigSection
 from gbid.experiment.run import Job, Stage, Task
@@ -243,7 +243,9 @@ def check_loop_stable(experiment: Experiment, planned: PlannedRecording, sampled
         )
 
 
-def running(experiment: Experiment, planned: PlannedRecording, run: RigRun) -> SampledController | ProgramController:
+def running(
+    experiment: Experiment, planned: PlannedRecording, run: PlannedRun
+) -> SampledController | ProgramController:
     """Return the controller of the rig for one recording.
 
     The run-out map that it subtracts is that of the stationary recordings, with which the prefilter works. Two maps
