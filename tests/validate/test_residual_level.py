@@ -48,7 +48,7 @@ def test_a_recording_has_an_offset_of_its_own(model):
     other = with_offset(simulated(MODE, MODE_AT, levels(2000, seed=5), name="second"), -7.0, 2)
     assert cross_validate(model, other).fit_percent.min() > 98.5
     assert check_residuals(model, other).white.all()
-    without = replace(model, options=replace(model.options, disturbances=Disturbances()))
+    without = replace(model, disturbances=Disturbances())
     assert cross_validate(without, other).fit_percent.min() < 90
 
 
