@@ -137,10 +137,16 @@ def residual_test():
         outputs=("p",),
         intersample=("zoh", "zoh"),
         focus="simulation",
+    )
+    result = SimpleNamespace(
+        model=nothing,
+        options=options,
+        recordings=("one",),
+        free=(),
+        parameters={},
         disturbances=Disturbances(),
         schedule=None,
     )
-    result = SimpleNamespace(model=nothing, options=options, recordings=("one",), free=(), schedule=None)
     recording = gbid.Recording({"u": u, "p": y}, 1e-3, name="two")
     return gbid.check_residuals(result, recording, lags=20), u, y
 
