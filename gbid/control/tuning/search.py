@@ -249,15 +249,17 @@ _SAME, _AGREE = 1e-4, 1e-5
 def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator, note: Note) -> LocalOptimum:
     """Move the best design at random, then others as long as the best one cannot be trusted.
 
-    It cannot where it has no certificate.
+    It cannot where it has no certificate. One other design is moved where the moves of the best one led nowhere.
     """
     start = best_of(finals)
     others = [one for one in sorted(finals, key=rank, reverse=True) if not _same(one.score, start.score, _OTHER)]
     best = local.with_certificate(hop_line(local, start, rng, note))
-    for other in others:
-        if local.problem.evaluations.exhausted or local.certified(best):
+    doubted = int(_same(best.score, start.score, _OTHER))
+    less = replace(local, options=replace(local.options, patience=local.options.patience // 2))
+    for i, other in enumerate(others):
+        if local.problem.evaluations.exhausted or (i >= doubted and local.certified(best)):
             break
-        line = hop_line(local, other, rng, note)
+        line = hop_line(less, other, rng, note)
         best = local.with_certificate(line) if better(line.score, best.score) else best
     return best
 
