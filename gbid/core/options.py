@@ -1,14 +1,26 @@
-"""Options as frozen dataclasses: types with bounds, and one check of values."""
+"""Options as frozen dataclasses: types with bounds, one check of values, and functions that take them by keywords."""
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, wraps
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Concatenate,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -23,7 +35,7 @@ class Exact:
     Attributes
     ----------
     finite : bool
-        Whether a number must be finite; in a file it must be in any case.
+        Whether a number must be finite.
     """
 
     finite: bool = False
@@ -31,7 +43,14 @@ class Exact:
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
         """Return the schema of pydantic for the type, strict."""
         schema = {**handler(source), "strict": True}
-        return {**schema, "allow_inf_nan": False} if schema["type"] == "float" else schema
+        return {**schema, "allow_inf_nan": False} if self.finite and schema["type"] == "float" else schema
+
+
+class Allowed:
+    """Mark of a type: what it allows, in words."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
 
 
 Number = Annotated[float, Exact()]
@@ -64,8 +83,9 @@ def check_options(options: Any, owner: str = "") -> None:
     for name, kind in _types(made).items():
         value = getattr(options, name)
         if not _allows(kind, value):
-            verb = "choose" if get_origin(kind) is Literal else "give"
-            raise UsageError(f"{owner}{': ' if owner else ''}{name} = {value!r}; {verb} {_words(kind)}")
+            words = _words(kind)
+            verb = "choose" if all(word.startswith("'") for word in words) else "give"
+            raise UsageError(f"{owner}{': ' if owner else ''}{name} = {value!r}; {verb} {_either(words)}", name)
 
 
 @cache
@@ -111,34 +131,93 @@ def _holds(bound: Any, value: Any) -> bool:
     return bool(value <= bound.le) if isinstance(bound, Le) else True
 
 
-def _words(kind: Any) -> str:
-    """Return what a type allows, in words."""
+def _words(kind: Any) -> list[str]:
+    """Return what a type allows, in words: each of its alternatives."""
     origin, args = get_origin(kind), get_args(kind)
     if origin is Annotated:
+        stated = [mark.text for mark in args[1:] if isinstance(mark, Allowed)]
         bounds = [_bound(mark) for mark in args[1:] if isinstance(mark, Gt | Ge | Le)]
-        return f"{_words(args[0])}{' ' if bounds else ''}{' and '.join(bounds)}"
+        return stated or [" ".join([*_words(args[0]), *bounds])]
     if origin in (Union, UnionType):
-        return _either([_words(each) for each in args])
+        return [word for each in args for word in _words(each)]
     if origin is Literal:
-        return _either([repr(each) for each in args])
+        return [repr(each) for each in args]
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return f"a dict by name of {_words(args[1])}"
+        return [f"a dict by name ({_either(_words(args[1]))})"]
     if origin is tuple and args[-1] is not ...:
-        return f"({', '.join(map(_words, args))})"
+        return [f"({', '.join(_either(_words(each)) for each in args)})"]
     if origin is Callable:
-        return "a function"
+        return ["a function"]
     if origin is not None:
-        return f"a list of {_words(args[0])}"
+        return [f"a list ({_either(_words(args[0]))})"]
     named = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", NoneType: "None"}
-    return named.get(kind) or str(kind.__name__)
+    return [named.get(kind) or str(kind.__name__)]
 
 
 def _bound(mark: Gt | Ge | Le) -> str:
     if isinstance(mark, Gt):
         return f"above {mark.gt}"
-    return f"of at least {mark.ge}" if isinstance(mark, Ge) else f"of at most {mark.le}"
+    return f"of at least {mark.ge}" if isinstance(mark, Ge) else f"and at most {mark.le}"
 
 
 def _either(words: list[str]) -> str:
     *others, last = words
     return f"{', '.join(others)} or {last}" if others else last
+
+
+def plain(value: Any) -> Any:
+    """Return a value of plain types, as JSON has them: dicts, tuples in place of lists and arrays, Python's numbers."""
+    if isinstance(value, Mapping):
+        return {key: plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return tuple(map(plain, value))
+    return value.item() if isinstance(value, np.generic) else value
+
+
+# ---- Functions that take a dataclass of options by keywords.
+
+_First = TypeVar("_First")
+_Second = TypeVar("_Second")
+_Made = TypeVar("_Made")
+_Result = TypeVar("_Result")
+_Keywords = ParamSpec("_Keywords")
+
+
+def takes_options(
+    kind: Callable[_Keywords, _Made],
+) -> Callable[
+    [Callable[[_First, _Second, _Made], _Result]], Callable[Concatenate[_First, _Second, _Keywords], _Result]
+]:
+    """Return a decorator: the third argument, a dataclass of options, is given by the names of its fields.
+
+    Signature and docstring of the function list the options, with the words of the dataclass.
+    """
+
+    def decorate(
+        function: Callable[[_First, _Second, _Made], _Result],
+    ) -> Callable[Concatenate[_First, _Second, _Keywords], _Result]:
+        positional = list(inspect.signature(function).parameters.values())[:2]
+        signature = inspect.Signature([*positional, *inspect.signature(kind).parameters.values()])
+
+        @wraps(function)
+        def called(*args: Any, **keywords: Any) -> _Result:
+            given = signature.bind(*args, **keywords).arguments
+            first, second = (given.pop(each.name) for each in positional)
+            made: Any = kind
+            return function(first, second, made(**given))
+
+        called.__signature__ = signature  # type: ignore[attr-defined]
+        called.__doc__ = _with_options(inspect.getdoc(function) or "", kind)
+        return called
+
+    return decorate
+
+
+def _with_options(text: str, kind: Any) -> str:
+    """Return a docstring whose line ``**options`` is replaced by the attributes of a dataclass and its bases."""
+    begin, heading, rest = text.partition("\n**options\n")
+    sections = [
+        inspect.cleandoc(base.__doc__ or "").partition("Attributes\n----------\n")[2].partition("\n\nNotes\n")[0]
+        for base in reversed(kind.__mro__)
+    ]
+    return "\n".join([begin, *filter(None, sections)]) + "\n" + rest.lstrip(" ") if heading else text

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le
 
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Number, Positive, check_options, plain
+from gbid.core.options import Allowed, Count, CountOrZero, Exact, Number, Positive, check_options, plain
 from gbid.discretise import Hold
 
 Focus = Literal["prediction", "simulation"]
