@@ -34,7 +34,7 @@ class PossibleMachine:
     taken: float = 0.0
 
 
-class Bound(NamedTuple):
+class ChannelLimit(NamedTuple):
     """Largest distance of some channels of the inputs or outputs of a model from their centre.
 
     Attributes
@@ -89,7 +89,7 @@ class ExcitationLimits:
     taken: float = 0.0
     machines: Sequence[PossibleMachine] = ()
 
-    def bounds(self, known: KnownModel) -> list[Bound]:
+    def bounds(self, known: KnownModel) -> list[ChannelLimit]:
         """Return the bound of each limited signal of a model.
 
         Parameters
@@ -102,14 +102,16 @@ class ExcitationLimits:
         UsageError
             When a limit names no signal of the model.
         """
-        bounds = list[Bound]()
+        bounds = list[ChannelLimit]()
         for name, value in self.peaks.items():
             is_input, columns = known.channels(name)
             labels = known.model.input_names if is_input else known.model.output_names
-            bounds += [Bound(labels[i], value, is_input, [i]) for i in columns]
-        bounds += [Bound(f"radius of {name}", value, *known.channels(name)) for name, value in self.radius.items()]
+            bounds += [ChannelLimit(labels[i], value, is_input, [i]) for i in columns]
+        bounds += [
+            ChannelLimit(f"radius of {name}", value, *known.channels(name)) for name, value in self.radius.items()
+        ]
         if self.clearance is not None:
-            bounds.append(Bound("clearance", self.clearance - self.taken, *known.channels(self.disc)))
+            bounds.append(ChannelLimit("clearance", self.clearance - self.taken, *known.channels(self.disc)))
         return bounds
 
     def __post_init__(self) -> None:

@@ -294,7 +294,7 @@ Stretches = Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length
 
 
 class FitSection(Section, FitOptions):  # type: ignore[misc]  # sections are frozen by their configuration
-    """One fit of a structure, to each recording or to all together; its other keys are the options of `gbid.fit`.
+    """One fit of a structure, to each recording or to all together; its other keys are options: see `gbid.fit`.
 
     `left_out`: by name of a recording, stretches ``[from, to]`` [s] from the first sample; the sample at ``to`` is used
     again. `local` needs `together`. ``inputs: []`` is a free decay. `loop`: the recordings were made under a
