@@ -10,6 +10,7 @@ from functools import cache, cached_property, lru_cache
 import numpy as np
 
 from gbid.control.loop.norm import largest_singular_values
+from gbid.control.tuning.kernels import compiled_peak_slopes, kernels
 from gbid.control.tuning.loops import Derivatives, Loops
 from gbid.control.tuning.plane import Eigensystem, IntArray, bilinear, schur_form
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
@@ -280,6 +281,9 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
     At a maximum over frequency this is the derivative of the peak, because the change of its frequency has an effect of
     second order only. With ``S = C R B + D``, ``R = (j w - A)^-1``: ``dS = dD + dC R B + C R (dB + dA R B)``.
     """
+    first, last, _ = rows.indices(loops.C.shape[1])
+    if (last - first, loops.B.shape[2]) == (2, 2) and (library := kernels()) is not None:
+        return compiled_peak_slopes(library, loops, first, peaks.loop, peaks.frequency)
     i, n = peaks.loop, loops.A.shape[-1]
     system, B = 1j * peaks.frequency[:, None, None] * np.eye(n) - loops.A[i], loops.B[i].astype(complex)
     C, D = loops.C[i][:, rows], loops.D[i][:, rows]

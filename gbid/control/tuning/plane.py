@@ -15,6 +15,13 @@ import numpy.typing as npt
 from scipy.linalg import eig
 from scipy.linalg.lapack import dgebal, zgees, ztrsen, ztrsyl
 
+from gbid.control.tuning.kernels import (
+    compiled_cluster,
+    compiled_eigensystems,
+    compiled_eigenvalues,
+    compiled_schur_form,
+    kernels,
+)
 from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray
 
 IntArray = npt.NDArray[np.intp]
@@ -160,6 +167,8 @@ def _with_gaps(parts: npt.NDArray[Any], usable: BoolArray) -> ComplexArray:
 
 def eigenvalues(A: FloatArray) -> ComplexArray:
     """Return the eigenvalues (m, n) of (m, n, n) matrices, NaN for those without finite eigenvalues."""
+    if (library := kernels()) is not None and (values := compiled_eigenvalues(library, A)) is not None:
+        return values
     return _with_gaps(*_decomposed(np.linalg.eigvals, A))
 
 
@@ -178,15 +187,20 @@ class Eigensystem:
         Eigenvalues.
     right : (m, n, n) array
         Right eigenvectors as columns.
+    known_left : (m, n, n) array, optional
+        Left eigenvectors, where they were computed with the right ones.
     """
 
     A: FloatArray
     values: ComplexArray
     right: ComplexArray
+    known_left: ComplexArray | None = None
 
     @classmethod
     def of(cls, A: FloatArray) -> Eigensystem:
         """Return the eigensystems of (m, n, n) matrices."""
+        if (library := kernels()) is not None and (parts := compiled_eigensystems(library, A, _LONGEST)) is not None:
+            return cls(A, *parts)
         (values, right), usable = _decomposed(np.linalg.eig, A)
         return cls(A, _with_gaps(values, usable), _with_gaps(right, usable))
 
@@ -197,6 +211,8 @@ class Eigensystem:
         A defective matrix has no complete set of eigenvectors. Its left ones are those that LAPACK finds by themselves,
         and are divided by the smallest number instead of zero.
         """
+        if self.known_left is not None:
+            return self.known_left
         try:
             left = np.asarray(np.linalg.inv(self.right))
         except np.linalg.LinAlgError:
@@ -299,15 +315,22 @@ class SchurForm(NamedTuple):
         Upper triangular matrix, and unitary one.
     unit : (n,) array
         Units of the states.
+    packed : array, optional
+        All three as the kernels have them.
     """
 
     form: ComplexArray
     basis: ComplexArray
     unit: FloatArray
+    packed: ComplexArray | None = None
 
 
 def schur_form(A: FloatArray) -> SchurForm | None:
     """Return the Schur form of a finite matrix (n, n); None if the QR iteration fails."""
+    if (library := kernels()) is not None and (packed := compiled_schur_form(library, A)) is not None:
+        n = len(A)
+        form, rows = packed[: 2 * n * n].reshape(2, n, n)
+        return SchurForm(form, rows.T, packed[2 * n * n :].view(float)[:n], packed)
     balanced, _, _, unit, _ = dgebal(A, scale=1)
     form, _, _, basis, _, failed = zgees(lambda _: None, balanced)
     return None if failed else SchurForm(form, basis, unit)
@@ -350,7 +373,10 @@ class InvariantSubspaces:
         """
         if self._schur is None or size > len(self._schur.unit):
             return None
-        form, basis, unit = self._schur
+        form, basis, unit, packed = self._schur
+        if packed is not None and (library := kernels()) is not None:
+            parts = compiled_cluster(library, packed, self._dA, size, centre, rate, _FARTHEST)
+            return None if parts is None else Cluster(parts[0], complex(parts[1][0]), *parts[2:])
         n = len(unit)
         left = basis.conj().T
         if size < n:

@@ -83,11 +83,11 @@ class SearchOptions:
     starts: int | None = None
     seed: int = 0
     finalists: int = 3
-    short: int = 30
+    short: int = 20
     full: int = 100
     hops: int = 48
-    patience: int = 12
-    returned: int = 6
+    patience: int = 16
+    returned: int = 8
     hop_sizes: tuple[float, ...] = (0.005, 0.01, 0.02, 0.05)
     free_hop_sizes: tuple[float, ...] = (1e-3, 1e-2, 0.1, 0.5)
     hop_radius: float = 0.01
