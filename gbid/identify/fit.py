@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gbid.core.arrays import one_blas_thread
-from gbid.core.options import takes_options
+from gbid.core.option_types import takes_options
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import Recordings, pose
 from gbid.identify.restarts import best_attempt

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le
 
 from gbid.core.errors import UsageError
-from gbid.core.options import Allowed, Count, CountOrZero, Exact, Number, Positive, check_options, plain
+from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Number, Positive, check_options, plain
 from gbid.discretise import Hold
 
 Focus = Literal["prediction", "simulation"]
@@ -103,7 +103,7 @@ class FitOptions:
     intersample: Hold | Sequence[Hold] | None = None
     criterion: Criterion | Literal["auto"] = "auto"
     output_weights: Annotated[Sequence[Positive], Allowed("a positive number for each output")] | None = None
-    start: Mapping[str, Number] | Literal["data"] | None = None
+    start: Annotated[Mapping[str, Number], Allowed("values by name")] | Literal["data"] | None = None
     fixed: Mapping[str, Number] | None = None
     bounds: Mapping[str, tuple[Number, Number]] | None = None
     prior: Mapping[str, tuple[Number, Number]] | None = None

@@ -12,7 +12,7 @@ import numpy as np
 from gbid.core.arrays import FloatArray, one_blas_thread
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
-from gbid.core.options import takes_options
+from gbid.core.option_types import takes_options
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import Disturbances, disturbances_of

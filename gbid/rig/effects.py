@@ -16,7 +16,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.core.options import Finite, NotNegative, Positive, check_options
+from gbid.core.option_types import Finite, NotNegative, Positive, check_options
 from gbid.rig.machine import RigEffect, RigRun
 
 

@@ -12,7 +12,7 @@ from annotated_types import Ge, Le
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.core.options import Count, Exact, Finite, NotNegative, Positive, check_options
+from gbid.core.option_types import Count, Exact, Finite, NotNegative, Positive, check_options
 
 
 @dataclass(frozen=True)

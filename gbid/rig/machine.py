@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gbid.core.arrays import FloatArray, frequencies_and_dampings
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.options import Finite, NotNegative, Positive, check_options
+from gbid.core.option_types import Finite, NotNegative, Positive, check_options
 from gbid.rig.piezo import PiezoStacks
 from gbid.rig.sensors import SensorChain
 

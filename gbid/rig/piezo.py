@@ -11,7 +11,7 @@ import scipy
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.options import NotNegative, Positive, check_options
+from gbid.core.option_types import NotNegative, Positive, check_options
 
 N_PLAYS = 10
 """Number of play operators of one stack; each branch of the hysteresis loop is a polygon with this many corners."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError
-from gbid.core.options import Finite, NotNegative, Positive, check_options
+from gbid.core.option_types import Finite, NotNegative, Positive, check_options
 from gbid.core.units import SIGNALS
 from gbid.recording import Recording
 from gbid.rig.excitation import (

@@ -11,7 +11,7 @@ from annotated_types import Ge
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.options import Exact, Finite, NotNegative, check_options
+from gbid.core.option_types import Exact, Finite, NotNegative, check_options
 
 TURN = 2 * np.pi
 

@@ -187,7 +187,11 @@ class LinearModel(Brief, Pictured):
         return self
 
     def with_integrators(self, outputs: Sequence[int], gains: Sequence[float]) -> LinearModel:
-        """Return a model with one more state for each of these outputs: an offset that the error drives with a gain."""
+        """Return a model with an integrator at the outputs with these numbers, `outputs`.
+
+        Each integrator is one more state: an offset of its output, which the prediction error drives with its gain in
+        `gains`.
+        """
         (n_y, n_u), added = self.D.shape, len(outputs)
         onto = np.zeros((n_y, added))
         onto[list(outputs), np.arange(added)] = 1.0

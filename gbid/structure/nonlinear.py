@@ -451,7 +451,11 @@ class NonlinearModel(Brief):
         return ca.Function.deserialize(self.equations)
 
     def with_integrators(self, outputs: Sequence[int], gains: Sequence[float]) -> NonlinearModel:
-        """Return a model with one more state for each of these outputs: an offset that the error drives with a gain."""
+        """Return a model with an integrator at the outputs with these numbers, `outputs`.
+
+        Each integrator is one more state: an offset of its output, which the prediction error drives with its gain in
+        `gains`.
+        """
         n, added = self.n_states, len(outputs)
         sizes = (n + added, len(self.input_names), len(self.parameters))
         x, u, p = (ca.SX.sym("s", size) for size in sizes)

@@ -24,6 +24,7 @@ from gbid.cli.main import app
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.rig import RIG
+from gbid.identify import FitOptions
 from gbid.structure import Structure
 
 DOCS = ROOT / "docs"
@@ -252,6 +253,8 @@ def test_the_api_page_documents_each_argument(name: str) -> None:
         assert nothing or name.count(".") > 1 or "Returns" in sections(value.__doc__), f"{name}: what does it return"
     elif all(hasattr(value, key) for key in ("matrices", "intersample")):  # said once, at the protocol
         known |= words_on(Structure)
+    elif issubclass(value, FitOptions):  # said once, at the options of a fit
+        known |= words_on(FitOptions)
     nobody_calls_it = value is Structure or (inspect.isclass(value) and issubclass(value, Enum))
     missing = set() if nobody_calls_it else arguments(value) - known
     assert not missing, f"{name}: no word about {sorted(missing)}"

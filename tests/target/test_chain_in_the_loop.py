@@ -40,8 +40,7 @@ impacts:
 """
 
 
-@pytest.mark.parametrize("engine", ["compiled", "python"])
-def test_on_the_rig_the_chain_is_the_sampled_controller(engine: str) -> None:
+def test_on_the_rig_the_chain_is_the_sampled_controller() -> None:
     model = gbid.load_model("theisen2016")
     machine = Machine.from_parameters(model.key_parameters(6.0, 0.0), model.actuators)
     controller = design("P")
@@ -51,17 +50,15 @@ def test_on_the_rig_the_chain_is_the_sampled_controller(engine: str) -> None:
     matrices = SampledController(*parts, 2e-4, offset=zero)
     chain = chain_of(controller, options=ChainOptions(ramp_s=0.02, fade_s=0.02, zero_m=zero))
     program = ProgramController(CompiledChain(chain), 2e-4)
-    duration, rest = (0.1, 0.1) if engine == "python" else (0.4, 0.2)
     runs = [
         record(
             machine,
-            Hammer((Impact.along("x", 0.02),), duration),
+            Hammer((Impact.along("x", 0.02),), 0.4),
             conditions={"pressure_bar": 6.0, "speed_rpm": 0.0},
             seed=1,
             name="impact",
             controller=each,
-            settle_s=rest,
-            engine=engine,  # type: ignore[arg-type]
+            settle_s=0.2,
         )
         for each in (matrices, program)
     ]

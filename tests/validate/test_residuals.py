@@ -255,7 +255,7 @@ def test_the_longest_stretch_is_tested(data, result):
 
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
 def test_an_offset_of_the_outputs_changes_nothing_where_offsets_are_estimated(data, result, focus):
-    free = replace(result, options=replace(result.options, disturbances=OFFSET, focus=focus))
+    free = replace(result, disturbances=OFFSET, options=replace(result.options, focus=focus))
     moved = data.with_signals(y=data.signal("y") + 40.0)
     found, plain = check_residuals(free, moved), check_residuals(free, data)
     np.testing.assert_allclose(found.rms, plain.rms, rtol=1e-9)

@@ -364,7 +364,10 @@ class TuneOptions:
         return Sampling(self.sample_time, computation, self.method)
 
     def default_goals(self, slowest_mode: float) -> list[Goal]:
-        """Goals of a design that names none: the objective, the peak of S_o, and a slowest decay of all poles [1/s]."""
+        """Return the goals of a design that names none: the objective, and with a peak of S_o the decay of all poles.
+
+        The poles shall decay at least as fast as the slowest mode of the plant does, `slowest_mode` [1/s].
+        """
         best = MaxDamping() if self.objective == "damping" else MaxDecay()
         if self.peak_sensitivity is None:
             return [best]

@@ -289,7 +289,7 @@ def _worse_points(solution: GainSolution, plants: Plants, domain: Domain) -> Flo
         for place in places:
             point, value = _zoom(partial(measured, which=which), grid[place], step)
             if value > allowed + TOLERANCE:
-                worse.append(point)
+                worse.append(np.clip(point, low, high))
     return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
 
 

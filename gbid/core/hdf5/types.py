@@ -48,7 +48,7 @@ from gbid.core.hdf5.file import (
     where,
     writing,
 )
-from gbid.core.options import plain
+from gbid.core.option_types import plain
 
 # ---- Declaration of a stored field, written beside the field: unit, long name, shape and place in the HDF5 file.
 
