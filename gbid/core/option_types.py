@@ -137,7 +137,7 @@ def _words(kind: Any) -> list[str]:
     if origin is Annotated:
         stated = [mark.text for mark in args[1:] if isinstance(mark, Allowed)]
         bounds = [_bound(mark) for mark in args[1:] if isinstance(mark, Gt | Ge | Le)]
-        return stated or [" ".join([*_words(args[0]), *bounds])]
+        return stated or [f"{_either(_words(args[0]))}{' ' if bounds else ''}{' and '.join(bounds)}"]
     if origin in (Union, UnionType):
         return [word for each in args for word in _words(each)]
     if origin is Literal:
@@ -157,7 +157,7 @@ def _words(kind: Any) -> list[str]:
 def _bound(mark: Gt | Ge | Le) -> str:
     if isinstance(mark, Gt):
         return f"above {mark.gt}"
-    return f"of at least {mark.ge}" if isinstance(mark, Ge) else f"and at most {mark.le}"
+    return f"of at least {mark.ge}" if isinstance(mark, Ge) else f"of at most {mark.le}"
 
 
 def _either(words: list[str]) -> str:
