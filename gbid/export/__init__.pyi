@@ -1,0 +1,33 @@
+"""Public names of `gbid.export`, and the files that define them: the one list."""
+
+from .chain import (
+    Chain as Chain,
+    ChainOptions as ChainOptions,
+    chain_of as chain_of,
+)
+from .chain_c import (
+    CompiledChain as CompiledChain,
+    write_chain as write_chain,
+)
+from .chain_python import (
+    ChainFault as ChainFault,
+    ChainInput as ChainInput,
+    ChainMode as ChainMode,
+    ChainOutput as ChainOutput,
+    PythonChain as PythonChain,
+)
+from .fmu import (
+    save_fmu as save_fmu,
+)
+from .matlab import (
+    Exportable as Exportable,
+    save_mat as save_mat,
+)
+from .ross import (
+    bearing_element as bearing_element,
+    from_ross as from_ross,
+)
+from .tables import (
+    save_csv as save_csv,
+    save_yaml as save_yaml,
+)
