@@ -38,7 +38,7 @@ from .control import (
     sensitivities as sensitivities,
     validate_impact as validate_impact,
 )
-from .control.assess import assess as assess
+from .control.assessment import assess as assess
 from .control.tuning.tune import tune as tune
 from .core.hdf5 import load as load, save as save
 from .excite import (

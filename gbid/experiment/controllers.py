@@ -24,7 +24,7 @@ from gbid.control import (
     p_controller,
     scheduled,
 )
-from gbid.control.assess import TunedDesign
+from gbid.control.assessment import TunedDesign
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.scheduled import with_schedule
 from gbid.core.errors import UsageError

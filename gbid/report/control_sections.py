@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from gbid.control import HalfSine, close_loop, impact_response
-from gbid.control.assess import TunedDesign
+from gbid.control.assessment import TunedDesign
 from gbid.control.loop.sensitivity import sensitivity_data
 from gbid.core.arrays import point_label
 from gbid.core.errors import GbidError, UsageError

@@ -8,8 +8,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gbid.control.assess import FIGURES as POINT_FIGURES
-from gbid.control.assess import DesignFigures, TunedDesign
+from gbid.control.assessment import FIGURES as POINT_FIGURES
+from gbid.control.assessment import DesignFigures, TunedDesign
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows
 from gbid.control.tuning.result import GainResult

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.control import sensitivity_data
-from gbid.control.assess import TunedDesign
+from gbid.control.assessment import TunedDesign
 from gbid.control.tuning.result import GainResult
 from gbid.core.arrays import ComplexArray, FloatArray, point_label
 from gbid.core.brief import Brief

@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid.characterise import PiezoCurve, StaticMap
 from gbid.control import HalfSine, ImpactStudy, Scheduled, controller_at, p_controller
-from gbid.control.assess import DesignFigures, TunedDesign
+from gbid.control.assessment import DesignFigures, TunedDesign
 from gbid.control.loop.close import Method
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError

@@ -9,7 +9,7 @@ import pytest
 
 import gbid
 from gbid.control import HalfSine, PStructure, scheduled
-from gbid.control.assess import FIGURES
+from gbid.control.assessment import FIGURES
 from gbid.core.errors import UsageError
 
 MACHINE = gbid.load_model("theisen2016")

@@ -12,7 +12,7 @@ from experiment_files import write_quick
 
 import gbid
 from gbid import control
-from gbid.control.assess import TunedDesign
+from gbid.control.assessment import TunedDesign
 from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
 from gbid.experiment.controllers import made_goal, no_disturbance, peak_cap

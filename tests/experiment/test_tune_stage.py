@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import gbid
 from gbid.cli.main import app
 from gbid.control import HalfSine, compare_designs
-from gbid.control.assess import DesignFigures, TunedDesign
+from gbid.control.assessment import DesignFigures, TunedDesign
 from gbid.core.errors import DataError
 from gbid.core.files import share_folder
 from gbid.core.hdf5 import load, save

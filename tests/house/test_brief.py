@@ -13,7 +13,7 @@ from campaign_files import write_springs
 from experiment_files import gbid as run_gbid
 
 import gbid
-from gbid.control.assess import assess
+from gbid.control.assessment import assess
 from gbid.control.tuning.result import GainResult, GainStatus, WorstMode
 from gbid.core.brief import WIDTH, Brief, brief, counted, in_words
 from gbid.validate.crossval import summarise

@@ -29,17 +29,19 @@ def test_no_file_name_is_used_three_times() -> None:
     assert {name: n for name, n in names.items() if n > 2 and name != "__init__.py"} == {}
 
 
-def test_no_package_has_the_name_of_a_function_beside_it() -> None:
-    """``gbid.control.tune`` is the function: a package of that name could not be reached through its parent.
+def test_no_file_has_the_name_of_a_function_beside_it() -> None:
+    """``gbid.control.tune`` is the function: a package of that name would hide it, and behind a stub a file of that name, too.
 
     At the top the stub decides: ``gbid.prefilter`` is the function, and ``from gbid.prefilter import ...`` the package.
     """
     hidden = []
-    for init in PACKAGE.rglob("__init__.py"):
-        folders = {path.parent.name for path in init.parent.glob("*/__init__.py")}
+    for init in PACKAGE.glob("*/**/__init__.py*"):
+        beside = {path.stem for path in init.parent.glob("*" if init.suffix == ".pyi" else "*/")}
         for node in ast.walk(ast.parse(init.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module != "gbid":
-                hidden += [f"{init.parent.name}.{a.name}" for a in node.names if a.name in folders]
+            if isinstance(node, ast.ImportFrom):
+                hidden += [
+                    f"{init.parent.name}.{a.name}" for a in node.names if a.name in beside and node.module != "gbid"
+                ]
     assert hidden == []
 
 

@@ -15,7 +15,7 @@ from figure_cases import BlankPictures
 from typer.testing import CliRunner
 
 from gbid.cli.main import app
-from gbid.control.assess import FIGURES
+from gbid.control.assessment import FIGURES
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report import write as report_file

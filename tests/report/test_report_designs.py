@@ -15,7 +15,7 @@ from figure_cases import BlankPictures
 import gbid
 from gbid import report
 from gbid.control import GainStatus
-from gbid.control.assess import TunedDesign
+from gbid.control.assessment import TunedDesign
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import load
 from gbid.core.tables import engineering, value_of

@@ -14,7 +14,7 @@ from browser import find_chromium
 
 import gbid
 from gbid.control import controller_model, controller_structure, sampled_loop, sensitivities
-from gbid.control.assess import DesignFigures, assess
+from gbid.control.assessment import DesignFigures, assess
 from gbid.control.impact.half_sine import HalfSine, impact_response
 from gbid.control.loop.sampled import exact_plant
 from gbid.core.errors import UsageError

@@ -651,7 +651,7 @@ _TYPES = MappingProxyType(
         "recording": ("gbid.recording", "Recording"),
         "static_map": ("gbid.characterise", "StaticMap"),
         "table": ("gbid.identify", "FitTable"),
-        "tuning": ("gbid.control.assess", "TunedDesign"),
+        "tuning": ("gbid.control.assessment", "TunedDesign"),
         "validation_summary": ("gbid.validate", "ValidationSummary"),
     }
 )

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid.control.assess import TunedDesign
+from gbid.control.assessment import TunedDesign
 from gbid.control.impact.study import ImpactStudy
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import GbidError

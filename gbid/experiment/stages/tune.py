@@ -20,7 +20,7 @@ from gbid.control import (
     save_controller,
     tune,
 )
-from gbid.control.assess import CappedDesign, DesignFigures, RobustPromise, TunedDesign
+from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
 from gbid.control.tuning.goals import limits_of
 from gbid.core.errors import GbidError
 from gbid.core.files import scratch_folder

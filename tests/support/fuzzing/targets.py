@@ -26,7 +26,7 @@ from fuzzing.hdf5_mutations import mutate_hdf5
 from fuzzing.text_mutations import mutate_text, mutate_tree
 from fuzzing.zip_mutations import mutate_npz
 from gbid.control import HalfSine
-from gbid.control.assess import TunedDesign
+from gbid.control.assessment import TunedDesign
 from gbid.core.errors import ChangedFileWarning
 from gbid.core.files import is_changed, share_folder, with_checksum, with_text_checksum
 from gbid.core.hdf5 import load, save

@@ -432,7 +432,7 @@ class DesignFigures:
     points : (m, 2) array
         Operating points: pressure [bar], speed [rpm].
     figures : (m, 12) array
-        Figures in the order and units of `gbid.control.assess.FIGURES`.
+        Figures in the order and units of `gbid.control.assessment.FIGURES`.
     stable, sampled_stable, exceeds_travel : (m,) boolean array
         At each point: whether the continuous loop is stable; whether the sampled loop is stable; whether the impact
         needs more travel than a stack has.
