@@ -125,7 +125,7 @@ def _signal(text: str) -> tuple[str, tuple[str, ...]]:
 
 def _drafted(options: DraftOptions, target: Path) -> Draft:
     """Return the draft; ask for what the files do not say, where there is someone to answer."""
-    from gbid.experiment.draft import ASKED, UnansweredError, draft_experiment
+    from gbid.experiment.draft import QUESTIONS, UnansweredError, draft_experiment
 
     while True:
         try:
@@ -134,7 +134,7 @@ def _drafted(options: DraftOptions, target: Path) -> Draft:
             if not sys.stdin.isatty():
                 raise
             typer.echo(str(error), err=True)
-            options = options.answered(error.option, typer.prompt(ASKED[error.option], err=True))
+            options = options.answered(error.option, typer.prompt(QUESTIONS[error.option], err=True))
 
 
 # ---- `gbid import`: recordings of the import section; with --peek the channels of one file.

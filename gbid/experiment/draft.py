@@ -8,15 +8,17 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, UsageError
 from gbid.core.units import conversion_factor
-from gbid.experiment.experiment import by_count
+from gbid.experiment.experiment import POINT, by_count
 from gbid.experiment.schema import KINDS, Kind, NamePattern, name_of, name_pattern
 from gbid.lpv.estimates import order_words, possible_order
 from gbid.prefilter.identify_runout import compare_runout
@@ -28,6 +30,8 @@ from gbid.recording.mapping import nearest
 from gbid.recording.quality import speed_change
 from gbid.recording.readers import FileChannel
 
+# ---- Roles of the channels of a file, by their names.
+
 _WORDS = {
     "r": {"r", "ref", "reference", "referenz", "soll", "sollwert", "setpoint", "command", "fuehrung", "führung"},
     "u": {"u", "piezo", "piezos", "actuator", "aktor", "aktuator", "stack", "stellweg"},
@@ -37,27 +41,15 @@ _WORDS = {
 _TIME = {"t", "time", "zeit", "timestamp", "zeitstempel", "sekunden", "seconds"}
 _AXES = {"x": 0, "y": 1}
 _SHORT = re.compile(r"(r|u|p)([xy12])")
+_ORDER = ("r", "u", "p", "phi")
 
-
-@dataclass(frozen=True)
-class ChannelRoles:
-    """Channels of a file that an experiment uses.
-
-    Attributes
-    ----------
-    time : str or None
-        Column of the sample times.
-    signals : dict of str to tuple of str
-        Columns by signal: two for ``r``, ``u`` and ``p`` (x, y), one for ``phi``.
-    """
-
-    time: str | None
-    signals: Mapping[str, tuple[str, ...]]
+Roles = tuple[str | None, Mapping[str, tuple[str, ...]]]
+"""Column of the sample times if there is one, and columns by signal: two for ``r``, ``u``, ``p``, one for ``phi``."""
 
 
 def find_roles(
-    channels: Sequence[FileChannel], given: Mapping[str, tuple[str, ...]], time: str | None, where: str
-) -> ChannelRoles:
+    channels: Sequence[FileChannel], given: Mapping[str, tuple[str, ...]], time: str | None, file: str
+) -> Roles:
     """Return the roles of the channels of a file, those given first.
 
     Parameters
@@ -68,7 +60,7 @@ def find_roles(
         Columns by signal, where they are known.
     time : str or None
         Column of the sample times, where it is known.
-    where : str
+    file : str
         Name of the file, for messages.
 
     Raises
@@ -78,27 +70,21 @@ def find_roles(
     """
     longest = max((channel.n_samples for channel in channels), default=0)
     usable = {channel.name: channel for channel in channels if not channel.remark and channel.n_samples == longest}
-    for name in (*(column for columns in given.values() for column in columns), *([time] if time else [])):
+    for name in (*chain.from_iterable(given.values()), *([time] if time else [])):
         if name not in usable:
-            raise UsageError(f"{where}: no channel {name!r}; {nearest(name, usable)}")
+            raise UsageError(f"{file}: no channel {name!r}; {nearest(name, usable)}")
     if time is None:
         rising = [name for name, channel in usable.items() if channel.step is not None]
         named = [name for name in rising if _TIME & set(_split(name))]
         time = named[0] if named else rising[0] if len(rising) == 1 else None
-    found: dict[str, dict[int, str]] = {}
+    axes: dict[str, dict[int, str]] = {role: {} for role in _ORDER}
     for name in usable:
         role, axis = _role(name)
         if role and name != time:
-            found.setdefault(role, {}).setdefault(axis, name)
-    signals = {
-        role: tuple(column for _, column in sorted(columns.items()))
-        for role, columns in found.items()
-        if len(columns) == (1 if role == "phi" else 2)
-    }
-    return ChannelRoles(
-        time,
-        {role: given.get(role) or signals[role] for role in ("r", "u", "p", "phi") if role in {**signals, **given}},
-    )
+            axes[role].setdefault(axis, name)
+    pairs = {role: tuple(name for _, name in sorted(names.items())) for role, names in axes.items()}
+    complete = {role: names for role, names in pairs.items() if len(names) == (1 if role == "phi" else 2)} | given
+    return time, {role: complete[role] for role in _ORDER if role in complete}
 
 
 def _split(name: str) -> list[str]:
@@ -108,21 +94,18 @@ def _split(name: str) -> list[str]:
 def _role(name: str) -> tuple[str | None, int]:
     """Return the role of a channel and the number of its axis."""
     words = _split(name)
-    short = _SHORT.fullmatch("".join(words)) if words else None
-    if short:
+    if short := _SHORT.fullmatch("".join(words)):
         words = [short[1], short[2]]
-    axis = next((_AXES.get(word, int(word) if word.isdigit() else None) for word in reversed(words[-1:])), None)
-    kinds = [role for role, known in _WORDS.items() if known & set(words)]
-    if not kinds and words in (["x"], ["y"]):
-        kinds = ["p"]
-    if not kinds:
-        return None, 0
-    return kinds[0], axis if axis is not None and kinds[0] != "phi" else 0
+    if words in (["x"], ["y"]):
+        return "p", _AXES[words[0]]
+    role = next((role for role, known in _WORDS.items() if known & set(words)), None)
+    last = words[-1] if words and role != "phi" else ""
+    return role, int(last) if last.isdecimal() else _AXES.get(last, 0)
 
 
-# ---- What a user says about a folder of measured files, and what must be asked.
+# ---- What a user says about a folder of measured files, and the questions that remain.
 
-ASKED = {
+QUESTIONS = {
     "p": "columns of the disc position, x then y, with a comma between",
     "u": "columns of the piezo positions, x then y, with a comma between",
     "time": "column of the sample times",
@@ -138,7 +121,7 @@ class UnansweredError(UsageError):
 
     def __init__(self, option: str, reason: str) -> None:
         flag = f"--signal {option}=X,Y" if option in ("p", "u") else f"--{option.split('_')[0]} ..."
-        super().__init__(f"{reason}; give the {ASKED[option]}: {flag}")
+        super().__init__(f"{reason}; give the {QUESTIONS[option]}: {flag}")
         self.option = option
 
 
@@ -188,52 +171,43 @@ class DraftOptions:
         UsageError
             When a number was expected.
         """
+        value: Any = text.strip()
         if option in ("p", "u"):
-            return replace(self, signals={**self.signals, option: tuple(word.strip() for word in text.split(","))})
-        if option in ("time", "unit"):
-            words: dict[str, Any] = {option: text.strip()}
-            return replace(self, **words)
-        try:
-            numbers: dict[str, Any] = {option: float(text.replace(",", "."))}
-            return replace(self, **numbers)
-        except ValueError:
-            raise UsageError(f"{option}: expected a number, found {text!r}") from None
+            option, value = "signals", {**self.signals, option: tuple(word.strip() for word in text.split(","))}
+        elif option in POINT:
+            try:
+                value = float(text.replace(",", "."))
+            except ValueError:
+                raise UsageError(f"{option}: expected a number, found {text!r}") from None
+        return replace(self, **{option: value})
 
 
-# ---- Survey of a folder of measured files: their channels, how they are read, and what their names say.
-
-POSITIONS = ("r", "u", "p")
+# ---- Survey of a folder of measured files: their channels, and how they are read.
 
 
-@dataclass(frozen=True)
-class SurveyedFile:
+@dataclass(frozen=True, eq=False)
+class MeasuredFile:
     """One measured file.
 
     Attributes
     ----------
     path : pathlib.Path
         The file.
-    roles : ChannelRoles
-        Its channels with their roles.
+    time : str or None
+        Column of the sample times.
+    signals : dict of str to tuple of str
+        Columns by signal.
     units : dict of str to str
         Units that the mapping must state, by signal, because the file does not.
     """
 
     path: Path
-    roles: ChannelRoles
+    time: str | None
+    signals: Mapping[str, tuple[str, ...]]
     units: Mapping[str, str]
 
-    def mapping(self, options: DraftOptions) -> dict[str, object]:
-        """Return the import mapping of the file, without range and conditions."""
-        clock = {"sample_time_s": options.sample_time_s} if options.sample_time_s else {"time": self.roles.time}
-        signals = {
-            name: {"columns": list(columns), **({"unit": self.units[name]} if name in self.units else {})}
-            for name, columns in self.roles.signals.items()
-        }
-        return {**clock, "signals": signals}
 
-
-def survey(options: DraftOptions) -> tuple[list[SurveyedFile], list[str]]:
+def survey(options: DraftOptions) -> tuple[list[MeasuredFile], list[str]]:
     """Return the measured files of a folder, and the names of files of other kinds.
 
     Raises
@@ -248,62 +222,55 @@ def survey(options: DraftOptions) -> tuple[list[SurveyedFile], list[str]]:
     folder = options.folder
     if not folder.is_dir():
         raise UsageError(f"no folder {folder}; name the folder of the measured files")
-    there = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
-    paths = [p for p in there if p.suffix.lower() in file_formats()]
-    if not paths:
+    listed = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
+    channels = {path: list_channels(path) for path in listed if path.suffix.lower() in file_formats()}
+    if not channels:
         raise UsageError(f"{folder} holds no file that can be imported; expected {', '.join(file_formats())}")
-    listed = {path: list_channels(path) for path in paths}
-    known = _known_units(listed, options)
-    files = [_surveyed(path, channels, options, known) for path, channels in listed.items()]
-    return files, [p.name for p in there if p not in listed]
+    roles: dict[Path, Roles] = {}
+    units: dict[str, str] = {}  # of each signal in the first file that states one
+    for path, each in channels.items():
+        names = {channel.name for channel in each}
+        given = {signal: columns for signal, columns in options.signals.items() if names.issuperset(columns)}
+        roles[path] = find_roles(each, given, options.time if options.time in names else None, path.name)
+        stated = {channel.name: channel.unit for channel in each if channel.unit}
+        units = {s: stated[columns[0]] for s, columns in roles[path][1].items() if columns[0] in stated} | units
+    files = [_measured(path, each, roles[path], units, options) for path, each in channels.items()]
+    return files, [path.name for path in listed if path not in channels]
 
 
-def _roles(path: Path, channels: list[FileChannel], options: DraftOptions) -> ChannelRoles:
-    names = {channel.name for channel in channels}
-    given = {signal: columns for signal, columns in options.signals.items() if set(columns) <= names}
-    return find_roles(channels, given, options.time if options.time in names else None, path.name)
-
-
-def _known_units(listed: Mapping[Path, list[FileChannel]], options: DraftOptions) -> dict[str, str]:
-    """Return the unit that each signal has in the files that state one."""
-    known: dict[str, str] = {}
-    for path, channels in listed.items():
-        units = {channel.name: channel.unit for channel in channels}
-        for signal, columns in _roles(path, channels, options).signals.items():
-            if units[columns[0]]:
-                known.setdefault(signal, str(units[columns[0]]))
-    return known
-
-
-def _surveyed(path: Path, channels: list[FileChannel], options: DraftOptions, known: dict[str, str]) -> SurveyedFile:
-    roles = _roles(path, channels, options)
+def _measured(
+    path: Path, channels: Sequence[FileChannel], roles: Roles, usual: Mapping[str, str], options: DraftOptions
+) -> MeasuredFile:
+    """Return a file with the units that its mapping states: as given, or as in the other files."""
+    time, signals = roles
     for signal in ("u", "p"):
-        if signal not in roles.signals:
+        if signal not in signals:
             names = ", ".join(channel.name for channel in channels)
             raise UnansweredError(signal, f"{path}: its channels do not show which are {signal}: {names}")
-    if roles.time is None and options.sample_time_s is None:
+    if time is None and options.sample_time_s is None:
         raise UnansweredError("time", f"{path}: no column rises evenly as a time does")
-    stated = {channel.name: channel.unit for channel in channels}
+    stated = {channel.name for channel in channels if channel.unit}
     units = {}
-    for signal, columns in roles.signals.items():
-        if any(stated[column] for column in columns):
+    for signal, columns in signals.items():
+        if stated.intersection(columns):
             continue
-        unit = (options.unit if signal in POSITIONS else None) or known.get(signal)
-        if unit is None and signal == "phi":
-            unit = "rad"
+        is_angle = signal == "phi"
+        unit = usual.get(signal, "rad") if is_angle else options.unit or usual.get(signal)
         if unit is None:
             raise UnansweredError("unit", f"{path}: the file states no unit of {signal}")
-        conversion_factor(unit, "rad" if signal == "phi" else "m")
+        conversion_factor(unit, "rad" if is_angle else "m")
         units[signal] = unit
-    return SurveyedFile(path, roles, units)
+    return MeasuredFile(path, time, signals, units)
 
 
 # ---- Operating point and kind of recordings from the names of their files.
 
 _COMMA = re.compile(r"(?<=\d),(?=\d)")
 _TOKEN = re.compile(r"\d+(?:\.\d+)?|[^\W\d_]+|[\W_]")
-_PRESSURE = ({"p", "druck", "pressure", "press"}, {"bar"})  # words before and after the number
-_SPEED = ({"n", "drehzahl", "speed", "rpm", "omega"}, {"rpm", "upm", "u"})
+_BESIDE = {  # words before and after the number
+    "pressure_bar": ({"p", "druck", "pressure", "press"}, {"bar"}),
+    "speed_rpm": ({"n", "drehzahl", "speed", "rpm", "omega"}, {"rpm", "upm", "u"}),
+}
 
 
 @dataclass(frozen=True)
@@ -314,14 +281,14 @@ class NamesRead:
     ----------
     pattern : NamePattern
         The pattern.
-    word : str or None
-        Field of the word that differs between the files and may be their kind.
+    tells_kind : bool
+        Whether a single word differs between the files, which may be their kind.
     commas : bool
         Whether the names have decimal commas, which a pattern cannot read.
     """
 
     pattern: NamePattern
-    word: str | None
+    tells_kind: bool
     commas: bool = False
 
     def read(self, file: str) -> dict[str, str | float] | None:
@@ -345,77 +312,66 @@ def read_names(files: Sequence[str]) -> NamesRead | None:
     NamesRead or None
         None when the names have different forms.
     """
-    stems = [_COMMA.sub(".", file.rpartition(".")[0]) for file in files]
-    split = [_TOKEN.findall(stem) for stem in stems]
-    if len({tuple(_form(token) for token in tokens) for tokens in split}) != 1:
+    split = [_TOKEN.findall(_COMMA.sub(".", file.rpartition(".")[0])) for file in files]
+    if len({tuple(map(_form, tokens)) for tokens in split}) != 1:
         return None
     parts: list[str] = []
     words: list[str] = []
     used: set[str] = set()
     for i, column in enumerate(zip(*split, strict=True)):
-        token = column[0]
-        if _form(token) == "number":
-            field = _field([t.lower() for t in split[0]], i)
-            if field in used or (field == "nr" and len(set(column)) == 1):
-                parts.append(token if len(set(column)) == 1 else f"{{part{i}}}")
-                continue
-            used.add(field)
-            whole = all(each.isdigit() for each in column)
-            parts.append(f"{{{field}:{'d' if whole and field != 'pressure_bar' else 'g'}}}")
-        elif len(set(column)) > 1:
-            words.append("kind" if not words else f"word{i}")
-            parts.append(f"{{{words[-1]}}}")
-        else:
+        token, differs = column[0], len(set(column)) > 1
+        quantity = _quantity([t.lower() for t in split[0]], i) if _form(token) == "number" else ""
+        if quantity and quantity not in used and (quantity != "nr" or differs):
+            used.add(quantity)
+            whole = quantity != "pressure_bar" and all(each.isdigit() for each in column)
+            parts.append(f"{{{quantity}:{'d' if whole else 'g'}}}")
+        elif not differs:
             parts.append(token)
+        elif quantity:
+            parts.append(f"{{part{i}}}")
+        else:
+            words.append(f"word{i}" if words else "kind")
+            parts.append(f"{{{words[-1]}}}")
     text = "".join(parts) + "." + files[0].rpartition(".")[2]
-    commas = any(_COMMA.search(file) for file in files)
-    return NamesRead(name_pattern(text), words[0] if len(words) == 1 else None, commas)
+    return NamesRead(name_pattern(text), len(words) == 1, any(_COMMA.search(file) for file in files))
 
 
 def _form(token: str) -> str:
     return "number" if token[0].isdigit() else "word" if token[0].isalpha() else token
 
 
-def _field(tokens: list[str], at: int) -> str:
-    """Return the field of a number by the words beside it."""
+def _quantity(tokens: list[str], at: int) -> str:
+    """Return the quantity of a number by the words beside it; ``nr`` for any other number."""
     before = next((t for t in reversed(tokens[:at]) if t[0].isalnum()), "")
     after = next((t for t in tokens[at + 1 :] if t[0].isalnum()), "")
-    direct = tokens[at + 1] if at + 1 < len(tokens) else ""
-    for quantity, (left, right) in (("pressure_bar", _PRESSURE), ("speed_rpm", _SPEED)):
-        if after in right and (direct == after or not direct.isalnum()):
-            return quantity
-        if before in left:
-            return quantity
-    return "nr"
+    return next((q for q, (left, right) in _BESIDE.items() if after in right or before in left), "nr")
 
 
 # ---- What the recordings of a folder say about an experiment: operating points, kinds, junk, and harmonics of run-out.
 
 STILL = 0.5e-6
 """Largest movement of r and u at rest [m], as for `gbid.identify_runout`."""
-POINT = ("pressure_bar", "speed_rpm")
 
 
 @dataclass(frozen=True, eq=False)
-class DraftedFile:
+class DraftedFile(MeasuredFile):
     """One measured file with what its name and its signals say.
 
     Attributes
     ----------
-    survey : SurveyedFile
-        File and mapping.
-    conditions : dict of str to float
-        Operating point.
+    recording : Recording
+        The part of it that is used, with its operating point.
     kind : str
         ``excited`` when the piezos move, else ``stationary``.
-    recording : Recording
-        The part of it that is used.
     """
 
-    survey: SurveyedFile
-    conditions: Mapping[str, float]
-    kind: Kind
     recording: Recording
+    kind: Kind
+
+    @property
+    def point(self) -> tuple[float, ...]:
+        """Operating point: pressure [bar] and speed [rpm]."""
+        return tuple(self.recording.conditions[key] for key in POINT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -430,8 +386,8 @@ class DraftData:
         Pattern of the names of most files; None when they have none in common.
     kinds : dict of str to str
         Kind by word of the names, beyond the words that gbid knows.
-    from_s, to_s : float or None
-        Part of the files to use [s].
+    part : dict of str to float
+        Part of the files to use, ``from_s`` and ``to_s`` [s], as far as it is limited.
     harmonics : int or None
         Number of harmonics of the run-out maps; None when no map can be compared.
     runout : tuple of str
@@ -443,14 +399,13 @@ class DraftData:
     files: tuple[DraftedFile, ...]
     names: NamesRead | None
     kinds: Mapping[str, Kind]
-    from_s: float | None
-    to_s: float | None
+    part: Mapping[str, float]
     harmonics: int | None
     runout: tuple[str, ...]
     notes: tuple[str, ...]
 
 
-def read_data(options: DraftOptions, files: Sequence[SurveyedFile]) -> DraftData:
+def read_data(options: DraftOptions, files: Sequence[MeasuredFile]) -> DraftData:
     """Return what measured files say.
 
     Raises
@@ -460,131 +415,109 @@ def read_data(options: DraftOptions, files: Sequence[SurveyedFile]) -> DraftData
     UnansweredError
         When the names of the files do not contain the operating point.
     """
-    names, patterned = _names(options, files)
-    notes: list[str] = []
-    whole = []
-    for each in files:
-        fields = names.read(each.path.name) if names and each.path in patterned else _by_pattern(names, each)
-        conditions = _conditions(options, each, fields or {})
-        whole.append(import_recording(each.path, {**each.mapping(options), "conditions": conditions}))
-    from_s, to_s = _part(options, whole, notes)
+    names = _names(options, files)
+    recordings = []
+    for file in files:
+        clock = {"sample_time_s": options.sample_time_s} if options.sample_time_s else {"time": file.time}
+        units = {name: {"unit": unit} for name, unit in file.units.items()}
+        signals = {name: {"columns": list(names), **units.get(name, {})} for name, names in file.signals.items()}
+        conditions = _conditions(options, names, file.path)
+        recordings.append(import_recording(file.path, {**clock, "signals": signals, "conditions": conditions}))
+    part, notes = _part(options, recordings)
     drafted = []
-    for each, rec in zip(files, whole, strict=True):
-        first = round((from_s or 0.0) / rec.sample_time)
-        last = rec.n_samples if to_s is None else round(to_s / rec.sample_time)
+    for file, rec in zip(files, recordings, strict=True):
+        first = round(part.get("from_s", 0.0) / rec.sample_time)
+        last = round(part["to_s"] / rec.sample_time) if "to_s" in part else rec.n_samples
         used = rec.slice(min(first, rec.n_samples - 1), min(last, rec.n_samples))
-        drafted.append(DraftedFile(each, rec.conditions, "excited" if _moves(used) else "stationary", used))
-    notes += _remarks(whole)
-    kinds = _kinds(names, drafted) if names and names.word else {}
-    if names is not None and (
-        names.commas or not _tells_kinds(names, kinds or {}, [q for q in drafted if q.survey.path in patterned])
-    ):
-        names = None
+        drafted.append(DraftedFile(**vars(file), recording=used, kind="excited" if _moves(used) else "stationary"))
+    kinds = None if names is None or names.commas else _kinds(names, drafted)
     harmonics, words = find_harmonics(drafted)
-    return DraftData(tuple(drafted), names, kinds or {}, from_s, to_s, harmonics, words, (*notes, *words))
+    notes += [*_remarks(recordings), *words]
+    known = None if kinds is None else names
+    return DraftData(tuple(drafted), known, kinds or {}, part, harmonics, words, tuple(notes))
 
 
-def _names(options: DraftOptions, files: Sequence[SurveyedFile]) -> tuple[NamesRead | None, set[Path]]:
-    """Return the pattern of the names of the most files of one kind, and these files."""
+def _names(options: DraftOptions, files: Sequence[MeasuredFile]) -> NamesRead | None:
+    """Return the pattern of the names of the most files of one kind, or the given one."""
     if options.pattern is not None:
         pattern = name_pattern(options.pattern)
-        matching = {each.path for each in files if pattern.read(each.path.name) is not None}
-        if not matching:
+        if not any(pattern.read(file.path.name) is not None for file in files):
             raise UsageError(f"--pattern: no file of {options.folder} matches {options.pattern!r}")
-        return NamesRead(pattern, "kind" if "kind" in pattern.fields else None), matching
-    groups: dict[tuple[object, ...], list[Path]] = {}
-    for each in files:
-        signals = tuple(each.roles.signals.items())
-        groups.setdefault((each.path.suffix, each.roles.time, signals), []).append(each.path)
-    most = max(groups.values(), key=len)
-    names = read_names([path.name for path in most])
-    return names, set(most) if names else set()
+        return NamesRead(pattern, "kind" in pattern.fields)
+    groups: dict[tuple[object, ...], list[str]] = {}
+    for file in files:
+        key = (file.path.suffix, file.time, tuple(file.signals.items()))
+        groups.setdefault(key, []).append(file.path.name)
+    return read_names(max(groups.values(), key=len))
 
 
-def _by_pattern(names: NamesRead | None, each: SurveyedFile) -> dict[str, str | float] | None:
-    """Return the fields of the name of a file of another ending."""
-    if names is None:
-        alone = read_names([each.path.name])
-        return alone.read(each.path.name) if alone else None
-    ending = names.pattern.text.rpartition(".")[2]
-    return names.read(f"{each.path.stem}.{ending}") or _by_pattern(None, each)
-
-
-def _conditions(options: DraftOptions, each: SurveyedFile, fields: Mapping[str, str | float]) -> dict[str, float]:
-    found = {}
+def _conditions(options: DraftOptions, names: NamesRead | None, path: Path) -> dict[str, float]:
+    """Return the operating point of a file: as given, or by the pattern, whatever the ending, or by its name alone."""
+    fields = names.read(f"{path.stem}.{names.pattern.text.rpartition('.')[2]}") if names else None
+    if not fields:
+        alone = read_names([path.name])
+        fields = (alone.read(path.name) if alone else None) or {}
+    conditions = {}
     for key in POINT:
         given = getattr(options, key)
-        value = fields.get(key, given) if given is None else given
+        value = fields.get(key) if given is None else given
         if value is None:
-            raise UnansweredError(key, f"{each.path.name}: the name does not contain {key}")
-        found[key] = float(value)
-    return found
+            raise UnansweredError(key, f"{path.name}: the name does not contain {key}")
+        conditions[key] = float(value)
+    return conditions
 
 
-def _part(options: DraftOptions, whole: Sequence[Recording], notes: list[str]) -> tuple[float | None, float | None]:
-    """Return the part that is used of all files: as given, or that in which the shaft has its speed."""
-    if options.from_s is not None or options.to_s is not None:
-        return options.from_s, options.to_s
-    changes = {rec.name: change for rec in whole if (change := speed_change(rec)) and change.steady}
+def _part(options: DraftOptions, recordings: Sequence[Recording]) -> tuple[dict[str, float], list[str]]:
+    """Return the part that is used of all files, as given or with a constant speed of the shaft, and notes on it."""
+    given = {key: value for key in ("from_s", "to_s") if (value := getattr(options, key)) is not None}
+    if given:
+        return given, []
+    changes = {rec.name: change for rec in recordings if (change := speed_change(rec)) and change.steady}
     starts = [change.from_s for change in changes.values() if change.from_s is not None]
     ends = [change.to_s for change in changes.values() if change.to_s is not None]
-    from_s = math.ceil(10 * max(starts)) / 10 if starts else None
-    to_s = math.floor(10 * min(ends)) / 10 if ends else None
-    parts = [f"{key} {value:g}" for key, value in (("from_s:", from_s), ("to_s:", to_s)) if value is not None]
-    if parts:
-        notes.append(
-            f"the speed changes in {len(changes)} of {len(whole)} files, so of all files is used {' '.join(parts)}"
-        )
-    shortest = min(whole, key=lambda rec: rec.duration)
-    if (from_s or 0.0) >= (to_s or shortest.duration):
+    part = {"from_s": math.ceil(10 * max(starts)) / 10} if starts else {}
+    part |= {"to_s": math.floor(10 * min(ends)) / 10} if ends else {}
+    words = " ".join(f"{key}: {value:g}" for key, value in part.items())
+    shortest = min(recordings, key=lambda rec: rec.duration)
+    if part.get("from_s", 0.0) >= part.get("to_s", shortest.duration):
         raise DataError(
-            f"{shortest.name}: no part of all files has a constant speed ({' '.join(parts)} of "
+            f"{shortest.name}: no part of all files has a constant speed ({words} of "
             f"{shortest.duration:g} s); give --from-s and --to-s, or leave out the files with a run-up"
         )
-    return from_s, to_s
+    note = f"the speed changes in {len(changes)} of {len(recordings)} files, so of all files is used {words}"
+    return part, [note] if part else []
 
 
-def _remarks(whole: Sequence[Recording]) -> list[str]:
+def _remarks(recordings: Sequence[Recording]) -> list[str]:
     """Return the remarks of the import, one for all files whose remarks differ in numbers only."""
-    alike: dict[str, list[Recording]] = {}
-    for rec in whole:
-        if "import_remarks" in rec.provenance:
-            alike.setdefault(re.sub(r"[\d.]+", "", rec.provenance["import_remarks"]), []).append(rec)
-    return [
-        f"{group[0].name}: {group[0].provenance['import_remarks']}"
-        + (f" ({len(group) - 1} more files alike)" if len(group) > 1 else "")
-        for group in alike.values()
-    ]
+    alike: dict[str, list[str]] = {}
+    for rec in recordings:
+        if remark := rec.provenance.get("import_remarks"):
+            alike.setdefault(re.sub(r"[\d.]+", "", remark), []).append(f"{rec.name}: {remark}")
+    return [first + (f" ({len(others)} more files alike)" if others else "") for first, *others in alike.values()]
 
 
 def _moves(rec: Recording) -> bool:
     """Return whether the piezos move."""
-    for name in ("r", "u"):
-        if name in rec.signals and np.ptp(running_median(rec.signal(name), 3), axis=0).max() > STILL:
-            return True
-    return False
+    driven = (rec.signal(name) for name in ("r", "u") if name in rec.signals)
+    return any(np.ptp(running_median(signal, 3), axis=0).max() > STILL for signal in driven)
 
 
-def _kinds(names: NamesRead, drafted: Sequence[DraftedFile]) -> dict[str, Kind] | None:
-    """Return the kind of each word of the names that gbid does not know; None where a word has two kinds."""
-    found: dict[str, Kind] = {}
-    for each in drafted:
-        fields = names.read(each.survey.path.name)
-        if fields is not None and names.word is not None:
-            word = str(fields[names.word])
-            if found.setdefault(word, each.kind) != each.kind:
+def _kinds(names: NamesRead, files: Sequence[DraftedFile]) -> dict[str, Kind] | None:
+    """Return the kind of each word of the names, empty where gbid knows them all.
+
+    None when the names do not tell the kinds that the signals show: a word has two kinds, or a stationary recording has
+    no word.
+    """
+    kinds: dict[str, Kind] = {}
+    for file in files:
+        if (fields := names.read(file.path.name)) is not None:
+            word = str(fields.get("kind", ""))
+            expected = file.kind if word and names.tells_kind else KINDS.get(word, "excited")
+            if kinds.setdefault(word, expected) != file.kind:
                 return None
-    return {} if all(KINDS.get(word) == kind for word, kind in found.items()) else found
-
-
-def _tells_kinds(names: NamesRead, kinds: Mapping[str, Kind], drafted: Sequence[DraftedFile]) -> bool:
-    """Return whether the pattern gives each file the kind that its signals show."""
-    for each in drafted:
-        fields = names.read(each.survey.path.name) or {}
-        known = {**KINDS, **kinds}
-        if known.get(str(fields.get("kind")), "excited") != each.kind:
-            return False
-    return True
+    kinds.pop("", None)
+    return {} if all(KINDS.get(word) == kind for word, kind in kinds.items()) else kinds
 
 
 def find_harmonics(files: Sequence[DraftedFile]) -> tuple[int | None, tuple[str, ...]]:
@@ -594,16 +527,15 @@ def find_harmonics(files: Sequence[DraftedFile]) -> tuple[int | None, tuple[str,
     can be compared.
     """
     points: dict[tuple[float, ...], list[Recording]] = {}
-    for each in files:
-        if each.kind == "stationary" and "phi" in each.recording.signals:
-            points.setdefault(tuple(each.conditions[key] for key in POINT), []).append(each.recording)
+    for file in files:
+        if file.kind == "stationary" and "phi" in file.signals:
+            still = points.setdefault(file.point, [])
+            still.append(replace(file.recording, name=f"{file.recording.name} {len(still)}"))
     sizes, words = [], []
     for point, still in sorted(points.items()):
         label = point_label(*point)
         try:
-            chosen = compare_runout(
-                [replace(rec, name=f"{rec.name} {i}") for i, rec in enumerate(still)], bins=()
-            ).chosen
+            chosen = compare_runout(still, bins=()).chosen
         except DataError as error:
             words.append(f"{label}: not compared ({error})")
             continue
@@ -615,162 +547,6 @@ def find_harmonics(files: Sequence[DraftedFile]) -> tuple[int | None, tuple[str,
 
 
 # ---- Text of a drafted experiment: commented YAML.
-
-
-def draft_text(name: str, target: Path, options: DraftOptions, data: DraftData) -> str:
-    """Return the YAML of an experiment.
-
-    Parameters
-    ----------
-    name : str
-        Name of the experiment.
-    target : pathlib.Path
-        Folder that it will be written to.
-    options : DraftOptions
-        What was given.
-    data : DraftData
-        The files.
-    """
-    excited = [each for each in data.files if each.kind == "excited"]
-    lines = [
-        f"# Gas bearing with the recordings of {options.folder}, drafted by gbid new --from; change what you like.",
-        "# gbid check experiment.yaml shows all problems, gbid run experiment.yaml does every step.",
-        "format: 1",
-        f"name: {name}",
-        "",
-        "import:",
-        f"  data_folder: {_quoted(os.path.relpath(options.folder.resolve(), target.resolve()))}",
-        *_files(options, data),
-        "",
-        *_prefilter(data),
-        "",
-        *_models(excited, options),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(text: object) -> str:
-    return json.dumps(text, ensure_ascii=False)
-
-
-def _mapping(each: DraftedFile, options: DraftOptions, data: DraftData, indent: str) -> list[str]:
-    """Return clock, part and signals of a file."""
-    survey = each.survey
-    given = options.sample_time_s
-    lines = [f"sample_time_s: {_seconds(given)}" if given else f"time: {_quoted(survey.roles.time)}"]
-    why = "               # the speed changes outside" if options.from_s is None and options.to_s is None else ""
-    for key in ("from_s", "to_s"):
-        value = getattr(data, key)
-        if value is not None:
-            lines.append(f"{key}: {value:g}{why}")
-    lines.append("signals:")
-    for signal, columns in survey.roles.signals.items():
-        names = "[" + ", ".join(_quoted(column) for column in columns) + "]"
-        unit = f", unit: {_quoted(survey.units[signal])}" if signal in survey.units else ""
-        remark = "   # the file states no unit" if unit else _MEANING[signal]
-        lines.append(f"  {signal}: {{columns: {names}{unit}}}{remark}")
-    return [indent + line for line in lines]
-
-
-_MEANING = {
-    "r": "   # references of the piezos, x and y",
-    "u": "   # positions of the piezos",
-    "p": "   # position of the disc",
-    "phi": "   # shaft angle",
-}
-
-
-def _files(options: DraftOptions, data: DraftData) -> list[str]:
-    """Return the files: those of the pattern in one section, the others one by one."""
-    by_name = [q for q in data.files if data.names and data.names.pattern.read(q.survey.path.name) is not None]
-    alone = [q for q in data.files if q not in by_name]
-    lines = []
-    if by_name and data.names:
-        pattern = data.names.pattern
-        lines += [
-            "  folder:                      # all files whose names have one form",
-            f"    pattern: {_quoted(pattern.text)}",
-        ]
-        if data.kinds:
-            lines.append("    kinds: {" + ", ".join(f"{_quoted(w)}: {k}" for w, k in data.kinds.items()) + "}")
-        fixed = {key: by_name[0].conditions[key] for key in POINT if key not in pattern.numbers}
-        if fixed:
-            lines.append("    conditions: {" + ", ".join(f"{key}: {value!r}" for key, value in fixed.items()) + "}")
-        lines += _mapping(by_name[0], options, data, "    ")
-    if alone:
-        lines.append("  recordings:" + ("                  # files of another kind" if by_name else ""))
-    for each in alone:
-        point = ", ".join(f"{key}: {value!r}" for key, value in each.conditions.items())
-        same = [
-            q for q in data.files if q is not each and name_of(q.survey.path.stem) == name_of(each.survey.path.stem)
-        ]
-        stem = each.survey.path.stem + (each.survey.path.suffix if same else "")
-        lines += [
-            f"    - name: {name_of(stem)}",
-            f"      file: {_quoted(each.survey.path.name)}",
-            f"      kind: {each.kind}",
-            f"      conditions: {{{point}}}",
-            *_mapping(each, options, data, "      "),
-        ]
-    return lines
-
-
-def _prefilter(data: DraftData) -> list[str]:
-    points = {
-        kind: {tuple(q.conditions.values()) for q in data.files if q.kind == kind} for kind in ("excited", "stationary")
-    }
-    without_angle = any("phi" not in q.recording.signals for q in data.files)
-    if without_angle or points["excited"] - points["stationary"]:
-        return [
-            "prefilter:                     # not every operating point has a stationary run with the shaft angle,",
-            "  method: none                 # so that run-out stays in the signals; means and spikes are removed",
-        ]
-    lines = ["prefilter:                     # run-out over the shaft angle; on held-out data:"]
-    lines += [f"  # {words}" for words in data.runout]
-    return [*lines, f"  harmonics: {data.harmonics or 10}"]
-
-
-def _models(excited: Sequence[DraftedFile], options: DraftOptions) -> list[str]:
-    lines = ["fits:", "  bearing: {structure: rotor_bearing}   # piezo positions u to disc position p"]
-    with_reference = all("r" in each.recording.signals for each in excited)
-    points = np.array([[each.conditions[key] for key in POINT] for each in excited])
-    if with_reference:
-        lines.append("  piezos: {structure: piezo_pair}       # references r to piezo positions u")
-    distinct, counts = np.unique(points, axis=0, return_counts=True)
-    validated = ["  bearing: {on: cyclic}"] if counts.min() > 1 else []
-    validated += ["  piezos: {on: others}"] if with_reference and len(excited) > 1 else []
-    if validated:
-        lines += ["", "crossval:                      # models on recordings that they were not fitted to", *validated]
-    if not with_reference:
-        return [
-            *lines,
-            "",
-            "# Without the references r there is no model of the piezos, so no surfaces and no controller.",
-        ]
-    time = excited[0].recording.sample_time
-    return [
-        *lines,
-        "",
-        "nominal: {fit: piezos}         # the most central model of the piezos stands for all",
-        "",
-        f"lpv:                           # surfaces over pressure and speed, {len(distinct)} operating points",
-        "  fit: bearing",
-        f"  order: {order_words(possible_order(points))}",
-        "  actuators: nominal",
-        "",
-        "controller:",
-        f"  feedback: {{structure: {options.controller}, peak_sensitivity: 2.6, design_for: sampled, "
-        f"sample_time_s: {_seconds(time)}}}",
-    ]
-
-
-def _seconds(value: float) -> str:
-    """Return a time with a decimal point, as YAML needs it for a number."""
-    text = f"{value:.6g}"
-    return text if "." in text else text.replace("e", ".0e") if "e" in text else f"{text}.0"
-
-
-# ---- Experiment for a gas bearing drafted from a folder of measured files.
 
 
 @dataclass(frozen=True)
@@ -813,7 +589,54 @@ def draft_experiment(options: DraftOptions, target: Path) -> Draft:
     """
     files, others = survey(options)
     data = read_data(options, files)
-    notes = [*data.notes]
-    if others:
-        notes.append(f"left out, of a kind that is not imported: {', '.join(others)}")
-    return Draft(draft_text(name_of(target.name), target, options, data), tuple(notes))
+    left_out = (f"left out, of a kind that is not imported: {', '.join(others)}",) if others else ()
+    return Draft(draft_text(target, options, data), (*data.notes, *left_out))
+
+
+def draft_text(target: Path, options: DraftOptions, data: DraftData) -> str:
+    """Return the YAML of an experiment for a folder, from what was given and what the files say.
+
+    Raises
+    ------
+    DataError
+        When no recording is excited.
+    """
+    excited = [file for file in data.files if file.kind == "excited"]
+    if not excited:
+        raise DataError(f"{options.folder}: r and u move in no file; add recordings with an excitation")
+    points = np.array([file.point for file in excited])
+    distinct, counts = np.unique(points, axis=0, return_counts=True)
+    stems = [name_of(file.path.stem) for file in data.files]
+    names = {  # with the ending where two files would have one name
+        file.path: name_of(file.path.name if stems.count(stem) > 1 else file.path.stem)
+        for file, stem in zip(data.files, stems, strict=True)
+    }
+    patterned = [file for file in data.files if data.names and data.names.pattern.read(file.path.name) is not None]
+    mapped = {file.point for file in data.files if file.kind == "stationary"}
+    environment = Environment(
+        loader=PackageLoader("gbid.experiment", "."), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"quoted": lambda text: json.dumps(str(text), ensure_ascii=False), "seconds": _seconds}
+    return environment.get_template("draft.yaml.j2").render(
+        name=name_of(target.name),
+        data_folder=os.path.relpath(options.folder.resolve(), target.resolve()),
+        options=options,
+        data=data,
+        patterned=patterned,
+        alone=[file for file in data.files if file not in patterned],
+        names=names,
+        has_maps=mapped.issuperset(file.point for file in excited)
+        and all("phi" in file.signals for file in data.files),
+        has_references=all("r" in file.signals for file in excited),
+        n_excited=len(excited),
+        n_points=len(distinct),
+        repeated=counts.min() > 1,
+        order=order_words(possible_order(points)),
+        sample_time=excited[0].recording.sample_time,
+    )
+
+
+def _seconds(value: float) -> str:
+    """Return a time with a decimal point, as YAML needs it for a number."""
+    text = f"{value:.6g}"
+    return text if "." in text else text.replace("e", ".0e") if "e" in text else f"{text}.0"

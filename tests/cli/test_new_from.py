@@ -100,6 +100,9 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
     assert "expected r, u or p with two columns" in capsys.readouterr().err
     assert gbid("new", tmp_path / "third", "--from", tmp_path / "none") == 2
     assert "no folder" in capsys.readouterr().err
+    write(tmp_path / "still" / "p5_n4000.csv", False, names="t;u_x [um];u_y [um];p_x [um];p_y [um]")
+    assert gbid("new", tmp_path / "third", "--from", tmp_path / "still") == 3
+    assert "r and u move in no file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -113,11 +116,11 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
 def test_roles_of_channels(names, roles):
     columns = names.split(";")
     channels = [FileChannel(name, N, step=DT if i == 0 else None) for i, name in enumerate(columns)]
-    found = find_roles(channels, {}, None, "a.csv")
-    assert found.time == columns[0]
-    assert found.signals["phi"] == (columns[-1],)
+    time, signals = find_roles(channels, {}, None, "a.csv")
+    assert time == columns[0]
+    assert signals["phi"] == (columns[-1],)
     for role, stem in roles.items():
-        pair = found.signals[role]
+        pair = signals[role]
         assert sorted(pair) == list(pair)
         assert all(column.startswith(stem) for column in pair)
 
