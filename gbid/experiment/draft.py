@@ -83,7 +83,8 @@ def find_roles(
         if role and name != time:
             axes[role].setdefault(axis, name)
     pairs = {role: tuple(name for _, name in sorted(names.items())) for role, names in axes.items()}
-    complete = {role: names for role, names in pairs.items() if len(names) == (1 if role == "phi" else 2)} | given
+    complete = {role: names for role, names in pairs.items() if len(names) == (1 if role == "phi" else 2)}
+    complete.update(given)
     return time, {role: complete[role] for role in _ORDER if role in complete}
 
 
