@@ -1,16 +1,21 @@
-"""Parts of an importer: the file format, its channels, and the listing of arrays."""
+"""Parts of an importer: the file format, its channels, and formats of files that hold arrays by name."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gbid.core.arrays import FloatArray
+from gbid.core.errors import DataError, GbidError
+from gbid.core.files import in_one_line
 from gbid.recording.clock import MAX_RESAMPLED, even_step, jitter_ppm
-from gbid.recording.text_files import FileColumn
+from gbid.recording.text_files import FileColumn, pick_column, split_reference
 
 
 @dataclass(frozen=True)
@@ -102,24 +107,107 @@ def with_values(channel: FileChannel, values: FloatArray) -> FileChannel:
     return replace(channel, step=step, first=first, jitter_ppm=None if even else jitter_ppm(values))
 
 
-def array_channels(
-    name: str, value: Any, *, unit: str | None = None, sample_time: float | None = None, row_vectors: bool = False
-) -> list[FileChannel]:
-    """Return the channels of an array, each with the name that `pick_column` takes.
+class StoredArray(NamedTuple):
+    """Array that a file holds under one name.
+
+    Attributes
+    ----------
+    values : object
+        What the library of the format returns.
+    unit : str or None
+        Unit given by the file.
+    sample_time : float or None
+        Time between samples that the file states [s].
+    fault : str
+        Why it cannot be imported, and what to do; empty where it can.
+    remark : str
+        The same in short for the listing; empty where its numbers are listed.
+    """
+
+    values: Any
+    unit: str | None = None
+    sample_time: float | None = None
+    fault: str = ""
+    remark: str = ""
+
+
+class OpenFile(NamedTuple):
+    """Open file that holds arrays by name.
+
+    Attributes
+    ----------
+    get : callable
+        From the name of an array to the `StoredArray`. Raises DataError for a name that is not there.
+    every : callable
+        Returns name and `StoredArray` of each, in the order of the listing.
+    """
+
+    get: Callable[[str], StoredArray]
+    every: Callable[[], Iterable[tuple[str, StoredArray]]]
+
+
+Opener = Callable[[Path, Sequence[str] | None], AbstractContextManager[OpenFile]]
+"""From a file and the names that are wanted (None: all) to a context with the open file."""
+
+
+def array_format(endings: tuple[str, ...], what: str, opener: Opener, states_sample_time: bool = False) -> FileFormat:
+    """Return the format of files that hold arrays by name, read by a library that may crash.
 
     Parameters
     ----------
-    name : str
-        Name of the array in the file.
-    value : object
-        The array. What is no array of real numbers is one channel with a remark.
-    unit : str, optional
-        Unit given by the file.
-    sample_time : float, optional
-        Time between samples that the file states [s].
-    row_vectors : bool
-        Whether a (1, n_samples) array is a vector, as MATLAB stores one.
+    endings, states_sample_time
+        As for `FileFormat`.
+    what : str
+        Kind of file in words, for messages.
+    opener : callable
+        Function of a module that opens such a file. What its library raises becomes a DataError.
     """
+    return FileFormat(
+        endings,
+        partial(_read_arrays, opener, what),
+        partial(_list_arrays, opener, what),
+        states_sample_time=states_sample_time,
+        may_crash=True,
+    )
+
+
+def _read_arrays(opener: Opener, what: str, path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
+    names = {reference: split_reference(reference)[0] for reference in references}
+    columns = {}
+    with _opened(opener, what, path, list(names.values())) as file:
+        for reference, name in names.items():
+            stored = file.get(name)
+            if stored.fault:
+                raise DataError(f"{path}: column {reference!r}: {stored.fault}")
+            values = pick_column(path, reference, stored.values)
+            columns[reference] = FileColumn(values, stored.unit, stored.sample_time)
+    return columns
+
+
+def _list_arrays(opener: Opener, what: str, path: Path) -> list[FileChannel]:
+    with _opened(opener, what, path, None) as file:
+        return [channel for name, stored in file.every() for channel in _array_channels(name, stored)]
+
+
+@contextmanager
+def _opened(opener: Opener, what: str, path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
+    with path.open("rb"):  # libraries wrap the error of a file that is not there
+        pass
+    try:
+        with opener(path, names) as file:
+            yield file
+    except (GbidError, MemoryError):
+        raise
+    except Exception as error:  # a damaged file can raise any kind of error in the library
+        text = f"not a readable {what} (truncated, damaged or of another format)"
+        raise DataError(f"{path}: {text}: {in_one_line(error)}") from None
+
+
+def _array_channels(name: str, stored: StoredArray) -> list[FileChannel]:
+    """Return the channels of an array, each with the name that `pick_column` takes; others have a remark."""
+    value, unit, sample_time, _, remark = stored
+    if remark:
+        return [FileChannel(name, int(np.size(value)), unit, sample_time, remark=remark)]
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
         kind = f"array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
         return [FileChannel(name, int(np.size(value)), unit, sample_time, remark=f"{kind}: not numbers")]
@@ -127,16 +215,13 @@ def array_channels(
         return [FileChannel(name, 1, unit, sample_time, remark=f"one number: {value.flat[0]:g}")]
     if value.size == 0 or value.ndim > 2:
         return [FileChannel(name, 0, unit, sample_time, remark=f"shape {value.shape}: no column of samples")]
-    if value.ndim == 1 or value.shape[1] == 1 or (row_vectors and value.shape[0] == 1):
-        column = np.asarray(value, float).reshape(-1)
-        return [with_values(FileChannel(name, column.size, unit, sample_time), column)]
-    rows, columns = value.shape
-    if rows < columns or columns > MAX_COLUMNS:
-        remark = f"shape {value.shape}: " + (
-            "more columns than rows" if rows < columns else f"name columns {name}[0] ..."
-        )
-        return [FileChannel(name, rows, unit, sample_time, remark=remark)]
+    columns = np.asarray(value, float).reshape(len(value), -1)
+    rows, count = columns.shape
+    if rows < count or count > MAX_COLUMNS:
+        which = "more columns than rows" if rows < count else f"name columns {name}[0] ..."
+        return [FileChannel(name, rows, unit, sample_time, remark=f"shape {value.shape}: {which}")]
+    names = [name] if count == 1 else [f"{name}[{i}]" for i in range(count)]
     return [
-        with_values(FileChannel(f"{name}[{i}]", rows, unit, sample_time), np.asarray(value[:, i], float))
-        for i in range(columns)
+        with_values(FileChannel(each, rows, unit, sample_time), column)
+        for each, column in zip(names, columns.T, strict=True)
     ]

@@ -361,7 +361,7 @@ def split_reference(reference: str) -> tuple[str, int | None]:
     return (match["name"], int(match["index"])) if match else (reference, None)
 
 
-def pick_column(path: Path, reference: str, value: object, row_vectors: bool = False) -> FloatArray:
+def pick_column(path: Path, reference: str, value: object) -> FloatArray:
     """Return the column of a variable that a reference names, shape (n_samples,).
 
     Parameters
@@ -371,10 +371,7 @@ def pick_column(path: Path, reference: str, value: object, row_vectors: bool = F
     reference : str
         ``"name"`` or ``"name[index]"``.
     value : object
-        The variable of that name.
-    row_vectors : bool
-        Whether a (1, n_samples) array named without index is a vector, as MATLAB stores one. Larger arrays are never
-        transposed.
+        The variable of that name. Arrays are never transposed.
 
     Returns
     -------
@@ -397,7 +394,7 @@ def pick_column(path: Path, reference: str, value: object, row_vectors: bool = F
     if value.ndim not in (1, 2) or value.size == 1:
         raise DataError(f"{where} {name} has shape {shape}; expected (n_samples,) or (n_samples, n_channels)")
     if index is None:
-        if value.ndim == 2 and not (shape[1] == 1 or (row_vectors and shape[0] == 1)):
+        if value.ndim == 2 and shape[1] != 1:
             raise DataError(f"{where} {name} has shape {shape}; name one of its columns, e.g. {name}[0]")
         return np.asarray(value, dtype=float).reshape(-1)
     if value.ndim == 1:
@@ -418,6 +415,12 @@ def name_and_unit(heading: str) -> tuple[str, str | None]:
     if not match:
         return heading, None
     return match["name"], written_unit(match["square"] if match["square"] is not None else match["round"])
+
+
+def short_names(headings: Sequence[str]) -> list[str]:
+    """Return the headings without their units, except where several columns would have one name."""
+    names = [name_and_unit(heading)[0] for heading in headings]
+    return [name if names.count(name) == 1 else heading for name, heading in zip(names, headings, strict=True)]
 
 
 def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:

@@ -361,7 +361,7 @@ def test_pickled_objects_are_never_loaded(tmp_path):
     np.savez(path, a=trap, b=DATA[:, 0])
     refused(path, {"signals": {"p": BOTH}, "sample_time": DT}, "'a' holds pickled Python objects")
     path.write_bytes(pickle.dumps(Trap()))
-    refused(path, {"signals": {"p": BOTH}, "sample_time": DT}, "not an npz archive")
+    refused(path, {"signals": {"p": BOTH}, "sample_time": DT}, "not a readable npz archive")
 
 
 @pytest.mark.parametrize("write", ["npz", write_v5, write_v73])
@@ -423,7 +423,7 @@ def test_bad_struct_paths(tmp_path, write):
 @MAT_WRITERS
 def test_row_vectors_of_mat_have_no_columns(tmp_path, write):
     path = write(tmp_path / "a.mat", {"row": DATA[:, 0][None, :]})
-    refused(path, {"signals": {"s": {"columns": ["row[0]"]}}, "sample_time": DT}, "more columns than rows")
+    refused(path, {"signals": {"s": {"columns": ["row[0]"]}}, "sample_time": DT}, "row has one dimension; leave the index out")
 
 
 def test_arrays_of_structs_and_cells_are_refused(tmp_path):
