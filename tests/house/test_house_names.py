@@ -30,7 +30,7 @@ def test_no_file_name_is_used_three_times() -> None:
 
 
 def test_no_file_has_the_name_of_a_function_beside_it() -> None:
-    """``gbid.control.tune`` is the function: a package of that name would hide it, and behind a stub a file of that name, too.
+    """``gbid.control.tune`` is the function: a package of that name would hide it; behind a stub a file would, too.
 
     At the top the stub decides: ``gbid.prefilter`` is the function, and ``from gbid.prefilter import ...`` the package.
     """

@@ -423,7 +423,7 @@ def test_bad_struct_paths(tmp_path, write):
 @MAT_WRITERS
 def test_row_vectors_of_mat_have_no_columns(tmp_path, write):
     path = write(tmp_path / "a.mat", {"row": DATA[:, 0][None, :]})
-    refused(path, {"signals": {"s": {"columns": ["row[0]"]}}, "sample_time": DT}, "row has one dimension; leave the index out")
+    refused(path, {"signals": {"s": {"columns": ["row[0]"]}}, "sample_time": DT}, "leave the index out: row")
 
 
 def test_arrays_of_structs_and_cells_are_refused(tmp_path):
