@@ -255,83 +255,52 @@ class Plant(Brief):
     def forgotten_states(self) -> tuple[int, ...]:
         """States of the delays, and of actuators that no output shows: they forget their start within milliseconds."""
         n_a = 4
-        if self.bearing.delay == "exact":  # see `_with_exact_delay`
+        if self.bearing.delay == "exact":  # see `matrices`
             return tuple(range(n_a, 2 * n_a) if self._explains_u else range(n_a))
         shown = () if self._explains_u else range(n_a)
         return (*shown, *(n_a + i for i in self.bearing.forgotten_states))
 
     def matrices(self, p: Values) -> dict[str, Any]:
-        """Return the matrices A, B, C, D and K of the series connection."""
-        act, bearing = self.actuators.matrices(p), self.bearing.matrices(p)
-        rb = {**bearing, "B": bearing["B"][:, :2], "D": bearing["D"][:, :2]}
-        if self.bearing.delay == "exact":
-            rb |= {"B_delayed": bearing["B_delayed"][:, :2], "delay": bearing["delay"][:2]}
-            series = self._with_exact_delay(act, rb)
-        else:
-            series = self._with_pade(act, rb)
-        return _with_forces(series, bearing["B"][:, 2:]) if self.bearing.unbalance else series
+        """Return the matrices of the series connection.
 
-    def _with_pade(self, act: dict[str, Any], rb: dict[str, Any]) -> dict[str, Any]:
-        """Return the series connection with the delays of the bearing as states."""
-        n_a, n_b = act["A"].shape[0], rb["A"].shape[0]
-        A = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B"] @ act["C"], rb["A"]]])
-        to_u = ca.horzcat(act["C"], ca.SX(2, n_b))
-        to_p = ca.horzcat(rb["D"] @ act["C"], rb["C"])
-        return {
-            "A": A,
-            "B": ca.vertcat(act["B"], ca.SX(n_b, 2)),
-            "C": ca.vertcat(to_u, to_p) if self._explains_u else to_p,
-            "D": ca.SX(len(self.outputs) * 2, 2),
-            "K": self._disturbance_gain(n_a, rb["K"]),
-        }
-
-    def _with_exact_delay(self, act: dict[str, Any], rb: dict[str, Any]) -> dict[str, Any]:
-        """Return the series connection with the delays moved to the references.
-
-        Each delay commutes with the actuator of its axis. When u is an output as well, the actuators occur twice,
-        once without and once with the delay.
+        Exact delays are moved to the references: each commutes with the actuator of its axis. When u is an output as
+        well, the actuators occur twice, once without and once with the delay.
         """
-        n_a, n_b = act["A"].shape[0], rb["A"].shape[0]
-        delayed = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B_delayed"] @ act["C"], rb["A"]]])
-        late_B = ca.vertcat(act["B"], ca.SX(n_b, 2))
-        to_p = ca.horzcat(ca.SX(2, n_a), rb["C"])
-        n_prompt = n_a if self._explains_u else 0
-        n = n_prompt + n_a + n_b
+        act, bearing = self.actuators.matrices(p), self.bearing.matrices(p)
+        exact = self.bearing.delay == "exact"
+        n_a, (n_b, n_u) = act["A"].shape[0], bearing["B"].shape  # further inputs act on the bearing alone
+        drive = bearing["B_delayed" if exact else "B"][:, :2]
+        A = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [drive @ act["C"], bearing["A"]]])
+        references = ca.vertcat(ca.horzcat(act["B"], ca.SX(n_a, n_u - 2)), ca.SX(n_b, n_u))
+        forces = ca.vertcat(ca.SX(n_a, n_u), ca.horzcat(ca.SX(n_b, 2), bearing["B"][:, 2:]))
+        to_u, to_p = ca.horzcat(act["C"], ca.SX(2, n_b)), ca.horzcat(bearing["D"][:, :2] @ act["C"], bearing["C"])
+        gain = ca.vertcat(ca.SX(n_a, 2), bearing["K"])
+        if self._explains_u:
+            gain = ca.horzcat(ca.SX(n_a + n_b, 2), gain)
+        D = ca.SX(len(self.outputs) * 2, n_u)
+        if not exact:
+            C = ca.vertcat(to_u, to_p) if self._explains_u else to_p
+            return {"A": A, "B": references + forces, "C": C, "D": D, "K": gain}
+        delays = {"B_delayed": references, "delay": bearing["delay"]}
+        series = {"A": A, "B": forces, "C": to_p, "D": D, "K": gain, **delays}
         if not self._explains_u:
-            A, B, B_delayed, C = delayed, ca.SX(n, 2), late_B, to_p
-        else:
-            A = ca.diagcat(act["A"], delayed)
-            B = ca.vertcat(act["B"], ca.SX(n_a + n_b, 2))
-            B_delayed = ca.vertcat(ca.SX(n_a, 2), late_B)
-            C = ca.diagcat(act["C"], to_p)
-        K = self._disturbance_gain(n_prompt + n_a, rb["K"])
-        D = ca.SX(len(self.outputs) * 2, 2)
-        return {"A": A, "B": B, "B_delayed": B_delayed, "delay": rb["delay"], "C": C, "D": D, "K": K}
+            return series
+        prompt = ca.horzcat(act["B"], ca.SX(n_a, n_u - 2))
+        return {
+            **series,
+            "A": ca.diagcat(act["A"], A),
+            "B": ca.vertcat(prompt, forces),
+            "B_delayed": ca.vertcat(ca.SX(n_a, n_u), references),
+            "C": ca.diagcat(act["C"], to_p),
+            "K": ca.vertcat(ca.SX(n_a, 4), gain),
+        }
 
     @property
     def _explains_u(self) -> bool:
         return "u" in self.outputs
-
-    def _disturbance_gain(self, n_before: int, K: ca.SX) -> ca.SX:
-        """Return the gain of the disturbance of the bearing, for all states and outputs."""
-        below = ca.vertcat(ca.SX(n_before, 2), K)
-        return ca.horzcat(ca.SX(below.shape[0], 2), below) if self._explains_u else below
 
 
 def pade_order_of(structure: Any) -> int:
     """Return the order of the delays of a rotor bearing or plant; 1 where they are exact or there are none."""
     bearing = structure.bearing if isinstance(structure, Plant) else structure
     return bearing.pade_order if isinstance(bearing, RotorBearing) else 1
-
-
-def _with_forces(series: dict[str, Any], forces: ca.SX) -> dict[str, Any]:
-    """Return the matrices with further inputs that act on the states of the bearing, which are the last."""
-    n, m = series["A"].shape[0], forces.shape[1]
-    acting = ca.vertcat(ca.SX(n - forces.shape[0], m), forces)
-    more = {"B": ca.horzcat(series["B"], acting), "D": ca.horzcat(series["D"], ca.SX(series["D"].shape[0], m))}
-    if "delay" in series:
-        more |= {
-            "B_delayed": ca.horzcat(series["B_delayed"], ca.SX(n, m)),
-            "delay": ca.vertcat(series["delay"], ca.SX.zeros(m, 1)),
-        }
-    return {**series, **more}

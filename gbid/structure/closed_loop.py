@@ -26,7 +26,7 @@ from gbid.structure.linear import (
     symbolic_matrices,
 )
 from gbid.structure.models import LinearModel
-from gbid.structure.parameter import Parameter, Values
+from gbid.structure.parameter import Parameter, Values, set_fields
 
 # ---- Matrices of a controller as symbols: continuous, or sampled with its computation time.
 
@@ -181,9 +181,9 @@ class ClosedLoop(Brief):
             raise UsageError(f"{where}: injected = {injected!r}; choose 'plant input' or 'set point'")
         if computation_samples < 0:
             raise UsageError(f"{where}: computation_samples = {computation_samples}; it must be at least 0")
-        own_rate = controller.dt if isinstance(controller, LinearModel) else None
-        if own_rate is not None and sample_time is not None and not np.isclose(own_rate, sample_time, rtol=1e-9):
-            raise UsageError(f"{where}: sample_time = {sample_time:g} s, but the controller has {own_rate:g} s")
+        rate = controller.dt if isinstance(controller, LinearModel) else None
+        if rate is not None and sample_time is not None and not np.isclose(rate, sample_time, rtol=1e-9):
+            raise UsageError(f"{where}: sample_time = {sample_time:g} s, but the controller has {rate:g} s")
         if kind_of(equations_of(structure)).nonlinear:
             raise UsageError(f"{where}: the plant must be linear")
         _, m = symbolic_matrices(structure)
@@ -196,22 +196,20 @@ class ClosedLoop(Brief):
                 f"{where}: the controller takes {n_s} signals and makes {n_r}, the structure takes {m.B.shape[1]} and "
                 f"gives {n_y}; measured = {list(rows)}"
             )
-        values = {
-            "structure": structure,
-            "controller": controller,
-            "sample_time": sample_time if own_rate is None else own_rate,
-            "computation_samples": computation_samples,
+        chosen = {
+            "sample_time": sample_time if rate is None else rate,
             "measured": rows,
-            "injected": injected,
             "inputs": as_names(inputs),
             "outputs": as_names(structure.outputs if outputs is None else outputs),
-            "pade_order": pade_order,
             "name": name or f"{structure.name}, closed by {controller.name}",
             "intersample": "zoh",
         }
-        for key, value in values.items():
-            object.__setattr__(self, key, value)
-        self._check_feedthrough(where)
+        set_fields(self, {**locals(), **chosen})
+        symbols = Values.of(self.parameters, ca.vertcat(*(ca.SX.sym(q.name) for q in self.parameters)))
+        if m.D.nnz() and self._law(symbols).D.nnz():
+            raise UsageError(
+                f"{where}: both have direct feedthrough; give the controller a low-pass or a computation time"
+            )
 
     @property
     def gains(self) -> tuple[Parameter, ...]:
@@ -292,14 +290,6 @@ class ClosedLoop(Brief):
         if not (isinstance(self.controller, LinearModel) and self.controller.dt is not None):
             law = tustin(law, self.sample_time)
         return computed_later(law, self.computation_samples)
-
-    def _check_feedthrough(self, where: str) -> None:
-        _, m = symbolic_matrices(self.structure)
-        symbols = Values.of(self.parameters, ca.vertcat(*(ca.SX.sym(q.name) for q in self.parameters)))
-        if m.D.nnz() and self._law(symbols).D.nnz():
-            raise UsageError(
-                f"{where}: both have direct feedthrough; give the controller a low-pass or a computation time"
-            )
 
 
 class LoopKind(LinearKind):

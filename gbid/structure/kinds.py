@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import singledispatch
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from gbid.structure.scheduled import ScheduledStructure, coefficient_names
 
 AnyStructure = Structure | NonlinearStructure | ScheduledStructure
 """Structure of any kind."""
+Names = tuple[str, ...]
 
 
 class Anatomy(NamedTuple):
@@ -81,12 +83,7 @@ class Kind(ABC):
 
     @abstractmethod
     def model(
-        self,
-        values: Mapping[str, float],
-        input_names: tuple[str, ...] = (),
-        output_names: tuple[str, ...] = (),
-        *,
-        steps: int = 1,
+        self, values: Mapping[str, float], inputs: Names = (), outputs: Names = (), steps: int = 1
     ) -> LinearModel | NonlinearModel:
         """Return the model for given parameter values; `steps` of an integrator are for nonlinear ones."""
 
@@ -123,13 +120,12 @@ class LinearKind(Kind):
     def model(
         self,
         values: Mapping[str, float],
-        input_names: tuple[str, ...] = (),
-        output_names: tuple[str, ...] = (),
-        *,
+        inputs: Names = (),
+        outputs: Names = (),
         steps: int = 1,  # noqa: ARG002
     ) -> LinearModel:
         """Return the model; see `Kind`."""
-        return evaluate(self._structure, values, input_names, output_names)
+        return evaluate(self._structure, values, inputs, outputs)
 
     def without_inputs(self) -> AnyStructure:
         """Return the structure without its inputs; see `Kind`."""
@@ -160,32 +156,20 @@ class NonlinearKind(Kind):
         return Anatomy(e.x.numel(), n_u, _names([*acting, e.K]), _by_row(e.x0), e.K.nnz() > 0, only)
 
     def model(
-        self,
-        values: Mapping[str, float],
-        input_names: tuple[str, ...] = (),
-        output_names: tuple[str, ...] = (),
-        *,
-        steps: int = 1,
+        self, values: Mapping[str, float], inputs: Names = (), outputs: Names = (), steps: int = 1
     ) -> NonlinearModel:
         """Return the model; see `Kind`."""
-        return nonlinear_model(self._structure, values, input_names, output_names, steps=steps)
+        return nonlinear_model(self._structure, values, inputs, outputs, steps=steps)
 
     def without_inputs(self) -> AnyStructure:
         """Return the structure with inputs of zero; see `Kind`."""
         full, rest = self._structure, ca.SX.zeros(len(self._structure.inputs))
-        return NonlinearStructure(
-            full.name,
-            full.parameters,
-            full.states,
-            lambda x, _, p: full.dynamics(x, rest, p),
-            lambda x, _, p: full.output(x, rest, p),
-            (),
-            full.outputs,
-            intersample=full.intersample,
-            disturbance_gain=full.disturbance_gain,
-            x0=full.x0,
-            integrator=full.integrator,
-            steps=full.steps,
+        return replace(
+            full,
+            dynamics=lambda x, _, p: full.dynamics(x, rest, p),
+            output=lambda x, _, p: full.output(x, rest, p),
+            inputs=(),
+            delay=None,
         )
 
 
@@ -213,16 +197,15 @@ class ScheduledKind(Kind):
     def model(
         self,
         values: Mapping[str, float],
-        input_names: tuple[str, ...] = (),
-        output_names: tuple[str, ...] = (),
-        *,
+        inputs: Names = (),
+        outputs: Names = (),
         steps: int = 1,  # noqa: ARG002
     ) -> LinearModel:
         """Return the base in the middle of the range, where only the first coefficients count; see `Kind`."""
         structure = self._structure
         first = {key: values[coefficient_names(key, 1)[0]] for key in structure.surfaces}
         middle = {q.name: first[q.name] if q.name in first else values[q.name] for q in structure.base.parameters}
-        return evaluate(structure.base, middle, input_names, output_names)
+        return evaluate(structure.base, middle, inputs, outputs)
 
     def without_inputs(self) -> AnyStructure:
         """Return the structure itself, which needs its inputs; see `Kind`."""

@@ -15,7 +15,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.discretise import Hold, discretise
 from gbid.structure.models import LinearModel
-from gbid.structure.parameter import Parameter, Values, once
+from gbid.structure.parameter import Parameter, Values, once, set_fields
 
 # ---- Closed loop of a plant and a controller whose state-space matrices are symbols, numbers or duals.
 
@@ -126,10 +126,10 @@ def closed_parts(plant: LoopParts, law: ControlLaw, measured: Sequence[int], set
     LoopParts
     """
     n, n_z, n_y = plant.A.shape[0], law.A.shape[0], plant.C.shape[0]
-    told = np.eye(len(measured), plant.B.shape[1]) * set_point  # the set point as the first columns
+    reference = np.eye(len(measured), plant.B.shape[1]) * set_point  # the set point as the first columns
     x_in, z_in, S, less = (
         constant_like(plant.A, matrix)
-        for matrix in (np.eye(n + n_z, n), np.eye(n + n_z)[:, n:], np.eye(n_y)[list(measured)], told)
+        for matrix in (np.eye(n + n_z, n), np.eye(n + n_z)[:, n:], np.eye(n_y)[list(measured)], reference)
     )
     via = x_in @ law.drive @ law.D + z_in @ law.B  # from what the controller gets to all states
     C = plant.C @ x_in.T + law.feed @ law.C @ z_in.T
@@ -290,20 +290,8 @@ class LinearStructure(Brief):
         outputs: str | Sequence[str] = "y",
         intersample: Hold | tuple[Hold, ...] = "zoh",
     ) -> None:
-        names = [parameter.name for parameter in parameters]
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise UsageError(f"structure {name!r}: parameter {twice[0]!r} is listed more than once")
-        values = {
-            "name": name,
-            "parameters": tuple(parameters),
-            "matrices": matrices,
-            "inputs": as_names(inputs),
-            "outputs": as_names(outputs),
-            "intersample": intersample,
-        }
-        for key, value in values.items():
-            object.__setattr__(self, key, value)
+        names = {"inputs": as_names(inputs), "outputs": as_names(outputs)}
+        set_fields(self, {**locals(), **names, "parameters": tuple(parameters)})
         if not self.outputs:
             raise UsageError(f"structure {name!r}: no outputs")
 
@@ -348,16 +336,10 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     sx = {letter: _as_matrix(value, letter, where) for letter, value in given.items()}
     n, n_y = sx["A"].shape[0], sx["C"].shape[0]
     n_u = next((sx[letter].shape[1] for letter in ("B", "D", "B_delayed") if letter in sx), 0)
-    has_delay = "delay" in sx
-    sx.setdefault("B", ca.SX(n, n_u))
-    sx.setdefault("D", ca.SX(n_y, n_u))
-    sx.setdefault("K", ca.SX(n, n_y))
-    sx.setdefault("B_delayed", ca.SX(n, n_u))
-    sx.setdefault("delay", ca.SX(0, 1))
-    sx.setdefault("x0", ca.SX(0, 1))
     expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y), "B_delayed": (n, n_u)}
-    expected["delay"] = (n_u if has_delay else 0, 1)
-    expected["x0"] = (n + (feedback.n_states if feedback else 0) if "x0" in given else 0, 1)
+    expected["delay"] = (n_u if "delay" in sx else 0, 1)
+    expected["x0"] = (n + (feedback.n_states if feedback else 0) if "x0" in sx else 0, 1)
+    sx = {letter: sx.get(letter, ca.SX(*shape)) for letter, shape in expected.items()}
     for letter, shape in expected.items():
         if sx[letter].shape != shape:
             raise UsageError(f"{where}: {letter} has shape {sx[letter].shape}, expected {shape}")

@@ -55,11 +55,6 @@ def check_sample_time(model: str, sample_time: float) -> None:
         raise UsageError(f"model {model!r}: sample time {sample_time} s; it must be a positive number")
 
 
-def _labels(names: tuple[str, ...]) -> list[str]:
-    """Return names without dots, which python-control reserves for itself."""
-    return [name.replace(".", "_") for name in names]
-
-
 # ---- Linear model with numeric matrices: the result of a fit and the plant of a control loop.
 
 
@@ -112,45 +107,31 @@ class LinearModel(Brief, Pictured):
     def __post_init__(self) -> None:
         if self.dt is not None:
             check_sample_time(self.name, self.dt)
-        given = {letter: getattr(self, letter) for letter in "ABCDK"}
-        matrices = {letter: np.atleast_2d(np.array(m, float)) for letter, m in given.items() if m is not None}
-        n, n_u, n_y = matrices["A"].shape[0], matrices["B"].shape[1], matrices["C"].shape[0]
-        expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y)}
-        for letter, matrix in matrices.items():
-            if matrix.shape != expected[letter]:
-                raise UsageError(f"model {self.name!r}: {letter} has shape {matrix.shape}, expected {expected[letter]}")
-            if not np.isfinite(matrix).all():
-                raise UsageError(f"model {self.name!r}: {letter} holds entries that are not finite")
-        arrays = {**matrices, **self._checked_delay(n, n_u)}
-        for array in arrays.values():
+        given = {name: getattr(self, name) for name in (*"ABCDK", "B_delayed", "delay")}
+        values: dict[str, Any] = {name: np.array(m, float) for name, m in given.items() if m is not None}
+        values |= {name: np.atleast_2d(matrix) for name, matrix in values.items() if name in "ABCDK"}
+        n, n_u, n_y = values["A"].shape[0], values["B"].shape[1], values["C"].shape[0]
+        expected: dict[str, tuple[int, ...]] = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u)}
+        expected |= {"K": (n, n_y), "B_delayed": (n, n_u), "delay": (n_u,)}
+        for name, array in values.items():
+            if array.shape != expected[name]:
+                raise UsageError(f"model {self.name!r}: {name} has shape {array.shape}, expected {expected[name]}")
+            if not np.isfinite(array).all():
+                raise UsageError(f"model {self.name!r}: {name} holds entries that are not finite")
             array.setflags(write=False)
-        counts = {"input_names": (n_u, "u"), "output_names": (n_y, "y"), "state_names": (n, "x")}
-        names = {field: self._names(field, *default) for field, default in counts.items()}
-        for field, value in {**arrays, **names}.items():
-            object.__setattr__(self, field, value)
-
-    def _checked_delay(self, n: int, n_u: int) -> dict[str, FloatArray]:
-        if (self.delay is None) != (self.B_delayed is None):
+        if ("delay" in values) != ("B_delayed" in values):
             raise UsageError(f"model {self.name!r}: give both delay and B_delayed, or neither")
-        if self.delay is None:
-            return {}
-        delay, B_delayed = np.array(self.delay, float), np.array(self.B_delayed, float)
-        if delay.shape != (n_u,) or B_delayed.shape != (n, n_u):
-            raise UsageError(
-                f"model {self.name!r}: delay has shape {delay.shape} and B_delayed {B_delayed.shape}, "
-                f"expected {(n_u,)} and {(n, n_u)}"
-            )
-        if self.dt is not None:
+        if "delay" in values and self.dt is not None:
             raise UsageError(f"model {self.name!r}: exact delays are possible in continuous time only")
-        if not (np.isfinite(B_delayed).all() and np.isfinite(delay).all() and (delay >= 0).all()):
-            raise UsageError(f"model {self.name!r}: delays must be finite and not negative, B_delayed finite")
-        return {"delay": delay, "B_delayed": B_delayed}
-
-    def _names(self, field: str, count: int, letter: str) -> tuple[str, ...]:
-        names = tuple(getattr(self, field)) or tuple(f"{letter}{i + 1}" for i in range(count))
-        if len(names) != count:
-            raise UsageError(f"model {self.name!r}: {field} has {len(names)} names for {count}")
-        return names
+        if (values.get("delay", np.zeros(0)) < 0).any():
+            raise UsageError(f"model {self.name!r}: delay = {values['delay'].tolist()} s; delays cannot be negative")
+        for field, count, letter in (("input_names", n_u, "u"), ("output_names", n_y, "y"), ("state_names", n, "x")):
+            names = tuple(getattr(self, field)) or tuple(f"{letter}{i + 1}" for i in range(count))
+            if len(names) != count:
+                raise UsageError(f"model {self.name!r}: {field} has {len(names)} names for {count}")
+            values[field] = names
+        for field, value in values.items():
+            object.__setattr__(self, field, value)
 
     @property
     def summary(self) -> str:
@@ -458,12 +439,11 @@ class LinearModel(Brief, Pictured):
         """
         control = extra_package("control", "control", f"model {self.name!r}: conversion to python-control")
         self._refuse_delays("python-control")
+        names = {"inputs": self.input_names, "outputs": self.output_names, "states": self.state_names}
         return control.StateSpace(
             *(np.array(m) for m in (self.A, self.B, self.C, self.D)),
             0 if self.dt is None else self.dt,
-            inputs=_labels(self.input_names),
-            outputs=_labels(self.output_names),
-            states=_labels(self.state_names),
+            **{kind: [name.replace(".", "_") for name in each] for kind, each in names.items()},
             name=self.name,
             remove_useless_states=False,
         )
@@ -499,12 +479,9 @@ class LinearModel(Brief, Pictured):
                 f"system {system.name!r} has dt = {system.dt}, which is not a sample time; "
                 "set system.dt to 0 for continuous time, or to the sample time in seconds"
             )
-        A, B, C, D = (np.asarray(getattr(system, letter), float) for letter in "ABCD")
+        matrices: dict[str, Any] = {letter: np.asarray(getattr(system, letter), float) for letter in "ABCD"}
         return cls(
-            A,
-            B,
-            C,
-            D,
+            **matrices,
             dt=None if system.dt == 0 else float(system.dt),
             input_names=tuple(system.input_labels),
             output_names=tuple(system.output_labels),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
@@ -18,7 +18,7 @@ from gbid.core.hdf5 import Stored
 from gbid.discretise import Hold, IntegratorName, check_holds, one_step, step_inputs
 from gbid.structure.linear import as_names, in_one_line
 from gbid.structure.models import LinearModel, channels, check_sample_time
-from gbid.structure.parameter import Parameter, Values, once
+from gbid.structure.parameter import Parameter, Values, once, set_fields
 
 MOST_STEPS = 256
 """Largest number of steps of an integrator in a sample."""
@@ -108,42 +108,22 @@ class NonlinearStructure:
         integrator: IntegratorName = "rk4",
         steps: int | Literal["auto"] = "auto",
     ) -> None:
-        given: Mapping[str, Any] = {
-            "name": name,
-            "parameters": tuple(parameters),
-            "states": as_names(states),
-            "dynamics": dynamics,
-            "output": output,
-            "inputs": as_names(inputs),
-            "outputs": as_names(outputs),
-            "intersample": intersample,
-            "disturbance_gain": disturbance_gain,
-            "delay": delay,
-            "x0": x0,
-            "integrator": integrator,
-            "steps": steps,
-        }
-        for key, value in given.items():
-            object.__setattr__(self, key, value)
-        self._check()
-
-    def _check(self) -> None:
-        where = f"structure {self.name!r}"
-        for what, names in (("parameter", [q.name for q in self.parameters]), ("state", list(self.states))):
-            if twice := sorted({name for name in names if names.count(name) > 1}):
-                raise UsageError(f"{where}: {what} {twice[0]!r} is listed more than once")
+        where = f"structure {name!r}"
+        names = {"states": as_names(states), "inputs": as_names(inputs), "outputs": as_names(outputs)}
+        set_fields(self, {**locals(), **names, "parameters": tuple(parameters)})
+        if twice := [state for state in self.states if self.states.count(state) > 1]:
+            raise UsageError(f"{where}: state {min(twice)!r} is listed more than once")
         for what in ("states", "outputs"):
-            if not getattr(self, what):
+            if not names[what]:
                 raise UsageError(f"{where}: no {what}")
-        optional = ("disturbance_gain", "delay", "x0")
-        for what in ("dynamics", "output", *optional):
-            function = getattr(self, what)
+        optional = {"disturbance_gain": disturbance_gain, "delay": delay, "x0": x0}
+        for what, function in {"dynamics": dynamics, "output": output, **optional}.items():
             if not (callable(function) or (function is None and what in optional)):
                 raise UsageError(f"{where}: {what} = {function!r} is no function; give one that returns expressions")
-        if self.integrator not in get_args(IntegratorName):
-            raise UsageError(f"{where}: integrator = {self.integrator!r}; choose 'rk4' or 'implicit'")
-        if self.steps != "auto" and not (isinstance(self.steps, int) and 1 <= self.steps <= MOST_STEPS):
-            raise UsageError(f"{where}: steps = {self.steps!r}; give 'auto' or a number from 1 to {MOST_STEPS}")
+        if integrator not in get_args(IntegratorName):
+            raise UsageError(f"{where}: integrator = {integrator!r}; choose 'rk4' or 'implicit'")
+        if steps != "auto" and not (isinstance(steps, int) and 1 <= steps <= MOST_STEPS):
+            raise UsageError(f"{where}: steps = {steps!r}; give 'auto' or a number from 1 to {MOST_STEPS}")
 
 
 # ---- Equations of a nonlinear structure as CasADi expressions, checked.
@@ -245,14 +225,9 @@ def symbolic_equations(structure: NonlinearStructure) -> Equations:
     x0 = ca.SX(0, 1) if initial is None else column("x0(p)", lambda: initial(known), n, "state")
     n_u = len(structure.inputs)
     delay = ca.SX(n_u, 1) if delays is None else ca.sparsify(column("delay(p)", lambda: delays(known), n_u, "input"))
-    inside = {
-        "dynamics": (dx, [x, u, p]),
-        "output": (y, [x, u, p]),
-        "disturbance_gain": (K, [p]),
-        "x0": (x0, [p]),
-        "delay": (delay, [p]),
-    }
-    for what, (expression, symbols) in inside.items():
+    parts = {"dynamics": dx, "output": y, "disturbance_gain": K, "x0": x0, "delay": delay}
+    for what, expression in parts.items():
+        symbols = [x, u, p] if what in ("dynamics", "output") else [p]
         function = ca.Function("e", symbols, [expression], {"allow_free": True})
         if foreign := [symbol.name() for symbol in function.free_sx()]:
             raise UsageError(
@@ -393,16 +368,16 @@ class NonlinearModel(Brief):
         Disturbance gain; zero without one.
     state_names, input_names, output_names : tuple of str
         Names of the states and channels.
+    working_state, working_input : (n_states,) and (n_inputs,) array
+        Working point of `linearise` when none is given: the means over the recordings of a fit, else zero.
+    state_size : (n_states,) array
+        Root mean square of the states over these recordings, else one.
     integrator : {"rk4", "implicit"}
         Integrator of simulations.
     steps : int
         Steps of the integrator in a sample.
     delay : (n_inputs,) array or None
         Exact delays of the inputs [s]; None without them.
-    working_state, working_input : (n_states,) and (n_inputs,) array
-        Working point of `linearise` when none is given: the means over the recordings of a fit.
-    state_size : (n_states,) array
-        Root mean square of the states over these recordings.
     """
 
     name: str
@@ -412,24 +387,12 @@ class NonlinearModel(Brief):
     state_names: tuple[str, ...]
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
+    working_state: Annotated[FloatArray, Stored("SI", "state of the working point")]
+    working_input: Annotated[FloatArray, Stored("SI", "inputs of the working point")]
+    state_size: Annotated[FloatArray, Stored("SI", "root mean square of the states")]
     integrator: IntegratorName = "rk4"
     steps: int = 1
     delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
-    working_state: Annotated[FloatArray, Stored("SI", "state of the working point")] = field(
-        default_factory=lambda: np.zeros(0)
-    )
-    working_input: Annotated[FloatArray, Stored("SI", "inputs of the working point")] = field(
-        default_factory=lambda: np.zeros(0)
-    )
-    state_size: Annotated[FloatArray, Stored("SI", "root mean square of the states")] = field(
-        default_factory=lambda: np.zeros(0)
-    )
-
-    def __post_init__(self) -> None:
-        if not len(self.working_state):
-            object.__setattr__(self, "working_state", np.zeros(self.n_states))
-            object.__setattr__(self, "working_input", np.zeros(len(self.input_names)))
-            object.__setattr__(self, "state_size", np.ones(self.n_states))
 
     def _brief(self) -> Description:
         return brief(
@@ -732,10 +695,10 @@ def nonlinear_model(
         structure.states,
         input_names or structure.inputs,
         output_names or structure.outputs,
+        np.zeros(len(structure.states)),
+        np.zeros(len(structure.inputs)),
+        np.ones(len(structure.states)),
         structure.integrator,
         steps,
         delay if e.delayed else None,
     )
-
-
-# ---- Nonlinear model with offsets of its outputs as states.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import wraps
 from math import inf, isfinite, isnan
 from typing import Any, TypeVar
@@ -89,6 +89,21 @@ class Values(dict[str, Any]):
         return cls({parameter.name: values[i] for i, parameter in enumerate(parameters)})
 
 
+def set_fields(made: Any, values: Mapping[str, Any]) -> None:
+    """Set the fields of a frozen dataclass that has an `__init__`, such as to take lists for tuples.
+
+    Raises
+    ------
+    UsageError
+        When it has parameters of which two have the same name.
+    """
+    for each in fields(made):
+        object.__setattr__(made, each.name, values[each.name])
+    names = [parameter.name for parameter in made.parameters]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UsageError(f"structure {made.name!r}: parameter {min(twice)!r} is listed more than once")
+
+
 def known_names(parameters: tuple[Parameter, ...], given: Mapping[str, Any], what: str) -> None:
     """Refuse names that are not parameters.
 
@@ -105,8 +120,8 @@ def known_names(parameters: tuple[Parameter, ...], given: Mapping[str, Any], wha
 
 # ---- Functions of a structure that are called once for all parts of a fit.
 
-_Asked = TypeVar("_Asked")
-_Found = TypeVar("_Found")
+_Structure = TypeVar("_Structure")
+_Result = TypeVar("_Result")
 _known: ContextVar[dict[tuple[str, int], tuple[Any, Any]] | None] = ContextVar("known", default=None)
 
 
@@ -123,18 +138,18 @@ def asked_once() -> Iterator[None]:
         _known.reset(before)
 
 
-def once(function: Callable[[_Asked], _Found]) -> Callable[[_Asked], _Found]:
+def once(function: Callable[[_Structure], _Result]) -> Callable[[_Structure], _Result]:
     """Return a function of a structure that computes its result once within `asked_once`."""
 
     @wraps(function)
-    def cached(structure: _Asked) -> _Found:
+    def cached(structure: _Structure) -> _Result:
         known = _known.get()
         if known is None:
             return function(structure)
         key = function.__qualname__, id(structure)
         if key not in known:
             known[key] = structure, function(structure)  # with the structure, so that its id stays its own
-        result: _Found = known[key][1]
+        result: _Result = known[key][1]
         return result
 
     return cached

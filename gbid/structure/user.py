@@ -189,27 +189,19 @@ def _of_nonlinear(
     early = [equations.delay[i] / sample_time - shifts[i] if i in equations.delayed else None for i in range(n_u)]
     lags = max((shifts[i] + 1 for i in equations.delayed), default=0)
     u, y, e = ca.SX.sym("u", n_u, lags + 2), ca.SX.sym("y", equations.y.numel()), ca.SX.sym("e", equations.y.numel())
-    derivative, u_delayed, point = (
-        equations.dx + equations.K @ e,
-        ca.SX.sym("u_delayed", n_u),
-        [equations.x, equations.u],
-    )
+    derivative, point = equations.dx + equations.K @ e, [equations.x, equations.u]
     if equations.delayed:
-        taken = ca.vertcat(*(u_delayed[i] if i in equations.delayed else equations.u[i] for i in range(n_u)))
-        (derivative,), point = (
-            ca.substitute([derivative], [equations.u], [taken]),
-            [equations.x, equations.u, u_delayed],
-        )
+        u_delayed = ca.SX.sym("u_delayed", n_u)
+        acting = ca.vertcat(*(u_delayed[i] if i in equations.delayed else equations.u[i] for i in range(n_u)))
+        (derivative,) = ca.substitute([derivative], [equations.u], [acting])
+        point.append(u_delayed)
     (output,) = ca.substitute([equations.y], [equations.u], [u[:, 1]])
     around = [
         u[i, shifts[i] : shifts[i] + 3] if i in equations.delayed else ca.horzcat(u[i, :2], 0) for i in range(n_u)
     ]
 
     def after(error: ca.SX) -> ca.SX:
-        at, under = (
-            ca.SX.sym("at", equations.x.numel()),
-            ca.SX.sym("under", equations.u.numel()),
-        )  # `error` is that at the sample
+        at, under = ca.SX.sym("at", equations.x.numel()), ca.SX.sym("under", n_u)  # `error` is that at the sample
         (at_error,) = ca.substitute([equations.dx], [ca.vertcat(equations.x, equations.u)], [ca.vertcat(at, under)])
         f = ca.Function("f", [at, under], [ca.densify(at_error + equations.K @ error)], {"allow_free": True})
         taps = ca.vertcat(*around) if around else ca.SX(0, 3)
