@@ -1,11 +1,14 @@
 """The cache of compiled libraries: whose it is, whether it is whole, and compilers that fail or hang."""
 
+import json
 import os
 import stat
 import subprocess
 import sys
 import time
+from pathlib import Path
 
+import fit_cases
 import pytest
 from compilers import NEEDS_COMPILER, SOURCE, forget_libraries, value_of
 from filelock import FileLock
@@ -142,19 +145,30 @@ def test_interrupting_the_compiler_leaves_nothing_behind(folder, tmp_path):
     assert [p.name for p in folder.iterdir() if not p.name.endswith(".lock")] == []
 
 
-def test_the_compiler_of_ziglang_serves_where_there_is_no_other(folder, monkeypatch, tmp_path):
+def test_the_compiler_of_ziglang_serves_where_there_is_no_other(folder, tmp_path):
     """A fit with the compiler that ``pip install gbid[compiler]`` brings has the figures of any other."""
     pytest.importorskip("ziglang", reason="the extra gbid[compiler] is not installed")
     recording = simulated(MODE, MODE_AT, levels(400), noise=0.01)
     usual = gbid.fit(MODE, recording, focus="simulation")
-    forget_libraries()
-    monkeypatch.delenv("CC", raising=False)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(tmp_path / "zig"))
-    command = compiler.find_compiler().command
-    assert command[1:] == ("-m", "ziglang", "cc")
-    before = set(folder.glob("*.so"))
-    result = gbid.fit(MODE, recording, focus="simulation")
-    assert set(folder.glob("*.so")) - before  # compiled anew: the key holds the version of the compiler
+    gbid.save(recording, tmp_path / "recording.h5")
+    code = (
+        "import json, gbid, gbid.core.compiled as c; from fit_cases import MODE\n"
+        f"result = gbid.fit(MODE, gbid.load({str(tmp_path / 'recording.h5')!r}), focus='simulation')\n"
+        "print(json.dumps([c.find_compiler().command[1:], result.parameters]))\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "CC"}
+    environment |= {
+        "PATH": str(tmp_path),
+        "PYTHONPATH": str(Path(fit_cases.__file__).parent),
+        "GBID_CACHE_DIR": str(tmp_path / "without"),
+        "ZIG_GLOBAL_CACHE_DIR": str(tmp_path / "zig"),
+    }
+    ended = subprocess.run(
+        [sys.executable, "-X", "faulthandler", "-c", code], capture_output=True, text=True, env=environment
+    )
+    assert ended.returncode == 0, ended.stderr
+    command, parameters = json.loads(ended.stdout)
+    assert command == ["-m", "ziglang", "cc"]
+    assert list((tmp_path / "without").glob("*.so"))
     for name in usual.free:
-        assert abs(result.parameters[name] - usual.parameters[name]) <= 1e-6 * usual.std[name], name
+        assert abs(parameters[name] - usual.parameters[name]) <= 1e-6 * usual.std[name], name
