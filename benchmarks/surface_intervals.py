@@ -20,7 +20,7 @@ from gbid.lpv.estimates import Order, chosen_exponents, orthonormal
 from gbid.lpv.regression import kron_designs, sandwich, tempered_sandwich, with_scatter
 from gbid.rig import RotorBearingTruth, Scatter, scattered
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.scheduled import monomials
+from gbid.structure.scheduling import monomials
 
 CAMPAIGNS = 200
 POINTS = [(float(p), n) for p in range(3, 8) for n in (0.0, 4000.0, 6000.0)]

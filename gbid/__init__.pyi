@@ -77,12 +77,12 @@ from .lpv import (
     lpv_of as lpv_of,
     save_lpv_fit as save_lpv_fit,
 )
-from .prefilter.identify_runout import (
+from .prefilter.runout_identification import (
     align_index as align_index,
     compare_runout as compare_runout,
     identify_runout as identify_runout,
 )
-from .prefilter.prefilter import OnlinePrefilter as OnlinePrefilter, prefilter as prefilter
+from .prefilter.filtering import OnlinePrefilter as OnlinePrefilter, prefilter as prefilter
 from .recording import (
     Recording as Recording,
     import_recording as import_recording,

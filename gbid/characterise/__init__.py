@@ -1,12 +1,8 @@
-"""Static characterisation: staircases of the rotor-bearing system (Sec. 3.1) and of the piezos (Appendix A)."""
+"""Static characterisation: staircases of the rotor-bearing system (Sec. 3.1) and of the piezos (Appendix A).
 
-from gbid.characterise.piezo import PiezoCurve, characterise_piezo, static_rows
-from gbid.characterise.staircase import StaticMap, characterise_staircase
+The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
+"""
 
-__all__ = [
-    "PiezoCurve",
-    "StaticMap",
-    "characterise_piezo",
-    "characterise_staircase",
-    "static_rows",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

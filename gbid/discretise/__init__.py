@@ -1,37 +1,8 @@
-"""Exact discretisation: matrix exponential, zero- and first-order hold, linear recursion."""
+"""Exact discretisation: matrix exponential, zero- and first-order hold, linear recursion.
 
-from gbid.discretise.dual import Dual, constant, side_by_side
-from gbid.discretise.exact import (
-    Discrete,
-    Exponentials,
-    Hold,
-    Taps,
-    check_holds,
-    delayed_taps,
-    discretise,
-    exponentials,
-    hold_response,
-    propagate,
-    squarings_for,
-)
-from gbid.discretise.steps import IntegratorName, one_step, step_inputs
+The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
+"""
 
-__all__ = [
-    "Discrete",
-    "Dual",
-    "Exponentials",
-    "Hold",
-    "IntegratorName",
-    "Taps",
-    "check_holds",
-    "constant",
-    "delayed_taps",
-    "discretise",
-    "exponentials",
-    "hold_response",
-    "one_step",
-    "propagate",
-    "side_by_side",
-    "squarings_for",
-    "step_inputs",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -21,8 +21,8 @@ from gbid.core.units import conversion_factor
 from gbid.experiment.experiment import POINT, by_count
 from gbid.experiment.schema import KINDS, Kind, NamePattern, name_of, name_pattern
 from gbid.lpv.estimates import order_words, possible_order
-from gbid.prefilter.identify_runout import compare_runout
 from gbid.prefilter.runout import running_median
+from gbid.prefilter.runout_identification import compare_runout
 from gbid.recording import Recording, import_recording
 from gbid.recording.formats import file_formats
 from gbid.recording.importing import list_channels

@@ -24,7 +24,7 @@ from gbid.core.errors import UsageError
 from gbid.core.notes import ControlNote
 from gbid.lpv import Domain
 from gbid.prefilter import RunoutMap
-from gbid.prefilter.identify_runout import refuse_lost_index
+from gbid.prefilter.runout_identification import refuse_lost_index
 from gbid.recording import Recording
 from gbid.structure import LinearModel
 

@@ -25,7 +25,7 @@ from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.curves import Bode, bode
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes, UncertainModel
 from gbid.structure import LinearModel, NonlinearModel
-from gbid.structure.scheduled import Schedule
+from gbid.structure.scheduling import Schedule
 
 StdKind = Literal["white", "robust", "bootstrap"]
 

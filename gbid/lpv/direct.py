@@ -50,7 +50,7 @@ from gbid.structure import (
     equations_of,
     kind_of,
 )
-from gbid.structure.scheduled import Exponents
+from gbid.structure.scheduling import Exponents
 
 # ---- Setting of a direct LPV fit: parameters shared by the recordings, and those of each recording.
 

@@ -16,7 +16,7 @@ from gbid.identify.result import FitResult
 from gbid.identify.table import FitTable
 from gbid.lpv.model import Domain
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.scheduled import SCHEDULING, Exponents, exponents_of, monomials, term_name
+from gbid.structure.scheduling import SCHEDULING, Exponents, exponents_of, monomials, term_name
 
 # ---- Terms over the scheduling variables as well-conditioned regressors, and whether operating points determine them.
 

@@ -39,7 +39,7 @@ from gbid.lpv.model_file import load_model, save_model
 from gbid.lpv.regression import OrderScore, Outlier, Weighting, in_terms, regression
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.linear import Structure, as_names
-from gbid.structure.scheduled import Schedule
+from gbid.structure.scheduling import Schedule
 
 _LACK = Stored("1", "probability that right surfaces miss the points' means as far", "k")
 _TRIES = 20  # largest number of draws for each requested model

@@ -18,7 +18,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import ExtrapolationWarning, UsageError
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
 from gbid.structure.linear import Structure, model_function
-from gbid.structure.scheduled import EXPONENTS, SCHEDULING, TERMS, Exponents, monomials, term_name
+from gbid.structure.scheduling import EXPONENTS, SCHEDULING, TERMS, Exponents, monomials, term_name
 
 # ---- Polynomials in the scheduling variables (paper, Eq. 16).
 

@@ -31,7 +31,7 @@ from gbid.lpv.estimates import (
     varying_exponents,
 )
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.scheduled import EXPONENTS, SCHEDULING, Exponents, term_name
+from gbid.structure.scheduling import EXPONENTS, SCHEDULING, Exponents, term_name
 
 # ---- Linear regression of vectors with known covariances and an unknown scatter between them (mixed-effects model).
 #

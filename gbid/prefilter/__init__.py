@@ -1,40 +1,8 @@
-"""Prefilter (paper, Sec. 3.5): map of run-out and unbalance, removal of spikes and offsets, running median."""
+"""Prefilter (paper, Sec. 3.5): map of run-out and unbalance, removal of spikes and offsets, running median.
 
-from gbid.prefilter.identify_runout import (
-    IndexAlignment,
-    RunoutComparison,
-    RunoutResidual,
-    RunoutTrial,
-    align_index,
-    compare_runout,
-    identify_runout,
-    runout_residual,
-)
-from gbid.prefilter.prefilter import (
-    Despiked,
-    OnlinePrefilter,
-    PrefilterFile,
-    PrefilterReport,
-    prefilter,
-    remove_spikes,
-)
-from gbid.prefilter.runout import RunoutMap, running_median
+The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
+"""
 
-__all__ = [
-    "Despiked",
-    "IndexAlignment",
-    "OnlinePrefilter",
-    "PrefilterFile",
-    "PrefilterReport",
-    "RunoutComparison",
-    "RunoutMap",
-    "RunoutResidual",
-    "RunoutTrial",
-    "align_index",
-    "compare_runout",
-    "identify_runout",
-    "prefilter",
-    "remove_spikes",
-    "running_median",
-    "runout_residual",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -45,7 +45,7 @@ from gbid.experiment.stages.tune import assess_published, design_plant, read_des
 from gbid.experiment.structures import make_structure
 from gbid.identify import FitResult
 from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, PublishedMachine
-from gbid.prefilter.prefilter import read_report
+from gbid.prefilter.filtering import read_report
 from gbid.recording import Recording, find_problems, load_recording
 from gbid.report.fit_tables import Row, fit_document, prefilter_rows
 from gbid.structure import LinearModel

@@ -1,82 +1,8 @@
-"""Virtual test rig: the published machine with exact delays, its experiments and its sensors."""
+"""Virtual test rig: the published machine with exact delays, its experiments and its sensors.
 
-from gbid.rig.effects import rig_effect, rig_effects
-from gbid.rig.excitation import (
-    Course,
-    Hammer,
-    Impact,
-    Played,
-    Prbs,
-    RunUp,
-    ScheduledRun,
-    StackStaircase,
-    Staircase,
-    Stationary,
-)
-from gbid.rig.machine import (
-    ActuatorTruth,
-    Contact,
-    FilmStiffening,
-    FlexibleMode,
-    Machine,
-    NonSynchronous,
-    ProcessNoise,
-    RigEffect,
-    RigRun,
-    RotorBearingTruth,
-    Scatter,
-    Unbalance,
-    scatter_random,
-    scattered,
-)
-from gbid.rig.piezo import PiezoStack, PiezoStacks
-from gbid.rig.record import Experiment, Faults, drawn_truth, record, saturations, touch_downs
-from gbid.rig.response import Motion, driven_motion, unbalance_orbit
-from gbid.rig.sensors import LoopProgram, ProgramController, SampledController, SensorChain
-from gbid.rig.stepping import SteppedMotion, stepped_motion
+The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
+"""
 
-__all__ = [
-    "ActuatorTruth",
-    "Contact",
-    "Course",
-    "Experiment",
-    "Faults",
-    "FilmStiffening",
-    "FlexibleMode",
-    "Hammer",
-    "Impact",
-    "LoopProgram",
-    "Machine",
-    "Motion",
-    "NonSynchronous",
-    "PiezoStack",
-    "PiezoStacks",
-    "Played",
-    "Prbs",
-    "ProcessNoise",
-    "ProgramController",
-    "RigEffect",
-    "RigRun",
-    "RotorBearingTruth",
-    "RunUp",
-    "SampledController",
-    "Scatter",
-    "ScheduledRun",
-    "SensorChain",
-    "StackStaircase",
-    "Staircase",
-    "Stationary",
-    "SteppedMotion",
-    "Unbalance",
-    "drawn_truth",
-    "driven_motion",
-    "record",
-    "rig_effect",
-    "rig_effects",
-    "saturations",
-    "scatter_random",
-    "scattered",
-    "stepped_motion",
-    "touch_downs",
-    "unbalance_orbit",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -15,7 +15,7 @@ from gbid.structure.linear import LinearStructure, Structure, evaluate, symbolic
 from gbid.structure.models import LinearModel
 from gbid.structure.nonlinear import NonlinearModel, NonlinearStructure, nonlinear_model, symbolic_equations
 from gbid.structure.parameter import Values
-from gbid.structure.scheduled import ScheduledStructure, coefficient_names
+from gbid.structure.scheduling import ScheduledStructure, coefficient_names
 
 AnyStructure = Structure | NonlinearStructure | ScheduledStructure
 """Structure of any kind."""

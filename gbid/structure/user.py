@@ -18,7 +18,7 @@ from gbid.structure.linear import Structure, in_one_line, symbolic_matrices
 from gbid.structure.models import LinearModel, check_sample_time
 from gbid.structure.nonlinear import NonlinearStructure, first_steps, over_a_sample, symbolic_equations
 from gbid.structure.parameter import known_names
-from gbid.structure.scheduled import ScheduledStructure
+from gbid.structure.scheduling import ScheduledStructure
 
 _REMEDY = "make it a gbid.LinearStructure or gbid.NonlinearStructure"
 

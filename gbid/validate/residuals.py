@@ -16,8 +16,8 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import Pictured
 from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.identify.disturbances import with_walking_offsets
-from gbid.prefilter.identify_runout import power_of
 from gbid.prefilter.runout import turns_per_second
+from gbid.prefilter.runout_identification import power_of
 from gbid.recording import Recording
 from gbid.recording.recording import check_order
 from gbid.validate.simulate import (

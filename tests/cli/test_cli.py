@@ -76,7 +76,7 @@ def test_importing_gbid_is_cheap_and_gives_all_names():
         "for name in gbid.__all__: assert getattr(gbid, name), name\n"
         "assert 'matplotlib' not in sys.modules\n"
         "assert dir(gbid) == gbid.__all__\n"
-        "import gbid.prefilter.prefilter\n"
+        "import gbid.prefilter.filtering\n"
         "from gbid.prefilter import RunoutMap, prefilter\n"
         "assert gbid.prefilter is prefilter\n"
         "from gbid import *\n"

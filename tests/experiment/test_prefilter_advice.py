@@ -9,9 +9,9 @@ from study_rig import machine_at
 
 import gbid
 from gbid.prefilter import identify_runout
-from gbid.prefilter.identify_runout import leftover_words
-from gbid.prefilter.prefilter import prefilter
+from gbid.prefilter.filtering import prefilter
 from gbid.prefilter.runout import turns_per_second
+from gbid.prefilter.runout_identification import leftover_words
 from gbid.rig import Prbs, Stationary, record
 from gbid.validate.residuals import shaft_lines
 

@@ -7,7 +7,7 @@ import pytest
 
 import gbid
 from gbid.core.errors import DataError, UsageError
-from gbid.structure.scheduled import Schedule
+from gbid.structure.scheduling import Schedule
 
 DT = 1e-3
 

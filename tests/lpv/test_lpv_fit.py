@@ -14,7 +14,7 @@ from gbid.lpv.estimates import _finite, orthonormal
 from gbid.lpv.regression import generalised, lack_of_fit, regression, sandwich, with_scatter
 from gbid.rig import Machine, Scatter, scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.scheduled import exponents_of
+from gbid.structure.scheduling import exponents_of
 
 GRID = np.array([point for point, _ in CAMPAIGN])
 K = len(KEY_PARAMETERS)

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from gbid.lpv import TERMS
 from gbid.lpv.estimates import chosen_exponents, orthonormal
 from gbid.lpv.regression import _VARIANCE, CLIPPING_SLOPE, HUBER, huber_estimate, outliers, standardised, threshold
-from gbid.structure.scheduled import exponents_of, monomials, term_name
+from gbid.structure.scheduling import exponents_of, monomials, term_name
 
 
 def test_the_threshold_rises_with_the_number_of_entries() -> None:

@@ -11,7 +11,7 @@ from gbid.core.files import share_folder
 from gbid.lpv import Domain, LPVModel, save_model
 from gbid.lpv.estimates import chosen_exponents
 from gbid.structure import evaluate, load_structure
-from gbid.structure.scheduled import exponents_of, term_name
+from gbid.structure.scheduling import exponents_of, term_name
 
 ROTOR = load_structure("rigid_rotor.py:structure", share_folder("models"))
 SPEEDS = (0.0, 4000.0, 8000.0, 12000.0)

@@ -7,8 +7,8 @@ from rig_point import machine
 from gbid.control import p_controller
 from gbid.control.loop.close import sample_controller
 from gbid.core.errors import DataError
-from gbid.prefilter.identify_runout import identify_runout
-from gbid.prefilter.prefilter import OnlinePrefilter, prefilter
+from gbid.prefilter.filtering import OnlinePrefilter, prefilter
+from gbid.prefilter.runout_identification import identify_runout
 from gbid.rig import Prbs, ProgramController, SampledController, SensorChain, Stationary, record
 
 TS = 2e-4

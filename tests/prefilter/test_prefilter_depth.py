@@ -18,7 +18,7 @@ from gbid.prefilter import (
     prefilter,
     runout_residual,
 )
-from gbid.prefilter.identify_runout import refuse_lost_index
+from gbid.prefilter.runout_identification import refuse_lost_index
 from gbid.recording import Recording
 from gbid.rig import Faults, NonSynchronous, Prbs, SensorChain, Stationary, record
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from gbid.prefilter.prefilter import ONE_SIDED, remove_spikes
+from gbid.prefilter.filtering import ONE_SIDED, remove_spikes
 
 TS = 2e-4
 NOISE = 30e-9

@@ -11,7 +11,7 @@ from gbid.lpv import load_model
 from gbid.lpv.estimates import Estimates
 from gbid.lpv.fit import LPVFit
 from gbid.lpv.regression import OrderScore, Outlier
-from gbid.prefilter.prefilter import PrefilterReport
+from gbid.prefilter.filtering import PrefilterReport
 from gbid.prefilter.runout import RunoutMap
 from gbid.recording import Recording
 from gbid.validate.crossval import PointSummary, ValidationSummary, WorstPair

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from gbid.lpv import load_model
-from gbid.prefilter.identify_runout import identify_runout
-from gbid.prefilter.prefilter import prefilter
+from gbid.prefilter.filtering import prefilter
+from gbid.prefilter.runout_identification import identify_runout
 from gbid.rig import ActuatorTruth, Machine, Prbs, RotorBearingTruth, SensorChain, Stationary, Unbalance, record
 
 PAPER = load_model("theisen2016")

@@ -23,8 +23,8 @@ from gbid.prefilter import (
     identify_runout,
     prefilter,
 )
-from gbid.prefilter.identify_runout import leftover_words, refuse_lost_index
-from gbid.prefilter.prefilter import read_report, save_prefiltered
+from gbid.prefilter.filtering import read_report, save_prefiltered
+from gbid.prefilter.runout_identification import leftover_words, refuse_lost_index
 from gbid.recording import Recording, load_recording, with_unbalance
 
 

@@ -20,7 +20,7 @@ from gbid.identify.problem.solve import solve
 from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
 from gbid.structure import AnyStructure, Parameter, Structure, kind_of
-from gbid.structure.scheduled import Schedule, ScheduledStructure, coefficient_names
+from gbid.structure.scheduling import Schedule, ScheduledStructure, coefficient_names
 
 _DARK = 1e-7  # terms are not determined when a singular value is below this share of the largest
 

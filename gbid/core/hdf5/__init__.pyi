@@ -1,0 +1,27 @@
+"""Public names of `gbid.core.hdf5`, and the files that define them: the one list."""
+
+from .file import (
+    DamagedError as DamagedError,
+    FileKind as FileKind,
+    add_dataset as add_dataset,
+    add_texts as add_texts,
+    changing as changing,
+    opened as opened,
+    read_attribute as read_attribute,
+    read_dataset as read_dataset,
+    read_group as read_group,
+    read_text as read_text,
+    read_texts as read_texts,
+    reading as reading,
+    writing as writing,
+)
+from .types import (
+    AS_JSON as AS_JSON,
+    NOT_STORED as NOT_STORED,
+    InFile as InFile,
+    Stored as Stored,
+    load as load,
+    read_fields as read_fields,
+    save as save,
+    write_fields as write_fields,
+)

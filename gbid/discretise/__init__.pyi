@@ -1,0 +1,25 @@
+"""Public names of `gbid.discretise`, and the files that define them: the one list."""
+
+from .dual import (
+    Dual as Dual,
+    constant as constant,
+    side_by_side as side_by_side,
+)
+from .exact import (
+    Discrete as Discrete,
+    Exponentials as Exponentials,
+    Hold as Hold,
+    Taps as Taps,
+    check_holds as check_holds,
+    delayed_taps as delayed_taps,
+    discretise as discretise,
+    exponentials as exponentials,
+    hold_response as hold_response,
+    propagate as propagate,
+    squarings_for as squarings_for,
+)
+from .steps import (
+    IntegratorName as IntegratorName,
+    one_step as one_step,
+    step_inputs as step_inputs,
+)
