@@ -57,7 +57,7 @@ def test_two_masses_and_a_spring_come_near_the_published_decay() -> None:
     # rounding moves a root of multiplicity six by its sixth root, some thousandths
     assert 0.99 * best < result.value <= best + 1e-6
     assert list(result.gains.values()) == pytest.approx(known, rel=2e-2)
-    assert np.linalg.eigvals(np.array(function(list(result.gains.values())))).real.max() == pytest.approx(-result.value)
+    assert np.linalg.eigvals(np.array(function(list(result.gains.values())))).real.max() < -0.99 * best
 
 
 def test_static_output_feedback_of_a_helicopter() -> None:

@@ -228,39 +228,6 @@ class Eigensystem:
         """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with ``w v = 1``; dA is (m, d, n, n)."""
         return bilinear(self.left[loops, which], dA[loops], self.right[loops, :, which])
 
-    def second_slopes(
-        self, loop: int, which: IntArray, dA: FloatArray, d2A: FloatArray, reach: FloatArray
-    ) -> ComplexArray:
-        r"""Return second derivatives (k, d, d) of chosen eigenvalues of one loop; NaN where eigenvalues nearly meet.
-
-        With :math:`P_p = W \,\partial_p A\, V` the derivative of :math:`\lambda_k` by the gains p and q is
-        :math:`w_k \,\partial_{pq} A\, v_k + \sum_{j \ne k} (P_{p,kj} P_{q,jk} + P_{q,kj} P_{p,jk}) / (\lambda_k -
-        \lambda_j)`.
-
-        Parameters
-        ----------
-        loop : int
-            The loop.
-        which : (k,) array
-            The eigenvalues.
-        dA, d2A : (d, n, n) and (d, d, n, n) arrays
-            First and second derivatives of its matrix.
-        reach : (d,) array
-            Changes of the gains that must not mix an eigenvector with others by more than itself.
-        """
-        W, V, values = self.left[loop], self.right[loop], self.values[loop]
-        P = W @ dA @ V
-        gaps = values[which, None] - values
-        gaps[np.arange(len(which)), which] = np.inf
-        mixing = (reach[:, None, None] * np.abs(P[:, :, which])).max(axis=0).T
-        gaps[np.abs(gaps) < mixing] = np.nan
-        with np.errstate(all="ignore"):
-            mixed = P[:, which].transpose(1, 0, 2) @ (P[:, :, which] / gaps.T).transpose(2, 1, 0)
-        outer = (W[which, :, None] * V.T[which, None, :]).reshape(len(which), -1)
-        flat = d2A.reshape(-1, outer.shape[1]).T
-        direct = (outer.real @ flat + 1j * (outer.imag @ flat)).reshape(mixed.shape)
-        return np.asarray(direct + mixed + mixed.transpose(0, 2, 1))
-
 
 # ---- Clusters of eigenvalues that are about to meet, by functions of the gains that are smooth where they meet.
 

@@ -502,9 +502,8 @@ class GainProblem:
     ) -> FloatArray:
         """Return the second derivative (d, d) of a weighted sum of functions that were active at a nearby design.
 
-        That of an eigenvalue comes from the eigensystem. Second derivatives of matrices, and those of peaks at their
-        old frequency, are differences of first ones. Other limits, means of clusters (which need a Schur form for each
-        gain), and functions without a second derivative are left out.
+        It is the difference of gradients at nearby designs, those of peaks at their old frequency. Other limits, means
+        of clusters (which need a Schur form for each gain), and functions without a gradient nearby are left out.
 
         Parameters
         ----------
@@ -519,61 +518,36 @@ class GainProblem:
         step = np.where(x + step > self.upper, -step, step)
         total = np.zeros((len(x), len(x)))
         for f, state in enumerate(states):
-            own = [entry for entry in weighted if entry[0].family == f]
-            known = [(piece, weight) for piece, weight in own if piece.kind in (*_EIGENVALUES, *_RESPONSES)]
+            kinds = (*_EIGENVALUES, *_RESPONSES)
+            known = [(piece, weight) for piece, weight in weighted if piece.family == f and piece.kind in kinds]
             if not known:
                 continue
             used = np.unique([piece.loop for piece, _ in known])
             designs = [state.derivatives, *(state.family.derivatives(y) for y in x + np.diag(step))]
             near = Derivatives.joined([loops.of(used) for loops in designs])
+            system = Eigensystem.of(near.A)
             for kind in {piece.kind for piece, _ in known}:
                 same = [(piece, weight) for piece, weight in known if piece.kind == kind]
-                weights = np.array([weight for _, weight in same])
-                loops = np.searchsorted(used, [piece.loop for piece, _ in same])
-                places = np.array([piece.place for piece, _ in same])
-                if kind in _RESPONSES:
-                    slopes = self._peak_slopes_near(rows_of(state.family, kind), near, len(used), loops, places.imag)
-                else:
-                    slopes = self._eigenvalue_slopes_near(kind, f, state, near, used, loops, places, step)
+                # loop of each function at each design, the designs side by side
+                first = np.searchsorted(used, [piece.loop for piece, _ in same])
+                loops = (first[:, None] + np.arange(0, len(near.A), len(used))).ravel()
+                places = np.repeat([piece.place for piece, _ in same], len(designs))
+                slopes = self._slopes_near(kind, f, near, system, loops, places).reshape(len(same), len(designs), -1)
                 second = (slopes[:, 1:] - slopes[:, :1]) / step[:, None]
                 sound = np.isfinite(second).all(axis=(1, 2))
-                total += np.einsum("n,nqd->qd", weights[sound], second[sound])
+                total += np.einsum("n,nqd->qd", np.array([weight for _, weight in same])[sound], second[sound])
         return total
 
-    @staticmethod
-    def _peak_slopes_near(
-        rows: slice, near: Derivatives, m: int, loops: IntArray, frequencies: FloatArray
+    def _slopes_near(
+        self, kind: str, f: int, near: Derivatives, system: Eigensystem, loops: IntArray, places: ComplexArray
     ) -> FloatArray:
-        """Return the gradients of n peaks, each at q designs (n, q, d); `near` has m loops of each design in turn."""
-        which = loops[:, None] + np.arange(0, len(near.A), m)
-        peaks = Peaks(which.ravel(), np.repeat(frequencies, which.shape[1]), np.ones(which.size))
-        slopes, heights = peak_slopes(near, rows, peaks)
-        return (slopes / heights[:, None]).reshape(*which.shape, -1)
-
-    def _eigenvalue_slopes_near(
-        self,
-        kind: str,
-        f: int,
-        state: LoopState,
-        near: Derivatives,
-        used: IntArray,
-        loops: IntArray,
-        places: ComplexArray,
-        step: FloatArray,
-    ) -> FloatArray:
-        """Return the gradients of n functions of eigenvalues at q designs to first order in their steps (n, q, d)."""
-        d = len(step)
-        dA = near.dA.reshape(d + 1, len(used), d, *near.A.shape[1:])
-        values, slopes = np.empty((len(loops), d + 1), complex), np.empty((len(loops), d + 1, d), complex)
-        for k in np.unique(loops):
-            loop, own = int(used[k]), np.flatnonzero(loops == k)
-            which = np.abs(state.system.values[loop] - places[own, None]).argmin(axis=1)
-            first = state.system.slopes(np.full(len(own), loop), which, state.derivatives.dA)
-            d2A = (dA[1:, k] - dA[0, k]) / step[:, None, None, None]
-            second = state.system.second_slopes(loop, which, dA[0, k], d2A, np.abs(step))
-            values[own, 0], slopes[own, 0] = state.system.values[loop, which], first
-            values[own, 1:], slopes[own, 1:] = values[own, :1] + step * first, first[:, None] + step[:, None] * second
-        return self._of_values(kind, f, values.ravel(), slopes.reshape(-1, d))[1].reshape(slopes.shape)
+        """Return the gradients (k, d) of functions of some loops: of the eigenvalue, or the peak, next to a place."""
+        if kind in _RESPONSES:
+            slopes, heights = peak_slopes(near, rows_of(self.families[f], kind), Peaks(loops, places.imag, places.imag))
+            return slopes / heights[:, None]
+        nearest = np.abs(system.values[loops] - places[:, None]).argmin(axis=1)
+        slopes_of_values = system.slopes(loops, nearest, near.dA)
+        return self._of_values(kind, f, system.values[loops, nearest], slopes_of_values)[1]
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
         """Return measures of a design in each loop of a family, larger is worse (n, m).

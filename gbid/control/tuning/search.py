@@ -58,14 +58,16 @@ class SearchOptions:
     finalists : int
         Number of the best designs that are fully optimised.
     short : int
-        Iterations of a short local search: from each start, then again from the better two thirds.
+        Iterations of a short local search: from each start, then again from the better two thirds. The nodes of a grid
+        need none, because the grid shows how good they are.
     full : int
         Iterations of the full ones.
     hops : int
         Largest number of random moves of a design, each with a new local search: basin-hopping steps, for more than
         three gains. They are needed because a local search may stop early where eigenvalues meet.
     patience : int
-        Number of moves in vain, one after the other, that end them. One move of six leaves a lower local optimum.
+        Number of moves in vain, one after the other, that end them. One move of six leaves a lower local optimum. Half
+        as many are enough where only eigenvalues count.
     returned : int
         Number of moves back to the same optimum that end them.
     hop_sizes : tuple of float
@@ -83,7 +85,7 @@ class SearchOptions:
     starts: int | None = None
     seed: int = 0
     finalists: int = 3
-    short: int = 20
+    short: int = 30
     full: int = 100
     hops: int = 48
     patience: int = 16
@@ -168,7 +170,7 @@ class LocalSearch:
             return self._ascent(start, 100 + 20 * len(start))
         radius, few = 0.02 if again else 0.1, self.options.short
         return optimise_locally(
-            self.problem, start, radius=radius, max_iterations=few, plain=not again, goal=goal, repair=False
+            self.problem, start, radius=radius, max_iterations=few, plain=not again, goal=goal, pace=_PACE, repair=False
         )
 
     def full(self, start: FloatArray, goal: float = -np.inf) -> LocalOptimum:
@@ -253,9 +255,9 @@ def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator
     """
     start = best_of(finals)
     others = [one for one in sorted(finals, key=rank, reverse=True) if not _same(one.score, start.score, _OTHER)]
-    best = local.with_certificate(hop_line(local, start, rng, note))
-    doubted = int(_same(best.score, start.score, _OTHER))
     less = replace(local, options=replace(local.options, patience=local.options.patience // 2))
+    best = local.with_certificate(hop_line(less if local.free else local, start, rng, note))
+    doubted = int(_same(best.score, start.score, _OTHER))
     for i, other in enumerate(others):
         if local.problem.evaluations.exhausted or (i >= doubted and local.certified(best)):
             break
@@ -577,14 +579,18 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
 
     given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (task.neutral, *task.first)]
     local = LocalSearch(problem, gain_units(problem, given[0]), options)
-    if d in GRID and options.starts is None:
+    on_grid = d in GRID and options.starts is None
+    if on_grid:
         starts = grid_starts(problem, given[0], local.unit, GRID[d], _NODES)
     else:
         starts = random_starts(problem, given[0], local.unit, _n_starts(local), options.seed)
-    many = not local.free and len(given) + len(starts) > 2 * options.finalists
+    many = not (on_grid or local.free) and len(given) + len(starts) > 2 * options.finalists
     designs: list[LocalOptimum] = []
     for start in (*given, *starts):
-        designs.append(local.short(start, max(map(rank, designs), default=-np.inf)))
+        if on_grid:  # the grid shows already how good its nodes are
+            designs.append(LocalOptimum(start, problem.score(start), 0, False))
+        else:
+            designs.append(local.short(start, max(map(rank, designs), default=-np.inf)))
         note("global", best_of(designs).score)
         if problem.evaluations.exhausted:
             break
@@ -598,7 +604,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
     finals: list[LocalOptimum] = []
     same = _NEIGHBOURS * (problem.upper - problem.lower)
     for design in designs:
-        if len(finals) == options.finalists or (finals and local.settled(finals)):
+        if (len(finals) == options.finalists and not on_grid) or (finals and local.settled(finals)):
             break
         if any((np.abs(design.x - other.x) <= same).all() for other in finals):
             continue
