@@ -22,7 +22,7 @@ import gbid
 from benchmarks.baselines import N_STATES, SAMPLE_TIME, STRUCTURE, Answer, Samples, fit_with_casadi, fit_with_scipy
 from gbid.identify.data import gather
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.compiled_linear import CompiledLinearKernel, KernelPattern
+from gbid.identify.kernel.linear import CompiledLinearKernel, KernelPattern
 from gbid.identify.kernel.sums import powers_of
 from gbid.identify.predictor import build_predictor
 from gbid.identify.problem.assemble import automatic_window

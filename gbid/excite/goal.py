@@ -16,6 +16,7 @@ from gbid.core.errors import UsageError
 from gbid.discretise import discretise, propagate
 from gbid.excite.model import KnownModel
 from gbid.identify.data import FitData, Record
+from gbid.identify.options import FitArguments
 from gbid.identify.predictor import Predictor, PredictorValues, build_predictor
 from gbid.identify.problem.assemble import assemble, build_problem, full_start
 from gbid.identify.problem.hessian import in_one_window
@@ -435,19 +436,16 @@ def expected_covariance(known: KnownModel, inputs: FloatArray, sample_time: floa
         for q in known.structure.parameters
     )
     begin = {name: float(value) for name, value in known.parameters.items()}
+    options = FitArguments(intersample=known.intersample, focus=known.focus, criterion="det", window=None)
     with one_blas_thread():
         assembly = assemble(
             known.structure,
             parameters,
             begin,
             data,
-            intersample=known.intersample,
-            focus=known.focus,
-            local={},
-            left_out={},
-            window=None,
+            options,
         )
-        problem, unknowns = build_problem(assembly, data, "det", None, full_start(assembly, begin), {})
+        problem, unknowns = build_problem(assembly, data, options, full_start(assembly, begin))
         problem, kept = in_one_window(problem)
         theta, starts = problem.unpack(unknowns[kept])
         starts = np.zeros_like(starts)

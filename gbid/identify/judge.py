@@ -12,10 +12,9 @@ from gbid.core.notes import FitNote
 from gbid.discretise import check_holds
 from gbid.identify.data import column_means
 from gbid.identify.optimum import Optimum
-from gbid.identify.problem.asked import extra_notes
 from gbid.identify.problem.assemble import Assembly, window_length
 from gbid.identify.problem.integration import at_working_point, with_integration_error
-from gbid.identify.problem.nlp import Shooting
+from gbid.identify.problem.nlp import Shooting, extra_notes
 from gbid.identify.problem.states import decay_notes, released_states
 from gbid.identify.result import FitResult, StdKind
 from gbid.identify.start.scheduled_start import centre_tie

@@ -18,6 +18,7 @@ Scope = Literal["recording", "operating_point"]
 LossName = Literal["huber", "student"]
 StdName = Literal["auto", "bootstrap"]
 Stop = Literal["tolerance", "paper"]
+RunEngine = Literal["compiled", "numpy"]
 HIGHEST_DEGREE = 9
 TrendName = Literal["none", "offset", "linear", "random walk"] | Annotated[int, Exact(), Ge(0), Le(HIGHEST_DEGREE)]
 OwnState = Literal["estimated", "zero", "structure"] | Sequence[float | Literal["estimated", "structure"]]

@@ -17,7 +17,6 @@ from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import Disturbances, disturbances_of
 from gbid.identify.options import Criterion, FitArguments
-from gbid.identify.problem.asked import with_extra_terms
 from gbid.identify.problem.assemble import (
     Assembly,
     assemble,
@@ -25,8 +24,9 @@ from gbid.identify.problem.assemble import (
     build_problem,
     full_start,
     unknown_bounds,
+    with_extra_terms,
 )
-from gbid.identify.problem.hessian import GaussNewton
+from gbid.identify.problem.hessian import gauss_newton
 from gbid.identify.problem.nlp import Shooting
 from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.problem.states import (
@@ -104,7 +104,8 @@ class FitTask:
 
         `gain_held` fixes the parameters on which only the disturbance gain depends.
         """
-        options, parameters = self.options, self.parameters
+        options = replace(self.options, intersample=self.hold, criterion=self.criterion, window=window)
+        parameters = self.parameters
         if gain_held:
             gains = kind_of(self.structure).anatomy().gain_only
             parameters = tuple(
@@ -116,20 +117,14 @@ class FitTask:
             tied.parameters,
             tied.begin,
             self.data,
-            intersample=self.hold,
-            focus=options.focus,
+            options,
             disturbances=self.disturbances,
             released=self.states.released,
-            local=options.local or {},
-            left_out=options.left_out or {},
-            window=window,
             ties=tied.ties,
         )
         per_record = disturbance_starts(self.disturbances, tied.structure, tied.begin, self.data, self.hold)
         begin = full_start(assembly, start, per_record)
-        shooting, unknowns = build_problem(
-            assembly, self.data, self.criterion, options.output_weights, begin, options.prior or {}
-        )
+        shooting, unknowns = build_problem(assembly, self.data, options, begin)
         shooting = with_extra_terms(shooting, assembly, self.data, self.states, parameters, unknowns, options)
         return PosedProblem(
             self,
@@ -407,7 +402,7 @@ def fit_problem(structure: AnyStructure, recordings: Recordings, options: FitArg
         *posed.box,
         shooting.pack(np.ones(shooting.n_theta), np.ones((shooting.n_windows, shooting.n_states))) ** -1,
         shooting.n_gaps,
-        nlp_functions(shooting, GaussNewton(shooting), Trouble()),
+        nlp_functions(shooting, gauss_newton(shooting), Trouble()),
         posed,
     )
 

@@ -19,8 +19,7 @@ from gbid.core.extras import Pictured
 from gbid.core.hdf5 import AS_JSON, NOT_STORED, Stored
 from gbid.core.tables import Column, Entry, Table, html_table
 from gbid.identify.disturbances import Disturbances
-from gbid.identify.kernel.choice import RunEngine
-from gbid.identify.options import SettledOptions
+from gbid.identify.options import RunEngine, SettledOptions
 from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.curves import Bode, bode
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes, UncertainModel

@@ -270,4 +270,4 @@ def _with_weights(problem: Shooting, weights: FloatArray) -> Shooting:
             own.append(weights[at : at + len(like)])
             at += len(like)
         parts.append(replace(part, blocks=reweighted(part.blocks, own)))
-    return replace(problem, parts=tuple(parts), _last={}, _met={})
+    return replace(problem, parts=tuple(parts))

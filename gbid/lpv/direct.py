@@ -339,24 +339,28 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
     parameters = tuple(q if q.fixed else replace(q, start=at_first.get(q.name, 0.0)) for q in setting.parameters)
     begin = {q.name: float(q.start or 0.0) for q in parameters}
     local: dict[str, Scope] = dict.fromkeys(setting.gains if options.focus == "prediction" else (), "recording")
+    limits = FitArguments(
+        focus=options.focus,
+        local=local,
+        criterion="trace",
+        prior={q.name: (0.0, 1.0) for q in ties.own},
+        window=None,  # the start is near the solution: windows within a recording are not needed
+        max_iterations=options.max_iterations,
+        progress=options.progress,
+    )
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         assembly = assemble(
             each[0].structure,
             parameters,
             begin,
             data,
-            intersample=each[0].intersample,
-            focus=options.focus,
-            local=local,
-            left_out={},
-            window=None,  # the start is near the solution: windows within a recording are not needed
+            limits,
             ties=ties,
             own=each,
         )
         full = full_start(assembly, begin, gains.values)
         full |= dict(zip((q.name for q in ties.shared), shared.tolist(), strict=True))
-        prior = {q.name: (0.0, 1.0) for q in ties.own}
-        problem, unknowns = build_problem(assembly, data, "trace", None, full, prior)
+        problem, unknowns = build_problem(assembly, data, limits, full)
         lower, upper = unknown_bounds(problem, assembly)
         position = {q.name: i for i, q in enumerate(assembly.free)}
         places = [[position[names[key]] for key in local if key in names] for names in assembly.record_names]
@@ -371,8 +375,6 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
             at = [place for of_record, fixed in zip(places, chosen, strict=True) if fixed for place in of_record]
             unknowns[at] = unknowns[at] if value is None else value
             lower[at] = upper[at] = unknowns[at]
-
-        limits = FitArguments(max_iterations=options.max_iterations, progress=options.progress)
 
         def run() -> Solution:
             first = np.clip(unknowns, lower, upper)

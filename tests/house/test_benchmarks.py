@@ -16,7 +16,7 @@ import gbid
 from benchmarks import campaign_speed, fit_speed, nonlinear_speed, worker
 from benchmarks.baselines import N_UNKNOWNS, SAMPLE_TIME, STRUCTURE, Samples, sampled
 from benchmarks.worker import operations_per_sample
-from gbid.identify.kernel.compiled_linear import KernelPattern
+from gbid.identify.kernel.linear import KernelPattern
 
 STORED = DOCS / "benchmarks.json"
 

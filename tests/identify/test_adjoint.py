@@ -8,7 +8,7 @@ from shooting_problem import problem
 
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.sums import scan
-from gbid.identify.problem.hessian import entries_of, in_one_window, left_out_columns, on_ends, own_gradients
+from gbid.identify.problem.hessian import entries_of, in_one_window, left_out_columns, on_ends
 
 DISTURBED = Disturbances(("p_x", "p_y"), (Trend(3), Trend(0, random_walk=True)), (50.0,))
 
@@ -25,11 +25,11 @@ def by_adjoint(shooting, unknowns, lam):
     theta, starts = shooting.unpack(unknowns)
     values = shooting.values(theta)
     weight = shooting.weight(shooting.error_products(values, starts))
-    found = own_gradients(shooting, values, starts, on_ends(shooting, lam), weight)
+    found = shooting.gradients(values, starts, on_ends(shooting, lam), weight)
     by_theta = shooting.prior.information / shooting.likelihood_size * (theta - shooting.prior.mean)
-    for part, own in zip(shooting.parts, found, strict=True):
-        by_theta[part.index] += own.theta
-    by_start = np.concatenate([own.starts for own in found]) * shooting.state_scale
+    for part, (own, _) in zip(shooting.parts, found, strict=True):
+        by_theta[part.index] += own
+    by_start = np.concatenate([starts for _, starts in found]) * shooting.state_scale
     by_start[shooting.links[:, 1]] -= lam.reshape(-1, shooting.n_states)
     return np.concatenate([by_theta * shooting.theta_scale, by_start.ravel()])
 

@@ -10,6 +10,7 @@ import gbid
 from gbid.core.errors import UsageError
 from gbid.identify.data import gather
 from gbid.identify.optimum import FOUND, SUSPECTED, lower_elsewhere
+from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import assemble, build_problem
 from gbid.identify.problem.hessian import ExactHessian, held_up, in_one_window, in_windows
 from gbid.rig import FilmStiffening, ProcessNoise
@@ -112,18 +113,8 @@ def problem():
     structure = gbid.RotorBearing()
     begin = {**TRUE, "bd_xx": 2e4, "bd_xy": -3e3, "bd_yx": 5e3, "bd_yy": 1e4}
     data = gather(recordings, ("u",), ("p",), minimum=50)
-    assembly = assemble(
-        structure,
-        structure.parameters,
-        begin,
-        data,
-        intersample="foh",
-        focus="prediction",
-        local={},
-        left_out={"run-4": [(700, 900)]},
-        window=100,
-    )
-    return build_problem(assembly, data, "trace", None, begin, {})
+    options = FitArguments(criterion="trace", left_out={"run-4": [(700, 900)]}, window=100)
+    return build_problem(assemble(structure, structure.parameters, begin, data, options), data, options, begin)
 
 
 def test_windows_joined_and_cut_again_are_the_same_problem(problem):
@@ -151,7 +142,7 @@ def test_no_other_gain_is_sought_where_errors_are_white_or_gains_are_known(probl
     held[0][gains] = held[1][gains] = unknowns[gains]
     assert lower_elsewhere(cut_up, unknowns, held) is None
     known = cut_up.prior._replace(information=np.where(np.isin(np.arange(cut_up.n_theta), gains), 1.0, 0.0))
-    assert lower_elsewhere(replace(cut_up, prior=known, _last={}, _met={}), unknowns, box) is None
+    assert lower_elsewhere(replace(cut_up, prior=known), unknowns, box) is None
     quiet = gbid.fit(gbid.RotorBearing(), shaken(seconds=1.0))
     assert FOUND not in quiet.notes
     assert SUSPECTED not in quiet.notes

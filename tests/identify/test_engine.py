@@ -32,8 +32,7 @@ from gbid.core import compiled as library
 from gbid.identify import fit
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import Segment, cut
-from gbid.identify.kernel.compiled_linear import CompiledLinearKernel, KernelPattern, kernel_source
-from gbid.identify.kernel.linear import PortableLinearKernel
+from gbid.identify.kernel.linear import CompiledLinearKernel, KernelPattern, PortableLinearKernel, kernel_source
 from gbid.identify.kernel.sums import Moved
 from gbid.identify.predictor import build_predictor
 from gbid.structure import PiezoPair, Plant, RotorBearing
@@ -222,7 +221,7 @@ def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh, cache):
 def test_patterns():
     predictor, theta, *_ = problem("every")
     full = KernelPattern.of(predictor.at(theta))
-    none = replace(full, F=np.zeros_like(full.F))
+    none = full._replace(F=np.zeros_like(full.F))
     assert full.covers(none)
     assert not none.covers(full)
     assert none.union(full).covers(full)

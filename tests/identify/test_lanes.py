@@ -10,8 +10,8 @@ from compilers import NEEDS_COMPILER, no_compiler
 from gbid import NonlinearStructure, Parameter
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import Segment, cut
-from gbid.identify.kernel.choice import choose_kernel
 from gbid.identify.kernel.sample import build_nonlinear_predictor
+from gbid.identify.problem.assemble import choose_kernel
 
 AT = {"k": 90.0, "c": 4.0, "tau": 0.03, "g": 2.0, "start": 0.2, "lag": 0.053}
 STEPS, LENGTH, WINDOWS = 3, 7, 10

@@ -11,7 +11,7 @@ from shooting_problem import problem
 import gbid
 from gbid.core.errors import UsageError
 from gbid.identify import FitOptions, fit
-from gbid.identify.problem.hessian import on_ends, own_gradients
+from gbid.identify.problem.hessian import on_ends
 from gbid.identify.robust import _counted, _with_weights, efficiency, robust_loss
 
 NAMES = ("w", "z", "g")
@@ -64,7 +64,7 @@ def test_the_elasticity_is_the_derivative_of_the_weight(kind):
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])
 @pytest.mark.parametrize("criterion", ["trace", "det"])
 def test_gradients_hold_for_weights_of_samples(engine, criterion):
-    shooting, unknowns = problem(engine, criterion)
+    shooting, unknowns = problem(engine, criterion=criterion)
     count = len(_counted(shooting))
     weighted = _with_weights(shooting, np.random.default_rng(0).uniform(0.1, 1.0, count))
     gradient, random = weighted.at(unknowns).gradient.copy(), np.random.default_rng(1)
@@ -75,8 +75,8 @@ def test_gradients_hold_for_weights_of_samples(engine, criterion):
     theta, starts = weighted.unpack(unknowns)
     values, nothing = weighted.values(theta), np.zeros(weighted.n_gaps)
     weight = weighted.weight(weighted.error_products(values, starts))
-    by_adjoint = own_gradients(weighted, values, starts, on_ends(weighted, nothing), weight)
-    by_start = np.concatenate([own.starts for own in by_adjoint]) * weighted.state_scale
+    by_adjoint = weighted.gradients(values, starts, on_ends(weighted, nothing), weight)
+    by_start = np.concatenate([starts for _, starts in by_adjoint]) * weighted.state_scale
     np.testing.assert_allclose(by_start.ravel(), gradient[weighted.n_theta :], rtol=1e-6, atol=1e-9)
     same = _with_weights(shooting, np.ones(count))
     np.testing.assert_array_equal(same.at(unknowns).hessian, shooting.at(unknowns).hessian)

@@ -1,11 +1,12 @@
 """What the solver is watched for: steps in standard deviations, when to stop, when to change the method."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from small_problem import small_problem
 
-from gbid.identify.problem.solve import PATIENCE, Interrupt, Watch, _iterations_ahead
+from gbid.identify import FitStatus
+from gbid.identify.options import FitArguments
+from gbid.identify.problem.solve import TOLERANCES, Interrupt, Watch, _iterations_ahead
 
 
 @pytest.fixture(scope="module")
@@ -18,14 +19,15 @@ def small():
 
 def watched(problem, *, stop="tolerance", interrupt=None, progress=None, **options):
     free = np.full(problem.n_unknowns, np.inf)
-    return Watch(problem, stop, progress, interrupt or Interrupt(), (-free, free), **options)
+    return Watch(
+        problem, FitArguments(stop=stop, progress=progress), interrupt or Interrupt(), (-free, free), **options
+    )
 
 
 def shown(watch, problem, x):
     """Show the watch an iterate, as IPOPT does; return whether it stops the solver."""
     at = problem.at(x)
-    values = {"f": at.cost, "x": x, "g": at.gaps, "lam_x": 0 * x, "lam_g": 0 * at.gaps, "lam_p": np.zeros(0)}
-    return bool(watch(*(values[name] for name in ca.nlpsol_out())))
+    return watch.look(at.cost, x, at.gaps)
 
 
 def test_a_step_is_measured_in_standard_deviations(small):
@@ -68,7 +70,7 @@ def test_rest_is_two_small_steps_where_nothing_is_to_gain(small):
     points = moved(best, problem, own, [1e-1, 1e-3, 1e-5])
     assert [shown(watch, problem, x) for x in points] == [False, False, False]  # 0.1, 1e-3: the last is still too long
     assert shown(watch, problem, best)
-    assert watch.at_rest
+    assert watch.status is FitStatus.CONVERGED
 
 
 def test_one_small_step_by_chance_is_no_rest(small):
@@ -77,18 +79,18 @@ def test_one_small_step_by_chance_is_no_rest(small):
     points = moved(best, problem, own, [5.0, 1e-5, 0.0])
     assert not any(shown(watch, problem, x) for x in points[:2])
     assert not shown(watch, problem, points[2])  # small now, but the step before was of five
-    assert not watch.at_rest
+    assert watch.status is not FitStatus.CONVERGED
 
 
 def test_standing_still_off_the_minimum_is_stuck_not_at_rest(small):
     """A solver with a wrong Hessian takes small steps where Gauss-Newton would take a long one."""
     problem, _, best, own, _ = small
     watch = watched(problem)
-    points = moved(best, problem, own, [4 + 1e-5 * k for k in range(PATIENCE + 3)])
+    points = moved(best, problem, own, [4 + 1e-5 * k for k in range(TOLERANCES.patience + 3)])
     stops = [shown(watch, problem, x) for x in points]
-    assert not watch.at_rest
-    assert watch.stuck >= PATIENCE
-    assert stops.index(True) == PATIENCE + 1  # the first step has none before it to go by
+    assert watch.status is not FitStatus.CONVERGED
+    assert watch.status is FitStatus.STEPS_TOO_SMALL
+    assert stops.index(True) == TOLERANCES.patience + 1  # the first step has none before it to go by
 
 
 def test_the_papers_rule_is_the_relative_change(small):
@@ -96,7 +98,7 @@ def test_the_papers_rule_is_the_relative_change(small):
     watch = watched(problem, stop="paper")
     points = [best * np.array([1 + d, 1.0]) for d in (3e-3, 1.5e-4, 0.6e-4)]
     assert [shown(watch, problem, x) for x in points] == [False, False, True]  # 2.85e-3, then 0.9e-4
-    assert watch.settled
+    assert watch.status is FitStatus.CONVERGED_BY_PAPER_RULE
 
 
 def test_creeping_calls_for_the_other_method_only_where_there_is_one(small):

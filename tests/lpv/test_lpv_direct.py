@@ -11,6 +11,7 @@ import gbid
 from gbid.control import p_controller, sample_controller
 from gbid.core.errors import DataError, UsageError
 from gbid.identify.data import gather
+from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import Ties, assemble, build_problem, full_start
 from gbid.lpv import LPVModel
 from gbid.rig import SampledController
@@ -75,20 +76,10 @@ def test_derivatives_by_tied_unknowns_are_those_of_differences(one_point):
     ties = Ties(KEY_PARAMETERS, shared, maps, (Parameter("off_1", 0.0), Parameter("off_2", 0.0)), lift)
     begin = {q.name: truth.get(q.name, 0.0) for q in structure.parameters}
     gains = dict.fromkeys(("bd_xx", "bd_xy", "bd_yx", "bd_yy"), "recording")
-    assembly = assemble(
-        structure,
-        structure.parameters,
-        begin,
-        data,
-        intersample="foh",
-        focus="prediction",
-        local=gains,
-        left_out={},
-        window=200,
-        ties=ties,
-    )
+    options = FitArguments(criterion="trace", local=gains, prior={"off_1": (0.0, 1.0)}, window=200)
+    assembly = assemble(structure, structure.parameters, begin, data, options, ties=ties)
     full = full_start(assembly, begin) | {q.name: q.start for q in shared}
-    problem, x = build_problem(assembly, data, "trace", None, full, {"off_1": (0.0, 1.0)})
+    problem, x = build_problem(assembly, data, options, full)
     assert problem.n_theta == 5 + 3 * 4 + 3 * 2
     x = x + 1e-3 * rng.normal(size=len(x))
     here = problem.at(x)

@@ -7,6 +7,8 @@ from fit_cases import KEY, TS, levels, smooth
 
 import gbid
 from gbid.identify.data import gather
+from gbid.identify.disturbances import UNDISTURBED
+from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import assemble, build_problem
 
 BEGIN = {**KEY, "bd_xx": 2e4, "bd_xy": -3e3, "bd_yx": 5e3, "bd_yy": 1e4}
@@ -19,20 +21,13 @@ def recording(name, n, seed):
     return gbid.Recording({"u": u, "p": p}, TS, name=name, units={"u": "m", "p": "m"}, channels=channels)
 
 
-def problem(engine="numpy", criterion="trace", **options):
+def problem(engine="numpy", disturbances=UNDISTURBED, **options):
     recordings = [recording("a", 900, 1), recording("b", 1300, 2)]
     structure = gbid.RotorBearing()
     data = gather(recordings, ("u",), ("p",), minimum=50)
-    settings = {"local": {}, "left_out": {"b": [(700, 900)]}, "window": 100, **options}
+    settings = {"criterion": "trace", "left_out": {"b": [(700, 900)]}, "window": 100, **options}
+    asked = FitArguments(intersample="foh", output_weights=[1.0, 2.0], prior={"k_xx": (-6e5, 1e3)}, **settings)
     with no_compiler() if engine == "numpy" else nullcontext():
-        assembly = assemble(
-            structure,
-            structure.parameters,
-            BEGIN,
-            data,
-            intersample="foh",
-            focus="prediction",
-            **settings,
-        )
+        assembly = assemble(structure, structure.parameters, BEGIN, data, asked, disturbances=disturbances)
     begin = {q.name: BEGIN.get(q.name.partition("[")[0], 1e-7) for q in assembly.free}
-    return build_problem(assembly, data, criterion, [1.0, 2.0], begin, {"k_xx": (-6e5, 1e3)})
+    return build_problem(assembly, data, asked, begin)

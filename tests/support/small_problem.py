@@ -4,6 +4,7 @@ import numpy as np
 from fit_cases import H, levels
 
 from gbid.identify.data import gather
+from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import assemble, build_problem
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
@@ -27,17 +28,8 @@ def small_problem(n=400, window=None, noise=0.1, records=1):
         slopes.append(np.column_stack([by_gain, by_start]))
         errors.append(y - 2.0 * by_gain)
     data = gather(recordings, ("u",), ("y",), minimum=10)
-    assembly = assemble(
-        GAIN,
-        GAIN.parameters,
-        {"b": 2.0},
-        data,
-        intersample="zoh",
-        focus="simulation",
-        local={},
-        left_out={},
-        window=window,
-    )
-    problem, _ = build_problem(assembly, data, "trace", None, {"b": 2.0}, {})
+    options = FitArguments(focus="simulation", window=window)
+    assembly = assemble(GAIN, GAIN.parameters, {"b": 2.0}, data, options)
+    problem, _ = build_problem(assembly, data, options, {"b": 2.0})
     unknowns = problem.pack(np.array([2.0]), np.zeros((problem.n_windows, 1)))
     return problem, unknowns, assembly.record_window, slopes, errors

@@ -46,6 +46,11 @@ class Segment:
         """Return the rows of the record that belong to the part."""
         return rows[self.start : self.stop]
 
+    @property
+    def is_left_out(self) -> bool:
+        """Whether no sample is in the cost."""
+        return self.counts is not None and not self.part(self.counts).any()
+
 
 @dataclass(frozen=True, eq=False)
 class Blocks:

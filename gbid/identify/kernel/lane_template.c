@@ -1,5 +1,10 @@
-/* Written by gbid for one nonlinear structure: see gbid/identify/nonlinear/lanes.py. */
-@TYPES@
+/* Written by gbid for one nonlinear structure: see gbid/identify/kernel/lanes.py. */
+typedef double v __attribute__((vector_size(64)));
+typedef double u __attribute__((vector_size(64), aligned(8)));
+typedef long long m8 __attribute__((vector_size(64)));
+static inline v all(double a) { return (v){0} + a; }
+static inline v kept(v a, m8 live) { return (v)((m8)a & live); }
+static inline v one(m8 is) { return kept(all(1.0), is); }
 @FUNCTIONS@
 #define N @N@
 #define NP @NP@

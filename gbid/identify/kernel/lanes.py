@@ -1,10 +1,9 @@
-"""Runner of the functions of a sample as compiled C, a block in each of the eight lanes of the vector unit."""
+"""Kernel of nonlinear predictors in C: a block in each of the eight lanes of the vector unit."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
-from importlib.resources import files
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -14,10 +13,11 @@ import numpy.typing as npt
 
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.compiled import load_library
-from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, per_block
-from gbid.identify.kernel.compiled_linear import reached, run_compiled
-from gbid.identify.kernel.portable import SampleSums
+from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at_windows, per_block
+from gbid.identify.kernel.linear import CompiledPasses, filled, reached, run_compiled
+from gbid.identify.kernel.nonlinear import NonlinearKernel
 from gbid.identify.kernel.sample import NonlinearValues, SampleFunctions
+from gbid.identify.kernel.sums import SampleSums
 
 # ---- C of a casadi.Function for eight columns at once, written from CasADi's own list of instructions.
 
@@ -37,49 +37,11 @@ _UNARY = {
     ca.OP_SIGN: "one({0} > 0.0) - one({0} < 0.0)",
 }
 """Expressions of vectors."""
-_OF_ONE = {
-    ca.OP_EXP: "exp",
-    ca.OP_LOG: "log",
-    ca.OP_SQRT: "sqrt",
-    ca.OP_SIN: "sin",
-    ca.OP_COS: "cos",
-    ca.OP_TAN: "tan",
-    ca.OP_ASIN: "asin",
-    ca.OP_ACOS: "acos",
-    ca.OP_ATAN: "atan",
-    ca.OP_SINH: "sinh",
-    ca.OP_COSH: "cosh",
-    ca.OP_TANH: "tanh",
-    ca.OP_ASINH: "asinh",
-    ca.OP_ACOSH: "acosh",
-    ca.OP_ATANH: "atanh",
-    ca.OP_FLOOR: "floor",
-    ca.OP_CEIL: "ceil",
-    ca.OP_ERF: "erf",
-    ca.OP_LOG1P: "log1p",
-    ca.OP_EXPM1: "expm1",
-}
-_OF_TWO = {
-    ca.OP_POW: "pow",
-    ca.OP_CONSTPOW: "pow",
-    ca.OP_FMIN: "fmin",
-    ca.OP_FMAX: "fmax",
-    ca.OP_FMOD: "fmod",
-    ca.OP_REMAINDER: "remainder",
-    ca.OP_ATAN2: "atan2",
-    ca.OP_COPYSIGN: "copysign",
-    ca.OP_HYPOT: "hypot",
-}
+_BY_LANE = "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil erf log1p expm1"
+_OF_ONE = {getattr(ca, f"OP_{name.upper()}"): name for name in _BY_LANE.split()}
+_PAIRS_BY_LANE = "pow constpow fmin fmax fmod remainder atan2 copysign hypot"
+_OF_TWO = {getattr(ca, f"OP_{name.upper()}"): name.removeprefix("const") for name in _PAIRS_BY_LANE.split()}
 """Functions that are called for one lane after the other."""
-
-LANE_TYPES = """\
-typedef double v __attribute__((vector_size(64)));
-typedef double u __attribute__((vector_size(64), aligned(8)));
-typedef long long m8 __attribute__((vector_size(64)));
-static inline v all(double a) { return (v){0} + a; }
-static inline v kept(v a, m8 live) { return (v)((m8)a & live); }
-static inline v one(m8 is) { return kept(all(1.0), is); }
-"""
 
 
 class LaneFunction(NamedTuple):
@@ -216,12 +178,18 @@ def product_source(functions: SampleFunctions) -> str:
     M = np.hstack([sample, through[:, :n_e], onto])
     S = np.hstack([reached(sample, onto | X), reached(sample, np.eye(n, dtype=bool))])
     left = np.hstack([fed[0] & ~F, np.zeros((n, n_e), bool), fed[1] & ~G[:, n_e:]])
+    to_r, entry_at = "const v *restrict a, v *restrict r", {place: k for k, place in enumerate(places_of(by_theta))}
+    whole = (f"a[{entry_at[i]}]" if i in entry_at else "all(0.0)" for i in range(by_theta.size1() * (n_p + n)))
+    step = [f"  r[{place}] = a[{k}];" for k, place in enumerate(places_of(of_step))]
+    emptied = [f"  r[{place}] = all(0.0);" for place in _dense(left).values()]  # feedback of the last sample
+    start = [f"  r[{place}] += a[{k}];" for k, place in enumerate(places_of(by_start))]
+    output = [f"  r[{row}] += a[{k}]*s[{column}];" for k, row, column in _entries(by_state)]
     return "\n".join(
         [
-            _put("put_output", by_theta, n_p + n),
-            _put_first(of_step, left),
-            _onto("add_start", by_start),
-            _onto_column("add_output", by_state),
+            _inline("put_output", to_r, [f"  r[{i}] = {value};" for i, value in enumerate(whole)]),
+            _inline("put_first", to_r, [*step, *emptied]),
+            _inline("add_start", to_r, start),
+            _inline("add_output", "const v *restrict a, const v *restrict s, v *restrict r", output),
             *_products("step", _numbered(of_step), M, slice(n)),
             *_products("sample", _dense(sample), S, slice(n_p, None)),
             _feed(by_state, by_theta, through) if functions.feeds_back else "",
@@ -248,33 +216,6 @@ def _numbered(sparsity: ca.Sparsity) -> dict[tuple[int, int], int]:
 
 def _dense(pattern: BoolArray) -> dict[tuple[int, int], int]:
     return {(int(row), int(column)): int(column) * len(pattern) + int(row) for column, row in np.argwhere(pattern.T)}
-
-
-def _put(name: str, sparsity: ca.Sparsity, columns: int) -> str:
-    """C that writes a Jacobian in dense columns, with zeros to the last of so many columns."""
-    there = {place: k for k, place in enumerate(places_of(sparsity))}
-    every = range(sparsity.size1() * columns)
-    lines = [f"  r[{i}] = {f'a[{there[i]}]' if i in there else 'all(0.0)'};" for i in every]
-    return _inline(name, "const v *restrict a, v *restrict r", lines)
-
-
-def _put_first(of_step: ca.Sparsity, left: BoolArray) -> str:
-    """C that writes the Jacobian of the first step, and zeros where the feedback of the last sample has been."""
-    lines = [f"  r[{place}] = a[{k}];" for k, place in enumerate(places_of(of_step))]
-    lines += [f"  r[{place}] = all(0.0);" for place in _dense(left).values()]
-    return _inline("put_first", "const v *restrict a, v *restrict r", lines)
-
-
-def _onto(name: str, sparsity: ca.Sparsity) -> str:
-    """C that adds a Jacobian to dense columns."""
-    lines = [f"  r[{place}] += a[{k}];" for k, place in enumerate(places_of(sparsity))]
-    return _inline(name, "const v *restrict a, v *restrict r", lines)
-
-
-def _onto_column(name: str, sparsity: ca.Sparsity) -> str:
-    """C that adds the product of a Jacobian and a column to a column."""
-    lines = [f"  r[{row}] += a[{k}]*s[{column}];" for k, row, column in _entries(sparsity)]
-    return _inline(name, "const v *restrict a, const v *restrict s, v *restrict r", lines)
 
 
 def _products(name: str, matrix: dict[tuple[int, int], int], columns: BoolArray, n_plain: slice) -> Iterator[str]:
@@ -334,8 +275,8 @@ _FLAGS = (
 _OF_OUTPUT, _OF_STEP = (2, 3), (3, 4, 6)  # arguments that are the same for all samples: parameters, length of a step
 
 
-class LanesRunner:
-    """Compiled runner; a `SampleRunner`.
+class LanesKernel(CompiledPasses, NonlinearKernel):
+    """Compiled kernel of a nonlinear predictor; a `Kernel`.
 
     Parameters
     ----------
@@ -349,41 +290,29 @@ class LanesRunner:
     """
 
     def __init__(self, functions: SampleFunctions) -> None:
+        super().__init__(functions)
         self._n, self._n_p = functions.output.size1_in(0), functions.output.size1_in(2)
         self._library = load_library(source_of(functions), _FLAGS)
         self.note = self._library.note
 
     def begin(self, v: NonlinearValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
-        """Return the state at the start of each block; see `SampleRunner`."""
+        """Return the state at the start of each block; see `Kernel`."""
+        if blocks.per_window == 1:
+            return at_windows(blocks, starts)
         begin = np.zeros((len(blocks.size), self._n))
         arrays = [blocks.z(v.shift), blocks.window_first, blocks.window_size, starts]
         self._call("begin", v, blocks, blocks.n_windows, arrays, [begin])
         return begin.T
 
-    def passed(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> Prediction:
-        """Return states and errors; see `SampleRunner`."""
-        n_groups, length, _, lanes = blocks.y.shape
-        states, errors = np.empty((n_groups, length, self._n, lanes)), np.empty_like(blocks.y)
-        end = np.empty((n_groups, self._n, lanes))
-        self._errors(v, blocks, begin, [states, errors, end])
-        return Prediction(states, errors, end.transpose(1, 0, 2).reshape(self._n, -1))
-
-    def products(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> FloatArray:
-        """Return the products of the errors of each block; see `SampleRunner`."""
-        return self._errors(v, blocks, begin, [None, None, None])
-
-    def _errors(
+    def run_forwards(
         self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]
-    ) -> FloatArray:
-        """Return the products of the errors of each block; write states, errors and ends to `results`."""
-        n_groups, _, n_y, lanes = blocks.y.shape
-        products = np.empty((n_groups, n_y, n_y, lanes))
+    ) -> None:
+        """Write states, errors, ends and products of errors; see `CompiledPasses`."""
         arrays = [blocks.z(v.shift), blocks.y, blocks.used, blocks.by_group(begin)]
-        self._call("passed", v, blocks, n_groups, arrays, [*results, products])
-        return per_block(products)
+        self._call("passed", v, blocks, len(blocks.y), arrays, results)
 
-    def sums(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, root: FloatArray) -> SampleSums:
-        """Return the sums of a pass with sensitivities; see `SampleRunner`."""
+    def sample_sums(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, root: FloatArray) -> SampleSums:
+        """Return the sums of a pass with sensitivities; see `SampleKernel`."""
         n, n_p, (n_groups, _, n_y, lanes) = self._n, self._n_p, blocks.y.shape
         hessian, products = np.empty((n_p, n_p)), np.empty((n_y, n_y))
         gradient, mixed = np.empty((n_groups, n_p + n, lanes)), np.empty((n_groups, n_p, n, lanes))
@@ -403,20 +332,22 @@ class LanesRunner:
         )
         return SampleSums(sums, per_block(start), onto[:, :, n_p:])
 
-    def adjoint(
-        self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, weighted: FloatArray, ends: FloatArray
+    def gradient(
+        self, v: NonlinearValues, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives backwards from the ends of windows; see `SampleRunner`."""
-        by_theta, starts = np.empty(self._n_p), np.empty((blocks.n_windows, self._n))
+        """Return the gradient by the adjoint of each step; see `Kernel`."""
+        prediction = self.predict(v, blocks, starts)
+        weighted = weight @ prediction.errors * blocks.used[:, :, None]
+        by_theta, by_start = np.empty(self._n_p), np.empty((blocks.n_windows, self._n))
         windows = [blocks.size, blocks.window_first, blocks.window_size]
         arrays = [blocks.z(v.shift), prediction.states, weighted, *windows, ends]
-        self._call("adjoint", v, blocks, blocks.n_windows, arrays, [by_theta, starts])
-        return by_theta, starts
+        self._call("adjoint", v, blocks, blocks.n_windows, arrays, [by_theta, by_start])
+        return by_theta, by_start
 
-    def sensitivities(
+    def slopes(
         self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, first: FloatArray, some: slice
     ) -> FloatArray:
-        """Return the sensitivities of some blocks; see `SampleRunner`."""
+        """Return the sensitivities of some blocks; see `SampleKernel`."""
         m, n_y, count = self._n_p + self._n, blocks.y.shape[2], some.stop - some.start
         groups = slice(some.start // LANES, -(-some.stop // LANES))
         skipped, n_groups = some.start - groups.start * LANES, groups.stop - groups.start
@@ -467,17 +398,5 @@ def source_of(functions: SampleFunctions) -> str:
         "output_back": LaneFunction(functions.output_back, _OF_OUTPUT),
         "step_back": LaneFunction(functions.step_back, _OF_STEP),
     }
-    text = _template().replace("@TYPES@", LANE_TYPES).replace("@FUNCTIONS@", lane_source(written))
-    text = text.replace("@PRODUCTS@", product_source(functions))
-    for name, size in sizes.items():
-        text = text.replace(f"@{name}@", str(size))
-    return text
-
-
-@lru_cache(maxsize=1)
-def _template() -> str:
-    return files("gbid.identify.kernel").joinpath("lane_template.c").read_text(encoding="utf-8")
-
-
-def _windows(blocks: Blocks) -> list[npt.NDArray[np.int64]]:
-    return [np.ascontiguousarray(values, np.int64) for values in (blocks.window_first, blocks.window_size)]
+    parts = {"FUNCTIONS": lane_source(written), "PRODUCTS": product_source(functions)}
+    return filled("lane_template.c", {**parts, **sizes})

@@ -1,16 +1,21 @@
-"""Kernel of linear predictors: blocks side by side, linked by powers of the transition; and its portable passes."""
+"""Kernel of linear predictors: blocks side by side, linked by powers of the transition; in C, and in numpy without."""
 
 from __future__ import annotations
 
+import ctypes
 from abc import abstractmethod
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from gbid.core.arrays import FloatArray
-from gbid.identify.kernel.blocks import Blocks, BlockSums, Prediction, at_windows
-from gbid.identify.kernel.portable import LinearSteps, PortableRunner, flat, sample_sensitivities
+from gbid.core.arrays import BoolArray, FloatArray, IntArray
+from gbid.core.compiled import load_library
+from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at_windows, per_block
+from gbid.identify.kernel.portable import PortablePasses, flat
 from gbid.identify.kernel.sums import (
     Kernel,
     Linked,
@@ -77,10 +82,6 @@ class LinearKernel(Kernel):
         ends = self.passed(v, blocks, np.zeros((len(v.F), len(blocks.size)))).end
         return along_windows(blocks, starts.T[:, :, None], ends[:, :, None], transition)[:, :, 0]
 
-    def products(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
-        """Return the products of the errors of each block; see `Kernel`."""
-        return self.products_of(v, blocks, self.begin(v, blocks, starts))
-
     def gradient(
         self, v: PredictorValues, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -90,8 +91,7 @@ class LinearKernel(Kernel):
         runs backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers at the end of a window. Derivatives by the
         entries of F and G are sums of products of ``a`` with states and regressors. Those by C and H use ``w``.
         """
-        powers = powers_of(v.F, blocks.length)
-        back = self._backwards(v, blocks, starts, ends, weight, powers[-1])
+        back = self._backwards(v, blocks, starts, ends, weight, powers_of(v.F, blocks.length)[-1])
         return _by_parameters(v, back.sums), back.start[:, blocks.window_first].T
 
     def left_out(
@@ -196,10 +196,6 @@ class LinearKernel(Kernel):
         """
 
     @abstractmethod
-    def products_of(self, v: PredictorValues, blocks: Blocks, begin: FloatArray) -> FloatArray:
-        """Return the products of the errors of each block as `products` does, from starts of blocks, (n, W)."""
-
-    @abstractmethod
     def adjoint_pass(
         self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
     ) -> Backwards:
@@ -252,11 +248,24 @@ def _by_parameters(v: PredictorValues, sums: FloatArray) -> FloatArray:
 # ---- Passes without a C compiler.
 
 
-class PortableLinearKernel(LinearKernel):
+class PortableLinearKernel(LinearKernel, PortablePasses):
     """Kernel of a linear predictor on a machine without a C compiler, in numpy; a `Kernel`."""
 
-    def __init__(self) -> None:
-        self._run = PortableRunner(LinearSteps())
+    def onwards(self, v: PredictorValues, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the next states and the outputs; see `SampleKernel`."""
+        return x @ v.F.T + z @ v.G.T, x @ v.C.T + z @ v.H.T
+
+    def with_slopes(
+        self, v: PredictorValues, x: FloatArray, z: FloatArray, slopes: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return states and outputs with their derivatives; see `SampleKernel`."""
+        after, psi, driving = v.F @ slopes, v.C @ slopes, np.hstack([x, z])
+        for rows, by_state, by_regressor in ((after, v.dF, v.dG), (psi, v.dC, v.dH)):
+            onto = np.concatenate([by_state, by_regressor], axis=2)
+            driven = (driving @ onto.reshape(-1, onto.shape[2]).T).reshape(len(x), *onto.shape[:2])
+            rows[:, :, : v.n_parameters] += driven.transpose(0, 2, 1)
+        x, yhat = self.onwards(v, x, z)
+        return x, after, yhat, psi
 
     def sums(
         self,
@@ -267,15 +276,7 @@ class PortableLinearKernel(LinearKernel):
         free: FloatArray,  # noqa: ARG002
     ) -> BlockSums:
         """Return the sums of the pass with sensitivities; see `LinearKernel`."""
-        return self._run.sums(v, blocks, begin, root).by_block
-
-    def passed(self, v: PredictorValues, blocks: Blocks, begin: FloatArray) -> Prediction:
-        """Return states and errors from the starts of blocks; see `Kernel`."""
-        return self._run.passed(v, blocks, begin)
-
-    def products_of(self, v: PredictorValues, blocks: Blocks, begin: FloatArray) -> FloatArray:
-        """Return the products of the errors of each block; see `LinearKernel`."""
-        return self.passed(v, blocks, begin).products
+        return self.sample_sums(v, blocks, begin, root).by_block
 
     def adjoint_pass(
         self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
@@ -304,13 +305,387 @@ class PortableLinearKernel(LinearKernel):
             s = (s.reshape(-1, n) @ v.F.T).reshape(s.shape) + at @ onto
         return products.reshape(-1, n_p, n), s.reshape(-1, n_p, n).transpose(0, 2, 1)
 
-    def sensitivities(
-        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, some: slice
-    ) -> FloatArray:
-        """Return the sensitivities of some blocks; see `Kernel`."""
-        return sample_sensitivities(self._run, v, blocks, prediction, linked, some)
-
 
 def _driving(v: PredictorValues, blocks: Blocks, states: FloatArray) -> FloatArray:
     """Return states and regressors of all samples, (n_groups, length, n + n_z, lanes)."""
     return np.concatenate([states, blocks.z(v.shift)], axis=2)
+
+
+# ---- Entries of the predictor's matrices that may differ from zero.
+
+
+class KernelPattern(NamedTuple):
+    """Pattern of the entries of the predictor's matrices that may differ from zero; equal by content.
+
+    Attributes
+    ----------
+    F : (n, n), G : (n, n_z), C : (n_y, n), H : (n_y, n_z) boolean arrays
+        Patterns of the matrices.
+    dF, dG, dC, dH : boolean arrays
+        Patterns of the derivatives, with a first axis of parameters.
+    """
+
+    F: BoolArray
+    G: BoolArray
+    C: BoolArray
+    H: BoolArray
+    dF: BoolArray
+    dG: BoolArray
+    dC: BoolArray
+    dH: BoolArray
+
+    @classmethod
+    def of(cls, v: PredictorValues) -> KernelPattern:
+        """Return the entries that differ from zero at one parameter value."""
+        return cls(*(array != 0 for array in v[:8]))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, KernelPattern) and self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash(self._content())
+
+    def _content(self) -> tuple[tuple[tuple[int, ...], bytes], ...]:
+        return tuple((array.shape, array.tobytes()) for array in self)
+
+    def covers(self, other: KernelPattern) -> bool:
+        """Whether every entry of another pattern is one of this."""
+        return all(not (theirs & ~mine).any() for mine, theirs in zip(self, other, strict=True))
+
+    def union(self, other: KernelPattern) -> KernelPattern:
+        """Entries of either."""
+        return KernelPattern(*(mine | theirs for mine, theirs in zip(self, other, strict=True)))
+
+    def live(self, i: int) -> BoolArray:
+        """Return which states ever depend on a parameter if none does at the start, (n,)."""
+        return reached(self.F, self.dF[i].any(axis=1) | self.dG[i].any(axis=1))
+
+
+def reached(F: BoolArray, first: BoolArray) -> BoolArray:
+    """Return the pattern of ``F^k first`` for all k: where a recursion that begins with `first` differs from zero."""
+    for _ in F:  # a product of more than n factors has no other entries
+        first = first | (F @ first)
+    return first
+
+
+# ---- C source of the pass over the samples, for one size and one pattern of nonzeros.
+#
+# Eight blocks run side by side in the lanes of a vector type. The recursion of states and sensitivities is
+# written out entry by entry, zeros left out; the sums over the samples are small matrix products on a buffer of
+# a few steps, so that their accumulators stay in registers. The second pass, products of the adjoint and the
+# sensitivities of the states, is a library of its own, because only fits with coloured errors need it.
+
+_BUFFER_BYTES = 32 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
+_SECOND_BUFFER_BYTES = 96 * 1024  # factors of the products of the second pass held between sums: as above
+TILE = 4
+
+
+@lru_cache(maxsize=32)
+def kernel_source(pattern: KernelPattern) -> str:
+    """Return the C source of ``gbid_pass``, ``gbid_predict`` and ``gbid_adjoint``: one unit without includes."""
+    n, n_y, n_p = len(pattern.F), len(pattern.C), len(pattern.dF)
+    padded = _tiled(n_p + 1)
+    return _source(
+        "linear_pass.c",
+        pattern,
+        NPP=padded,
+        NT=_tiled(n),
+        STEPS=max(4, _BUFFER_BYTES // (padded * n_y * 64)),
+        STEP=[*_outputs(pattern), *_state(pattern), *(line for i in range(n_p) for line in _sensitivity(pattern, i))],
+        PREDICT=[*_errors(pattern), *_state(pattern)],
+        BACK=_adjoint(pattern),
+    )
+
+
+@lru_cache(maxsize=32)
+def second_source(pattern: KernelPattern) -> str:
+    """Return the C source of ``gbid_second``: one unit without includes."""
+    n, n_y, n_p = len(pattern.F), len(pattern.C), len(pattern.dF)
+    rows, columns = _tiled(n + n_y), _tiled(n_p * n)
+    step = []
+    for i in range(n_p):
+        after = _state_sensitivity(pattern, i)
+        step += ["{", f"const v *restrict s = before + {i * n};"]
+        step += [*(f"next[{i * n + r}] = {value};" for r, value in after.items()), "}"]
+    count = max(4, _SECOND_BUFFER_BYTES // ((rows + columns) * 64))
+    return _source("second_pass.c", pattern, ROWS=rows, COLUMNS=columns, STEPS=count, STEP=step)
+
+
+def _source(name: str, pattern: KernelPattern, **parts: int | list[str]) -> str:
+    """Return a file of C for the sizes of a pattern, with further numbers and statements."""
+    (n, n_z), n_y, n_p = pattern.G.shape, len(pattern.C), len(pattern.dF)
+    lines = {
+        key: part if isinstance(part, int) else "\n".join("      " + s for s in part) for key, part in parts.items()
+    }
+    return filled(name, {"N": n, "NZ": n_z, "NY": n_y, "NP": n_p, "TILE": TILE, **lines})
+
+
+def filled(name: str, parts: Mapping[str, object]) -> str:
+    """Return a file of C of this folder with parts in the place of their names, ``@NAME@``."""
+    text = _file(name)
+    for key, part in parts.items():
+        text = text.replace(f"@{key}@", str(part))
+    return text
+
+
+@lru_cache
+def _file(name: str) -> str:
+    return files("gbid.identify.kernel").joinpath(name).read_text(encoding="utf-8")
+
+
+def _tiled(size: int) -> int:
+    """Return a size rounded up to whole tiles."""
+    return -(-size // TILE) * TILE
+
+
+def _terms(row: BoolArray, coefficient: str, offset: int, vector: str) -> list[str]:
+    """Return the products of a row's nonzeros with a vector: ``coefficient[offset + j] * vector[j]``."""
+    return [f"{coefficient}[{offset + j}]*{vector}[{j}]" for j in np.flatnonzero(row)]
+
+
+def _sum(terms: list[str]) -> str:
+    """Return the sum of terms as C writes it; a zero without terms."""
+    return " + ".join(terms) if terms else "zero"
+
+
+def _errors(p: KernelPattern) -> list[str]:
+    """Error of every output."""
+    n, n_z = p.G.shape
+    sums = [_sum(_terms(p.C[j], "C", j * n, "x") + _terms(p.H[j], "H", j * n_z, "z")) for j in range(len(p.C))]
+    return [f"e[{j}] = (y[{j}] - ({yhat})) * m;" for j, yhat in enumerate(sums)]
+
+
+def _outputs(p: KernelPattern) -> list[str]:
+    """Error of every output and its weighted value."""
+    n_y = len(p.C)
+    lines = _errors(p)
+    for a in range(n_y):
+        lines.append(f"E[t*NY + {a}] = {_sum([f'R[{a * n_y + j}]*e[{j}]' for j in range(a, n_y)])};")
+    lines += [f"ee[{a * n_y + b}] += e[{a}]*e[{b}];" for a in range(n_y) for b in range(a, n_y)]
+    return lines
+
+
+def _state(p: KernelPattern) -> list[str]:
+    n, n_z = p.G.shape
+    return [f"nx[{r}] = {_sum(_terms(p.F[r], 'F', r * n, 'x') + _terms(p.G[r], 'G', r * n_z, 'z'))};" for r in range(n)]
+
+
+def _adjoint(p: KernelPattern) -> list[str]:
+    """Step of the adjoint from the state after a sample to the state at it."""
+    n = len(p.F)
+    lines = []
+    for c in range(n):
+        back = [f"F[{r * n + c}]*a[{r}]" for r in np.flatnonzero(p.F[:, c])]
+        out = [f"C[{j * n + c}]*w[{j}]" for j in np.flatnonzero(p.C[:, c])]
+        lines.append(f"na[{c}] = {_sum(back)} - ({_sum(out)});")
+    return lines
+
+
+def _sensitivity(p: KernelPattern, i: int) -> list[str]:
+    """Step of one parameter's sensitivity: outputs into the buffer, then the state."""
+    n, n_z = p.G.shape
+    n_y, live = len(p.C), p.live(i)
+    lines = ["{", f"v *restrict s = S + {i * n};"]
+    for j in range(n_y):
+        terms = _terms(p.C[j] & live, "C", j * n, "s")
+        terms += _terms(p.dC[i, j], "dC", (i * n_y + j) * n, "x") + _terms(p.dH[i, j], "dH", (i * n_y + j) * n_z, "z")
+        lines.append(f"v q{j} = ({_sum(terms)}) * m;")
+    for a in range(n_y):
+        lines.append(f"P[{i}*BUF + t*NY + {a}] = {_sum([f'R[{a * n_y + j}]*q{j}' for j in range(a, n_y)])};")
+    after = _state_sensitivity(p, i)
+    lines += [f"v s{r} = {value};" for r, value in after.items()]
+    lines += [f"s[{r}] = s{r};" for r in after]
+    lines.append("}")
+    return lines
+
+
+def _state_sensitivity(p: KernelPattern, i: int) -> dict[int, str]:
+    """Return for each state that depends on a parameter its sensitivity after a sample, from `s` at the sample."""
+    (n, n_z), live = p.G.shape, p.live(i)
+    return {
+        int(r): _sum(
+            _terms(p.F[r] & live, "F", r * n, "s")
+            + _terms(p.dF[i, r], "dF", (i * n + r) * n, "x")
+            + _terms(p.dG[i, r], "dG", (i * n + r) * n_z, "z")
+        )
+        for r in np.flatnonzero(live)
+    }
+
+
+# ---- Compiled kernel.
+
+_CHUNK = 8  # samples that sensitivities.c holds before it writes them
+LONGEST_SOURCE = 200_000
+"""Longest kernel that is compiled, in characters: 55 000 (12 states) take seconds, 480 000 (28 states) minutes."""
+
+
+class CompiledPasses(Kernel):
+    """States and errors of a compiled kernel, which writes them to arrays; in part a `Kernel`.
+
+    Attributes
+    ----------
+    note : str
+        Why its library is not taken from the cache; empty when it is.
+    """
+
+    note: str
+
+    @abstractmethod
+    def run_forwards(self, v: Any, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]) -> None:
+        """Write states, errors, ends and products of errors of all blocks; the products alone where others are None."""
+
+    def passed(self, v: Any, blocks: Blocks, begin: FloatArray) -> Prediction:
+        """Return states and errors from the starts of blocks; see `Kernel`."""
+        (n_groups, length, n_y, lanes), n = blocks.y.shape, len(begin)
+        states, errors = np.empty((n_groups, length, n, lanes)), np.empty_like(blocks.y)
+        end = np.empty((n_groups, n, lanes))
+        self.run_forwards(v, blocks, begin, [states, errors, end, np.empty((n_groups, n_y, n_y, lanes))])
+        return Prediction(states, errors, end.transpose(1, 0, 2).reshape(n, -1))
+
+    def products_of(self, v: Any, blocks: Blocks, begin: FloatArray) -> FloatArray:
+        """Return the products of the errors of each block; see `Kernel`."""
+        n_groups, _, n_y, lanes = blocks.y.shape
+        products = np.empty((n_groups, n_y, n_y, lanes))
+        self.run_forwards(v, blocks, begin, [None, None, None, products])
+        return per_block(products)
+
+
+class CompiledLinearKernel(CompiledPasses, LinearKernel):
+    """Compiled kernel of a linear predictor, built for the nonzeros that it has met; a `Kernel`.
+
+    Parameters
+    ----------
+    pattern : KernelPattern
+        Entries of the predictor's matrices that may differ from zero. The kernel is built anew when others are met.
+
+    Raises
+    ------
+    CompilerMissingError
+        When there is no compiler, or when it fails.
+    """
+
+    def __init__(self, pattern: KernelPattern) -> None:
+        self._known: PredictorValues | None = None
+        self._build(pattern)
+
+    def _build(self, pattern: KernelPattern) -> None:
+        self._pattern = pattern
+        library = load_library(kernel_source(pattern))
+        self.note = library.note
+        self._pass, self._predict, self._adjoint = library.gbid_pass, library.gbid_predict, library.gbid_adjoint
+        self._second: Any = None  # compiled when it is needed first
+
+    def _regressors(self, v: PredictorValues, blocks: Blocks) -> FloatArray:
+        """Return the regressors; build the kernel anew if the predictor has new nonzeros."""
+        if v is not self._known:  # a gradient runs four passes of one predictor
+            pattern = KernelPattern.of(v)
+            if not self._pattern.covers(pattern):
+                self._build(self._pattern.union(pattern))
+            self._known = v
+        return blocks.z(v.shift)
+
+    def sums(
+        self, v: PredictorValues, blocks: Blocks, begin: FloatArray, root: FloatArray, free: FloatArray
+    ) -> BlockSums:
+        """Return the sums of the pass with sensitivities; see `LinearKernel`."""
+        z = self._regressors(v, blocks)
+        n, n_p, n_y = len(v.F), len(v.dF), len(v.C)
+        n_groups, length, _, lanes = z.shape
+        hessian, products = np.empty((n_p, n_p)), np.empty((n_y, n_y))
+        gradient = np.empty((n_groups, n_p, lanes))
+        gradient_start, end = np.empty((n_groups, n, lanes)), np.empty((n_groups, n, lanes))
+        mixed, end_theta = np.empty((n_groups, n_p, n, lanes)), np.zeros((n_groups, n_p, n, lanes))
+        response = np.zeros((length, n_y, _tiled(n)))
+        response[:, :, :n] = free
+        arrays = [*v[:8], root, response, z, blocks.y, blocks.used, blocks.size, blocks.by_group(begin)]
+        results = [hessian, products, gradient, gradient_start, mixed, end, end_theta]
+        run_compiled(self._pass, (n_groups, length), arrays, results)
+        return BlockSums(
+            hessian,
+            products,
+            per_block(gradient),
+            per_block(gradient_start),
+            per_block(mixed),
+            per_block(end),
+            per_block(end_theta).transpose(0, 2, 1),
+        )
+
+    def run_forwards(
+        self, v: PredictorValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]
+    ) -> None:
+        """Write states, errors, ends and products of errors; see `CompiledPasses`."""
+        arrays = [*v[:4], self._regressors(v, blocks), blocks.y, blocks.used, blocks.by_group(begin)]
+        run_compiled(self._predict, blocks.y.shape[:2], arrays, results)
+
+    def adjoint_pass(
+        self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
+    ) -> Backwards:
+        """Run the adjoint backwards in each block; see `LinearKernel`."""
+        z = self._regressors(v, blocks)
+        n_groups, length, n_z, lanes = z.shape
+        n, n_y = len(v.F), len(v.C)
+        first, sums = np.empty((n_groups, n, lanes)), np.empty((n + n_y, n + n_z))
+        factors = np.empty((n_groups, length, n + n_y, lanes))
+        arrays = [v.F, v.C, weighted, states, z, blocks.size, blocks.by_group(last)]
+        run_compiled(self._adjoint, (n_groups, length), arrays, [first, factors, sums])
+        return Backwards(states, first.transpose(1, 0, 2).reshape(n, -1), sums, factors)
+
+    def second_pass(self, v: PredictorValues, blocks: Blocks, back: Backwards) -> tuple[FloatArray, FloatArray]:
+        """Return the products of the adjoint and the sensitivities of the states; see `LinearKernel`."""
+        z = self._regressors(v, blocks)
+        if self._second is None:
+            self._second = load_library(second_source(self._pattern)).gbid_second
+        n_groups, length, _, lanes = z.shape
+        n_p, n, _ = v.dF.shape
+        products, end_theta = np.empty((back.factors.shape[2], n_p, n)), np.empty((n_groups, n_p, n, lanes))
+        arrays = [v.F, v.dF, v.dG, back.states, z, back.factors]
+        run_compiled(self._second, (n_groups, length), arrays, [products, end_theta])
+        return products, per_block(end_theta).transpose(0, 2, 1)
+
+    def sensitivities(
+        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, some: slice
+    ) -> FloatArray:
+        """Return the sensitivities of some blocks; see `Kernel`."""
+        z = self._regressors(v, blocks)
+        n_z, (n_p, n, _), n_y, length = z.shape[2], v.dF.shape, len(v.C), blocks.length
+        m, count = n_p + n, some.stop - some.start
+        onto_state = np.concatenate([v.dF, v.dG], axis=2).reshape(n_p * n, -1)
+        onto_output = np.concatenate([v.dC, v.dH], axis=2).reshape(n_p * n_y, -1)
+        entries = [array for matrix in (v.F, v.C, onto_state, onto_output) for array in _by_rows(matrix)]
+        starts = np.concatenate([linked.by_theta[some], linked.by_start[some]], axis=2).transpose(0, 2, 1)
+        sides = _aligned((2 * m * n + n + n_z + m * n_y * _CHUNK) * LANES)
+        psi = np.empty((n_y * m, count, length))
+        run = load_library(_file("sensitivities.c")).gbid_sensitivities
+        sizes = (n, n_p, n_y, n_z, length, some.start, some.stop)
+        run_compiled(run, sizes, [*entries, prediction.states, z, blocks.used, starts], [sides, psi])
+        return psi
+
+
+def run_compiled(
+    function: Any,
+    sizes: Sequence[int],
+    arrays: Sequence[npt.NDArray[Any]],
+    results: Sequence[npt.NDArray[Any] | None],
+) -> None:
+    """Call a compiled function of sizes (long), arrays that it reads, and contiguous arrays that it writes, or NULL."""
+    given = [np.ascontiguousarray(array) for array in arrays]  # kept until the call has ended
+    function.restype = None
+    function(*map(ctypes.c_long, sizes), *(None if array is None else _pointer(array) for array in [*given, *results]))
+
+
+def _pointer(array: npt.NDArray[Any]) -> ctypes.c_void_p:
+    """Return the address of an array for C."""
+    return ctypes.c_void_p(array.__array_interface__["data"][0])  # half the time of array.ctypes
+
+
+def _by_rows(matrix: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return where the rows of a matrix without its zeros begin and end, and the columns and values of its entries."""
+    rows, columns = np.nonzero(matrix)
+    ends = np.searchsorted(rows, np.arange(len(matrix) + 1)).astype(np.int64)
+    return ends, columns.astype(np.int64), matrix[rows, columns]
+
+
+def _aligned(size: int) -> FloatArray:
+    """Return an array of so many numbers at an address of a vector."""
+    room = np.empty(size + LANES)
+    return room[-(room.__array_interface__["data"][0] // 8) % LANES :][:size]

@@ -303,9 +303,13 @@ class Kernel(ABC):
         """Return states and errors from the starts of the windows, without sensitivities."""
         return self.passed(v, blocks, self.begin(v, blocks, starts))
 
-    @abstractmethod
     def products(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
         """Return the products ``sum e e'`` of the errors of each block, (W, n_y, n_y)."""
+        return self.products_of(v, blocks, self.begin(v, blocks, starts))
+
+    def products_of(self, v: Any, blocks: Blocks, begin: FloatArray) -> FloatArray:
+        """Return the products of the errors of each block from the starts of the blocks."""
+        return self.passed(v, blocks, begin).products
 
     @abstractmethod
     def gradient(
@@ -364,3 +368,67 @@ class Kernel(ABC):
         (n_y * (n_p + n), n_blocks, length) array
             Zero where samples do not count.
         """
+
+
+# ---- Kernels that run all blocks sample by sample, with the sensitivities by the start of each block beside others.
+
+_AT_ONCE = 64  # blocks whose sensitivities are made together
+
+
+class SampleSums(NamedTuple):
+    """Results of a pass with sensitivities.
+
+    Attributes
+    ----------
+    by_block : BlockSums
+        Sums over all blocks and values of each block.
+    start_hessian : (W, n, n) array
+        Gauss-Newton Hessian by the start of each block.
+    end_start : (W, n, n) array
+        Derivative of the end of each block by its start.
+    """
+
+    by_block: BlockSums
+    start_hessian: FloatArray
+    end_start: FloatArray
+
+
+class SampleKernel(Kernel):
+    """Kernel by the functions of one sample; a `Kernel`."""
+
+    @abstractmethod
+    def onwards(self, v: Any, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the next states (width, n) and the outputs (width, n_y) of many blocks side by side."""
+
+    @abstractmethod
+    def with_slopes(
+        self, v: Any, x: FloatArray, z: FloatArray, slopes: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the next states, their derivatives (width, n, m), the outputs, and their derivatives (width, n_y, m).
+
+        `slopes` are the derivatives of the states `x`, (width, n, m), by the parameters and then by other unknowns.
+        """
+
+    @abstractmethod
+    def sample_sums(self, v: Any, blocks: Blocks, begin: FloatArray, root: FloatArray) -> SampleSums:
+        """Return the sums of a pass with sensitivities, for the weight ``root' root``."""
+
+    @abstractmethod
+    def slopes(self, v: Any, blocks: Blocks, prediction: Prediction, first: FloatArray, some: slice) -> FloatArray:
+        """Return the sensitivities of the predictions of some blocks, (length, n_y, m, n_blocks).
+
+        `first` are those of the starts of these blocks, (n_blocks, n, m).
+        """
+
+    def sensitivities(self, v: Any, blocks: Blocks, prediction: Prediction, linked: Linked, some: slice) -> FloatArray:
+        """Return the sensitivities of some blocks, a few at a time; see `Kernel`."""
+        n_y, m = blocks.y.shape[2], linked.by_theta.shape[2] + linked.by_start.shape[2]
+        every = np.empty((n_y * m, some.stop - some.start, blocks.length))
+        for begin in range(some.start, some.stop, _AT_ONCE):
+            few = slice(begin, min(begin + _AT_ONCE, some.stop))
+            first = np.concatenate([linked.by_theta[few], linked.by_start[few]], axis=2)
+            psi = self.slopes(v, blocks, prediction, first, few)
+            used = blocks.side_by_side(blocks.used[:, :, None], few)[:, :, None]
+            rows = np.where(used != 0, psi * used, 0.0).reshape(blocks.length, n_y * m, -1)
+            every[:, begin - some.start : few.stop - some.start] = rows.transpose(1, 2, 0)
+        return every

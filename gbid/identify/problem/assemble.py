@@ -1,32 +1,46 @@
-"""Ties: parameters of a structure that are linear in unknowns shared by all recordings, as those of surfaces."""
+"""Problem of a fit from recordings and options: parts with their kernels, links between windows, scales and starts."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
+from itertools import pairwise
 from math import inf
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray, point_label
+from gbid.core.compiled import CompilerMissingError
 from gbid.core.errors import DataError, UsageError
+from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, Record
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.kernel.blocks import LANES, LONGEST_BLOCK, Segment, cut
-from gbid.identify.kernel.choice import RunEngine, choose_kernel
-from gbid.identify.kernel.nonlinear import NonlinearKernel
+from gbid.identify.kernel.lanes import LanesKernel
+from gbid.identify.kernel.linear import (
+    LONGEST_SOURCE,
+    CompiledLinearKernel,
+    CompiledPasses,
+    KernelPattern,
+    PortableLinearKernel,
+    kernel_source,
+)
+from gbid.identify.kernel.nonlinear import MappedKernel, NonlinearKernel
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.kernel.sums import Kernel, Sweep, tied
-from gbid.identify.kernel.window_starts import window_starts
-from gbid.identify.options import Criterion, Focus, Scope
+from gbid.identify.options import FitArguments, Focus, RunEngine, Scope
 from gbid.identify.predictor import GeneralPredictor, Predictor, predictor_of, with_spare_states
-from gbid.identify.problem.nlp import Prior, RecordGroup, Shooting
+from gbid.identify.problem.nlp import ExtraTerms, Prior, RecordGroup, Shooting
 from gbid.identify.problem.states import InitialStates
-from gbid.structure import AnyStructure, Parameter
+from gbid.structure import AnyStructure, Parameter, Values
+from gbid.structure.linear import in_one_line
+
+# ---- Ties: parameters of a structure that are linear in unknowns shared by all recordings, as those of surfaces.
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,136 +115,151 @@ def tie_of(
     return tuple(index), tie
 
 
-# ---- Segments of records: cut at left-out samples, grouped by predictor, and the links between windows.
+# ---- Kernel of a predictor: compiled, or the portable one without a C compiler.
+
+MOST_INSTRUCTIONS = 60_000
+"""Largest number of operations of all functions of a sample that are compiled: 10 000 take about 3 s."""
 
 
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """Consecutive samples of a record that all count, or a gap between such."""
+class ChosenKernel(NamedTuple):
+    """Kernel, the name of its engine, and notes on its choice."""
 
-    segment: Segment
-    is_gap: bool
-
-
-def stretches(record: Record, ranges: Sequence[tuple[int, int]], predictor: GeneralPredictor) -> list[Stretch]:
-    """Cut a record at what is left out.
-
-    Without feedback of the outputs the model runs through and those samples just do not count. With feedback
-    the model runs through them on its own: a stretch of simulation between two of prediction.
-    """
-    n = record.n_samples
-    counts = np.ones(n)
-    for start, stop in ranges:
-        if not 0 <= start < stop <= n:
-            raise DataError(f"recording {record.name!r}: left out samples {start} to {stop} are not within its {n}")
-        counts[start:stop] = 0.0
-    if counts.all():
-        return [Stretch(Segment(record.inputs, record.outputs), False)]
-    if not counts.any():
-        raise DataError(f"recording {record.name!r}: all samples are left out")
-    if not predictor.feeds_back:
-        return [Stretch(Segment(record.inputs, record.outputs, counts), False)]
-    edges = [0, *(np.flatnonzero(np.diff(counts)) + 1).tolist(), n]
-    return [
-        Stretch(Segment(record.inputs, record.outputs, counts, start=a, stop=b), counts[a] == 0)
-        for a, b in itertools.pairwise(edges)
-    ]
+    kernel: Kernel
+    name: RunEngine
+    notes: tuple[str, ...]
 
 
-_Key = tuple[int, tuple[int, ...], bytes]  # of a predictor, its parameters, and how they are tied
+def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> ChosenKernel:
+    """Return the kernel of a predictor.
 
-
-def in_pieces(stretches: Sequence[Stretch], edges: Sequence[int]) -> list[tuple[Stretch, int]]:
-    """Cut stretches of a record at further samples; return each with the number of its piece, from 0."""
-    found = []
-    for stretch in stretches:
-        own = stretch.segment
-        stop = len(own.outputs) if own.stop is None else own.stop
-        inside = [own.start, *(e for e in edges if own.start < e < stop), stop]
-        for a, b in itertools.pairwise(inside):
-            piece = sum(e <= a for e in edges)
-            found.append((Stretch(replace(own, start=a, stop=b), stretch.is_gap), piece))
-    return found
-
-
-class GroupBuilder:
-    """Collects segments of the same predictor and parameters, and cuts them together.
+    It is compiled if there is a C compiler and the predictor is not too large to be compiled in seconds. Otherwise it
+    is the portable one, and a note says why.
 
     Parameters
     ----------
-    window : int or None
-        Samples in a shooting window; None for one window for each segment.
+    predictor : Predictor or NonlinearPredictor
+        The predictor.
     begin : dict of str to float
-        Start values, at which the engine looks which entries of the predictor are zero for good.
+        Start values, which show the entries of a linear predictor that are always zero.
     """
-
-    def __init__(self, window: int | None, begin: Mapping[str, float]) -> None:
-        self._window, self._begin = window, begin
-        self._groups: dict[_Key, tuple[GeneralPredictor, FloatArray | None, list[Segment]]] = {}
-        self._order: list[tuple[_Key, int]] = []
-        self.engine_name: RunEngine = "numpy"
-        self.notes: list[str] = []
-
-    def add(
-        self, predictor: GeneralPredictor, index: tuple[int, ...], segment: Segment, tie: FloatArray | None = None
-    ) -> None:
-        """Add a segment; `index` and `tie` as in `RecordGroup`."""
-        key = (id(predictor), index, b"" if tie is None else tie.tobytes())
-        _, _, segments = self._groups.setdefault(key, (predictor, tie, []))
-        self._order.append((key, len(segments)))
-        segments.append(segment)
-
-    def build(self) -> tuple[tuple[RecordGroup, ...], list[tuple[int, int]]]:
-        """Return the parts, and first and last window (over all parts) of each segment in the order of adding."""
-        parts, windows_of = [], {}
-        kernels: dict[int, Kernel] = {}
-        base = 0
-        for key, (predictor, tie, segments) in self._groups.items():
-            predictor_id, index, _ = key
-            if predictor_id not in kernels:
-                chosen = choose_kernel(predictor, self._begin)
-                kernels[predictor_id] = chosen.kernel
-                self.engine_name = chosen.name
-                self.notes += chosen.notes
-            # A lone short segment fills all lanes with blocks of itself.
-            longest = max(len(s.part(s.outputs)) for s in segments)
-            size = -(-longest // LANES) if len(segments) == 1 and tie is not None else LONGEST_BLOCK
-            blocks = cut(segments, predictor, self._window, longest_block=min(size, LONGEST_BLOCK))
-            part = RecordGroup(predictor, blocks, np.array(index), kernels[predictor_id], tie)
-            parts.append(part)
-            ends = np.append(blocks.segment_first[1:], blocks.n_windows) - 1
-            for i, (a, b) in enumerate(zip(blocks.segment_first, ends, strict=True)):
-                windows_of[key, i] = (base + int(a), base + int(b))
-            base += blocks.n_windows
-        return tuple(parts), [windows_of[item] for item in self._order]
+    notes: list[str] = []
+    compiled: Callable[[], CompiledPasses]
+    portable: Callable[[], Kernel]
+    if isinstance(predictor, NonlinearPredictor):
+        compiled, portable = partial(LanesKernel, predictor.functions), partial(MappedKernel, predictor.functions)
+        count = sum(f.n_instructions() for f in predictor.functions if isinstance(f, ca.Function))
+        large = f"{count} operations" if count > MOST_INSTRUCTIONS else ""
+        if predictor.jumps:
+            text = (
+                f"the equations have jumps or kinks ({', '.join(predictor.jumps)}): the derivatives know only the "
+                "pieces between them, so estimates of where they lie, and their standard deviations, are rough"
+            )
+            notes.append(FitNote.JUMPS(text))
+    else:
+        theta = np.array([begin.get(q.name, 0.0) for q in predictor.free])
+        nudged = np.where(theta == 0, 1e-3, theta * 1.001)  # a point where nothing is zero by chance
+        nudged = np.clip(nudged, [q.lower for q in predictor.free], [q.upper for q in predictor.free])
+        pattern = KernelPattern.of(predictor.at(theta)).union(KernelPattern.of(predictor.at(nudged)))
+        compiled, portable = partial(CompiledLinearKernel, pattern), PortableLinearKernel
+        large = f"{len(pattern.F)} states" if len(kernel_source(pattern)) > LONGEST_SOURCE else ""
+    reason = f"a compiled pass of {large} would take minutes to build: the slower portable pass was used"
+    if not large:
+        try:
+            kernel = compiled()
+        except (CompilerMissingError, NotImplementedError) as missing:
+            reason = f"{missing}: the slower portable pass was used; install gcc, clang or gbid[compiler], or set CC"
+        else:
+            notes = [FitNote.SLOW_ENGINE(kernel.note), *notes] if kernel.note else notes
+            return ChosenKernel(kernel, "compiled", tuple(notes))
+    return ChosenKernel(portable(), "numpy", (FitNote.SLOW_ENGINE(reason), *notes))
 
 
-def links_of(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:
-    """Return the links: neighbouring windows within each segment, and across the segments of one record."""
-    links, i = [], 0
-    for count in counts:
-        for j in range(count):
-            first, last = windows[i + j]
-            links += [(w, w + 1) for w in range(first, last)]
-            if j + 1 < count:
-                links.append((last, windows[i + j + 1][0]))
-        i += count
-    return np.array(links, dtype=np.int64).reshape(-1, 2)
+# ---- Segments of records: cut at left-out samples and edges of pieces, and grouped by predictor.
 
 
-def record_windows(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:
-    """Return the first window of each record, from the windows and numbers of segments."""
-    firsts = np.cumsum([0, *counts[:-1]])
-    return np.array([windows[i][0] for i in firsts])
+def segments_of(
+    record: Record, left_out: Sequence[tuple[int, int]], edges: Sequence[int], *, feeds_back: bool
+) -> list[tuple[Segment, int]]:
+    """Return the segments of a record, each with the number of its piece: pieces begin at 0 and at the `edges`.
+
+    Without feedback of the outputs the model runs through what is left out, and those samples just do not count. With
+    feedback it runs through them on its own: a segment of simulation between two of prediction.
+    """
+    n = record.n_samples
+    counts, cuts = np.ones(n), {0, n, *edges}
+    for start, stop in left_out:
+        if not 0 <= start < stop <= n:
+            raise DataError(f"recording {record.name!r}: left out samples {start} to {stop} are not within its {n}")
+        counts[start:stop] = 0.0
+    if not counts.any():
+        raise DataError(f"recording {record.name!r}: all samples are left out")
+    if feeds_back:
+        cuts |= set((np.flatnonzero(np.diff(counts)) + 1).tolist())
+    whole = Segment(record.inputs, record.outputs, None if counts.all() else counts)
+    return [(replace(whole, start=a, stop=b), bisect_right(edges, a)) for a, b in pairwise(sorted(cuts))]
+
+
+class Member(NamedTuple):
+    """Segment of a record with its predictor; `columns` are the `index` of `RecordGroup`, and `tie` is its own."""
+
+    record: int
+    segment: Segment
+    predictor: GeneralPredictor
+    columns: tuple[int, ...]
+    tie: FloatArray | None
+
+
+class Grouped(NamedTuple):
+    """Parts of a problem, its links and the first windows of its records, as in `Assembly`; and their kernels."""
+
+    parts: tuple[RecordGroup, ...]
+    links: IntArray
+    record_window: IntArray
+    kernels: list[ChosenKernel]
+
+
+def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, float]) -> Grouped:
+    """Return the groups of segments with the same predictor and parameters, cut into windows of so many samples.
+
+    `begin` are start values, at which the entries of a predictor are found that are zero for good.
+    """
+    groups: dict[tuple[int, tuple[int, ...], bytes], list[int]] = {}
+    for i, (_, _, predictor, index, tie) in enumerate(members):
+        groups.setdefault((id(predictor), index, b"" if tie is None else tie.tobytes()), []).append(i)
+    kernels: dict[int, ChosenKernel] = {}
+    parts, windows, base = [], [(0, 0)] * len(members), 0  # first and last window of each segment
+    for (key, _, _), places in groups.items():
+        _, _, predictor, index, tie = members[places[0]]
+        if key not in kernels:
+            kernels[key] = choose_kernel(predictor, begin)
+        segments = [members[i].segment for i in places]
+        # A lone short segment fills all lanes with blocks of itself.
+        longest = max(len(s.part(s.outputs)) for s in segments)
+        size = -(-longest // LANES) if len(segments) == 1 and tie is not None else LONGEST_BLOCK
+        blocks = cut(segments, predictor, window, longest_block=min(size, LONGEST_BLOCK))
+        parts.append(RecordGroup(predictor, blocks, np.array(index), kernels[key].kernel, tie))
+        edges = pairwise([*blocks.segment_first.tolist(), blocks.n_windows])
+        for i, (first, stop) in zip(places, edges, strict=True):
+            windows[i] = base + first, base + stop - 1
+        base += blocks.n_windows
+    links, firsts, before = list[tuple[int, int]](), dict[int, int](), 0
+    for member, (first, last) in zip(members, windows, strict=True):
+        links += [(before, first)] if member.record in firsts else []
+        firsts.setdefault(member.record, first)
+        links += pairwise(range(first, last + 1))
+        before = last
+    return Grouped(
+        tuple(parts), np.array(links, np.int64).reshape(-1, 2), np.array([*firsts.values()]), [*kernels.values()]
+    )
 
 
 # ---- Assembly of a fit from recordings and options: parts, links, and shared parameters.
 
-_WINDOW = {"prediction": 256, "simulation": 128}  # samples; measured outputs stabilise a prediction, so it is longer
-_MOST_WINDOWS = {
-    "prediction": 64,
-    "simulation": 192,
-}  # more samples make longer windows, because the solver's own work grows with the number of windows
+_WINDOWS = {"prediction": (256, 64), "simulation": (128, 192)}
+"""Samples in a window, and most windows: more samples make longer windows, as the solver's own work grows with these.
+
+Measured outputs stabilise a prediction, so its windows are longer.
+"""
 
 
 class OwnStructure(NamedTuple):
@@ -290,12 +319,8 @@ def assemble(
     parameters: tuple[Parameter, ...],
     begin: Mapping[str, float],
     data: FitData,
+    options: FitArguments,
     *,
-    intersample: Hold | Sequence[Hold],
-    focus: Focus,
-    local: Mapping[str, Scope],
-    left_out: Mapping[str, Sequence[tuple[int, int]]],
-    window: int | None,
     disturbances: Disturbances = UNDISTURBED,
     released: BoolArray | None = None,
     ties: Ties | None = None,
@@ -303,10 +328,27 @@ def assemble(
 ) -> Assembly:
     """Return the assembly of a fit from recordings and options.
 
-    The parameters are those of `gbid.fit`. Its starts, bounds and fixed values are in `parameters` and `begin`. With
-    `ties`, parameters of the structure are linear in further, shared unknowns. These are then the first of `free`.
-    `released` (n_records, n) marks the initial states that are functions of the parameters. With `own`, each record has
-    a linear structure of its own; `parameters` are then those of all of them, and names that they share are shared.
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the fit.
+    parameters : tuple of Parameter
+        Its parameters, with the starts, bounds and fixed values of the caller.
+    begin : dict of str to float
+        Start values.
+    data : FitData
+        Recordings.
+    options : FitArguments
+        Options of the fit: `focus`, `intersample`, `local`, `left_out` and `window`.
+    disturbances : Disturbances
+        Trends and hum.
+    released : (n_records, n) boolean array, optional
+        Initial states that are functions of the parameters.
+    ties : Ties, optional
+        Parameters of the structure that are linear in further, shared unknowns. These are then the first of `free`.
+    own : sequence of OwnStructure, optional
+        A linear structure for each record. `parameters` are then those of all of them, and names that they share are
+        shared.
 
     Raises
     ------
@@ -314,24 +356,18 @@ def assemble(
         For options that do not fit the structure or the recordings.
     """
     held = {q.name: begin[q.name] for q in parameters if q.fixed}
-
-    each = list(own) or [OwnStructure(structure, intersample)] * len(data.records)
+    known = {q.name: q for q in parameters}
+    focus, local, left_out = options.focus, options.local or {}, options.left_out or {}
+    hold = structure.intersample if options.intersample is None else options.intersample
+    each = list(own) or [OwnStructure(structure, hold)] * len(data.records)
     models = [chosen for i, chosen in enumerate(each) if chosen not in each[:i]]
     model_of = [models.index(chosen) for chosen in each]
 
     @cache
     def predictor_for(kind: Focus, released: tuple[bool, ...], model: int) -> GeneralPredictor:
-        built = predictor_of(
-            models[model].structure,
-            held,
-            begin,
-            data.sample_time,
-            models[model].intersample,
-            kind,
-            disturbances=disturbances,
-            released=released,
-        )
-        known = {q.name: q for q in parameters}
+        structure, hold = models[model]
+        more: dict[str, Any] = {"disturbances": disturbances, "released": released}
+        built = predictor_of(structure, held, begin, data.sample_time, hold, kind, **more)
         return replace(built, free=tuple(known.get(q.name, q) for q in built.free))
 
     @cache
@@ -344,60 +380,49 @@ def assemble(
 
     own_released = [()] * len(data.records) if released is None or not released.any() else [*map(tuple, released)]
     first = {model: predictor_for(focus, own_released[model_of.index(model)], model) for model in range(len(models))}
-    for one, model in zip(data.records, model_of, strict=True):
-        _check_channels(models[model].structure, first[model], one, data)
-    predictor, n_states = first[0], max(built.n_states for built in first.values())
+    for record, model in zip(data.records, model_of, strict=True):
+        _check_channels(models[model].structure, first[model], record, data)
+    n_states = max(built.n_states for built in first.values())
     all_free = list({q.name: q for built in first.values() for q in built.free}.values())
-    always: Scope = "recording"
-    scopes = {**local, **dict.fromkeys((term.name for term in disturbances.terms), always)}
-    unknown = [name for name in scopes if name not in [q.name for q in all_free]]
-    if unknown:
+    scopes: dict[str, Scope] = {**local, **dict.fromkeys((term.name for term in disturbances.terms), "recording")}
+    if unknown := [name for name in scopes if name not in [q.name for q in all_free]]:
         raise UsageError(f"local names parameters that are not estimated: {', '.join(unknown)}")
-    if scopes or left_out:
+    if strangers := [name for name in left_out if name not in [record.name for record in data.records]]:
+        raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
+    if scopes or left_out or ties is not None:
         _check_names(data)
-    tied = frozenset(ties.names) if ties else frozenset()
-    record_names = tuple(
-        _full_names(first[model], record, scopes, len(data.records), tied)
+    bound = ties.names if ties else ()
+    record_names: tuple[Mapping[str, str], ...] = tuple(
+        {
+            q.name: f"{q.name}[{group_name(record, scopes[q.name])}]" if q.name in scopes and len(each) > 1 else q.name
+            for q in first[model].free
+            if q.name not in bound
+        }
         for record, model in zip(data.records, model_of, strict=True)
     )
     free = _all_free(all_free, record_names)
     if ties is not None:
-        _check_names(data)
         record_names = tuple(
             {**names, **ties.own_names(record.name)} for names, record in zip(record_names, data.records, strict=True)
         )
         free = (*ties.shared, *free, *_all_free(ties.own, record_names))
     position = {q.name: i for i, q in enumerate(free)}
-
-    segments: list[list[tuple[Stretch, int]]] = []
-    for i, (record, model) in enumerate(zip(data.records, model_of, strict=True)):
-        begin_piece, edges = (i, ()) if ties is None else ties.pieces(i)
-        cut = stretches(record, left_out.get(record.name, ()), first[model])
-        segments.append([(stretch, begin_piece + piece) for stretch, piece in in_pieces(cut, edges)])
-    strangers = [name for name in left_out if name not in [record.name for record in data.records]]
-    if strangers:
-        raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
-    builder = GroupBuilder(window, begin)
-    for i, (names, own_stretches) in enumerate(zip(record_names, segments, strict=True)):
-        for segment, piece in own_stretches:
-            chosen = predictor_for("simulation" if segment.is_gap else focus, own_released[i], model_of[i])
-            chosen = filled(chosen)
+    members = []
+    for i, (record, names, model) in enumerate(zip(data.records, record_names, model_of, strict=True)):
+        first_piece, edges = (i, ()) if ties is None else ties.pieces(i)
+        feeds_back = first[model].feeds_back
+        for segment, piece in segments_of(record, left_out.get(record.name, ()), edges, feeds_back=feeds_back):
+            kind: Focus = "simulation" if feeds_back and segment.is_left_out else focus
+            chosen = filled(predictor_for(kind, own_released[i], model))
             if ties is None:
-                builder.add(chosen, tuple(position[names[q.name]] for q in chosen.free), segment.segment)
+                index, tie = tuple(position[names[q.name]] for q in chosen.free), None
             else:
-                index, tie = tie_of(chosen, names, position, ties, piece)
-                builder.add(chosen, index, segment.segment, tie)
-    parts, windows = builder.build()
-    return Assembly(
-        parts,
-        links_of(windows, [len(record) for record in segments]),
-        free,
-        predictor.unused,
-        record_windows(windows, [len(record) for record in segments]),
-        record_names,
-        builder.engine_name,
-        tuple(dict.fromkeys(builder.notes)),
-    )
+                index, tie = tie_of(chosen, names, position, ties, first_piece + piece)
+            members.append(Member(i, segment, chosen, index, tie))
+    window = automatic_window(data, focus) if options.window == "auto" else options.window
+    parts, links, record_window, kernels = grouped(members, window, begin)
+    notes = tuple(dict.fromkeys(note for chosen in kernels for note in chosen.notes))
+    return Assembly(parts, links, free, first[0].unused, record_window, record_names, kernels[-1].name, notes)
 
 
 def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, record: Record, data: FitData) -> None:
@@ -436,18 +461,6 @@ def group_name(record: Record, scope: Scope) -> str:
     return point_label(pressure, speed)
 
 
-def _full_names(
-    predictor: GeneralPredictor, record: Record, scopes: Mapping[str, Scope], n_records: int, tied: frozenset[str]
-) -> dict[str, str]:
-    names = {}
-    for q in predictor.free:
-        if q.name in tied:
-            continue
-        scope = scopes.get(q.name)
-        names[q.name] = q.name if scope is None or n_records == 1 else f"{q.name}[{group_name(record, scope)}]"
-    return names
-
-
 def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[str, str]]) -> tuple[Parameter, ...]:
     """Return shared parameters once and local ones once for each group, in the order of the structure."""
     found: dict[str, Parameter] = {}
@@ -477,8 +490,8 @@ def automatic_window(data: FitData, focus: Focus) -> int:
         Number of samples.
     """
     n = data.n_samples
-    count = min(LANES * -(-n // (_WINDOW[focus] * LANES)), _MOST_WINDOWS[focus])
-    return -(-n // count)
+    usual, most = _WINDOWS[focus]
+    return -(-n // min(LANES * -(-n // (usual * LANES)), most))
 
 
 def full_start(
@@ -496,12 +509,7 @@ def full_start(
 
 
 def build_problem(
-    assembly: Assembly,
-    data: FitData,
-    criterion: Criterion,
-    output_weights: Sequence[float] | None,
-    begin: Mapping[str, float],
-    prior: Mapping[str, tuple[float, float]],
+    assembly: Assembly, data: FitData, options: FitArguments, begin: Mapping[str, float]
 ) -> tuple[Shooting, FloatArray]:
     """Scale the unknowns, and find window starts for the start values.
 
@@ -509,8 +517,8 @@ def build_problem(
     ----------
     assembly : Assembly
     data : FitData
-    criterion, output_weights, prior
-        As for `gbid.fit`.
+    options : FitArguments
+        Options of the fit: `criterion`, `output_weights` and `prior`.
     begin : dict of str to float
         Start values by full name.
 
@@ -520,27 +528,30 @@ def build_problem(
     (n_unknowns,) array
         Where to start, scaled: each window's own least-squares start for the start values.
     """
-    weights = _checked_weights(output_weights, data)
-    if criterion == "det" and output_weights is None:  # outputs count equally at the start, in any units
+    weights, criterion = _checked_weights(options.output_weights, data), options.criterion
+    if criterion == "auto":
+        criterion = "det" if len(weights) > 1 and options.output_weights is None else "trace"
+    if criterion == "det" and options.output_weights is None:  # outputs count equally at the start, in any units
         variance = np.average([_variances(r.outputs) for r in data.records], axis=0)
         weights = 1 / np.where(variance > 0, variance, 1.0)
     theta = np.array([begin[q.name] for q in assembly.free])
     n = assembly.parts[0].predictor.n_states
     power = sum(float(_variances(r.outputs) @ weights) * r.n_samples for r in data.records)
-    ones = np.ones(len(theta))
-    known = _prior(assembly, prior)
+    known = _prior(assembly, options.prior or {})
     scale = float(np.sqrt(power / data.n_samples))
-    problem = Shooting(assembly.parts, assembly.links, criterion, weights, scale, ones, np.ones(n), known)
-    values = problem.values(theta)
-    size = _sizes_of_states(problem, values, np.zeros((problem.n_windows, n)))
-    sweeps = problem.sweeps(values, np.zeros((problem.n_windows, n)), np.diag(weights) / power)
+    problem = Shooting(
+        assembly.parts, assembly.links, criterion, weights, scale, np.ones(len(theta)), np.ones(n), known
+    )
+    values, weight = problem.values(theta), np.diag(weights) / power
+    starts = np.zeros((problem.n_windows, n))
+    size, sweeps = _sizes_of_states(problem, values, starts), problem.sweeps(values, starts, weight)
     hessian = np.concatenate([s.hessian_start for s in sweeps])
     seen = np.sqrt(hessian.sum(axis=0).diagonal())  # of the outputs' own size, over states at the starts of windows
     alone = np.where(np.isfinite(seen) & (seen > 0), 1 / np.maximum(seen, np.finfo(float).tiny), 1.0)
     state_scale = np.where(np.isfinite(size) & (size > 0), size, alone)
     starts = -_ridge_solve(hessian, np.concatenate([s.gradient_start for s in sweeps]), state_scale)
     if any(isinstance(part.kernel, NonlinearKernel) for part in problem.parts):
-        starts, sweeps = _nonlinear_starts(problem, values, np.diag(weights) / power, starts)
+        starts, sweeps = _nonlinear_starts(problem, values, weight, starts)
         size = _sizes_of_states(problem, values, starts)
         state_scale = np.where(np.isfinite(size) & (size > 0), size, state_scale)
     products = problem.error_products(values, starts)
@@ -551,22 +562,15 @@ def build_problem(
             curvature[part.index] += unit * np.diag(s.hessian)
     magnitude = np.where(theta != 0, np.abs(theta), 1.0)
     theta_scale = np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), magnitude)
-    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, _last={}, _met={})
+    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale)
     return replace(problem, stable_only=problem.growth(values, sweeps) <= 1), problem.pack(theta, starts)
 
 
 def _sizes_of_states(problem: Shooting, values: list[Any], starts: FloatArray) -> FloatArray:
     """Return the root mean square of each state in a simulation from the starts of windows, in the largest part."""
-    firsts = zip(problem.first_window[:-1], problem.first_window[1:], strict=True)
-    squares = [
-        _mean_squares(part.kernel.predict(v, part.blocks, starts[a:b]).states)
-        for v, part, (a, b) in zip(values, problem.parts, firsts, strict=True)
-    ]
+    states = [part.kernel.predict(v, part.blocks, begin).states for v, part, begin in problem.each(values, starts)]
+    squares = [np.einsum("gknl,gknl->n", x, x) / (x.size // x.shape[2]) for x in states]
     return np.asarray(np.sqrt(np.max(squares, axis=0)))
-
-
-def _mean_squares(states: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("gknl,gknl->n", states, states) / (states.size // states.shape[2]))
 
 
 def _variances(outputs: FloatArray) -> FloatArray:
@@ -576,15 +580,13 @@ def _variances(outputs: FloatArray) -> FloatArray:
 def _nonlinear_starts(
     problem: Shooting, values: list[Any], weight: FloatArray, first: FloatArray
 ) -> tuple[FloatArray, list[Sweep]]:
-    """Return the starts of all windows and the passes from there, see `window_starts`."""
+    """Return the starts of all windows and the passes from there, see `NonlinearKernel.window_starts`."""
     starts, sweeps = [], []
-    firsts = zip(problem.first_window[:-1], problem.first_window[1:], strict=True)
-    for v, part, (a, b) in zip(values, problem.parts, firsts, strict=True):
-        assert isinstance(part.predictor, NonlinearPredictor)
+    for v, part, guess in problem.each(values, first):
         assert isinstance(part.kernel, NonlinearKernel)
-        found = window_starts(part.predictor, part.kernel, v, part.blocks, weight, first[a:b])
-        starts.append(found[0])
-        sweeps.append(tied(found[1], part.tie))
+        begin, sweep = part.kernel.window_starts(v, part.blocks, weight, guess)
+        starts.append(begin)
+        sweeps.append(tied(sweep, part.tie))
     return np.concatenate(starts), sweeps
 
 
@@ -646,3 +648,124 @@ def _ridge_solve(hessian: FloatArray, gradient: FloatArray, scale: FloatArray) -
     if not np.isfinite(matrix).all():
         return np.zeros_like(gradient)
     return np.asarray(np.linalg.solve(matrix, (gradient * scale)[:, :, None])[:, :, 0] * scale)
+
+
+# ---- Extra cost and constraints that a caller writes with CasADi, as terms of the problem.
+
+
+def with_extra_terms(
+    problem: Shooting,
+    assembly: Assembly,
+    data: FitData,
+    states: InitialStates,
+    parameters: Sequence[Parameter],
+    start: FloatArray,
+    options: FitArguments,
+) -> Shooting:
+    """Return a problem with the extra cost and the constraints of a caller.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    assembly, data, states
+        Its assembly, recordings and initial states.
+    parameters : sequence of Parameter
+        Parameters of the structure; fixed ones are numbers in the expressions.
+    start : (n_unknowns,) array
+        Start, scaled; there the size of each constraint is taken.
+    options : FitArguments
+        Options with the extra cost and the constraints.
+
+    Raises
+    ------
+    UsageError
+        When a function fails, or returns what is no expression in the parameters and initial states.
+    """
+    if options.extra_cost is None and options.constraints is None:
+        return problem
+    theta = [ca.SX.sym(q.name) for q in assembly.free]
+    columns = {r.name: ca.SX.sym(f"x0[{r.name}]", problem.n_states) for r in data.records}
+    p = Values({q.name: ca.SX(q.start) for q in parameters if q.fixed and q.start is not None})
+    p |= {q.name: symbol for q, symbol in zip(assembly.free, theta, strict=True)}
+    x0 = {}
+    for (name, column), known, released in zip(columns.items(), states.shooting, states.released, strict=True):
+        x0[name] = ca.SX(column)[: assembly.n_states]
+        for i in map(int, np.flatnonzero(~np.isnan(known))):
+            x0[name][i] = ca.SX.sym(f"x0 of the structure in {name}") if released[i] else ca.SX(known[i])
+    symbols = ca.vertcat(*theta, *columns.values())
+    names = {symbol.name() for symbol in ca.symvar(symbols)}
+    cost, limits = ca.SX(0.0), list[tuple[float, ca.SX, float]]()
+    if options.extra_cost is not None:
+        cost = _expression("extra_cost", _called("extra_cost", options.extra_cost, p, x0), names)
+    if options.constraints is not None:
+        limits = _limits(_called("constraints", options.constraints, p, x0), names)
+    rows = ca.vertcat(*(each for _, each, _ in limits)) if limits else ca.SX(0, 1)
+    used = np.flatnonzero(np.array(ca.DM(ca.jacobian_sparsity(ca.vertcat(cost, rows), symbols), 1.0)).any(axis=0))
+    v, lam = symbols[used.tolist()] if len(used) else ca.SX(0, 1), ca.SX.sym("lam", rows.numel())
+    H, g = ca.hessian(cost, v)
+    bent = ca.hessian(ca.dot(lam, rows), v)[0] if limits else ca.SX(len(used), len(used))
+
+    def function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+        return ca.Function(name, arguments, [ca.densify(each) for each in results], {"cse": True})
+
+    terms = ExtraTerms(
+        function("cost", [v], [cost, g, H]),
+        function("rows", [v], [rows, ca.jacobian(rows, v)]),
+        function("curvature", [v, lam], [bent]),
+        used,
+        assembly.record_window,
+        np.ones(len(limits)),
+        np.array([lower for lower, _, _ in limits], float),
+        np.array([upper for _, _, upper in limits], float),
+        tuple(str(each) for _, each, _ in limits),
+    )
+    problem = replace(problem, extra=terms)
+    size = np.linalg.norm(terms.at(*problem.unpack(start)).slopes * problem.extra_places[1], axis=1)
+    size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    return replace(problem, extra=replace(terms, size=size, lower=terms.lower / size, upper=terms.upper / size))
+
+
+def _called(what: str, function: Any, p: Values, x0: Mapping[str, ca.SX]) -> Any:
+    if not callable(function):
+        raise UsageError(f"{what} = {function!r} is no function; give one of (p, x0) that returns expressions")
+    try:
+        return function(p, x0)
+    except Exception as error:
+        raise UsageError(
+            f"{what}(p, x0) failed: {in_one_line(error)}; parameters are p.name or p['name'], the initial state of a "
+            f"recording is x0['name'][i]; recordings: {', '.join(x0)}"
+        ) from error
+
+
+def _limits(given: Any, names: set[str]) -> list[tuple[float, ca.SX, float]]:
+    """Return the constraints of a caller: lower bound, expression and upper bound."""
+    limits = []
+    for i, row in enumerate(list(given) if isinstance(given, list | tuple) else [given]):
+        if not (isinstance(row, tuple | list) and len(row) == 3):
+            raise UsageError(f"constraints(p, x0)[{i}] = {row!r}; give (lower, expression, upper)")
+        lower, expression, upper = row
+        try:
+            low, high = float(lower), float(upper)
+        except (TypeError, ValueError, RuntimeError, NotImplementedError):
+            raise UsageError(f"constraints(p, x0)[{i}]: the bounds {lower}, {upper} must be numbers") from None
+        if not low <= high:
+            raise UsageError(f"constraints(p, x0)[{i}]: the lower bound {low:g} is above the upper bound {high:g}")
+        limits.append((low, _expression(f"constraints(p, x0)[{i}]", expression, names), high))
+    return limits
+
+
+def _expression(what: str, given: Any, names: set[str]) -> ca.SX:
+    """Return what a caller wrote as one expression in the unknowns of these names."""
+    try:
+        expression = ca.SX(given)
+    except Exception:
+        raise UsageError(f"{what} is {type(given).__name__}, which is no CasADi expression (casadi.SX)") from None
+    if expression.shape != (1, 1):
+        raise UsageError(f"{what} has shape {expression.shape}; it must be one number")
+    if foreign := sorted({symbol.name() for symbol in ca.symvar(expression)} - names):
+        raise UsageError(
+            f"{what} contains symbols that are no unknowns of the fit: {', '.join(foreign)}; an initial state that "
+            "is a function of the parameters is written with them"
+        )
+    return ca.densify(expression)

@@ -9,59 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from gbid.core.arrays import FloatArray, IntArray
-from gbid.identify.kernel.blocks import Blocks, cut
+from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.sums import Moved
-from gbid.identify.problem.nlp import GroupGradient, Iterate, RecordGroup, Shooting
-
-# ---- Gradient of the Lagrangian of each part, by the adjoint of its kernel.
-
-
-def on_ends(problem: Shooting, lam_gaps: FloatArray) -> FloatArray:
-    """Return the multipliers at the window ends, (n_windows, n), in physical units; zero without a next window."""
-    ends = np.zeros((problem.n_windows, problem.n_states))
-    ends[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
-    return ends
-
-
-def own_gradients(
-    problem: Shooting,
-    values: list[Any],
-    starts: FloatArray,
-    ends: FloatArray,
-    weight: FloatArray,
-) -> list[GroupGradient]:
-    """Return gradients of cost and weighted window ends, by the parameters of each predictor and its window starts.
-
-    Parameters
-    ----------
-    problem : Shooting
-        Problem of the fit.
-    values : list
-        Predictor of each part at the parameters.
-    starts : (n_windows, n) array
-        States at the starts of the windows.
-    ends : (n_windows, n) array
-        Multipliers at the ends of the windows.
-    weight : (n_y, n_y) array
-        Constant weight of the errors; with it, parts do not depend on each other.
-
-    Returns
-    -------
-    list of GroupGradient
-        Gradients of each part in physical units, without the prior; not finite when the errors overflow.
-    """
-    windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
-    return [
-        GroupGradient(*part.kernel.gradient(v, part.blocks, starts[own], ends[own], weight))
-        for v, part, own in zip(values, problem.parts, windows, strict=True)
-    ]
-
+from gbid.identify.problem.nlp import Iterate, RecordGroup, Shooting
 
 # ---- Problem with each segment of a record as one window: it has fewer unknowns for the last iterations.
 
@@ -78,50 +33,36 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
     Returns
     -------
     Shooting
-        Windows of different segments stay linked.
+        Windows of different segments stay linked. Blocks stay where they are not short.
     (n_unknowns of the joined problem,) integer array
         Where its unknowns are among those of the problem given.
     """
-    parts = tuple(replace(part, blocks=_joined(part)) for part in problem.parts)
-    firsts = np.concatenate(
-        [
-            first + part.blocks.segment_first
-            for part, first in zip(problem.parts, problem.first_window[:-1], strict=True)
-        ]
-    )
-    segment_of = np.searchsorted(firsts, np.arange(problem.n_windows), side="right") - 1
-    between = np.isin(problem.links[:, 1], firsts)  # a segment is entered only at its first window
+    parts, firsts = [], []
+    for part, first in zip(problem.parts, problem.first_window[:-1], strict=True):
+        blocks = part.blocks
+        long = blocks.length >= _LONG
+        joined = blocks.by_whole_segments() if long else cut(blocks.segments, part.predictor, None)
+        parts.append(replace(part, blocks=joined))
+        firsts.append(first + blocks.segment_first)
+    first_windows, extra = np.concatenate(firsts), problem.extra
+    segment_of = np.searchsorted(first_windows, np.arange(problem.n_windows), side="right") - 1
+    between = np.isin(problem.links[:, 1], first_windows)  # a segment is entered only at its first window
     links = segment_of[problem.links[between]].reshape(-1, 2)
     n, n_t = problem.n_states, problem.n_theta
-    starts = (n_t + firsts[:, None] * n + np.arange(n)).ravel()
-    extra = problem.extra and problem.extra.moved_to(segment_of[problem.extra.windows])
-    joined = replace(problem, parts=parts, links=links, extra=extra, _last={}, _met={})
-    return joined, np.concatenate([np.arange(n_t), starts])
-
-
-def _joined(part: RecordGroup) -> Blocks:
-    """Return the segments of a part as one window each, in the blocks that are there where these are not short."""
-    if part.blocks.length >= _LONG:
-        return part.blocks.by_whole_segments()
-    return cut(part.blocks.segments, part.predictor, None)
+    starts = (n_t + first_windows[:, None] * n + np.arange(n)).ravel()
+    extra = extra and replace(extra, windows=segment_of[extra.windows])
+    return replace(problem, parts=tuple(parts), links=links, extra=extra), np.concatenate([np.arange(n_t), starts])
 
 
 def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> FloatArray:
     """Unknowns of a problem at a point of `in_one_window`'s: the windows start where the model passes by."""
     theta, starts = joined.unpack(unknowns)
+    each = zip(problem.values(theta), problem.parts, joined.by_part(starts), strict=True)
     passed = [
-        _along(part, v, starts[a:b])
-        for v, part, a, b in zip(
-            problem.values(theta), problem.parts, joined.first_window[:-1], joined.first_window[1:], strict=True
-        )
+        part.kernel.begin(v, part.blocks.by_whole_segments(), begin)[:, part.blocks.window_first].T
+        for v, part, begin in each
     ]
     return problem.pack(theta, np.concatenate(passed))
-
-
-def _along(part: RecordGroup, v: Any, starts: FloatArray) -> FloatArray:
-    """State at the start of each window, (n_windows, n), from those of the segments."""
-    blocks = part.blocks
-    return part.kernel.begin(v, blocks.by_whole_segments(), starts)[:, blocks.window_first].T
 
 
 # ---- Part of the Hessian that Gauss-Newton omits: the errors times the second derivatives of the predictor.
@@ -129,6 +70,13 @@ def _along(part: RecordGroup, v: Any, starts: FloatArray) -> FloatArray:
 # Step of a difference, in units in which the cost has curvature one. It is small, because states with little influence
 # on the outputs amplify errors in their columns. Second: largest step relative to a parameter without influence.
 _DIFFERENCE, _MOST = 3e-8, 1e-4
+
+
+def on_ends(problem: Shooting, lam_gaps: FloatArray) -> FloatArray:
+    """Return the multipliers at the window ends, (n_windows, n), in physical units; zero without a next window."""
+    ends = np.zeros((problem.n_windows, problem.n_states))
+    ends[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
+    return ends
 
 
 class PartHessian(NamedTuple):
@@ -185,22 +133,20 @@ def omitted_part(
     curvature = np.zeros(problem.n_theta)
     for part, share in zip(problem.parts, curvatures, strict=True):
         curvature[part.index] += share
-    units = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny))
-    windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
-    found = []
-    for k, (part, v, own) in enumerate(zip(problem.parts, problem.values(theta), windows, strict=True)):
+    units, values = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny)), problem.values(theta)
+    every = wanted or [range(len(part.predictor.free)) for part in problem.parts]
+    omitted = []
+    for (v, part, begin), last, columns in zip(problem.each(values, starts), problem.by_part(ends), every, strict=True):
         n_own = len(part.predictor.free)
-        columns = range(n_own) if wanted is None else wanted[k]
         sizes = (n_own, n_own), (part.blocks.n_windows, n_own, problem.n_states)
         if not np.isfinite(curvature).all():  # no steps can be chosen where the errors overflow
-            found.append(PartHessian(*(np.full(size, np.nan) for size in sizes)))
+            omitted.append(PartHessian(*(np.full(size, np.nan) for size in sizes)))
         elif len(columns):
             moved = _moved(problem, part, theta, columns, units)
-            made = part.kernel.left_out(v, part.blocks, starts[own], ends[own], weight, moved)
-            found.append(PartHessian(*made))
+            omitted.append(PartHessian(*part.kernel.left_out(v, part.blocks, begin, last, weight, moved)))
         else:
-            found.append(PartHessian(*(np.zeros(size) for size in sizes)))
-    return found
+            omitted.append(PartHessian(*(np.zeros(size) for size in sizes)))
+    return omitted
 
 
 def _moved(
@@ -234,15 +180,9 @@ class Curvature(Protocol):
         ...
 
 
-class GaussNewton:
-    """Gauss-Newton Hessian: products of first derivatives, which each pass computes."""
-
-    def __init__(self, problem: Shooting) -> None:
-        self._problem = problem
-
-    def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Return the entries at a point."""
-        return np.asarray(lam_f * self._problem.at(unknowns).hessian)
+def gauss_newton(problem: Shooting) -> Curvature:
+    """Return the Gauss-Newton Hessian: products of first derivatives, which each pass computes."""
+    return lambda unknowns, lam_f, lam_gaps: np.asarray(lam_f * problem.at(unknowns).hessian)  # noqa: ARG005
 
 
 class ExactHessian:
@@ -348,7 +288,7 @@ def left_out_columns(
     kept = gauss_newton_of(problem, iterate)
     wanted = [
         range(len(part.predictor.free))
-        if (part.predictor.noise and (everything or part.tie is not None)) or (everything and part.tie is None)
+        if (everything if part.tie is None else part.predictor.noise)
         else part.predictor.noise
         for part in problem.parts
     ]

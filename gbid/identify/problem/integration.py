@@ -16,7 +16,7 @@ from gbid.discretise import Dual
 from gbid.identify.data import FitData
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.problem.nlp import Shooting
-from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations
+from gbid.identify.problem.solve import Box, Solution, gauss_newton_step, in_standard_deviations
 from gbid.identify.result import FitResult
 from gbid.structure import NonlinearModel
 from gbid.structure.nonlinear import MOST_STEPS
@@ -25,8 +25,6 @@ _TOLERATED = 0.1  # standard deviations
 _AIM = 0.05  # of a finer integration
 _ORDER = 3  # of the less accurate integrator
 _ROUNDS = 3
-
-Box = tuple[FloatArray, FloatArray]
 
 
 def integrated_finely(
@@ -54,24 +52,24 @@ def integrated_finely(
     (n_theta,) array or None
         How far the estimates move when the step of the integrator is halved; None if linear.
     """
-    own = problem.parts[0].predictor
-    if not isinstance(own, NonlinearPredictor):
+    predictor = problem.parts[0].predictor
+    if not isinstance(predictor, NonlinearPredictor):
         return problem, solution, None
-    steps, moved = own.steps, _moved(problem, solution.unknowns, box)
-    for _ in range(_ROUNDS):
-        if not (own.adapts and solution.status.success):
+    steps, shift = predictor.steps, _shift(problem, solution.unknowns, box)
+    for _ in range(_ROUNDS if predictor.adapts else 0):
+        if not solution.status.success:
             break
-        off = in_standard_deviations(problem, problem.at(solution.unknowns), moved)
+        off = in_standard_deviations(problem, problem.at(solution.unknowns), shift)
         if off <= _TOLERATED:
             break
         steps = steps * 4 if not np.isfinite(off) else ceil(steps * min(8.0, (off / _AIM) ** (1 / _ORDER)))
         if steps > MOST_STEPS:
             break
         problem = with_steps(problem, steps)
-        found = run(solution.unknowns, problem)
-        solution = replace(found, iterations=solution.iterations + found.iterations)
-        moved = _moved(problem, solution.unknowns, box)
-    return problem, solution, moved[: problem.n_theta] * problem.theta_scale
+        refined = run(solution.unknowns, problem)
+        solution = replace(refined, iterations=solution.iterations + refined.iterations)
+        shift = _shift(problem, solution.unknowns, box)
+    return problem, solution, shift[: problem.n_theta] * problem.theta_scale
 
 
 def with_integration_error(result: FitResult, shift: FloatArray | None) -> FitResult:
@@ -102,14 +100,14 @@ def with_steps(problem: Shooting, steps: int) -> Shooting:
     for part in problem.parts:
         assert isinstance(part.predictor, NonlinearPredictor)
         parts.append(replace(part, predictor=replace(part.predictor, steps=steps)))
-    return replace(problem, parts=tuple(parts), _last={}, _met={})
+    return replace(problem, parts=tuple(parts))
 
 
-def _moved(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray:
+def _shift(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray:
     """Return the step from the solution to that with half the step; infinite where it cannot be computed."""
-    own = problem.parts[0].predictor
-    assert isinstance(own, NonlinearPredictor)
-    finer = with_steps(problem, 2 * own.steps)
+    predictor = problem.parts[0].predictor
+    assert isinstance(predictor, NonlinearPredictor)
+    finer = with_steps(problem, 2 * predictor.steps)
     try:
         here = gauss_newton_step(problem, problem.at(unknowns), unknowns, box)
         return gauss_newton_step(finer, finer.at(unknowns), unknowns, box) - here
@@ -135,23 +133,15 @@ def at_working_point(model: Any, problem: Shooting, theta: FloatArray, starts: F
         Data of the fit.
     """
     n, values = model.n_states, problem.values(theta)
-    firsts = zip(problem.first_window[:-1], problem.first_window[1:], strict=True)
-    states = [
-        np.concatenate(part.blocks.by_segment(part.kernel.predict(v, part.blocks, starts[a:b]).states))[:, :n]
-        for part, v, (a, b) in zip(problem.parts, values, firsts, strict=True)
-    ]
-    every = np.concatenate(states)
+    predictions = [(part.blocks, part.kernel.predict(v, part.blocks, s)) for v, part, s in problem.each(values, starts)]
+    every = np.concatenate([x[:, :n] for blocks, made in predictions for x in blocks.by_segment(made.states)])
     inputs = np.concatenate([record.inputs for record in data.records])
+    model = replace(model, steps=values[0].steps)
     if not np.isfinite(every).all():
-        return replace(model, steps=values[0].steps)
+        return model
     size = np.sqrt(np.mean(every**2, axis=0))
-    return replace(
-        model,
-        steps=values[0].steps,
-        working_state=every.mean(axis=0),
-        working_input=inputs.mean(axis=0),
-        state_size=np.where(size > 0, size, 1.0),
-    )
+    size, mean = np.where(size > 0, size, 1.0), every.mean(axis=0)
+    return replace(model, working_state=mean, working_input=inputs.mean(axis=0), state_size=size)
 
 
 def linearised(model: NonlinearModel, names: Sequence[str], free: Sequence[str]) -> list[Dual]:
@@ -167,7 +157,7 @@ def linearised(model: NonlinearModel, names: Sequence[str], free: Sequence[str])
         Parameters of the derivatives; zero for those that are none of the structure.
     """
     x, u, p = (ca.SX.sym("s", size) for size in (model.n_states, len(model.input_names), len(names)))
-    found = []
+    matrices, known = [], [i for i, name in enumerate(free) if name in names]
     for output in model.function(x, u, p):
         for at in (x, u):
             slopes = ca.densify(ca.jacobian(output, at))
@@ -177,9 +167,7 @@ def linearised(model: NonlinearModel, names: Sequence[str], free: Sequence[str])
             )
             value = value.reshape(slopes.shape)
             every = by.T.reshape(len(names), *value.shape[::-1]).transpose(0, 2, 1)  # CasADi stacks columns
-            own = np.zeros((len(free), *value.shape))
-            for i, name in enumerate(free):
-                if name in names:
-                    own[i] = every[names.index(name)]
-            found.append(Dual(value, own))
-    return found
+            by_free = np.zeros((len(free), *value.shape))
+            by_free[known] = every[[names.index(free[i]) for i in known]]
+            matrices.append(Dual(value, by_free))
+    return matrices

@@ -1,9 +1,9 @@
-"""Sparsity patterns of the Jacobian of the gaps and of the Hessian of the shooting problem."""
+"""Multiple-shooting problem of a fit: cost, constraints and their derivatives as numbers, with sparsity patterns."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import repeat
 from typing import Any, NamedTuple
@@ -102,21 +102,6 @@ class Iterate(NamedTuple):
     rate: float = np.inf
 
 
-class GroupGradient(NamedTuple):
-    """What a part adds to the gradient of the Lagrangian, without the prior.
-
-    Attributes
-    ----------
-    theta : (n_p,) array
-        By parameters: those at the part's `index`, or the predictor's own.
-    starts : (n_windows, n) array
-        By its windows' starts; that another window is to end there is left out.
-    """
-
-    theta: FloatArray
-    starts: FloatArray
-
-
 class Prior(NamedTuple):
     """Prior knowledge of parameters: independent normal distributions.
 
@@ -132,35 +117,6 @@ class Prior(NamedTuple):
     information: FloatArray
 
 
-def tied_limits(parts: Sequence[RecordGroup], theta_scale: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the linear constraints that are bounds of tied parameters, which are sums of several unknowns.
-
-    Returns
-    -------
-    (n_limits, n_theta) array
-        Matrix from the scaled unknowns to the parameters in units of their own scales.
-    (n_limits,) array, (n_limits,) array
-        Lower and upper bounds.
-    """
-    rows, lower, upper = [], [], []
-    for part in parts:
-        if part.tie is None:
-            continue
-        for q, tie in zip(part.predictor.free, part.tie, strict=True):
-            row = np.zeros(len(theta_scale))
-            row[part.index] = tie * theta_scale[part.index]
-            size = float(np.abs(row).max())
-            if size > 0 and np.isfinite([q.lower, q.upper]).any():
-                rows.append(row / size)
-                lower.append(q.lower / size)
-                upper.append(q.upper / size)
-    return np.array(rows).reshape(-1, len(theta_scale)), np.array(lower), np.array(upper)
-
-
-LinksByPart = list[tuple[IntArray, IntArray, RecordGroup]]
-"""Links that start in each part: row numbers, first windows, and the part."""
-
-
 class Pattern(NamedTuple):
     """Nonzeros of a sparse matrix in column order, and the order that brings computed entries there."""
 
@@ -169,104 +125,13 @@ class Pattern(NamedTuple):
     columns: IntArray
     order: IntArray
 
-
-def jacobian_pattern(
-    links: IntArray,
-    links_by_part: LinksByPart,
-    n: int,
-    n_theta: int,
-    n_unknowns: int,
-) -> Pattern:
-    """Return where the gaps depend on the parameters of a window, its start, and the next start.
-
-    Parameters
-    ----------
-    links : (n_links, 2) integer array
-    links_by_part : sequence of (rows, windows, RecordGroup)
-        Links that start in each part, and their first windows.
-    n, n_theta, n_unknowns : int
-        Number of states, parameters and unknowns.
-    """
-    rows, columns = [], []
-    for link_rows, windows, part in links_by_part:
-        own = (link_rows[:, None] * n + np.arange(n))[:, :, None]
-        rows += [own.repeat(len(part.index), 2), own.repeat(n, 2)]
-        columns += [
-            np.broadcast_to(part.index, rows[-2].shape),
-            np.broadcast_to((n_theta + windows[:, None] * n + np.arange(n))[:, None, :], rows[-1].shape),
-        ]
-    rows.append(np.arange(len(links) * n))
-    columns.append((n_theta + links[:, 1:] * n + np.arange(n)).ravel())
-    return _in_column_order((len(links) * n, n_unknowns), rows, columns)
-
-
-def hessian_pattern(
-    parts: Sequence[RecordGroup],
-    first_window: IntArray,
-    theta_pairs: tuple[IntArray, IntArray],
-    n: int,
-    n_unknowns: int,
-    places: IntArray | None = None,
-) -> Pattern:
-    """Return where the upper triangle of the Hessian has entries, an arrow.
-
-    Parameters
-    ----------
-    parts : sequence of RecordGroup
-    first_window : (n_parts + 1,) integer array
-    theta_pairs : (n_pairs,) integer array, (n_pairs,) integer array
-        Pairs of parameters that meet in some part.
-    n, n_unknowns : int
-        Number of states and of unknowns.
-    places : (n_used,) integer array, optional
-        Unknowns that meet in extra terms. What they add to the pattern are the last entries before the order.
-    """
-    rows, columns = [theta_pairs[0]], [theta_pairs[1]]
-    upper, n_theta = np.triu_indices(n), n_unknowns - int(first_window[-1]) * n
-    for part, first, last in zip(parts, first_window[:-1], first_window[1:], strict=True):
-        base = n_theta + np.arange(first, last) * n
-        shape = (last - first, len(part.index), n)
-        rows += [np.broadcast_to(part.index[None, :, None], shape), base[:, None] + upper[0]]
-        columns += [np.broadcast_to((base[:, None] + np.arange(n))[:, None, :], shape), base[:, None] + upper[1]]
-    if places is not None:
-        have = np.concatenate([np.ravel(r) + n_unknowns * np.ravel(c) for r, c in zip(rows, columns, strict=True)])
-        low, high = pairs_of(places)
-        new = ~np.isin(low + n_unknowns * high, have)
-        rows.append(low[new])
-        columns.append(high[new])
-    return _in_column_order((n_unknowns, n_unknowns), rows, columns)
-
-
-def pairs_of(places: IntArray) -> tuple[IntArray, IntArray]:
-    """Return rows and columns, in the upper triangle, of all pairs of unknowns, in the order of ``triu_indices``."""
-    i, j = np.triu_indices(len(places))
-    return np.minimum(places[i], places[j]), np.maximum(places[i], places[j])
-
-
-def theta_pairs(parts: Sequence[RecordGroup], n_theta: int) -> tuple[IntArray, IntArray]:
-    """Return the pairs of parameters that are in the same part, upper triangle."""
-    meet = np.eye(n_theta, dtype=bool)
-    for part in parts:
-        meet[np.ix_(part.index, part.index)] = True
-    rows, columns = np.nonzero(np.triu(meet))
-    return rows, columns
-
-
-def links_by_part(links: IntArray, parts: Sequence[RecordGroup], first_window: IntArray) -> LinksByPart:
-    """Return the links that start in each part: row numbers, first windows, and the part."""
-    result = []
-    for part, first, last in zip(parts, first_window[:-1], first_window[1:], strict=True):
-        own = np.flatnonzero((links[:, 0] >= first) & (links[:, 0] < last))
-        result.append((own, links[own, 0], part))
-    return result
-
-
-def _in_column_order(shape: tuple[int, int], rows: list[IntArray], columns: list[IntArray]) -> Pattern:
-    """Order entries by column, then row."""
-    row = np.concatenate([np.ravel(part) for part in rows]).astype(np.int64)
-    column = np.concatenate([np.ravel(part) for part in columns]).astype(np.int64)
-    order = np.lexsort((row, column))
-    return Pattern(shape, row[order], column[order], order)
+    @classmethod
+    def of(cls, shape: tuple[int, int], rows: list[IntArray], columns: list[IntArray]) -> Pattern:
+        """Return the pattern of entries, ordered by column, then row."""
+        row = np.concatenate([np.ravel(part) for part in rows]).astype(np.int64)
+        column = np.concatenate([np.ravel(part) for part in columns]).astype(np.int64)
+        order = np.lexsort((row, column))
+        return cls(shape, row[order], column[order], order)
 
 
 # ---- Distance of predictors from instability, which a disturbance gain can reduce.
@@ -296,6 +161,8 @@ def near_instability(predictor: Predictor, own: FloatArray, share: float) -> boo
 
 
 # ---- Further cost and constraints of a caller, on parameters and initial states, in the problem of a fit.
+
+_NEAR = 1e-4  # of the size of a constraint
 
 
 class ExtraValues(NamedTuple):
@@ -352,10 +219,6 @@ class ExtraTerms:
     upper: FloatArray
     names: tuple[str, ...]
 
-    def moved_to(self, windows: IntArray) -> ExtraTerms:
-        """Return the same terms where the first window of each record has another number."""
-        return replace(self, windows=windows)
-
     def at(self, theta: FloatArray, starts: FloatArray) -> ExtraValues:
         """Return the values for parameters (n_p,) and window starts (n_windows, n)."""
         v = self._point(theta, starts)
@@ -383,120 +246,30 @@ class ExtraTerms:
         return np.concatenate([theta, starts[self.windows].ravel()])[self.used]
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedTerms:
-    """Extra terms among the scaled unknowns of a problem.
-
-    Attributes
-    ----------
-    terms : ExtraTerms
-        The terms.
-    places : (n_used,) integer array
-        Positions of the used unknowns among all unknowns.
-    scale : (n_used,) array
-        Their scales.
-    unit : float
-        Ratio of the cost of the problem to a negative log-likelihood.
-    """
-
-    terms: ExtraTerms
-    places: IntArray
-    scale: FloatArray
-    unit: float
-
-    @classmethod
-    def among(cls, terms: ExtraTerms, theta_scale: FloatArray, state_scale: FloatArray, size: float) -> PlacedTerms:
-        """Return the terms in a problem with these scales, whose cost times `size` is a negative log-likelihood."""
-        n_theta, n = len(theta_scale), len(state_scale)
-        starts = n_theta + terms.windows[:, None] * n + np.arange(n)
-        places = np.concatenate([np.arange(n_theta), starts.ravel()])[terms.used]
-        scale = np.concatenate([theta_scale, np.tile(state_scale, len(terms.windows))])[terms.used]
-        return cls(terms, places, scale, 1 / size)
-
-    def added(self, found: Iterate, theta: FloatArray, starts: FloatArray, pattern: Pattern) -> Iterate:
-        """Return the values at a point with those of the extra terms."""
-        extra, gradient = self.terms.at(theta, starts), found.gradient.copy()
-        gradient[self.places] += self.unit * extra.gradient * self.scale
-        return found._replace(
-            cost=found.cost + self.unit * extra.cost,
-            gradient=gradient,
-            hessian=found.hessian + self._entries(self.unit * extra.hessian, pattern),
-            extra_rows=extra.rows,
-            extra_slopes=extra.slopes * self.scale,
-        )
-
-    def without_value(self, found: Iterate) -> Iterate:
-        """Return the values at a point without value, with those of the extra terms."""
-        rows, used = len(self.terms.size), len(self.places)
-        return found._replace(extra_rows=np.full(rows, np.nan), extra_slopes=np.full((rows, used), np.nan))
-
-    def curvature(self, theta: FloatArray, starts: FloatArray, multipliers: FloatArray, pattern: Pattern) -> FloatArray:
-        """Return what the constraints add to the entries of the Hessian of the Lagrangian."""
-        return self._entries(self.terms.bent(theta, starts, multipliers), pattern)
-
-    def _entries(self, block: FloatArray, pattern: Pattern) -> FloatArray:
-        """Return a Hessian by the used unknowns, (n_used, n_used), as entries in the order of a pattern."""
-        (low, high), n = pairs_of(self.places), pattern.shape[0]
-        found = np.zeros(len(pattern.rows))
-        where = np.searchsorted(pattern.rows + n * pattern.columns, low + n * high)
-        found[where] = (block * np.outer(self.scale, self.scale))[np.triu_indices(len(block))]
-        return found
-
-
-def compiled_terms(
-    symbols: ca.SX,
-    cost: ca.SX,
-    constraints: list[tuple[float, ca.SX, float]],
-    windows: IntArray,
-    at: Callable[[ExtraTerms], FloatArray],
-) -> ExtraTerms:
-    """Return the extra terms of expressions in the symbols of all parameters and initial states.
-
-    Parameters
-    ----------
-    symbols : casadi.SX
-        Parameters and initial states of all records, (n_all, 1).
-    cost : casadi.SX
-        Extra cost.
-    constraints : list of (lower, expression, upper)
-        Constraints.
-    windows : (n_records,) integer array
-        First window of each record.
-    at : callable
-        Returns scaled slopes of the constraints at the start, which are their sizes.
-    """
-    rows = ca.vertcat(*(each for _, each, _ in constraints)) if constraints else ca.SX(0, 1)
-    used = np.flatnonzero(np.array(ca.DM(ca.jacobian_sparsity(ca.vertcat(cost, rows), symbols), 1.0)).any(axis=0))
-    v, lam = symbols[used.tolist()] if len(used) else ca.SX(0, 1), ca.SX.sym("lam", rows.numel())
-    H, g = ca.hessian(cost, v)
-    bent = ca.hessian(ca.dot(lam, rows), v)[0] if constraints else ca.SX(len(used), len(used))
-
-    def function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-        return ca.Function(name, arguments, [ca.densify(each) for each in results], {"cse": True})
-
-    terms = ExtraTerms(
-        function("cost", [v], [cost, g, H]),
-        function("rows", [v], [rows, ca.jacobian(rows, v)]),
-        function("curvature", [v, lam], [bent]),
-        used,
-        windows,
-        np.ones(len(constraints)),
-        np.array([lower for lower, _, _ in constraints], float),
-        np.array([upper for _, _, upper in constraints], float),
-        tuple(str(each) for _, each, _ in constraints),
-    )
-    size = np.linalg.norm(at(terms), axis=1)
-    size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
-    return replace(terms, size=size, lower=terms.lower / size, upper=terms.upper / size)
+def extra_notes(problem: Shooting, unknowns: FloatArray) -> tuple[str, ...]:
+    """Return notes on constraints of the caller that hold an estimate, or are not met."""
+    extra, notes = problem.extra, []
+    if extra is None or not np.isfinite(unknowns).all():
+        return ()
+    rows = extra.at(*problem.unpack(unknowns)).rows
+    each = zip(extra.names, rows, extra.off_bound(rows, _NEAR), extra.lower, extra.upper, extra.size, strict=True)
+    for name, row, distance, low, high, size in each:
+        if row < low - _NEAR or row > high + _NEAR:
+            notes.append(
+                f"the constraint {name} is not met: it is {row * size:.6g}, and must lie in "
+                f"[{low * size:.6g}, {high * size:.6g}]"
+            )
+        elif not np.isnan(distance) and low < high:
+            notes.append(f"the constraint {name} is active: standard deviations hold as if it were known to be so")
+    return tuple(notes)
 
 
 # ---- Multiple-shooting problem of a prediction-error fit: cost, constraints and their derivatives as numbers.
 #
-# Unknowns are the free parameters and the state at the start of each window. The cost is the prediction error of Eq.
-# 15,
-# or the log-determinant of its covariance. Constraints require that each window ends at the start state of the next
-# one.
-# Unknowns and constraints are scaled to the order of one. One pass over the samples gives all values of an iterate.
+# Unknowns are the free parameters and the state at the start of each window. The cost is the prediction error of
+# Eq. 15, or the log-determinant of its covariance. Constraints require that each window ends at the start state of the
+# next one. Unknowns and constraints are scaled to the order of one. One pass over the samples gives all values of an
+# iterate.
 
 _ROUNDING = 1e-13  # floor of the cost, as a part of the outputs' power
 _WELL_BELOW = 0.01  # part of that floor that a fit without errors reaches with its next step
@@ -540,8 +313,8 @@ class Shooting:
     prior: Prior
     extra: ExtraTerms | None = None
     stable_only: bool = False
-    _last: dict[bytes, Iterate] = field(default_factory=dict)
-    _met: dict[bytes, list[Any]] = field(default_factory=dict)
+    _last: dict[bytes, Iterate] = field(init=False, default_factory=dict)
+    _met: dict[bytes, list[Any]] = field(init=False, default_factory=dict)
 
     @property
     def n_theta(self) -> int:
@@ -617,20 +390,37 @@ class Shooting:
 
     def sweeps(self, values: list[Any], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
         """Return the sums of one pass over every part, for window starts (n_windows, n)."""
-        each = self._each(values, starts)
-        return [tied(part.kernel.sweep(v, part.blocks, own, weight), part.tie) for v, part, own in each]
+        each = self.each(values, starts)
+        return [tied(part.kernel.sweep(v, part.blocks, begin, weight), part.tie) for v, part, begin in each]
+
+    def gradients(
+        self, values: list[Any], starts: FloatArray, ends: FloatArray, weight: FloatArray
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Return the gradients of cost and weighted window ends, part by part, by the adjoint of its kernel.
+
+        They are by the parameters of its predictor, and by the starts of its windows, (n_windows, n), in physical units
+        and without the prior; not finite when the errors overflow. `ends` (n_windows, n) are the multipliers at the
+        ends of the windows. The weight (n_y, n_y) is constant; with it, parts do not depend on each other.
+        """
+        each = zip(self.each(values, starts), self.by_part(ends), strict=True)
+        return [part.kernel.gradient(v, part.blocks, begin, last, weight) for (v, part, begin), last in each]
 
     def errors(self, values: list[Any], starts: FloatArray) -> list[FloatArray]:
         """Return the prediction errors of every part in blocks; zero for samples that are not in the cost."""
-        return [part.kernel.predict(v, part.blocks, own).errors for v, part, own in self._each(values, starts)]
+        return [part.kernel.predict(v, part.blocks, begin).errors for v, part, begin in self.each(values, starts)]
 
-    def _each(self, values: list[Any], starts: FloatArray) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
-        return zip(values, self.parts, np.split(starts, self.first_window[1:-1]), strict=True)
+    def each(self, values: list[Any], starts: FloatArray) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
+        """Return the predictor of each part, the part, and the starts of its windows."""
+        return zip(values, self.parts, self.by_part(starts), strict=True)
+
+    def by_part(self, windows: FloatArray) -> list[FloatArray]:
+        """Return values of all windows, (n_windows, ...), part by part."""
+        return np.split(windows, self.first_window[1:-1])
 
     def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
         """Return ``sum e e'`` over all parts, (n_y, n_y)."""
-        each = self._each(values, starts)
-        return np.asarray(sum(part.kernel.products(v, part.blocks, own).sum(axis=0) for v, part, own in each))
+        each = self.each(values, starts)
+        return np.asarray(sum(part.kernel.products(v, part.blocks, begin).sum(axis=0) for v, part, begin in each))
 
     def weight(self, error_products: FloatArray) -> FloatArray:
         """Return the weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
@@ -688,19 +478,57 @@ class Shooting:
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Linear constraints: bounds of tied parameters, see `tied_limits`."""
-        return tied_limits(self.parts, self.theta_scale)
+        """Linear constraints that are bounds of tied parameters, which are sums of several unknowns.
+
+        They are a matrix (n_limits, n_theta) from the scaled unknowns to the parameters in units of their own scales,
+        and their lower and upper bounds, (n_limits,).
+        """
+        rows, lower, upper = [], [], []
+        for part in self.parts:
+            if part.tie is None:
+                continue
+            for q, tie in zip(part.predictor.free, part.tie, strict=True):
+                row = np.zeros(self.n_theta)
+                row[part.index] = tie * self.theta_scale[part.index]
+                size = float(np.abs(row).max())
+                if size > 0 and np.isfinite([q.lower, q.upper]).any():
+                    rows.append(row / size)
+                    lower.append(q.lower / size)
+                    upper.append(q.upper / size)
+        return np.array(rows).reshape(-1, self.n_theta), np.array(lower), np.array(upper)
 
     @cached_property
     def jacobian_pattern(self) -> Pattern:
         """Sparsity pattern of the Jacobian of the gaps: parameters of a window, its start, and the next start."""
-        return jacobian_pattern(self.links, self._links_by_part, self.n_states, self.n_theta, self.n_unknowns)
+        rows, columns, n = [], [], self.n_states
+        for part, (links, windows) in zip(self.parts, self._links_by_part, strict=True):
+            gaps = (links[:, None] * n + np.arange(n))[:, :, None]
+            rows += [gaps.repeat(len(part.index), 2), gaps.repeat(n, 2)]
+            columns += [
+                np.broadcast_to(part.index, rows[-2].shape),
+                np.broadcast_to((self.n_theta + windows[:, None] * n + np.arange(n))[:, None, :], rows[-1].shape),
+            ]
+        rows.append(np.arange(self.n_gaps))
+        columns.append((self.n_theta + self.links[:, 1:] * n + np.arange(n)).ravel())
+        return Pattern.of((self.n_gaps, self.n_unknowns), rows, columns)
 
     @cached_property
     def hessian_pattern(self) -> Pattern:
-        """Sparsity pattern of the upper triangle of the Hessian: an arrow."""
-        sizes, meet = (self.n_states, self.n_unknowns), None if self.placed is None else self.placed.places
-        return hessian_pattern(self.parts, self.first_window, self._theta_pairs, *sizes, meet)
+        """Sparsity pattern of the upper triangle of the Hessian: an arrow, and what meets in extra terms."""
+        n, size, pairs = self.n_states, self.n_unknowns, self._theta_pairs
+        rows, columns, upper = [pairs[0]], [pairs[1]], np.triu_indices(n)
+        for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
+            base = self.n_theta + np.arange(first, last) * n
+            shape = (last - first, len(part.index), n)
+            rows += [np.broadcast_to(part.index[None, :, None], shape), base[:, None] + upper[0]]
+            columns += [np.broadcast_to((base[:, None] + np.arange(n))[:, None, :], shape), base[:, None] + upper[1]]
+        if self.extra is not None:
+            have = np.concatenate([np.ravel(r) + size * np.ravel(c) for r, c in zip(rows, columns, strict=True)])
+            low, high = self._extra_pairs
+            new = ~np.isin(low + size * high, have)
+            rows.append(low[new])
+            columns.append(high[new])
+        return Pattern.of((size, size), rows, columns)
 
     @property
     def exact_cost(self) -> float:
@@ -726,18 +554,45 @@ class Shooting:
         return self.n_samples * (len(self.output_weights) if self.criterion == "trace" else 1)
 
     @cached_property
-    def _links_by_part(self) -> LinksByPart:
-        return links_by_part(self.links, self.parts, self.first_window)
+    def _links_by_part(self) -> list[tuple[IntArray, IntArray]]:
+        """Links that start in each part: row numbers, and first windows."""
+        edges = zip(self.first_window[:-1], self.first_window[1:], strict=True)
+        rows = [np.flatnonzero((self.links[:, 0] >= first) & (self.links[:, 0] < last)) for first, last in edges]
+        return [(links, self.links[links, 0]) for links in rows]
 
     @cached_property
     def _theta_pairs(self) -> tuple[IntArray, IntArray]:
-        return theta_pairs(self.parts, self.n_theta)
+        """Pairs of parameters that are in the same part, upper triangle."""
+        meet = np.eye(self.n_theta, dtype=bool)
+        for part in self.parts:
+            meet[np.ix_(part.index, part.index)] = True
+        rows, columns = np.nonzero(np.triu(meet))
+        return rows, columns
 
     @cached_property
-    def placed(self) -> PlacedTerms | None:
-        """Extra terms among the unknowns of this problem."""
-        scales = self.theta_scale, self.state_scale, self.likelihood_size
-        return None if self.extra is None else PlacedTerms.among(self.extra, *scales)
+    def extra_places(self) -> tuple[IntArray, FloatArray]:
+        """Positions of the unknowns that extra terms use, and their scales; both empty without extra terms."""
+        if self.extra is None:
+            return np.zeros(0, np.int64), np.zeros(0)
+        windows, n = self.extra.windows, self.n_states
+        starts = self.n_theta + windows[:, None] * n + np.arange(n)
+        places = np.concatenate([np.arange(self.n_theta), starts.ravel()])[self.extra.used]
+        return places, np.concatenate([self.theta_scale, np.tile(self.state_scale, len(windows))])[self.extra.used]
+
+    @property
+    def _extra_pairs(self) -> tuple[IntArray, IntArray]:
+        """Rows and columns, in the upper triangle, of all pairs of these unknowns, in the order of ``triu_indices``."""
+        places, _ = self.extra_places
+        i, j = np.triu_indices(len(places))
+        return np.minimum(places[i], places[j]), np.maximum(places[i], places[j])
+
+    def extra_entries(self, block: FloatArray) -> FloatArray:
+        """Return a Hessian by the unknowns of extra terms, (n_used, n_used), in the order of `hessian_pattern`."""
+        (low, high), pattern, (_, scale) = self._extra_pairs, self.hessian_pattern, self.extra_places
+        entries = np.zeros(len(pattern.rows))
+        where = np.searchsorted(pattern.rows + self.n_unknowns * pattern.columns, low + self.n_unknowns * high)
+        entries[where] = (block * np.outer(scale, scale))[np.triu_indices(len(block))]
+        return entries
 
     def _evaluate(self, theta: FloatArray, starts: FloatArray) -> Iterate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a bad trial point: the solver steps back
@@ -766,16 +621,16 @@ class Shooting:
         """Return the iterate, with the sums of the parts in place and scaled."""
         t, x = self.theta_scale, self.state_scale
         gradient, hessian = np.zeros(self.n_theta), np.zeros((self.n_theta, self.n_theta))
-        starts_gradient, mixed, own, jacobian = [], [], [], []
+        starts_gradient, mixed, by_start, jacobian = [], [], [], []
         ends = np.concatenate([s.end for s in sweeps])
-        for s, part, (_, windows, _), first in zip(
+        for s, part, (_, windows), first in zip(
             sweeps, self.parts, self._links_by_part, self.first_window[:-1], strict=True
         ):
             gradient[part.index] += s.gradient
             hessian[np.ix_(part.index, part.index)] += s.hessian
             starts_gradient.append(s.gradient_start * (factor * x))
             mixed.append(s.hessian_mixed * (factor * t[part.index, None] * x))
-            own.append(s.hessian_start * (factor * np.outer(x, x)))
+            by_start.append(s.hessian_start * (factor * np.outer(x, x)))
             local = windows - first
             jacobian += [
                 (s.end_theta[local] / x[:, None] * t[part.index]).ravel(),
@@ -785,16 +640,25 @@ class Shooting:
         gradient, hessian = factor * gradient + known * away, factor * hessian + np.diag(known)
         gaps = (ends[self.links[:, 0]] - starts[self.links[:, 1]]) / x
         jacobian_entries = np.concatenate([*jacobian, np.full(self.n_gaps, -1.0)])
-        found = Iterate(
+        iterate = Iterate(
             self.cost(products) + 0.5 * float(known @ away**2),
             np.concatenate([gradient * t, np.concatenate(starts_gradient).ravel()]),
             gaps.ravel(),
             jacobian_entries[self.jacobian_pattern.order],
-            self.hessian_entries(hessian * np.outer(t, t), mixed, own),
+            self.hessian_entries(hessian * np.outer(t, t), mixed, by_start),
             tuple(sweeps),
             factor,
         )
-        return found if self.placed is None else self.placed.added(found, theta, starts, self.hessian_pattern)
+        if self.extra is None:
+            return iterate
+        (places, scale), values, unit = self.extra_places, self.extra.at(theta, starts), 1 / self.likelihood_size
+        iterate.gradient[places] += unit * values.gradient * scale
+        return iterate._replace(
+            cost=iterate.cost + unit * values.cost,
+            hessian=iterate.hessian + self.extra_entries(unit * values.hessian),
+            extra_rows=values.rows,
+            extra_slopes=values.slopes * scale,
+        )
 
     def hessian_entries(
         self, theta: FloatArray, mixed: Sequence[FloatArray], starts: Sequence[FloatArray]
@@ -811,7 +675,9 @@ class Shooting:
         return np.asarray(np.pad(flat, (0, len(order) - len(flat)))[order] if self.extra else flat[order])
 
     def _invalid(self, rate: float) -> Iterate:
-        sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows))
-        gradient, gaps, jacobian, hessian = (np.full(size, np.nan) for size in sizes)
-        found = Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan, rate=np.inf if np.isnan(rate) else rate)
-        return found if self.placed is None else self.placed.without_value(found)
+        n_extra = 0 if self.extra is None else len(self.extra.size)
+        sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows), n_extra)
+        gradient, gaps, jacobian, hessian, rows = (np.full(size, np.nan) for size in sizes)
+        slopes = np.full((n_extra, len(self.extra_places[0])), np.nan)
+        rate = np.inf if np.isnan(rate) else rate
+        return Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan, rows, slopes, rate)

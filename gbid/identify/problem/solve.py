@@ -1,4 +1,4 @@
-"""Python functions as CasADi callbacks."""
+"""Solution of the shooting problem by IPOPT: its functions for CasADi, stopping rules, and what is solved in turn."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ from scipy.sparse.linalg import MatrixRankWarning, splu
 
 from gbid.core.arrays import FloatArray, IntArray, one_solver
 from gbid.core.errors import GbidError, UsageError
-from gbid.identify.options import FitArguments, Stop
-from gbid.identify.problem.hessian import Curvature, ExactHessian, GaussNewton, in_one_window, in_windows
+from gbid.identify.options import FitArguments
+from gbid.identify.problem.hessian import Curvature, ExactHessian, gauss_newton, in_one_window, in_windows
 from gbid.identify.problem.nlp import Iterate, Pattern, Shooting
 from gbid.identify.status import FitStatus
+
+# ---- Python functions as CasADi callbacks.
 
 
 @dataclass
@@ -98,19 +100,19 @@ class Oracle(ca.Callback):
     def eval_buffer(self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]) -> int:
         """Write the results that are wanted; an argument that is not given is zero."""
         given = [
-            np.zeros(sparsity.nnz()) if own is None else np.frombuffer(own)
-            for own, (_, sparsity) in zip(arguments, self._inputs, strict=True)
+            np.frombuffer(memory) if memory else np.zeros(sparsity.nnz())
+            for memory, (_, sparsity) in zip(arguments, self._inputs, strict=True)
         ]
-        found: Sequence[FloatArray | float] = [np.nan] * len(results)
+        values: Sequence[FloatArray | float] = [np.nan] * len(results)
         try:
-            found = self._call(*given)
+            values = self._call(*given)
         except (ArithmeticError, np.linalg.LinAlgError, GbidError):  # a model that overflows, a delay below zero
             pass
         except Exception as error:
             self._trouble.defect = self._trouble.defect or error
-        for own, values in zip(results, found, strict=True):
-            if own is not None and len(own):
-                np.frombuffer(own)[:] = values
+        for memory, value in zip(results, values, strict=True):
+            if memory:
+                np.frombuffer(memory)[:] = value
         return 0
 
 
@@ -160,68 +162,53 @@ def nlp_functions(problem: Shooting, curvature: Curvature, trouble: Trouble) -> 
     trouble : Trouble
         Notes the points without a value, and defects.
     """
-    n, m, extra, placed = problem.n_unknowns, problem.n_gaps, problem.extra, problem.placed
+    n, m, extra, (used, _) = problem.n_unknowns, problem.n_gaps, problem.extra, problem.extra_places
     vector, scalar, empty = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
-    limits = problem.limits[0]
-    n_extra = 0 if extra is None else len(extra.lower)
-    columns = np.zeros(0, int) if placed is None else placed.places
-    jacobian, order = _stacked(problem.jacobian_pattern, limits, n_extra, columns)
+    limits, lowest, highest = problem.limits
+    n_extra, further = (0, [np.zeros(0)] * 2) if extra is None else (len(extra.lower), [extra.lower, extra.upper])
+    lower, upper = (np.concatenate([np.zeros(m), *edges]) for edges in zip((lowest, highest), further, strict=True))
+    jacobian, order = _stacked(problem.jacobian_pattern, limits, n_extra, used)
     bounds = limits[limits != 0]
-    constraints, hessian = ca.Sparsity.dense(m + len(limits) + n_extra, 1), _sparsity(problem.hessian_pattern)
+    constraints, hessian = ca.Sparsity.dense(len(lower), 1), _sparsity(problem.hessian_pattern)
     point = [("x", vector), ("p", empty)]
-    multipliers = [("lam_f", scalar), ("lam_g", constraints)]
 
     def held(x: FloatArray) -> FloatArray:
         here = problem.at(x)
         return np.concatenate([here.gaps, limits @ x[: problem.n_theta], here.extra_rows])
 
-    def slopes(x: FloatArray) -> FloatArray:
+    def slopes(x: FloatArray, _p: FloatArray) -> list[FloatArray | float]:
         here = problem.at(x)
-        return np.concatenate([here.jacobian, bounds, here.extra_slopes.ravel()])[order]
+        return [held(x), np.concatenate([here.jacobian, bounds, here.extra_slopes.ravel()])[order]]
 
     def cost(x: FloatArray) -> list[FloatArray | float]:
-        found = np.nan
+        value = np.nan
         try:
             here = problem.at(x)
-            found = np.nan if trouble.too_far(float(np.abs(here.gaps).max(initial=0.0))) else here.cost
-            return [found, held(x)]
+            value = np.nan if trouble.too_far(float(np.abs(here.gaps).max(initial=0.0))) else here.cost
+            return [value, held(x)]
         finally:
-            trouble.points += not np.isfinite(found)
+            trouble.points += not np.isfinite(value)
 
-    def second(x: FloatArray, lam_f: FloatArray, lam_g: FloatArray) -> FloatArray:
+    def gradient(x: FloatArray, _p: FloatArray) -> list[FloatArray | float]:
+        here = problem.at(x)
+        return [here.cost, here.gradient]
+
+    def second(x: FloatArray, _p: FloatArray, lam_f: FloatArray, lam_g: FloatArray) -> list[FloatArray | float]:
         entries = curvature(x, float(lam_f[0]), lam_g[:m])
-        if placed is not None and n_extra:
-            last = lam_g[len(lam_g) - n_extra :]
-            entries = entries + placed.curvature(*problem.unpack(x), last, problem.hessian_pattern)
-        return entries
+        if extra is not None and n_extra:
+            bent = extra.bent(*problem.unpack(x), lam_g[len(lam_g) - n_extra :])
+            entries = entries + problem.extra_entries(bent)
+        return [entries]
 
-    value = Oracle("nlp", [("x", vector)], [("f", scalar), ("g", constraints)], cost, trouble)
-    gradient = Oracle(
-        "grad_f",
-        point,
-        [("f", scalar), ("grad_f_x", vector)],
-        lambda x, _p: [problem.at(x).cost, problem.at(x).gradient],
-        trouble,
+    values, multipliers = [("f", scalar), ("g", constraints)], [("lam_f", scalar), ("lam_g", constraints)]
+    return NlpFunctions(
+        Oracle("nlp", point[:1], values, cost, trouble),
+        Oracle("grad_f", point, [("f", scalar), ("grad_f_x", vector)], gradient, trouble),
+        Oracle("jac_g", point, [("g", constraints), ("jac_g_x", jacobian)], slopes, trouble),
+        Oracle("hess_lag", point + multipliers, [("triu_hess_gamma_x_x", hessian)], second, trouble),
+        lower,
+        upper,
     )
-    jac = Oracle(
-        "jac_g",
-        point,
-        [("g", constraints), ("jac_g_x", jacobian)],
-        lambda x, _p: [held(x), slopes(x)],
-        trouble,
-    )
-    hess = Oracle(
-        "hess_lag",
-        point + multipliers,
-        [("triu_hess_gamma_x_x", hessian)],
-        lambda x, _p, lam_f, lam_g: [second(x, lam_f, lam_g)],
-        trouble,
-    )
-    _, lowest, highest = problem.limits
-    closed = np.zeros(m)
-    ends = [(lowest, highest)] if extra is None else [(lowest, highest), (extra.lower, extra.upper)]
-    lower, upper = (np.concatenate([closed, *(pair[side] for pair in ends)]) for side in (0, 1))
-    return NlpFunctions(value, gradient, jac, hess, lower, upper)
 
 
 def _stacked(gaps: Pattern, limits: FloatArray, n_extra: int, used: IntArray) -> tuple[ca.Sparsity, IntArray]:
@@ -248,15 +235,16 @@ def _sparsity(pattern: Pattern) -> ca.Sparsity:
 # ---- First-order optimality of a point of the shooting problem, in standard deviations of the estimates.
 #
 # The measure is the length of the Gauss-Newton step that would come next, with the linearised gaps closed and the
-# active
-# bounds kept. It is zero at a stationary point, whatever the Hessian. It does not depend on units or scales.
+# active bounds kept. It is zero at a stationary point, whatever the Hessian. It does not depend on units or scales.
 
+Box = tuple[FloatArray, FloatArray]
+"""Lower and upper bounds of the unknowns, (n_unknowns,), scaled."""
 _ROUNDING = 1e-12  # of a curvature: for unknowns that the data do not tell
 _UNSEEN = 1e-10  # of the largest curvature
 _AT_BOUND = 1e-4  # scaled
 
 
-def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArray, FloatArray]) -> float:
+def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: Box) -> float:
     """Return the length of the next Gauss-Newton step in standard deviations of the estimates.
 
     Parameters
@@ -293,12 +281,10 @@ def in_standard_deviations(problem: Shooting, iterate: Iterate, moved: FloatArra
     return float(np.sqrt(max(square, 0.0) * problem.likelihood_size)) if np.isfinite(square) else np.inf
 
 
-def gauss_newton_step(
-    problem: Shooting, iterate: Iterate, x: FloatArray, box: tuple[FloatArray, FloatArray]
-) -> FloatArray:
+def gauss_newton_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box) -> FloatArray:
     """Return the step (n_unknowns,) from the sparse system of the optimality conditions."""
     met, off = _active_rows(problem, iterate, x)
-    active, of = np.nonzero(met)
+    active, columns = np.nonzero(met)
     n, m = problem.n_unknowns, problem.n_gaps + len(met)
     upper, across = problem.hessian_pattern, problem.jacobian_pattern
     free = np.concatenate([(x > box[0] + _AT_BOUND) & (x < box[1] - _AT_BOUND), np.ones(m, dtype=bool)])
@@ -308,30 +294,22 @@ def gauss_newton_step(
     size[upper.rows[~beside]] = iterate.hessian[~beside]
     seen = size > _UNSEEN * size.max()  # the state in a stretch that is left out has no curvature of its own
     size = np.where(seen, 1 / np.sqrt(np.where(seen, size, 1.0)), 1.0)
-    bound = np.concatenate([across.rows, problem.n_gaps + active]), np.concatenate([across.columns, of])
-    slopes = np.concatenate([iterate.jacobian, met[active, of]]) * size[bound[1]]
+    bound = np.concatenate([across.rows, problem.n_gaps + active]), np.concatenate([across.columns, columns])
+    slopes = np.concatenate([iterate.jacobian, met[active, columns]]) * size[bound[1]]
     largest = np.zeros(m)
     np.maximum.at(largest, bound[0], np.abs(slopes))
     largest = np.where(largest > 0, largest, 1.0)
     entries = iterate.hessian * size[upper.rows] * size[upper.columns]
-    own = np.zeros(n)
-    own[upper.rows[~beside]] = entries[~beside]
-    every, scaled = np.arange(n + m), slopes / largest[bound[0]]
-    parts = [
-        (upper.rows[beside], upper.columns[beside], entries[beside]),
-        (n + bound[0], bound[1], scaled),
-    ]
-    rows, columns, entries = (np.concatenate(each) for each in zip(*parts, strict=True))
-    kept = free[rows] & free[columns]
+    diagonal = np.zeros(n)
+    diagonal[upper.rows[~beside]] = entries[~beside]
+    rows = np.concatenate([upper.rows[beside], n + bound[0]])
+    columns = np.concatenate([upper.columns[beside], bound[1]])
+    entries = np.concatenate([entries[beside], slopes / largest[bound[0]]])
+    kept, every = free[rows] & free[columns], np.arange(n + m)
     rows, columns, entries = rows[kept], columns[kept], entries[kept]
-    diagonal = np.concatenate([np.where(free[:n], own + _ROUNDING, 1.0), np.full(m, -_ROUNDING)])
-    matrix = coo_array(
-        (
-            np.concatenate([entries, entries, diagonal]),
-            (np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])),
-        ),
-        shape=(n + m, n + m),
-    )
+    diagonal = np.concatenate([np.where(free[:n], diagonal + _ROUNDING, 1.0), np.full(m, -_ROUNDING)])
+    places = np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])
+    matrix = coo_array((np.concatenate([entries, entries, diagonal]), places), shape=(n + m, n + m))
     matrix.has_canonical_format = True  # each entry once: no search for others
     matrix = matrix.tocsc()
     matrix.has_canonical_format = matrix.has_sorted_indices = True  # the factorisation needs no order in a column
@@ -346,31 +324,69 @@ def _active_rows(problem: Shooting, iterate: Iterate, x: FloatArray) -> tuple[Fl
     """Return slopes of active constraints, (n_active, n_unknowns), and how far each is from its bound, (n_active,)."""
     limits, low, high = problem.limits
     values = limits @ x[: problem.n_theta]
-    own = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
-    rows = np.pad(own, ((0, 0), (0, problem.n_unknowns - problem.n_theta)))
-    off = np.zeros(len(own))
-    if problem.placed is None:
+    met = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
+    rows, off = np.pad(met, ((0, 0), (0, problem.n_unknowns - problem.n_theta))), np.zeros(len(met))
+    if problem.extra is None:
         return rows, off
-    distance = problem.placed.terms.off_bound(iterate.extra_rows, _AT_BOUND)
+    distance = problem.extra.off_bound(iterate.extra_rows, _AT_BOUND)
     active = ~np.isnan(distance)
     further = np.zeros((int(active.sum()), problem.n_unknowns))
-    further[:, problem.placed.places] = iterate.extra_slopes[active]
+    further[:, problem.extra_places[0]] = iterate.extra_slopes[active]
     return np.vstack([rows, further]), np.concatenate([off, distance[active]])
 
 
 # ---- Watch over the iterations of the solver: progress, stopping rules, Ctrl-C.
 
-PAPER_TOLERANCE = 1e-4
-_GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
-_STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
-PATIENCE = 5  # iterations that a predictor may be unstable on the way, where its start was so too, or stand still
-_STEP_AHEAD = 1e-2  # of the same: what Gauss-Newton may still want, which is a part of what is needed or more
-_NEAR = 50.0  # standard deviations, and the gap that goes with it: the basin of the minimum is reached
-_NEAR_GAP = 0.1
-_AHEAD = 7  # iterations that justify a change of method
-_STEP_BEFORE = 1e-2
-_LOOKED_AT = [ca.nlpsol_out().index(name) for name in ("f", "x", "g")]
-_EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
+
+@dataclass(frozen=True)
+class Tolerances:
+    """When the solver ends, and when it is solved on. Lengths of steps are in standard deviations of the estimates.
+
+    Attributes
+    ----------
+    solver : float
+        Of IPOPT on the scaled optimality conditions.
+    tighter : float
+        The same for a solution that has not come to rest, as a part of it.
+    paper : float
+        Relative change of the parameters at which the paper's rule stops.
+    gap, exact_gap : float
+        Largest gap at which a rule is believed, of the scaled states; and for a fit without errors, whose gradient is
+        rounding and tells nothing more.
+    step, step_before : float
+        Step at which nothing that the data could tell is left. One may be small by chance, where the solver has just
+        cut it: the one before must have been small, too.
+    step_ahead : float
+        What Gauss-Newton may still want there, which is a part of what is needed or more.
+    near, near_gap, ahead : float
+        Step and gap at which the basin of the minimum is reached, and the iterations ahead that justify a change of
+        method there.
+    patience : int
+        Iterations that a predictor may be unstable on the way, where its start was so too, or stand still.
+    rest, rest_by_paper : float
+        Length that the next step of a solution may still have; the paper's rule stops earlier.
+    farthest : float
+        Largest gap in that of the start: what IPOPT tries beyond takes MUMPS seconds to factorise.
+    """
+
+    solver: float = 1e-6
+    tighter: float = 1e-4
+    paper: float = 1e-4
+    gap: float = 1e-6
+    exact_gap: float = 1e-9
+    step: float = 1e-4
+    step_before: float = 1e-2
+    step_ahead: float = 1e-2
+    near: float = 50.0
+    near_gap: float = 0.1
+    ahead: float = 7
+    patience: int = 5
+    rest: float = 0.1
+    rest_by_paper: float = 1.0
+    farthest: float = 1e9
+
+
+TOLERANCES = Tolerances()
 
 
 @dataclass(frozen=True)
@@ -413,102 +429,81 @@ class Interrupt:
     error: BaseException | None = None
 
 
-class Watch(ca.Callback):
-    """Callback of each iteration: it reports progress, applies the stopping rules, and ends the solver on Ctrl-C."""
+class Watch:
+    """Watch over the iterations of a run: it reports progress, applies the stopping rules, and ends it on Ctrl-C.
+
+    Attributes
+    ----------
+    history : list of Progress
+        Iterations so far.
+    status : FitStatus or None
+        Reason of the watch to end the run; None when it has none.
+    creeping : bool
+        Whether the method is to change: the basin of the minimum is reached, but many iterations lie ahead.
+    rest : (n_unknowns,) array, float
+        Last point at which the first-order optimality was looked at, and its value.
+    """
 
     def __init__(
         self,
         problem: Shooting,
-        stop: Stop,
-        progress: Callable[[Progress], None] | None,
+        options: FitArguments,
         interrupt: Interrupt,
-        box: tuple[FloatArray, FloatArray],
+        box: Box,
         *,
         earlier: Sequence[Progress] = (),
         changes_over: bool = False,
     ) -> None:
-        ca.Callback.__init__(self)
-        self._problem, self._stop, self._progress, self.interrupt = problem, stop, progress, interrupt
-        n, m = (
-            problem.n_unknowns,
-            problem.n_gaps + len(problem.limits[0]) + (0 if problem.extra is None else len(problem.extra.size)),
-        )
-        sizes = {"f": 1, "x": n, "g": m, "lam_x": n, "lam_g": m, "lam_p": 0}
-        self._shapes = [
-            ca.Sparsity.dense(sizes[name], 1) if name != "lam_p" else ca.Sparsity(0, 0)
-            for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))
-        ]
+        self._problem, self._options, self.interrupt, self._box = problem, options, interrupt, box
+        self._earlier, self._changes_over = tuple(earlier), changes_over
         self.history: list[Progress] = []
-        self._box, self._earlier, self._changes_over = box, tuple(earlier), changes_over
-        self.settled = False
-        self.exact = False
-        self.at_rest = False
+        self.status: FitStatus | None = None
         self.creeping = False
-        self.unstable = 0
-        self.stuck = 0
         self.rest = np.zeros(0), np.inf
+        self._unstable = self._stuck = 0
         self._previous: FloatArray | None = None
         self._sigma = np.inf
-        self.construct("watch", {})
 
-    def get_n_in(self) -> int:
-        return len(self._shapes)
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return str(ca.nlpsol_out(i))
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return self._shapes[i]
-
-    def has_eval_buffer(self) -> bool:
-        return True
-
-    def eval_buffer(self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]) -> int:
-        """Look at an iterate, in CasADi's own memory, and write whether the solver is to end."""
-        f, x, g = (np.frombuffer(own) if own else np.zeros(0) for own in map(arguments.__getitem__, _LOOKED_AT))
-        ended = self._look(float(f[0]), x.copy(), g)
-        if results[0] is not None:
-            np.frombuffer(results[0])[:] = ended
-        return 0
-
-    def _look(self, cost: float, x: FloatArray, g: FloatArray) -> bool:
-        extra = self._problem.extra
-        gaps = g[: self._problem.n_gaps]
+    def look(self, cost: float, x: FloatArray, g: FloatArray) -> bool:
+        """Return whether an iterate with these constraints ends the run."""
+        problem, limit = self._problem, TOLERANCES
         step = sigma = np.inf
         if self._previous is not None:
-            moved, n_theta = x - self._previous, self._problem.n_theta
+            moved, n_theta = x - self._previous, problem.n_theta
             step = float(np.linalg.norm(moved[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
-            sigma = in_standard_deviations(self._problem, self._problem.at(x), moved)
-        gap = float(np.abs(gaps).max(initial=0.0))
-        if extra is not None:
-            gap = max(gap, extra.violation(g[len(g) - len(extra.size) :]))
+            sigma = in_standard_deviations(problem, problem.at(x), moved)
+        gap = float(np.abs(g[: problem.n_gaps]).max(initial=0.0))
+        if problem.extra is not None:
+            gap = max(gap, problem.extra.violation(g[len(g) - len(problem.extra.size) :]))
         done = max(len(self._earlier) - 1, 0)  # where the last solver ended is where this one starts
         now = Progress(done + len(self.history), cost, gap, step, sigma)
         self.history.append(now)
-        if self._progress is not None and not (self._earlier and len(self.history) == 1):
+        if self._options.progress is not None and not (self._earlier and len(self.history) == 1):
             try:
-                self._progress(now)
+                self._options.progress(now)
             except BaseException as error:  # raised again outside of the solver
                 self.interrupt.error = error
                 return True
-        self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
-        self.exact = extra is None and now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
-        # A step may be small by chance, where the solver has just cut it: the one before must have been small, too.
-        small = sigma < _STEP_TOLERANCE and self._sigma < _STEP_BEFORE and now.gap < _GAP_TOLERANCE
-        still = small and self._stop == "tolerance"
-        self.at_rest = still and self._nothing_to_gain(x)
-        self.stuck = self.stuck + 1 if still and not self.at_rest else 0
-        near = sigma < _NEAR and now.gap < _NEAR_GAP
-        self.creeping = self._changes_over and near and _iterations_ahead(sigma, self._sigma) > _AHEAD
-        self.creeping = self.creeping and self._radius(x) < 1
+        small = sigma < limit.step and self._sigma < limit.step_before and gap < limit.gap
+        still = small and self._options.stop == "tolerance"
+        at_rest = still and self._nothing_to_gain(x)
+        self._stuck = self._stuck + 1 if still and not at_rest else 0
+        near = self._changes_over and sigma < limit.near and gap < limit.near_gap
+        creeps = near and _iterations_ahead(sigma, self._sigma) > limit.ahead
+        self.creeping = creeps and problem.at(x).rate < 1
         self._previous, self._sigma = x, sigma
-        self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
-        ended = self.settled or self.exact or self.at_rest or self.creeping
-        given_up = max(self.unstable, self.stuck) >= PATIENCE
-        return self.interrupt.error is not None or ended or given_up
+        self._unstable = self._unstable + 1 if problem.noise and problem.at(x).rate > 1 else 0
+        reasons = {
+            FitStatus.CONVERGED_BY_PAPER_RULE: self._options.stop == "paper" and step < limit.paper and gap < limit.gap,
+            FitStatus.UNSTABLE_PREDICTOR: self._unstable >= limit.patience,
+            FitStatus.STEPS_TOO_SMALL: self._stuck >= limit.patience,
+            FitStatus.CONVERGED: at_rest,
+            FitStatus.CONVERGED_AT_ROUNDING: (
+                problem.extra is None and cost <= problem.exact_cost and gap < limit.exact_gap
+            ),
+        }
+        self.status = next((status for status, holds in reasons.items() if holds), None)
+        return self.status is not None or self.creeping or self.interrupt.error is not None
 
     def _nothing_to_gain(self, x: FloatArray) -> bool:
         """Return whether a Gauss-Newton step from here would be very small.
@@ -519,26 +514,17 @@ class Watch(ca.Callback):
         if any(self._problem.parts_at_edge(self._problem.unpack(x)[0])):
             return True
         self.rest = x, distance_from_rest(self._problem, x, self._box)
-        return self.rest[1] < _STEP_AHEAD
-
-    def _radius(self, x: FloatArray) -> float:
-        return self._problem.at(x).rate
+        return self.rest[1] < TOLERANCES.step_ahead
 
 
 def _iterations_ahead(sigma: float, before: float) -> float:
     """Return the number of iterations until steps are below the tolerance, at the rate of the last step."""
     if not sigma < before:
         return np.inf
-    return float(np.log(max(sigma / _STEP_TOLERANCE, 1.0)) / np.log(before / max(sigma, 1e-300)))
+    return float(np.log(max(sigma / TOLERANCES.step, 1.0)) / np.log(before / max(sigma, 1e-300)))
 
 
 # ---- IPOPT on the shooting problem.
-
-_TOLERANCE = 1e-6  # of IPOPT on the scaled optimality conditions
-_REST = 0.1  # standard deviations that the next step of a solution may still be long
-_REST_BY_PAPER = 1.0  # the same for the paper's rule, which stops earlier
-_FARTHEST = 1e9  # times the largest gap of the start: what IPOPT tries beyond takes MUMPS seconds to factorise
-_TIGHTER = 1e-4  # of the tolerance, for a solution that has not come to rest
 
 _BY_IPOPT = {
     "Solve_Succeeded": FitStatus.CONVERGED,
@@ -621,7 +607,7 @@ def solve(
     """
     most = options.max_iterations
     with _interruptible() as interrupt:
-        runs = _Runs(problem, (lower, upper), GaussNewton, options, interrupt)
+        runs = _Runs(problem, (lower, upper), gauss_newton, options, interrupt)
         first, watch = runs.run(start, most, changes_over=True)
         if not watch.creeping:
             return runs.at_rest(first, most)
@@ -648,7 +634,7 @@ class _Runs:
     """Runs of IPOPT on one problem, within bounds and with one kind of Hessian."""
 
     problem: Shooting
-    box: tuple[FloatArray, FloatArray]
+    box: Box
     curvature: Callable[[Shooting], Curvature]
     options: FitArguments
     interrupt: Interrupt
@@ -658,22 +644,24 @@ class _Runs:
         start: FloatArray,
         most: int,
         *,
-        tolerance: float = _TOLERANCE,
+        tolerance: float = TOLERANCES.solver,
         earlier: Sequence[Progress] = (),
         changes_over: bool = False,
     ) -> tuple[Solution, Watch]:
         """Run IPOPT once, at most so many iterations; `earlier` is the progress of the run before."""
-        options, (lower, upper), trouble = self.options, self.box, Trouble(most=_FARTHEST)
-        watch = Watch(
-            self.problem,
-            options.stop,
-            options.progress,
-            self.interrupt,
-            self.box,
-            earlier=earlier,
-            changes_over=changes_over,
-        )
-        solver, functions = self._solver(watch, tolerance, most, trouble)
+        problem, (lower, upper), trouble = self.problem, self.box, Trouble(most=TOLERANCES.farthest)
+        watch = Watch(problem, self.options, self.interrupt, self.box, earlier=earlier, changes_over=changes_over)
+        functions = nlp_functions(problem, self.curvature(problem), trouble)
+        n, m, names = problem.n_unknowns, len(functions.lower), ca.nlpsol_out()
+        sizes = {"f": (1, 1), "x": (n, 1), "g": (m, 1), "lam_x": (n, 1), "lam_g": (m, 1), "lam_p": (0, 0)}
+
+        def look(*values: FloatArray) -> list[FloatArray | float]:
+            f, x, g = (values[names.index(name)] for name in ("f", "x", "g"))
+            return [float(watch.look(float(f[0]), x.copy(), g))]
+
+        arguments = [(name, ca.Sparsity.dense(*sizes[name])) for name in names]
+        iteration = Oracle("watch", arguments, [("stop", ca.Sparsity.dense(1, 1))], look, trouble)
+        solver = self._solver(functions, iteration, tolerance, most)
         if self.interrupt.error is None:
             with one_solver():
                 result = solver(x0=start, lbx=lower, ubx=upper, lbg=functions.lower, ubg=functions.upper)
@@ -681,37 +669,43 @@ class _Runs:
             raise self.interrupt.error
         if trouble.defect is not None:
             raise trouble.defect
-        unknowns = np.asarray(result["x"], float).ravel()
-        status = _status(str(solver.stats()["return_status"]), watch)
+        unknowns, stats = np.asarray(result["x"], float).ravel(), solver.stats()
+        status = _BY_IPOPT.get(str(stats["return_status"]), FitStatus.SOLVER_FAILED)
+        if stats["return_status"] == "User_Requested_Stop" and watch.status is not None:
+            status = watch.status
         if not np.isfinite(unknowns).all():
             unknowns, status = np.asarray(start, float), FitStatus.OVERFLOW
         rest = watch.rest[1] if np.array_equal(watch.rest[0], unknowns) else np.inf
-        iterations = int(solver.stats()["iter_count"])
-        return Solution(unknowns, status, iterations, tuple(watch.history), rest, trouble.points), watch
+        return Solution(unknowns, status, int(stats["iter_count"]), tuple(watch.history), rest, trouble.points), watch
 
     def at_rest(self, solution: Solution, most: int) -> Solution:
         """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
-        problem, known = self.problem, np.isfinite(solution.rest)  # the watch may have looked already
+        problem, known, limit = (
+            self.problem,
+            np.isfinite(solution.rest),
+            TOLERANCES,
+        )  # the watch may have looked already
         rest = solution.rest if known else distance_from_rest(problem, solution.unknowns, self.box)
         at_edge = any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0]))
-        if not solution.status.success or rest <= _REST or at_edge:
+        if not solution.status.success or rest <= limit.rest or at_edge:
             return replace(solution, rest=rest)
         if solution.status is FitStatus.CONVERGED_BY_PAPER_RULE:
-            return replace(solution, rest=rest, status=solution.status if rest <= _REST_BY_PAPER else FitStatus.STALLED)
+            stalled = rest > limit.rest_by_paper
+            return replace(solution, rest=rest, status=FitStatus.STALLED if stalled else solution.status)
         left = max(1, most - solution.iterations)
-        last, _ = self.run(solution.unknowns, left, tolerance=_TOLERANCE * _TIGHTER, earlier=solution.history)
+        tolerance = limit.solver * limit.tighter
+        last, _ = self.run(solution.unknowns, left, tolerance=tolerance, earlier=solution.history)
         rest = distance_from_rest(problem, last.unknowns, self.box)
-        status = FitStatus.STALLED if last.status.success and rest > _REST else last.status
+        status = FitStatus.STALLED if last.status.success and rest > limit.rest else last.status
         return _continued(solution, replace(last, status=status, rest=rest))
 
-    def _solver(self, watch: Watch, tolerance: float, most: int, trouble: Trouble) -> tuple[ca.Function, NlpFunctions]:
-        """Build the solver; also return the callbacks, which must outlive it."""
-        functions, ipopt = nlp_functions(self.problem, self.curvature(self.problem), trouble), self.options.ipopt or {}
-        x = ca.MX.sym("x", self.problem.n_unknowns)
+    def _solver(self, functions: NlpFunctions, iteration: ca.Callback, tolerance: float, most: int) -> ca.Function:
+        """Return the solver of functions, which must outlive it, with a callback at each iteration."""
+        ipopt, x = self.options.ipopt or {}, ca.MX.sym("x", self.problem.n_unknowns)
         f, g = functions.value(x)
         options: dict[str, Any] = {
             **functions.derivatives,
-            "iteration_callback": watch,
+            "iteration_callback": iteration,
             "print_time": False,
             "error_on_fail": False,
             "show_eval_warnings": False,
@@ -734,27 +728,11 @@ class _Runs:
             },
         }
         try:
-            return ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options), functions
+            return ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options)
         except RuntimeError as error:
             if not ipopt:
                 raise
             raise UsageError(f"ipopt = {dict(ipopt)}: {str(error).splitlines()[-1].strip()}") from None
-
-
-def _status(by_ipopt: str, watch: Watch) -> FitStatus:
-    """Return the status: the reason of the watch if it stopped the solver, else that of IPOPT."""
-    if by_ipopt == "User_Requested_Stop":
-        if watch.settled:
-            return FitStatus.CONVERGED_BY_PAPER_RULE
-        if watch.unstable >= PATIENCE:
-            return FitStatus.UNSTABLE_PREDICTOR
-        if watch.stuck >= PATIENCE:
-            return FitStatus.STEPS_TOO_SMALL
-        if watch.at_rest:
-            return FitStatus.CONVERGED
-        if watch.exact:
-            return FitStatus.CONVERGED_AT_ROUNDING
-    return _BY_IPOPT.get(by_ipopt, FitStatus.SOLVER_FAILED)
 
 
 @contextmanager

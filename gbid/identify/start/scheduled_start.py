@@ -15,7 +15,7 @@ from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, Record
 from gbid.identify.options import FitArguments, Focus
-from gbid.identify.problem.assemble import Ties, assemble, automatic_window, build_problem, full_start, unknown_bounds
+from gbid.identify.problem.assemble import Ties, assemble, build_problem, full_start, unknown_bounds
 from gbid.identify.problem.solve import solve
 from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
@@ -136,7 +136,7 @@ def _edges(values: FloatArray, longest: int) -> tuple[int, ...]:
 
 # ---- Fit of a structure with constant parameters to a part of a recording, for start values: estimates and variances.
 
-_OPTIONS = FitArguments(stop="paper", max_iterations=30)
+_OPTIONS = FitArguments(criterion="det", stop="paper", max_iterations=30)
 
 
 class PartFit(NamedTuple):
@@ -160,20 +160,11 @@ def fit_part(
     weight the estimates of several parts.
     """
     begin = begin_values(structure, parameters, part, intersample, asked, from_data=False).values
-    assembly = assemble(
-        structure,
-        parameters,
-        begin,
-        part,
-        intersample=intersample,
-        focus=focus,
-        local={},
-        left_out={},
-        window=automatic_window(part, focus),
-    )
-    problem, unknowns = build_problem(assembly, part, "det", None, full_start(assembly, begin), {})
+    options = replace(_OPTIONS, intersample=intersample, focus=focus)
+    assembly = assemble(structure, parameters, begin, part, options)
+    problem, unknowns = build_problem(assembly, part, options, full_start(assembly, begin))
     lower, upper = unknown_bounds(problem, assembly)
-    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, _OPTIONS)
+    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, options)
     theta, starts = problem.unpack(solution.unknowns)
     values = problem.values(theta)
     products = problem.error_products(values, starts)

@@ -19,7 +19,7 @@ from gbid.discretise import Hold, check_holds, discretise, hold_response
 from gbid.identify.data import FitData, Record, column_means, moves
 from gbid.identify.options import FitArguments
 from gbid.identify.predictor import build_predictor
-from gbid.identify.problem.assemble import assemble, automatic_window, build_problem, full_start, unknown_bounds
+from gbid.identify.problem.assemble import assemble, build_problem, full_start, unknown_bounds
 from gbid.identify.problem.solve import solve
 from gbid.identify.start.black_box import BlackBox, Target, black_box, match
 from gbid.structure import (
@@ -769,20 +769,17 @@ def _fitted(
     left_out: Mapping[str, Sequence[tuple[int, int]]],
 ) -> dict[str, float]:
     """Return the values of a fit with an observer; those given where it ends nowhere."""
+    options = replace(_OPTIONS, output_weights=tuple(weights), intersample=intersample, left_out=left_out)
     assembly = assemble(
         observed,
         parameters,
         values,
         data,
-        intersample=intersample,
-        focus="prediction",
-        local={},
-        left_out=left_out,
-        window=automatic_window(data, "prediction"),
+        options,
     )
-    problem, unknowns = build_problem(assembly, data, "trace", weights, full_start(assembly, values), {})
+    problem, unknowns = build_problem(assembly, data, options, full_start(assembly, values))
     lower, upper = unknown_bounds(problem, assembly)
-    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, _OPTIONS)
+    solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, options)
     theta, _ = problem.unpack(solution.unknowns)
     if not np.isfinite(theta).all():
         return dict(values)

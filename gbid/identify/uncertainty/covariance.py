@@ -17,7 +17,7 @@ from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.kernel.sums import Sweep, Traced, tied
 from gbid.identify.predictor import Predictor
-from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_part, own_gradients
+from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_part
 from gbid.identify.problem.integration import linearised
 from gbid.identify.problem.nlp import RecordGroup, Shooting
 from gbid.identify.uncertainty.coloured import (
@@ -284,8 +284,8 @@ def _omitted(
     _, starts = joined_up.unpack(problem.pack(theta, starts)[kept])
     ends, values = np.zeros_like(starts), problem.values(theta)
     for _ in joined_up.links:  # backwards from the last segments: derivative of the cost by the ends of segments
-        made = own_gradients(joined_up, values, starts, ends, weight)
-        ends[joined_up.links[:, 0]] = np.concatenate([own.starts for own in made])[joined_up.links[:, 1]]
+        made = joined_up.gradients(values, starts, ends, weight)
+        ends[joined_up.links[:, 0]] = np.concatenate([by_start for _, by_start in made])[joined_up.links[:, 1]]
     return omitted_part(joined_up, theta, starts, ends, [np.diag(s.hessian) for s in sums], weight)
 
 

@@ -1,0 +1,65 @@
+/* Written by gbid for one model structure: see gbid/identify/kernel/linear.py. */
+typedef double v __attribute__((vector_size(64)));
+typedef double u __attribute__((vector_size(64), aligned(8)));
+static inline double total(v a) {
+  double s = 0;
+  for (int l = 0; l < 8; l++) s += a[l];
+  return s;
+}
+#define N @N@
+#define NZ @NZ@
+#define NY @NY@
+#define NP @NP@
+#define ROWS @ROWS@
+#define COLUMNS @COLUMNS@
+#define STEPS @STEPS@
+#define TILE @TILE@
+
+/* Products over the samples of one buffer. */
+static void add_up(int count, const v *restrict A, const v *restrict S, v *restrict P) {
+  for (int i = 0; i < ROWS; i += TILE)
+    for (int j = 0; j < COLUMNS; j += TILE) {
+      v a[TILE][TILE];
+      for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) a[p][q] = P[(i + p)*COLUMNS + j + q];
+      for (int t = 0; t < count; t++) {
+        v l[TILE], r[TILE];
+        for (int p = 0; p < TILE; p++) l[p] = A[t*ROWS + i + p];
+        for (int q = 0; q < TILE; q++) r[q] = S[t*COLUMNS + j + q];
+        for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) a[p][q] += l[p]*r[q];
+      }
+      for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) P[(i + p)*COLUMNS + j + q] = a[p][q];
+    }
+}
+
+/* Arrays as documented for CompiledLinearKernel.second_pass, the eight blocks of a group innermost. */
+void gbid_second(long groups, long length, const double *restrict F, const double *restrict dF,
+                 const double *restrict dG, const double *restrict states, const double *restrict zs,
+                 const double *restrict factors, double *restrict products, double *restrict end_theta) {
+  const v zero = {0};
+  static __thread v A[STEPS*ROWS], S[(STEPS + 1)*COLUMNS], P[ROWS*COLUMNS];
+  (void)dG;
+  for (int i = 0; i < ROWS*COLUMNS; i++) P[i] = zero;
+  for (int i = 0; i < STEPS*ROWS; i++) A[i] = zero;
+  for (int i = 0; i < (STEPS + 1)*COLUMNS; i++) S[i] = zero;
+  for (long b = 0; b < groups; b++) {
+    int t = 0;
+    for (int i = 0; i < COLUMNS; i++) S[i] = zero;
+    for (long k = 0; k < length; k++) {
+      const u *x = (const u *)(states + (b*length + k)*N*8);
+      const u *z = (const u *)(zs + (b*length + k)*NZ*8);
+      const u *f = (const u *)(factors + (b*length + k)*(N + NY)*8);
+      const v *restrict before = S + t*COLUMNS;
+      v *restrict next = S + (t + 1)*COLUMNS;
+      for (int i = 0; i < N + NY; i++) A[t*ROWS + i] = f[i];
+@STEP@
+      if (++t == STEPS || k + 1 == length) {
+        add_up(t, A, S, P);
+        for (int i = 0; i < COLUMNS; i++) S[i] = S[t*COLUMNS + i];
+        t = 0;
+      }
+    }
+    for (int i = 0; i < NP*N; i++) *(u *)(end_theta + (b*NP*N + i)*8) = S[i];
+  }
+  for (int i = 0; i < N + NY; i++)
+    for (int j = 0; j < NP*N; j++) products[i*NP*N + j] = total(P[i*COLUMNS + j]);
+}
