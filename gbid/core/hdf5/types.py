@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType, NoneType, UnionType
@@ -267,11 +267,9 @@ class Columns:
         """Return the values from the columns."""
         table = read_group(group, name)
         context.lengths.pop("rows", None)
-        columns = [leaf.get(table, key, context) for key, leaf in self.fields]
-        rows = zip(
-            *([leaf.build(v) for v in c] for (_, leaf), c in zip(self.fields, columns, strict=True)), strict=True
-        )
-        return tuple(self.made(**dict(zip((key for key, _ in self.fields), row, strict=True))) for row in rows)
+        columns = ([leaf.build(value) for value in leaf.get(table, key, context)] for key, leaf in self.fields)
+        names = [key for key, _ in self.fields]
+        return tuple(self.made(**dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True))
 
 
 @dataclass(frozen=True)
@@ -296,8 +294,10 @@ class Numbered:
         count = read_attribute(entries, "count")
         if len(entries) != count:
             raise ValueError(f"{entries.name} has {len(entries)} entries, expected {count}")
-        found = tuple(self.each.read(entries, key, context) for key in sorted(entries, key=lambda key: (len(key), key)))
-        return dict(zip(read_texts(entries, "names"), found, strict=True)) if self.named else found
+        values = tuple(
+            self.each.read(entries, key, context) for key in sorted(entries, key=lambda key: (len(key), key))
+        )
+        return dict(zip(read_texts(entries, "names"), values, strict=True)) if self.named else values
 
 
 @dataclass(frozen=True)
@@ -339,14 +339,14 @@ class Attributes:
 
     def write(self, group: h5py.Group, name: str, value: Mapping[str, Any], context: Context) -> None:
         """Write the attributes to a new group."""
-        own = group.create_group(name)
+        item = group.create_group(name)
         for key, number in value.items():
-            self.each.write(own, f"@{key}", number, context)
+            self.each.write(item, f"@{key}", number, context)
 
     def read(self, group: h5py.Group, name: str, context: Context) -> dict[str, Any]:
         """Return the mapping."""
-        own = read_group(group, name)
-        return {key: self.each.read(own, f"@{key}", context) for key in own.attrs}
+        item = read_group(group, name)
+        return {key: self.each.read(item, f"@{key}", context) for key in item.attrs}
 
 
 @dataclass(frozen=True)
@@ -364,14 +364,13 @@ class OneOf:
 
     def read(self, group: h5py.Group, name: str, context: Context) -> Any:
         """Return the value as the first type that accepts it; None when it is absent."""
-        if self.may_be_absent and not _is_there(group, name):
+        if self.may_be_absent and not _contains(group, name):
             return None
         records = [codec for codec in self.codecs if isinstance(codec, DataclassGroup)]
-        if len(records) == len(self.codecs) > 1:  # the one with the most of its fields there
-            there = read_group(group, name)
-            return max(records, key=lambda c: sum(_is_there(there, at) for _, at, _ in c.fields)).read(
-                group, name, context
-            )
+        if len(records) == len(self.codecs) > 1:  # the one of which the group contains the most fields
+            item = read_group(group, name)
+            codec = max(records, key=lambda each: sum(_contains(item, place) for _, place, _ in each.fields))
+            return codec.read(group, name, context)
         return self._first(lambda codec: codec.read(group, name, context))
 
     def _first(self, act: Callable[[Codec], Any]) -> Any:
@@ -384,7 +383,7 @@ class OneOf:
         return act(last)
 
 
-def _is_there(group: h5py.Group, place: str) -> bool:
+def _contains(group: h5py.Group, place: str) -> bool:
     path, attribute = attribute_of(place)
     return place in group or ((path in group if path else True) and attribute in (group[path] if path else group).attrs)
 
@@ -395,7 +394,8 @@ _SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b", str: "U"}
 _LINES = tuple[tuple[str, ...], ...]
 
 
-def record(made: type) -> DataclassGroup:
+@cache
+def record(made: Any) -> DataclassGroup:
     """Return the codec of a dataclass or named tuple, from the annotations of its fields.
 
     Raises
@@ -403,30 +403,18 @@ def record(made: type) -> DataclassGroup:
     TypeError
         When a field has a type that cannot be stored.
     """
-    hashable: Any = made
-    return _record(hashable)
-
-
-@cache
-def _record(made: Any) -> DataclassGroup:
     names = [field.name for field in fields(made)] if is_dataclass(made) else list(getattr(made, "_fields"))  # noqa: B009
     hints = get_type_hints(made, include_extras=True)
     codecs = []
     for name in names:
-        plain, stored = _taken_apart(hints[name])
+        hint, *marks = get_args(hints[name]) if get_origin(hints[name]) is Annotated else (hints[name],)
+        stored = next((mark for mark in marks if isinstance(mark, Stored)), None)
         if stored is not NOT_STORED:
             try:
-                codecs.append((name, (stored and stored.at) or name, _codec(plain, stored)))
+                codecs.append((name, (stored and stored.at) or name, _codec(hint, stored)))
             except TypeError as error:
                 raise TypeError(f"{made.__name__}.{name}: {error}") from None
     return DataclassGroup(made, tuple(codecs))
-
-
-def _taken_apart(hint: Any) -> tuple[Any, Stored | None]:
-    if get_origin(hint) is not Annotated:
-        return hint, None
-    plain, *marks = get_args(hint)
-    return plain, next((mark for mark in marks if isinstance(mark, Stored)), None)
 
 
 def _codec(hint: Any, stored: Stored | None) -> Codec:
@@ -434,7 +422,9 @@ def _codec(hint: Any, stored: Stored | None) -> Codec:
     if origin in (Union, UnionType):
         return OneOf(tuple(_codec(arg, stored) for arg in args if arg is not NoneType), NoneType in args)
     if stored is AS_JSON:
-        return Leaf("U", lambda text: hint(**plain(json.loads(text))), (), False, Stored(), _of_fields)
+        return Leaf(
+            "U", lambda text: hint(**plain(json.loads(text))), (), False, Stored(), lambda v: json.dumps(vars(v))
+        )
     if _is_record(hint):
         return record(hint)
     if leaf := _leaf(hint, stored):
@@ -444,10 +434,6 @@ def _codec(hint: Any, stored: Stored | None) -> Codec:
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return _mapping(hint, args[1], stored)
     raise TypeError(f"{hint} cannot be stored")
-
-
-def _of_fields(value: Any) -> str:
-    return json.dumps(vars(value))
 
 
 def _is_record(hint: Any) -> bool:
@@ -472,17 +458,16 @@ def _mapping(hint: Any, to: Any, stored: Stored | None) -> Codec:
     if each and each.shape == () and each.kind != "U":
         return Attributes(each)
     if _is_plain(hint):
-        return Leaf("U", lambda text: _checked(json.loads(text), hint), (), False, Stored(), _as_json)
+        return Leaf("U", lambda text: _checked(json.loads(text), hint), (), False, Stored(), _plain_json)
     return Numbered(_codec(to, stored), named=True)
+
+
+_plain_json = partial(json.dumps, default=dict)
 
 
 def _is_plain(hint: Any) -> bool:
     """Return whether a type is text, or a mapping to such types."""
     return hint is str or (bool(get_args(hint)) and get_origin(hint) is Mapping and _is_plain(get_args(hint)[1]))
-
-
-def _as_json(value: Any) -> str:
-    return json.dumps(value, default=dict)
 
 
 def _checked(value: Any, hint: Any) -> Any:
@@ -502,16 +487,14 @@ class _ArrayCodec(NamedTuple):
 
 
 def _leaf(hint: Any, stored: Stored | None) -> Leaf | None:
-    if hint == _LINES:
-        found: _ArrayCodec | None = _ArrayCodec("U", _split, ("*",), lambda texts: list(map(_lines, texts)))
-    else:
-        found = _values(hint)
-    if found is None:
+    lines = _ArrayCodec("U", _split, ("*",), lambda texts: list(map(_lines, texts)))
+    codec = lines if hint == _LINES else _values(hint)
+    if codec is None:
         return None
-    shape = tuple(stored.shape.split()) if stored and stored.shape else found.shape
-    is_array = found.shape is None or hint == _LINES or (found.kind != "U" and bool(found.shape or stored))
+    shape = tuple(stored.shape.split()) if stored and stored.shape else codec.shape
+    is_array = codec.shape is None or hint == _LINES or (codec.kind != "U" and bool(codec.shape or stored))
     is_dataset = is_array and not (stored and "@" in stored.at)
-    return Leaf(found.kind, found.build, shape, is_dataset, stored or Stored(), found.encode)
+    return Leaf(codec.kind, codec.build, shape, is_dataset, stored or Stored(), codec.encode)
 
 
 def _values(hint: Any) -> _ArrayCodec | None:
@@ -525,7 +508,7 @@ def _values(hint: Any) -> _ArrayCodec | None:
         return _ArrayCodec(_SCALARS[type(args[0])], lambda value: _one_of(value, args), (), _same)
     if origin is np.ndarray:
         kind = np.dtype(get_args(args[1])[0]).kind
-        return _ArrayCodec(kind, _text_array if kind == "U" else _same, None, _same)
+        return _ArrayCodec(kind, partial(np.array, dtype=str) if kind == "U" else _same, None, _same)
     if origin is not tuple or not args:
         return None
     every = args[1:] == (...,)
@@ -558,10 +541,6 @@ def _one_of(value: Any, allowed: tuple[Any, ...]) -> Any:
     return value
 
 
-def _text_array(texts: Any) -> Any:
-    return np.array(list(texts), dtype=str)
-
-
 def _lines(texts: tuple[str, ...]) -> str:
     """Write texts one a line; a line break within a text becomes two characters, as in many languages."""
     return "\n".join(text.replace("\\", "\\\\").replace("\n", "\\n") for text in texts)
@@ -572,7 +551,7 @@ def _split(texts: Any) -> tuple[tuple[str, ...], ...]:
 
 
 def _one_text(line: str) -> str:
-    return re.sub(r"\\([\\n])", lambda found: "\n" if found[1] == "n" else "\\", line)
+    return re.sub(r"\\([\\n])", lambda match: "\n" if match[1] == "n" else "\\", line)
 
 
 # ---- Dataclasses in HDF5 files: each field is stored by its type, see `gbid.core.hdf5.Stored`.
@@ -617,8 +596,8 @@ def read_fields(group: h5py.Group, made: type[T], **given: Any) -> T:
     dataclass
         The value, of type `made`.
     """
-    found: T = record(made).get(group, given)
-    return found
+    value: T = record(made).get(group, given)
+    return value
 
 
 # ---- Values with a file of their own.
@@ -646,6 +625,7 @@ _TYPES = MappingProxyType(
     {
         "fit": ("gbid.identify", "FitResult"),
         "impact": ("gbid.control", "ImpactStudy"),
+        "lpv_fit": ("gbid.lpv", "load_lpv_fit"),
         "piezo_curve": ("gbid.characterise", "PiezoCurve"),
         "prefilter": ("gbid.prefilter", "PrefilterFile"),
         "recording": ("gbid.recording", "Recording"),
@@ -655,7 +635,10 @@ _TYPES = MappingProxyType(
         "validation_summary": ("gbid.validate", "ValidationSummary"),
     }
 )
-"""Type of the value in a kind of file. It lies above this package, and is imported when such a file is loaded."""
+"""Type of the value in a kind of file, or the function that reads it with the files beside it.
+
+It lies above this package, and is imported when such a file is loaded.
+"""
 F = TypeVar("F", bound=InFile)
 
 
@@ -716,5 +699,7 @@ def load(path: str | Path, kind: type[InFile] | None = None) -> Any:
             raise DataError(f"{path}: a {name} file; `gbid.load` reads {', '.join(_TYPES)}")
         module, made = _TYPES[name]
         kind = getattr(import_module(module), made)
+        if not isinstance(kind, type):
+            return kind(path)
     with reading(path, kind.FILE) as file:
         return kind.from_hdf5(file)
