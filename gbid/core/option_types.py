@@ -46,11 +46,32 @@ class Exact:
         return {**schema, "allow_inf_nan": False} if self.finite and schema["type"] == "float" else schema
 
 
+@dataclass(frozen=True)
 class Allowed:
-    """Mark of a type: what it allows, in words."""
+    """Mark of a type: what it allows, in words; pydantic says them in place of what each form of the value would be.
 
-    def __init__(self, text: str) -> None:
-        self.text = text
+    Attributes
+    ----------
+    text : str
+        The words, as they stand after "give" and "expected".
+    """
+
+    text: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        """Return the schema of pydantic for the type, with one error in the words of the mark."""
+
+        def checked(value: Any, inner: Callable[[Any], Any]) -> Any:
+            try:
+                return inner(value)
+            except ValueError:
+                raise ValueError(f"expected {self.text}, found {value!r}") from None
+
+        return {
+            "type": "function-wrap",
+            "function": {"type": "no-info", "function": checked},
+            "schema": handler(source),
+        }
 
 
 Number = Annotated[float, Exact()]

@@ -33,13 +33,11 @@ from gbid.core.units import SIGNALS
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import InputError, Result, about, file_digest, nearest, needed, stored_key
 from gbid.experiment.machine import PlannedRun, rig_machine, rig_model
-from gbid.experiment.rig_schema import ControllerChoice, LoopSection
+from gbid.experiment.rig_schema import ControllerChoice, LoopSection, Place
 from gbid.experiment.schema import (
     GOALS,
     ControllerSection,
-    GoalSection,
-    HitSection,
-    ImpactPoint,
+    GoalEntry,
     ImpactsSection,
     TargetSection,
 )
@@ -58,12 +56,12 @@ Disturbance = Callable[[tuple[str, ...]], DisturbanceSpectrum]
 """From names of recordings to the disturbance that they show."""
 
 
-def made_goal(entry: GoalSection, disturbance: Disturbance) -> Goal:
+def made_goal(entry: GoalEntry, disturbance: Disturbance) -> Goal:
     """Return the goal of an entry.
 
     Parameters
     ----------
-    entry : GoalSection
+    entry : GoalEntry
         Name and arguments.
     disturbance : callable
         Returns the disturbance of the recordings that an entry names.
@@ -73,21 +71,20 @@ def made_goal(entry: GoalSection, disturbance: Disturbance) -> Goal:
     UsageError
         When an argument is not allowed.
     """
-    arguments: dict[str, Any] = {}
-    for name, value in entry.given().items():
-        if isinstance(value, HitSection):
-            value = HalfSine(value.peak_n, value.duration_s)
+    arguments = dict(entry.arguments)
+    for name, value in arguments.items():
+        if name == "impact":
+            arguments[name] = HalfSine(**value)
         elif name == "disturbance":
-            value = disturbance(value)
+            arguments[name] = disturbance(value)
         elif isinstance(value, Mapping):
-            value = _transfer_function(value, f"{entry.goal}: {name}")
-        arguments[name] = value
+            arguments[name] = _transfer_function(value, f"{entry.goal}: {name}")
     return GOALS[entry.goal](**arguments)
 
 
 def goal_recordings(experiment: Experiment, section: ControllerSection) -> list[PlannedRecording]:
     """Return the recordings whose disturbance the goals of a design need."""
-    named = (entry.given().get("disturbance", ()) for entry in section.goals or ())
+    named = (entry.arguments.get("disturbance", ()) for entry in section.goals or ())
     return experiment.matching(tuple(pattern for patterns in named for pattern in patterns))
 
 
@@ -95,7 +92,7 @@ def peak_cap(section: ControllerSection) -> float | None:
     """Return the cap on the peak of S_o at all frequencies; None when a design has none."""
     if section.goals is None:
         return section.peak_sensitivity
-    limits = [entry.given()["limit"] for entry in section.goals if _caps_peak(entry)]
+    limits = [entry.arguments["limit"] for entry in section.goals if _caps_peak(entry)]
     return min(map(float, limits), default=None)
 
 
@@ -119,8 +116,8 @@ def no_disturbance(_names: tuple[str, ...]) -> DisturbanceSpectrum:
     return DisturbanceSpectrum(np.array([1.0, 2.0]), np.tile(1e-18 * np.eye(2, dtype=complex), (2, 1, 1)))
 
 
-def _caps_peak(entry: GoalSection) -> bool:
-    given = entry.given()
+def _caps_peak(entry: GoalEntry) -> bool:
+    given = entry.arguments
     return entry.goal == PeakSensitivity.__name__ and not given.get("soft") and isinstance(given["limit"], int | float)
 
 
@@ -370,14 +367,14 @@ class ImpactRecording:
     ----------
     planned : PlannedRecording
         Recording of the rig.
-    point : ImpactPoint
+    point : Place
         Operating point.
     loop, axis : str
         Name of the loop (``"open"``, ``"closed"`` or that of a further loop), and axis of the impacts.
     """
 
     planned: PlannedRecording
-    point: ImpactPoint
+    point: Place
     loop: str
     axis: str
 
@@ -402,7 +399,7 @@ class LoopController:
     key: str
 
 
-def study_name(point: ImpactPoint, loop: str) -> str:
+def study_name(point: Place, loop: str) -> str:
     """Return the name of the study of one operating point in one loop, e.g. ``p6_n0_open``."""
     return f"p{point.pressure_bar:g}_n{point.speed_rpm:g}_{loop}"
 
@@ -454,7 +451,7 @@ def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
     return with_actuators(load_model(path)), file_digest(path)
 
 
-def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "closed") -> LoopController:
+def controller_at(experiment: Experiment, point: Place, loop: str = "closed") -> LoopController:
     """Return the controller of a loop at an operating point.
 
     Raises

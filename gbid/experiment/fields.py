@@ -5,22 +5,24 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
-import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from types import NoneType, UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import AllowInfNan, BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, Tag, ValidationError, WithJsonSchema
+from pydantic_core import ErrorDetails
 
 from gbid._version import __version__
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import add_text_checksum, atomic_path, is_changed
 from gbid.core.hdf5 import changing, opened
+from gbid.core.option_types import Finite
+from gbid.discretise import Hold
 
 T = TypeVar("T")
 
@@ -34,56 +36,18 @@ def _one_or_several(kind: dict[str, Any], fewest: int = 1) -> WithJsonSchema:
     return WithJsonSchema({"anyOf": [kind, {"type": "array", "items": kind, "minItems": fewest}]})
 
 
-def _one_or_two(value: Any) -> Any:
-    numbers = tuple(value) if isinstance(value, list | tuple) else (value,)
-    good = all(type(v) in (int, float) and math.isfinite(v) and v >= 0 for v in numbers)
-    if not good or len(numbers) != (2 if isinstance(value, list | tuple) else 1):
-        raise ValueError(f"expected a finite number of at least zero, or two of them for x and y, found {value!r}")
-    return numbers if len(numbers) == 2 else numbers[0]
-
-
-Number = Annotated[float, Strict(), AllowInfNan(False)]
-Positive = Annotated[float, Strict(), AllowInfNan(False), Field(gt=0)]
-NotNegative = Annotated[float, Strict(), AllowInfNan(False), Field(ge=0)]
-Count = Annotated[int, Strict(), Field(ge=1)]
-CountOrZero = Annotated[int, Strict(), Field(ge=0)]
+_TEXT = {"type": "string", "minLength": 1}
 Switch = Annotated[bool, Strict()]
 Text = Annotated[str, Field(min_length=1)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
 """Name that is also used in file names."""
-Names = Annotated[
-    tuple[Text, ...],
-    BeforeValidator(_as_list),
-    Field(min_length=1),
-    _one_or_several({"type": "string", "minLength": 1}),
-]
+Names = Annotated[tuple[Text, ...], BeforeValidator(_as_list), Field(min_length=1), _one_or_several(_TEXT)]
 """One or several names; a single name needs no list."""
-NamesOrNone = Annotated[
-    tuple[Text, ...],
-    BeforeValidator(_as_list),
-    _one_or_several({"type": "string", "minLength": 1}, fewest=0),
-]
+NamesOrNone = Annotated[tuple[Text, ...], BeforeValidator(_as_list), _one_or_several(_TEXT, fewest=0)]
 """As `Names`, or an empty list."""
-Pair = tuple[Number, Number]
-OneOrTwo = Annotated[
-    float | tuple[float, float],
-    BeforeValidator(_one_or_two),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "number", "minimum": 0},
-                {"type": "array", "items": {"type": "number", "minimum": 0}, "minItems": 2, "maxItems": 2},
-            ]
-        }
-    ),
-]
-"""Standard deviation: one value for both axes, or one for x and one for y."""
-TwoRows = tuple[tuple[Number, ...], tuple[Number, ...]]
+Pair = tuple[Finite, Finite]
 Holds = Annotated[
-    tuple[Literal["zoh", "foh"], ...],
-    BeforeValidator(_as_list),
-    Field(min_length=1),
-    _one_or_several({"enum": ["zoh", "foh"]}),
+    tuple[Hold, ...], BeforeValidator(_as_list), Field(min_length=1), _one_or_several({"enum": list(get_args(Hold))})
 ]
 
 
@@ -91,6 +55,12 @@ class Section(BaseModel):
     """Section of the YAML: unknown keys are refused, and values are constant."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
+
+
+class OptionsSection(BaseModel, frozen=True):
+    """Section whose keys are the fields of a dataclass of options, with their types and defaults."""
+
+    model_config = Section.model_config
 
 
 def needed(section: T | None, name: str) -> T:
@@ -198,34 +168,50 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"{meant}there is {', '.join(listed) or 'nothing'}{f' and {more} more' if more else ''}"
 
 
-def schema_text(model: type[BaseModel], error: Any) -> tuple[Location, str]:
-    """Return location and text of a pydantic error, in plain words for the author of the YAML."""
-    given: Location = tuple(error["loc"])
-    location, _ = _walk(model, given)
-    kind, found, context = error["type"], error["input"], error.get("ctx", {})
-    if location and location[-1] == "[key]":
-        location = location[:-1]
+def schema_faults(model: type[BaseModel], data: Any, error: ValidationError) -> dict[Location, str]:
+    """Return the text of each fault that pydantic finds in the YAML, by location, in plain words for its author.
+
+    A value that has none of several forms is one fault. A list with faulty entries is reported by its entries; that
+    pydantic then finds it too short is not reported.
+    """
+    texts: dict[Location, list[str]] = {}
+    for fault in error.errors(include_url=False):
+        if fault["type"] != "too_short" or len(fault["input"]) < fault["ctx"]["min_length"]:
+            texts.setdefault(_location(data, fault), []).append(_fault_text(model, fault))
+    return {location: _either(list(dict.fromkeys(forms))) for location, forms in texts.items()}
+
+
+def _either(forms: list[str]) -> str:
+    """Return one text for the reasons why a value has none of several forms."""
+    ending = forms[-1][forms[-1].rfind(", found ") :]
+    first, *others = (text.removesuffix(ending) for text in forms)
+    return " or ".join([first, *(text.removeprefix("expected ") for text in others)]) + ending
+
+
+def _fault_text(model: type[BaseModel], fault: ErrorDetails) -> str:
+    kind, value, context = fault["type"], fault["input"], fault.get("ctx", {})
     if kind == "extra_forbidden":
-        return location, f"unknown key; {nearest(str(location[-1]), _keys_at(model, given[:-1]))}"
+        return f"unknown key; {nearest(str(fault['loc'][-1]), _keys_at(model, fault['loc'][:-1]))}"
     if kind == "missing":
-        return location, "is missing; add it"
+        return "is missing; add it"
     if kind == "value_error":
-        return location, str(context.get("error", error["msg"]))
+        return str(context["error"])
+    text = "nothing" if value is None else repr(value)
+    found = text if len(text) <= 60 else f"{text[:57]}..."
     if kind == "literal_error":
-        return location, f"expected {context['expected']}, found {_short(found)}"
+        return f"expected {context['expected']}, found {found}"
     if kind == "string_pattern_mismatch":
-        return location, (
-            f"{_short(found)} cannot be a name; use letters, digits, '_', '-', '+' or '.', "
-            "and begin with a letter or digit"
-        )
-    words = _EXPECTED.get(kind)
-    if words is not None:
-        hint = "; write a number without unit; the key names the unit" if _starts_as_number(kind, found) else ""
-        return location, f"expected {words}, found {_short(found)}{hint}"
+        allowed = "letters, digits, '_', '-', '+' or '.', and begin with a letter or digit"
+        return f"{found} cannot be a name; use {allowed}"
+    if kind in _EXPECTED:
+        starts_as_number = isinstance(value, str) and value.strip()[:1] in tuple("+-.0123456789")
+        with_unit = starts_as_number and kind in ("float_type", "int_type")
+        hint = "; write a number without unit; the key names the unit" if with_unit else ""
+        return f"expected {_EXPECTED[kind]}, found {found}{hint}"
     for relation, sign in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most")):
         if relation in context:
-            return location, f"must be {sign} {context[relation]:g}, found {_short(found)}"
-    return location, f"{error['msg'][:1].lower()}{error['msg'][1:]}, found {_short(found)}"
+            return f"must be {sign} {context[relation]:g}, found {found}"
+    return f"{fault['msg'][:1].lower()}{fault['msg'][1:]}, found {found}"
 
 
 _EXPECTED = {
@@ -243,67 +229,40 @@ _EXPECTED = {
 }
 
 
-def _starts_as_number(kind: str, found: object) -> bool:
-    number = kind in ("float_type", "int_type")
-    return number and isinstance(found, str) and found.strip()[:1] in tuple("+-.0123456789")
+def _location(data: Any, fault: ErrorDetails) -> Location:
+    """Return the location of a fault in the YAML; pydantic adds words for the form of a value, and for a key itself."""
+    location: list[str | int] = []
+    *_, last = fault["loc"] or ("",)
+    for key in fault["loc"]:
+        entries = range(len(data)) if isinstance(data, list) else data if isinstance(data, dict) else ()
+        if key in entries:
+            data = data[key]
+            location.append(key)
+        elif fault["type"] == "missing" and key == last:
+            location.append(key)
+    return tuple(location)
 
 
-def _short(value: object) -> str:
-    if value is None:
-        return "nothing"
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _keys_at(model: type[BaseModel], location: Location) -> list[str]:
-    """Return the keys that the schema allows at a location of pydantic."""
-    kind = _inner_type(_walk(model, location)[1])
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        return [field.alias or name for name, field in kind.model_fields.items()]
-    return []
-
-
-def _walk(model: type[BaseModel], location: Location) -> tuple[Location, Any]:
-    """Return the location in the YAML and the type there; pydantic adds the tag of a section that has several kinds."""
-    kind: Any = model
-    found: list[str | int] = []
+def _keys_at(kind: Any, location: Location) -> list[str]:
+    """Return the keys that the schema allows at a location of pydantic, which names the form of a value by its tag."""
     for key in location:
-        tagged = _by_tag(kind)
-        if key in tagged:
-            kind = tagged[str(key)]
-            continue
-        found.append(key)
-        kind = _inner_type(kind)
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            fields = {field.alias or name: field.annotation for name, field in kind.model_fields.items()}
-            kind = fields.get(str(key))
-        elif get_origin(kind) in (dict, tuple):
-            kind = get_args(kind)[1 if get_origin(kind) is dict else 0]
-    return tuple(found), kind
-
-
-def _by_tag(kind: Any) -> dict[str, Any]:
-    """Return the sections of a union of several kinds of sections, by the word that tells them apart."""
-    while get_origin(kind) is Annotated:
-        kind = get_args(kind)[0]
-    if get_origin(kind) not in (Union, UnionType):
-        return {}
-    sections = [arg for arg in get_args(kind) if isinstance(arg, type) and issubclass(arg, BaseModel)]
-    return {
-        str(tag): section
-        for section in sections
-        for field in section.model_fields.values()
-        if get_origin(field.annotation) is Literal
-        for tag in get_args(field.annotation)
-        if len(get_args(field.annotation)) == 1
-    }
+        kind, forms = _inner_type(kind), get_args(_inner_type(kind))
+        if get_origin(kind) in (dict, tuple):
+            kind = forms[1 if get_origin(kind) is dict else 0]
+        elif forms:
+            kind = next((form for form in forms if Tag(str(key)) in getattr(form, "__metadata__", ())), None)
+        else:
+            kind = {field.alias or name: field.annotation for name, field in kind.model_fields.items()}.get(str(key))
+    fields_there = getattr(_inner_type(kind), "model_fields", {})
+    return [field.alias or name for name, field in fields_there.items()]
 
 
 def _inner_type(kind: Any) -> Any:
     """Return a type without ``Annotated[...]`` and ``... | None``."""
-    while get_origin(kind) is not None and get_origin(kind) not in (dict, tuple):
-        kind = next(arg for arg in get_args(kind) if arg is not type(None))
-    return kind
+    if get_origin(kind) is Annotated:
+        return _inner_type(get_args(kind)[0])
+    forms = [form for form in get_args(kind) if form is not NoneType]
+    return _inner_type(forms[0]) if len(forms) == 1 and get_origin(kind) in (Union, UnionType) else kind
 
 
 # ---- Content keys: a result stays valid while its settings and its sources are the same.

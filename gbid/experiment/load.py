@@ -7,7 +7,7 @@ import inspect
 import re
 import shutil
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
@@ -21,7 +21,7 @@ from gbid.core.names import file_stem, given_path
 from gbid.core.tables import file_size
 from gbid.core.yaml_file import read_yaml
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, planned_recordings
-from gbid.experiment.fields import ExperimentError, Found, Location, Problem, dotted, in_file_order, schema_text
+from gbid.experiment.fields import ExperimentError, Found, Location, Problem, dotted, in_file_order, schema_faults
 from gbid.experiment.recordings import data_file, mapping_of
 from gbid.experiment.schema import ExperimentFile
 from gbid.experiment.stages import registry
@@ -108,35 +108,29 @@ def load_experiment(path: str | Path, results: str | Path | None = None) -> Expe
         position, _, text = str(error).partition(": ")
         raise ExperimentError([Problem(position, "", text)]) from None
     spec, faults = _parse(file.data)
-    removed = [location for location, _ in faults]
     if faults:
         # The other values are checked as well, so that the user sees all problems at once.
-        spec = _parse(_without(file.data, removed))[0]
-    problems = [Problem(file.position(location), dotted(location), text) for location, text in faults]
+        spec = _parse(_without(file.data, faults))[0]
+    problems = [Problem(file.position(location), dotted(location), text) for location, text in faults.items()]
     if spec is not None:
         folder = Path(results) if results else path.parent / (spec.results or f"results/{file_stem(spec.name)}")
         experiment = Experiment(file, spec, folder)
         found = find_experiment_problems(experiment)
-        problems += [experiment.problem(place, text) for place, text in found if not _touches(place, removed)]
+        problems += [experiment.problem(place, text) for place, text in found if not _touches(place, faults)]
         if not problems:
             return experiment
     raise ExperimentError(in_file_order(problems))
 
 
-def _parse(data: Any) -> tuple[ExperimentFile | None, list[tuple[Location, str]]]:
-    """Return the parsed file, or the problems of its form: keys, types, ranges."""
+def _parse(data: Any) -> tuple[ExperimentFile | None, dict[Location, str]]:
+    """Return the parsed file, or the faults of its form by location: keys, types, ranges."""
     try:
-        return ExperimentFile.model_validate(data), []
+        return ExperimentFile.model_validate(data), {}
     except ValidationError as error:
-        found = error.errors(include_url=False)
-        # A list with faulty entries is reported by its entries; that pydantic then finds it too short is not reported.
-        inside = {e["loc"][:-1] for e in found}
-        return None, [
-            schema_text(ExperimentFile, e) for e in found if not (e["type"] == "too_short" and e["loc"] in inside)
-        ]
+        return None, schema_faults(ExperimentFile, data, error)
 
 
-def _without(data: Any, locations: Sequence[Location]) -> Any:
+def _without(data: Any, locations: Iterable[Location]) -> Any:
     """Return a copy of the data without some values; None when a whole section would have to be removed."""
     data = deepcopy(data)
     for location in locations:
@@ -149,7 +143,7 @@ def _without(data: Any, locations: Sequence[Location]) -> Any:
     return data
 
 
-def _touches(location: Location, others: Sequence[Location]) -> bool:
+def _touches(location: Location, others: Iterable[Location]) -> bool:
     """Return whether a problem may come from a removed value: at the same key, or at one above or below it."""
     return any(location[: len(other)] == other[: len(location)] for other in others)
 

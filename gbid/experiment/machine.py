@@ -17,8 +17,8 @@ from gbid.core.units import SIGNALS
 from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, needed
-from gbid.experiment.rig_schema import ActuatorSection, OperatingPoint, RigSection
-from gbid.experiment.schema import HammerTrain, ImpactPoint
+from gbid.experiment.rig_schema import ActuatorSection, Place, RigSection
+from gbid.experiment.schema import HammerTrain
 from gbid.lpv import Domain, LPVModel, PublishedMachine, load_machine
 from gbid.recording import Recording
 from gbid.rig import (
@@ -92,7 +92,7 @@ def true_parameters_at(model: LPVModel, pressure_bar: float, speed_rpm: float) -
     return {**{name: float(np.asarray(value)) for name, value in key_parameters.items()}, **model.actuators}
 
 
-def outside_domain(domain: Domain, name: str, point: OperatingPoint | ImpactPoint, where: Location) -> Found:
+def outside_domain(domain: Domain, name: str, point: Place, where: Location) -> Found:
     """Yield a problem for a pressure or speed outside the domain of a model."""
     for key in ("pressure_bar", "speed_rpm"):
         value, (low, high) = getattr(point, key), getattr(domain, key)

@@ -4,43 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, Field, Strict, model_validator
+from annotated_types import Ge, Le, Lt
+from pydantic import BeforeValidator, Field, model_validator
 
+from gbid import rig
 from gbid.core.errors import UsageError
-from gbid.experiment.fields import (
-    Count,
-    CountOrZero,
-    Name,
-    Names,
-    NotNegative,
-    Number,
-    OneOrTwo,
-    Pair,
-    Positive,
-    Section,
-    Switch,
-    Text,
-    given,
-)
-from gbid.rig import (
-    Faults,
-    FilmStiffening,
-    FlexibleMode,
-    Hammer,
-    Impact,
-    Machine,
-    NonSynchronous,
-    PiezoStack,
-    PiezoStacks,
-    Prbs,
-    ProcessNoise,
-    RunUp,
-    Scatter,
-    SensorChain,
-    StackStaircase,
-    Staircase,
-    Unbalance,
-)
+from gbid.core.option_types import Count, CountOrZero, Exact, Finite, NotNegative, Positive
+from gbid.experiment.fields import Name, Names, OptionsSection, Pair, Section, Switch, Text, given
 
 
 class ControllerChoice(Section):
@@ -54,10 +24,10 @@ class ControllerChoice(Section):
 
     controller: Text | None = None
     structure: Text | None = None
-    gains: dict[Text, Number] = Field(default_factory=dict)
+    gains: dict[Text, Finite] = Field(default_factory=dict)
     lowpass_hz: Positive | None = None
     order: CountOrZero | None = None
-    options: dict[Text, Number | Pair] = Field(default_factory=dict)
+    options: dict[Text, Finite | Pair] = Field(default_factory=dict)
 
 
 class RigLoopSection(ControllerChoice):
@@ -90,7 +60,7 @@ class LoopSection(ControllerChoice):
     sample_time_s: Positive | None = None
     computation_samples: CountOrZero = 1
     delay_s: NotNegative | None = None
-    measured: Annotated[tuple[Annotated[int, Strict(), Field(ge=0)], ...], Field(min_length=1)] | None = None
+    measured: Annotated[tuple[CountOrZero, ...], Field(min_length=1)] | None = None
     injected: Literal["plant input", "set point"] = "plant input"
     pade_order: Count = 3
     beside: Text | None = None
@@ -99,10 +69,8 @@ class LoopSection(ControllerChoice):
 # ---- Schema of the rig section; names, units and defaults are those of `gbid.rig`.
 
 
-class RigPart(BaseModel, frozen=True):
-    """Section whose keys are the fields of a dataclass of `gbid.rig`, with their types and defaults."""
-
-    model_config = Section.model_config
+class RigPart(OptionsSection, frozen=True):
+    """Section whose keys are the fields of a dataclass of `gbid.rig`, which refuses values that do not fit."""
 
     @model_validator(mode="after")
     def _fields_fit(self) -> Self:
@@ -117,7 +85,7 @@ Axes = Annotated[tuple[Literal["x", "y"], ...], Field(min_length=1)]
 
 
 class Place(Section):
-    """Operating point of the list."""
+    """Operating point of a list."""
 
     pressure_bar: Positive
     speed_rpm: NotNegative
@@ -126,11 +94,9 @@ class Place(Section):
 Places = Annotated[tuple[Place, ...], Field(min_length=1)]
 
 
-class OperatingPoint(Section):
+class OperatingPoint(Place):
     """Operating point of the rig, and the number of its PRBS recordings if it differs from the other points."""
 
-    pressure_bar: Positive
-    speed_rpm: NotNegative
     prbs_recordings: CountOrZero | None = None
 
 
@@ -138,8 +104,8 @@ class PrbsSection(Section):
     """Recordings with moving piezos (paper, Sec. 3.4); see `gbid.rig.Prbs`."""
 
     recordings: CountOrZero = 2
-    amplitude_m: Positive = Prbs.amplitude_m
-    hold_s: Positive = Prbs.hold_s
+    amplitude_m: Positive = rig.Prbs.amplitude_m
+    hold_s: Positive = rig.Prbs.hold_s
 
 
 class PlayedSection(Section):
@@ -169,9 +135,9 @@ class StaircaseSection(Section):
     recordings: CountOrZero = 1
     at: Places | None = None
     axes: Axes = ("x", "y")
-    step_m: Positive = Staircase.step_m
-    steps: Count = Staircase.steps
-    hold_s: Positive = Staircase.hold_s
+    step_m: Positive = rig.Staircase.step_m
+    steps: Count = rig.Staircase.steps
+    hold_s: Positive = rig.Staircase.hold_s
 
 
 class StackStaircaseSection(Section):
@@ -182,12 +148,12 @@ class StackStaircaseSection(Section):
 
     recordings: CountOrZero = 1
     at: Places | None = None
-    stacks: Annotated[tuple[Annotated[int, Strict(), Field(ge=1, le=4)], ...], Field(min_length=1)] = (
-        StackStaircase.stack,
+    stacks: Annotated[tuple[Annotated[int, Exact(), Ge(1), Le(4)], ...], Field(min_length=1)] = (
+        rig.StackStaircase.stack,
     )
     controlled: Annotated[tuple[Switch, ...], Field(min_length=1)] = (False, True)
-    steps: Count = StackStaircase.steps
-    hold_s: Positive = StackStaircase.hold_s
+    steps: Count = rig.StackStaircase.steps
+    hold_s: Positive = rig.StackStaircase.hold_s
 
 
 class HammerSection(Section):
@@ -195,13 +161,13 @@ class HammerSection(Section):
 
     recordings: CountOrZero = 1
     axes: Axes = ("x", "y")
-    times_s: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = (Impact.time,)
-    peak_n: Positive = Impact.peak
-    impact_s: Positive = Impact.duration
-    duration_s: Positive = Hammer.duration_s
+    times_s: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = (rig.Impact.time,)
+    peak_n: Positive = rig.Impact.peak
+    impact_s: Positive = rig.Impact.duration
+    duration_s: Positive = rig.Hammer.duration_s
 
 
-class RunUpSection(RigPart, RunUp, frozen=True):
+class RunUpSection(RigPart, rig.RunUp, frozen=True):
     """Runs with rising or falling speed."""
 
     recordings: CountOrZero = 1
@@ -227,14 +193,11 @@ class CourseSection(Section):
     excited: Switch = True
 
 
-class SensorSection(RigPart, SensorChain, frozen=True):
+class SensorSection(RigPart, rig.SensorChain, frozen=True):
     """Errors of the sensors."""
 
-    noise_p_m: OneOrTwo = SensorChain.noise_p_m
-    noise_u_m: OneOrTwo = SensorChain.noise_u_m
 
-
-class UnbalanceSection(RigPart, Unbalance, frozen=True):
+class UnbalanceSection(RigPart, rig.Unbalance, frozen=True):
     """Mass unbalance of the rotor."""
 
 
@@ -246,40 +209,40 @@ class ActuatorSection(Section):
     """
 
     kind: Literal["linear", "stacks"] = "linear"
-    offset_m: Positive = PiezoStacks.offset
-    spread: Annotated[float, Strict(), Field(ge=0, lt=0.3)] = 0.0
+    offset_m: Positive = rig.PiezoStacks.offset
+    spread: Annotated[float, Exact(), Ge(0), Lt(0.3)] = 0.0
     seed: CountOrZero = 0
-    hysteresis_m: NotNegative = PiezoStack.hysteresis
-    creep: NotNegative = PiezoStack.creep
-    creep_times_s: tuple[Positive, ...] = PiezoStack.creep_times
+    hysteresis_m: NotNegative = rig.PiezoStack.hysteresis
+    creep: NotNegative = rig.PiezoStack.creep
+    creep_times_s: tuple[Positive, ...] = rig.PiezoStack.creep_times
     record_stacks: Switch = False
 
 
-class FlexibleModeSection(RigPart, FlexibleMode, frozen=True):
+class FlexibleModeSection(RigPart, rig.FlexibleMode, frozen=True):
     """Bending mode that the identified structure does not contain."""
 
 
-class StiffeningSection(RigPart, FilmStiffening, frozen=True):
+class StiffeningSection(RigPart, rig.FilmStiffening, frozen=True):
     """Gas film whose stiffness rises away from the centre."""
 
 
-class NonSynchronousSection(RigPart, NonSynchronous, frozen=True):
+class NonSynchronousSection(RigPart, rig.NonSynchronous, frozen=True):
     """Whirl near a speed (paper, Sec. 4)."""
 
 
-class ProcessNoiseSection(RigPart, ProcessNoise, frozen=True):
+class ProcessNoiseSection(RigPart, rig.ProcessNoise, frozen=True):
     """Broadband force [m/s^2 per sqrt(Hz)]."""
 
 
-class ScatterSection(RigPart, Scatter, frozen=True):
+class ScatterSection(RigPart, rig.Scatter, frozen=True):
     """Scatter of the true parameters between recordings (paper, Sec. 4)."""
 
 
-class FaultSection(RigPart, Faults, frozen=True):
+class FaultSection(RigPart, rig.Faults, frozen=True):
     """Faults of the recordings whose names match one of the patterns."""
 
     recordings: Names
-    dead: dict[Text, Number] = Field(default_factory=dict)
+    dead: dict[Text, Finite] = Field(default_factory=dict)
     saturation: dict[Text, Positive] = Field(default_factory=dict)
 
 
@@ -295,14 +258,14 @@ class RigSection(Section):
     model: Text = "theisen2016"
     seed: CountOrZero = 1
     operating_points: Annotated[tuple[OperatingPoint, ...], Field(min_length=1)]
-    duration_s: Positive = Prbs.duration_s
+    duration_s: Positive = rig.Prbs.duration_s
     settle_s: NotNegative = 0.5
     sample_time_s: Positive = 2e-4
-    oversampling: Annotated[int, Strict(), Field(ge=20)] = 20
+    oversampling: Annotated[int, Exact(), Ge(20)] = 20
     controller: Literal["python", "compiled"] = "python"
     touch_down: Literal["refuse", "flag"] = "refuse"
     clearance_m: Positive = 25e-6
-    moving_mass_kg: Positive = Machine.moving_mass
+    moving_mass_kg: Positive = rig.Machine.moving_mass
     prbs: PrbsSection = PrbsSection()
     played: Annotated[PlayedSection | None, BeforeValidator(given)] = None
     loop: Annotated[RigLoopSection | None, BeforeValidator(given)] = None
@@ -320,5 +283,5 @@ class RigSection(Section):
     non_synchronous: Annotated[NonSynchronousSection | None, BeforeValidator(given)] = None
     process_noise: Annotated[ProcessNoiseSection | None, BeforeValidator(given)] = None
     scatter: Annotated[ScatterSection | None, BeforeValidator(given)] = None
-    effects: dict[Text, dict[Text, Number]] = Field(default_factory=dict)
+    effects: dict[Text, dict[Text, Finite]] = Field(default_factory=dict)
     faults: tuple[FaultSection, ...] = ()

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import re
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_type_hints
 
+from annotated_types import Ge, Gt, Le, Lt
 from pydantic import (
-    AllowInfNan,
+    AfterValidator,
     BeforeValidator,
+    Discriminator,
     Field,
     PlainSerializer,
-    Strict,
+    Tag,
     WithJsonSchema,
-    WrapValidator,
     create_model,
 )
 
@@ -24,27 +24,23 @@ from gbid import control
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.tuning.goals import BoundLike, DisturbanceSpectrum, Goal
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Finite, NotNegative, Positive
 from gbid.experiment.fields import (
-    Count,
-    CountOrZero,
     Holds,
     Name,
     Names,
     NamesOrNone,
-    NotNegative,
-    Number,
+    OptionsSection,
     Pair,
-    Positive,
     Section,
     Switch,
     Text,
     given,
     nearest,
 )
-from gbid.experiment.rig_schema import LoopSection, RigSection
+from gbid.experiment.rig_schema import Axes, LoopSection, Places, RigSection
 from gbid.export.chain import ChainOptions
-from gbid.identify.disturbances import TREND_WORDS
-from gbid.identify.options import HIGHEST_DEGREE, FitOptions, Scope, TrendName
+from gbid.identify.options import FitOptions, Scope
 
 
 class CrossvalSection(Section):
@@ -57,18 +53,11 @@ class CrossvalSection(Section):
     """
 
     on: Names = ("cyclic",)
-    minimum_percent: Number | None = None
+    minimum_percent: Finite | None = None
     residuals: Literal["pairs", "models", "none"] | None = None
 
 
 # ---- Schema of the impacts section: hammer impacts on the rig, in open and closed loop.
-
-
-class ImpactPoint(Section):
-    """Operating point at which the rotor is hit."""
-
-    pressure_bar: Positive
-    speed_rpm: NotNegative
 
 
 class HammerTrain(Section):
@@ -77,13 +66,13 @@ class HammerTrain(Section):
     `repeats` is the number of impacts in a recording, `spacing_s` the time between them.
     """
 
-    axes: Annotated[tuple[Literal["x", "y"], ...], Field(min_length=1)] = ("x", "y")
+    axes: Axes = ("x", "y")
     peak_n: Positive = 12.0
     impact_s: Positive = 2e-3
     repeats: Count = 5
     spacing_s: Positive = 0.4
     harmonics: CountOrZero | None = None
-    lags: Annotated[int, Strict(), Field(ge=0, le=6)] | Literal["auto"] = "auto"
+    lags: Annotated[int, Exact(), Ge(0), Le(6)] | Literal["auto"] = "auto"
 
 
 class ImpactsSection(HammerTrain):
@@ -100,15 +89,13 @@ class ImpactsSection(HammerTrain):
     controller: Text = "paper"
     beside: dict[Name, Text] = Field(default_factory=dict)
     model: Text | None = None
-    operating_points: Annotated[tuple[ImpactPoint, ...], Field(min_length=1)]
+    operating_points: Places
     loops: Annotated[tuple[Literal["open", "closed"], ...], Field(min_length=1)] = ("open", "closed")
 
 
 # ---- Schema of the cycle section.
 
 MOST_ROUNDS = 5
-
-Points = Annotated[tuple[ImpactPoint, ...], Field(min_length=1)]
 
 
 class TrialSection(HammerTrain):
@@ -117,7 +104,7 @@ class TrialSection(HammerTrain):
     `operating_points`: where the rotor is hit; by default at the points of the new recordings.
     """
 
-    operating_points: Points | None = None
+    operating_points: Places | None = None
 
 
 class CycleSection(Section):
@@ -134,8 +121,8 @@ class CycleSection(Section):
     """
 
     design: Name | None = None
-    rounds: Annotated[int, Strict(), Field(ge=1, le=MOST_ROUNDS)] = 2
-    operating_points: Points | None = None
+    rounds: Annotated[int, Exact(), Ge(1), Le(MOST_ROUNDS)] = 2
+    operating_points: Places | None = None
     recordings: Count = 1
     in_run: Switch = True
     duration_s: Positive | None = None
@@ -169,7 +156,7 @@ class ExciteSection(Section):
     fit: Name
     duration_s: Positive = 5.0
     kind: Literal["multisine", "prbs"] = "multisine"
-    focus: Names | dict[Text, Positive] | None = None
+    focus: Annotated[Names | dict[Text, Positive], Allowed("names, or positive weights by name")] | None = None
     together: Switch = True
     limits: ExciteLimitsSection
 
@@ -195,74 +182,6 @@ class FigureSection(Section):
 # ---- Schema of the fits section: all options of `gbid.fit` and `gbid.fit_multistart`.
 
 
-def _window(value: Any) -> Any:
-    if value == "one":
-        return None
-    if value != "auto" and (not isinstance(value, int) or isinstance(value, bool) or value < 2):
-        raise ValueError(
-            f"expected a number of samples, at least 2, or the word auto or one (single shooting), found {value!r}"
-        )
-    return value
-
-
-_STATE: dict[str, Any] = {
-    "anyOf": [
-        {"enum": ["estimated", "zero", "structure"]},
-        {
-            "type": "array",
-            "items": {"anyOf": [{"type": "number"}, {"enum": ["estimated", "structure"]}]},
-            "minItems": 1,
-        },
-    ]
-}
-
-
-OwnStateField = Literal["estimated", "zero", "structure"] | tuple[float | Literal["estimated", "structure"], ...]
-
-
-def _initial_state(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _own_state(state) for name, state in value.items()}
-    return value if value == "auto" else _own_state(value)
-
-
-def _own_state(value: Any) -> Any:
-    if value in ("estimated", "zero", "structure"):
-        return value
-    states = value if isinstance(value, list | tuple) else ()
-    if not states or not all(
-        v in ("estimated", "structure") or (type(v) in (int, float) and math.isfinite(v)) for v in states
-    ):
-        raise ValueError(
-            "expected the word estimated or zero, the word structure, or a list of numbers and of the words "
-            f"estimated and structure, found {value!r}"
-        )
-    return tuple(v if isinstance(v, str) else float(v) for v in states)
-
-
-def _start(value: Any) -> Any:
-    if isinstance(value, str) and value != "data":
-        raise ValueError(f"expected values by the names of parameters, or the word data, found {value!r}")
-    return value
-
-
-def _trend(value: Any) -> Any:
-    for word in value.values() if isinstance(value, dict) else (value,):
-        if not (isinstance(word, str) and word in TREND_WORDS) and not (
-            type(word) is int and 0 <= word <= HIGHEST_DEGREE
-        ):
-            words = ", ".join(TREND_WORDS)
-            raise ValueError(f"expected {words}, or a degree from 0 to {HIGHEST_DEGREE}, found {word!r}")
-    return value
-
-
-def _one_or_several(value: Any) -> Any:
-    return (value,) if isinstance(value, int | float) else value
-
-
-_TREND = [{"enum": list(TREND_WORDS)}, {"type": "integer", "minimum": 0, "maximum": HIGHEST_DEGREE}]
-
-
 class StructureOptions(Section):
     """Options of a built-in structure; `order` and `piece_s` are for scheduled ones, see `gbid.scheduled`."""
 
@@ -271,21 +190,21 @@ class StructureOptions(Section):
     disturbance_gain: Literal["full", "diagonal", "states", "none"] | None = None
     film: Literal["linear", "stiffening"] | None = None
     unbalance: Switch | None = None
-    order: Annotated[int, Strict(), Field(ge=0, le=2)] | None = None
+    order: Annotated[int, Exact(), Ge(0), Le(2)] | None = None
     piece_s: Positive | None = None
 
 
 class PriorSection(Section):
     """Prior knowledge of a parameter: a normal distribution, in the unit of the parameter."""
 
-    value: Number
+    value: Finite
     std: Positive
 
 
 class MultiStartSection(Section):
     """Further starts, drawn at random; see `gbid.fit_multistart`."""
 
-    starts: Annotated[int, Strict(), Field(ge=2)] = 10
+    starts: Annotated[int, Exact(), Ge(2)] = 10
     seed: CountOrZero = 0
     reach: Positive = 0.5
 
@@ -293,7 +212,7 @@ class MultiStartSection(Section):
 Stretches = Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length=1)]
 
 
-class FitSection(Section, FitOptions):  # type: ignore[misc]  # sections are frozen by their configuration
+class FitSection(OptionsSection, FitOptions, frozen=True):
     """One fit of a structure, to each recording or to all together; its other keys are options: see `gbid.fit`.
 
     `left_out`: by name of a recording, stretches ``[from, to]`` [s] from the first sample; the sample at ``to`` is used
@@ -311,34 +230,17 @@ class FitSection(Section, FitOptions):  # type: ignore[misc]  # sections are fro
     inputs: NamesOrNone | None = None
     outputs: Names | None = None
     intersample: Holds | None = None
-    output_weights: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     window: Annotated[
-        int | Literal["auto"] | None,
-        BeforeValidator(_window),
+        Annotated[int, Exact(), Ge(2)] | Literal["auto"] | None,
+        BeforeValidator(lambda word: None if word == "one" else word),
+        Allowed("a number of samples, at least 2, or the word auto or one (single shooting)"),
         WithJsonSchema({"anyOf": [{"enum": ["auto", "one"]}, {"type": "integer", "minimum": 2}]}),
     ] = "auto"
-    start: Annotated[
-        dict[Text, Number] | Literal["data"],
-        BeforeValidator(_start),
-        WithJsonSchema({"anyOf": [{"const": "data"}, {"type": "object", "additionalProperties": {"type": "number"}}]}),
-    ] = Field(default_factory=dict)
-    fixed: dict[Text, Number] = Field(default_factory=dict)
-    bounds: dict[Text, tuple[Number | None, Number | None]] = Field(default_factory=dict)  # type: ignore[assignment]
+    fixed: dict[Text, Finite] = Field(default_factory=dict)
+    bounds: dict[Text, tuple[Finite | None, Finite | None]] = Field(default_factory=dict)  # type: ignore[assignment]
     prior: dict[Text, PriorSection] = Field(default_factory=dict)  # type: ignore[assignment]
     local: dict[Text, Scope] = Field(default_factory=dict)
-    trend: Annotated[
-        TrendName | dict[Text, TrendName],
-        BeforeValidator(_trend),
-        WithJsonSchema({"anyOf": [*_TREND, {"type": "object", "additionalProperties": {"anyOf": _TREND}}]}),
-    ] = "none"
-    hum: Annotated[tuple[Positive, ...], BeforeValidator(_one_or_several)] = ()
-    initial_state: Annotated[
-        Literal["auto"] | OwnStateField | dict[Text, OwnStateField],
-        BeforeValidator(_initial_state),
-        WithJsonSchema({"anyOf": [{"enum": ["auto"]}, _STATE, {"type": "object", "additionalProperties": _STATE}]}),
-    ] = "auto"
     left_out: dict[Text, Stretches] = Field(default_factory=dict)  # type: ignore[assignment]  # in seconds
-    ipopt: dict[Text, Number | Text] = Field(default_factory=dict)
 
 
 # ---- Schema of the import section: recordings listed one by one, found by file name, or listed in a table.
@@ -386,7 +288,7 @@ class FileSection(Section):
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
     header_line: Count | None = None
     remove_mean: Switch = False
-    conditions: dict[Text, Number] = Field(default_factory=dict)
+    conditions: dict[Text, Finite] = Field(default_factory=dict)
     signals: Annotated[dict[Text, ColumnsSection], Field(min_length=1)]
 
 
@@ -401,7 +303,16 @@ class ImportedSection(FileSection):
     kind: Kind = "excited"
 
 
-class FolderSection(FileSection):
+class ListedSection(FileSection):
+    """Mapping of many files: kinds of recordings by words, and whether they need an operating point."""
+
+    kind: Kind = "excited"
+    kinds: dict[Text, Kind] = Field(default_factory=lambda: dict(KINDS))
+    more_conditions: Names = ()
+    operating_point: Switch = True
+
+
+class FolderSection(ListedSection):
     """All files of the data folder whose names match a pattern; see `gbid.recording.ImportMapping`.
 
     `pattern` is a file name with fields: ``{name}`` and ``{kind}``, ``{pressure_bar:g}`` (a number),
@@ -412,14 +323,10 @@ class FolderSection(FileSection):
     """
 
     pattern: Text
-    kind: Kind = "excited"
-    kinds: dict[Text, Kind] = Field(default_factory=lambda: dict(KINDS))
-    ignore: Names | None = None
-    more_conditions: Names | None = None
-    operating_point: Switch = True
+    ignore: Names = ()
 
 
-class TableSection(FileSection):
+class TableSection(ListedSection):
     """Recordings listed in a CSV table in the data folder; see `gbid.recording.ImportMapping`.
 
     Each recording has a row with the columns ``file``, ``pressure_bar``, ``speed_rpm``, and optionally ``name`` and
@@ -428,10 +335,6 @@ class TableSection(FileSection):
     """
 
     file: Text
-    kind: Kind = "excited"
-    kinds: dict[Text, Kind] = Field(default_factory=lambda: dict(KINDS))
-    more_conditions: Names | None = None
-    operating_point: Switch = True
 
 
 class ImportSection(Section):
@@ -448,14 +351,10 @@ class ImportSection(Section):
 Term = Literal["1", "P", "Omega", "Omega P", "P^2", "Omega^2"]
 
 
-def _order(value: Any) -> Any:
-    """Return the order; refuse any other value with one message for all three forms."""
-    terms = get_args(Term)
-    listed = isinstance(value, list | tuple) and value and all(term in terms for term in value)
-    if not listed and value != "auto" and (type(value) is not int or value not in (0, 1, 2)):
-        words = ", ".join(f'"{term}"' for term in terms)
-        raise ValueError(f"expected 0, 1, 2, auto, or a list of terms out of {words}; found {value!r}")
-    return value
+_ORDER = Annotated[
+    Annotated[int, Exact(), Ge(0), Le(2)] | Literal["auto"] | Annotated[tuple[Term, ...], Field(min_length=1)],
+    Allowed("0, 1, 2, auto, or a list of terms out of " + ", ".join(f'"{term}"' for term in get_args(Term))),
+]
 
 
 class LpvSection(Section):
@@ -467,9 +366,7 @@ class LpvSection(Section):
 
     fit: Name
     weighting: Literal["scatter", "fits", "ordinary"] = "scatter"
-    order: Annotated[
-        Annotated[int, Strict(), Field(ge=0, le=2)] | Literal["auto"] | tuple[Term, ...], BeforeValidator(_order)
-    ] = 2
+    order: _ORDER = 2
     robust: Switch = False
     direct: Switch = False
     actuators: Text | None = None
@@ -498,7 +395,7 @@ class PrefilterSection(Section):
     method: Literal["harmonics", "bins", "auto", "none"] = "harmonics"
     align_index: Switch = False
     harmonics: Count | Literal["auto"] = 10
-    bins: Annotated[int, Strict(), Field(ge=4)] = 100
+    bins: Annotated[int, Exact(), Ge(4)] = 100
     spikes: Switch = True
     median: Count = 1
     remove_mean: Switch = True
@@ -506,8 +403,6 @@ class PrefilterSection(Section):
 
 
 # ---- Schema of the static sections.
-
-Share = Annotated[float, Strict(), Field(gt=0, le=1)]
 
 
 class StaticSection(Section):
@@ -523,51 +418,30 @@ class StaticSection(Section):
     command: Text | None = None
     source: Text | None = None
     position: Text | None = None
-    keep: Share | None = None
+    keep: Annotated[float, Exact(), Gt(0), Le(1)] | None = None
     channel: Text | None = None
     command_channel: Text | None = None
     settle_s: NotNegative | None = None
-    limits: tuple[Number, Number] | None = None
+    limits: Pair | None = None
 
 
 def wanted_signals(section: StaticSection) -> dict[str, str]:
     """Return the signals by the key that names them, with the defaults of the functions."""
-    if section.kind == "piezo":
-        return {"command": section.command or "r", "position": section.position or "u"}
-    return {
-        "command": section.command or "r",
-        "source": section.source or "u",
-        "position": section.position or "p",
-    }
+    source = {} if section.kind == "piezo" else {"source": section.source or "u"}
+    position = section.position or ("u" if section.kind == "piezo" else "p")
+    return {"command": section.command or "r", **source, "position": position}
 
 
-# ---- Schema of the target section; names, units and defaults are those of `gbid.export.ChainOptions`.
-
-_DEFAULT = ChainOptions()
+# ---- Schema of the target section.
 
 
-class TargetSection(Section):
+class TargetSection(OptionsSection, ChainOptions, frozen=True):
     """Limits, ramps, guards and watchdog of the control chain in C; see `gbid.export.ChainOptions`.
 
     `disc_limit_m`: 0.8 of the clearance of the rig when left out, else 20 um.
     """
 
-    number: Literal["double", "float"] = _DEFAULT.number
-    limit_m: Positive = _DEFAULT.limit_m
-    offset_m: Positive = _DEFAULT.offset_m
-    stroke_m: Positive = _DEFAULT.stroke_m
-    zero_m: Pair = _DEFAULT.zero_m
-    median: Literal[1, 3] = 1
-    spike_limit_m: Positive | None = _DEFAULT.spike_limit_m
-    disc_limit_m: Positive | None = None
-    beyond_samples: Count = _DEFAULT.beyond_samples
-    bad_samples: Count = _DEFAULT.bad_samples
-    stuck_samples: Count = _DEFAULT.stuck_samples
-    stuck_speed_rpm: NotNegative = _DEFAULT.stuck_speed_rpm
-    ramp_s: Positive = _DEFAULT.ramp_s
-    fade_s: Positive = _DEFAULT.fade_s
-    pressure_rate: Positive = _DEFAULT.pressure_rate
-    speed_rate: Positive = _DEFAULT.speed_rate
+    disc_limit_m: Positive | None = None  # type: ignore[assignment]
 
 
 # ---- Schema of the goals of a design: one section for each goal of gbid.control, made from its arguments.
@@ -595,6 +469,22 @@ GOALS: dict[str, type[Goal]] = {
 """Goals that a YAML can name."""
 
 
+@dataclass(frozen=True)
+class GoalEntry:
+    """Goal of a design as the YAML gives it.
+
+    Attributes
+    ----------
+    goal : str
+        Its name in `GOALS`.
+    arguments : dict
+        Arguments as plain values; those left out have the defaults of the goal.
+    """
+
+    goal: str
+    arguments: Mapping[str, Any]
+
+
 class HitSection(Section):
     """Half-sine impact of a goal."""
 
@@ -602,88 +492,46 @@ class HitSection(Section):
     duration_s: Positive = 2e-3
 
 
-class GoalSection(Section):
-    """Goal of a design: its name, and its arguments as given; those left out have the defaults of the goal."""
-
-    goal: str
-
-    def given(self) -> dict[str, Any]:
-        """Return the arguments that the YAML gives."""
-        return {name: value for name, value in self if name in self.model_fields_set and name != "goal"}
-
-    def __reduce__(self) -> tuple[Callable[..., GoalSection], tuple[str, dict[str, Any]]]:
-        # its class has no name in this module, which pickling needs
-        return restored_entry, (self.goal, self.given())
+_Row = Annotated[tuple[Finite, ...], Field(min_length=1)]
 
 
-def restored_entry(goal: str, given: dict[str, Any]) -> GoalSection:
-    """Return the entry of a goal from its arguments, in another process."""
-    return _SECTIONS[goal](goal=goal, **given)
+class TransferFunction(Section):
+    """Limit over frequency as a transfer function: coefficients of powers of s, the highest first."""
+
+    numerator: _Row
+    denominator: _Row
 
 
-def _numbers(values: Any) -> bool:
-    return isinstance(values, list | tuple) and all(_number(v) for v in values)
-
-
-def _number(value: Any) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)
-
-
-def _limit(value: Any) -> Any:
-    """Return a limit over frequency in one of its three forms."""
-    if _number(value):
-        return value
-    if isinstance(value, list | tuple) and value and all(_numbers(pair) and len(pair) == 2 for pair in value):
-        return tuple(map(tuple, value))
-    rational = isinstance(value, dict) and set(value) == {"numerator", "denominator"}
-    if rational and all(_numbers(part) and len(part) for part in value.values()):
-        return {name: tuple(part) for name, part in value.items()}
-    raise ValueError(
-        "expected a number, breakpoints as [[frequency_hz, limit], ...], or a transfer function as {numerator: [...], "
-        f"denominator: [...]}} with the coefficients of powers of s, the highest first; found {value!r}"
-    )
-
-
-_LIST = {"type": "array", "items": {"type": "number"}, "minItems": 1}
-_LIMIT_FORMS = [
-    {"type": "number", "exclusiveMinimum": 0},
-    {"type": "array", "items": {**_LIST, "minItems": 2, "maxItems": 2}, "minItems": 2},
-    {
-        "type": "object",
-        "properties": {"numerator": _LIST, "denominator": _LIST},
-        "required": ["numerator", "denominator"],
-        "additionalProperties": False,
-    },
-]
 _KINDS: dict[Any, Any] = {
-    float: Number,
+    float: Finite,
     bool: Switch,
     int | None: CountOrZero,
-    BoundLike: Annotated[Any, BeforeValidator(_limit), WithJsonSchema({"anyOf": _LIMIT_FORMS})],
+    BoundLike: Annotated[
+        Finite | Annotated[tuple[Pair, ...], Field(min_length=1)] | TransferFunction,
+        Allowed(
+            "a number, breakpoints as [[frequency_hz, limit], ...], or a transfer function as {numerator: [...], "
+            "denominator: [...]} with the coefficients of powers of s, the highest first"
+        ),
+    ],
     HalfSine: HitSection,
     DisturbanceSpectrum: Names,
 }
 """Type in the YAML of each type of argument of a goal."""
 
 
-def _without_default(schema: dict[str, Any]) -> None:
-    schema.pop("default", None)
-
-
-def _section_of(kind: type[Goal]) -> type[GoalSection]:
+def _section_of(kind: type[Goal]) -> type[Section]:
     """Return the section of a goal: its arguments by name, those with a default optional."""
     hints = get_type_hints(kind)
-    arguments: dict[str, Any] = {}
+    arguments: dict[str, Any] = {"goal": (cast(Any, Literal)[kind.__name__], ...)}
     for argument in fields(cast(Any, kind)):
         required = str(argument.default) == str(argument.default_factory)  # both MISSING
-        default = ... if required else Field(None, json_schema_extra=_without_default)
+        default = ... if required else Field(default_factory=lambda: None)  # has no default in the JSON schema
         arguments[argument.name] = (_KINDS[hints[argument.name]], default)
     words = f"{(kind.__doc__ or '').splitlines()[0]} For its arguments see `gbid.control.{kind.__name__}`."
-    name: Any = Literal.__getitem__(kind.__name__)
-    return create_model(f"{kind.__name__}Section", __base__=GoalSection, __doc__=words, goal=(name, ...), **arguments)
+    return create_model(f"{kind.__name__}Section", __base__=Section, __doc__=words, **arguments)
 
 
-def _entry(value: Any) -> Any:
+def _named(value: Any) -> Any:
     """Return an entry of the list; refuse one without the name of a goal, and unknown names."""
     if not isinstance(value, dict) or "goal" not in value:
         raise ValueError(f"expected a goal with its arguments, such as {{goal: MaxDamping}}, found {value!r}")
@@ -692,52 +540,29 @@ def _entry(value: Any) -> Any:
     return value
 
 
-_SECTIONS = {name: _section_of(kind) for name, kind in GOALS.items()}
+def _as_entry(section: Any) -> GoalEntry:
+    return GoalEntry(section.goal, section.model_dump(include=section.model_fields_set - {"goal"}))
+
 
 if TYPE_CHECKING:
-    GoalEntry = GoalSection
+    _Goal = GoalEntry
 else:
-    _one_of = Union[tuple(_SECTIONS.values())]  # noqa: UP007
-    GoalEntry = Annotated[Annotated[_one_of, Field(discriminator="goal")], BeforeValidator(_entry)]
+    _sections = tuple(Annotated[_section_of(kind), Tag(name)] for name, kind in GOALS.items())
+    _one_of = Annotated[Union[_sections], Field(discriminator="goal")]  # noqa: UP007
+    _Goal = Annotated[_one_of, BeforeValidator(_named), AfterValidator(_as_entry), PlainSerializer(vars)]
 
 
 # ---- Schema of the controller section.
 
-Cap = Annotated[float, Strict(), AllowInfNan(False), Field(gt=1)]
+Cap = Annotated[float, Exact(finite=True), Gt(1)]
 """Cap on the peak of S_o; it exceeds 1, the value of S_o at high frequencies."""
-
-
-def _points(value: Any, listed: Callable[[Any], Any]) -> Any:
-    """Return a word unchanged, and check a list; pydantic's union would list both forms in every error."""
-    if not isinstance(value, str):
-        if value in ([], None):
-            raise ValueError("is empty; list at least one operating point, or write model or domain")
-        return listed(value)
-    if value not in ("model", "domain"):
-        raise ValueError(f"expected the word model or domain, or a list of operating points, found {value!r}")
-    return value
-
-
-def _plain(value: Any) -> Any:
-    return value if isinstance(value, str) else [point.model_dump() for point in value]
-
-
-if TYPE_CHECKING:
-    PointsSchema = tuple[ImpactPoint, ...] | Literal["model", "domain"]
-else:
-    PointsSchema = Annotated[
-        tuple[ImpactPoint, ...],
-        WrapValidator(_points),
-        PlainSerializer(_plain),
-        WithJsonSchema(
-            {
-                "anyOf": [
-                    {"enum": ["model", "domain"]},
-                    {"type": "array", "items": ImpactPoint.model_json_schema(), "minItems": 1},
-                ]
-            }
-        ),
-    ]
+_Word = Annotated[
+    Literal["model", "domain"], Allowed("the word model or domain, or a list of operating points"), Tag("word")
+]
+_Points = Annotated[
+    _Word | Annotated[Places, Tag("list")],
+    Discriminator(lambda value: "list" if value and not isinstance(value, str) else "word"),
+]
 
 
 class DrawnPlantsSection(Section):
@@ -752,7 +577,7 @@ class DrawnPlantsSection(Section):
     seed: CountOrZero = 0
 
 
-Probability = Annotated[float, Strict(), AllowInfNan(False), Field(ge=0.5, lt=1)]
+Probability = Annotated[float, Exact(finite=True), Ge(0.5), Lt(1)]
 
 
 class RobustSection(Section):
@@ -763,9 +588,9 @@ class RobustSection(Section):
     """
 
     probability: Probability = 0.95
-    confidence: Annotated[float, Strict(), AllowInfNan(False), Field(gt=0, lt=1)] = 0.95
-    draws: Annotated[int, Strict(), Field(ge=10)] = 200
-    fresh: Annotated[int, Strict(), Field(ge=10)] = 500
+    confidence: Annotated[float, Exact(finite=True), Gt(0), Lt(1)] = 0.95
+    draws: Annotated[int, Exact(), Ge(10)] = 200
+    fresh: Annotated[int, Exact(), Ge(10)] = 500
     seed: CountOrZero = 0
     price: tuple[Probability, ...] = ()
 
@@ -795,18 +620,18 @@ class ControllerSection(Section):
     lowpass_hz: Positive | None = None
     order: CountOrZero | None = None
     tune_corner: Switch | None = None
-    options: dict[Text, Number | Pair] = Field(default_factory=dict)
+    options: dict[Text, Finite | Pair] = Field(default_factory=dict)
     schedule: Annotated[tuple[Term, ...], Field(min_length=1)] | None = None
     model: Text | None = None
-    operating_points: PointsSchema = "model"
+    operating_points: _Points = "model"
     peak_sensitivity: Cap | None = 2.6
     objective: Literal["damping", "decay"] = "damping"
     design_for: Literal["continuous", "sampled"] = "continuous"
-    goals: Annotated[tuple[GoalEntry, ...] | None, BeforeValidator(given), Field(min_length=1)] = None
+    goals: Annotated[tuple[_Goal, ...] | None, BeforeValidator(given), Field(min_length=1)] = None
     bounds: dict[Text, Pair] = Field(default_factory=dict)
     uncertainty: Annotated[DrawnPlantsSection | None, BeforeValidator(given)] = None
     robust: Annotated[RobustSection | None, BeforeValidator(given)] = None
-    start: dict[Text, Number] = Field(default_factory=dict)
+    start: dict[Text, Finite] = Field(default_factory=dict)
     starts: Count | None = None
     seed: CountOrZero = 0
     pareto: tuple[Cap, ...] = ()

@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import pairwise
-from math import isfinite
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge, Le
 from scipy.linalg import solve_discrete_are
 
 from gbid._version import __version__
@@ -22,6 +22,7 @@ from gbid.core.arrays import FloatArray, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.notes import ControlNote
+from gbid.core.option_types import Exact, Finite, NotNegative, Positive, check_options
 from gbid.lpv import Domain
 from gbid.prefilter import RunoutMap
 from gbid.prefilter.runout_identification import refuse_lost_index
@@ -91,6 +92,7 @@ def c_number(value: float, number: str) -> str:
 # ---- Options of a control chain: limits, ramps, guards and watchdog.
 
 Number = Literal["double", "float"]
+Samples = Annotated[int, Exact(), Ge(1), Le(30000)]
 STACKS = ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0))
 """Factors of r_x and r_y in the references of the stacks 1 to 4 (Eq. 1)."""
 
@@ -135,42 +137,25 @@ class ChainOptions:
         When a value has no meaning.
     """
 
-    limit_m: float = 22.5e-6
-    offset_m: float = 22.5e-6
-    stroke_m: float = 45e-6
-    zero_m: tuple[float, float] = (0.0, 0.0)
-    median: int = 1
-    spike_limit_m: float | None = 8e-6
-    disc_limit_m: float = 20e-6
-    beyond_samples: int = 3
-    bad_samples: int = 5
-    stuck_samples: int = 50
-    stuck_speed_rpm: float = 300.0
-    ramp_s: float = 1.0
-    fade_s: float = 0.5
-    pressure_rate: float = 2.0
-    speed_rate: float = 2000.0
+    limit_m: Positive = 22.5e-6
+    offset_m: Positive = 22.5e-6
+    stroke_m: Positive = 45e-6
+    zero_m: tuple[Finite, Finite] = (0.0, 0.0)
+    median: Literal[1, 3] = 1
+    spike_limit_m: Positive | None = 8e-6
+    disc_limit_m: Positive = 20e-6
+    beyond_samples: Samples = 3
+    bad_samples: Samples = 5
+    stuck_samples: Samples = 50
+    stuck_speed_rpm: NotNegative = 300.0
+    ramp_s: Positive = 1.0
+    fade_s: Positive = 0.5
+    pressure_rate: Positive = 2.0
+    speed_rate: Positive = 2000.0
     number: Number = "double"
 
     def __post_init__(self) -> None:
-        for name in ("limit_m", "stroke_m", "disc_limit_m", "ramp_s", "fade_s", "pressure_rate", "speed_rate"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise UsageError(f"{name} = {value}; give a positive number")
-        for name in ("beyond_samples", "bad_samples", "stuck_samples"):
-            value = getattr(self, name)
-            if not 1 <= value <= 30000:
-                raise UsageError(f"{name} = {value}; give a whole number from 1 to 30000")
-        if self.median not in (1, 3):
-            raise UsageError(f"median = {self.median}; choose 1 (none) or 3")
-        if self.spike_limit_m is not None and not (isfinite(self.spike_limit_m) and self.spike_limit_m > 0):
-            raise UsageError(f"spike_limit_m = {self.spike_limit_m}; give a positive number, or null for none")
-        if self.number not in ("double", "float"):
-            raise UsageError(f"number = {self.number!r}; choose 'double' or 'float'")
-        if not (len(self.zero_m) == 2 and all(isfinite(v) for v in self.zero_m)):
-            raise UsageError(f"zero_m = {self.zero_m}; give two finite numbers, x and y")
-        if not (isfinite(self.stuck_speed_rpm) and self.stuck_speed_rpm >= 0):
-            raise UsageError(f"stuck_speed_rpm = {self.stuck_speed_rpm}; give a number of at least zero")
+        check_options(self)
         room = min(self.offset_m, self.stroke_m - self.offset_m)
         if not self.limit_m <= room + 1e-12:
             raise UsageError(

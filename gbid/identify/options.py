@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le
 
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Number, Positive, check_options, plain
+from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Finite, Number, Positive, check_options, plain
 from gbid.discretise import Hold
 
 Focus = Literal["prediction", "simulation"]
@@ -21,8 +21,13 @@ Stop = Literal["tolerance", "paper"]
 RunEngine = Literal["compiled", "numpy"]
 HIGHEST_DEGREE = 9
 TrendName = Literal["none", "offset", "linear", "random walk"] | Annotated[int, Exact(), Ge(0), Le(HIGHEST_DEGREE)]
-OwnState = Literal["estimated", "zero", "structure"] | Sequence[float | Literal["estimated", "structure"]]
+OwnState = Literal["estimated", "zero", "structure"] | Sequence[Number | Literal["estimated", "structure"]]
 InitialState = Literal["auto"] | OwnState | Mapping[str, OwnState]
+STATES = (
+    "the word auto, estimated, zero or structure, a list of numbers and of the words estimated and structure, or one "
+    "for each recording"
+)
+TRENDS = f"none, offset, linear, random walk, or a degree from 0 to {HIGHEST_DEGREE}, also for each output"
 ExtraCost = Callable[[Any, Any], Any]
 """``extra_cost(p, x0)``, an expression."""
 Constraints = Callable[[Any, Any], Sequence[tuple[float, Any, float]]]
@@ -104,8 +109,8 @@ class FitOptions:
     intersample: Hold | Sequence[Hold] | None = None
     criterion: Criterion | Literal["auto"] = "auto"
     output_weights: Annotated[Sequence[Positive], Allowed("a positive number for each output")] | None = None
-    start: Annotated[Mapping[str, Number], Allowed("values by name")] | Literal["data"] | None = None
-    fixed: Mapping[str, Number] | None = None
+    start: Annotated[Mapping[str, Finite] | Literal["data"], Allowed("values by name, or the word data")] | None = None
+    fixed: Mapping[str, Finite] | None = None
     bounds: Mapping[str, tuple[Number, Number]] | None = None
     prior: Mapping[str, tuple[Number, Number]] | None = None
     local: Mapping[str, Scope] | None = None
@@ -114,9 +119,9 @@ class FitOptions:
     std: StdName = "auto"
     bootstrap_draws: Annotated[int, Exact(), Ge(FEWEST_DRAWS)] | None = None
     bootstrap_seed: CountOrZero | None = None
-    trend: TrendName | Mapping[str, TrendName] = "none"
-    hum: float | Sequence[float] = ()
-    initial_state: InitialState = "auto"
+    trend: Annotated[TrendName | Mapping[str, TrendName], Allowed(TRENDS)] = "none"
+    hum: Annotated[Number | Sequence[Number], Allowed("frequencies [Hz]")] = ()
+    initial_state: Annotated[InitialState, Allowed(STATES)] = "auto"
     left_out: Mapping[str, Sequence[tuple[int, int]]] | None = None
     window: Annotated[int, Exact(), Ge(2)] | Literal["auto"] | None = "auto"
     stop: Stop = "tolerance"

@@ -11,11 +11,15 @@ from annotated_types import Ge
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Exact, Finite, NotNegative, check_options
+from gbid.core.option_types import Allowed, Exact, Finite, NotNegative, check_options
 
 TURN = 2 * np.pi
 
 Orders = tuple[Finite, ...]
+OneOrTwo = Annotated[
+    NotNegative | tuple[NotNegative, NotNegative],
+    Allowed("a finite number of at least zero, or two of them for x and y"),
+]
 
 # Both sensors measure the same surface of the disc, a quarter turn apart. So y has the run-out of x, later.
 _AMPLITUDE = (3.0e-6, 1.5e-6, 0.8e-6, 0.4e-6, 0.2e-6)
@@ -57,8 +61,8 @@ class SensorChain(Brief):
         When noise is negative, rows differ in length, or there are fewer than 2 counts.
     """
 
-    noise_p_m: NotNegative | tuple[NotNegative, NotNegative] = 30e-9
-    noise_u_m: NotNegative | tuple[NotNegative, NotNegative] = 10e-9
+    noise_p_m: OneOrTwo = 30e-9
+    noise_u_m: OneOrTwo = 10e-9
     runout_amplitude_m: tuple[Orders, Orders] = (_AMPLITUDE, _AMPLITUDE)
     runout_phase_rad: tuple[Orders, Orders] = (_PHASE, _PHASE_OF_Y)
     offset_p_m: tuple[Finite, Finite] = (2.0e-6, -3.0e-6)

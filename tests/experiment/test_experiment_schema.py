@@ -64,7 +64,7 @@ def test_numbers_of_yaml_1_2_are_numbers(tmp_path):
         ("stop: paper", "trend: cubic", "trend: cubic", ["expected none, offset, linear, random walk, or a degree"]),
         ("stop: paper", "trend: {p_z: 2}", "trend: {p_z", ["trend names 'p_z'", "they are p_x, p_y"]),
         ("stop: paper", "hum: [50, 50.0]", "hum: [50", ["given twice"]),
-        ("stop: paper", "initial_state: nought", "initial_state: nought", ["estimated or zero", "'nought'"]),
+        ("stop: paper", "initial_state: nought", "initial_state: nought", ["estimated, zero or structure", "'nought'"]),
         ("stop: paper", "initial_state: [0, a]", "initial_state: [0", ["list of numbers"]),
         ("stop: paper", "initial_state: [0, free]", "initial_state: [0", ["words estimated and structure", "'free'"]),
         ("stop: paper", "left_out: {p5_n6000_prbs1: 3}", "p5_n6000_prbs1: 3", ["left_out.p5_n6000_prbs1", "a list"]),

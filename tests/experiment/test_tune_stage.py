@@ -251,7 +251,7 @@ def test_worst_figures_are_those_of_the_assessment():
         ("{p: {schedule: [P]}}", ("controller.p.schedule", "'1' among them")),
         ("{p: {pareto: [0.9]}}", ("controller.p.pareto[0]", "must be above 1")),
         ("{p: {peak_sensitivity: 1}}", ("controller.p.peak_sensitivity", "must be above 1")),
-        ("{p: {operating_points: []}}", ("controller.p.operating_points", "at least one operating point")),
+        ("{p: {operating_points: []}}", ("controller.p.operating_points", "or a list of operating points")),
         ("{p: {operating_points: all}}", ("controller.p.operating_points: expected the word model or domain", "'all'")),
         ("{p: {operating_points: [{pressure_bar: 9, speed_rpm: 0}]}}", ("points[0].pressure_bar", "3 to 7")),
         ("{p: {operating_points: [{pressure_bar: 6, speed_rpm: 0, speed: 1}]}}", ("points[0].speed:", "unknown key")),

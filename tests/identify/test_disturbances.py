@@ -179,10 +179,7 @@ def test_start_values_of_a_bearing_are_found_beside_a_drift():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (
-            {"trend": "cubic"},
-            "trend = 'cubic'; give 'none', 'offset', 'linear', 'random walk', a whole",
-        ),
+        ({"trend": "cubic"}, "trend = 'cubic'; give none, offset, linear, random walk, or a degree from 0 to 9"),
         ({"trend": 12}, "trend = 12; give"),
         ({"trend": True}, "trend = True"),
         ({"trend": {"p": "linear"}}, "trend names 'p', which is no output of the fit; they are y"),

@@ -281,7 +281,7 @@ def test_a_given_initial_state_holds_for_every_window_length_and_recording():
 
 
 INITIAL = {
-    "word": ("rest", "initial_state = 'rest'; give 'auto', 'estimated', 'zero', 'structure', a list"),
+    "word": ("rest", "initial_state = 'rest'; give the word auto, estimated, zero or structure, a list"),
     "too long": ([0.0, 0.0, 0.0], r"initial_state has shape \(3,\); the structure has 2 states"),
     "not finite": ([0.0, np.nan], "initial_state"),
 }

@@ -76,14 +76,8 @@ def test_some_states_are_given_and_others_estimated():
         ({"a": [2.0, 0.0]}, "give one for each recording of the fit and for no other; wrong: b"),
         ({**STARTS, "c": "zero"}, "wrong: c"),
         ({"a": [2.0], "b": "zero"}, "initial_state has shape (1,); the structure has 2 states"),
-        (
-            {"a": "rest", "b": "zero"},
-            "'rest', 'b': 'zero'}; give 'auto', 'estimated', 'zero', 'structure', a list",
-        ),
-        (
-            [0.0, "free"],
-            "initial_state = [0.0, 'free']; give 'auto', 'estimated', 'zero'",
-        ),
+        ({"a": "rest", "b": "zero"}, "'rest', 'b': 'zero'}; give the word auto, estimated, zero or structure, a list"),
+        ([0.0, "free"], "initial_state = [0.0, 'free']; give the word auto, estimated, zero or structure"),
         ([0.0, float("inf")], "it must be finite"),
         ("structure", "structure 'mode' states none; add x0 to its matrices(p)"),
     ],

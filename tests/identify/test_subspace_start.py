@@ -224,5 +224,5 @@ def test_several_starts_try_the_one_from_the_data_second():
 
 
 def test_another_word_than_data_is_refused():
-    with pytest.raises(UsageError, match="start = 'zero'; give values by name, 'data' or None"):
+    with pytest.raises(UsageError, match="start = 'zero'; give values by name, or the word data"):
         fit(RotorBearing(), levitated(0), start="zero")

@@ -21,8 +21,9 @@ from gbid.experiment.controllers import TUNED, controller_section, surfaces_item
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, InputError, Result, needed, refusal
 from gbid.experiment.machine import rig_model
+from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
-from gbid.experiment.schema import MOST_ROUNDS, ImpactPoint, ImpactsSection
+from gbid.experiment.schema import MOST_ROUNDS, ImpactsSection
 from gbid.experiment.stages.fit import fit_tasks
 from gbid.experiment.stages.impact import recording_tasks as impact_tasks
 from gbid.experiment.stages.impact import study_tasks, timing_problems
@@ -52,16 +53,16 @@ def cycle_design(experiment: Experiment) -> str:
     return tuned_design(experiment, f"tuned:{name}" if name else "tuned")
 
 
-def recording_points(experiment: Experiment) -> tuple[ImpactPoint, ...]:
+def recording_points(experiment: Experiment) -> tuple[Place, ...]:
     """Return the operating points of the new recordings."""
     section, rig = needed(experiment.spec.cycle, "cycle"), experiment.spec.rig
     if section.operating_points is not None:
         return section.operating_points
     points = rig.operating_points if rig is not None else ()
-    return tuple(ImpactPoint(pressure_bar=q.pressure_bar, speed_rpm=q.speed_rpm) for q in points)
+    return tuple(Place(pressure_bar=q.pressure_bar, speed_rpm=q.speed_rpm) for q in points)
 
 
-def trial_points(experiment: Experiment) -> tuple[ImpactPoint, ...]:
+def trial_points(experiment: Experiment) -> tuple[Place, ...]:
     """Return the operating points of the impacts."""
     return needed(experiment.spec.cycle, "cycle").impacts.operating_points or recording_points(experiment)
 

@@ -111,7 +111,7 @@ def _disturbing(experiment: Experiment, fit: str, structure: AnyStructure) -> li
 
 def _given_starts(section: FitSection) -> Mapping[str, float]:
     """Return the start values of a section; none where the fit finds them in the data."""
-    return {} if isinstance(section.start, str) else section.start
+    return section.start if isinstance(section.start, Mapping) else {}
 
 
 def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter]) -> Found:
@@ -230,7 +230,7 @@ def vectors_have_their_length(experiment: Experiment) -> Found:
                 "are for criterion: trace; det weighs outputs by their errors",
             )
         wrong = False
-        for given in state.values() if isinstance(state, dict) else (state,):
+        for given in state.values() if isinstance(state, Mapping) else (state,):
             if not isinstance(given, str) and len(given) != parts.n_states:
                 yield (
                     ("fits", name, "initial_state"),
@@ -238,7 +238,7 @@ def vectors_have_their_length(experiment: Experiment) -> Found:
                 )
                 wrong = True
         used = {q.name for q in experiment.fit_recordings(name)}
-        if isinstance(state, dict) and set(state) != used:
+        if isinstance(state, Mapping) and set(state) != used:
             wrong = True
             yield ("fits", name, "initial_state"), f"give one for each recording of the fit: {', '.join(sorted(used))}"
         if not wrong:
@@ -400,7 +400,7 @@ def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) 
         },
         "prior": {key: (known.value, known.std) for key, known in section.prior.items()},
         "initial_state": {recording.name: state[recording.name] for recording in data}
-        if isinstance(state, dict)
+        if isinstance(state, Mapping)
         else state,
         "left_out": {
             recording.name: [samples_of(recording, *stretch) for stretch in section.left_out[recording.name]]

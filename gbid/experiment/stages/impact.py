@@ -28,8 +28,9 @@ from gbid.experiment.controllers import (
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, Location, Result, needed, refusal
 from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_run
+from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
-from gbid.experiment.schema import HammerTrain, ImpactPoint, ImpactsSection
+from gbid.experiment.schema import HammerTrain, ImpactsSection
 from gbid.recording import load_recording, save_recording
 
 LONGEST_IMPACT = 0.25
@@ -81,7 +82,7 @@ def timing_problems(section: HammerTrain, sample_time: float, where: Location) -
         )
 
 
-def _controller_problems(experiment: Experiment, section: ImpactsSection, points: list[ImpactPoint]) -> Found:
+def _controller_problems(experiment: Experiment, section: ImpactsSection, points: list[Place]) -> Found:
     """Yield a problem for each loop with a used name or without a controller."""
     taken = [loop for loop in section.beside if loop in LOOPS]
     for loop in taken:

@@ -128,7 +128,7 @@ def _goal_problems(experiment: Experiment, section: ControllerSection, where: Lo
             goals.append(made_goal(entry, no_disturbance))
         except GbidError as error:
             yield (*where, "goals", i), str(error)
-        for pattern in entry.given().get("disturbance", ()):
+        for pattern in entry.arguments.get("disturbance", ()):
             yield from _disturbance_problems(experiment, pattern, (*where, "goals", i, "disturbance"))
     if len(goals) < len(section.goals):
         return
