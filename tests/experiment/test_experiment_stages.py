@@ -281,7 +281,7 @@ def test_every_option_of_a_fit_reaches_it(tmp_path):
     assert found["left_out"] == {"p5_n6000_prbs1": [(500, 752), (2500, 3000)]}
     assert (found["robust"], found["robust_threshold"]) == ("student", 5.0)
     assert (found["std"], found["bootstrap_draws"], found["bootstrap_seed"]) == ("bootstrap", 300, 7)
-    assert (found["trend"], found["hum"]) == ({"u_x": 2, "u_y": "linear"}, [50.0])
+    assert (found["trend"], found["hum"]) == ({"u_x": 2, "u_y": "linear"}, 50.0)
     assert found["ipopt"] == {"max_iter": 30, "linear_solver": "mumps"}
     alone = fit_arguments(experiment, "piezos", data[1:])
     assert alone["left_out"] == {}
