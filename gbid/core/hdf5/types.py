@@ -394,8 +394,7 @@ _SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b", str: "U"}
 _LINES = tuple[tuple[str, ...], ...]
 
 
-@cache
-def record(made: Any) -> DataclassGroup:
+def _record(made: Any) -> DataclassGroup:
     """Return the codec of a dataclass or named tuple, from the annotations of its fields.
 
     Raises
@@ -415,6 +414,9 @@ def record(made: Any) -> DataclassGroup:
             except TypeError as error:
                 raise TypeError(f"{made.__name__}.{name}: {error}") from None
     return DataclassGroup(made, tuple(codecs))
+
+
+record: Callable[[Any], DataclassGroup] = cache(_record)
 
 
 def _codec(hint: Any, stored: Stored | None) -> Codec:
