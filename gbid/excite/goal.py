@@ -20,7 +20,7 @@ from gbid.identify.options import FitArguments
 from gbid.identify.predictor import Predictor, PredictorValues, build_predictor
 from gbid.identify.problem.assemble import assemble, build_problem, full_start
 from gbid.identify.problem.hessian import in_one_window
-from gbid.identify.uncertainty.covariance import covariance, mode_slopes
+from gbid.identify.uncertainty.covariance import Estimate, covariance, mode_slopes
 
 # ---- Responses and sensitivities of the predictions at spectral lines: the information of a periodic excitation.
 
@@ -295,7 +295,7 @@ def quantities_of(lines: LineModel) -> Quantities:
     modes, slopes = mode_slopes(A)
     of_modes, names, values = list[FloatArray](), list[str](), list[float]()
     met: list[tuple[float, float]] = []
-    for (frequency, damping), slope in zip(modes, slopes, strict=True):
+    for (frequency, damping), slope in zip(modes, slopes.transpose(1, 2, 0), strict=True):
         if any(np.allclose((frequency, damping), other, rtol=1e-9) for other in met):
             continue  # the copy of an actuator in a plant with exact delays
         met.append((frequency, damping))
@@ -448,16 +448,8 @@ def expected_covariance(known: KnownModel, inputs: FloatArray, sample_time: floa
         problem, unknowns = build_problem(assembly, data, options, full_start(assembly, begin))
         problem, kept = in_one_window(problem)
         theta, starts = problem.unpack(unknowns[kept])
-        starts = np.zeros_like(starts)
-        result = covariance(
-            problem,
-            theta,
-            starts,
-            assembly.record_window,
-            known.noise * problem.n_samples,
-            np.zeros(len(theta), bool),
-        )
+        estimate = Estimate(problem, theta, np.zeros_like(starts), assembly.record_window)
+        result = covariance(estimate, known.noise * problem.n_samples, np.zeros(len(theta), bool))
     values = result.white.copy()
-    unknown = np.asarray((np.abs(result.undetermined) > 1e-3).any(axis=0))
-    values[unknown], values[:, unknown] = np.nan, np.nan
+    values[result.open], values[:, result.open] = np.nan, np.nan
     return Expected(tuple(q.name for q in assembly.free), values)

@@ -1,13 +1,11 @@
 """Identification: start values, predictor, shooting windows, solver, covariance, result."""
 
 from gbid.identify.data import select
-from gbid.identify.fit import fit
+from gbid.identify.fit import FitProblem, fit, fit_problem
 from gbid.identify.multistart import Minimum, MultiStart, fit_multistart
 from gbid.identify.options import FitOptions, SettledOptions
-from gbid.identify.pose import FitProblem, fit_problem
 from gbid.identify.problem.solve import Progress
-from gbid.identify.result import FitResult, StartsTried, load_fit, save_fit
-from gbid.identify.status import FitStatus
+from gbid.identify.result import FitResult, FitStatus, StartsTried, load_fit, save_fit
 from gbid.identify.table import FitTable, TableEntry, load_table, save_table, tabulate
 from gbid.identify.uncertainty.coloured import Whiteness, correlation, whiteness_test
 from gbid.identify.uncertainty.curves import Bode, PoleZero, TimeResponse, bode, pole_zero, time_response

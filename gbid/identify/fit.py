@@ -1,20 +1,25 @@
-"""Fit of a structure to recordings: the problem posed, solved, and judged."""
+"""Fit of a structure to recordings: the problem posed, solved, and judged; and its nonlinear programme for CasADi."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
+import casadi as ca
 import numpy as np
 
-from gbid.core.arrays import one_blas_thread
+from gbid.core.arrays import FloatArray, one_blas_thread
+from gbid.core.brief import Brief, Description, brief
 from gbid.core.option_types import takes_options
 from gbid.identify.options import FitArguments
-from gbid.identify.pose import Recordings, pose
-from gbid.identify.restarts import best_attempt
+from gbid.identify.pose import PosedProblem, Recordings, pose
+from gbid.identify.problem.hessian import gauss_newton
+from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
+from gbid.identify.restarts import best_attempt, windows_of
 from gbid.identify.result import FitResult
 from gbid.recording.recording import check_order
-from gbid.structure import AnyStructure
+from gbid.structure import AnyStructure, kind_of
 from gbid.structure.parameter import asked_once
 
 
@@ -59,3 +64,169 @@ def fit(structure: AnyStructure, recordings: Recordings, options: FitArguments) 
         After Ctrl-C.
     """
     return fitted(structure, recordings, options)
+
+
+# ---- The nonlinear programme of a fit as functions of CasADi.
+
+
+@dataclass(frozen=True, eq=False)
+class FitProblem(Brief):
+    """Nonlinear programme of a fit: multiple shooting in scaled unknowns.
+
+    The unknowns are the free parameters and the states at the starts of the shooting windows. Times `scale` they are in
+    their own units. The cost is half the logarithm of the criterion. The constraints are the gaps between windows, and
+    the constraints of the caller.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the unknowns; ``"run 1[3].x2"`` is the second state at the start of the fourth window of a recording.
+    start, lower, upper : (n,) array
+        Start and bounds of the unknowns, scaled.
+    scale : (n,) array
+        Scales of the unknowns.
+    n_gaps : int
+        Number of the constraints that are gaps; they are the first.
+    functions : NlpFunctions
+        Functions of CasADi as ``casadi.nlpsol`` takes them, with the bounds of the constraints.
+    """
+
+    names: tuple[str, ...]
+    start: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    scale: FloatArray
+    n_gaps: int
+    functions: NlpFunctions
+    _problem: PosedProblem = field(repr=False)
+
+    def _brief(self) -> Description:
+        about = f"{len(self.names)} unknowns, {len(self.functions.lower)} constraints, {self.n_gaps} of them gaps"
+        return brief(self, about, parameters=[q.name for q in self._problem.assembly.free])
+
+    def cost(self, x: Any) -> Any:
+        """Return the cost.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        """
+        return self.functions.value(x)[0]
+
+    def constraints(self, x: Any) -> Any:
+        """Return the constraints: gaps, then those of the caller.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        """
+        return self.functions.value(x)[1]
+
+    def gradient(self, x: Any) -> Any:
+        """Return the gradient of the cost.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        """
+        return self.functions.gradient(x, [])[1]
+
+    def jacobian(self, x: Any) -> Any:
+        """Return the Jacobian of the constraints, sparse.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        """
+        return self.functions.jacobian(x, [])[1]
+
+    def hessian(self, x: Any, multipliers: Any = 0) -> Any:
+        """Return the Hessian of the Lagrangian, sparse and symmetric.
+
+        That of the squared errors is the one of Gauss and Newton, without second derivatives of the predictions. That
+        of an extra cost and, times the `multipliers` of the constraints, of constraints of the caller is exact.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        multipliers : (m,) array or casadi.MX
+            Multipliers of the constraints; zero by default.
+        """
+        return ca.triu2symm(self.functions.hessian(x, [], 1, multipliers))
+
+    @property
+    def sparsity(self) -> dict[Literal["jacobian", "hessian"], ca.Sparsity]:
+        """Sparsity of the Jacobian of the constraints, and of the upper triangle of the Hessian."""
+        return {"jacobian": self.functions.jacobian.sparsity_out(1), "hessian": self.functions.hessian.sparsity_out(0)}
+
+    @property
+    def nlp(self) -> dict[str, ca.MX]:
+        """The programme for ``casadi.nlpsol(name, plugin, nlp, {**functions.derivatives, ...})``."""
+        x = ca.MX.sym("x", len(self.names))
+        f, g = self.functions.value(x)
+        return {"x": x, "f": f, "g": g}
+
+    def parameters(self, x: Any) -> dict[str, float]:
+        """Return the parameters by name, in their own units.
+
+        Parameters
+        ----------
+        x : (n,) array
+            Scaled unknowns.
+        """
+        values = (np.asarray(x, float).ravel() * self.scale).tolist()
+        return {q.name: v for q, v in zip(self._problem.assembly.free, values, strict=False)}
+
+
+@takes_options(FitArguments)
+def fit_problem(structure: AnyStructure, recordings: Recordings, options: FitArguments) -> FitProblem:
+    """Return the nonlinear programme that `gbid.fit` would solve, as functions of CasADi.
+
+    Options of the solver and of the standard deviations have no effect.
+
+    Parameters
+    ----------
+    structure : Structure or NonlinearStructure
+        The structure.
+    recordings : Recording or sequence of Recording
+        The recordings.
+    **options
+
+    Returns
+    -------
+    FitProblem
+        The problem at the start values.
+
+    Raises
+    ------
+    UsageError, DataError
+        As for `gbid.fit`.
+    """
+    task = pose(structure, recordings, options)
+    with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        problem = task.problem(task.begin.values, windows_of(task)[0])
+    shooting = problem.shooting
+    return FitProblem(
+        (*(q.name for q in problem.assembly.free), *_names_of_starts(problem)),
+        np.clip(problem.unknowns, *problem.box),
+        *problem.box,
+        shooting.pack(np.ones(shooting.n_theta), np.ones((shooting.n_windows, shooting.n_states))) ** -1,
+        shooting.n_gaps,
+        nlp_functions(shooting, gauss_newton(shooting), Trouble()),
+        problem,
+    )
+
+
+def _names_of_starts(problem: PosedProblem) -> list[str]:
+    """Return the names of the states at the starts of all windows, in the order of the windows."""
+    shooting, task, named = problem.shooting, problem.task, dict[int, str]()
+    for record, first in zip(task.data.records, problem.assembly.record_window, strict=True):
+        named |= {window: f"{record.name}[{i}]" for i, window in enumerate(shooting.windows_from(first))}
+    names = kind_of(task.structure).state_names
+    states = [*names, *(f"x{i + 1}" for i in range(len(names), shooting.n_states))]
+    return [f"{named[i]}.{state}" for i in range(shooting.n_windows) for state in states]

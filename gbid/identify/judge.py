@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
-from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.notes import FitNote
 from gbid.discretise import check_holds
-from gbid.identify.data import column_means
-from gbid.identify.optimum import Optimum
-from gbid.identify.problem.assemble import Assembly, window_length
+from gbid.identify.data import Record, column_means
+from gbid.identify.options import DRAWS
+from gbid.identify.pose import Optimum
+from gbid.identify.problem.assemble import window_length
 from gbid.identify.problem.integration import at_working_point, with_integration_error
 from gbid.identify.problem.nlp import Shooting, extra_notes
 from gbid.identify.problem.states import decay_notes, released_states
-from gbid.identify.result import FitResult, StdKind
+from gbid.identify.result import FitResult, FitStatus, StdKind
 from gbid.identify.start.scheduled_start import centre_tie
-from gbid.identify.uncertainty.coloured import Bootstrap, whiteness_test
-from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance, model_spreads
-from gbid.identify.uncertainty.doubts import (
-    explains_nothing,
-    far_below_white,
-    feedback_notes,
-    hardly_determined,
-    may_cover_less,
-    not_determined,
-    verdict,
-)
-from gbid.structure import Parameter, kind_of
+from gbid.identify.uncertainty.coloured import Bootstrap, ErrorModel, whiteness_test
+from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, Estimate, covariance, model_spreads
+from gbid.structure import kind_of
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
 _NEAR = 1e-6  # largest distance from a bound at which a parameter lies on it, as a part of the parameter's scale
@@ -39,68 +31,79 @@ _NEAR_IN_STD = 1e-3  # the same as a part of its standard deviation
 def judge(optimum: Optimum) -> FitResult:
     """Return the result of a fit, evaluated at the optimum of its problem, without its wall time."""
     problem, shooting, solution = optimum.problem, optimum.shooting, optimum.solution
-    task, assembly, reweighted = problem.task, problem.assembly, optimum.reweighted
+    task, assembly, options = problem.task, problem.assembly, problem.task.options
     structure, data, free = task.structure, task.data, assembly.free
+    names = [q.name for q in free]
     theta, starts = shooting.unpack(solution.unknowns)
-    every = _by_record(shooting, shooting.errors(shooting.values(theta), starts), assembly)  # outliers count in full
-    used = _by_record(shooting, [part.blocks.used[:, :, None] for part in shooting.parts], assembly)
+    windows = assembly.record_window
+    every = _by_record(shooting, shooting.errors(shooting.values(theta), starts), windows)  # outliers count in full
+    used = _by_record(shooting, [part.blocks.used[:, :, None] for part in shooting.parts], windows)
     outputs = [r.outputs.compress(rows[:, 0] > 0, axis=0) for r, rows in zip(data.records, used, strict=True)]
     squares = np.asarray(sum(e.T @ e for e in every))
-    weighted = shooting if reweighted is None else reweighted.problem
+    weighted = shooting if optimum.reweighted is None else optimum.reweighted.problem
     residuals = weighted.errors(weighted.values(theta), starts)
     products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in residuals))
-    by_record = _by_record(weighted, residuals, assembly)
+    by_record = _by_record(weighted, residuals, windows)
     finite = bool(np.isfinite(products).all() and np.isfinite(theta).all())
     worse = finite and explains_nothing(weighted, squares, outputs)
     white = whiteness_test(by_record)
     sound = finite and not worse
     coloured = not (sound and (white.p_value >= _COLOURED / len(white.p_value)).all())
-    bootstrap = task.bootstrap if sound and solution.status.success else None
+    bootstrap = None
+    if options.std == "bootstrap":
+        bootstrap = Bootstrap(options.bootstrap_draws or DRAWS, options.bootstrap_seed or 0)
+    drawn = bootstrap if sound and solution.status.success else None
     n_records, n_states = task.states.known.shape
     known_starts = np.hstack([task.states.known, np.zeros((n_records, weighted.n_states - n_states), bool)])
-    point = _Point(optimum, weighted, theta, starts, products, known_starts, coloured, bootstrap)
-    on_bound, found = point.uncertainty()
-    trusted: StdKind = "bootstrap" if bootstrap else "robust" if coloured else "white"
-    chosen = {"white": found.white, "robust": found.robust, "bootstrap": found.bootstrap}[trusted]
+    estimate = Estimate(weighted, theta, starts, windows, known_starts)
+    on_bound, spread = _uncertainty(optimum, estimate, products, coloured, drawn)
+    trusted: StdKind = "bootstrap" if drawn else "robust" if coloured else "white"
+    chosen = {"white": spread.white, "robust": spread.robust, "bootstrap": spread.bootstrap}[trusted]
     if chosen is None:
-        trusted, chosen = "robust", found.robust
+        trusted, chosen = "robust", spread.robust
 
-    estimates = {**problem.begin, **dict.fromkeys(assembly.unused, 0.0)}
-    estimates |= {q.name: float(v) for q, v in zip(free, theta, strict=True)}
-    local_names = {
-        record.name: {short: full for short, full in names.items() if short != full}
-        for record, names in zip(data.records, assembly.record_names, strict=True)
-        if any(short != full for short, full in names.items())
+    estimates = {
+        **problem.begin,
+        **dict.fromkeys(assembly.unused, 0.0),
+        **dict(zip(names, theta.tolist(), strict=True)),
     }
-    for name in {short for names in local_names.values() for short in names}:
+    local_names = {
+        record.name: local
+        for record, full_names in zip(data.records, assembly.record_names, strict=True)
+        if (local := {short: full for short, full in full_names.items() if short != full})
+    }
+    for name in {short for local in local_names.values() for short in local}:
         estimates.pop(name, None)
-    std = _standard_deviations(estimates, problem.parameters, free, chosen, on_bound, found)
+    fixed = {q.name for q in problem.parameters if q.fixed}
+    std = {name: 0.0 if name in fixed else np.nan for name in estimates}
+    for i in np.flatnonzero(~(on_bound | spread.open)):
+        std[names[i]] = float(np.sqrt(chosen[i, i]))
     mean_square = squares / weighted.n_samples
     at_edge = finite and any(weighted.parts_at_edge(theta))
     units = {q.name: q.unit for q in problem.parameters} | task.disturbances.units(data.output_units)
-    own_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
+    short_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
     first = {**estimates, **{short: estimates[full] for short, full in assembly.record_names[0].items()}}
-    names = [q.name for q in structure.parameters]
+    stated = [q.name for q in structure.parameters]
     kind = kind_of(structure)
-    model = kind.model({name: first[name] for name in names}, data.input_names, data.output_names)
+    model = kind.model({name: first[name] for name in stated}, data.input_names, data.output_names)
     if kind.nonlinear:
         model = at_working_point(model, weighted, theta, starts, data)
-    tie = centre_tie(structure, weighted.parts[0].predictor.free, [q.name for q in free])
-    spreads = model_spreads(weighted, theta, chosen, model, names, tie)
+    tie = centre_tie(kind.scheduled, weighted.parts[0].predictor.free, names) if kind.scheduled else None
+    spreads = model_spreads(estimate, chosen, model, stated, tie)
     n, k = weighted.n_samples, len(theta) + int((~known_starts).sum())
-    first_states = starts[assembly.record_window] + released_states(weighted, theta, assembly.record_window)
+    first_states = starts[windows] + released_states(weighted, theta, windows)
     log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
     result = FitResult(
         structure=structure.name,
         recordings=tuple(record.name for record in data.records),
         parameters=estimates,
         std=std,
-        units={name: units[own_name[name]] for name in estimates},
-        free=tuple(q.name for q in free),
+        units={name: units[short_name[name]] for name in estimates},
+        free=tuple(names),
         covariance=chosen,
-        covariance_white=found.white,
-        covariance_robust=found.robust,
-        covariance_bootstrap=found.bootstrap,
+        covariance_white=spread.white,
+        covariance_robust=spread.robust,
+        covariance_bootstrap=spread.bootstrap,
         trusted=trusted,
         whiteness=white.p_value if finite else np.full(len(products), np.nan),
         modes_std=spreads.modes,
@@ -111,40 +114,40 @@ def judge(optimum: Optimum) -> FitResult:
         fit_percent=_fit_percent(every, outputs),
         aic=n * log_det + 2 * k,
         fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
-        condition=found.condition,
+        condition=spread.condition,
         status=verdict(
             solution.status,
             overflows=not finite,
             worse_than_constant=worse,
             at_edge=at_edge,
-            undetermined=~on_bound & ~np.isfinite([std[q.name] for q in free]),
+            undetermined=~on_bound & ~np.isfinite([std[name] for name in names]),
         ),
         optimality=solution.rest,
         iterations=solution.iterations,
         wall_time_s=0.0,
         start={name: problem.begin[name] for name in estimates},
-        start_origin={name: _origin(optimum, own_name[name]) for name in estimates},
+        start_origin={name: _origin(optimum, short_name[name]) for name in estimates},
         notes=(
-            *_notes(optimum, on_bound, found, trusted, coloured),
-            *_doubts(optimum, theta, found),
-            *(may_cover_less(found.models, model.modes(), data.sample_time, n) if coloured else ()),
+            *_notes(optimum, on_bound, spread, trusted if coloured else None),
+            *_doubts(optimum, theta, spread),
+            *(may_cover_less(spread.models, model.modes(), data.sample_time, n) if coloured else ()),
             *(feedback_notes(data.records, by_record) if coloured and finite else ()),
-            *_edge_note(at_edge),
+            *((FitNote.PREDICTOR_AT_EDGE(_EDGE),) if at_edge else ()),
             *optimum.notes,
             *task.begin.notes,
             *task.states.notes,
-            *_overflow_notes(solution.overflows),
+            *((FitNote.OVERFLOWS(_OVERFLOWS.format(solution.overflows)),) if solution.overflows else ()),
             *decay_notes(data),
             *extra_notes(shooting, solution.unknowns),
         ),
-        options=task.options.settled(
+        options=options.settled(
             intersample=check_holds(task.hold, len(data.input_names)),
-            criterion=task.criterion,
+            criterion=weighted.criterion,
             initial_state=task.states.choice,
             window=problem.window and window_length(shooting),
             robust_threshold=task.loss and task.loss.threshold,
-            bootstrap_draws=task.bootstrap and task.bootstrap.draws,
-            bootstrap_seed=task.bootstrap and task.bootstrap.seed,
+            bootstrap_draws=bootstrap and bootstrap.draws,
+            bootstrap_seed=bootstrap and bootstrap.seed,
         ),
         disturbances=task.disturbances,
         engine=assembly.engine,
@@ -157,95 +160,41 @@ def judge(optimum: Optimum) -> FitResult:
     return with_integration_error(result, optimum.integration_shift)
 
 
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """Optimum with its residuals, at which the covariance is taken.
+def _uncertainty(
+    optimum: Optimum, estimate: Estimate, products: FloatArray, coloured: bool, bootstrap: Bootstrap | None
+) -> tuple[BoolArray, Covariance]:
+    """Return which free parameters lie on a bound, (n_theta,), and the covariance of the others."""
+    theta, free = estimate.theta, optimum.problem.assembly.free
+    lower, upper = np.array([q.lower for q in free], float), np.array([q.upper for q in free], float)
+    nothing = np.full((len(theta), len(theta)), np.nan)
 
-    `known_starts` (n_records, n) are the initial states that are no unknowns of their own.
-    """
+    def on_bound(near: FloatArray) -> BoolArray:
+        return np.asarray((theta - lower <= near) | (upper - theta <= near))
 
-    optimum: Optimum
-    weighted: Shooting
-    theta: FloatArray
-    starts: FloatArray
-    products: FloatArray
-    known_starts: BoolArray
-    coloured: bool
-    bootstrap: Bootstrap | None
-
-    def uncertainty(self) -> tuple[BoolArray, Covariance]:
-        """Return which free parameters lie on a bound, (n_theta,), and the covariance of the others."""
-        on_bound = self._on_bound(_NEAR * self.weighted.theta_scale)
-        found = self._covariance(on_bound)
-        pressed = on_bound | self._on_bound(_NEAR_IN_STD * np.sqrt(np.diag(found.white)))
-        if (pressed != on_bound).any():  # the solver stops slightly inside of an active bound
-            return pressed, self._covariance(pressed)
-        return on_bound, found
-
-    def _on_bound(self, near: FloatArray) -> BoolArray:
-        free = self.optimum.problem.assembly.free
-        lower, upper = np.array([q.lower for q in free], float), np.array([q.upper for q in free], float)
-        return np.asarray((self.theta - lower <= near) | (upper - self.theta <= near))
-
-    def _covariance(self, on_bound: BoolArray) -> Covariance:
-        nothing = np.full((len(self.theta), len(self.theta)), np.nan)
-        none = Covariance(nothing, nothing, np.nan, np.zeros((0, len(self.theta))), np.inf)
-        if not np.isfinite(self.products).all():
-            return none
-        reweighted = self.optimum.reweighted
+    def without(held: BoolArray) -> Covariance:
         try:
-            found = covariance(
-                self.weighted,
-                self.theta,
-                self.starts,
-                self.optimum.problem.assembly.record_window,
-                self.products,
-                on_bound,
-                known_starts=self.known_starts,
-                coloured=self.coloured,
-                bootstrap=self.bootstrap,
-            )
+            spread = covariance(estimate, products, held, coloured=coloured, bootstrap=bootstrap)
         except np.linalg.LinAlgError:
             return none
-        return found if reweighted is None else found.scaled(*reweighted.factors)
+        return spread if optimum.reweighted is None else spread.scaled(*optimum.reweighted.factors)
+
+    none = Covariance(nothing, nothing, np.nan, np.zeros((0, len(theta))), np.inf)
+    held = on_bound(_NEAR * estimate.problem.theta_scale)
+    if not np.isfinite(products).all():
+        return held, none
+    spread = without(held)
+    pressed = held | on_bound(_NEAR_IN_STD * np.sqrt(np.diag(spread.white)))
+    # the solver stops slightly inside of an active bound
+    return (pressed, without(pressed)) if (pressed != held).any() else (held, spread)
 
 
-def _by_record(problem: Shooting, errors: list[FloatArray], assembly: Assembly) -> list[FloatArray]:
+def _by_record(problem: Shooting, errors: list[FloatArray], first_windows: IntArray) -> list[FloatArray]:
     """Return the errors in the order of the samples of each record, (n_samples, n_y); zero for left-out samples."""
     by_window: dict[int, FloatArray] = {}
     for e, part, first in zip(errors, problem.parts, problem.first_window[:-1], strict=True):
-        for window, rows in zip(part.blocks.segment_first, part.blocks.by_segment(e), strict=True):
-            by_window[int(first + window)] = rows
-    following = {int(a): int(b) for a, b in problem.links}
-    records = []
-    for window in assembly.record_window:
-        stretches: list[FloatArray] = []
-        at = int(window)
-        while True:
-            if at in by_window:
-                stretches.append(by_window[at])
-            if at not in following:
-                break
-            at = following[at]
-        records.append(np.concatenate(stretches))
-    return records
-
-
-def _standard_deviations(
-    estimates: Mapping[str, float],
-    parameters: tuple[Parameter, ...],
-    free: tuple[Parameter, ...],
-    chosen: FloatArray,
-    on_bound: BoolArray,
-    found: Covariance,
-) -> dict[str, float]:
-    fixed = {q.name for q in parameters if q.fixed}
-    std = {name: 0.0 if name in fixed else np.nan for name in estimates}
-    dark = np.asarray((np.abs(found.undetermined) > 1e-3).any(axis=0))
-    for i, q in enumerate(free):
-        if not (on_bound[i] or dark[i]):
-            std[q.name] = float(np.sqrt(chosen[i, i]))
-    return std
+        by_window |= zip((first + part.blocks.segment_first).tolist(), part.blocks.by_segment(e), strict=True)
+    chains = [problem.windows_from(first) for first in first_windows]
+    return [np.concatenate([by_window[window] for window in chain if window in by_window]) for chain in chains]
 
 
 def _fit_percent(errors: list[FloatArray], outputs: list[FloatArray]) -> FloatArray:
@@ -267,23 +216,28 @@ def _origin(optimum: Optimum, name: str) -> str:
 
 # ---- Notes.
 
+_EDGE = (
+    "the disturbance gain makes the predictor almost unstable: the record is too short to estimate it; "
+    "fix it (fixed=...) or use focus='simulation'"
+)
+_OVERFLOWS = "the model overflows at {} of the points that the solver tried; it stepped back"
 
-def _notes(
-    optimum: Optimum, on_bound: BoolArray, found: Covariance, trusted: StdKind, coloured: bool
-) -> tuple[str, ...]:
+
+def _notes(optimum: Optimum, on_bound: BoolArray, spread: Covariance, coloured: StdKind | None) -> tuple[str, ...]:
+    """Return notes on the standard deviations; `coloured` is their kind where the residuals are not white."""
     assembly, begin, reweighted = optimum.problem.assembly, optimum.problem.begin, optimum.reweighted
     names = np.array([q.name for q in assembly.free])
     notes = [FitNote.ON_BOUND(f"{name} lies on a bound: no standard deviation") for name in names[on_bound]]
-    notes += not_determined(found.undetermined, names)
+    notes += not_determined(spread.undetermined, names)
     if coloured:
-        kind = "those of the bootstrap" if trusted == "bootstrap" else "the robust ones"
+        kind = "those of the bootstrap" if coloured == "bootstrap" else "the robust ones"
         notes.append(
             FitNote.NOT_WHITE(
                 f"the residuals are not white: standard deviations are {kind}, and do not contain the error of the "
                 "structure itself"
             )
         )
-    if not np.isnan(found.flatness) and found.flatness < FLATTEST:
+    if spread.flatness < FLATTEST:
         notes.append(
             FitNote.NO_MINIMUM(
                 "this is not a minimum of the criterion, or it is flat in some direction: standard deviations use the "
@@ -294,37 +248,281 @@ def _notes(
         notes.append(FitNote.NOT_USED(f"simulation focus does not use, set to 0: {', '.join(assembly.unused)}"))
         held = [name for name in assembly.unused if begin[name] != 0]
         notes += [FitNote.NOT_USED(f"their start values were not used: {', '.join(held)}")] if held else []
-    if reweighted is not None and reweighted.light:
-        notes.append(f"robust loss: {100 * reweighted.light:.2g} % of the samples count less than half")
+    if reweighted is not None and reweighted.outlying:
+        notes.append(f"robust loss: {100 * reweighted.outlying:.2g} % of the samples count less than half")
     return (*notes, *assembly.notes)
 
 
-def _overflow_notes(points: int) -> tuple[str, ...]:
-    """Return a note on the points at which the model overflowed, none for none."""
-    text = f"the model overflows at {points} of the points that the solver tried; it stepped back"
-    return (FitNote.OVERFLOWS(text),) if points else ()
-
-
-def _doubts(optimum: Optimum, theta: FloatArray, found: Covariance) -> tuple[str, ...]:
+def _doubts(optimum: Optimum, theta: FloatArray, spread: Covariance) -> tuple[str, ...]:
+    """Return notes on parameters whose sign is open, or whose robust standard deviation is suspiciously small."""
     structure, assembly = optimum.problem.task.structure, optimum.problem.assembly
     names = np.array([q.name for q in assembly.free])
-    known, own = {q.name for q in structure.parameters}, assembly.own_names
+    known, short_names = {q.name for q in structure.parameters}, assembly.own_names
     if scheduled := kind_of(structure).scheduled:  # a coefficient may well be zero, too
         known &= {q.name for q in scheduled.base.parameters}
-    # A disturbance gain or a trend may well be zero: an open sign says nothing there.
-    physical = np.array(
-        [own.get(name, name) in known and i not in optimum.shooting.noise for i, name in enumerate(names)], bool
+    # A disturbance gain or a trend may well be zero: an open sign says nothing of them.
+    physical = np.array([short_names.get(name, name) in known for name in names], bool) & ~spread.open
+    physical[list(optimum.shooting.noise)] = False
+    white = spread.white[np.ix_(physical, physical)]
+    return (*hardly_determined(theta[physical], white, names[physical]), *far_below_white(spread, names))
+
+
+_INVOLVED = 0.1  # smallest share of a parameter in a direction, of the largest share, for which it is named
+_PEAK = 5.0  # power of the errors at the frequency of a mode, over their mean power, for which they hide its motion
+_DECAYS = 25.0  # times that a mode decays in all records, below which its slow errors are seen too seldom
+_HARDLY_ONE = 2.0  # times of decay below which the records do not show whether the errors move the mode
+_LIGHT = 0.1  # damping factor below which a mode counts as lightly damped
+_FREQUENCIES = 2048  # for the mean power
+_FAR_BELOW = 1 / 3  # ratio of the standard deviations below which a note says so
+
+_MOST_DIRECTIONS = 3  # largest number of undetermined directions that are listed one by one
+
+
+def not_determined(directions: FloatArray, names: npt.NDArray[np.str_]) -> list[str]:
+    """Return notes on directions (n_directions, n) without information: their parameters, and what is determined."""
+    if len(directions) > _MOST_DIRECTIONS:
+        text = f"the information is singular in {len(directions)} directions: no standard deviations"
+        return [FitNote.NOT_DETERMINED(text)]
+    notes = []
+    for direction in directions:
+        strong = np.flatnonzero(np.abs(direction) > _INVOLVED * np.abs(direction).max())
+        involved = ", ".join(names[strong])
+        if len(strong) == 1:
+            text = f"the data do not determine {involved}: its input or state is not excited; fix it (fixed=...)"
+        else:
+            text = f"the data do not determine {involved} separately, only a combination; fix one (fixed=...)"
+        notes.append(FitNote.NOT_DETERMINED(text))
+    return notes
+
+
+def hardly_determined(values: FloatArray, white: FloatArray, names: npt.NDArray[np.str_]) -> list[str]:
+    """Return notes on the directions whose standard deviation for white errors exceeds the size of the parameters.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Estimates.
+    white : (n, n) array
+        Their covariance for white errors.
+    names : (n,) array of str
+        Their names.
+
+    Returns
+    -------
+    list of str
+        One note for each direction.
+
+    Notes
+    -----
+    The directions are the eigenvectors of the covariance relative to the estimates with eigenvalues above one. Along
+    such a direction the sign of the estimates is open, however small the errors of the model are.
+    """
+    sigma = np.sqrt(np.maximum(np.diag(white), 0.0))
+    open_sign = np.isfinite(sigma) & (sigma > np.abs(values)) & (values != 0)
+    if not open_sign.any():
+        return []
+    chosen = np.flatnonzero(open_sign)
+    size = np.abs(values[chosen])
+    _, axes = np.linalg.eigh(white[np.ix_(chosen, chosen)] / np.outer(size, size))
+    notes, told = [], np.zeros(len(chosen), bool)
+    for direction in axes.T[::-1]:
+        strong = np.abs(direction) > _INVOLVED * np.abs(direction).max()
+        if told[strong].all():
+            continue
+        told |= strong
+        involved = names[chosen[strong]]
+        times = float((sigma[chosen] / size)[strong].max())
+        if len(involved) == 1:
+            text = (
+                f"the data leave even the sign of {involved[0]} open: its standard deviation for white errors is "
+                f"{times:.2g} times its size"
+            )
+        else:
+            step = direction[strong] * size[strong]
+            along = " : ".join(f"{part:.2g}" for part in step / step[np.argmax(np.abs(direction[strong]))])
+            text = (
+                f"the data leave even the sign of {', '.join(involved)} open: their standard deviations for white "
+                f"errors are up to {times:.2g} times their sizes, along {along}; fix one (fixed=...), or state "
+                "what is known (prior=...)"
+            )
+        notes.append(FitNote.SIGN_OPEN(text))
+    return notes
+
+
+def far_below_white(estimate: Covariance, names: npt.NDArray[np.str_]) -> list[str]:
+    """Return a note on parameters with a robust standard deviation far below that for white errors."""
+    white, robust = (np.sqrt(np.maximum(np.diag(c), 0.0)) for c in (estimate.white, estimate.robust))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = robust / white
+    low = np.flatnonzero(np.isfinite(ratio) & (white > 0) & (ratio < _FAR_BELOW))
+    if not len(low):
+        return []
+    text = (
+        f"standard deviations far below those for white errors (down to {float(ratio[low].min()):.2g} of them): "
+        f"{', '.join(names[low])}; they hold only if the errors have hardly any power where these parameters act, as "
+        "the residuals say; std_with('white') is the careful choice"
     )
-    physical &= ~np.asarray((np.abs(found.undetermined) > 1e-3).any(axis=0))
-    white = found.white[np.ix_(physical, physical)]
-    return (*hardly_determined(theta[physical], white, names[physical]), *far_below_white(found, names))
+    return [FitNote.FAR_BELOW_WHITE(text)]
 
 
-def _edge_note(at_edge: bool) -> tuple[str, ...]:
-    if not at_edge:
+def may_cover_less(
+    models: Sequence[ErrorModel], modes: Sequence[tuple[float, float]], sample_time: float, n_samples: int
+) -> list[str]:
+    """Return a note on intervals that contain the truth less often than they state.
+
+    Parameters
+    ----------
+    models : sequence of ErrorModel
+        Model of the errors of each record.
+    modes : sequence of (frequency [Hz], damping factor)
+        Modes of the structure at the estimate.
+    sample_time : float
+        Time between samples [s].
+    n_samples : int
+        Number of samples of all records.
+
+    Notes
+    -----
+    The study of docs/uncertainty.md has low coverage where two things come together: the errors have a peak at the
+    frequency of a lightly damped mode, and the records last few of its times of decay. Then the fit explains a part of
+    the errors as motion of the mode, and what is left says little of them. Below about one time of decay hardly a peak
+    is left, so that any power above the mean counts.
+    """
+    grid = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
+    coloured = [model for model in models if model.order]
+    power = [np.diagonal(model.spectrum(grid), axis1=1, axis2=2).real.mean(axis=0) for model in coloured]
+    told = []
+    for frequency, damping in modes:
+        if not 0 < damping < _LIGHT:
+            continue
+        decays = 2 * np.pi * frequency * damping * sample_time * n_samples
+        turn = np.array([2 * np.pi * frequency * sample_time * np.sqrt(1 - damping**2)])
+        peaks = [
+            float((np.diagonal(model.spectrum(turn)[0]).real / mean).max())
+            for model, mean in zip(coloured, power, strict=True)
+        ]
+        if decays < _DECAYS and max(peaks, default=0.0) > (1.0 if decays < _HARDLY_ONE else _PEAK):
+            text = (
+                f"intervals may contain the truth less often than they state: at the mode of {frequency:.3g} Hz the "
+                f"errors have {max(peaks):.2g} times their mean power, and the recordings last {decays:.2g} of its "
+                "times of decay; record longer, or free a disturbance gain"
+            )
+            told.append(FitNote.MAY_COVER_LESS(text))
+    return told
+
+
+# ---- Status of a fit: whether what the solver calls converged is an estimate.
+
+_WORSE = 0.01  # part by which the loss may exceed that of a constant: its mean takes a little of the noise along
+_OF_A_MEAN = 10.0  # the same for short records, over the number of samples
+
+
+def explains_nothing(problem: Shooting, products: FloatArray, outputs: list[FloatArray]) -> bool:
+    """Return whether the fit is worse than the mean of each record.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit, for its criterion.
+    products : (n_y, n_y) array
+        Sum of the products of the errors.
+    outputs : list of (n_samples, n_y) array
+        Outputs of each record that are in the cost.
+    """
+    centred = [y - column_means(y) for y in outputs if len(y)]
+    constant = problem.cost(np.asarray(sum(y.T @ y for y in centred)))
+    cost = problem.cost(products)
+    return not cost <= constant + 0.5 * float(np.log1p(_WORSE + _OF_A_MEAN / problem.n_samples))
+
+
+def verdict(
+    status: FitStatus, *, overflows: bool, worse_than_constant: bool, at_edge: bool, undetermined: BoolArray
+) -> FitStatus:
+    """Return the status of a fit, which is a success only for an estimate.
+
+    The solver has checked the first-order optimality already (`gbid.identify.problem.solve`).
+
+    Parameters
+    ----------
+    status : FitStatus
+        Status of the solver.
+    overflows : bool
+        Whether the errors or the parameters are not finite.
+    worse_than_constant : bool
+        Result of `explains_nothing`.
+    at_edge : bool
+        Whether the disturbance gain makes a predictor unstable or almost so, see `Shooting.parts_at_edge`.
+    undetermined : (n_free,) boolean array
+        Free parameters without a finite standard deviation that lie on no bound.
+    """
+    if overflows:
+        return FitStatus.OVERFLOW
+    if not status.success:
+        return status
+    if worse_than_constant:
+        return FitStatus.WORSE_THAN_CONSTANT
+    if at_edge:
+        return FitStatus.UNSTABLE_PREDICTOR
+    return FitStatus.NOT_DETERMINED if undetermined.any() else status
+
+
+# ---- Test whether the errors of a fit come back in its inputs, as through a controller.
+
+_PAST_INPUTS, _PAST_ERRORS = 12, 4  # lags of the regressions
+_AT_ONCE = 1024  # rows
+_MOST = 8192  # samples of a record that are enough
+_SHARE = 0.02  # smallest share of what is new in an input that the errors must explain
+_CERTAIN = 50.0  # the same times the number of samples: far beyond chance for a few regressors
+
+
+def share_of_feedback(record: Record, errors: FloatArray) -> float:
+    """Return the share of an input's innovation that past errors explain, the largest of all inputs.
+
+    Parameters
+    ----------
+    record : Record
+        Inputs of the fit.
+    errors : (n_samples, n_outputs) array
+        Errors of the one-step prediction or of the simulation.
+
+    Returns
+    -------
+    float
+        Between 0 and 1; 0 where nothing is significant.
+
+    Notes
+    -----
+    Errors of the model depend on past inputs. What is new in an input is therefore tested: the part that past inputs do
+    not predict. Without feedback past errors cannot predict it either (Granger, Econometrica 37, 1969).
+    """
+    n = min(record.n_samples, len(errors), _MOST)
+    u, e = record.inputs[:n] - record.inputs[:n].mean(axis=0), errors[:n]
+    begin = max(_PAST_INPUTS, _PAST_ERRORS)
+    columns = (_PAST_INPUTS * u.shape[1], _PAST_ERRORS * e.shape[1])
+    if n - begin < 4 * sum(columns) or not u.any():
+        return 0.0
+    now = u / np.maximum(u[begin:].std(axis=0), np.finfo(float).tiny)
+    past = [(u, lag) for lag in range(1, _PAST_INPUTS + 1)] + [(e, lag) for lag in range(1, _PAST_ERRORS + 1)]
+    triangle = np.zeros((0, sum(columns) + u.shape[1]))
+    for first in range(begin, n, _AT_ONCE):  # QR decomposition of all rows, some at a time
+        last = min(first + _AT_ONCE, n)
+        rows = np.hstack([*(signal[first - lag : last - lag] for signal, lag in past), now[first:last]])
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
+    # In the columns of an input, the rows below those of some regressors are what these leave of it.
+    squares = triangle[:, sum(columns) :] ** 2
+    new, left = (squares[above:].sum(axis=0) for above in (columns[0], sum(columns)))
+    share = 1 - left / np.where(new > 0, new, 1.0)
+    largest = float(np.max(share[new > 1e-9 * (n - begin)], initial=0.0))  # known from its past: left out
+    return largest if largest * (n - begin) > _CERTAIN * columns[1] / 8 else 0.0
+
+
+def feedback_notes(records: Sequence[Record], errors: Sequence[FloatArray]) -> tuple[str, ...]:
+    """Return a note when errors that are not white come back in the inputs, none otherwise."""
+    share = max((share_of_feedback(record, e) for record, e in zip(records, errors, strict=True)), default=0.0)
+    if share < _SHARE:
         return ()
     text = (
-        "the disturbance gain makes the predictor almost unstable: the record is too short to estimate it; "
-        "fix it (fixed=...) or use focus='simulation'"
+        f"past errors explain {100 * share:.0f} % of what is new in an input, as through a controller, and they are "
+        "not white: the estimates have a bias; free a disturbance gain (focus='prediction'), or fit a ClosedLoop"
     )
-    return (FitNote.PREDICTOR_AT_EDGE(text),)
+    return (FitNote.FEEDBACK(text),)

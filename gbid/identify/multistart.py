@@ -16,8 +16,7 @@ from gbid.core.notes import FitNote
 from gbid.identify.fit import fitted
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import Recordings
-from gbid.identify.result import FitResult, StartsTried
-from gbid.identify.status import FitStatus
+from gbid.identify.result import FitResult, FitStatus, StartsTried
 from gbid.structure import AnyStructure, kind_of
 
 _SAME_LOSS = 1e-6  # largest relative difference of the losses of fits at one minimum

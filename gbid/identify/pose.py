@@ -1,34 +1,32 @@
-"""The problem of a fit: data gathered, start values found, and the shooting problem posed from them."""
+"""The problem of a fit: data gathered, start values found, the shooting problem posed from them, and solved."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from itertools import product
 
-import casadi as ca
 import numpy as np
 
 from gbid.core.arrays import FloatArray, one_blas_thread
-from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import takes_options
+from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import Disturbances, disturbances_of
-from gbid.identify.options import Criterion, FitArguments
+from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import (
     Assembly,
     assemble,
-    automatic_window,
     build_problem,
     full_start,
     unknown_bounds,
     with_extra_terms,
 )
-from gbid.identify.problem.hessian import gauss_newton
+from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours
+from gbid.identify.problem.integration import integrated_finely
 from gbid.identify.problem.nlp import Shooting
-from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
+from gbid.identify.problem.solve import Solution, solve
 from gbid.identify.problem.states import (
     InitialStates,
     check_inputs_suffice,
@@ -36,19 +34,11 @@ from gbid.identify.problem.states import (
     initial_states,
     without_disturbances,
 )
-from gbid.identify.robust import RobustLoss, robust_loss
+from gbid.identify.robust import Reweighted, RobustLoss, reweighted_solution, robust_loss
 from gbid.identify.start.scheduled_start import Courses, read_courses, scheduled_start, tied_equations
 from gbid.identify.start.start import Begin, begin_values
-from gbid.identify.uncertainty.coloured import Bootstrap, bootstrap_of
 from gbid.recording import Recording
-from gbid.structure import (
-    AnyStructure,
-    Parameter,
-    as_names,
-    equations_of,
-    kind_of,
-    known_names,
-)
+from gbid.structure import AnyStructure, Parameter, as_names, equations_of, kind_of, known_names
 
 Recordings = Recording | Sequence[Recording]
 
@@ -69,16 +59,10 @@ class FitTask:
         Options, with the names of inputs and outputs.
     hold : {"zoh", "foh"} or sequence of these
         Hold of the inputs.
-    criterion : {"trace", "det"}
-        Criterion.
     states : InitialStates
         Initial states: estimated, fixed, or functions of the parameters.
     disturbances : Disturbances
         Trends and hum.
-    loss : RobustLoss or None
-        Robust loss; None for squared errors.
-    bootstrap : Bootstrap or None
-        Bootstrap of the standard deviations; None without one.
     begin : Begin
         Start values, and where they come from.
     courses : Courses or None
@@ -91,52 +75,49 @@ class FitTask:
     undisturbed: FitData
     options: FitArguments
     hold: Hold | Sequence[Hold]
-    criterion: Criterion
     states: InitialStates
     disturbances: Disturbances
-    loss: RobustLoss | None
-    bootstrap: Bootstrap | None
     begin: Begin
     courses: Courses | None
+
+    @property
+    def loss(self) -> RobustLoss | None:
+        """Robust loss; None for squared errors."""
+        options = self.options
+        return robust_loss(options, len(self.data.output_names)) if options.robust else None
 
     def problem(self, start: Mapping[str, float], window: int | None, *, gain_held: bool = False) -> PosedProblem:
         """Return the shooting problem for start values by the structure's names, in windows of this many samples.
 
         `gain_held` fixes the parameters on which only the disturbance gain depends.
         """
-        options = replace(self.options, intersample=self.hold, criterion=self.criterion, window=window)
-        parameters = self.parameters
+        options = replace(self.options, intersample=self.hold, window=window)
+        structure, parameters, ties = self.structure, self.parameters, None
         if gain_held:
-            gains = kind_of(self.structure).anatomy().gain_only
+            gains = kind_of(structure).anatomy().gain_only
             parameters = tuple(
                 replace(q, fixed=True) if q.name in gains and q.start is not None else q for q in parameters
             )
-        tied = tied_equations(self.structure, parameters, start, self.courses)
+        stated, begin = parameters, start
+        if self.courses is not None and (scheduled := kind_of(structure).scheduled):
+            structure, parameters, begin, ties = tied_equations(scheduled, stated, start, self.courses)
         assembly = assemble(
-            tied.structure,
-            tied.parameters,
-            tied.begin,
+            structure,
+            parameters,
+            begin,
             self.data,
             options,
             disturbances=self.disturbances,
             released=self.states.released,
-            ties=tied.ties,
+            ties=ties,
         )
-        per_record = disturbance_starts(self.disturbances, tied.structure, tied.begin, self.data, self.hold)
-        begin = full_start(assembly, start, per_record)
-        shooting, unknowns = build_problem(assembly, self.data, options, begin)
-        shooting = with_extra_terms(shooting, assembly, self.data, self.states, parameters, unknowns, options)
-        return PosedProblem(
-            self,
-            start,
-            window,
-            parameters,
-            assembly,
-            begin,
-            shooting,
-            unknowns,
-            unknown_bounds(shooting, assembly, self.states),
+        full = full_start(
+            assembly, start, disturbance_starts(self.disturbances, structure, begin, self.data, self.hold)
         )
+        shooting, unknowns = build_problem(assembly, self.data, options, full)
+        shooting = with_extra_terms(shooting, assembly, self.data, self.states, stated, unknowns, options)
+        box = unknown_bounds(shooting, assembly, self.states)
+        return PosedProblem(self, start, window, stated, assembly, full, shooting, unknowns, box)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +172,6 @@ def pose(structure: AnyStructure, recordings: Recordings, options: FitArguments)
     from_data = options.start == "data"
     parameters = _with_options(structure.parameters, options)
     data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10)
-    by_default: Criterion = "det" if len(data.output_names) > 1 and options.output_weights is None else "trace"
-    criterion = by_default if options.criterion == "auto" else options.criterion
     options = replace(options, inputs=inputs, outputs=outputs)
     stated, structure = structure, equations_of(structure)
     scheduled = kind_of(structure).scheduled
@@ -203,7 +182,6 @@ def pose(structure: AnyStructure, recordings: Recordings, options: FitArguments)
     names = [record.name for record in data.records]
     states = initial_states(structure, parameters, options.initial_state, names)
     disturbances = disturbances_of(options, data.output_names, data.sample_time)
-    loss = robust_loss(options, len(data.output_names))
     given = {*({} if from_data else options.start or {}), *(options.fixed or {})}
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
@@ -212,21 +190,7 @@ def pose(structure: AnyStructure, recordings: Recordings, options: FitArguments)
         else:
             begin = begin_values(stated, parameters, undisturbed, hold, given, from_data=from_data)
     structure = structure if inputs else kind_of(structure).without_inputs()
-    return FitTask(
-        structure,
-        parameters,
-        data,
-        undisturbed,
-        options,
-        hold,
-        criterion,
-        states,
-        disturbances,
-        loss,
-        bootstrap_of(options),
-        begin,
-        courses,
-    )
+    return FitTask(structure, parameters, data, undisturbed, options, hold, states, disturbances, begin, courses)
 
 
 def _with_options(parameters: tuple[Parameter, ...], options: FitArguments) -> tuple[Parameter, ...]:
@@ -248,175 +212,114 @@ def _with_options(parameters: tuple[Parameter, ...], options: FitArguments) -> t
     return tuple(changed)
 
 
-# ---- The nonlinear programme of a fit as functions of CasADi.
+# ---- Optimum of a problem: solved, from other disturbance gains too, with the steps and weights that it needs.
 
 
 @dataclass(frozen=True, eq=False)
-class FitProblem(Brief):
-    """Nonlinear programme of a fit: multiple shooting in scaled unknowns.
-
-    The unknowns are the free parameters and the states at the starts of the shooting windows. Times `scale` they are in
-    their own units. The cost is half the logarithm of the criterion. The constraints are the gaps between windows, and
-    the constraints of the caller.
+class Optimum:
+    """Solution of a posed problem.
 
     Attributes
     ----------
-    names : tuple of str
-        Names of the unknowns; ``"run 1[3].x2"`` is the second state at the start of the fourth window of a recording.
-    start, lower, upper : (n,) array
-        Start and bounds of the unknowns, scaled.
-    scale : (n,) array
-        Scales of the unknowns.
-    n_gaps : int
-        Number of the constraints that are gaps; they are the first.
-    functions : NlpFunctions
-        Functions of CasADi as ``casadi.nlpsol`` takes them, with the bounds of the constraints.
+    problem : PosedProblem
+        The problem.
+    shooting : Shooting
+        Its shooting problem, with as many steps of the integrator as the estimates need.
+    solution : Solution
+        Last iterate of the solver, with its status.
+    integration_shift : (n_theta,) array or None
+        How far the estimates move when the step of the integrator is halved; None for a linear structure.
+    reweighted : Reweighted or None
+        Weights of a robust loss; None for squared errors.
+    notes : tuple of str
+        Notes on other minima.
     """
 
-    names: tuple[str, ...]
-    start: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    scale: FloatArray
-    n_gaps: int
-    functions: NlpFunctions
-    _posed: PosedProblem = field(repr=False)
-
-    def _brief(self) -> Description:
-        about = f"{len(self.names)} unknowns, {len(self.functions.lower)} constraints, {self.n_gaps} of them gaps"
-        return brief(self, about, parameters=[q.name for q in self._posed.assembly.free])
-
-    def cost(self, x: Any) -> Any:
-        """Return the cost.
-
-        Parameters
-        ----------
-        x : (n,) array or casadi.MX
-            Scaled unknowns.
-        """
-        return self.functions.value(x)[0]
-
-    def constraints(self, x: Any) -> Any:
-        """Return the constraints: gaps, then those of the caller.
-
-        Parameters
-        ----------
-        x : (n,) array or casadi.MX
-            Scaled unknowns.
-        """
-        return self.functions.value(x)[1]
-
-    def gradient(self, x: Any) -> Any:
-        """Return the gradient of the cost.
-
-        Parameters
-        ----------
-        x : (n,) array or casadi.MX
-            Scaled unknowns.
-        """
-        return self.functions.gradient(x, [])[1]
-
-    def jacobian(self, x: Any) -> Any:
-        """Return the Jacobian of the constraints, sparse.
-
-        Parameters
-        ----------
-        x : (n,) array or casadi.MX
-            Scaled unknowns.
-        """
-        return self.functions.jacobian(x, [])[1]
-
-    def hessian(self, x: Any, multipliers: Any = 0) -> Any:
-        """Return the Hessian of the Lagrangian, sparse and symmetric.
-
-        That of the squared errors is the one of Gauss and Newton, without second derivatives of the predictions. That
-        of an extra cost and, times the `multipliers` of the constraints, of constraints of the caller is exact.
-
-        Parameters
-        ----------
-        x : (n,) array or casadi.MX
-            Scaled unknowns.
-        multipliers : (m,) array or casadi.MX
-            Multipliers of the constraints; zero by default.
-        """
-        return ca.triu2symm(self.functions.hessian(x, [], 1, multipliers))
-
-    @property
-    def sparsity(self) -> dict[Literal["jacobian", "hessian"], ca.Sparsity]:
-        """Sparsity of the Jacobian of the constraints, and of the upper triangle of the Hessian."""
-        return {"jacobian": self.functions.jacobian.sparsity_out(1), "hessian": self.functions.hessian.sparsity_out(0)}
-
-    @property
-    def nlp(self) -> dict[str, ca.MX]:
-        """The programme for ``casadi.nlpsol(name, plugin, nlp, {**functions.derivatives, ...})``."""
-        x = ca.MX.sym("x", len(self.names))
-        f, g = self.functions.value(x)
-        return {"x": x, "f": f, "g": g}
-
-    def parameters(self, x: Any) -> dict[str, float]:
-        """Return the parameters by name, in their own units.
-
-        Parameters
-        ----------
-        x : (n,) array
-            Scaled unknowns.
-        """
-        own = np.asarray(x, float).ravel() * self.scale
-        return {q.name: float(v) for q, v in zip(self._posed.assembly.free, own, strict=False)}
+    problem: PosedProblem
+    shooting: Shooting
+    solution: Solution
+    integration_shift: FloatArray | None
+    reweighted: Reweighted | None
+    notes: tuple[str, ...]
 
 
-@takes_options(FitArguments)
-def fit_problem(structure: AnyStructure, recordings: Recordings, options: FitArguments) -> FitProblem:
-    """Return the nonlinear programme that `gbid.fit` would solve, as functions of CasADi.
+def minimise(problem: PosedProblem) -> Optimum:
+    """Return the optimum of a posed problem.
 
-    Options of the solver and of the standard deviations have no effect.
+    The disturbance gain begins anew where that leads lower; a nonlinear structure is integrated as finely as its
+    estimates need; last come the weights of a robust loss.
+    """
+    task, box = problem.task, problem.box
 
-    Parameters
-    ----------
-    structure : Structure or NonlinearStructure
-        The structure.
-    recordings : Recording or sequence of Recording
-        The recordings.
-    **options
+    def run(start: FloatArray, shooting: Shooting = problem.shooting) -> Solution:
+        return solve(shooting, start, *box, task.options)
+
+    notes, solution = tuple[str, ...](), run(np.clip(problem.unknowns, *box))
+    for _ in range(_ROUNDS):
+        start = lower_elsewhere(problem.shooting, solution.unknowns, box) if solution.status.success else None
+        if start is None:
+            break
+        other, iterations = run(start), solution.iterations
+        costs = [problem.shooting.at(each.unknowns).cost for each in (other, solution)]
+        lower = other.status.success and costs[0] < costs[1]
+        notes = (FOUND,) if lower else (*notes, SUSPECTED)
+        solution = replace(other if lower else solution, iterations=iterations + other.iterations)
+        if not lower:
+            break
+    shooting, solution, shift = integrated_finely(problem.shooting, solution, box, run)
+    reweighted = None
+    if task.loss is not None and solution.status.success:
+        reweighted, solution = reweighted_solution(shooting, solution, task.loss, run)
+    return Optimum(problem, shooting, solution, shift, reweighted, notes)
+
+
+# ---- Other minima of the disturbance gain: where errors are strongly coloured, the first minimum need not
+# be the lowest.
+#
+# With errors that the structure cannot whiten (a stiffening film, process noise) the criterion has several minima, far
+# apart along the disturbance gain. At such a minimum a coarse grid of gains is looked over, all else held. Where the
+# criterion is lower already, the fit begins again.
+
+_STRONGLY = 0.5  # correlation of neighbouring errors
+_MOST_GAINS = 4  # 16 combinations of signs
+_ROUNDS = 3
+FOUND = FitNote.OTHER_MINIMUM(
+    "the criterion has several minima along the disturbance gain: this is the lowest of those met"
+)
+SUSPECTED = FitNote.OTHER_MINIMUM(
+    "the criterion has several minima along the disturbance gain: another start did not converge to a lower one, but "
+    "there may be one; try fit_multistart"
+)
+
+
+def strongly_coloured(problem: Shooting, unknowns: FloatArray) -> bool:
+    """Return whether neighbouring errors are strongly correlated, as at a minimum that is not the lowest."""
+    return not neighbours(problem, unknowns) < _STRONGLY
+
+
+def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArray, FloatArray]) -> FloatArray | None:
+    """Return a point of lower cost with another disturbance gain and all else as it is.
+
+    Each gain is plus or minus the largest of them: sixteen points for the four gains of a bearing.
 
     Returns
     -------
-    FitProblem
-        The problem at the start values.
-
-    Raises
-    ------
-    UsageError, DataError
-        As for `gbid.fit`.
+    (n_unknowns,) array or None
+        None where errors are not strongly coloured, or no point of the grid is lower.
     """
-    task = pose(structure, recordings, options)
-    samples = automatic_window(task.data, options.focus) if options.window == "auto" else options.window
-    with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        posed = task.problem(task.begin.values, samples)
-    shooting = posed.shooting
-    states = kind_of(task.structure).state_names
-    starts = _names_of_starts(posed, [record.name for record in task.data.records], states)
-    return FitProblem(
-        (*(q.name for q in posed.assembly.free), *starts),
-        np.clip(posed.unknowns, *posed.box),
-        *posed.box,
-        shooting.pack(np.ones(shooting.n_theta), np.ones((shooting.n_windows, shooting.n_states))) ** -1,
-        shooting.n_gaps,
-        nlp_functions(shooting, gauss_newton(shooting), Trouble()),
-        posed,
-    )
-
-
-def _names_of_starts(posed: PosedProblem, records: Sequence[str], states: Sequence[str]) -> list[str]:
-    """Return the names of the states at the starts of all windows, in the order of the windows."""
-    problem = posed.shooting
-    following = {int(a): int(b) for a, b in problem.links}
-    named: dict[int, str] = {}
-    for name, window in zip(records, posed.assembly.record_window, strict=True):
-        at, count = int(window), 0
-        named[at] = f"{name}[0]"
-        while at in following:
-            at, count = following[at], count + 1
-            named[at] = f"{name}[{count}]"
-    own = [*states, *(f"x{i + 1}" for i in range(len(states), problem.n_states))]
-    return [f"{named[i]}.{state}" for i in range(problem.n_windows) for state in own]
+    lower, upper = box
+    gains = [i for i in problem.noise if lower[i] < upper[i] and problem.prior.information[i] == 0]
+    if not (0 < len(gains) <= _MOST_GAINS and strongly_coloured(problem, unknowns)):
+        return None
+    joined, kept = in_one_window(problem)
+    theta, starts = joined.unpack(unknowns[kept])
+    least, best = joined.cost(joined.error_products(joined.values(theta), starts)), None
+    size = np.abs(theta[gains]).max()
+    for signs in product((-1.0, 1.0), repeat=len(gains)):
+        candidate = theta.copy()
+        candidate[gains] = np.clip(size * np.array(signs), *(edge[gains] * problem.theta_scale[gains] for edge in box))
+        values = joined.valid_values(candidate)
+        cost = joined.cost(joined.error_products(values, starts)) if values is not None else np.inf
+        if cost < least:
+            least, best = cost, candidate
+    return None if best is None else in_windows(problem, joined, joined.pack(best, starts))

@@ -154,14 +154,14 @@ class Reweighted:
         The problem with weights.
     moments : WeightMoments
         WeightMoments of the weights.
-    light : float
+    outlying : float
         Share of the samples that count less than half.
     """
 
     unweighted: Shooting
     problem: Shooting
     moments: WeightMoments
-    light: float
+    outlying: float
 
     @property
     def factors(self) -> tuple[float, float]:

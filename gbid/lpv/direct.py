@@ -26,8 +26,8 @@ from gbid.identify.predictor import build_predictor
 from gbid.identify.problem.assemble import OwnStructure, Ties, assemble, build_problem, full_start, unknown_bounds
 from gbid.identify.problem.nlp import CLEAR, near_instability
 from gbid.identify.problem.solve import Progress, Solution, solve
-from gbid.identify.status import FitStatus
-from gbid.identify.uncertainty.covariance import RecordInformation, profiled, record_information
+from gbid.identify.result import FitStatus
+from gbid.identify.uncertainty.covariance import Estimate, RecordInformation, profiled, record_information
 from gbid.lpv.estimates import Estimates, Orthonormal, orthonormal
 from gbid.lpv.fit import LPVFit, with_coefficients
 from gbid.lpv.model import ACTUATOR_PARAMETERS, EXPONENTS, LPVModel
@@ -399,9 +399,8 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
         theta, starts = problem.unpack(solution.unknowns)
         free = [[q.name for q in problem.parts[part].predictor.free] for part in part_of]
         kept = [np.array([names.index(name) for name in setting.names]) for names in free]
-        information = record_information(
-            problem, theta, starts, assembly.record_window, np.diag(problem.output_weights)
-        )
+        estimate = Estimate(problem, theta, starts, assembly.record_window)
+        information = record_information(estimate, np.diag(problem.output_weights))
     notes = list(gains.notes)
     if near := [r.name for r, now, before in zip(data.records, held, gains.held, strict=True) if now and not before]:
         if given_up:

@@ -189,12 +189,6 @@ class Matrices(NamedTuple):
         """Number of states, with those of a controller."""
         return int(self.A.shape[0]) + (self.feedback.n_states if self.feedback else 0)
 
-    @property
-    def besides_gain(self) -> tuple[ca.SX, ...]:
-        """All matrices but the disturbance gain."""
-        law = tuple(self.feedback.law) if self.feedback else ()
-        return (self.A, self.B, self.C, self.D, self.B_delayed, self.delay, self.x0, *law)
-
 
 @runtime_checkable
 class Structure(Protocol):

@@ -10,7 +10,7 @@ from fit_cases import ACTUATORS, simulated
 
 import gbid
 from gbid.control import MaxDamping, PeakSensitivity, controller_model, sensitivities, smallest_damping, tune_robust
-from gbid.identify.status import FitStatus
+from gbid.identify.result import FitStatus
 from gbid.lpv import Estimates, LPVFit, fit_lpv
 from gbid.structure import KEY_PARAMETERS
 

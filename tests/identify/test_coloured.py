@@ -9,8 +9,8 @@ from shaken_rig import TRUE, shaken
 import gbid
 from gbid.core.errors import UsageError
 from gbid.identify.data import gather
-from gbid.identify.optimum import FOUND, SUSPECTED, lower_elsewhere
 from gbid.identify.options import FitArguments
+from gbid.identify.pose import FOUND, SUSPECTED, lower_elsewhere
 from gbid.identify.problem.assemble import assemble, build_problem
 from gbid.identify.problem.hessian import ExactHessian, held_up, in_one_window, in_windows
 from gbid.rig import FilmStiffening, ProcessNoise

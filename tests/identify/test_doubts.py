@@ -4,9 +4,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from gbid.identify import fit
+from gbid.identify.judge import far_below_white, hardly_determined, may_cover_less
 from gbid.identify.uncertainty.coloured import ErrorModel
 from gbid.identify.uncertainty.covariance import Covariance
-from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined, may_cover_less
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 

@@ -8,7 +8,7 @@ from shooting_problem import problem
 
 from gbid.identify import fit
 from gbid.identify.problem.hessian import in_one_window, omitted_part
-from gbid.identify.uncertainty.covariance import information_over_records
+from gbid.identify.uncertainty.covariance import Estimate, information_over_records
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 
@@ -31,13 +31,13 @@ def test_the_observed_information_is_the_slope_of_the_gradient(options):
     def gradient(moved):
         at, begun = theta + moved[:n_p], starts.copy()
         begun[first] += moved[n_p:].reshape(len(first), -1)
-        found = information_over_records(joined, 100, at, passed_on(joined, at, begun), first, weight)
+        found = information_over_records(Estimate(joined, at, passed_on(joined, at, begun), first), weight, block=100)
         total = np.zeros(n_all)
         for record in found.sensitivities:
             total[record.columns] -= np.einsum("amk,ab,kb->m", record.psi, weight, record.errors)
         return total
 
-    found = information_over_records(joined, 100, theta, starts, first, weight, observed=True)
+    found = information_over_records(Estimate(joined, theta, starts, first), weight, observed=True, block=100)
     steps = 1e-5 / np.sqrt(np.diag(found.hessian))
     expected = np.array([(gradient(s) - gradient(-s)) / (2 * s.max()) for s in np.diag(steps)])
     size = np.sqrt(np.outer(np.diag(found.hessian), np.diag(found.hessian)))

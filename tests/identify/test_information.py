@@ -5,6 +5,7 @@ import pytest
 from small_problem import small_problem
 
 from gbid.identify.uncertainty.covariance import (
+    Estimate,
     RecordInformation,
     information_over_records,
     profiled,
@@ -21,7 +22,7 @@ def test_hessians_and_scores_of_two_records_are_the_sums_of_their_slopes(window)
     starts = starts * 0  # the errors are those of records that begin at rest
     if window:  # inner windows count for nothing: segments run from their first
         starts[1] = 7.0
-    found = information_over_records(problem, 50, theta, starts, record_window, WEIGHT, shaped=SHAPED)
+    found = information_over_records(Estimate(problem, theta, starts, record_window), WEIGHT, block=50, shaped=SHAPED)
     expected = np.zeros((3, 3))  # gain, then the two initial states
     for i, own in enumerate(slopes):
         places = np.ix_([0, 1 + i], [0, 1 + i])
@@ -39,14 +40,14 @@ def test_hessians_and_scores_of_two_records_are_the_sums_of_their_slopes(window)
 def test_without_feedback_of_errors_a_linear_gain_leaves_nothing_out():
     problem, unknowns, record_window, *_ = small_problem()
     theta, starts = problem.unpack(unknowns)
-    found = information_over_records(problem, 50, theta, starts, record_window, WEIGHT, observed=True)
+    found = information_over_records(Estimate(problem, theta, starts, record_window), WEIGHT, block=50, observed=True)
     np.testing.assert_allclose(found.observed, found.hessian, rtol=1e-6)
 
 
 def test_a_record_by_itself_has_the_same_with_the_sign_of_a_step():
     problem, unknowns, record_window, slopes, errors = small_problem(n=640, records=2)
     theta, starts = problem.unpack(unknowns)
-    found = record_information(problem, theta, starts, record_window, WEIGHT)
+    found = record_information(Estimate(problem, theta, starts, record_window), WEIGHT)
     for own, e, (hessian, scores) in zip(slopes, errors, found, strict=True):
         np.testing.assert_allclose(hessian, 3.0 * own.T @ own, rtol=1e-9, atol=1e-9)
         assert scores.shape == (64, 2)  # blocks of ten samples

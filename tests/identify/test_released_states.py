@@ -149,7 +149,7 @@ def test_the_covariance_by_windows_knows_the_same_states(states, monkeypatch):
     options = {"initial_state": states, "window": 60, "focus": "simulation"}
     options["fixed"] = {} if "structure" in states else {"start": 2.5}
     over_record = fit(EVERYTHING, driven(), **options)
-    monkeypatch.setattr("gbid.identify.uncertainty.covariance.grows", lambda problem, theta, starts: True)
+    monkeypatch.setattr("gbid.identify.uncertainty.covariance.grows", lambda *_: True)
     by_windows = fit(EVERYTHING, driven(), **options)
     np.testing.assert_allclose(by_windows.covariance_white, over_record.covariance_white, rtol=1e-4)
 

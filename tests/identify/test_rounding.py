@@ -38,16 +38,8 @@ def stated(monkeypatch, apart, rounding):
     )
     held = np.zeros(2, bool)
     products = errors.T @ errors
-    return module.covariance(
-        problem,
-        np.ones(2),
-        np.zeros((1, 1)),
-        np.array([0]),
-        products,
-        held,
-        known_starts=np.ones((1, 1), bool),
-        coloured=True,
-    )
+    at = module.Estimate(problem, np.ones(2), np.zeros((1, 1)), np.array([0]), np.ones((1, 1), bool))
+    return module.covariance(at, products, held, coloured=True)
 
 
 @pytest.mark.parametrize("rounding", [1e-9, 1e-7, -3e-11])

@@ -11,12 +11,12 @@ from gbid import LinearStructure, Parameter, Recording, fit
 from gbid.discretise import discretise
 from gbid.discretise.exact import squarings_for
 from gbid.identify import FitStatus, load_fit, save_fit
+from gbid.identify.judge import verdict
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import pose
 from gbid.identify.predictor import Predictor
 from gbid.identify.problem.solve import Watch, distance_from_rest, solve
-from gbid.identify.start.start import gain_parameters, observer_gain, with_gain
-from gbid.identify.uncertainty.doubts import verdict
+from gbid.identify.restarts import gain_parameters, observer_gain, with_gain
 from gbid.structure import LinearModel, evaluate
 
 WILD = {"k": -1000.0, "d": -1.0}
@@ -48,7 +48,7 @@ def test_an_unstable_start_in_windows_of_the_caller(window):
 @pytest.mark.parametrize("window", [None, 100, "auto"])
 def test_a_fit_that_stays_at_an_unstable_model_is_no_success_and_not_white(start, window, monkeypatch):
     """Where no observer can be found, what stays is a status; whiteness is not believed."""
-    monkeypatch.setattr(import_module("gbid.identify.restarts"), "settled_start", lambda *_, **__: None)
+    monkeypatch.setattr(import_module("gbid.identify.restarts"), "observer_start", lambda _: None)
     problem = start_problem("spring")
     result = fit(problem.structure, problem.recording, start=start, focus="simulation", window=window)
     variance = float(np.var(problem.recording.signal("y")))

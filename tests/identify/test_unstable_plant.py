@@ -5,19 +5,8 @@ import pytest
 from start_problems import MAGLEV, START_PROBLEMS, random_start, start_problem
 
 from gbid import fit
-from gbid.identify.restarts import bounded, grows
 from gbid.identify.uncertainty import covariance as module
 from gbid.structure import evaluate
-
-
-def test_windows_are_bounded_by_growth():
-    windows, rate = (128, 64, 512), np.exp(0.05)
-    assert bounded(windows, rate) == (46,)
-    assert rate**46 <= 10 < rate**47
-    assert bounded(windows, 0.99) == windows
-    assert bounded(windows, np.exp(0.02)) == (115, 64)
-    assert grows(rate, 4000)
-    assert not grows(1.0 + 1e-5, 4000)
 
 
 def test_magnetic_levitation_from_its_truth_has_windows_that_contain_a_tenfold_growth():

@@ -351,6 +351,14 @@ class Shooting:
         """First window of each part, and the number of windows, shape (n_parts + 1,)."""
         return np.concatenate([[0], np.cumsum([part.blocks.n_windows for part in self.parts])]).astype(np.int64)
 
+    def windows_from(self, first: int) -> list[int]:
+        """Return a window and those that its record is linked to after it, in the order of time."""
+        following = dict(self.links.tolist())
+        windows = [int(first)]
+        while windows[-1] in following:
+            windows.append(following[windows[-1]])
+        return windows
+
     def pack(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
         """Return the scaled unknowns of parameters (n_p,) and window starts (n_windows, n)."""
         return np.concatenate([theta / self.theta_scale, (starts / self.state_scale).ravel()])

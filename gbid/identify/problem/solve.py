@@ -20,7 +20,7 @@ from gbid.core.errors import GbidError, UsageError
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.hessian import Curvature, ExactHessian, gauss_newton, in_one_window, in_windows
 from gbid.identify.problem.nlp import Iterate, Pattern, Shooting
-from gbid.identify.status import FitStatus
+from gbid.identify.result import FitStatus
 
 # ---- Python functions as CasADi callbacks.
 

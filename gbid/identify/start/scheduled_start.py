@@ -19,7 +19,7 @@ from gbid.identify.problem.assemble import Ties, assemble, build_problem, full_s
 from gbid.identify.problem.solve import solve
 from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
-from gbid.structure import AnyStructure, Parameter, Structure, kind_of
+from gbid.structure import Parameter, Structure
 from gbid.structure.scheduling import Schedule, ScheduledStructure, coefficient_names
 
 _DARK = 1e-7  # terms are not determined when a singular value is below this share of the largest
@@ -50,8 +50,8 @@ class Courses:
         The mean of a term, not the term of the mean: a parameter that is linear in the terms has its mean there.
         """
         return [
-            np.add.reduceat(self.schedule.terms(own), [0, *edges]) / np.diff([0, *edges, len(own)])[:, None]
-            for own, edges in zip(self.values, self.edges, strict=True)
+            np.add.reduceat(self.schedule.terms(values), [0, *edges]) / np.diff([0, *edges, len(values)])[:, None]
+            for values, edges in zip(self.values, self.edges, strict=True)
         ]
 
     def ties(self, parameters: Sequence[Parameter]) -> Ties:
@@ -62,16 +62,10 @@ class Courses:
         parameters : sequence of Parameter
             Parameters of the scheduled structure, with the coefficients among them.
         """
-        k, m = len(self.schedule.surfaces), len(self.schedule.exponents)
-        rows = np.concatenate(self.terms)
-        maps = np.zeros((len(rows), k, k * m))
-        for i in range(k):
-            maps[:, i, i * m : (i + 1) * m] = rows
-        names = [name for key in self.schedule.surfaces for name in self.schedule.names(key)]
-        known = {q.name: q for q in parameters}
-        return Ties(
-            self.schedule.surfaces, tuple(known[name] for name in names), maps, (), np.zeros((k, 0)), self.edges
-        )
+        surfaces, known = self.schedule.surfaces, {q.name: q for q in parameters}
+        maps = np.array([np.kron(np.eye(len(surfaces)), row) for row in np.concatenate(self.terms)])
+        shared = tuple(known[name] for key in surfaces for name in self.schedule.names(key))
+        return Ties(surfaces, shared, maps, (), np.zeros((len(surfaces), 0)), self.edges)
 
 
 def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording]) -> Courses:
@@ -85,7 +79,8 @@ def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording])
     values = tuple(np.column_stack([_variable(r, name) for name in structure.scheduling]) for r in recordings)
     together = np.concatenate(values)
     edges = tuple(
-        _edges(own, max(2, round(structure.piece_s / r.sample_time))) for own, r in zip(values, recordings, strict=True)
+        _edges(each, max(2, round(structure.piece_s / r.sample_time)))
+        for each, r in zip(values, recordings, strict=True)
     )
     schedule = Schedule(
         structure.scheduling,
@@ -93,7 +88,7 @@ def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording])
         tuple(together.max(axis=0).tolist()),
         structure.surfaces,
         structure.exponents,
-        sum(len(own) + 1 for own in edges),
+        sum(len(each) + 1 for each in edges),
         structure.pade_order,
     )
     courses = Courses(schedule, values, edges)
@@ -113,10 +108,10 @@ def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording])
 def _variable(recording: Recording, name: str) -> FloatArray:
     """Return a scheduling variable of a recording, (n_samples,)."""
     if name in recording.signals:
-        found = recording.signal(name)
-        if found.shape[1] != 1 or not np.isfinite(found).all():
+        values = recording.signal(name)
+        if values.shape[1] != 1 or not np.isfinite(values).all():
             raise DataError(f"recording {recording.name!r}: signal {name!r} must be one channel of finite numbers")
-        return found[:, 0]
+        return values[:, 0]
     if name not in recording.conditions:
         raise DataError(
             f"recording {recording.name!r} has neither a signal nor a condition {name!r}, which the parameters follow; "
@@ -152,14 +147,14 @@ def fit_part(
     part: FitData,
     intersample: Hold | Sequence[Hold],
     focus: Focus,
-    asked: Set[str],
+    given: Set[str],
 ) -> PartFit | None:
     """Return the estimates from a part of a recording; None when the solver does not converge.
 
-    The arguments are those of `gbid.fit`. The variances are those of white errors with known initial states: they only
-    weight the estimates of several parts.
+    The arguments are those of `scheduled_start`. The variances are those of white errors with known initial states:
+    they only weight the estimates of several parts.
     """
-    begin = begin_values(structure, parameters, part, intersample, asked, from_data=False).values
+    begin = begin_values(structure, parameters, part, intersample, given, from_data=False).values
     options = replace(_OPTIONS, intersample=intersample, focus=focus)
     assembly = assemble(structure, parameters, begin, part, options)
     problem, unknowns = build_problem(assembly, part, options, full_start(assembly, begin))
@@ -171,9 +166,9 @@ def fit_part(
     if not (solution.status.success and np.isfinite(products).all()):
         return None
     weight = np.asarray(problem.n_samples * np.linalg.inv(products), np.float64)
+    ((group, sums),) = zip(problem.parts, problem.sweeps(values, starts, weight), strict=True)
     hessian = np.zeros((len(theta), len(theta)))
-    for own, sums in zip(problem.parts, problem.sweeps(values, starts, weight), strict=True):
-        hessian[np.ix_(own.index, own.index)] += sums.hessian
+    hessian[np.ix_(group.index, group.index)] = sums.hessian
     known = dict(zip((q.name for q in assembly.free), theta.tolist(), strict=True))
     spread = dict(zip(known, _inverse_diagonal(hessian).tolist(), strict=True))
     return PartFit({**begin, **known}, {**dict.fromkeys(begin, 0.0), **spread})
@@ -200,7 +195,7 @@ def scheduled_start(
     courses: Courses,
     intersample: Hold | Sequence[Hold],
     focus: Focus,
-    asked: Set[str],
+    given: Set[str],
 ) -> Begin:
     """Return the start values of all parameters.
 
@@ -221,7 +216,7 @@ def scheduled_start(
         Behaviour of the inputs between samples.
     focus
         As for `gbid.fit`.
-    asked : set of str
+    given : set of str
         Parameters whose value comes from the caller.
 
     Raises
@@ -229,17 +224,18 @@ def scheduled_start(
     DataError
         When too few parts can be fitted.
     """
-    coefficients = {name for key in structure.surfaces for name in courses.schedule.names(key)}
+    schedule, m = courses.schedule, len(courses.schedule.exponents)
+    coefficients = {name for key in structure.surfaces for name in schedule.names(key)}
     stated = {q.name: q.start for q in parameters if q.start is not None and (q.fixed or q.name in coefficients)}
     if all(q.start is not None for q in parameters):
         values = {q.name: float(q.start or 0.0) for q in parameters}
-        return Begin(values, {name: "user" if name in asked else "structure" for name in values}, ())
+        return Begin(values, {name: "user" if name in given else "structure" for name in values}, ())
     known = {q.name: q for q in parameters}
-    own = tuple(known.get(q.name, q) for q in structure.base.parameters)
-    found: list[PartFit] = []
-    at: list[FloatArray] = []
+    local = tuple(known.get(q.name, q) for q in structure.base.parameters)
+    fits: list[PartFit] = []
+    terms: list[FloatArray] = []
     failure = "they are too short"
-    needed = -(-2 * len(courses.schedule.exponents) // len(data.records))
+    needed = -(-2 * m // len(data.records))
     for record, course in zip(data.records, courses.values, strict=True):
         seconds = record.n_samples * data.sample_time
         count = int(np.clip(max(seconds // _LENGTH_S, needed), 1, min(_MOST, max(1, record.n_samples // _SHORTEST))))
@@ -248,32 +244,30 @@ def scheduled_start(
             inputs, outputs = (rows[a:b] - rows[a:b].mean(axis=0) for rows in (record.inputs, record.outputs))
             part = replace(data, records=(Record(record.name, inputs, outputs),))
             try:
-                made = fit_part(structure.base, own, part, intersample, focus, asked)
+                estimates = fit_part(structure.base, local, part, intersample, focus, given)
             except (GbidError, np.linalg.LinAlgError) as error:
                 failure = str(error)
                 continue
-            if made is not None:
-                found.append(made)
-                at.append(courses.schedule.terms(course[a:b]).mean(axis=0))
-    terms, m = np.array(at), len(courses.schedule.exponents)
-    if len(found) < m or np.linalg.matrix_rank(terms, 1e-6) < m:
+            if estimates is not None:
+                fits.append(estimates)
+                terms.append(schedule.terms(course[a:b]).mean(axis=0))
+    if len(fits) < m or np.linalg.matrix_rank(terms, 1e-6) < m:
         raise DataError(
-            f"{structure.name}: {len(found)} parts of the recordings could be fitted alone, too few for {m} terms "
+            f"{structure.name}: {len(fits)} parts of the recordings could be fitted alone, too few for {m} terms "
             f"({failure}); give start values (start=...), or longer recordings"
         )
-    begun: dict[str, float] = {}
-    every = np.concatenate(courses.terms)
-    for q in own:
-        values_of = np.array([each.values[q.name] for each in found])
+    begin: dict[str, float] = {}
+    for q in local:
+        values_of = np.array([each.values[q.name] for each in fits])
         if q.name in structure.surfaces:
-            std = np.sqrt([each.variances[q.name] for each in found])
-            surface = _inside(_robust(terms, values_of, std), every, q)
-            begun |= dict(zip(courses.schedule.names(q.name), surface.tolist(), strict=True))
+            std = np.sqrt([each.variances[q.name] for each in fits])
+            surface = _inside(_robust(np.array(terms), values_of, std), np.concatenate(courses.terms), q)
+            begin |= dict(zip(schedule.names(q.name), surface.tolist(), strict=True))
         else:
-            begun[q.name] = float(np.median(values_of))
-    values = {q.name: float(np.clip(stated.get(q.name, begun[q.name]), q.lower, q.upper)) for q in parameters}
-    note = f"start values: surfaces through fits to {len(found)} parts of the recordings with constant parameters"
-    origin = {name: "user" if name in asked else "data" for name in values}
+            begin[q.name] = float(np.median(values_of))
+    values = {q.name: float(np.clip(stated.get(q.name, begin[q.name]), q.lower, q.upper)) for q in parameters}
+    note = f"start values: surfaces through fits to {len(fits)} parts of the recordings with constant parameters"
+    origin = {name: "user" if name in given else "data" for name in values}
     return Begin(values, origin, (FitNote.STARTS_FROM_DATA(note),))
 
 
@@ -301,68 +295,55 @@ def _inside(coefficients: FloatArray, terms: FloatArray, q: Parameter) -> FloatA
     return np.asarray(flat + min(share, 1.0) * (coefficients - flat))
 
 
-# ---- What a fit hands to the assembly: a structure with its own parameters, and what they are tied to.
+# ---- Equations with constant parameters, and how these follow from the parameters of a fit.
 
 
-@dataclass(frozen=True)
-class TiedEquations:
+class TiedEquations(NamedTuple):
     """Structure with constant parameters, and its ties to the parameters of the fit.
 
     Attributes
     ----------
-    structure : AnyStructure
+    structure : Structure
         Equations.
     parameters : tuple of Parameter
         Parameters of the equations.
     begin : dict of str to float
         Start values of these, at the mean of the courses.
-    ties : Ties or None
-        How they follow from the parameters of the fit; None where they are the same.
+    ties : Ties
+        How they follow from the parameters of the fit.
     """
 
-    structure: AnyStructure
+    structure: Structure
     parameters: tuple[Parameter, ...]
     begin: Mapping[str, float]
-    ties: Ties | None
+    ties: Ties
 
 
 def tied_equations(
-    structure: AnyStructure,
-    parameters: tuple[Parameter, ...],
-    begin: Mapping[str, float],
-    courses: Courses | None,
+    structure: ScheduledStructure, parameters: Sequence[Parameter], begin: Mapping[str, float], courses: Courses
 ) -> TiedEquations:
     """Return the equations of a fit; `parameters` and `begin` are those of its structure."""
-    scheduled = kind_of(structure).scheduled
-    if scheduled is None or courses is None:
-        return TiedEquations(structure, parameters, begin, None)
-    names = courses.schedule.names
-    coefficients = {name for key in scheduled.surfaces for name in names(key)}
-    if held := [q.name for q in parameters if q.fixed and q.name in coefficients]:
+    names, known = courses.schedule.names, {q.name: q for q in parameters}
+    if held := [name for key in structure.surfaces for name in names(key) if known[name].fixed]:
         raise UsageError(
             f"fixed: {', '.join(held)}; coefficients of surfaces are estimated. Leave a parameter out of the surfaces "
             "(gbid.scheduled(..., surfaces=[...])) to fix it"
         )
     mean = np.concatenate(courses.terms).mean(axis=0)
-    at_mean = {key: float(mean @ [begin[name] for name in names(key)]) for key in scheduled.surfaces}
-    known = {q.name: q for q in parameters}
-    own = tuple(
+    at_mean = {key: float(mean @ [begin[name] for name in names(key)]) for key in structure.surfaces}
+    local = tuple(
         replace(q, start=float(np.clip(at_mean[q.name], q.lower, q.upper))) if q.name in at_mean else known[q.name]
-        for q in scheduled.base.parameters
+        for q in structure.base.parameters
     )
-    values = {q.name: at_mean[q.name] if q.name in at_mean else begin[q.name] for q in own}
-    return TiedEquations(scheduled.base, own, values, courses.ties(parameters))
+    values = {q.name: at_mean[q.name] if q.name in at_mean else begin[q.name] for q in local}
+    return TiedEquations(structure.base, local, values, courses.ties(parameters))
 
 
-def centre_tie(structure: AnyStructure, predictor: Sequence[Parameter], free: Sequence[str]) -> FloatArray | None:
+def centre_tie(structure: ScheduledStructure, predictor: Sequence[Parameter], free: Sequence[str]) -> FloatArray:
     """Return the matrix from the free parameters of a fit to those of a predictor in the middle of the range.
 
-    Only the first coefficient of each surface counts there. None for a structure with constant parameters.
+    Only the first coefficient of each surface counts there.
     """
-    scheduled = kind_of(structure).scheduled
-    if scheduled is None:
-        return None
+    first = {name: coefficient_names(name, 1)[0] for name in structure.surfaces}
     place = {name.partition("[")[0]: i for i, name in reversed(list(enumerate(free)))}
-    own = [q.name for q in predictor]
-    names = [coefficient_names(name, 1)[0] if name in scheduled.surfaces else name for name in own]
-    return np.eye(len(free))[[place[name] for name in names]]
+    return np.eye(len(free))[[place[first.get(q.name, q.name)] for q in predictor]]

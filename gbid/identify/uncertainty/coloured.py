@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -13,9 +13,6 @@ from scipy.special import chdtrc
 
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from gbid.identify.data import column_means
-from gbid.identify.kernel.blocks import Blocks, Prediction
-from gbid.identify.kernel.sums import Kernel, Linked
-from gbid.identify.options import DRAWS, FitOptions
 from gbid.identify.predictor import PredictorValues
 
 _LONGEST = 150  # largest order of the model
@@ -255,113 +252,6 @@ class RecordSensitivities(NamedTuple):
     feedback: tuple[PredictorValues, IntArray] | None = None
 
 
-class SegmentSensitivities(NamedTuple):
-    """Sensitivities of a segment by the parameters of its predictor and the state at its start, (n_y, n_p + n, N)."""
-
-    psi: FloatArray
-    errors: FloatArray
-    counted: BoolArray
-
-
-def of_segment(
-    kernel: Kernel, v: Any, blocks: Blocks, prediction: Prediction, linked: Linked, segment: int
-) -> SegmentSensitivities:
-    """Return the sensitivities of one segment of a part.
-
-    Parameters
-    ----------
-    kernel : Kernel
-        Kernel of the part.
-    v
-        Its predictor at the parameters.
-    blocks : Blocks
-        The segments of the part, each as one window.
-    prediction : Prediction
-        States and errors from the starts of the blocks.
-    linked : Linked
-        Sensitivities of the starts of the blocks.
-    segment : int
-        Position of the segment.
-
-    Returns
-    -------
-    SegmentSensitivities
-        Sensitivities, errors, and which samples count.
-    """
-    first = int(blocks.window_first[segment])
-    stop = first + int(blocks.window_size[segment])
-    n_y = blocks.y.shape[2]
-    psi = kernel.sensitivities(v, blocks, prediction, linked, slice(first, stop))
-    n_samples = int(blocks.size[first:stop].sum())
-    return SegmentSensitivities(
-        psi.reshape(n_y, psi.shape[0] // n_y, -1)[:, :, :n_samples],
-        blocks.by_segment(prediction.errors)[segment],
-        blocks.by_segment(blocks.used[:, :, None])[segment][:, 0] > 0,
-    )
-
-
-def tied_sensitivities(sensitivities: SegmentSensitivities, tie: FloatArray | None) -> SegmentSensitivities:
-    """Return sensitivities by the unknowns of a problem, ``theta = tie @ unknowns``; see `RecordGroup`."""
-    if tie is None:
-        return sensitivities
-    n = len(tie)
-    by_theta = np.einsum("op,yot->ypt", tie, sensitivities.psi[:, :n], optimize=True)
-    return sensitivities._replace(psi=np.concatenate([by_theta, sensitivities.psi[:, n:]], axis=1))
-
-
-def tied_values(v: PredictorValues, tie: FloatArray | None) -> PredictorValues:
-    """Return a predictor with derivatives by the unknowns of a problem, ``theta = tie @ unknowns``."""
-    if tie is None:
-        return v
-    dF, dG, dC, dH = (np.tensordot(tie.T, slope, 1) for slope in (v.dF, v.dG, v.dC, v.dH))
-    return v._replace(dF=dF, dG=dG, dC=dC, dH=dH)
-
-
-def joined_segments(
-    segments: list[tuple[SegmentSensitivities, IntArray, FloatArray]],
-    feedback: tuple[PredictorValues, IntArray] | None,
-) -> RecordSensitivities:
-    """Return the sensitivities of a record from those of its segments, in the order of time.
-
-    Parameters
-    ----------
-    segments : list of (SegmentSensitivities, (n_p,) integer array, (n, n_all) array)
-        Each segment with the positions of its parameters, and the sensitivity of its start by all unknowns.
-    feedback : (PredictorValues, (n_p,) integer array), optional
-        Predictor with feedback of measured outputs, and the positions of its parameters.
-
-    Returns
-    -------
-    RecordSensitivities
-        Sensitivities by the unknowns that matter.
-    """
-    if len(segments) == 1:  # its start is the initial state itself
-        segment, index, start = segments[0]
-        columns = np.concatenate([index, np.flatnonzero(start.any(axis=0))])
-        among = None if feedback is None else (feedback[0], np.arange(len(index)))
-        return RecordSensitivities(columns, segment.psi, segment.errors, segment.counted, among)
-    n_all = segments[0][2].shape[1]
-    touched = np.zeros(n_all, bool)
-    for _, index, start in segments:
-        touched[index] = True
-        touched |= start.any(axis=0)
-    columns = np.flatnonzero(touched)
-    place = np.cumsum(touched) - 1
-    stretches = []
-    for segment, index, start in segments:
-        n_p = len(index)
-        psi = start[:, columns].T @ segment.psi[:, n_p:]
-        psi[:, place[index]] += segment.psi[:, :n_p]
-        stretches.append(psi)
-    return RecordSensitivities(
-        columns,
-        np.concatenate(stretches, axis=2),
-        np.concatenate([segment.errors for segment, _, _ in segments]),
-        np.concatenate([segment.counted for segment, _, _ in segments]),
-        None if feedback is None else (feedback[0], place[feedback[1]]),
-    )
-
-
 # ---- Covariance of the gradient for coloured errors: exact for a model of the errors of each record.
 
 _ROUNDS = 2  # rounds in which the part of the errors that the fit took away is given back
@@ -559,13 +449,6 @@ class Bootstrap:
 
     draws: int
     seed: int
-
-
-def bootstrap_of(options: FitOptions) -> Bootstrap | None:
-    """Return the bootstrap of the options of a fit; None for ``std="auto"``."""
-    if options.std == "auto":
-        return None
-    return Bootstrap(options.bootstrap_draws or DRAWS, options.bootstrap_seed or 0)
 
 
 class Estimator(NamedTuple):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from gbid.discretise import Dual
 from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.kernel.sums import Sweep, Traced, tied
-from gbid.identify.predictor import Predictor
+from gbid.identify.predictor import Predictor, PredictorValues
 from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_part
 from gbid.identify.problem.integration import linearised
 from gbid.identify.problem.nlp import RecordGroup, Shooting
@@ -27,18 +28,78 @@ from gbid.identify.uncertainty.coloured import (
     RecordSensitivities,
     Transform,
     bootstrap_factors,
-    joined_segments,
-    of_segment,
     score_covariance,
-    tied_sensitivities,
-    tied_values,
     transformed,
 )
-from gbid.identify.uncertainty.uncertain_model import ModelSlopes
+from gbid.identify.uncertainty.uncertain_model import ModelSlopes, std_of
+
+_GROWTH = 1e3  # of a model over a record, up to which one pass over the record is accurate
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Point of a fit at which its information and covariance are taken.
+
+    Attributes
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    theta : (n_p,) array
+        Free parameters.
+    starts : (n_windows, n) array
+        Initial states of the windows.
+    record_window : (n_records,) integer array
+        First window of each record.
+    known_starts : (n_records, n) boolean array, optional
+        Initial states that were given instead of estimated; by default none.
+    """
+
+    problem: Shooting
+    theta: FloatArray
+    starts: FloatArray
+    record_window: IntArray
+    known_starts: BoolArray | None = None
+
+    @property
+    def n_all(self) -> int:
+        """Number of parameters and, after them, initial states of the records."""
+        return self.problem.n_theta + len(self.record_window) * self.problem.n_states
+
+    @property
+    def given(self) -> BoolArray:
+        """Initial states that were given instead of estimated, (n_records, n)."""
+        none = np.zeros((len(self.record_window), self.problem.n_states), bool)
+        return none if self.known_starts is None else self.known_starts
+
+    @cached_property
+    def segments(self) -> dict[int, tuple[int, int]]:
+        """Part of each segment and its place there, by the number of its first window over all parts."""
+        firsts = zip(self.problem.parts, self.problem.first_window[:-1].tolist(), strict=True)
+        return {
+            first + window: (k, i)
+            for k, (part, first) in enumerate(firsts)
+            for i, window in enumerate(part.blocks.segment_first.tolist())
+        }
+
+    def parts(self) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
+        """Return the predictor of each part at the estimates, the part, and the starts of its windows."""
+        return self.problem.each(self.problem.values(self.theta), self.starts)
+
+
+def grows(at: Estimate) -> bool:
+    """Return whether the model grows so much over a record that sensitivities have to be taken by windows."""
+    longest = max(segment.outputs.shape[0] for part in at.problem.parts for segment in part.blocks.segments)
+    rate = at.problem.rate(at.theta, at.starts)
+    return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH))
+
 
 # ---- Information of records on parameters and initial states: Hessians of the cost and gradients of blocks.
 
 _BLOCKS, _SHORTEST = 64, 8  # number of blocks of a record, in which scores are summed; samples in the shortest
+_BLOCK = 64  # samples of a block of the pass
+
+Chains = dict[int, tuple[FloatArray, int]]
+"""Sensitivity of the state at the start of a segment by all unknowns, (n, n_all), and its record, by first window."""
 
 
 class Information(NamedTuple):
@@ -78,91 +139,60 @@ class RecordInformation(NamedTuple):
 
 
 def information_over_records(
-    problem: Shooting,
-    block: int,
-    theta: FloatArray,
-    starts: FloatArray,
-    record_window: IntArray,
-    weight: FloatArray,
-    *,
-    shaped: FloatArray | None = None,
-    observed: bool = False,
+    at: Estimate, weight: FloatArray, *, shaped: FloatArray | None = None, observed: bool = False, block: int = _BLOCK
 ) -> Information:
     """Return the information of all records, from a pass over whole segments.
 
     Parameters
     ----------
-    problem : Shooting
-        Problem of the fit.
-    block : int
-        Largest number of samples of a block, for which gradients are summed.
-    theta : (n_p,) array
-        Free parameters.
-    starts : (n_windows, n) array
-        Initial states of the windows.
-    record_window : (n_records,) integer array
-        First window of each record.
+    at : Estimate
+        The estimates.
     weight : (n_y, n_y) array
         Weight W of the errors.
     shaped : (n_y, n_y) array, optional
         Another weight, for a second Gauss-Newton Hessian.
     observed : bool
         Whether the exact Hessian is computed.
+    block : int
+        Largest number of samples of a block, for which gradients are summed.
 
     Returns
     -------
     Information
         Derivatives by parameters and initial states.
     """
-    n, n_p = problem.n_states, problem.n_theta
-    n_all = n_p + len(record_window) * n
-    chains: dict[int, tuple[FloatArray, int]] = {}  # start of the segment at a window: sensitivity, record
-    for record, window in enumerate(record_window):
-        T = np.zeros((n, n_all))
-        T[:, n_p + record * n : n_p + (record + 1) * n] = np.eye(n)
-        chains[int(window)] = T, record
-    weights = [weight] if shaped is None else [weight, shaped]
+    problem, weights = at.problem, [weight] if shaped is None else [weight, shaped]
     cuts, passes = [], []
-    for v, part, first in zip(problem.values(theta), problem.parts, problem.first_window[:-1], strict=True):
+    for v, part, starts in at.parts():
         if observed or part.blocks.length < block:  # sensitivities are made of short blocks
             cuts.append(cut(part.blocks.segments, part.predictor, None, longest_block=block))
         else:
             cuts.append(part.blocks.by_whole_segments())
-        begin = starts[first + part.blocks.segment_first]
-        passes.append(part.kernel.trace(v, cuts[-1], begin, weights))
-    sums = [[tied(each.sums, part.tie) for each in own] for part, own in zip(problem.parts, passes, strict=True)]
-    _follow_segments(problem, [own[0] for own in sums], chains)
-    gauss_newton = [np.zeros((n_all, n_all)) for _ in passes[0]]
-    omitted = _omitted(problem, theta, starts, [own[0] for own in sums], weight) if observed else []
-    whole = np.zeros((n_all, n_all))
-    for k, (part, own) in enumerate(zip(problem.parts, sums, strict=True)):
-        windows = problem.first_window[k] + part.blocks.segment_first
-        along = [chains[int(window)][0] for window in windows]
-        for total, each in zip(gauss_newton, own, strict=True):
-            _add(total, part.index, PartHessian(each.hessian, each.hessian_mixed), each.hessian_start, along)
+        passes.append(part.kernel.trace(v, cuts[-1], starts[part.blocks.segment_first], weights))
+    sums = [[tied(each.sums, part.tie) for each in made] for part, made in zip(problem.parts, passes, strict=True)]
+    first_sums = [each[0] for each in sums]
+    chains = _chains(at, first_sums)
+    totals = [np.zeros((at.n_all, at.n_all)) for _ in range(len(weights) + observed)]
+    omitted = _omitted(at, first_sums, weight) if observed else []
+    for k, (part, each) in enumerate(zip(problem.parts, sums, strict=True)):
+        along = [chains[int(problem.first_window[k] + window)][0] for window in part.blocks.segment_first]
+        hessians = [PartHessian(own.hessian, own.hessian_mixed) for own in each]
         if observed:
             more = _symmetric(omitted[k], part.tie)
-            exact = PartHessian(own[0].hessian + more.theta, own[0].hessian_mixed + more.mixed)
-            _add(whole, part.index, exact, own[0].hessian_start, along)
-    sensitivities = _sensitivities(problem, theta, cuts, [own[0] for own in passes], chains)
-    return Information(gauss_newton[0], gauss_newton[-1], whole if observed else None, sensitivities)
+            hessians.append(PartHessian(each[0].hessian + more.theta, each[0].hessian_mixed + more.mixed))
+        for total, hessian, own in zip(totals, hessians, [*each, each[0]], strict=False):
+            _add(total, part.index, hessian, own.hessian_start, along)
+    sensitivities = _sensitivities(at, cuts, [made[0] for made in passes], chains)
+    return Information(totals[0], totals[len(weights) - 1], totals[-1] if observed else None, sensitivities)
 
 
-def record_information(
-    problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, weight: FloatArray
-) -> list[RecordInformation]:
+def record_information(at: Estimate, weight: FloatArray) -> list[RecordInformation]:
     """Return the information of each record on its own parameters, from one pass.
 
     Parameters
     ----------
-    problem : Shooting
-        Problem with one segment per record.
-    theta : (n_p,) array
-        Free parameters.
-    starts : (n_windows, n) array
-        Initial states of the windows.
-    record_window : (n_records,) integer array
-        First window of each record.
+    at : Estimate
+        Estimates of a problem with one segment per record.
     weight : (n_y, n_y) array
         Weight W of the errors.
 
@@ -171,18 +201,18 @@ def record_information(
     list of RecordInformation
         In the order of the records.
     """
-    information = {}
-    for v, part, first in zip(problem.values(theta), problem.parts, problem.first_window[:-1], strict=True):
-        for segment, window in zip(part.blocks.segments, part.blocks.segment_first, strict=True):
-            length = min(max(len(segment.outputs) // _BLOCKS, _SHORTEST), LONGEST_BLOCK)
-            blocks = cut([segment], part.predictor, None, longest_block=length)
-            (traced,) = part.kernel.trace(v, blocks, starts[first + window][None], [weight])
-            mixed = traced.sums.hessian_mixed[0]
-            information[int(first + window)] = RecordInformation(
-                np.block([[traced.sums.hessian, mixed], [mixed.T, traced.sums.hessian_start[0]]]),
-                -_scores(traced),
-            )
-    return [information[int(window)] for window in record_window]
+    parts, information = list(at.parts()), []
+    for window in at.record_window:
+        k, i = at.segments[int(window)]
+        v, part, _ = parts[k]
+        segment = part.blocks.segments[i]
+        length = min(max(len(segment.outputs) // _BLOCKS, _SHORTEST), LONGEST_BLOCK)
+        blocks = cut([segment], part.predictor, None, longest_block=length)
+        (traced,) = part.kernel.trace(v, blocks, at.starts[window][None], [weight])
+        mixed = traced.sums.hessian_mixed[0]
+        hessian = np.block([[traced.sums.hessian, mixed], [mixed.T, traced.sums.hessian_start[0]]])
+        information.append(RecordInformation(hessian, -_scores(traced)))
+    return information
 
 
 def profiled(information: RecordInformation, kept: IntArray) -> RecordInformation:
@@ -206,38 +236,107 @@ def _scores(traced: Traced) -> FloatArray:
     return np.hstack([by_theta, (by_start @ traced.linked.by_start)[:, 0]])
 
 
+def _chains(at: Estimate, sums: Sequence[Sweep]) -> Chains:
+    """Propagate sensitivities from segment to segment of a record, over the stretches that are left out."""
+    problem, n = at.problem, at.problem.n_states
+    chains: Chains = {}
+    for record, window in enumerate(at.record_window):
+        T = np.zeros((n, at.n_all))
+        T[:, problem.n_theta + record * n : problem.n_theta + (record + 1) * n] = np.eye(n)
+        chains[int(window)] = T, record
+    firsts = sorted(at.segments)
+    for a, b in problem.links.tolist():
+        if b in at.segments:  # a segment is entered only at its first window
+            window = firsts[np.searchsorted(firsts, a, side="right") - 1]
+            (k, i), (T, record) = at.segments[window], chains[window]
+            following = sums[k].end_start[i] @ T
+            following[:, problem.parts[k].index] += sums[k].end_theta[i]
+            chains[b] = following, record
+    return chains
+
+
 def _sensitivities(
-    problem: Shooting,
-    theta: FloatArray,
-    cuts: Sequence[Blocks],
-    passes: Sequence[Traced],
-    chains: dict[int, tuple[FloatArray, int]],
+    at: Estimate, cuts: Sequence[Blocks], passes: Sequence[Traced], chains: Chains
 ) -> Iterator[RecordSensitivities]:
     """Return an iterator over the sensitivities of the records; all at once would fill the memory."""
-    of_record: dict[int, list[tuple[int, int, int]]] = {}  # windows, parts and places of its segments
-    for k, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
-        for i, window in enumerate(part.blocks.segment_first):
-            at = int(first + window)
-            of_record.setdefault(chains[at][1], []).append((at, k, i))
-    values = problem.values(theta)
+    parts = list(at.parts())
     predictions = [
-        part.kernel.passed(v, blocks, own.begin)
-        for v, part, blocks, own in zip(values, problem.parts, cuts, passes, strict=True)
+        part.kernel.passed(v, blocks, traced.begin)
+        for (v, part, _), blocks, traced in zip(parts, cuts, passes, strict=True)
     ]
 
-    def of(own_segments: list[tuple[int, int, int]]) -> RecordSensitivities:
-        segments, feedback = [], None
-        for at, k, i in sorted(own_segments):
-            own, part = (
-                of_segment(problem.parts[k].kernel, values[k], cuts[k], predictions[k], passes[k].linked, i),
-                problem.parts[k],
-            )
-            segments.append((tied_sensitivities(own, part.tie), part.index, chains[at][0]))
-            if part.predictor.feeds_back:
-                feedback = tied_values(part.kernel.feedback(values[k], cuts[k], predictions[k]), part.tie), part.index
-        return joined_segments(segments, feedback)
+    def of_segment(window: int) -> _SegmentSensitivities:
+        k, i = at.segments[window]
+        (v, part, _), blocks, prediction = parts[k], cuts[k], predictions[k]
+        n_y, first = blocks.y.shape[2], int(blocks.window_first[i])
+        some = slice(first, first + int(blocks.window_size[i]))
+        psi = part.kernel.sensitivities(v, blocks, prediction, passes[k].linked, some)
+        psi = psi.reshape(n_y, psi.shape[0] // n_y, -1)[:, :, : int(blocks.size[some].sum())]
+        feedback = part.kernel.feedback(v, blocks, prediction) if part.predictor.feeds_back else None
+        if part.tie is not None:
+            n = len(part.tie)
+            by_theta = np.einsum("op,yot->ypt", part.tie, psi[:, :n], optimize=True)
+            psi = np.concatenate([by_theta, psi[:, n:]], axis=1)
+            feedback = feedback and _tied_values(feedback, part.tie)
+        errors = blocks.by_segment(prediction.errors)[i]
+        counted = blocks.by_segment(blocks.used[:, :, None])[i][:, 0] > 0
+        return _SegmentSensitivities(psi, errors, counted, part.index, chains[window][0], feedback)
 
-    return (of(of_record[record]) for record in sorted(of_record))  # holds none that it has given away
+    records: list[list[int]] = [[] for _ in at.record_window]
+    for window in sorted(at.segments):
+        records[chains[window][1]].append(window)
+    return (_joined([of_segment(window) for window in windows]) for windows in records)  # holds none that it gave away
+
+
+class _SegmentSensitivities(NamedTuple):
+    """Sensitivities of a segment by the unknowns of its part and the state at its start.
+
+    Attributes
+    ----------
+    psi : (n_y, n_p + n, n_samples) array
+        Derivatives of the predictions.
+    errors, counted : (n_samples, n_y) and (n_samples,) array
+        As of `RecordSensitivities`.
+    places : (n_p,) integer array
+        Positions of the part's unknowns.
+    start : (n, n_all) array
+        Derivatives of the state at the start by all unknowns.
+    feedback : PredictorValues or None
+        Predictor that feeds measured outputs back.
+    """
+
+    psi: FloatArray
+    errors: FloatArray
+    counted: BoolArray
+    places: IntArray
+    start: FloatArray
+    feedback: PredictorValues | None
+
+
+def _joined(segments: Sequence[_SegmentSensitivities]) -> RecordSensitivities:
+    """Return the sensitivities of a record by the unknowns that matter, from its segments in the order of time."""
+    fed = [(each.feedback, each.places) for each in segments if each.feedback is not None]
+    if len(segments) == 1:  # its start is the initial state itself
+        (only,) = segments
+        columns, psi = np.concatenate([only.places, np.flatnonzero(only.start.any(axis=0))]), only.psi
+        place = np.arange(len(only.places))
+    else:
+        touched = np.any([each.start.any(axis=0) for each in segments], axis=0)
+        touched[np.concatenate([each.places for each in segments])] = True
+        columns, order, stretches = np.flatnonzero(touched), np.cumsum(touched) - 1, []
+        for each in segments:
+            n_p = len(each.places)
+            stretches.append(each.start[:, columns].T @ each.psi[:, n_p:])
+            stretches[-1][:, order[each.places]] += each.psi[:, :n_p]
+        psi, place = np.concatenate(stretches, axis=2), order[fed[-1][1]] if fed else order
+    errors, counted = (np.concatenate(parts) for parts in zip(*((s.errors, s.counted) for s in segments), strict=True))
+    return RecordSensitivities(columns, psi, errors, counted, (fed[-1][0], place) if fed else None)
+
+
+def _tied_values(v: PredictorValues, tie: FloatArray) -> PredictorValues:
+    """Return a predictor with derivatives by the unknowns of a problem, ``theta = tie @ unknowns``."""
+    dF, dG, dC, dH = (np.tensordot(tie.T, slope, 1) for slope in (v.dF, v.dG, v.dC, v.dH))
+    return v._replace(dF=dF, dG=dG, dC=dC, dH=dH)
 
 
 def _symmetric(omitted: PartHessian, tie: FloatArray | None) -> PartHessian:
@@ -258,35 +357,15 @@ def _add(
         total += T.T @ of_start @ T
 
 
-def _follow_segments(problem: Shooting, sums: Sequence[Sweep], chains: dict[int, tuple[FloatArray, int]]) -> None:
-    """Propagate sensitivities from segment to segment of a record, over the stretches that are left out."""
-    place: dict[int, tuple[int, int, int]] = {}  # last window of a segment: its first one, its part, its place there
-    firsts = set()
-    for k, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
-        begin = part.blocks.segment_first
-        ends = np.append(begin[1:], part.blocks.n_windows) - 1
-        place |= {int(first + b): (int(first + a), k, i) for i, (a, b) in enumerate(zip(begin, ends, strict=True))}
-        firsts |= {int(first + a) for a in begin}
-    for a, b in problem.links:
-        if int(b) in firsts and int(a) in place:
-            window, k, i = place[int(a)]
-            T, record = chains[window]
-            following = sums[k].end_start[i] @ T
-            following[:, problem.parts[k].index] += sums[k].end_theta[i]
-            chains[int(b)] = following, record
-
-
-def _omitted(
-    problem: Shooting, theta: FloatArray, starts: FloatArray, sums: Sequence[Sweep], weight: FloatArray
-) -> list[PartHessian]:
+def _omitted(at: Estimate, sums: Sequence[Sweep], weight: FloatArray) -> list[PartHessian]:
     """Return the second-order term of the Hessian for all parameters, with each segment as one window."""
-    joined_up, kept = in_one_window(problem)
-    _, starts = joined_up.unpack(problem.pack(theta, starts)[kept])
-    ends, values = np.zeros_like(starts), problem.values(theta)
-    for _ in joined_up.links:  # backwards from the last segments: derivative of the cost by the ends of segments
-        made = joined_up.gradients(values, starts, ends, weight)
-        ends[joined_up.links[:, 0]] = np.concatenate([by_start for _, by_start in made])[joined_up.links[:, 1]]
-    return omitted_part(joined_up, theta, starts, ends, [np.diag(s.hessian) for s in sums], weight)
+    joined, kept = in_one_window(at.problem)
+    _, starts = joined.unpack(at.problem.pack(at.theta, at.starts)[kept])
+    ends, values = np.zeros_like(starts), at.problem.values(at.theta)
+    for _ in joined.links:  # backwards from the last segments: derivative of the cost by the ends of segments
+        gradients = joined.gradients(values, starts, ends, weight)
+        ends[joined.links[:, 0]] = np.concatenate([by_start for _, by_start in gradients])[joined.links[:, 1]]
+    return omitted_part(joined, at.theta, starts, ends, [np.diag(s.hessian) for s in sums], weight)
 
 
 # ---- Sensitivities of the predictions of an unstable model, from its shooting windows.
@@ -296,8 +375,6 @@ def _omitted(
 # further coordinates: of all trajectories that close the gaps, those of least norm, and an orthonormal basis of the
 # free ones. The coordinates stand for the initial states. The covariance of the parameters does not depend on this
 # choice.
-
-_GROWTH = 1e3  # of a model over a record, up to which one pass over the record is accurate
 
 
 class WindowSlopes(NamedTuple):
@@ -324,52 +401,31 @@ class WindowSlopes(NamedTuple):
     end: FloatArray
 
 
-def windowed_records(
-    problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, *, known_starts: BoolArray
-) -> Iterator[RecordSensitivities]:
+def windowed_records(at: Estimate) -> Iterator[RecordSensitivities]:
     """Yield the sensitivities of each record by all parameters and its own coordinates of free trajectories.
 
-    Parameters
-    ----------
-    problem : Shooting
-        Problem of the fit.
-    theta : (n_p,) array
-        Free parameters.
-    starts : (n_windows, n) array
-        Initial states of the windows, with all gaps closed.
-    record_window : (n_records,) integer array
-        First window of each record.
-    known_starts : (n_records, n) boolean array
-        Initial states that were given instead of estimated.
+    All gaps between windows are to be closed.
     """
-    n, n_p = problem.n_states, problem.n_theta
-    slopes = [
-        window_slopes(part, v, starts[a:b])
-        for v, part, a, b in zip(
-            problem.values(theta), problem.parts, problem.first_window[:-1], problem.first_window[1:], strict=True
-        )
-    ]
-    following = {int(a): int(b) for a, b in problem.links}
-    for record, (first, known) in enumerate(zip(record_window, known_starts, strict=True)):
-        chain = [int(first)]
-        while chain[-1] in following:
-            chain.append(following[chain[-1]])
+    problem, n, n_p = at.problem, at.problem.n_states, at.problem.n_theta
+    slopes = [window_slopes(part, v, starts) for v, part, starts in at.parts()]
+    for record, (first, known) in enumerate(zip(at.record_window, at.given, strict=True)):
+        chain = problem.windows_from(first)
         parts = np.searchsorted(problem.first_window, chain, side="right") - 1
+        places = chain - problem.first_window[parts]
         ends = np.zeros((len(chain), n, n_p + n))
-        for i, (k, window) in enumerate(zip(parts, chain, strict=True)):
-            own = slopes[k].end[window - problem.first_window[k]]
-            ends[i][:, problem.parts[k].index] = _onto(own[:, :-n], problem.parts[k].tie)
-            ends[i][:, n_p:] = own[:, -n:]
+        for end, k, place in zip(ends, parts, places, strict=True):
+            by_window = slopes[k].end[place]
+            end[:, problem.parts[k].index] = _onto(by_window[:, :-n], problem.parts[k].tie)
+            end[:, n_p:] = by_window[:, -n:]
         along = _trajectories(ends[:-1, :, n_p:], ends[:-1, :, :n_p], problem.state_scale, known)
         psi, errors, counted = [], [], []
-        for k, window, T in zip(parts, chain, along, strict=True):
-            own, at = slopes[k], window - problem.first_window[k]
-            live = slice(0, int(own.size[at]))
-            by_start = own.psi[at, live, :, -n:] @ T
-            by_start[:, :, problem.parts[k].index] += _onto(own.psi[at, live, :, :-n], problem.parts[k].tie)
-            counts = own.counted[at, live]
+        for k, place, T in zip(parts, places, along, strict=True):
+            of_part, samples = slopes[k], slice(0, int(slopes[k].size[place]))
+            by_start = of_part.psi[place, samples, :, -n:] @ T
+            by_start[:, :, problem.parts[k].index] += _onto(of_part.psi[place, samples, :, :-n], problem.parts[k].tie)
+            counts = of_part.counted[place, samples]
             psi.append(by_start * counts[:, None, None])
-            errors.append(own.errors[at, live] * counts[:, None])
+            errors.append(of_part.errors[place, samples] * counts[:, None])
             counted.append(counts)
         columns = np.concatenate([np.arange(n_p), n_p + record * n + np.arange(n)])
         slopes_of_record = np.ascontiguousarray(np.concatenate(psi).transpose(1, 2, 0))
@@ -446,30 +502,20 @@ def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray,
     return np.asarray(np.hstack([following, free]).reshape(links + 1, n, n_p + n) * scale[:, None])
 
 
-def information_by_windows(
-    problem: Shooting,
-    theta: FloatArray,
-    starts: FloatArray,
-    record_window: IntArray,
-    weight: FloatArray,
-    shaped: FloatArray,
-    *,
-    known_starts: BoolArray,
-) -> Information:
+def information_by_windows(at: Estimate, weight: FloatArray, shaped: FloatArray) -> Information:
     """Return the information of all records, as `information_over_records` does, for an unstable model.
 
     The Hessian is that of Gauss-Newton; the exact one is not computed.
 
     Parameters
     ----------
-    problem, theta, starts, record_window, known_starts
-        As for `windowed_records`.
+    at : Estimate
+        The estimates.
     weight, shaped : (n_y, n_y) array
         Weights of the errors for the two Hessians.
     """
-    n_all = problem.n_theta + len(record_window) * problem.n_states
-    hessians = np.zeros((2, n_all, n_all))
-    records = list(windowed_records(problem, theta, starts, record_window, known_starts=known_starts))
+    hessians = np.zeros((2, at.n_all, at.n_all))
+    records = list(windowed_records(at))
     for record in records:
         for total, W in zip(hessians, (weight, shaped), strict=True):
             products = np.einsum("yik,yz,zjk->ij", record.psi, W, record.psi, optimize=True)
@@ -477,12 +523,7 @@ def information_by_windows(
     return Information(hessians[0], hessians[1], None, iter(records))
 
 
-def grows(problem: Shooting, theta: FloatArray, starts: FloatArray) -> bool:
-    """Return whether the model grows so much over a record that sensitivities have to be taken by windows."""
-    longest = max(segment.outputs.shape[0] for part in problem.parts for segment in part.blocks.segments)
-    rate = problem.rate(theta, starts)
-    return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH))
-
+# ---- Covariance of the parameters.
 
 _UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which a direction is not determined
 # Smallest such eigenvalue for which exact Hessian and coloured scores are more than rounding. Below it the curvature is
@@ -491,7 +532,7 @@ _RESOLVED = 1e-8
 FLATTEST = 1e-4
 """Smallest curvature of a minimum, as a part of the Gauss-Newton curvature."""
 _ACTIVE = 1e-4  # of the size of a constraint that lies on its bound
-_BLOCK = 64  # samples of a block of the pass
+_INVOLVED = 1e-3  # smallest part of a parameter in a direction without information, for which it counts as open
 
 
 class Covariance(NamedTuple):
@@ -525,6 +566,11 @@ class Covariance(NamedTuple):
     bootstrap: FloatArray | None = None
     models: tuple[ErrorModel, ...] = ()
 
+    @property
+    def open(self) -> BoolArray:
+        """Parameters that the data do not determine, (n_p,)."""
+        return np.asarray((np.abs(self.undetermined) > _INVOLVED).any(axis=0))
+
     def scaled(self, white: float, robust: float) -> Covariance:
         """Return the covariances times these factors."""
         bootstrap = None if self.bootstrap is None else self.bootstrap * robust
@@ -532,14 +578,10 @@ class Covariance(NamedTuple):
 
 
 def covariance(
-    problem: Shooting,
-    theta: FloatArray,
-    starts: FloatArray,
-    record_window: IntArray,
+    at: Estimate,
     error_products: FloatArray,
     held: BoolArray,
     *,
-    known_starts: BoolArray | None = None,
     coloured: bool = False,
     bootstrap: Bootstrap | None = None,
 ) -> Covariance:
@@ -547,20 +589,12 @@ def covariance(
 
     Parameters
     ----------
-    problem : Shooting
-        Shooting problem of the fit.
-    theta : (n_p,) array
-        Free parameters.
-    starts : (n_windows, n) array
-        Initial states of the windows.
-    record_window : (n_records,) integer array
-        First window of each record.
+    at : Estimate
+        The estimates.
     error_products : (n_y, n_y) array
         Sum of the products of errors, ``sum e e'``.
     held : (n_p,) boolean array
         Parameters on a bound; they count as known, and their rows are zero.
-    known_starts : (n_records, n) boolean array, optional
-        Initial states that were given instead of estimated; by default none.
     coloured : bool
         Whether residuals are coloured. If not, the robust covariance is the white one. If so, it uses a model of the
         residuals and the exact Hessian of the cost, which needs further passes.
@@ -582,34 +616,28 @@ def covariance(
     largest part along the disturbance gain. Their J is that of `gbid.identify.uncertainty.coloured`. A prior
     adds its information to H, and to J as a measurement with its variance does.
     """
-    n_p, modelled = problem.n_theta, coloured or bootstrap is not None
-    n_all = n_p + len(record_window) * problem.n_states
-    weight = problem.weight(error_products)
-    settled = np.zeros((len(record_window), problem.n_states), bool) if known_starts is None else known_starts
-    freedom = max(1.0, problem.n_samples - (n_all - int(settled.sum())) / len(weight))
+    problem, modelled = at.problem, coloured or bootstrap is not None
+    n_p, weight, estimated = problem.n_theta, problem.weight(error_products), ~at.given.ravel()
+    freedom = max(1.0, problem.n_samples - (n_p + int(estimated.sum())) / len(weight))
     shaped = weight @ (error_products / freedom) @ weight
     share = float(np.trace(shaped)) / float(np.trace(weight))
     # Weighted by the inverse of the covariance of the errors, one pass gives both.
     alike = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
-    if grows(problem, theta, starts):
-        information = information_by_windows(
-            problem, theta, starts, record_window, weight, shaped, known_starts=settled
-        )
+    if grows(at):
+        information = information_by_windows(at, weight, shaped)
     else:
-        information = information_over_records(
-            problem, _BLOCK, theta, starts, record_window, weight, shaped=None if alike else shaped, observed=modelled
-        )
+        information = information_over_records(at, weight, shaped=None if alike else shaped, observed=modelled)
 
     # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
     unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
-    known = unit * _known(problem, theta, starts, n_all)
-    keep = np.concatenate([~held, ~settled.ravel()])
+    known = unit * _known(at)
+    keep = np.concatenate([~held, estimated])
     kept = np.ix_(keep, keep)
     H = (information.hessian + known)[kept]
     J_white = ((share * information.hessian if alike else information.shaped) + known * unit)[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
-    free = _along_constraints(problem, theta, starts, n_all)[:, keep] / scale
+    free = _along_constraints(at)[:, keep] / scale
     along = null_space(free) if len(free) else np.eye(len(scale))
     eigenvalues, vectors = np.linalg.eigh(along.T @ (H / np.outer(scale, scale)) @ along)
     vectors = along @ vectors
@@ -656,22 +684,24 @@ def covariance(
     return Covariance(white, robust, flatness, directions, condition, drawn, tuple(models))
 
 
-def _known(problem: Shooting, theta: FloatArray, starts: FloatArray, n_all: int) -> FloatArray:
+def _known(at: Estimate) -> FloatArray:
     """Return the information of prior and extra cost on parameters and initial states, (n_all, n_all)."""
-    known = np.diag(np.concatenate([problem.prior.information, np.zeros(n_all - problem.n_theta)]))
+    problem = at.problem
+    known = np.diag(np.pad(problem.prior.information, (0, at.n_all - problem.n_theta)))
     if problem.extra is not None:
-        known[np.ix_(problem.extra.used, problem.extra.used)] += problem.extra.at(theta, starts).hessian
+        known[np.ix_(problem.extra.used, problem.extra.used)] += problem.extra.at(at.theta, at.starts).hessian
     return known
 
 
-def _along_constraints(problem: Shooting, theta: FloatArray, starts: FloatArray, n_all: int) -> FloatArray:
+def _along_constraints(at: Estimate) -> FloatArray:
     """Return the slopes of the active constraints of the caller, (n_active, n_all): along them nothing moves."""
-    if problem.extra is None:
-        return np.zeros((0, n_all))
-    values = problem.extra.at(theta, starts)
-    active = ~np.isnan(problem.extra.off_bound(values.rows, _ACTIVE))
-    slopes = np.zeros((int(active.sum()), n_all))
-    slopes[:, problem.extra.used] = values.slopes[active]
+    extra = at.problem.extra
+    if extra is None:
+        return np.zeros((0, at.n_all))
+    values = extra.at(at.theta, at.starts)
+    active = ~np.isnan(extra.off_bound(values.rows, _ACTIVE))
+    slopes = np.zeros((int(active.sum()), at.n_all))
+    slopes[:, extra.used] = values.slopes[active]
     return slopes
 
 
@@ -699,7 +729,7 @@ def mode_slopes(A: Dual, dt: float | None = None) -> tuple[FloatArray, FloatArra
     -------
     modes : (n_modes, 2) array
         Natural frequency [Hz] and damping factor, in the order of rising frequency.
-    slopes : (n_modes, 2, n_p) array
+    slopes : (n_p, n_modes, 2) array
         Derivatives of the modes.
 
     Notes
@@ -713,39 +743,13 @@ def mode_slopes(A: Dual, dt: float | None = None) -> tuple[FloatArray, FloatArra
     left = np.linalg.inv(vectors)
     keep = one_of_each_pair(poles)
     order = [i for i in np.argsort(np.abs(poles)) if keep[i]]
-    modes, slopes = oscillatory_modes(poles), np.zeros((len(order), 2, len(A.slope)))
+    slopes = np.zeros((len(A.slope), len(order), 2))
     for row, i in enumerate(order):
         pole, size = poles[i], abs(poles[i])
         d_pole = np.einsum("a,pab,b->p", left[i], A.slope, vectors[:, i]) / (1.0 if dt is None else values[i] * dt)
         d_size = (np.conj(pole) * d_pole).real / size
-        slopes[row] = d_size / (2 * np.pi), -d_pole.real / size + pole.real * d_size / size**2
-    return modes, slopes
-
-
-def static_gain_slopes(A: Dual, B: Dual, C: Dual, D: Dual) -> tuple[FloatArray, FloatArray]:
-    """Return the static gain ``D - C A^-1 B`` and its derivatives.
-
-    Parameters
-    ----------
-    A, B, C, D : Dual
-        Matrices of a model without a pole at zero.
-
-    Returns
-    -------
-    gain : (n_y, n_u) array
-        Static gain.
-    slopes : (n_y, n_u, n_p) array
-        Derivatives of the gain.
-    """
-    inverse = np.asarray(np.linalg.inv(A.value), float)
-    A_inverse = Dual(inverse, -inverse @ A.slope @ inverse)
-    gain = D - C @ (A_inverse @ B)
-    return gain.value, gain.slope.transpose(1, 2, 0)
-
-
-def spread(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return standard deviations from derivatives (..., n_p) and the covariance of the parameters."""
-    return np.asarray(np.sqrt(np.maximum(np.einsum("...p,pq,...q->...", slopes, covariance, slopes), 0.0)))
+        slopes[:, row] = np.column_stack([d_size / (2 * np.pi), -d_pole.real / size + pole.real * d_size / size**2])
+    return oscillatory_modes(poles), slopes
 
 
 # ---- Standard deviations of what follows from the model of a fit: modes, static gain, and slopes of its matrices.
@@ -770,21 +774,14 @@ class ModelSpreads(NamedTuple):
 
 
 def model_spreads(
-    problem: Shooting,
-    theta: FloatArray,
-    chosen: FloatArray,
-    model: Any,
-    names: Sequence[str],
-    tie: FloatArray | None = None,
+    at: Estimate, chosen: FloatArray, model: Any, names: Sequence[str], tie: FloatArray | None = None
 ) -> ModelSpreads:
     """Return slopes and standard deviations of the model, for a nonlinear one at its working point.
 
     Parameters
     ----------
-    problem : Shooting
-        Problem of the fit.
-    theta : (n_p,) array
-        Free parameters.
+    at : Estimate
+        The estimates.
     chosen : (n_p, n_p) array
         Their covariance.
     model : LinearModel or NonlinearModel
@@ -794,29 +791,34 @@ def model_spreads(
     tie : (n_own, n_p) array, optional
         Matrix from all free parameters to the predictor's own at the model's point, for a scheduled structure.
     """
-    part, predictor = problem.parts[0], problem.parts[0].predictor
+    part, predictor, dt = at.problem.parts[0], at.problem.parts[0].predictor, None
     local_covariance = chosen[np.ix_(part.index, part.index)] if tie is None else tie @ chosen @ tie.T
-    tie = np.eye(len(theta))[part.index] if tie is None else tie
-    dt: float | None = None
-    local = tie @ theta
+    tie = np.eye(len(at.theta))[part.index] if tie is None else tie
+    local = tie @ at.theta
     if isinstance(predictor, NonlinearPredictor):
         A, B, C, D = linearised(model, names, [q.name for q in predictor.free])
         is_delayed = np.isin(np.arange(predictor.n_inputs), predictor.delayed)
         prompt, delayed = np.where(is_delayed, 0.0, B.slope), np.where(is_delayed, B.slope, 0.0)
-        by_own = [A.slope, prompt, C.slope, D.slope, delayed, predictor.delay_slopes(local)]
+        slopes = [A.slope, prompt, C.slope, D.slope, delayed, predictor.delay_slopes(local)]
     else:
         assert isinstance(predictor, Predictor)
         A, B, C, D, K, B_delayed, delays = predictor.matrices(local)
         delay = np.zeros((len(local), predictor.n_inputs))
         delay[:, list(predictor.delayed)] = delays.slope[:, :, 0]
-        by_own = [A.slope, B.slope, C.slope, D.slope, B_delayed.slope, delay, K.slope]
+        slopes = [A.slope, B.slope, C.slope, D.slope, B_delayed.slope, delay, K.slope]
         B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
         dt = predictor.feedback.sample_time if predictor.feedback else None
-    slopes = ModelSlopes(*(np.tensordot(tie.T, slope, 1) for slope in by_own))
+    by_free = ModelSlopes(*(np.tensordot(tie.T, slope, 1) for slope in slopes))
     gain_std = np.full(D.value.shape, np.nan)
     if not (np.isfinite(local_covariance).all() and np.isfinite(A.value).all()):
-        return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)
+        return ModelSpreads(by_free, np.full((len(model.modes()), 2), np.nan), gain_std)
     at_rest = A if dt is None else A - np.eye(A.shape[0])  # x[k+1] = x[k]
     if np.linalg.cond(at_rest.value) < 1e15:
-        gain_std = spread(static_gain_slopes(at_rest, B, C, D)[1], local_covariance)
-    return ModelSpreads(slopes, spread(mode_slopes(A, dt)[1], local_covariance), gain_std)
+        gain_std = std_of(_static_gain(at_rest, B, C, D).slope, local_covariance)
+    return ModelSpreads(by_free, std_of(mode_slopes(A, dt)[1], local_covariance), gain_std)
+
+
+def _static_gain(A: Dual, B: Dual, C: Dual, D: Dual) -> Dual:
+    """Return ``D - C A^-1 B``, (n_y, n_u), of a model without a pole at zero."""
+    inverse = np.asarray(np.linalg.inv(A.value), float)
+    return D - C @ (Dual(inverse, -inverse @ A.slope @ inverse) @ B)
