@@ -104,10 +104,7 @@ def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list
     units: list[str] = []
     for name in names:
         signal, channel = _meant(recording, name)
-        values, channels = (
-            recording.signal(signal),
-            recording.channels[signal],
-        )
+        values, channels = recording.signal(signal), recording.channels[signal]
         if channel and channel not in channels:
             raise DataError(
                 f"recording {recording.name!r}: signal {signal!r} has no channel {channel!r}; "
@@ -124,8 +121,38 @@ def _meant(recording: Recording, name: str) -> tuple[str, str]:
     """Return the signal and channel of a name, the channel empty for all; both names may contain points."""
     at = [i for i, letter in enumerate(name) if letter == "."]
     readings = [(name, ""), *((name[:i], name[i + 1 :]) for i in at)]
-    there = [each for each in readings if each[0] in recording.signals]
-    return there[0] if there else readings[1 if at else 0]
+    known = [each for each in readings if each[0] in recording.signals]
+    return known[0] if known else readings[1 if at else 0]
+
+
+def same_columns(
+    recordings: Sequence[Recording], names: Sequence[str]
+) -> tuple[list[FloatArray], list[str], list[str]]:
+    """Return signals or channels of several recordings as columns, and names and units of the channels, as `select`.
+
+    Raises
+    ------
+    DataError
+        When there are no recordings, or sample times or channels differ.
+    """
+    if not recordings:
+        raise DataError("no recordings; give at least one")
+    first, (_, labels, units) = recordings[0], select(recordings[0], names)
+    columns = []
+    for recording in recordings:
+        if not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
+            raise DataError(
+                f"recordings {first.name!r} and {recording.name!r} have different sample times: "
+                f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one, or use them separately"
+            )
+        values, others, _ = select(recording, names)
+        if others != labels:
+            raise DataError(
+                f"recordings {first.name!r} and {recording.name!r} have different channels, {', '.join(labels)} and "
+                f"{', '.join(others)}"
+            )
+        columns.append(values)
+    return columns, labels, units
 
 
 def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequence[str], minimum: int) -> FitData:
@@ -151,31 +178,24 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
         When there are no recordings, sample times or channels differ, a record is too short, or an output is constant.
         An input may be constant or zero: see `gbid.identify.problem.states`.
     """
-    if not recordings:
-        raise DataError("no recordings to fit; give at least one")
-    first = recordings[0]
+    u, input_names, _ = same_columns(recordings, inputs)
+    y, output_names, output_units = same_columns(recordings, outputs)
     records = []
-    names: tuple[list[str], list[str]] | None = None
-    for recording in recordings:
-        _check_sample_time(first, recording)
-        u, u_names, _ = select(recording, inputs)
-        y, y_names, y_units = select(recording, outputs)
-        if names is not None and names != (u_names, y_names):
-            raise DataError(f"recordings {first.name!r} and {recording.name!r} have different channels")
-        names = (u_names, y_names)
+    for recording, u_columns, y_columns in zip(recordings, u, y, strict=True):
         if recording.n_samples < minimum:
             raise DataError(
                 f"recording {recording.name!r} has {recording.n_samples} samples; this fit needs at least {minimum}"
             )
-        for label, column in zip(y_names, y.T, strict=True):
-            if not moves(column):
-                raise DataError(
-                    f"recording {recording.name!r}: channel {label!r} is {column[0]:g} throughout; the output is "
-                    "constant: is the sensor connected"
-                )
-        records.append(Record(recording.name, np.ascontiguousarray(u), np.ascontiguousarray(y), recording.conditions))
-    assert names is not None
-    return FitData(tuple(records), first.sample_time, tuple(names[0]), tuple(names[1]), tuple(y_units))
+        for label in np.array(output_names)[~moves(y_columns)]:
+            value = y_columns[0, output_names.index(label)]
+            raise DataError(
+                f"recording {recording.name!r}: channel {label!r} is {value:g} throughout; the output is "
+                "constant: is the sensor connected"
+            )
+        arrays = np.ascontiguousarray(u_columns), np.ascontiguousarray(y_columns)
+        records.append(Record(recording.name, *arrays, recording.conditions))
+    names = tuple(input_names), tuple(output_names), tuple(output_units)
+    return FitData(tuple(records), recordings[0].sample_time, *names)
 
 
 def moves(values: FloatArray) -> BoolArray:
@@ -193,22 +213,12 @@ def gather_own(recordings: Sequence[Recording], channels: Sequence[Channels], mi
 
     Parameters and errors are those of `gather`. The names of the inputs are those of the first recording.
     """
-    own = [gather([r], *names, minimum) for r, names in zip(recordings, channels, strict=True)]
-    if not own:
-        raise DataError("no recordings to fit; give at least one")
-    for recording, one in zip(recordings, own, strict=True):
-        _check_sample_time(recordings[0], recording)
-        if one.output_names != own[0].output_names:
+    same_columns(recordings, ())
+    each = [gather([r], *names, minimum) for r, names in zip(recordings, channels, strict=True)]
+    for data in each:
+        if data.output_names != each[0].output_names:
             raise DataError(
-                f"recordings {recordings[0].name!r} and {recording.name!r} have different outputs, "
-                f"{', '.join(own[0].output_names)} and {', '.join(one.output_names)}; give their structures the same"
+                f"recordings {recordings[0].name!r} and {data.records[0].name!r} have different outputs, "
+                f"{', '.join(each[0].output_names)} and {', '.join(data.output_names)}; give their structures the same"
             )
-    return replace(own[0], records=tuple(one.records[0] for one in own))
-
-
-def _check_sample_time(first: Recording, other: Recording) -> None:
-    if not np.isclose(other.sample_time, first.sample_time, rtol=1e-6, atol=0):
-        raise DataError(
-            f"recordings {first.name!r} and {other.name!r} have different sample times: "
-            f"{first.sample_time:g} s and {other.sample_time:g} s; resample one, or fit them separately"
-        )
+    return replace(each[0], records=tuple(data.records[0] for data in each))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +22,7 @@ from gbid.identify.result import FitResult
 
 TextArray = npt.NDArray[np.str_]
 
-_PARAMETER = ("values", "std")
 _MODE = ("mode_frequency_hz", "mode_frequency_std_hz", "mode_damping", "mode_damping_std")
-_GAIN = ("static_gain", "static_gain_std")
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,15 +207,22 @@ class FitTable(Brief, hdf5.InFile):
             keep = keep & np.isclose(self.speed_rpm, speed_rpm)
         if success is not None:
             keep = keep & (self.success == success)
-        rows = np.flatnonzero(keep)
-        chosen: dict[str, Any] = {}
-        for column in fields(self):
-            values = getattr(self, column.name)
-            if isinstance(values, np.ndarray):
-                chosen[column.name] = values[rows]
-            elif column.name in ("recordings", "notes"):
-                chosen[column.name] = tuple(values[i] for i in rows)
-        return replace(self, **chosen)._without_empty_columns()
+        chosen = self._taken(n=np.flatnonzero(keep))
+        blocks = {"k": chosen.values, "m": chosen.mode_frequency_hz, "g": chosen.static_gain, "q": chosen.fit_percent}
+        known = {letter: np.flatnonzero(np.isfinite(block).any(axis=0)) for letter, block in blocks.items()}
+        return chosen._taken(**known)
+
+    def _taken(self, **kept: IntArray) -> FitTable:
+        """Return the table with these places of the dimensions n, k, m, g and q, and all of the others."""
+        taken: dict[str, Any] = {}
+        for name, letters in _dimensions().items():
+            taken[name] = getattr(self, name)
+            for axis, places in ((i, kept[letter]) for i, letter in enumerate(letters) if letter in kept):
+                if isinstance(taken[name], np.ndarray):
+                    taken[name] = np.take(taken[name], places, axis)
+                else:
+                    taken[name] = tuple(taken[name][i] for i in places)
+        return replace(self, **taken)
 
     def row(self, fit: str, model: str) -> dict[str, Any]:
         """Return one row as a dict, with the names of `columns`.
@@ -233,10 +239,10 @@ class FitTable(Brief, hdf5.InFile):
         UsageError
             When there is no such row.
         """
-        found = np.flatnonzero((self.fit == fit) & (self.model == model))
-        if not found.size:
+        rows = np.flatnonzero((self.fit == fit) & (self.model == model))
+        if not rows.size:
             raise UsageError(f"no model {model!r} of fit {fit!r} in the table")
-        return {name: values[found[0]] for name, (values, _) in self.columns().items()}
+        return {name: values[rows[0]] for name, (values, _) in self.columns().items()}
 
     def columns(self) -> Mapping[str, tuple[npt.NDArray[Any], str]]:
         """Return all columns in order, each with its unit; these are the columns of the CSV file.
@@ -246,7 +252,7 @@ class FitTable(Brief, hdf5.InFile):
         dict of str to (array, str)
             ``k_xx`` and ``k_xx_std``, ``mode1_frequency_hz``, ``gain_u_x_to_p_x``, ``fit_percent_p_x`` and so on.
         """
-        found: dict[str, tuple[npt.NDArray[Any], str]] = {
+        return {
             "fit": (self.fit, ""),
             "model": (self.model, ""),
             "structure": (self.structure, ""),
@@ -256,24 +262,25 @@ class FitTable(Brief, hdf5.InFile):
             "success": (self.success, ""),
             "status": (self.status, ""),
             "iterations": (self.iterations, ""),
+            **{f"fit_percent_{name}": (self.fit_percent[:, j], "%") for j, name in enumerate(self.output_names)},
+            **{
+                f"{name}{ending}": (values[:, j], unit)
+                for j, (name, unit) in enumerate(zip(self.parameter_names, self.units, strict=True))
+                for ending, values in (("", self.values), ("_std", self.std))
+            },
+            **{
+                name.replace("mode_", f"mode{j + 1}_"): (getattr(self, name)[:, j], "Hz" if "_hz" in name else "1")
+                for j in range(self.mode_frequency_hz.shape[1])
+                for name in _MODE
+            },
+            **{
+                f"gain_{name.replace(' ', '_')}{ending}": (values[:, j], "")
+                for j, name in enumerate(self.gain_names)
+                for ending, values in (("", self.static_gain), ("_std", self.static_gain_std))
+            },
+            "notes": (_joined(self.notes, "; "), ""),
+            "wall_time_s": (self.wall_time_s, "s"),
         }
-        for j, name in enumerate(self.output_names):
-            found[f"fit_percent_{name}"] = (self.fit_percent[:, j], "%")
-        for j, (name, unit) in enumerate(zip(self.parameter_names, self.units, strict=True)):
-            found[name] = (self.values[:, j], unit)
-            found[f"{name}_std"] = (self.std[:, j], unit)
-        for j in range(self.mode_frequency_hz.shape[1]):
-            for attribute in _MODE:
-                unit = "Hz" if attribute.endswith("_hz") else "1"
-                name = attribute.replace("mode_", f"mode{j + 1}_")
-                found[name] = (getattr(self, attribute)[:, j], unit)
-        for j, name in enumerate(self.gain_names):
-            column = f"gain_{name.replace(' ', '_')}"
-            found[column] = (self.static_gain[:, j], "")
-            found[f"{column}_std"] = (self.static_gain_std[:, j], "")
-        found["notes"] = (_joined(self.notes, "; "), "")
-        found["wall_time_s"] = (self.wall_time_s, "s")
-        return found
 
     def to_frame(self) -> Any:
         """Return the table as a data frame, with the columns of the CSV file.
@@ -287,30 +294,16 @@ class FitTable(Brief, hdf5.InFile):
         UsageError
             When pandas is not installed.
         """
-        found = self.columns()
-        return data_frame(
-            {name: values for name, (values, _) in found.items()},
-            units={name: unit for name, (_, unit) in found.items()},
-        )
+        columns = self.columns()
+        units = {name: unit for name, (_, unit) in columns.items()}
+        return data_frame({name: values for name, (values, _) in columns.items()}, units=units)
 
-    def _without_empty_columns(self) -> FitTable:
-        p, m, g, q = (
-            np.flatnonzero(np.isfinite(block).any(axis=0))
-            for block in (self.values, self.mode_frequency_hz, self.static_gain, self.fit_percent)
-        )
-        chosen: dict[str, Any] = {name: getattr(self, name)[:, p] for name in _PARAMETER}
-        chosen |= {name: getattr(self, name)[:, m] for name in _MODE}
-        chosen |= {name: getattr(self, name)[:, g] for name in _GAIN}
-        return replace(
-            self,
-            **chosen,
-            covariance=self.covariance[:, p][:, :, p],
-            fit_percent=self.fit_percent[:, q],
-            parameter_names=tuple(self.parameter_names[i] for i in p),
-            units=tuple(self.units[i] for i in p),
-            gain_names=tuple(self.gain_names[i] for i in g),
-            output_names=tuple(self.output_names[i] for i in q),
-        )
+
+@cache
+def _dimensions() -> dict[str, list[str]]:
+    """Return the letters of the dimensions of each field, as declared with its storage."""
+    hints = get_type_hints(FitTable, include_extras=True)
+    return {field.name: hints[field.name].__metadata__[0].shape.split() for field in fields(FitTable)}
 
 
 def _joined(texts: Sequence[Sequence[str]], by: str) -> TextArray:
@@ -387,85 +380,67 @@ def tabulate(entries: Sequence[TableEntry]) -> FitTable:
         The table.
     """
     results = [entry.result for entry in entries]
-    there = [result for result in results if result is not None]
-    units = {name: unit for result in reversed(there) for name, unit in result.units.items()}
-    names = _union(result.parameters for result in there)
-    outputs = _union(result.model.output_names for result in there)
-    gains = _union(_gain_names(result) for result in there)
-    modes = [np.array(r.model.modes(), dtype=float).reshape(-1, 2) if r is not None else None for r in results]
-    n_modes = max((found.shape[0] for found in modes if found is not None), default=0)
-
-    n, k = len(entries), len(names)
-    values, std = _nan(n, k), _nan(n, k)
-    covariance = _nan(n, k, k)
-    frequency, frequency_std, damping, damping_std = (_nan(n, n_modes) for _ in range(4))
-    gain, gain_std = _nan(n, len(gains)), _nan(n, len(gains))
-    percent = _nan(n, len(outputs))
-    at = {name: j for j, name in enumerate(names)}
-    for i, (result, found) in enumerate(zip(results, modes, strict=True)):
-        if result is None or found is None:
-            continue
-        own = [at[name] for name in result.parameters]
-        free = [at[name] for name in result.free]
-        values[i, own] = list(result.parameters.values())
-        std[i, own] = [result.std[name] for name in result.parameters]
-        covariance[np.ix_([i], own, own)] = 0.0
-        covariance[np.ix_([i], free, free)] = result.covariance
-        m = found.shape[0]
-        frequency[i, :m], damping[i, :m] = found.T
-        if result.modes_std.shape == (m, 2):
-            frequency_std[i, :m], damping_std[i, :m] = result.modes_std.T
-        columns = [gains.index(name) for name in _gain_names(result)]
-        if columns:
-            gain[i, columns], gain_std[i, columns] = result.model.static_gain().ravel(), result.static_gain_std.ravel()
-        percent[i, [outputs.index(name) for name in result.model.output_names]] = result.fit_percent.min(axis=0)
+    numbers = [_numbers(result) for result in results]
+    names, outputs, gains, modes = (
+        tuple(dict.fromkeys(name for each in numbers for name in each.get(block, ())))
+        for block in ("values", "fit_percent", "static_gain", "mode_frequency_hz")
+    )
+    units = {name: unit for result in reversed(results) if result for name, unit in result.units.items()}
+    covariance = np.full((len(entries), len(names), len(names)), np.nan)
+    for matrix, result in zip(covariance, results, strict=True):
+        if result is not None:
+            known, free = ([names.index(name) for name in each] for each in (result.parameters, result.free))
+            matrix[np.ix_(known, known)] = 0.0
+            matrix[np.ix_(free, free)] = result.covariance
+    labels = {"values": names, "std": names, "fit_percent": outputs, "static_gain": gains, "static_gain_std": gains}
+    blocks: dict[str, Any] = {
+        block: np.array(
+            [[each.get(block, {}).get(label, np.nan) for label in of_block] for each in numbers], float
+        ).reshape(len(entries), len(of_block))
+        for block, of_block in {**labels, **dict.fromkeys(_MODE, modes)}.items()
+    }
+    pressure, speed = (
+        np.array([entry.conditions.get(name, np.nan) for entry in entries], float)
+        for name in ("pressure_bar", "speed_rpm")
+    )
     return FitTable(
         fit=np.array([entry.fit for entry in entries], dtype=str),
         model=np.array([entry.model for entry in entries], dtype=str),
         structure=np.array([r.structure if r else "" for r in results], dtype=str),
         recordings=tuple(tuple(entry.recordings) for entry in entries),
-        pressure_bar=_condition(entries, "pressure_bar"),
-        speed_rpm=_condition(entries, "speed_rpm"),
+        pressure_bar=pressure,
+        speed_rpm=speed,
         parameter_names=names,
         units=tuple(units[name] for name in names),
-        values=values,
-        std=std,
         covariance=covariance,
-        mode_frequency_hz=frequency,
-        mode_frequency_std_hz=frequency_std,
-        mode_damping=damping,
-        mode_damping_std=damping_std,
         gain_names=gains,
-        static_gain=gain,
-        static_gain_std=gain_std,
         output_names=outputs,
-        fit_percent=percent,
         success=np.array([r is not None and r.success for r in results], dtype=bool),
         status=np.array([e.result.status if e.result else e.failure for e in entries], dtype=str),
         notes=tuple(r.notes if r else () for r in results),
         iterations=np.array([r.iterations if r else 0 for r in results], dtype=np.int64),
         wall_time_s=np.array([r.wall_time_s if r else np.nan for r in results], dtype=float),
+        **blocks,
     )
 
 
-def _gain_names(result: FitResult) -> tuple[str, ...]:
-    """Return the names of the static gains, by outputs, then inputs; empty for a model with a pole at zero."""
+def _numbers(result: FitResult | None) -> dict[str, Mapping[Any, float]]:
+    """Return the numbers of a fit for each block of columns, by name; modes by their place."""
+    if result is None:
+        return {}
     model = result.model
+    modes = np.reshape(model.modes(), (-1, 2))
+    modes_std = result.modes_std if result.modes_std.shape == modes.shape else np.full(modes.shape, np.nan)
+    gains = [f"{source} to {output}" for output in model.output_names for source in model.input_names]
     try:
-        model.static_gain()
-    except UsageError:
-        return ()
-    return tuple(f"{source} to {output}" for output in model.output_names for source in model.input_names)
-
-
-def _union(names: Iterable[Iterable[str]]) -> tuple[str, ...]:
-    """Return all names, each once, in the order of their first occurrence."""
-    return tuple(dict.fromkeys(name for each in names for name in each))
-
-
-def _condition(entries: Sequence[TableEntry], name: str) -> FloatArray:
-    return np.array([entry.conditions.get(name, np.nan) for entry in entries], dtype=float)
-
-
-def _nan(*shape: int) -> FloatArray:
-    return np.full(shape, np.nan)
+        static_gain = model.static_gain().ravel()
+    except UsageError:  # a pole at zero
+        gains, static_gain = [], np.zeros(0)
+    return {
+        "values": result.parameters,
+        "std": result.std,
+        "fit_percent": dict(zip(model.output_names, result.fit_percent.min(axis=0), strict=True)),
+        "static_gain": dict(zip(gains, static_gain, strict=True)),
+        "static_gain_std": dict(zip(gains, result.static_gain_std.ravel(), strict=False)),
+        **{_MODE[2 * i + j]: dict(enumerate(each[:, i])) for i in (0, 1) for j, each in enumerate((modes, modes_std))},
+    }

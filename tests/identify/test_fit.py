@@ -599,7 +599,7 @@ BAD_DATA = {
     "sample times": ([GOOD, FASTER], {}, r"'data' and 'b' have different sample times: 0.1 s and 0.05 s"),
     "missing signal": (Recording({"u": GOOD.signal("u")}, H, name="half"), {}, r"'half' has no signal 'y'; it has u"),
     "missing channel": (GOOD, {"inputs": "u.x"}, r"signal 'u' has no channel 'x'; it has 1"),
-    "no recordings": ([], {}, r"no recordings to fit"),
+    "no recordings": ([], {}, r"no recordings; give"),
     "different channels": ([WIDE, GOOD], {}, r"'two' and 'data' have different channels"),
 }
 

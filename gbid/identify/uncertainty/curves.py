@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log, sqrt
 from statistics import NormalDist
@@ -16,7 +18,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.tables import Column, Entry, Table
 from gbid.discretise import Dual, constant, discretise
-from gbid.identify.uncertainty.uncertain_model import ModelLike, ModelSlopes, as_uncertain, std_of
+from gbid.identify.uncertainty.uncertain_model import ModelLike, ModelSlopes, as_uncertain, plane_covariance, std_of
 from gbid.structure import LinearModel, frequency_grid
 
 _STEPS_PER_TURN, _MOST_STEPS = 8, 20_000  # for the phase of a delay
@@ -24,8 +26,51 @@ LEVEL = 0.95
 """Usual probability of a confidence band."""
 
 
+class Tabled(Brief):
+    """Base of values that are a table of numbers."""
+
+    @abstractmethod
+    def table(self) -> Table:
+        """Return the numbers as a table."""
+
+    def to_frame(self) -> Any:
+        """Return the table as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return self.table().to_frame()
+
+
+class ChannelCurves(Tabled):
+    """Base of curves with a value for each pair of an output and an input."""
+
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+
+    def _rows(self, points: FloatArray, *values: FloatArray) -> list[list[Entry]]:
+        """Return a row for each output, input and point (n,), with these values (n, n_outputs, n_inputs)."""
+        return [
+            [output, source, float(point), *(float(each[k, i, j]) for each in values)]
+            for i, output in enumerate(self.output_names)
+            for j, source in enumerate(self.input_names)
+            for k, point in enumerate(points)
+        ]
+
+
+def _columns(first: Sequence[str], numbers: Sequence[str]) -> list[Column]:
+    """Return the columns of a table: of texts, and of numbers with six digits."""
+    return [*map(Column, first), *(Column(name, format=6) for name in numbers)]
+
+
 @dataclass(frozen=True, eq=False)
-class Bode(Brief):
+class Bode(ChannelCurves):
     """Frequency response of a model, with standard deviations.
 
     Attributes
@@ -113,32 +158,11 @@ class Bode(Brief):
         """
         bands = (*self.magnitude_band(level), *self.phase_band(level))
         numbers = (self.magnitude, self.magnitude_std, *bands[:2], self.phase_deg, self.phase_std_deg, *bands[2:])
-        columns = (
-            *(Column("output"), Column("input"), Column("frequency_hz", format=8)),
-            *(Column(f"magnitude{kind}", format=6) for kind in ("", "_std", "_lower", "_upper")),
-            *(Column(f"phase_deg{kind}", format=6) for kind in ("", "_std", "_lower", "_upper")),
-        )
-        rows: list[list[Entry]] = [
-            [output, source, float(f), *(float(values[k, i, j]) for values in numbers)]
-            for i, output in enumerate(self.output_names)
-            for j, source in enumerate(self.input_names)
-            for k, f in enumerate(self.frequency_hz)
-        ]
+        names = [f"{value}{kind}" for value in ("magnitude", "phase_deg") for kind in ("", "_std", "_lower", "_upper")]
+        columns = _columns(("output", "input"), ("frequency_hz", *names))
+        columns[2] = Column("frequency_hz", format=8)
+        rows = self._rows(self.frequency_hz, *numbers)
         return Table(f"frequency response of {self.name}", columns, rows, (f"bands of {100 * level:g} %",))
-
-    def to_frame(self) -> Any:
-        """Return the table as a data frame.
-
-        Returns
-        -------
-        pandas.DataFrame
-
-        Raises
-        ------
-        UsageError
-            When pandas is not installed.
-        """
-        return self.table().to_frame()
 
 
 def bode(source: ModelLike, frequency_hz: npt.ArrayLike | None = None) -> Bode:
@@ -170,31 +194,22 @@ def bode(source: ModelLike, frequency_hz: npt.ArrayLike | None = None) -> Bode:
     standard deviation of a resonance frequency is as large as the width of the resonance.
     """
     uncertain = as_uncertain(source)
-    model = uncertain.model
+    model, (slopes, covariance) = uncertain.model, uncertain.known()
     f = default_grid(model) if frequency_hz is None else np.atleast_1d(np.asarray(frequency_hz, float))
     if not (f > 0).all():
         raise UsageError(f"frequency_hz of a Bode diagram must be above zero; the smallest is {f.min():g} Hz")
     response = model.frequency_response(f)
-    known = uncertain.known()
-    shape = response.shape
-    covariance = np.full((*shape, 2, 2), np.nan)
-    magnitude_std, phase_std = np.full(shape, np.nan), np.full(shape, np.nan)
-    if known is not None:
-        slopes = response_slopes(model, known[0], f)
-        parts = np.stack([slopes.real, slopes.imag], axis=-1)
-        covariance = np.einsum("pfyua,pq,qfyub->fyuab", parts, known[1], parts, optimize=True)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            relative = slopes / response
-        magnitude_std = np.abs(response) * std_of(relative.real, known[1])
-        phase_std = std_of(np.degrees(relative.imag), known[1])
+    changes = response_slopes(model, slopes, f)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = changes / response
     return Bode(
         f,
         response,
-        covariance,
+        plane_covariance(changes, covariance),
         np.abs(response),
-        magnitude_std,
+        np.abs(response) * std_of(relative.real, covariance),
         np.degrees(_unwrapped(model, f, response)),
-        phase_std,
+        std_of(np.degrees(relative.imag), covariance),
         model.input_names,
         model.output_names,
         model.name,
@@ -275,7 +290,7 @@ _SETTLED, _PERIODS = 6.0, 15.0  # usual duration: time constants of the slowest 
 
 
 @dataclass(frozen=True, eq=False)
-class TimeResponse(Brief):
+class TimeResponse(ChannelCurves):
     """Response of a model at rest to a unit step or a unit impulse of each input.
 
     Attributes
@@ -329,28 +344,8 @@ class TimeResponse(Brief):
 
     def table(self) -> Table:
         """Return the numbers as a table, with a row for each output, input and time; for CSV."""
-        rows: list[list[Entry]] = [
-            [output, source, float(t), float(self.value[k, i, j]), float(self.std[k, i, j])]
-            for i, output in enumerate(self.output_names)
-            for j, source in enumerate(self.input_names)
-            for k, t in enumerate(self.time_s)
-        ]
-        numbers = [Column(name, format=6) for name in ("time_s", "response", "std")]
-        return Table(f"{self.kind} response of {self.name}", [Column("output"), Column("input"), *numbers], rows)
-
-    def to_frame(self) -> Any:
-        """Return the table as a data frame.
-
-        Returns
-        -------
-        pandas.DataFrame
-
-        Raises
-        ------
-        UsageError
-            When pandas is not installed.
-        """
-        return self.table().to_frame()
+        columns = _columns(("output", "input"), ("time_s", "response", "std"))
+        return Table(f"{self.kind} response of {self.name}", columns, self._rows(self.time_s, self.value, self.std))
 
 
 def time_response(source: ModelLike, kind: Excited = "step", duration_s: float | None = None) -> TimeResponse:
@@ -380,7 +375,7 @@ def time_response(source: ModelLike, kind: Excited = "step", duration_s: float |
     later, by ``y(t - tau)``, with the derivative ``-dy/dt`` by the delay. The impulse of a feedthrough is not shown.
     """
     uncertain = as_uncertain(source)
-    model, known = uncertain.model, uncertain.known()
+    model, (slopes, covariance) = uncertain.model, uncertain.known()
     if kind not in ("step", "impulse"):
         raise UsageError(f"kind = {kind!r}; choose 'step' or 'impulse'")
     if model.dt is not None:
@@ -390,10 +385,8 @@ def time_response(source: ModelLike, kind: Excited = "step", duration_s: float |
     elif not (np.isfinite(duration_s) and duration_s > 0):
         raise UsageError(f"duration_s = {duration_s}; it must be a positive number")
     t = np.linspace(0.0, duration_s, _SAMPLES)
-    n_p = 0 if known is None else len(known[1])
-    slopes = _no_slopes(model) if known is None else known[0]
     value = np.zeros((len(t), *model.D.shape))
-    change = np.zeros((n_p, *value.shape))
+    change = np.zeros((len(slopes.A), *value.shape))
     A, C = Dual(np.array(model.A), slopes.A), Dual(np.array(model.C), slopes.C)
     for j in range(model.D.shape[1]):
         parts: list[tuple[FloatArray, FloatArray, float, FloatArray | None]] = [(model.B, slopes.B, 0.0, None)]
@@ -403,13 +396,12 @@ def time_response(source: ModelLike, kind: Excited = "step", duration_s: float |
             b = Dual(matrix[:, [j]], slope[:, :, [j]])
             if not (b.value.any() or b.slope.any()):
                 continue
-            course, course_slopes = _course(A, b, C, t - delay, kind, d_delay)
-            value[:, :, j] += course
-            change[..., j] += course_slopes
+            for total, course in zip((value, change), _course(A, b, C, t - delay, kind, d_delay), strict=True):
+                total[..., j] += course
         if kind == "step":
             value[:, :, j] += model.D[:, j]
             change[..., j] += slopes.D[:, None, :, j]
-    std = np.full(value.shape, np.nan) if known is None else std_of(change, known[1])
+    std = std_of(change, covariance)
     return TimeResponse(kind, t, value, std, model.input_names, model.output_names, model.name)
 
 
@@ -436,12 +428,6 @@ def _course(
     return value, change
 
 
-def _no_slopes(model: LinearModel) -> ModelSlopes:
-    n, (n_y, n_u) = model.n_states, model.D.shape
-    shapes = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "B_delayed": (n, n_u), "delay": (n_u,)}
-    return ModelSlopes(**{name: np.zeros((0, *shape)) for name, shape in shapes.items()})
-
-
 def _settling(model: LinearModel) -> float:
     """Return a duration that shows the response [s]: settled, but not longer than some periods of the slowest mode."""
     poles = model.poles()
@@ -460,7 +446,7 @@ _FAR = 1e6  # smallest size of a zero, relative to the fastest pole, that counts
 
 
 @dataclass(frozen=True, eq=False)
-class PoleZero(Brief):
+class PoleZero(Tabled):
     """Poles and zeros of a model in continuous time.
 
     Attributes
@@ -495,31 +481,14 @@ class PoleZero(Brief):
     def table(self) -> Table:
         """Return the numbers as a table, with a row for each pole and zero; for CSV."""
         rows: list[list[Entry]] = []
-        for kind, places, spread in (
-            ("pole", self.poles, self.pole_covariance),
-            ("zero", self.zeros, self.zero_covariance),
-        ):
-            for s, cov in zip(places, spread, strict=True):
-                std_re, std_im = np.sqrt(np.diag(cov)).tolist()
-                size = float(abs(s))
-                damping = -float(s.real) / size if size else None
-                rows.append([kind, float(s.real), std_re, float(s.imag), std_im, size / (2 * np.pi), damping])
+        kinds = (("pole", self.poles, self.pole_covariance), ("zero", self.zeros, self.zero_covariance))
+        for kind, s, cov in ((kind, *pair) for kind, *both in kinds for pair in zip(*both, strict=True)):
+            std_re, std_im = np.sqrt(np.diag(cov)).tolist()
+            size = float(abs(s))
+            damping = -float(s.real) / size if size else None
+            rows.append([kind, float(s.real), std_re, float(s.imag), std_im, size / (2 * np.pi), damping])
         names = ("real", "real_std", "imaginary", "imaginary_std", "frequency_hz", "damping")
-        return Table(f"poles and zeros of {self.name}", [Column("kind"), *(Column(n, format=6) for n in names)], rows)
-
-    def to_frame(self) -> Any:
-        """Return the table as a data frame.
-
-        Returns
-        -------
-        pandas.DataFrame
-
-        Raises
-        ------
-        UsageError
-            When pandas is not installed.
-        """
-        return self.table().to_frame()
+        return Table(f"poles and zeros of {self.name}", _columns(("kind",), names), rows)
 
 
 def pole_zero(source: ModelLike) -> PoleZero:
@@ -541,24 +510,15 @@ def pole_zero(source: ModelLike) -> PoleZero:
     poles almost coincide, the derivatives are very large and an ellipse is not a good picture of the uncertainty.
     """
     uncertain = as_uncertain(source)
-    model = uncertain.model
-    known = uncertain.known()
+    model, (slopes, covariance) = uncertain.model, uncertain.known()
     rate = max(float(np.abs(np.linalg.eigvals(model.A)).max(initial=0.0)), 1e-300)
-    poles, pole_slopes = _pencil(model.A, np.eye(model.n_states), rate, None if known is None else known[0].A)
-    system = _zero_pencil(model, None if known is None else known[0])
-    none: tuple[ComplexArray, ComplexArray | None] = (np.zeros(0, complex), None)
-    zeros, zero_slopes = none if system is None else _pencil(system[0], system[1], rate, system[2])
+    poles, pole_slopes = _pencil(model.A, np.eye(model.n_states), rate, slopes.A)
+    zeros, zero_slopes = _zeros(model, slopes, rate)
     if model.dt is not None:
         with np.errstate(divide="ignore"):
             poles, zeros = (np.asarray(np.log(each) / model.dt, complex) for each in (poles, zeros))
-    covariance = None if known is None else known[1]
-    return PoleZero(
-        poles=poles,
-        pole_covariance=_spread(poles, pole_slopes, covariance),
-        zeros=zeros,
-        zero_covariance=_spread(zeros, zero_slopes, covariance),
-        name=model.name,
-    )
+    spreads = (plane_covariance(each, covariance) for each in (pole_slopes, zero_slopes))
+    return PoleZero(poles, next(spreads), zeros, next(spreads), model.name)
 
 
 def ellipse(covariance: FloatArray, level: float = LEVEL, n: int = 60) -> FloatArray:
@@ -587,34 +547,27 @@ def ellipse(covariance: FloatArray, level: float = LEVEL, n: int = 60) -> FloatA
     )
 
 
-def _pencil(
-    M: FloatArray, N: FloatArray, rate: float, dM: FloatArray | None
-) -> tuple[ComplexArray, ComplexArray | None]:
+def _pencil(M: FloatArray, N: FloatArray, rate: float, dM: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Return the finite eigenvalues by rising magnitude, and their derivatives (n_free, n)."""
-    found: tuple[ComplexArray, ComplexArray, ComplexArray] = eig(M / rate, N, left=True, right=True)
-    values, left, right = found
+    values, left, right = eig(M / rate, N, left=True, right=True)
     keep = np.flatnonzero(np.isfinite(values) & (np.abs(values) < _FAR))
     keep = keep[np.lexsort((values[keep].imag, np.abs(values[keep])))]
     values, left, right = values[keep] * rate, left[:, keep].conj(), right[:, keep]
-    if dM is None:
-        return values, None
     size = np.einsum("ni,nm,mi->i", left, N, right)
     with np.errstate(divide="ignore", invalid="ignore"):
         return values, np.einsum("ni,pnm,mi->pi", left, dM, right, optimize=True) / size
 
 
-def _zero_pencil(
-    model: LinearModel, slopes: ModelSlopes | None
-) -> tuple[FloatArray, FloatArray, FloatArray | None] | None:
-    """Return the pencil (M, N) of the transmission zeros, and the derivatives of M.
+def _zeros(model: LinearModel, slopes: ModelSlopes, rate: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return the transmission zeros and their derivatives (n_free, n).
 
-    None for a system that is not square, or with an input that acts both promptly and with a delay.
+    There are none for a system that is not square, or with an input that acts both promptly and with a delay.
     """
     n_y, n_u = model.D.shape
     prompt = model.B.any(axis=0) | model.D.any(axis=0)
     delayed = np.zeros(n_u, bool) if model.B_delayed is None else model.B_delayed.any(axis=0)
     if n_y != n_u or not n_u or (prompt & delayed).any():
-        return None
+        return np.zeros(0, complex), np.zeros((len(slopes.A), 0), complex)
     B = model.B if model.B_delayed is None else model.B + model.B_delayed
     M = np.block([[model.A, B], [model.C, model.D]])
     # Columns and rows of about one size: the zeros do not depend on the units of inputs and outputs.
@@ -623,20 +576,11 @@ def _zero_pencil(
     columns[model.n_states :] = size / _sizes(np.vstack([B, model.D]), 0)
     rows[model.n_states :] = size / _sizes(np.hstack([model.C, model.D]), 1)
     scale = np.outer(rows, columns)
-    N = np.diag([1.0] * model.n_states + [0.0] * n_u)
-    if slopes is None:
-        return M * scale, N, None
     upper = np.concatenate([slopes.A, slopes.B + slopes.B_delayed], axis=2)
-    return M * scale, N, np.concatenate([upper, np.concatenate([slopes.C, slopes.D], axis=2)], axis=1) * scale
+    dM = np.concatenate([upper, np.concatenate([slopes.C, slopes.D], axis=2)], axis=1)
+    return _pencil(M * scale, np.diag([1.0] * model.n_states + [0.0] * n_u), rate, dM * scale)
 
 
 def _sizes(matrix: FloatArray, axis: int) -> FloatArray:
     size = np.linalg.norm(matrix, axis=axis)
     return np.asarray(np.where(size > 0, size, 1.0))
-
-
-def _spread(places: ComplexArray, slopes: ComplexArray | None, covariance: FloatArray | None) -> FloatArray:
-    if slopes is None or covariance is None:
-        return np.full((len(places), 2, 2), np.nan)
-    parts = np.stack([slopes.real, slopes.imag], axis=-1)
-    return np.asarray(np.einsum("pia,pq,qib->iab", parts, covariance, parts, optimize=True))

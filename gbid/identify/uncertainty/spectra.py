@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -12,9 +11,10 @@ from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import Pictured
-from gbid.core.tables import Column, Entry, Table
+from gbid.core.tables import Column, Table
 from gbid.discretise import check_holds, hold_response
-from gbid.identify.data import select
+from gbid.identify.data import same_columns, select
+from gbid.identify.uncertainty.curves import ChannelCurves
 from gbid.recording import Recording
 from gbid.structure import as_names
 
@@ -24,7 +24,7 @@ _NUMBERS = ("frequency_hz", "magnitude", "magnitude_std", "phase_deg", "coherenc
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredResponse(Brief, Pictured):
+class MeasuredResponse(ChannelCurves, Pictured):
     """Frequency response that was estimated from recordings without a model.
 
     Attributes
@@ -58,29 +58,12 @@ class MeasuredResponse(Brief, Pictured):
     def table(self) -> Table:
         """Return the numbers as a table, with a row for each output, input and frequency."""
         columns = [Column("output"), Column("input"), *(Column(name, format=8) for name in _NUMBERS)]
-        rows: list[list[Entry]] = [
-            [output, source, *(float(value) for value in (f, abs(h), std, np.degrees(np.angle(h)), coherence))]
-            for i, output in enumerate(self.output_names)
-            for j, source in enumerate(self.input_names)
-            for f, h, std, coherence in zip(
-                self.frequency_hz, self.response[:, i, j], self.std[:, i, j], self.coherence[:, i], strict=True
-            )
-        ]
+        phase, coherence = (
+            np.degrees(np.angle(self.response)),
+            np.broadcast_to(self.coherence[..., None], self.std.shape),
+        )
+        rows = self._rows(self.frequency_hz, np.abs(self.response), self.std, phase, coherence)
         return Table("measured frequency response", columns, rows)
-
-    def to_frame(self) -> Any:
-        """Return the table as a data frame.
-
-        Returns
-        -------
-        pandas.DataFrame
-
-        Raises
-        ------
-        UsageError
-            When pandas is not installed.
-        """
-        return self.table().to_frame()
 
 
 def measured_response(
@@ -130,7 +113,8 @@ def measured_response(
     Sec. 2.6). The variance of an entry is ``(1 - coherence) S_yy [S_uu^-1] / averages`` for the complex value.
     """
     several = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    u, y, names = _channels(several, inputs, outputs)
+    u, input_names, _ = same_columns(several, as_names(inputs))
+    y, output_names, _ = same_columns(several, as_names(outputs))
     r = [select(rec, as_names(reference))[0] for rec in several] if reference else u
     n_u, n_y, h = u[0].shape[1], y[0].shape[1], several[0].sample_time
     if r[0].shape[1] != n_u:
@@ -165,33 +149,10 @@ def measured_response(
         response=np.asarray(response / hold, complex),
         std=np.sqrt(variance) / np.abs(hold),
         coherence=coherence,
-        input_names=tuple(names[0]),
-        output_names=tuple(names[1]),
+        input_names=tuple(input_names),
+        output_names=tuple(output_names),
         averages=averages,
     )
-
-
-def _channels(
-    recordings: Sequence[Recording], inputs: str | Sequence[str], outputs: str | Sequence[str]
-) -> tuple[list[FloatArray], list[FloatArray], tuple[list[str], list[str]]]:
-    if not recordings:
-        raise DataError("no recordings; give at least one")
-    first, u, y = recordings[0], [], []
-    names: tuple[list[str], list[str]] = ([], [])
-    for recording in recordings:
-        if not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
-            raise DataError(
-                f"recordings {first.name!r} and {recording.name!r} have different sample times: "
-                f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one"
-            )
-        values, u_names, _ = select(recording, as_names(inputs))
-        u.append(values)
-        values, y_names, _ = select(recording, as_names(outputs))
-        y.append(values)
-        if names[1] and names != (u_names, y_names):
-            raise DataError(f"recordings {first.name!r} and {recording.name!r} have different channels")
-        names = (u_names, y_names)
-    return u, y, names
 
 
 def _segment_length(recordings: Sequence[Recording], resolution_hz: float | None) -> int:

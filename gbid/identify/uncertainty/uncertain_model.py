@@ -7,7 +7,7 @@ from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
 
-from gbid.core.arrays import FloatArray
+from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.hdf5 import Stored
@@ -65,11 +65,13 @@ class UncertainModel(Brief):
     slopes: ModelSlopes | None = None
     covariance: FloatArray | None = None
 
-    def known(self) -> tuple[ModelSlopes, FloatArray] | None:
-        """Return derivatives and covariance, or None where one of them is missing or not finite."""
-        if self.slopes is None or self.covariance is None or not np.isfinite(self.covariance).all():
-            return None
-        return self.slopes, self.covariance
+    def known(self) -> tuple[ModelSlopes, FloatArray | None]:
+        """Return derivatives and covariance; no derivatives and None where one of them is missing or not finite."""
+        if self.slopes is not None and self.covariance is not None and np.isfinite(self.covariance).all():
+            return self.slopes, self.covariance
+        n, (n_y, n_u) = self.model.n_states, self.model.D.shape
+        shapes = (n, n), (n, n_u), (n_y, n), (n_y, n_u), (n, n_u), (n_u,)
+        return ModelSlopes(*(np.zeros((0, *shape)) for shape in shapes)), None
 
 
 @runtime_checkable
@@ -112,8 +114,22 @@ def as_uncertain(source: ModelLike) -> UncertainModel:
     raise UsageError(f"{type(source).__name__} has no linear model; give a LinearModel or a FitResult")
 
 
-def std_of(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return standard deviations from derivatives (n_free, ...) and the covariance of the parameters."""
+def std_of(slopes: FloatArray, covariance: FloatArray | None) -> FloatArray:
+    """Return standard deviations from derivatives (n_free, ...) and the covariance of the parameters; nan without."""
+    if covariance is None:
+        return np.full(slopes.shape[1:], np.nan)
     flat = slopes.reshape(len(slopes), -1)
     variance = np.einsum("pi,pq,qi->i", flat, covariance, flat, optimize=True)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(slopes.shape[1:]))
+
+
+def plane_covariance(slopes: ComplexArray, covariance: FloatArray | None) -> FloatArray:
+    """Return covariances of real and imaginary part, (..., 2, 2), from complex derivatives (n_free, ...); nan without.
+
+    `covariance` is that of the parameters.
+    """
+    shape = (*slopes.shape[1:], 2, 2)
+    if covariance is None:
+        return np.full(shape, np.nan)
+    parts = np.stack([slopes.real, slopes.imag], axis=-1).reshape(len(slopes), -1, 2)
+    return np.asarray(np.einsum("pia,pq,qib->iab", parts, covariance, parts, optimize=True).reshape(shape))
