@@ -64,7 +64,7 @@ def through_all_steps(predictor, values, blocks, start, window):
 def test_pass_is_that_of_casadi_through_all_steps(case, engine):
     predictor, values, blocks, starts = case
     with nullcontext() if engine == "compiled" else no_compiler():
-        kernel = choose_kernel(predictor, AT).kernel
+        kernel, _ = choose_kernel(predictor, AT)
     weight = np.array([[2.0, 0.3], [0.3, 1.0]])
     sweep = kernel.sweep(values, blocks, starts, weight)
     n_p = len(values.theta)

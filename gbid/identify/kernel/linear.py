@@ -528,6 +528,7 @@ class CompiledPasses(Kernel):
         Why its library is not taken from the cache; empty when it is.
     """
 
+    engine = "compiled"
     note: str
 
     @abstractmethod

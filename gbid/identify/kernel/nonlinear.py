@@ -88,7 +88,7 @@ class NonlinearKernel(SampleKernel):
     ) -> float:
         """Return the largest growth along the trajectory of a segment; see `Kernel`."""
         if sweep is None:
-            return np.inf
+            return np.nan
         by_start = sweep.end_start / state_scale[:, None] * state_scale
         window = blocks.length * blocks.per_window
         pieces = np.split(by_start, blocks.segment_first[1:])

@@ -15,6 +15,8 @@ from gbid.identify.kernel.sums import SampleKernel, SampleSums
 class PortablePasses(SampleKernel):
     """Passes of a kernel without a C compiler; in part a `Kernel`."""
 
+    engine = "numpy"
+
     def passed(self, v: Any, blocks: Blocks, begin: FloatArray) -> Prediction:
         """Return states and errors; see `Kernel`."""
         z, y = flat(blocks.z(v.shift)), flat(blocks.y)

@@ -17,12 +17,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.identify.kernel.blocks import Blocks, BlockSums, Prediction
+from gbid.identify.options import RunEngine
 from gbid.identify.predictor import PredictorValues
 
 
@@ -281,7 +282,14 @@ class Kernel(ABC):
 
     `starts` are the states at the starts of the windows, (n_windows, n); `begin` are those at the starts of all W
     blocks, (n, W).
+
+    Attributes
+    ----------
+    engine : {"compiled", "numpy"}
+        What runs the passes.
     """
+
+    engine: ClassVar[RunEngine]
 
     @abstractmethod
     def trace(self, v: Any, blocks: Blocks, starts: FloatArray, weights: Sequence[FloatArray]) -> list[Traced]:
@@ -351,7 +359,7 @@ class Kernel(ABC):
     def growth(self, v: Any, blocks: Blocks, sweep: Sweep | None, state_scale: FloatArray) -> float:
         """Return the growth of a small deviation in a sample; infinite where the predictor overflows.
 
-        `sweep` is the pass, None where it overflows; a linear predictor needs none. States are of the order of
+        `sweep` is a pass; a linear predictor needs none, a nonlinear one has NaN without it. States are of the order of
         `state_scale`.
         """
 

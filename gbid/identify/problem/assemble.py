@@ -121,16 +121,8 @@ MOST_INSTRUCTIONS = 60_000
 """Largest number of operations of all functions of a sample that are compiled: 10 000 take about 3 s."""
 
 
-class ChosenKernel(NamedTuple):
-    """Kernel, the name of its engine, and notes on its choice."""
-
-    kernel: Kernel
-    name: RunEngine
-    notes: tuple[str, ...]
-
-
-def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> ChosenKernel:
-    """Return the kernel of a predictor.
+def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> tuple[Kernel, list[str]]:
+    """Return the kernel of a predictor, and notes on its choice.
 
     It is compiled if there is a C compiler and the predictor is not too large to be compiled in seconds. Otherwise it
     is the portable one, and a note says why.
@@ -169,9 +161,8 @@ def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> Ch
         except (CompilerMissingError, NotImplementedError) as missing:
             reason = f"{missing}: the slower portable pass was used; install gcc, clang or gbid[compiler], or set CC"
         else:
-            notes = [FitNote.SLOW_ENGINE(kernel.note), *notes] if kernel.note else notes
-            return ChosenKernel(kernel, "compiled", tuple(notes))
-    return ChosenKernel(portable(), "numpy", (FitNote.SLOW_ENGINE(reason), *notes))
+            return kernel, [FitNote.SLOW_ENGINE(kernel.note), *notes] if kernel.note else notes
+    return portable(), [FitNote.SLOW_ENGINE(reason), *notes]
 
 
 # ---- Segments of records: cut at left-out samples and edges of pieces, and grouped by predictor.
@@ -210,12 +201,12 @@ class Member(NamedTuple):
 
 
 class Grouped(NamedTuple):
-    """Parts of a problem, its links and the first windows of its records, as in `Assembly`; and their kernels."""
+    """Parts of a problem, its links, the first windows of its records, and notes on its kernels; as in `Assembly`."""
 
     parts: tuple[RecordGroup, ...]
     links: IntArray
     record_window: IntArray
-    kernels: list[ChosenKernel]
+    notes: tuple[str, ...]
 
 
 def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, float]) -> Grouped:
@@ -226,18 +217,20 @@ def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, f
     groups: dict[tuple[int, tuple[int, ...], bytes], list[int]] = {}
     for i, (_, _, predictor, index, tie) in enumerate(members):
         groups.setdefault((id(predictor), index, b"" if tie is None else tie.tobytes()), []).append(i)
-    kernels: dict[int, ChosenKernel] = {}
+    kernels: dict[int, Kernel] = {}
+    notes = dict[str, None]()
     parts, windows, base = [], [(0, 0)] * len(members), 0  # first and last window of each segment
     for (key, _, _), places in groups.items():
         _, _, predictor, index, tie = members[places[0]]
         if key not in kernels:
-            kernels[key] = choose_kernel(predictor, begin)
+            kernels[key], on_choice = choose_kernel(predictor, begin)
+            notes |= dict.fromkeys(on_choice)
         segments = [members[i].segment for i in places]
         # A lone short segment fills all lanes with blocks of itself.
         longest = max(len(s.part(s.outputs)) for s in segments)
         size = -(-longest // LANES) if len(segments) == 1 and tie is not None else LONGEST_BLOCK
         blocks = cut(segments, predictor, window, longest_block=min(size, LONGEST_BLOCK))
-        parts.append(RecordGroup(predictor, blocks, np.array(index), kernels[key].kernel, tie))
+        parts.append(RecordGroup(predictor, blocks, np.array(index), kernels[key], tie))
         edges = pairwise([*blocks.segment_first.tolist(), blocks.n_windows])
         for i, (first, stop) in zip(places, edges, strict=True):
             windows[i] = base + first, base + stop - 1
@@ -248,9 +241,7 @@ def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, f
         firsts.setdefault(member.record, first)
         links += pairwise(range(first, last + 1))
         before = last
-    return Grouped(
-        tuple(parts), np.array(links, np.int64).reshape(-1, 2), np.array([*firsts.values()]), [*kernels.values()]
-    )
+    return Grouped(tuple(parts), np.array(links, np.int64).reshape(-1, 2), np.array([*firsts.values()]), tuple(notes))
 
 
 # ---- Assembly of a fit from recordings and options: parts, links, and shared parameters.
@@ -287,8 +278,6 @@ class Assembly:
         First window of each record.
     record_names : tuple of dict
         For each record, the full names of its free parameters, by the structure's names.
-    engine : {"compiled", "numpy"}
-        Engine of the passes over the samples.
     notes : tuple of str
         Notes for the user.
     """
@@ -299,7 +288,6 @@ class Assembly:
     unused: tuple[str, ...]
     record_window: IntArray
     record_names: tuple[Mapping[str, str], ...]
-    engine: RunEngine
     notes: tuple[str, ...]
 
     @property
@@ -307,6 +295,11 @@ class Assembly:
         """Number of states of the structure, without the offsets of random walks."""
         predictor = self.parts[0].predictor
         return predictor.n_states - len(predictor.disturbances.walking)
+
+    @property
+    def engine(self) -> RunEngine:
+        """Engine of the passes over the samples."""
+        return self.parts[-1].kernel.engine
 
     @property
     def own_names(self) -> dict[str, str]:
@@ -420,9 +413,8 @@ def assemble(
                 index, tie = tie_of(chosen, names, position, ties, first_piece + piece)
             members.append(Member(i, segment, chosen, index, tie))
     window = automatic_window(data, focus) if options.window == "auto" else options.window
-    parts, links, record_window, kernels = grouped(members, window, begin)
-    notes = tuple(dict.fromkeys(note for chosen in kernels for note in chosen.notes))
-    return Assembly(parts, links, free, first[0].unused, record_window, record_names, kernels[-1].name, notes)
+    parts, links, record_window, notes = grouped(members, window, begin)
+    return Assembly(parts, links, free, first[0].unused, record_window, record_names, notes)
 
 
 def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, record: Record, data: FitData) -> None:
@@ -594,17 +586,12 @@ def unknown_bounds(
     problem: Shooting, assembly: Assembly, states: InitialStates | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the scaled bounds of all unknowns; given and spare initial states are fixed."""
-    free = np.full((problem.n_windows, problem.n_states), inf)
-    lowest, highest = -free, free
-    for part, first, last in zip(problem.parts, problem.first_window[:-1], problem.first_window[1:], strict=True):
-        spare = part.predictor.spare
-        for side in (lowest, highest):
-            side[first:last, problem.n_states - spare :] = 0.0
+    fixed = np.full((problem.n_windows, problem.n_states), np.nan)
+    for part, begin in zip(problem.parts, problem.by_part(fixed), strict=True):
+        begin[:, problem.n_states - part.predictor.spare :] = 0.0
     if states is not None:
-        n, fixed = assembly.n_states, ~np.isnan(states.shooting)
-        for window, values, held in zip(assembly.record_window, states.shooting, fixed, strict=True):
-            for side in (lowest, highest):
-                side[window, :n][held] = values[held]
+        fixed[assembly.record_window, : assembly.n_states] = states.shooting
+    lowest, highest = (np.where(np.isnan(fixed), free, fixed) for free in (-inf, inf))
     lower = problem.pack(np.array([q.lower for q in assembly.free]), lowest)
     upper = problem.pack(np.array([q.upper for q in assembly.free]), highest)
     return lower, upper

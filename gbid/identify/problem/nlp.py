@@ -15,7 +15,7 @@ from gbid.core.arrays import FloatArray, IntArray
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sums import Kernel, Sweep, spectral_radius, tied
 from gbid.identify.options import Criterion
-from gbid.identify.predictor import GeneralPredictor, Predictor, PredictorValues
+from gbid.identify.predictor import GeneralPredictor, Predictor
 
 # ---- Parts of the shooting problem: groups of records, prior knowledge, and values at a point.
 
@@ -387,11 +387,7 @@ class Shooting:
     def valid_values(self, theta: FloatArray) -> list[Any] | None:
         """Return the predictors of all parts; None beyond the bounds of tied parameters, or for an unstable one."""
         values = self.values(theta)
-        return None if self._refused(theta, self._rate_alone(values)) else values
-
-    def _rate_alone(self, values: list[Any]) -> float:
-        """Return the growth of linear predictors; NaN for others, which grow only in a pass."""
-        return self.growth(values, ()) if isinstance(values[0], PredictorValues) else np.nan
+        return None if self._refused(theta, self.growth(values)) else values
 
     def _refused(self, theta: FloatArray, rate: float) -> bool:
         return (self._watched and rate > 1) or not all(part.within_bounds(theta) for part in self.parts)
@@ -476,13 +472,13 @@ class Shooting:
 
     def rate(self, theta: FloatArray, starts: FloatArray) -> float:
         """Return the growth of a small deviation in a sample at a point; for linear predictors without a pass."""
-        alone = self._rate_alone(self.values(theta))
+        alone = self.growth(self.values(theta))
         return self.of(theta, starts).rate if np.isnan(alone) else alone
 
-    def growth(self, values: list[Any], sweeps: Sequence[Sweep]) -> float:
-        """Return the largest growth of a small deviation in a sample, over all parts; of some kernels from a pass."""
+    def growth(self, values: list[Any], sweeps: Sequence[Sweep] = ()) -> float:
+        """Return the largest growth of a small deviation in a sample, over all parts; NaN where that needs a pass."""
         each = zip(self.parts, values, sweeps or repeat(None), strict=False)
-        return max(part.kernel.growth(v, part.blocks, own, self.state_scale) for part, v, own in each)
+        return max(part.kernel.growth(v, part.blocks, sweep, self.state_scale) for part, v, sweep in each)
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -605,7 +601,7 @@ class Shooting:
     def _evaluate(self, theta: FloatArray, starts: FloatArray) -> Iterate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a bad trial point: the solver steps back
             values = self.values(theta)
-            rate = self._rate_alone(values)
+            rate = self.growth(values)
             if self._refused(theta, rate):
                 return self._invalid(rate)
             if self.criterion == "trace":  # the weight is one factor, applied after the pass

@@ -15,11 +15,7 @@ from gbid.identify.data import FitData, moves
 from gbid.identify.disturbances import Disturbances
 from gbid.identify.options import InitialState, OwnState
 from gbid.identify.problem.nlp import Shooting
-from gbid.structure import (
-    AnyStructure,
-    Parameter,
-    kind_of,
-)
+from gbid.structure import AnyStructure, Parameter, kind_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +52,9 @@ class InitialStates:
 
 
 def initial_states(
-    structure: AnyStructure, parameters: Sequence[Parameter], asked: InitialState, recordings: Sequence[str]
+    structure: AnyStructure, parameters: Sequence[Parameter], choice: InitialState, recordings: Sequence[str]
 ) -> InitialStates:
-    """Return the initial states that a caller asked for.
+    """Return the initial states that a caller chose.
 
     Parameters
     ----------
@@ -66,7 +62,7 @@ def initial_states(
         Structure of the fit.
     parameters : sequence of Parameter
         Parameters, with the fixed values of the caller.
-    asked : {"auto", "estimated", "zero", "structure"}, sequence or dict
+    choice : {"auto", "estimated", "zero", "structure"}, sequence or dict
         As for `gbid.fit`.
     recordings : sequence of str
         Names of the recordings, by which a dict gives them.
@@ -74,25 +70,25 @@ def initial_states(
     Raises
     ------
     UsageError
-        When a word, a number of states or a recording is wrong, or the structure has no ``x0``.
+        When a number of states or a recording is wrong, or the structure has no ``x0``.
     DataError
         When a free parameter acts only through initial states that are given otherwise.
     """
     kind = kind_of(structure)
-    own_parts = kind.anatomy()
-    n, stated = own_parts.n_states, bool(own_parts.in_x0)
+    anatomy = kind.anatomy()
+    n, stated = anatomy.n_states, bool(anatomy.in_x0)
     notes: tuple[str, ...] = ()
-    if isinstance(asked, str) and asked == "auto":
-        asked = "structure" if stated else "estimated"
+    if isinstance(choice, str) and choice == "auto":
+        choice = "structure" if stated else "estimated"
         rest = kind.states_at_rest
         if rest and not stated:
-            asked = [0.0 if i in rest else "estimated" for i in range(n)]
+            choice = [0.0 if i in rest else "estimated" for i in range(n)]
             notes = (FitNote.AT_REST(f"{len(rest)} states that are soon forgotten are zero at the first sample"),)
-    own = asked if isinstance(asked, Mapping) else dict.fromkeys(recordings, asked)
-    if set(own) != set(recordings):
-        wrong = ", ".join(sorted(set(own) ^ set(recordings)))
-        raise UsageError(f"initial_state: give one for each recording of the fit and for no other; wrong: {wrong}")
-    rows = [_entries(own[name], n) for name in recordings]
+    chosen = choice if isinstance(choice, Mapping) else dict.fromkeys(recordings, choice)
+    if wrong := sorted(set(chosen) ^ set(recordings)):
+        names = ", ".join(wrong)
+        raise UsageError(f"initial_state: give one for each recording of the fit and for no other; wrong: {names}")
+    rows = [_entries(chosen[name], n) for name in recordings]
     released = np.array([[entry == "structure" for entry in row] for row in rows], bool).reshape(-1, n)
     values = np.array([[np.nan if isinstance(e, str) else e for e in row] for row in rows], float).reshape(-1, n)
     if released.any() and not stated:
@@ -100,15 +96,14 @@ def initial_states(
             f"initial_state = 'structure', but structure {structure.name!r} states none; add x0 to its matrices(p), or "
             "x0=... to a nonlinear structure"
         )
-    lit = [own_parts.in_x0[i] for i in np.flatnonzero(released.any(axis=0))]
-    dark = frozenset().union(*own_parts.in_x0) - own_parts.in_equations.union(*lit)
-    lost = [q.name for q in parameters if not q.fixed and q.name in dark]
-    if lost:
+    begun = [anatomy.in_x0[i] for i in np.flatnonzero(released.any(axis=0))]
+    hidden = frozenset().union(*anatomy.in_x0) - anatomy.in_equations.union(*begun)
+    if lost := [q.name for q in parameters if not q.fixed and q.name in hidden]:
         raise DataError(
             f"initial_state: no recording begins at the state of which {', '.join(lost)} is a parameter; fix each "
             "(fixed=...), or use initial_state='structure'"
         )
-    return InitialStates(values, released, asked, notes)
+    return InitialStates(values, released, choice, notes)
 
 
 def released_states(problem: Shooting, theta: FloatArray, record_window: IntArray) -> FloatArray:
@@ -130,18 +125,13 @@ def released_states(problem: Shooting, theta: FloatArray, record_window: IntArra
 def _entries(state: OwnState, n: int) -> Sequence[float | str]:
     """Return a number or a word for each state."""
     if isinstance(state, str):
-        words: dict[str, float | str] = {"estimated": "estimated", "zero": 0.0, "structure": "structure"}
-        if state not in words:
-            raise UsageError(f"initial_state = {state!r}; choose 'estimated', 'zero', 'structure' or give the state")
-        return [words[state]] * n
+        return [0.0 if state == "zero" else state] * n
     if np.shape(state) != (n,):
         raise UsageError(f"initial_state has shape {np.shape(state)}; the structure has {n} states")
-    for entry in state:
-        if isinstance(entry, str) and entry not in ("estimated", "structure"):
-            raise UsageError(f"initial_state: state {entry!r}; give a number, 'estimated' or 'structure'")
-        if not isinstance(entry, str) and not np.isfinite(float(entry)):
-            raise UsageError(f"initial_state = {state}; it must be finite")
-    return [entry if isinstance(entry, str) else float(entry) for entry in state]
+    entries = [entry if isinstance(entry, str) else float(entry) for entry in state]
+    if not np.isfinite([entry for entry in entries if not isinstance(entry, str)]).all():
+        raise UsageError(f"initial_state = {state}; it must be finite")
+    return entries
 
 
 # ---- Inputs that do not move: a free decay, or a constant force.
@@ -171,24 +161,22 @@ def check_inputs_suffice(
     DataError
         When a free parameter is not determined; names it and the inputs.
     """
-    still = ~np.any([moves(record.inputs) for record in data.records], axis=0)
-    if not (still.any() or no_inputs):
+    constant = ~np.any([moves(record.inputs) for record in data.records], axis=0)
+    if not (constant.any() or no_inputs):
         return
     kind = kind_of(structure)
-    whole = kind.anatomy()
-    n_u = whole.n_inputs
+    anatomy = kind.anatomy()
     if no_inputs:
-        zero = still = np.ones(n_u, bool)
-    elif n_u == len(data.input_names):
-        zero = still & np.all([record.inputs[0] == 0 for record in data.records], axis=0)
+        zero = constant = np.ones(anatomy.n_inputs, bool)
+    elif anatomy.n_inputs == len(data.input_names):
+        zero = constant & np.all([record.inputs[0] == 0 for record in data.records], axis=0)
     else:
         return  # another check reports the number of inputs
-    driven, moving = np.flatnonzero(~zero).tolist(), np.flatnonzero(~still).tolist()
-    begins = frozenset().union(*whole.in_x0)
-    dark = (whole.in_equations | begins) - (kind.anatomy(driven, moving).in_equations | begins)
-    lost = [q.name for q in parameters if not q.fixed and q.name in dark]
-    if lost:
-        quiet = ", ".join(name for name, rests in zip(data.input_names, still, strict=False) if rests)
+    driven, moving = np.flatnonzero(~zero).tolist(), np.flatnonzero(~constant).tolist()
+    begins = frozenset().union(*anatomy.in_x0)
+    hidden = (anatomy.in_equations | begins) - (kind.anatomy(driven, moving).in_equations | begins)
+    if lost := [q.name for q in parameters if not q.fixed and q.name in hidden]:
+        quiet = ", ".join(name for name, rests in zip(data.input_names, constant, strict=False) if rests)
         what = "without an input" if no_inputs else f"no recording moves {quiet}:"
         raise DataError(
             f"{what} the data do not determine {', '.join(lost)}; fix each (fixed=...), or add a recording with an "
@@ -251,11 +239,11 @@ def disturbance_starts(
         if not np.abs(left).max() < _RUNAWAY * np.abs(record.outputs).max():
             left = record.outputs
         columns = disturbances.regressors(record.n_samples, data.sample_time)
-        found = disturbances.closest(left, columns)
-        rest = np.median(left - columns @ found.T, axis=0)
-        found[:, 0] += rest * [trend.n_terms > 0 for trend in disturbances.trends]
-        values = found[disturbances.places].tolist()
-        starts.append({**gains, **{term.name: v for term, v in zip(disturbances.terms, values, strict=True)}})
+        coefficients = disturbances.closest(left, columns)
+        rest = np.median(left - columns @ coefficients.T, axis=0)
+        coefficients[:, 0] += rest * [trend.n_terms > 0 for trend in disturbances.trends]
+        values = coefficients[disturbances.places].tolist()
+        starts.append(gains | {term.name: v for term, v in zip(disturbances.terms, values, strict=True)})
     return starts
 
 
