@@ -1,13 +1,11 @@
-"""The gradient by the adjoint against the one that comes with sensitivities, and the scan against a loop."""
-
-import shutil
+"""The gradient by the adjoint against the one that comes with sensitivities, and exact columns of the Hessian."""
 
 import numpy as np
 import pytest
+from compilers import NEEDS_COMPILER
 from shooting_problem import problem
 
 from gbid.identify.disturbances import Disturbances, Trend
-from gbid.identify.kernel.sums import scan
 from gbid.identify.problem.hessian import entries_of, in_one_window, left_out_columns, on_ends
 
 DISTURBED = Disturbances(("p_x", "p_y"), (Trend(3), Trend(0, random_walk=True)), (50.0,))
@@ -34,7 +32,7 @@ def by_adjoint(shooting, unknowns, lam):
     return np.concatenate([by_theta * shooting.theta_scale, by_start.ravel()])
 
 
-@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+@NEEDS_COMPILER
 @pytest.mark.parametrize(
     "options",
     [
@@ -46,10 +44,8 @@ def by_adjoint(shooting, unknowns, lam):
     ids=["windows", "det", "long windows", "local and disturbances"],
 )
 @pytest.mark.parametrize("joined", [False, True], ids=["cut", "joined"])
-def test_the_adjoint_gives_the_gradient_of_the_pass(engine, options, joined):
-    if engine == "compiled" and not shutil.which("cc"):
-        pytest.skip("no C compiler on this machine")
-    shooting, unknowns = problem(engine, **options)
+def test_the_adjoint_gives_the_gradient_of_the_pass(options, joined):
+    shooting, unknowns = problem("compiled", **options)
     if joined:
         shooting, kept = in_one_window(shooting)
         unknowns = unknowns[kept]
@@ -69,27 +65,17 @@ def test_the_problem_has_no_value_where_the_predictor_is_unstable():
     assert np.isnan(shooting.at(unstable).gradient).all()
 
 
-@pytest.mark.parametrize("steps", [1, 2, 3, 8, 49])
-def test_the_scan_is_the_loop(steps):
-    random = np.random.default_rng(steps)
-    transition = 0.3 * random.normal(size=(3, 3))
-    values = random.normal(size=(3, 4, steps, 2))
-    expected = values.copy()
-    for i in range(1, steps):
-        expected[:, :, i] += np.einsum("ij,jwm->iwm", transition, expected[:, :, i - 1])
-    np.testing.assert_allclose(scan(transition, values), expected, rtol=1e-12, atol=1e-12)
-
-
 GAINS = ("bd_xx", "bd_xy", "bd_yx", "bd_yy")
 
 
+@NEEDS_COMPILER
 @pytest.mark.parametrize("joined", [False, True], ids=["cut", "joined"])
 @pytest.mark.parametrize(
     "local", [{}, dict.fromkeys(GAINS, "recording"), {"bd_xx": "recording"}], ids=["shared", "local", "one of four"]
 )
 def test_exact_columns_are_second_derivatives(local, joined):
     """Against differences of the pass's own gradient, and what the logarithm adds as the weight is held."""
-    shooting, unknowns = problem(local=local)
+    shooting, unknowns = problem("compiled", local=local)
     if joined:
         shooting, kept = in_one_window(shooting)
         unknowns = unknowns[kept]

@@ -143,20 +143,13 @@ SHAPES = {
 }
 
 
-@NEEDS_COMPILER
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("case", ["every", "one output"])
-def test_shapes_of_windows(case, shape, fresh, cache):
-    assert_same_passes(case, SHAPES[shape], fresh, cache)
+SAME_PASSES = [(case, shape) for case in ("every", "one output") for shape in SHAPES.values()]
+SAME_PASSES += [(case, ((300, 131), 50)) for case in CASES]
 
 
 @NEEDS_COMPILER
-@pytest.mark.parametrize("case", CASES)
-def test_the_compiled_kernel_is_the_portable_one(case, fresh, cache):
-    assert_same_passes(case, ((300, 131), 50), fresh, cache)
-
-
-def assert_same_passes(case, shape, fresh, cache):
+@pytest.mark.parametrize(("case", "shape"), SAME_PASSES)
+def test_the_compiled_kernel_is_the_portable_one(case, shape, fresh, cache):
     """All that a kernel answers, compiled and portable."""
     fresh.setenv("GBID_CACHE_DIR", str(cache))
     predictor, theta, blocks, starts, weight = problem(case, *shape)
@@ -264,24 +257,6 @@ def test_the_second_load_does_not_compile(fresh, tmp_path):
     # Another source has another name.
     with pytest.raises(AssertionError, match="compiled again"):
         compiling.load_library(SOURCE.format(name="twice", value=3.5))
-
-
-@NEEDS_COMPILER
-@pytest.mark.parametrize("damage", [b"", b"no library at all", None])
-def test_a_damaged_library_is_built_anew(fresh, tmp_path, damage):
-    fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
-    name = f"damage{len(damage) if damage is not None else 'cut'}"
-    source = SOURCE.format(name=name, value=7.0)
-    # What load_library will look for, put there damaged before anything was loaded: a loaded file must not change.
-    made = tmp_path / "elsewhere"
-    fresh.setenv("GBID_CACHE_DIR", str(made))
-    compiling.load_library(source)
-    (good,) = made.glob("*.so")
-    (tmp_path / good.name).write_bytes(good.read_bytes()[:500] if damage is None else damage)
-    compiling.load_library.cache_clear()
-    fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
-    assert value_of(compiling.load_library(source), name) == 7.0
-    assert (tmp_path / good.name).stat().st_size > 1000
 
 
 def _load_in_a_process(folder, source, log, ready, results):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from compilers import NEEDS_COMPILER
 from fit_cases import H, levels
 from scipy.signal import lfilter
 from shooting_problem import problem
@@ -13,6 +14,7 @@ from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 
 
+@NEEDS_COMPILER
 @pytest.mark.parametrize(
     "options",
     [{}, {"criterion": "det"}, {"left_out": {}, "local": {"tau_x": "recording"}}],
@@ -20,7 +22,7 @@ from gbid.structure import LinearStructure, Parameter, evaluate
 )
 def test_the_observed_information_is_the_slope_of_the_gradient(options):
     """Over parameters and initial states, the state carried across samples that are left out."""
-    shooting, unknowns = problem(**options)
+    shooting, unknowns = problem("compiled", **options)
     joined, kept = in_one_window(shooting)
     theta, starts = joined.unpack(unknowns[kept])
     first = np.setdiff1d(np.arange(joined.n_windows), joined.links[:, 1])  # windows that records begin with

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -121,12 +122,6 @@ class Blocks:
         place = np.arange(self.per_window)
         return np.minimum(self.window_first[:, None] + place, self.n_blocks - 1), place < self.window_size[:, None]
 
-    @property
-    def linked(self) -> IntArray:
-        """Windows that must end at the start state of the next one in their segment, shape (n_links,)."""
-        last = np.append(self.segment_first[1:], self.n_windows) - 1
-        return np.setdiff1d(np.arange(self.n_windows), last)
-
     def z(self, shift: tuple[int, ...]) -> FloatArray:
         """Return the regressors for the whole-sample parts of the delays, shape (n_groups, length, n_z, lanes)."""
         if shift not in self._regressors:
@@ -157,13 +152,8 @@ class Blocks:
     def by_segment(self, values: FloatArray) -> list[FloatArray]:
         """Return values of blocks, (n_groups, length, n, lanes), as one (n_samples, n) array for each segment."""
         rows = values.transpose(0, 3, 1, 2).reshape(-1, self.length, values.shape[2])
-        result = []
-        first_blocks = self.window_first[self.segment_first]
-        for i, first in enumerate(first_blocks):
-            last = first_blocks[i + 1] if i + 1 < len(first_blocks) else self.n_blocks
-            joined = rows[first:last].reshape(-1, values.shape[2])
-            result.append(joined[: int(self.size[first:last].sum())])
-        return result
+        edges = pairwise([*self.window_first[self.segment_first].tolist(), self.n_blocks])
+        return [rows[a:b].reshape(-1, values.shape[2])[: int(self.size[a:b].sum())] for a, b in edges]
 
 
 def cut(
@@ -200,10 +190,7 @@ def cut(
     window = longest if window is None else min(window, longest)
     per_window = -(-window // longest_block)
     length = -(-window // per_window)
-    first: list[int] = []
-    size: list[int] = []
-    segment_first: list[int] = []
-    block_size: list[int] = []
+    first, size, segment_first, block_size = list[int](), list[int](), list[int](), list[int]()
     for target in targets:
         n = len(target)
         count = -(-n // length)

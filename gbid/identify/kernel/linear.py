@@ -593,23 +593,14 @@ class CompiledLinearKernel(CompiledPasses, LinearKernel):
         n, n_p, n_y = len(v.F), len(v.dF), len(v.C)
         n_groups, length, _, lanes = z.shape
         hessian, products = np.empty((n_p, n_p)), np.empty((n_y, n_y))
-        gradient = np.empty((n_groups, n_p, lanes))
-        gradient_start, end = np.empty((n_groups, n, lanes)), np.empty((n_groups, n, lanes))
-        mixed, end_theta = np.empty((n_groups, n_p, n, lanes)), np.zeros((n_groups, n_p, n, lanes))
+        by_group = [np.empty((n_groups, *shape, lanes)) for shape in ((n_p,), (n,), (n_p, n), (n,))]
+        by_group.append(np.zeros((n_groups, n_p, n, lanes)))  # stays zero for padding
         response = np.zeros((length, n_y, _tiled(n)))
         response[:, :, :n] = free
         arrays = [*v[:8], root, response, z, blocks.y, blocks.used, blocks.size, blocks.by_group(begin)]
-        results = [hessian, products, gradient, gradient_start, mixed, end, end_theta]
-        run_compiled(self._pass, (n_groups, length), arrays, results)
-        return BlockSums(
-            hessian,
-            products,
-            per_block(gradient),
-            per_block(gradient_start),
-            per_block(mixed),
-            per_block(end),
-            per_block(end_theta).transpose(0, 2, 1),
-        )
+        run_compiled(self._pass, (n_groups, length), arrays, [hessian, products, *by_group])
+        gradient, gradient_start, mixed, end, end_theta = map(per_block, by_group)
+        return BlockSums(hessian, products, gradient, gradient_start, mixed, end, end_theta.transpose(0, 2, 1))
 
     def run_forwards(
         self, v: PredictorValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]

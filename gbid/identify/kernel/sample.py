@@ -12,6 +12,7 @@ feeds back. `theta` are the free parameters; `known` are all others and, last, t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -45,10 +46,8 @@ class SampleEquations(NamedTuple):
         Disturbance gain for all states, (n, n_y); without entries where measured outputs are not fed back.
     x0 : casadi.SX
         Initial state of the released states, (n, 1); zero for all others.
-    walking : tuple of int
-        Outputs with a random walk, whose offsets are the last states.
-    prompt, lead : tuple of int
-        Inputs without delay among the regressors, and those of them whose next sample is there, too.
+    prompt : tuple of int
+        Inputs without delay among the regressors.
     delayed : tuple of int
         Inputs with an exact delay.
     early : casadi.SX
@@ -56,7 +55,7 @@ class SampleEquations(NamedTuple):
     holds : tuple of {"zoh", "foh"}
         Hold of each input.
     disturbances : Disturbances
-        Trends and hum.
+        Trends and hum. The last states are the offsets of random walks.
     coefficients : casadi.SX
         Their coefficients.
     impulse : bool
@@ -73,9 +72,7 @@ class SampleEquations(NamedTuple):
     y: ca.SX
     K: ca.SX
     x0: ca.SX
-    walking: tuple[int, ...]
     prompt: tuple[int, ...]
-    lead: tuple[int, ...]
     delayed: tuple[int, ...]
     early: ca.SX
     holds: tuple[Hold, ...]
@@ -127,8 +124,8 @@ class _ByContent:
         symbols, rest = [equations.x, equations.theta, equations.known, equations.u], equations._asdict()
         values = [equations.dx, equations.y, equations.K, equations.x0, equations.coefficients, equations.early]
         written = ca.Function("equations", symbols, values).serialize()
-        self.own = equations
-        options = ("walking", "prompt", "lead", "delayed", "holds", "disturbances", "impulse", "integrator")
+        self.equations = equations
+        options = ("prompt", "delayed", "holds", "disturbances", "impulse", "integrator")
         self._content = (written, *(rest[name] for name in options))
 
     def __eq__(self, other: object) -> bool:
@@ -140,28 +137,29 @@ class _ByContent:
 
 @lru_cache(maxsize=32)
 def _functions(equations: _ByContent) -> SampleFunctions:
-    eq = equations.own
+    eq = equations.equations
+    lead, walking = [i for i in eq.prompt if eq.holds[i] == "foh"], eq.disturbances.walking
     n, n_y = eq.x.numel(), eq.y.numel()
     feeds_back = eq.K.nnz() > 0
     taps = [3 if eq.holds[i] == "foh" else 2 for i in eq.delayed]
     rest = [eq.disturbances.n_columns, int(eq.impulse), n_y * feeds_back]
-    widths = [len(eq.prompt), len(eq.lead), sum(taps), *rest]
+    widths = [len(eq.prompt), len(lead), sum(taps), *rest]
     z = ca.SX.sym("z", sum(widths))
-    now, lead, delayed, trend, impulse, measured = _parts(z, widths)
+    now, ahead, delayed, trend, impulse, measured = _parts(z, widths)
     u = ca.SX(eq.u.numel(), 3)  # see `step_inputs`
     early: list[ca.SX | None] = [None] * eq.u.numel()
     for row, i in enumerate(eq.prompt):
         u[i, 1] = now[row]
-    for row, i in enumerate(eq.lead):
-        u[i, 0] = lead[row]
+    for row, i in enumerate(lead):
+        u[i, 0] = ahead[row]
     for row, (i, mine) in enumerate(zip(eq.delayed, _parts(delayed, taps), strict=True)):
         u[i, 3 - mine.numel() :], early[i] = mine.T, eq.early[row]
 
     # Output of a sample, and its derivatives at the state that has begun there.
     at = eq.x + eq.x0 * impulse if eq.impulse else eq.x
     (y,) = ca.substitute([eq.y], [eq.u], [u[:, 1]])
-    for walk, output in enumerate(eq.walking):
-        y[output] += eq.x[n - len(eq.walking) + walk]
+    for walk, output in enumerate(walking):
+        y[output] += eq.x[n - len(walking) + walk]
     if eq.disturbances.n_columns:
         gain = ca.SX(n_y, eq.disturbances.n_columns)
         for row, column, coefficient in zip(*eq.disturbances.places, ca.vertsplit(eq.coefficients), strict=True):
@@ -173,28 +171,26 @@ def _functions(equations: _ByContent) -> SampleFunctions:
 
     # Step of the integrator.
     e, t, w = ca.SX.sym("e", n_y), ca.SX.sym("t"), ca.SX.sym("w")
-    derivative = ca.vertcat(eq.dx, ca.SX(len(eq.walking), 1)) + eq.K @ e
+    derivative = ca.vertcat(eq.dx, ca.SX(len(walking), 1)) + eq.K @ e
     f = ca.Function("f", [eq.x, eq.u], [ca.densify(derivative)], {"allow_free": True})
     ends = step_inputs(u, eq.holds, early, t, w)
     after = one_step(eq.integrator, f, eq.x, ends, eq.known[-1] * w)
 
     a, v = ca.SX.sym("a", n), ca.SX.sym("v", n_y)
-    point, fixed = [eq.x, z], [eq.theta, eq.known]
     every = ca.vertcat(eq.x, e, eq.theta)
     back = ca.jtimes(ca.vertcat(at, y), both, ca.vertcat(a, v), True)
     step_back = ca.jtimes(after, every, a, True)
-    moving = [e, *fixed, t, w]
+    of_output, of_step = [eq.x, z, eq.theta, eq.known], [eq.x, z, e, eq.theta, eq.known, t, w]
     by_every = ca.jacobian(after, every)
-    of_output = [ca.jacobian(at, eq.theta), slopes[:, :n], slopes[:, n:]]
+    by_state, by_input = by_every[:, :n], by_every[:, n + n_y * (not feeds_back) :]
+    jacobians = [ca.jacobian(at, eq.theta), slopes[:, :n], slopes[:, n:]]
     return SampleFunctions(
-        _function("output", [*point, *fixed], [at, y, e_value]),
-        _function("step", [*point, *moving], [after]),
-        _function("output_jacobian", [*point, *fixed], [at, y, e_value], of_output),
-        _function(
-            "step_jacobian", [*point, *moving], [after], [by_every[:, :n], by_every[:, n + n_y * (not feeds_back) :]]
-        ),
-        _function("output_back", [*point, *fixed, a, v], [back[:n], back[n:]]),
-        _function("step_back", [*point, *moving, a], [step_back[:n], step_back[n : n + n_y], step_back[n + n_y :]]),
+        _function("output", of_output, [at, y, e_value]),
+        _function("step", of_step, [after]),
+        _function("output_jacobian", of_output, [at, y, e_value], jacobians),
+        _function("step_jacobian", of_step, [after], [by_state, by_input]),
+        _function("output_back", [*of_output, a, v], [back[:n], back[n:]]),
+        _function("step_back", [*of_step, a], _parts(step_back, [n, n_y, eq.theta.numel()])),
         feeds_back,
     )
 
@@ -206,12 +202,10 @@ def _function(
     return ca.Function(name, list(arguments), [*dense, *(ca.sparsify(each) for each in jacobians)], {"cse": True})
 
 
-def _parts(z: ca.SX, widths: Sequence[int]) -> list[ca.SX]:
-    parts, at = [], 0
-    for width in widths:
-        parts.append(z[at : at + width])
-        at += width
-    return parts
+def _parts(column: ca.SX, widths: Sequence[int]) -> list[ca.SX]:
+    """Return parts of a column with these numbers of rows, of which some may be zero."""
+    ends = list(itertools.accumulate(widths, initial=0))
+    return [column[a:b] for a, b in itertools.pairwise(ends)]
 
 
 # ---- Predictor of a nonlinear structure.
@@ -338,7 +332,7 @@ def build_nonlinear_predictor(
         raise UsageError(f"structure {structure.name!r}: no free parameter to estimate")
     coefficients = ca.vertcat(*(ca.SX.sym(term.name) for term in disturbances.terms))
     gain_symbols = ca.vertcat(*(ca.SX.sym(q.name) for q in gains))
-    symbols = dict(zip((q.name for q in structure.parameters), ca.vertsplit(eq.p) if eq.p.numel() else [], strict=True))
+    symbols = {q.name: eq.p[i] for i, q in enumerate(structure.parameters)}
     others = [q.name for q in structure.parameters if q not in free]
     theta = ca.vertcat(*(symbols[q.name] for q in free), gain_symbols, coefficients)
     h, shift = ca.SX.sym("sample_time"), ca.SX.sym("shift", len(eq.delayed))
@@ -349,7 +343,7 @@ def build_nonlinear_predictor(
         onto[row, output] = gain_symbols[row] if gains else 0
     holds = check_holds(intersample, eq.u.numel())
     acting = names_in(ca.veccat(eq.dx, eq.y))
-    acts = [i for i, symbol in enumerate(_each(eq.u)) if symbol.name() in acting]
+    acts = [i for i in range(eq.u.numel()) if eq.u[i].name() in acting]
     prompt = tuple(i for i in acts if i not in eq.delayed)
     delays = eq.delay[list(eq.delayed), 0]
     full_K = ca.sparsify(ca.vertcat(K, onto))
@@ -367,9 +361,7 @@ def build_nonlinear_predictor(
         y=eq.y,
         K=full_K,
         x0=x0_all,
-        walking=walking,
         prompt=prompt,
-        lead=tuple(i for i in prompt if holds[i] == "foh"),
         delayed=eq.delayed,
         early=delays / h - shift,
         holds=holds,
@@ -407,7 +399,3 @@ def build_nonlinear_predictor(
 def names_in(expression: ca.SX) -> set[str]:
     """Return the names of the symbols in an expression."""
     return {symbol.name() for symbol in ca.symvar(expression)}
-
-
-def _each(column: ca.SX) -> list[ca.SX]:
-    return ca.vertsplit(column) if column.numel() else []

@@ -135,17 +135,15 @@ def omitted_part(
         curvature[part.index] += share
     units, values = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny)), problem.values(theta)
     every = wanted or [range(len(part.predictor.free)) for part in problem.parts]
-    omitted = []
+    omitted, finite = [], bool(np.isfinite(curvature).all())  # no steps can be chosen where the errors overflow
     for (v, part, begin), last, columns in zip(problem.each(values, starts), problem.by_part(ends), every, strict=True):
-        n_own = len(part.predictor.free)
-        sizes = (n_own, n_own), (part.blocks.n_windows, n_own, problem.n_states)
-        if not np.isfinite(curvature).all():  # no steps can be chosen where the errors overflow
-            omitted.append(PartHessian(*(np.full(size, np.nan) for size in sizes)))
-        elif len(columns):
+        if finite and len(columns):
             moved = _moved(problem, part, theta, columns, units)
             omitted.append(PartHessian(*part.kernel.left_out(v, part.blocks, begin, last, weight, moved)))
         else:
-            omitted.append(PartHessian(*(np.zeros(size) for size in sizes)))
+            n_own, fill = len(part.predictor.free), 0.0 if finite else np.nan
+            mixed = np.full((part.blocks.n_windows, n_own, problem.n_states), fill)
+            omitted.append(PartHessian(np.full((n_own, n_own), fill), mixed))
     return omitted
 
 
@@ -211,20 +209,19 @@ class ExactHessian:
             self._left_out = left_out_columns(problem, unknowns, lam_gaps, everything=self._coloured)
         self._calls += 1
         convex = [
-            PartHessian(held_up(own.theta, kept.theta), own.mixed) if own.theta.any() else own
-            for own, kept in zip(self._left_out, gauss_newton_of(problem, here), strict=True)
+            left._replace(theta=held_up(left.theta, kept.theta)) if left.theta.any() else left
+            for left, kept in zip(self._left_out, gauss_newton_of(problem, here), strict=True)
         ]
         return np.asarray(lam_f * (here.hessian + entries_of(problem, convex)))
 
 
 def gauss_newton_of(problem: Shooting, iterate: Iterate) -> list[PartHessian]:
     """Return the Gauss-Newton Hessian of each part at an evaluated point."""
-    found = []
-    for part, s in zip(problem.parts, iterate.sweeps, strict=True):
-        t = problem.theta_scale[part.index]
-        mixed = s.hessian_mixed * (iterate.factor * t[:, None] * problem.state_scale)
-        found.append(PartHessian(iterate.factor * s.hessian * np.outer(t, t), mixed))
-    return found
+    scales, factor = (problem.theta_scale[part.index] for part in problem.parts), iterate.factor
+    return [
+        PartHessian(factor * s.hessian * np.outer(t, t), s.hessian_mixed * (factor * t[:, None] * problem.state_scale))
+        for t, s in zip(scales, iterate.sweeps, strict=True)
+    ]
 
 
 def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:

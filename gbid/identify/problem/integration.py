@@ -79,19 +79,15 @@ def with_integration_error(result: FitResult, shift: FloatArray | None) -> FitRe
     std = np.array([result.std[name] for name in result.free])
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = np.where(std > 0, shift / std, np.nan)
-    notes = result.notes
-    large = [
-        f"{name} by {abs(off):.2g}" for name, off in zip(result.free, relative, strict=True) if abs(off) > _TOLERATED
-    ]
-    if large and result.success:
-        notes = (
-            *notes,
-            FitNote.INTEGRATION(
-                f"the error of the integration moves estimates, in standard deviations: {', '.join(large)}; take more "
-                "steps in a sample (steps=...), or integrator='implicit'"
-            ),
-        )
-    return replace(result, integration_shift=relative, notes=notes)
+    result = replace(result, integration_shift=relative)
+    large = [f"{q} by {abs(off):.2g}" for q, off in zip(result.free, relative, strict=True) if abs(off) > _TOLERATED]
+    if not (large and result.success):
+        return result
+    note = FitNote.INTEGRATION(
+        f"the error of the integration moves estimates, in standard deviations: {', '.join(large)}; take more "
+        "steps in a sample (steps=...), or integrator='implicit'"
+    )
+    return replace(result, notes=(*result.notes, note))
 
 
 def with_steps(problem: Shooting, steps: int) -> Shooting:
