@@ -159,9 +159,9 @@ def characterise_piezo(
     channel, command_channel = _channels(recording, command, position, channel, command_channel)
     x = recording.signal(command)[:, [recording.channels[command].index(command_channel)]]
     y = recording.signal(position)[:, recording.channels[position].index(channel)]
-    own = Recording({command: x}, recording.sample_time, name=recording.name, units=recording.units)
-    plateaus = find_plateaus(own, command)
-    steady = steady_means(y[:, None], steady_parts(own, plateaus, keep))
+    stack_signals = Recording({command: x}, recording.sample_time, name=recording.name, units=recording.units)
+    plateaus = find_plateaus(stack_signals, command)
+    steady = steady_means(y[:, None], steady_parts(stack_signals, plateaus, keep))
     level, at = plateaus.level[:, 0], steady.mean[:, 0]
     if np.ptp(at) == 0:
         raise DataError(
@@ -254,8 +254,8 @@ def _creep(rec: Recording, y: FloatArray, plateaus: Plateaus, keep: float, settl
         width = max(MIN_SAMPLES, round(min(keep, 0.1) * (b - a - settle)))
         before = y[max(int(plateaus.start[k - 1]), earlier - width) : earlier].mean()
         early = y[a + settle : a + settle + width].mean()
-        moved = early - before
-        creep.append((y[b - width : b].mean() - early) / moved if moved else np.nan)
+        change = early - before
+        creep.append((y[b - width : b].mean() - early) / change if change else np.nan)
     return np.array(creep)
 
 

@@ -65,8 +65,8 @@ def find_plateaus(rec: Recording, command: str, min_samples: int = 2 * MIN_SAMPL
     travel = float(np.ptp(values, axis=0).max())
     if travel == 0:
         raise DataError(f"recording {rec.name!r}: {command} does not move; a staircase steps up and down")
-    moved = np.abs(np.diff(values, axis=0)).max(axis=1) > 1e-3 * travel
-    edges = np.concatenate([[0], np.flatnonzero(moved) + 1, [len(values)]])
+    changes = np.abs(np.diff(values, axis=0)).max(axis=1) > 1e-3 * travel
+    edges = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(values)]])
     start, stop = edges[:-1], edges[1:]
     long = stop - start >= min_samples
     start, stop = start[long], stop[long]
@@ -242,25 +242,25 @@ def branch_difference(at: FloatArray, value: FloatArray, error: FloatArray) -> t
     steps = np.abs(np.diff(at))
     widest = _WIDEST * float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     best = (float("nan"), float("nan"), float("nan"))
-    for i, (one_way, one) in enumerate(runs):
+    for i, (one_way, branch) in enumerate(runs):
         for other_way, other in runs[:i]:
             if one_way == other_way:
                 continue
-            for here, there in ((one, other), (other, one)):
-                for candidate in _differences(here, there, at, value, error, widest):
+            for points, levels in ((branch, other), (other, branch)):
+                for candidate in _differences(points, levels, at, value, error, widest):
                     if not candidate[0] <= best[0]:
                         best = candidate
     return best
 
 
 def _differences(
-    here: list[int], there: list[int], at: FloatArray, value: FloatArray, error: FloatArray, widest: float
+    points: list[int], levels: list[int], at: FloatArray, value: FloatArray, error: FloatArray, widest: float
 ) -> list[tuple[float, float, float]]:
-    order = sorted(there, key=lambda j: float(at[j]))
+    order = sorted(levels, key=lambda j: float(at[j]))
     nodes = at[order]
     differences = []
-    for k in here:
-        if k in there or not nodes[0] <= at[k] <= nodes[-1]:
+    for k in points:
+        if k in levels or not nodes[0] <= at[k] <= nodes[-1]:
             continue
         right = min(max(int(np.searchsorted(nodes, at[k])), 1), len(nodes) - 1)
         a, b = order[right - 1], order[right]

@@ -322,18 +322,18 @@ def _of_one(
 
 
 def _covariance(
-    basis: FloatArray, residual: FloatArray, std_error: FloatArray, moved: FloatArray, dof: int
+    basis: FloatArray, residual: FloatArray, std_error: FloatArray, shifted: FloatArray, dof: int
 ) -> FloatArray:
     """Return the covariance of the gains, row by row."""
-    n_inputs, n_outputs = len(moved), residual.shape[1]
-    inverse = np.linalg.inv(basis.T @ basis)[: moved.sum(), : moved.sum()]
+    n_inputs, n_outputs = len(shifted), residual.shape[1]
+    inverse = np.linalg.inv(basis.T @ basis)[: shifted.sum(), : shifted.sum()]
     noise = residual.T @ residual / dof
     least = np.mean(std_error**2, axis=0)
     raise_by = np.sqrt(np.maximum(least / np.maximum(np.diag(noise), 1e-300), 1.0))
     noise = noise * np.outer(raise_by, raise_by) + np.diag(np.where(np.diag(noise) == 0, least, 0.0))
     full = np.full((n_outputs, n_inputs, n_outputs, n_inputs), np.nan)
     block = np.einsum("ik,jl->ijkl", noise, inverse)
-    index = np.flatnonzero(moved)
+    index = np.flatnonzero(shifted)
     every = np.arange(n_outputs)
     full[np.ix_(every, index, every, index)] = block
     return full.reshape(n_outputs * n_inputs, -1)
@@ -343,7 +343,7 @@ def _deviations(
     table: dict[str, FloatArray], residual: FloatArray, n_inputs: int, n_outputs: int
 ) -> dict[str, FloatArray]:
     """Return rms, largest value and branch difference of the deviations on the staircase of each input."""
-    found = {
+    deviations = {
         name: np.full((n_outputs, n_inputs), np.nan) for name in ("rms", "largest", "hysteresis", "hysteresis_std")
     }
     for j in range(n_inputs):
@@ -354,13 +354,13 @@ def _deviations(
         chosen = (table["axis"] == j) | rest
         for i in range(n_outputs):
             e = residual[chosen, i]
-            found["rms"][i, j], found["largest"][i, j] = np.sqrt(np.mean(e**2)), np.abs(e).max()
+            deviations["rms"][i, j], deviations["largest"][i, j] = np.sqrt(np.mean(e**2)), np.abs(e).max()
             widest = (np.nan, np.nan, np.nan)
             for number in with_stairs:
-                own = chosen & (table["recording"] == number)
+                local = chosen & (table["recording"] == number)
                 difference = branch_difference(
-                    table["input_mean"][own, j], residual[own, i], table["output_std"][own, i]
+                    table["input_mean"][local, j], residual[local, i], table["output_std"][local, i]
                 )
                 widest = widest if difference[0] <= widest[0] else difference
-            found["hysteresis"][i, j], found["hysteresis_std"][i, j] = widest[:2]
-    return found
+            deviations["hysteresis"][i, j], deviations["hysteresis_std"][i, j] = widest[:2]
+    return deviations

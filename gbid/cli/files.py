@@ -172,7 +172,8 @@ def import_recordings(
     from gbid.recording.mapping import TextOptions
     from gbid.report.fit_tables import channel_rows, channel_table, layout_words
 
-    text = TextOptions(encoding, decimal, delimiter, header_line)
+    given: Any = (encoding, decimal, delimiter, header_line)
+    text = TextOptions(*given)
     rows, layout = channel_rows(list_channels(experiment, text)), read_layout(experiment, text)
     if options.as_json:
         print_json({"file": experiment, "layout": layout, "channels": rows})

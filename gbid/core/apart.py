@@ -54,8 +54,8 @@ def read_apart(read: Callable[..., T], path: Path, *arguments: Any) -> T:
     """
     size = path.stat().st_size
     limits = ReaderLimits(_SECONDS + size / _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * size)
-    found: T = _process(os.getpid()).ask(limits, read, path, arguments)
-    return found
+    answer: T = _process(os.getpid()).ask(limits, read, path, arguments)
+    return answer
 
 
 class ReaderLimits(NamedTuple):
@@ -122,12 +122,13 @@ def _process(_owner: int) -> ReaderProcess:  # a forked process has another numb
 
 def _started() -> subprocess.Popen[bytes]:
     # Arrow would reserve a gigabyte of addresses, which counts as memory.
-    own = {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+    search = os.pathsep.join(sys.path)
+    added = {"PYTHONPATH": search, "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
     child = subprocess.Popen(
         [sys.executable, "-c", _START],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, **own},
+        env={**os.environ, **added},
         start_new_session=True,  # Ctrl-C is for the process that waits
     )
     if child.stdout is not None:

@@ -67,12 +67,12 @@ def from_interrupt(error: BaseException) -> bool:
     CasADi makes a RuntimeError of a Ctrl-C within one of its callbacks. A library that ends its work on the way out may
     fail in turn, and Python then keeps the KeyboardInterrupt as the context of that failure.
     """
-    return any(isinstance(found, KeyboardInterrupt) or "KeyboardInterrupt" in str(found) for found in origins(error))
+    return any(isinstance(origin, KeyboardInterrupt) or "KeyboardInterrupt" in str(origin) for origin in origins(error))
 
 
 def origins(error: BaseException) -> Iterator[BaseException]:
     """Return an error and its chain of causes and contexts, latest first."""
-    found: BaseException | None = error
-    while found is not None:
-        yield found
-        found = found.__cause__ or found.__context__
+    current: BaseException | None = error
+    while current is not None:
+        yield current
+        current = current.__cause__ or current.__context__

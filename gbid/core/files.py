@@ -138,8 +138,8 @@ def find_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[Pat
 
 def _prefix(name: str) -> str:
     """Return the beginning of the name of a temporary file, with the process that it belongs to."""
-    begun = _begun(os.getpid())
-    return f".{name}.{_host()}~{os.getpid()}{f'-{begun}' if begun else ''}."
+    start = _begun(os.getpid())
+    return f".{name}.{_host()}~{os.getpid()}{f'-{start}' if start else ''}."
 
 
 def _begun(process: int) -> str:
@@ -155,8 +155,8 @@ def _begun(process: int) -> str:
     return fields[18] if state != "Z" and len(fields) > 18 else ""
 
 
-def _is_stale(path: Path, host: str, process: int, begun: str | None) -> bool:
-    if host == _host() and not (_is_alive(process) and begun in (None, "", _begun(process))):
+def _is_stale(path: Path, host: str, process: int, start: str | None) -> bool:
+    if host == _host() and not (_is_alive(process) and start in (None, "", _begun(process))):
         return True
     try:
         return time.time() - path.stat().st_mtime > _DAY
@@ -225,14 +225,14 @@ def has_valid_checksum(path: Path) -> bool:
         if not last.startswith(_LABEL):
             return False
         file.seek(0)
-        found = hashlib.sha256()
+        digest = hashlib.sha256()
         while size > 0:
             block = file.read(min(size, 1 << 20))
             if not block:
                 break
-            found.update(block)
+            digest.update(block)
             size -= len(block)
-    if last[len(_LABEL) : -1] != found.hexdigest().encode():
+    if last[len(_LABEL) : -1] != digest.hexdigest().encode():
         raise DataError(
             f"{path}: damaged, or changed by another program: its checksum is not that of its bytes; "
             "take a copy of it from a backup, or make it again"
@@ -290,10 +290,10 @@ def is_changed(content: bytes) -> bool:
     False also for a text without checksum, as people write it.
     """
     content = _plain(content)
-    found = _LINE.search(content)
-    if found is None:
+    checksum = _LINE.search(content)
+    if checksum is None:
         return bool(_TRACE.search(content))
-    return found[1].decode() != _digest(content[: found.start()] + content[found.end() :])
+    return checksum[1].decode() != _digest(content[: checksum.start()] + content[checksum.end() :])
 
 
 def _digest(content: bytes) -> str:

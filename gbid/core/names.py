@@ -83,10 +83,10 @@ def given_path(path: object) -> Path:
     """
     if not isinstance(path, str | os.PathLike):
         raise UsageError(f"{path!r} is no path; give the name of a file as a text or a pathlib.Path")
-    found = Path(path)
-    if "\0" in str(found):
-        raise UsageError(f"{str(found)!r}: a path cannot contain a NUL character; correct the name of the file")
-    return found
+    checked = Path(path)
+    if "\0" in str(checked):
+        raise UsageError(f"{str(checked)!r}: a path cannot contain a NUL character; correct the name of the file")
+    return checked
 
 
 def file_stem(name: str, longest: int = LONGEST, join: str = "-") -> str:

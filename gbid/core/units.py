@@ -88,7 +88,8 @@ def conversion_factor(unit: str, target: str) -> float:
 
     registry = _registry()
     try:
-        zero, one = (registry.Quantity(v, unit or "dimensionless").to(target or "dimensionless").m for v in (0.0, 1.0))
+        source, wanted = unit or "dimensionless", target or "dimensionless"
+        zero, factor = (registry.Quantity(number, source).to(wanted).m for number in (0.0, 1.0))
     except (pint.UndefinedUnitError, pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:
         raise UsageError(f"unit {unit!r} cannot be converted to {target!r}: {error}") from None
     except Exception as error:  # pint does not catch the errors of the tokeniser
@@ -96,4 +97,4 @@ def conversion_factor(unit: str, target: str) -> float:
         raise UsageError(f"{text} ({error})" if str(error) else text) from None
     if zero != 0.0:
         raise UsageError(f"unit {unit!r} has an offset against {target!r}; convert the data first")
-    return float(one)
+    return float(factor)

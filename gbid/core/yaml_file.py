@@ -102,8 +102,8 @@ def read_yaml(path: Path) -> YamlFile:
         raise UsageError(f"{path}: not valid YAML: {in_one_line(error)}; correct it") from None
     _check_size(path, tree, len(text))
     if not isinstance(tree, CommentedMap):
-        found = "nothing" if tree is None else type(plain(tree)).__name__
-        raise UsageError(f"{path}:1:1: expected keys with values, found {found}; write lines as `name: value`")
+        kind = "nothing" if tree is None else type(plain(tree)).__name__
+        raise UsageError(f"{path}:1:1: expected keys with values, found {kind}; write lines as `name: value`")
     notes = (DataNote.CHANGED_BY_HAND(f"{path}: {CHANGED}"),) if is_changed(content) else ()
     return YamlFile(path, plain(tree), tree, notes)
 
@@ -121,9 +121,9 @@ def _kept_tree(text: str) -> Any:
 def _open_brackets(content: bytes) -> int:
     """Return the largest number of open brackets, also those in texts; the parser takes the square of it in time."""
     steps = np.zeros(len(content) + 1)
-    found = np.frombuffer(content, np.uint8)
-    steps[1:] += (found == ord("[")) | (found == ord("{"))
-    steps[1:] -= (found == ord("]")) | (found == ord("}"))
+    characters = np.frombuffer(content, np.uint8)
+    steps[1:] += (characters == ord("[")) | (characters == ord("{"))
+    steps[1:] -= (characters == ord("]")) | (characters == ord("}"))
     return int(np.cumsum(steps).max())
 
 

@@ -94,8 +94,8 @@ def remove_spikes(values: FloatArray, threshold: float = THRESHOLD, measured: Fl
     """
     cleaned = np.array(values, dtype=float)
     steps = [_converter_step(column) for column in (cleaned if measured is None else measured).T]
-    found = [_clean(column, threshold, step) for column, step in zip(cleaned.T, steps, strict=True)]
-    return Despiked(cleaned, tuple(found))
+    wrong = [_clean(column, threshold, step) for column, step in zip(cleaned.T, steps, strict=True)]
+    return Despiked(cleaned, tuple(wrong))
 
 
 def _clean(x: FloatArray, threshold: float, step: float) -> IntArray:

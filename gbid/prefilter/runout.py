@@ -249,10 +249,10 @@ class RunoutMap(Brief):
             )
 
 
-def differing_condition(one: Mapping[str, float], other: Mapping[str, float]) -> str | None:
+def differing_condition(first: Mapping[str, float], second: Mapping[str, float]) -> str | None:
     """Return the scheduling variable in which two operating points differ by more than 1 %, or None."""
     for key in ("pressure_bar", "speed_rpm"):
-        a, b = one.get(key), other.get(key)
+        a, b = first.get(key), second.get(key)
         if (a is None) != (b is None):
             return key
         if a is not None and b is not None and abs(a - b) > 0.01 * max(abs(a), abs(b)):

@@ -341,7 +341,7 @@ def leftover_words(runout_map: RunoutMap, recordings: Sequence[Recording]) -> tu
 
 
 def _words(runout_map: RunoutMap, left: RunoutResidual) -> list[str]:
-    found = []
+    parts = []
     for i, channel in enumerate(runout_map.channels):
         if left.line_rms[i] <= SHARE * left.noise[i]:
             continue
@@ -349,12 +349,12 @@ def _words(runout_map: RunoutMap, left: RunoutResidual) -> list[str]:
         size = f"{left.name}: left over in p_{channel}: {1e9 * left.line_rms[i]:.0f} nm rms"
         at = f"{left.frequency_hz[i]:.1f} Hz, noise {1e9 * left.noise[i]:.0f} nm"
         if nearest < 1 or abs(order - nearest) > _WHOLE:
-            found.append(f"{size} of order {order:.2f} ({at}): it does not follow the shaft, so no map removes it")
+            parts.append(f"{size} of order {order:.2f} ({at}): it does not follow the shaft, so no map removes it")
         elif nearest > runout_map.orders.max(initial=0):
-            found.append(f"{size} of order {nearest} ({at}): harmonics: {nearest} or auto removes it")
+            parts.append(f"{size} of order {nearest} ({at}): harmonics: {nearest} or auto removes it")
         else:
-            found.append(f"{size} of order {nearest} ({at}): the run-out changes within the recording")
-    return found
+            parts.append(f"{size} of order {nearest} ({at}): the run-out changes within the recording")
+    return parts
 
 
 # ---- Choice of a run-out map: cross-validation of methods and sizes.
@@ -543,10 +543,10 @@ def _simplest_of_the_best(trials: list[RunoutTrial]) -> RunoutTrial:
     squares = [np.sum(trial.fold_rms**2, axis=1) for trial in trials]
     best = min(squares, key=lambda m: float(m.mean()))
     alike = []
-    for trial, own in zip(trials, squares, strict=True):
-        worse = own - best
+    for trial, candidate in zip(trials, squares, strict=True):
+        worse = candidate - best
         if worse.mean() <= worse.std(ddof=1) / np.sqrt(len(worse)):
-            alike.append((trial.n_parameters, float(own.mean()), trial))
+            alike.append((trial.n_parameters, float(candidate.mean()), trial))
     return min(alike, key=lambda entry: entry[:2])[2]
 
 
@@ -712,14 +712,14 @@ def refuse_lost_index(runout_map: RunoutMap, recording: Recording) -> None:
         When the zero of the angle is another one.
     """
     try:
-        found = align_index(runout_map, recording)
+        shown = align_index(runout_map, recording)
     except DataError:
         return  # too short for an estimate of the rotation
-    off = abs(np.angle(np.exp(1j * found.offset)))
-    if found.sure and off > max(INDEX_OFF, SURE * found.std):
+    off = abs(np.angle(np.exp(1j * shown.offset)))
+    if shown.sure and off > max(INDEX_OFF, SURE * shown.std):
         raise DataError(
             f"recording {recording.name!r}: its run-out is that of {', '.join(runout_map.sources)}, but rotated by "
-            f"{np.rad2deg(off):.1f} degrees (std {np.rad2deg(found.std):.1f}), so phi does not start at the "
+            f"{np.rad2deg(off):.1f} degrees (std {np.rad2deg(shown.std):.1f}), so phi does not start at the "
             "same zero: the encoder missed its index; write prefilter: align_index: true, or record again"
         )
 

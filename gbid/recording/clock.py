@@ -246,9 +246,9 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
     time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
     if len(time) < 2:
         raise DataError(f"{path}: time column {mapping.time!r} has one sample; at least two make a sample time")
-    found = even_pieces(path, mapping.time, time, {name: c.values for name, c in columns.items()}, start)
-    taken, remarks = _chosen(path, mapping, found, time, start)
-    time = time[taken.rows]
+    pieces = even_pieces(path, mapping.time, time, {name: c.values for name, c in columns.items()}, start)
+    piece, remarks = _chosen(path, mapping, pieces, time, start)
+    time = time[piece.rows]
     uneven = largest_deviation(time)
     if uneven > MAX_RESAMPLED:
         raise DataError(
@@ -269,12 +269,12 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
     open_share = _ADJUSTED if jitters else uneven / (len(time) - 1)
     sample_time = _round_time(mean, open_share) if mapping.sample_time is None else mapping.sample_time
     if not jitters:
-        return Clock(taken.rows, sample_time, None, remarks)
+        return Clock(piece.rows, sample_time, None, remarks)
     text = (
         f"time jitters by {jitter_ppm(time):.0f} ppm of the sample time (rms): signals interpolated to even times by "
         "band-limited interpolation"
     )
-    return Clock(taken.rows, sample_time, time - time[0], (*remarks, text))
+    return Clock(piece.rows, sample_time, time - time[0], (*remarks, text))
 
 
 def _round_time(mean: float, share: float) -> float:
@@ -285,22 +285,22 @@ def _round_time(mean: float, share: float) -> float:
 
 
 def _chosen(
-    path: Path, mapping: ImportMapping, found: list[ClockPiece], time: FloatArray, start: int
+    path: Path, mapping: ImportMapping, pieces: list[ClockPiece], time: FloatArray, start: int
 ) -> tuple[ClockPiece, tuple[str, ...]]:
     """Return the piece that the mapping names, else the longest, with remarks on gaps and pieces."""
-    if mapping.piece is not None and mapping.piece > len(found):
-        raise UsageError(f"{path}: piece: there is no piece {mapping.piece}; the clock has {len(found)} without gap")
-    taken = found[mapping.piece - 1] if mapping.piece else max(found, key=lambda each: len(each.rows))
-    if taken.of == 1:
-        return taken, taken.faults
+    if mapping.piece is not None and mapping.piece > len(pieces):
+        raise UsageError(f"{path}: piece: there is no piece {mapping.piece}; the clock has {len(pieces)} without gap")
+    piece = pieces[mapping.piece - 1] if mapping.piece else max(pieces, key=lambda each: len(each.rows))
+    if piece.of == 1:
+        return piece, piece.faults
     listed = ", ".join(
         f"{q.number}: samples {start + q.rows[0]} to {start + q.rows[-1]}, {time[q.rows[-1]] - time[q.rows[0]]:.4g} s"
-        for q in found[:_LISTED]
+        for q in pieces[:_LISTED]
     )
-    more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
+    more = f" and {len(pieces) - _LISTED} more" if len(pieces) > _LISTED else ""
     which = "the one asked for" if mapping.piece else "the longest; piece: ... takes another"
-    text = f"{taken.of} pieces without gap ({listed}{more}), of which piece {taken.number} is taken ({which})"
-    return taken, (*taken.faults, text)
+    text = f"{piece.of} pieces without gap ({listed}{more}), of which piece {piece.number} is taken ({which})"
+    return piece, (*piece.faults, text)
 
 
 def untimed_sample_time(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> float:

@@ -154,13 +154,13 @@ def _listed_csv(table: TextTable) -> list[FloatArray | None]:
         return list(table.columns(range(len(table.headings))).T)
     except DataError:
         _ = table.cells  # a damaged row is an error, a column of text is none
-    found: list[FloatArray | None] = []
+    columns: list[FloatArray | None] = []
     for i in range(len(table.headings)):
         try:
-            found.append(table.columns([i])[:, 0])
+            columns.append(table.columns([i])[:, 0])
         except DataError:
-            found.append(None)
-    return found
+            columns.append(None)
+    return columns
 
 
 def csv_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any]:
@@ -309,21 +309,21 @@ def _has_fields(value: Any) -> bool:
     return isinstance(value.properties, Mapping)
 
 
-def _timed(found: MatObject) -> MatObject:
+def _timed(series: MatObject) -> MatObject:
     """Add the times of a `timeseries` that stores them as start and increment."""
-    if found.kind != "timeseries" or ("Time" in found and np.size(found["Time"])) or "TimeInfo" not in found:
-        return found
-    info = matlab_value(found["TimeInfo"])
+    if series.kind != "timeseries" or ("Time" in series and np.size(series["Time"])) or "TimeInfo" not in series:
+        return series
+    info = matlab_value(series["TimeInfo"])
     if not isinstance(info, MatObject):
-        return found
+        return series
     if "Time" in info and np.size(info["Time"]):
         time = info["Time"]
     elif {"Start", "Increment", "Length"} <= set(info):
         start, step, length = (np.asarray(info[name]).item() for name in ("Start", "Increment", "Length"))
         time = start + step * np.arange(int(length))[:, None]
     else:
-        return found
-    return MatObject(found.kind, {**{name: found[name] for name in found}, "Time": time})
+        return series
+    return MatObject(series.kind, {**{name: series[name] for name in series}, "Time": time})
 
 
 def _matlab_table(frame: Any) -> tuple[str, dict[str, Any]]:

@@ -115,20 +115,20 @@ def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:
         When a layout of text is given for a file of another kind.
     """
     known = file_formats()
-    found = known.get(path.suffix.lower())
-    if found is None:
+    kind = known.get(path.suffix.lower())
+    if kind is None:
         raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(known)}")
     given = options.given() if options else []
-    if given and found.layout is None:
+    if given and kind.layout is None:
         raise UsageError(f"{path}: {given[0]} is for text files such as csv; leave it out")
-    if options and found.layout is not None:
+    if options and kind.layout is not None:
         bound: dict[str, Any] = {
-            key: partial(each, options=options) for key in _OF_TEXT if (each := getattr(found, key)) is not None
+            key: partial(each, options=options) for key in _OF_TEXT if (each := getattr(kind, key)) is not None
         }
-        found = replace(found, **bound)
-    if not found.may_crash:
-        return found
-    return replace(found, read=partial(read_apart, found.read), channels=partial(read_apart, found.channels))
+        kind = replace(kind, **bound)
+    if not kind.may_crash:
+        return kind
+    return replace(kind, read=partial(read_apart, kind.read), channels=partial(read_apart, kind.channels))
 
 
 def sample_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, int]:
@@ -305,9 +305,9 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
     try:
         kind = file_format(path, mapping.text_options)
         if kind.peek is not None:
-            found = _from_ends(path, mapping, *kind.peek(path, mapping.all_columns()))
-            if found is not None:
-                return found
+            seen = _from_ends(path, mapping, *kind.peek(path, mapping.all_columns()))
+            if seen is not None:
+                return seen
         columns = kind.read(path, mapping.all_columns())
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import codecs
 import difflib
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Literal
 
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Count, CountOrZero, Finite, NotNegative, Positive, check_options
 
 # ---- What a user says about the layout of a text file; the rest is found in the file.
 
@@ -41,25 +41,21 @@ class TextOptions:
     """
 
     encoding: str | None = None
-    decimal: str | None = None
+    decimal: Literal[".", ","] | None = None
     delimiter: str | None = None
-    header_line: int | None = None
+    header_line: Count | None = None
 
     def __post_init__(self) -> None:
+        check_options(self)
         if self.encoding is not None:
             try:
                 codecs.lookup(self.encoding)
-            except (LookupError, TypeError):
+            except LookupError:
                 raise UsageError(
                     f"encoding: {self.encoding!r} is not known; write utf-8, cp1252 or utf-16, for example"
                 ) from None
-        if self.decimal is not None and self.decimal not in DECIMALS:
-            raise UsageError(f"decimal: expected '.' or ',', found {self.decimal!r}")
-        if self.delimiter is not None and not (isinstance(self.delimiter, str) and len(self.delimiter) == 1):
-            raise UsageError(f"delimiter: expected one character such as ';', found {self.delimiter!r}")
-        line = self.header_line
-        if line is not None and (isinstance(line, bool) or not isinstance(line, int) or line < 1):
-            raise UsageError(f"header_line: expected the number of a line, counted from 1, found {line!r}")
+        if self.delimiter is not None and len(self.delimiter) != 1:
+            raise UsageError(f"delimiter = {self.delimiter!r}; give one character such as ';'", "delimiter")
 
     def given(self) -> list[str]:
         """Return the names of the options that are given."""
@@ -102,8 +98,7 @@ class SignalMapping:
             object.__setattr__(self, "channels", _words("channels", self.channels))
             if len(self.channels) != len(self.columns):
                 raise UsageError(f"{len(self.columns)} columns but {len(self.channels)} channels; give one name each")
-        for key in ("unit", "stored_unit"):
-            _check_text(key, getattr(self, key))
+        check_options(self)
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> SignalMapping:
@@ -155,46 +150,37 @@ class ImportMapping:
     """
 
     signals: Mapping[str, SignalMapping]
-    sample_time: float | None = None
+    sample_time: Positive | None = None
     time: str | None = None
     time_unit: str | None = None
-    conditions: Mapping[str, float] = field(default_factory=dict)
+    conditions: Mapping[str, Finite] = field(default_factory=dict)
     name: str | None = None
-    samples: tuple[int, int | None] | None = None
-    from_s: float | None = None
-    to_s: float | None = None
-    piece: int | None = None
+    samples: tuple[CountOrZero, CountOrZero | None] | None = None
+    from_s: NotNegative | None = None
+    to_s: NotNegative | None = None
+    piece: Count | None = None
     encoding: str | None = None
-    decimal: str | None = None
+    decimal: Literal[".", ","] | None = None
     delimiter: str | None = None
-    header_line: int | None = None
+    header_line: Count | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "signals", _signals(self.signals))
-        if not isinstance(self.conditions, Mapping):
-            raise UsageError(f"conditions: expected names with numbers, found {self.conditions!r}")
+        check_options(self)
         object.__setattr__(self, "conditions", dict(self.conditions))
-        for key, value in self.conditions.items():
-            if not _is_number(value):
-                raise UsageError(f"conditions: {key}: expected a number, found {value!r}")
-        if self.sample_time is not None and not (_is_number(self.sample_time) and self.sample_time > 0):
-            raise UsageError(f"sample_time_s: expected a positive number of seconds, found {self.sample_time!r}")
         if self.time is None and self.time_unit is not None:
             raise UsageError("time_unit is given without time; name the time column or leave the unit out")
-        for key in ("time", "time_unit", "name"):
-            _check_text(key, getattr(self, key))
         if self.samples is not None:
-            object.__setattr__(self, "samples", _sample_range(self.samples))
-        for key in ("from_s", "to_s"):
-            value = getattr(self, key)
-            if value is not None and not (_is_number(value) and value >= 0):
-                raise UsageError(f"{key}: expected a number of seconds from 0, found {value!r}")
-        if self.samples is not None and (self.from_s is not None or self.to_s is not None):
-            raise UsageError("samples is given beside from_s or to_s; keep one way")
+            start, stop = self.samples
+            object.__setattr__(self, "samples", (start, stop))
+            if stop is not None and stop <= start:
+                raise UsageError(
+                    f"samples = {self.samples}; give the first and the end, which lies after it", "samples"
+                )
+            if self.from_s is not None or self.to_s is not None:
+                raise UsageError("samples is given beside from_s or to_s; keep one way")
         if self.to_s is not None and self.to_s <= (self.from_s or 0.0):
-            raise UsageError(f"to_s: expected a time after from_s, found {self.to_s!r}")
-        if self.piece is not None and not (type(self.piece) is int and self.piece >= 1):
-            raise UsageError(f"piece: expected a number from 1, found {self.piece!r}")
+            raise UsageError(f"to_s = {self.to_s}; give a time after from_s", "to_s")
         _ = self.text_options  # its checks
 
     @property
@@ -256,32 +242,11 @@ def _signals(signals: object) -> dict[str, SignalMapping]:
     return result
 
 
-def _sample_range(samples: object) -> tuple[int, int | None]:
-    match samples:
-        case (int(start), None) if start >= 0:
-            return start, None
-        case (int(start), int(stop)) if 0 <= start < stop:
-            return start, stop
-    raise UsageError(
-        "samples: expected first and end, two whole numbers counted from 0 with first < end (or null for the "
-        f"end of the file), found {samples!r}"
-    )
-
-
 def _words(key: str, value: object) -> tuple[str, ...]:
     words = (value,) if isinstance(value, str) else value
     if not isinstance(words, list | tuple) or not words or not all(isinstance(w, str) and w for w in words):
         raise UsageError(f"{key}: expected a list of names, found {value!r}")
     return tuple(words)
-
-
-def _check_text(key: str, value: object) -> None:
-    if value is not None and not isinstance(value, str):
-        raise UsageError(f"{key}: expected text, found {value!r}")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _check_keys(entries: object, known: list[str], needed: list[str]) -> None:

@@ -292,8 +292,8 @@ def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, Fl
     columns.append(_correlate(_film(p), window))
     source = next((name for name in ("u", "r") if name in rec.signals), None)
     if source:
-        moved = rec.signal(source)
-        weighted = _correlate(moved - moved.mean(axis=0), window)
+        source_values = rec.signal(source)
+        weighted = _correlate(source_values - source_values.mean(axis=0), window)
         columns += [np.roll(weighted, lag, axis=0) for lag in _LAGS]  # np.roll wraps at the ends, which are left out
     if "phi" in rec.signals and np.ptp(rec.signal("phi")) > 0:
         turned = np.exp(1j * rec.signal("phi")[half - 1 : half - 1 + n, :1])
@@ -306,13 +306,13 @@ def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, Fl
 def _robust_residual(weighted: FloatArray, basis: FloatArray, some: npt.NDArray[np.int_]) -> tuple[FloatArray, float]:
     """Return the residual of a robust regression on some samples, at all samples, and its standard deviation."""
     for _ in range(_ROUNDS):
-        own, wanted = basis[some], weighted[some]
-        found = _least_squares(own, wanted)
-        left = wanted - own @ found
+        regressors, wanted = basis[some], weighted[some]
+        coefficients = _least_squares(regressors, wanted)
+        left = wanted - regressors @ coefficients
         size = np.abs(left - np.median(left, axis=0))
         sigma = 1.4826 * float(np.median(size, axis=0).max())
         some = some[(size < _TRIM * sigma).all(axis=1)] if sigma else some
-    return weighted - basis @ found, sigma
+    return weighted - basis @ coefficients, sigma
 
 
 def _film(p: FloatArray) -> FloatArray:
@@ -614,8 +614,8 @@ def find_problems(
                     "the range and record again, or cut those samples away."
                 )
                 problems.append(SignalProblem(signal, channel, "saturated", text))
-    for about, own, find in _FINDERS:
-        if (kinds is None or set(own) & set(kinds)) and (not about or set(about) & set(looked_at)):
+    for about, kinds_of_check, find in _FINDERS:
+        if (kinds is None or set(kinds_of_check) & set(kinds)) and (not about or set(about) & set(looked_at)):
             problems += [problem for problem in find(rec) if not problem.signal or problem.signal in looked_at]
     return [problem for problem in problems if kinds is None or problem.kind in kinds]
 
@@ -696,7 +696,7 @@ def find_group_problems(recordings: Iterable[Recording]) -> dict[str, list[Signa
     """
     first: dict[str, str] = {}
     holds: dict[str, tuple[int, float]] = {}
-    found: dict[str, list[SignalProblem]] = {}
+    problems: dict[str, list[SignalProblem]] = {}
     for rec in recordings:
         digest = content_digest(rec)
         if digest in first:
@@ -704,14 +704,14 @@ def find_group_problems(recordings: Iterable[Recording]) -> dict[str, list[Signa
                 f"recording {rec.name!r} holds the same samples as {first[digest]!r}; leave one of them out, or "
                 "correct its file."
             )
-            found.setdefault(rec.name, []).append(SignalProblem("", "", "duplicate", text))
+            problems.setdefault(rec.name, []).append(SignalProblem("", "", "duplicate", text))
         first.setdefault(digest, rec.name)
         hold = _hold(rec)
         if hold:
             holds[rec.name] = hold, rec.sample_time
     for name, text in _odd_clocks(holds):
-        found.setdefault(name, []).append(SignalProblem("", "", "sample_time", text))
-    return found
+        problems.setdefault(name, []).append(SignalProblem("", "", "sample_time", text))
+    return problems
 
 
 def _hold(rec: Recording) -> int:

@@ -18,11 +18,10 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import Pictured, data_frame
 from gbid.core.units import SIGNALS
+from gbid.recording.clock import MAX_JITTER
+from gbid.recording.text_files import seconds
 
 # ---- Signals and sample time of a recording from the columns of a data frame.
-
-MAX_JITTER = 0.01
-"""Largest relative deviation of a step of the time from the median step."""
 
 
 def signal_columns(
@@ -53,7 +52,7 @@ def signal_columns(
                 grouped.setdefault(name.partition(".")[0], []).append(name)
         signals = grouped
         channels = {key: tuple(name.partition(".")[2] for name in columns) for key, columns in grouped.items()}
-        named = {key: found for key, found in channels.items() if all(found)}
+        named = {key: each for key, each in channels.items() if all(each)}
     else:
         named = {}
     values = {}
@@ -88,21 +87,15 @@ def frame_sample_time(frame: Any, time: str | None) -> float:
     index = frame.index if time is None else frame[time]
     if time is None and type(index).__name__ == "RangeIndex":
         raise UsageError("the frame has no times: its index numbers the rows; give sample_time, or the column: time=")
-    return _even_step(_seconds(np.asarray(index)))
+    return _even_step(np.asarray(index))
 
 
-def _seconds(times: npt.NDArray[Any]) -> FloatArray:
-    if times.dtype.kind in "mM":
-        return np.asarray((times - times[0]) / np.timedelta64(1, "ns") * 1e-9, float)
-    if times.dtype.kind not in "fiu":
+def _even_step(times: npt.NDArray[Any]) -> float:
+    if times.dtype.kind not in "mMfiu":
         raise DataError("the times of the frame are neither numbers nor dates; give sample_time")
-    return np.asarray(times, float)
-
-
-def _even_step(times: FloatArray) -> float:
     if len(times) < 2:
         raise DataError("the frame has fewer than two rows, so its times give no sample time; give sample_time")
-    steps = np.diff(times)
+    steps = np.diff(seconds(times) if times.dtype.kind in "mM" else times)
     median = float(np.median(steps))
     uneven = np.flatnonzero(~(np.abs(steps - median) <= MAX_JITTER * abs(median)))
     if not median > 0 or len(uneven):
@@ -111,7 +104,7 @@ def _even_step(times: FloatArray) -> float:
             f"the times of the frame are not evenly spaced: step {steps[at]:g} s at row {at + 1}, median step "
             f"{median:g} s; resample the frame, or give sample_time"
         )
-    return float(f"{(times[-1] - times[0]) / len(steps):.12g}")  # as an import rounds it
+    return float(f"{steps.mean():.12g}")  # as an import rounds it
 
 
 _Range = slice  # within the class, `slice` is its method

@@ -45,21 +45,21 @@ def read_text(path: Path, encoding: str | None = None) -> tuple[str, str]:
         When the file cannot be read.
     """
     data = path.read_bytes()
-    found = encoding or _encoding(data)
+    codec = encoding or _encoding(data)
     try:
-        text = data.decode(found)
+        text = data.decode(codec)
     except UnicodeDecodeError as error:
         raise DataError(
-            f"{path}: not text in {found} (byte {error.start}): give its encoding (encoding: ...), or export it as csv "
+            f"{path}: not text in {codec} (byte {error.start}): give its encoding (encoding: ...), or export it as csv "
             "in UTF-8"
         ) from None
     strange = _CONTROL.intersection(text[:100_000])
     if strange:
         raise DataError(
-            f"{path}: not a text file in {found}: it holds the character {min(strange)!r}; give its encoding "
+            f"{path}: not a text file in {codec}: it holds the character {min(strange)!r}; give its encoding "
             "(encoding: ...), or export it as csv"
         )
-    return text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\x1a"), found
+    return text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\x1a"), codec
 
 
 def _encoding(data: bytes) -> str:
@@ -256,8 +256,8 @@ class _Candidate:
         others = sum(any(row[i] for row in rows) for i in range(self.count)) - len(self.numeric)
         spread = content[1 :: max(1, len(content) // _SPREAD)]
         numbers = sum(is_number(cell, decimal) for line in spread for cell in split_cells(line.text, delimiter))
-        found = len(self.numeric)
-        self.rank = (bool(found), alike >= _MOST * len(tail), found - others if found else self.count, numbers)
+        numeric = len(self.numeric)
+        self.rank = (bool(numeric), alike >= _MOST * len(tail), numeric - others if numeric else self.count, numbers)
 
     def _is_numeric(self, cells: list[str]) -> bool:
         filled = [cell for cell in cells if cell]
@@ -434,13 +434,13 @@ def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:
     if reference in headings:
         return headings.index(reference)
     names = [name_and_unit(heading)[0] for heading in headings]
-    found = [i for i, name in enumerate(names) if name == reference]
-    if len(found) > 1:
-        cells = ", ".join(repr(headings[i]) for i in found)
+    indices = [i for i, name in enumerate(names) if name == reference]
+    if len(indices) > 1:
+        cells = ", ".join(repr(headings[i]) for i in indices)
         raise DataError(f"{path}: column {reference!r} may be any of {cells}; give the whole heading")
-    if not found:
+    if not indices:
         raise DataError(f"{path}: no column {reference!r}; {nearest(reference, [n for n in names if n])}")
-    return found[0]
+    return indices[0]
 
 
 def seconds(times: np.ndarray[Any, Any]) -> FloatArray:
@@ -487,25 +487,25 @@ class TextTable:
             When a row is not readable, or has another number of cells than there are headings.
         """
         if self.layout.delimiter == " ":
-            found = [line.text.split() for line in self.rows]
+            rows = [line.text.split() for line in self.rows]
         else:
             lines, delimiter = (line.text for line in self.rows), self.layout.delimiter
             reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True, strict=True)
             try:
-                found = list(reader)
+                rows = list(reader)
             except csv.Error as error:
                 number = self.rows[reader.line_num - 1].number
                 raise DataError(f"{self.path}: line {number}: not readable as csv: {error}") from None
         n = len(self.headings)
-        for i, (line, row) in enumerate(zip(self.rows, found, strict=False)):
+        for i, (line, row) in enumerate(zip(self.rows, rows, strict=False)):
             if len(row) == n + 1 and not row[-1].strip():
-                found[i] = row[:-1]
+                rows[i] = row[:-1]
             elif len(row) != n:
                 raise DataError(
                     f"{self.path}: line {line.number} has {len(row)} cells, the header line has {n}; is the file "
                     "truncated, or the delimiter another one?"
                 )
-        return found
+        return rows
 
     def columns(self, indices: Sequence[int]) -> FloatArray:
         """Return columns as numbers, (n_rows, n_columns).

@@ -108,9 +108,9 @@ class Hammer(AtRest):
 
     def __post_init__(self) -> None:
         check_options(self, "hammer")
-        late = [impact.time for impact in self.impacts if impact.time >= self.duration_s]
-        if late or not self.impacts:
-            what = f"an impact at {late[0]} s" if late else "no impacts"
+        beyond = [impact.time for impact in self.impacts if impact.time >= self.duration_s]
+        if beyond or not self.impacts:
+            what = f"an impact at {beyond[0]} s" if beyond else "no impacts"
             raise UsageError(f"hammer: {what}; give some that begin before duration_s = {self.duration_s} s")
 
     def force(self, time: FloatArray) -> FloatArray:
@@ -262,8 +262,8 @@ class Played:
     @property
     def values(self) -> FloatArray:
         """References r, (n_samples, 2) [m]."""
-        found: FloatArray = self.__dict__["_values"]
-        return found
+        values: FloatArray = self.__dict__["_values"]
+        return values
 
     @property
     def duration_s(self) -> float:

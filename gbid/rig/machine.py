@@ -419,7 +419,7 @@ class Machine(Brief):
             "process noise": self.process_noise is not None,
         }
         forces = [effect.name for effect in self.effects if type(effect).force is not RigEffect.force]
-        return [*(name for name, there in parts.items() if there), *forces]
+        return [*(name for name, present in parts.items() if present), *forces]
 
     @classmethod
     def from_parameters(

@@ -138,10 +138,10 @@ def _positions(
             since = sample_time * point / oversampling
             u[:, point, axis] = states @ expm(chain * since)[_U]
             # p is the state one delay earlier: go back by `late` samples, then forward by `ahead` seconds.
-            late = int(np.ceil((delay - since) / sample_time - 1e-12))
-            ahead = max(late * sample_time + since - delay, 0.0)
-            if late < n_samples:
-                p[late:, point] += states[: n_samples - late] @ expm(chain * ahead)[_P].T
+            samples_back = int(np.ceil((delay - since) / sample_time - 1e-12))
+            ahead = max(samples_back * sample_time + since - delay, 0.0)
+            if samples_back < n_samples:
+                p[samples_back:, point] += states[: n_samples - samples_back] @ expm(chain * ahead)[_P].T
     return u.reshape(-1, 2), p.reshape(-1, 2)
 
 
@@ -163,9 +163,9 @@ def _states_at_samples(chains: list[FloatArray], reference: FloatArray, sample_t
     step = np.zeros((12, 12))
     drive = np.zeros((12, 2))
     for axis, chain in enumerate(chains):
-        whole = expm(chain * sample_time)
+        transition = expm(chain * sample_time)
         rows = slice(6 * axis, 6 * axis + 6)
-        step[rows, rows], drive[rows, axis] = whole[:6, :6], whole[:6, 6]
+        step[rows, rows], drive[rows, axis] = transition[:6, :6], transition[:6, 6]
     states = np.zeros((len(reference), 12))
     pushes = reference @ drive.T
     for k in range(len(reference) - 1):

@@ -92,8 +92,8 @@ def effects_of(
 ) -> tuple[FloatArray | None, FloatArray]:
     """Return the sums of the forces per moving mass [m/s^2], or None, and of the readings [m] of all effects."""
     force, reading = None, np.zeros((len(time), 2))
-    for effect, own in zip(machine.effects, random, strict=True):
-        run = RigRun(time, turning.angle(time), turning.speed_at(time), conditions, own)
+    for effect, generator in zip(machine.effects, random, strict=True):
+        run = RigRun(time, turning.angle(time), turning.speed_at(time), conditions, generator)
         pushed, read = effect.force(run), effect.reading(run)
         if pushed is not None:
             force = pushed if force is None else force + pushed

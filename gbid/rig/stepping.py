@@ -513,14 +513,14 @@ def run_with_program(arrays: StepArrays, state: StepState, chunk: Chunk, loop: P
     rows = np.empty((n, ROW_WIDTH))
     for k in range(n):
         r = np.clip(chunk.excitation[k] + state.command, -arrays.travel, arrays.travel)
-        one = Chunk(
+        sample = Chunk(
             r[None],
             chunk.base[k : k + 1],
             chunk.forces[k * steps : (k + 1) * steps + 1],
             chunk.sensor[k : k + 1],
             chunk.taken[k : k + 1],
         )
-        rows[k] = run_steps(arrays, state, one)[0]
+        rows[k] = run_steps(arrays, state, sample)[0]
         seen = rows[k, ROW.seen]
         state.command[:] = loop.program.references(seen, loop.angle[k], loop.pressure_bar[k], loop.speed_rpm[k])
     return rows

@@ -38,15 +38,15 @@ def channels(model: str, what: str, values: npt.ArrayLike, count: int, n_samples
     UsageError
         For another shape, or values that are not finite.
     """
-    found = np.asarray(values, float)
-    if found.ndim == 1 and count == 1:
-        found = found[:, None]
-    if found.ndim != 2 or found.shape[1] != count or n_samples not in (None, len(found)):
+    signals = np.asarray(values, float)
+    if signals.ndim == 1 and count == 1:
+        signals = signals[:, None]
+    if signals.ndim != 2 or signals.shape[1] != count or n_samples not in (None, len(signals)):
         expected = "n_samples" if n_samples is None else n_samples
-        raise UsageError(f"model {model!r}: {what} have shape {found.shape}, expected ({expected}, {count})")
-    if not np.isfinite(found).all():
+        raise UsageError(f"model {model!r}: {what} have shape {signals.shape}, expected ({expected}, {count})")
+    if not np.isfinite(signals).all():
         raise UsageError(f"model {model!r}: {what} hold values that are not finite")
-    return found
+    return signals
 
 
 def check_sample_time(model: str, sample_time: float) -> None:

@@ -265,7 +265,7 @@ def _symbols(names: Sequence[str]) -> ca.SX:
 
 def _expression(name: str, what: str, value: Callable[[], Any]) -> ca.SX:
     try:
-        found = value()
+        returned = value()
     except UsageError:
         raise
     except Exception as error:
@@ -274,14 +274,14 @@ def _expression(name: str, what: str, value: Callable[[], Any]) -> ca.SX:
             "of casadi, such as casadi.sin"
         ) from error
     try:
-        if isinstance(found, ca.SX | ca.DM | float | int):
-            return ca.SX(found)
-        rows = [row if isinstance(row, list | tuple) else [row] for row in list(found)]
+        if isinstance(returned, ca.SX | ca.DM | float | int):
+            return ca.SX(returned)
+        rows = [row if isinstance(row, list | tuple) else [row] for row in list(returned)]
         return ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows))
     except Exception as error:
         raise UsageError(
-            f"structure {name!r}: {what} returns {type(found).__name__}, which is no CasADi expression (casadi.SX) and "
-            f"no list of such: {in_one_line(error)}"
+            f"structure {name!r}: {what} returns {type(returned).__name__}, which is no CasADi expression (casadi.SX) "
+            f"and no list of such: {in_one_line(error)}"
         ) from None
 
 

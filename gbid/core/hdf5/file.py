@@ -76,18 +76,19 @@ def read_dataset(group: h5py.Group, name: str, texts: bool = False) -> npt.NDArr
         When there is no dataset of that name, or its values have another type.
     """
     try:
-        found = group[name]
+        dataset = group[name]
     except KeyError:
         raise DamagedError(f"{where(group, name)} is missing") from None
-    if not isinstance(found, h5py.Dataset):
+    if not isinstance(dataset, h5py.Dataset):
         raise DamagedError(f"{where(group, name)} is a group, not a dataset")
-    if found.shape is None:
+    if dataset.shape is None:
         raise DamagedError(f"{where(group, name)} holds nothing, not {'texts' if texts else 'numbers'}")
-    if found.nbytes > _ROOM + _EXPANSION * group.file.id.get_filesize():
+    if dataset.nbytes > _ROOM + _EXPANSION * group.file.id.get_filesize():
         raise DamagedError(f"{where(group, name)} declares more values than the file can contain")
-    if texts != (h5py.check_string_dtype(found.dtype) is not None) or (not texts and found.dtype.kind not in "fiub"):
-        raise DamagedError(f"{where(group, name)} holds {found.dtype}, not {'texts' if texts else 'numbers'}")
-    return np.asarray(found.asstr()[()] if texts else found[()])
+    is_text = h5py.check_string_dtype(dataset.dtype) is not None
+    if texts != is_text or (not texts and dataset.dtype.kind not in "fiub"):
+        raise DamagedError(f"{where(group, name)} holds {dataset.dtype}, not {'texts' if texts else 'numbers'}")
+    return np.asarray(dataset.asstr()[()] if texts else dataset[()])
 
 
 def read_attribute(item: h5py.HLObject, name: str) -> Any:
@@ -112,10 +113,10 @@ def read_text(item: h5py.HLObject, name: str) -> str:
     DamagedError
         When the attribute is missing or not a text.
     """
-    found = read_attribute(item, name)
-    if not isinstance(found, str):
+    text = read_attribute(item, name)
+    if not isinstance(text, str):
         raise DamagedError(f"attribute {name!r} of {item.name} is not a text")
-    return found
+    return text
 
 
 def read_texts(item: h5py.HLObject, name: str) -> tuple[str, ...]:
@@ -126,10 +127,10 @@ def read_texts(item: h5py.HLObject, name: str) -> tuple[str, ...]:
     DamagedError
         When the attribute is missing or not a list of texts.
     """
-    found = np.atleast_1d(read_attribute(item, name))
-    if found.ndim != 1 or not all(isinstance(text, str) for text in found):
+    texts = np.atleast_1d(read_attribute(item, name))
+    if texts.ndim != 1 or not all(isinstance(text, str) for text in texts):
         raise DamagedError(f"attribute {name!r} of {item.name} is not a list of texts")
-    return tuple(map(str, found))
+    return tuple(map(str, texts))
 
 
 def read_group(group: h5py.Group, name: str) -> h5py.Group:
@@ -140,10 +141,10 @@ def read_group(group: h5py.Group, name: str) -> h5py.Group:
     DamagedError
         When there is no such group.
     """
-    found = group.get(name)
-    if not isinstance(found, h5py.Group):
-        raise DamagedError(f"group {where(group, name)} is {'missing' if found is None else 'a dataset'}")
-    return found
+    entry = group.get(name)
+    if not isinstance(entry, h5py.Group):
+        raise DamagedError(f"group {where(group, name)} is {'missing' if entry is None else 'a dataset'}")
+    return entry
 
 
 def where(group: h5py.Group, name: str) -> str:
