@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import scipy
@@ -27,6 +28,7 @@ from gbid.control import (
 from gbid.control.assessment import TunedDesign
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.scheduled import with_schedule
+from gbid.control.loop.close import sample_controller
 from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
 from gbid.core.units import SIGNALS
@@ -45,9 +47,8 @@ from gbid.export.chain import ChainOptions, chain_of
 from gbid.export.chain_c import CompiledChain
 from gbid.lpv import Domain, LPVModel, ProportionalDesign, PublishedMachine, load_machine, load_model
 from gbid.prefilter import identify_runout
-from gbid.recording import Recording
 from gbid.rig import ProgramController, SampledController, Stationary
-from gbid.structure import LinearModel, kind_of, load_structure, load_structure_or_model
+from gbid.structure import LinearModel, LinearStructure, kind_of, load_structure, load_structure_or_model
 from gbid.structure.linear import Structure
 
 # ---- Goals of a design from the entries of its controller section.
@@ -96,14 +97,16 @@ def peak_cap(section: ControllerSection) -> float | None:
     return min(map(float, limits), default=None)
 
 
-def impact_of_goals(section: ControllerSection) -> PiezoTravel | None:
+def _travel_goal(section: ControllerSection) -> PiezoTravel | None:
     """Return the first goal on the travel of the stacks; None when there is none."""
-    for entry in section.goals or ():
-        if entry.goal == PiezoTravel.__name__:
-            goal = made_goal(entry, no_disturbance)
-            assert isinstance(goal, PiezoTravel)
-            return goal
-    return None
+    made = (made_goal(entry, no_disturbance) for entry in section.goals or () if entry.goal == PiezoTravel.__name__)
+    return cast("PiezoTravel | None", next(made, None))
+
+
+def impact(section: ControllerSection) -> HalfSine:
+    """Return the impact for the assessment of designs: that of the goals, or the default."""
+    goal = _travel_goal(section)
+    return HalfSine() if goal is None else goal.impact
 
 
 def without_cap(section: ControllerSection, goals: Sequence[Goal]) -> list[Goal]:
@@ -228,10 +231,10 @@ def design_structure(
     UsageError
         When the structure or an option is unknown, or the file does not define a structure.
     """
-    given = {key: getattr(section, key) for key in ("lowpass_hz", "order", "tune_corner")}
+    given = section.model_dump(include={"lowpass_hz", "order", "tune_corner"}, exclude_none=True)
     # a whole number stays one: orders are counted
-    own = {key: int(v) if isinstance(v, float) and v.is_integer() else v for key, v in section.options.items()}
-    options = {**own, **{key: value for key, value in given.items() if value is not None}}
+    options = {key: int(v) if isinstance(v, float) and v.is_integer() else v for key, v in section.options.items()}
+    options |= given
     wrong = "options" if section.options else "structure"
     if section.structure in built_in_structures():
         with about(wrong):
@@ -253,38 +256,30 @@ def design_structure(
         return with_schedule(base, domain) if section.schedule is None else scheduled(base, section.schedule, domain)
 
 
-def structure_text(experiment: Experiment, section: ControllerSection) -> bytes:
+def _structure_text(experiment: Experiment, name: str | None) -> str:
     """Return the text of the file of a user's structure, for content keys; empty for built-in structures."""
-    file = section.structure.rpartition(":")[0]
-    return (experiment.folder / file).read_bytes() if file else b""
-
-
-def impact(section: ControllerSection) -> HalfSine:
-    """Return the impact for the assessment of designs: that of the goals, or the default."""
-    goal = impact_of_goals(section)
-    return HalfSine() if goal is None else goal.impact
+    file = (name or "").rpartition(":")[0]
+    return (experiment.folder / file).read_text(errors="replace") if file else ""
 
 
 def tune_options(section: ControllerSection) -> dict[str, Any]:
     """Return the arguments of `gbid.tune` from the section, except model, structure and cap."""
-    points: Any = {"model": None, "domain": "domain"}.get(str(section.operating_points))
-    if not isinstance(section.operating_points, str):
-        points = [(q.pressure_bar, q.speed_rpm) for q in section.operating_points]
-    options: dict[str, Any] = {
-        "operating_points": points,
+    points: Any = section.operating_points
+    if not isinstance(points, str):
+        points = [(q.pressure_bar, q.speed_rpm) for q in points]
+    return {
+        "operating_points": None if points == "model" else points,
         "bounds": section.bounds or None,
         "start": section.start or None,
         "starts": section.starts,
         "seed": section.seed,
+        **({"objective": section.objective} if section.goals is None else {}),
     }
-    if section.goals is None:
-        options["objective"] = section.objective
-    return options
 
 
 def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
     """Return the arguments of `gbid.control.assess` from the section, except the points."""
-    goal = impact_of_goals(section)
+    goal = _travel_goal(section)
     return {
         "sample_time": sample_time(experiment, section),
         "method": section.method,
@@ -295,8 +290,13 @@ def assess_options(experiment: Experiment, section: ControllerSection) -> dict[s
 
 def sample_time(experiment: Experiment, section: ControllerSection) -> float:
     """Return the sample time of the controller [s]."""
+    return section.sample_time_s or rig_time(experiment)
+
+
+def rig_time(experiment: Experiment) -> float:
+    """Return the sample time of controllers that state none: that of the rig [s]."""
     rig = experiment.spec.rig
-    return section.sample_time_s or (rig.sample_time_s if rig is not None else _SAMPLE_TIME_S)
+    return rig.sample_time_s if rig is not None else _SAMPLE_TIME_S
 
 
 def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> PublishedMachine | None:
@@ -343,7 +343,7 @@ def design_result(
     section = controller_section(experiment, name)
     settings = {
         **section.model_dump(),
-        "text": structure_text(experiment, section).decode(errors="replace"),
+        "text": _structure_text(experiment, section.structure),
         "sampled_at": sample_time(experiment, section),
         "published": published_design(experiment, section),
         "model": named_model(experiment, section) if surfaces is None else stored_key(surfaces),
@@ -389,14 +389,11 @@ class LoopController:
         Controllers in continuous time and at the sample time of the rig.
     design : ControllerDesign
         The design, over all operating points.
-    key : str
-        Digest of its source, for content keys.
     """
 
     continuous: LinearModel
     sampled: LinearModel
     design: ControllerDesign
-    key: str
 
 
 def study_name(point: Place, loop: str) -> str:
@@ -406,25 +403,34 @@ def study_name(point: Place, loop: str) -> str:
 
 def loop_controllers(section: ImpactsSection) -> dict[str, str]:
     """Return the controller entry of each loop, in their order; empty for the open loop."""
-    own = {loop: section.controller if loop == "closed" else "" for loop in section.loops}
-    return own | dict(section.beside)
+    return {loop: section.controller if loop == "closed" else "" for loop in section.loops} | section.beside
 
 
 def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
     """Return the recordings with impacts by name, e.g. ``p6_n0_open_x``; empty without the section."""
     section = experiment.spec.impacts
-    found: dict[str, ImpactRecording] = {}
-    for i, point in enumerate(section.operating_points if section else ()):
-        assert section is not None
-        conditions = point.model_dump()
-        for loop in loop_controllers(section):
-            for axis in section.axes:
-                name = f"{study_name(point, loop)}_{axis}"
-                signals = {**RIG_SIGNALS, "f": SIGNALS["f"].channels}
-                location = ("impacts", "operating_points", i)
-                planned = PlannedRecording(name, False, conditions, signals, location, run=("impact", axis))
-                found[name] = ImpactRecording(planned, point, loop, axis)
-    return found
+    if section is None:
+        return {}
+    signals = {**RIG_SIGNALS, "f": SIGNALS["f"].channels}
+    impacts = [
+        ImpactRecording(
+            PlannedRecording(
+                f"{study_name(point, loop)}_{axis}",
+                False,
+                point.model_dump(),
+                signals,
+                ("impacts", "operating_points", i),
+                run=("impact", axis),
+            ),
+            point,
+            loop,
+            axis,
+        )
+        for i, point in enumerate(section.operating_points)
+        for loop in loop_controllers(section)
+        for axis in section.axes
+    ]
+    return {each.planned.name: each for each in impacts}
 
 
 def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
@@ -459,64 +465,54 @@ def controller_at(experiment: Experiment, point: Place, loop: str = "closed") ->
     UsageError
         When there is none, its file is faulty, or its sample time is not that of the rig.
     """
+    word, file_of = _word_of(experiment, loop), partial(_controller_file, experiment)
+    controller = _named_controller(experiment, word, lambda name: load_controller(file_of(name)))
+    return running_controller(experiment, controller, point.model_dump())
+
+
+def controller_key(experiment: Experiment, loop: str) -> str:
+    """Return what identifies the controller of a loop in content keys; raises as `controller_at`."""
+    file_of = partial(_controller_file, experiment)
+    return _source_key(experiment, _word_of(experiment, loop), lambda name: file_digest(file_of(name)))
+
+
+def _word_of(experiment: Experiment, loop: str) -> str:
     section = needed(experiment.spec.impacts, "impacts")
-    word = {"closed": section.controller, **section.beside}[loop]
-    if word == "paper":
-        design = _published(experiment)
-        return LoopController(design.at(), design.sampled_at(), design, repr(rig_machine(experiment).controller))
-    return loop_controller(experiment, controller_path(experiment, word), point.model_dump())
+    return {"closed": section.controller, **section.beside}[loop]
 
 
-def loop_controller(experiment: Experiment, path: Path, conditions: Mapping[str, float]) -> LoopController:
-    """Return the controller of a file at an operating point, as the rig runs it.
-
-    Raises
-    ------
-    UsageError
-        When the file is faulty, or its sample time is not that of the rig.
-    """
-    return running_controller(experiment, load_controller(path), conditions, file_digest(path))
+def _controller_file(experiment: Experiment, name: str) -> Path:
+    """Return the controller file of a design; raises UsageError when `gbid tune` has not made it."""
+    path = experiment.path(TUNED, name, ".yaml")
+    if not path.is_file():
+        raise UsageError(f"{path}: file is missing; `gbid tune` makes it")
+    return path
 
 
 def running_controller(
-    experiment: Experiment, design: ControllerDesign, conditions: Mapping[str, float], key: str = ""
+    experiment: Experiment, controller: ControllerDesign | Structure, conditions: Mapping[str, float]
 ) -> LoopController:
     """Return a controller at an operating point, as the rig runs it.
 
     Raises
     ------
     UsageError
-        When it is not for two axes, or when its sample time is not that of the rig.
+        When its gains are not all known, when it is not for two axes, or when its sample time is not that of the rig.
     """
+    if not isinstance(controller, ControllerDesign):
+        unknown = ", ".join(gain.name for gain in controller.parameters if not gain.fixed)
+        raise UsageError(f"controller {controller.name!r}: no value for {unknown}; the rig needs all gains")
     time = needed(experiment.spec.rig, "rig").sample_time_s
-    at = at_point(design, conditions)
-    continuous = design.at(*at)
+    continuous = controller.at(*at_point(controller, conditions))
+    words = f"controller {controller.name!r}"
     if continuous.D.shape != (2, 2):
-        raise UsageError(f"controller {design.name!r} has not two inputs and two outputs, the axes x and y of the rig")
-    if abs(design.sample_time - time) > 1e-9 * time:
-        text = f"sample time is {design.sample_time:g} s, that of the rig {time:g} s; make it for that"
-        raise UsageError(f"controller {design.name!r}: {text}")
-    sampled = design.sampled_at(*at) if continuous.dt is None else continuous
-    return LoopController(continuous, sampled, design, key)
-
-
-def controller_path(experiment: Experiment, word: str) -> Path:
-    """Return the path of the controller file of an entry other than ``paper``.
-
-    Raises
-    ------
-    UsageError
-        When the file is missing.
-    """
-    if not is_tuned(word):
-        path = experiment.folder / word
-        if not path.is_file():
-            raise UsageError(f"{path}: no such controller file; write paper, tuned, or the name of one")
-        return path
-    path = experiment.path(TUNED, tuned_design(experiment, word), ".yaml")
-    if not path.is_file():
-        raise UsageError(f"{path}: file is missing; `gbid tune` makes it")
-    return path
+        raise UsageError(f"{words} has not two inputs and two outputs, the axes x and y of the rig")
+    rate = controller.sample_time
+    if abs(rate - time) > 1e-9 * time:
+        raise UsageError(f"{words}: sample time is {rate:g} s, that of the rig {time:g} s; make it for that")
+    is_continuous = continuous.dt is None
+    sampled = sample_controller(continuous, rate, controller.method) if is_continuous else continuous
+    return LoopController(continuous, sampled, controller)
 
 
 def is_tuned(word: str) -> bool:
@@ -597,18 +593,12 @@ def loop_of(
         A, B, C, D = (np.array(m) for m in (sampled.A, sampled.B, sampled.C, sampled.D))
         zero = still.signal("p").mean(axis=0)
         return SampledController(A, B, C, D, rig.sample_time_s, offset=zero, name=sampled.name)
-    return _compiled(experiment, controller, still, rig.settle_s)
-
-
-def _compiled(
-    experiment: Experiment, controller: LoopController, still: Recording, settle_s: float
-) -> ProgramController:
     section = experiment.spec.prefilter
     harmonics = _HARMONICS if section is None or section.harmonics == "auto" else section.harmonics
-    start_s = max(_SHARE_OF_SETTLING * settle_s, controller.design.sample_time)
-    options = replace(chain_options(experiment), ramp_s=start_s, fade_s=start_s)
+    start_s = max(_SHARE_OF_SETTLING * rig.settle_s, controller.design.sample_time)
+    ramps = replace(chain_options(experiment), ramp_s=start_s, fade_s=start_s)
     runout_map = identify_runout([still], harmonics=harmonics)
-    chain = chain_of(controller.design, name="chain", runout_maps=[runout_map], options=options)
+    chain = chain_of(controller.design, name="chain", runout_maps=[runout_map], options=ramps)
     return ProgramController(CompiledChain(chain), chain.sample_time, f"{chain.title}, compiled")
 
 
@@ -616,28 +606,6 @@ def _compiled(
 
 RIG = "rig"
 """What a loop without controller and structure means: the controller of the rig's recordings."""
-
-
-@dataclass(frozen=True, eq=False)
-class FoundController:
-    """Controller of a loop.
-
-    Attributes
-    ----------
-    name : str
-        Its name.
-    design : ControllerDesign or None
-        A controller whose gains are known, over operating points.
-    model : LinearModel or None
-        A known model of your own, continuous or sampled.
-    structure : Structure or None
-        A controller with unknown gains.
-    """
-
-    name: str
-    design: ControllerDesign | None = None
-    model: LinearModel | None = None
-    structure: Structure | None = None
 
 
 def chosen(experiment: Experiment, section: ControllerChoice) -> ControllerChoice:
@@ -662,8 +630,10 @@ def chosen(experiment: Experiment, section: ControllerChoice) -> ControllerChoic
     return section
 
 
-def found_controller(experiment: Experiment, section: ControllerChoice, *, planned: bool = False) -> FoundController:
-    """Return the controller that a section means.
+def found_controller(
+    experiment: Experiment, section: ControllerChoice, *, planned: bool = False
+) -> ControllerDesign | Structure:
+    """Return the controller that a section means: a design, or a structure with gains that are not known.
 
     Parameters
     ----------
@@ -682,19 +652,35 @@ def found_controller(experiment: Experiment, section: ControllerChoice, *, plann
         When a design has not been tuned with the present settings.
     """
     section = chosen(experiment, section)
-    word = section.controller
-    if word is None:
+    if section.controller is None:
         return _of_structure(experiment, section)
+    return _named_controller(experiment, section.controller, partial(_tuned, experiment, planned=planned))
+
+
+def _named_controller(
+    experiment: Experiment, word: str, tuned: Callable[[str], ControllerDesign]
+) -> ControllerDesign | Structure:
+    """Return the controller that a word of the YAML names; `tuned` returns a design of the experiment by its name."""
     if word == "paper":
-        return FoundController(word, _published(experiment))
+        return _published(experiment)
     if is_tuned(word):
-        return FoundController(word, _tuned(experiment, tuned_design(experiment, word), planned))
+        return tuned(tuned_design(experiment, word))
     if ":" in word:
         return _of_python(experiment, word)
     path = experiment.folder / word
     if not path.is_file():
         raise UsageError(f"{path}: no such controller file; write paper, tuned, or the name of one")
-    return FoundController(word, load_controller(path))
+    return load_controller(path)
+
+
+def _source_key(experiment: Experiment, word: str, tuned: Callable[[str], str]) -> str:
+    """Return what identifies the source of a controller in content keys; `tuned` returns the key of a design."""
+    if word == "paper":
+        return repr(rig_machine(experiment).controller)
+    if is_tuned(word):
+        return tuned(tuned_design(experiment, word))
+    file = word.rpartition(":")[0] or word
+    return file_digest(experiment.folder_of(file) / file)
 
 
 def controller_identity(experiment: Experiment, section: ControllerChoice) -> dict[str, Any]:
@@ -706,28 +692,17 @@ def controller_identity(experiment: Experiment, section: ControllerChoice) -> di
         When there is no such controller.
     """
     section = chosen(experiment, section)
-    word = section.controller
     settings: dict[str, Any] = section.model_dump(include=set(ControllerChoice.model_fields))
-    if word is None:
-        settings["text"] = structure_text(experiment, _as_design(section)).decode(errors="replace")
-    elif word == "paper":
-        settings["design"] = repr(rig_machine(experiment).controller)
-    elif is_tuned(word):
-        settings["design"] = early_design(experiment, tuned_design(experiment, word)).key
-    else:
-        file = word.rpartition(":")[0] or word
-        settings["digest"] = file_digest(experiment.folder_of(file) / file)
-    return settings
+    if section.controller is None:
+        return {**settings, "text": _structure_text(experiment, section.structure)}
+    key_of = partial(early_design, experiment)
+    return {**settings, "source": _source_key(experiment, section.controller, lambda name: key_of(name).key)}
 
 
 def closed_loop_settings(experiment: Experiment) -> dict[str, Any]:
     """Return the settings of the rig's loop for content keys; known before a design is tuned."""
     loop, prefilter = needed(needed(experiment.spec.rig, "rig").loop, "rig.loop"), experiment.spec.prefilter
-    settings = {
-        "loop": controller_identity(experiment, loop),
-        "runout": loop.runout,
-        **loop_settings(experiment),
-    }
+    settings = {"loop": controller_identity(experiment, loop), "runout": loop.runout, **loop_settings(experiment)}
     if loop.runout == "online" and prefilter is not None:
         settings["map"] = prefilter.model_dump(include={"method", "harmonics", "bins"})
     return settings
@@ -751,15 +726,12 @@ def loop_stills(experiment: Experiment, point: str) -> list[PlannedRecording]:
 
 def early_designs(experiment: Experiment) -> list[str]:
     """Return the names of the designs that close the loop of recordings, so that they are tuned before all others."""
-    spec, found = experiment.spec, []
-    loops = [spec.rig.loop if spec.rig else None, *(fit.loop for fit in spec.fits.values())]
-    for section in loops:
-        if section is not None and section.controller is not None and is_tuned(section.controller):
-            try:
-                found.append(tuned_design(experiment, section.controller))
-            except UsageError:
-                continue  # a check reports it
-    return list(dict.fromkeys(found))
+    spec, names = experiment.spec, dict[str, None]()
+    for section in (spec.rig.loop if spec.rig else None, *(fit.loop for fit in spec.fits.values())):
+        if section is not None and is_tuned(section.controller or ""):
+            with suppress(UsageError):  # a check reports it
+                names[tuned_design(experiment, str(section.controller))] = None
+    return list(names)
 
 
 def early_design(experiment: Experiment, name: str) -> Result:
@@ -798,8 +770,8 @@ def at_point(design: ControllerDesign, conditions: Mapping[str, float]) -> tuple
     return point
 
 
-def _of_structure(experiment: Experiment, section: ControllerChoice) -> FoundController:
-    structure = design_structure(experiment, _as_design(section), None)
+def _of_structure(experiment: Experiment, section: ControllerChoice) -> ControllerDesign | Structure:
+    structure = design_structure(experiment, _as_design(section))
     if isinstance(structure, Scheduled):
         raise UsageError(f"structure {structure.name!r} follows the speed; name a controller file")
     names = [gain.name for gain in structure.parameters]
@@ -807,17 +779,18 @@ def _of_structure(experiment: Experiment, section: ControllerChoice) -> FoundCon
     if unknown:
         raise UsageError(f"{structure.name} has no gain {unknown[0]!r}; {nearest(unknown[0], names)}", "gains")
     if len(section.gains) < len(names):
-        return FoundController(structure.name, structure=structure)
-    own_rate = section.sample_time_s if isinstance(section, LoopSection) else None
-    return FoundController(
-        structure.name, ControllerDesign(structure.name, structure, section.gains, own_rate or rig_time(experiment))
-    )
+        return structure if not section.gains else _with_known(structure, section.gains)
+    rate = section.sample_time_s if isinstance(section, LoopSection) else None
+    return ControllerDesign(structure.name, structure, section.gains, rate or rig_time(experiment))
 
 
-def rig_time(experiment: Experiment) -> float:
-    """Return the sample time of controllers that state none: that of the rig [s]."""
-    rig = experiment.spec.rig
-    return rig.sample_time_s if rig is not None else _SAMPLE_TIME_S
+def _with_known(structure: Structure, gains: Mapping[str, float]) -> Structure:
+    """Return a structure whose known gains are fixed."""
+    parameters = [
+        replace(q, start=gains[q.name], lower=-np.inf, upper=np.inf, fixed=True) if q.name in gains else q
+        for q in structure.parameters
+    ]
+    return LinearStructure(structure.name, parameters, structure.matrices, structure.inputs, structure.outputs)
 
 
 def _as_design(section: ControllerChoice) -> ControllerSection:
@@ -826,14 +799,14 @@ def _as_design(section: ControllerChoice) -> ControllerSection:
     return ControllerSection.model_validate(given)
 
 
-def _of_python(experiment: Experiment, word: str) -> FoundController:
-    own = load_structure_or_model(word, experiment.folder_of(word.rpartition(":")[0]))
-    if isinstance(own, LinearModel):
-        return FoundController(word, model=own)
-    linear = kind_of(own).linear
+def _of_python(experiment: Experiment, word: str) -> ControllerDesign | Structure:
+    made = load_structure_or_model(word, experiment.folder_of(word.rpartition(":")[0]))
+    if isinstance(made, LinearModel):
+        return ControllerDesign(word, None, {}, made.dt or rig_time(experiment), models={None: made})
+    linear = kind_of(made).linear
     if linear is None:
         raise UsageError(f"{word}: a controller is a gbid.LinearModel or a gbid.LinearStructure")
-    return FoundController(word, structure=linear)
+    return linear
 
 
 def _published(experiment: Experiment) -> ControllerDesign:
@@ -852,7 +825,10 @@ def _tuned(experiment: Experiment, name: str, planned: bool) -> ControllerDesign
     if result.is_made:
         gains = _stored_gains(result)
     elif planned:
-        gains = {gain.name: _about(gain.start, gain.lower, gain.upper) for gain in structure.parameters}
+        gains = {
+            gain.name: float(np.clip(0.0, gain.lower, gain.upper)) if gain.start is None else gain.start
+            for gain in structure.parameters
+        }
     else:
         raise InputError(f"{result.path}: no design {name!r} with the present settings; `gbid tune` makes it")
     return ControllerDesign(name, structure, gains, sample_time(experiment, section), section.method)
@@ -861,9 +837,3 @@ def _tuned(experiment: Experiment, name: str, planned: bool) -> ControllerDesign
 @lru_cache(maxsize=16)
 def _stored_gains(result: Result) -> dict[str, float]:
     return dict(load(result.path, TunedDesign).result.gains)
-
-
-def _about(start: float | None, lower: float, upper: float) -> float:
-    if start is not None:
-        return start
-    return float(np.clip(0.0, lower, upper))

@@ -7,7 +7,7 @@ import inspect
 import re
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
@@ -44,11 +44,9 @@ def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str
     list of (location, text)
         Location in the YAML and text of each problem, without duplicates.
     """
-    found: list[tuple[Location, str]] = []
     checks = [check for stage in registry.STAGES for check in stage.checks]
-    for check in (has_recordings, names_are_unique, *checks):
-        found += check(experiment)
-    return list(dict.fromkeys(found))
+    problems = (problem for check in (has_recordings, names_are_unique, *checks) for problem in check(experiment))
+    return list(dict.fromkeys(problems))
 
 
 def has_recordings(experiment: Experiment) -> Found:
@@ -62,9 +60,6 @@ def has_recordings(experiment: Experiment) -> Found:
 
 def names_are_unique(experiment: Experiment) -> Found:
     """Yield a problem for each recording whose name another recording has already."""
-    planned = list(planned_recordings(experiment.spec, experiment.imports.files))
-    counts = Counter(q.name for q in planned)
-    seen: set[str] = set()
     rig = experiment.spec.rig
     points = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points] if rig else []
     twice: dict[Location, int] = {
@@ -72,10 +67,11 @@ def names_are_unique(experiment: Experiment) -> Found:
     }
     for here, first in twice.items():
         yield here, f"the same operating point as operating_points[{first}]; delete one of the two"
-    for q in planned:
+    seen: set[str] = set()
+    for q in planned_recordings(experiment.spec, experiment.imports.files):
         if q.location in twice:
             continue  # reported above, once for all recordings of the point
-        if counts[q.name] > 1 and q.name in seen:
+        if q.name in seen:
             where = (*q.location, "name") if q.imported and "recordings" in q.location else q.location
             yield where, f"a second recording named {q.name!r}; each needs a name (or operating point) of its own"
         seen.add(q.name)
@@ -192,19 +188,18 @@ def _without_null(value: dict[str, Any]) -> dict[str, Any]:
 
 def _described_arguments(words: str) -> dict[str, str]:
     """Return the descriptions of the arguments of the function or class that a docstring names, by argument."""
-    found = _SEE.search(words)
-    if not found:
+    target = _SEE.search(words)
+    if not target:
         return {}
-    module, _, name = found[1].rpartition(".")
+    module, _, name = target[1].rpartition(".")
     text = inspect.getdoc(getattr(importlib.import_module(module), name)) or ""
     section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", text, re.MULTILINE | re.DOTALL)
-    described: dict[str, str] = {}
-    for heading, body in re.findall(
-        r"^(\S[^\n]*)\n((?:[ \t]+[^\n]*\n?|\n)+)", section[1] if section else "", re.MULTILINE
-    ):
-        for argument in heading.partition(" : ")[0].split(","):
-            described[argument.strip().lstrip("*")] = _plain(body)
-    return described
+    entries = re.findall(r"^(\S[^\n]*)\n((?:[ \t]+[^\n]*\n?|\n)+)", section[1] if section else "", re.MULTILINE)
+    return {
+        argument.strip().lstrip("*"): _plain(body)
+        for heading, body in entries
+        for argument in heading.partition(" : ")[0].split(",")
+    }
 
 
 def _plain(words: str) -> str:
@@ -251,51 +246,48 @@ def peek_recordings(experiment: Experiment) -> tuple[dict[str, Peek], list[tuple
     return found, broken
 
 
-def sample_times_differ(experiment: Experiment, seen: Mapping[str, Peek]) -> list[str]:
-    """Return a text for each recording of a fit whose sample time differs from that of most recordings of the fit."""
-    texts = []
+def sample_times_differ(experiment: Experiment, seen: Mapping[str, Peek]) -> Iterator[str]:
+    """Yield a text for each recording of a fit whose sample time differs from that of most recordings of the fit."""
     for fit in experiment.spec.fits:
         known = [q.name for q in experiment.fit_recordings(fit) if q.name in seen]
         rounded = {name: float(f"{seen[name].sample_time:.4g}") for name in known}
-        if len(set(rounded.values())) < 2:
-            continue
-        usual, count = Counter(rounded.values()).most_common(1)[0]
+        usual, count = Counter(rounded.values()).most_common(1)[0] if known else (0.0, 0)
         for name in known:
             if rounded[name] != usual:
-                texts.append(
+                yield (
                     f"recording {name!r}: sample time {seen[name].sample_time:g} s; {count} of {len(known)} recordings "
                     f"of fit {fit} have {usual:g} s: correct sample_time_s or its time column, or use another fit"
                 )
-    return texts
 
 
-def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> list[str]:
-    """Return a text for each model whose recordings have too few samples for its unknowns.
+def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> Iterator[str]:
+    """Yield a text for each model whose recordings have too few samples for its unknowns.
 
     The unknowns are the free parameters, those of trends and hum, and one initial state for each recording.
     """
-    texts = []
     for fit, section in experiment.spec.fits.items():
         structure = structure_or_none(experiment, fit)
         if structure is None:
             continue
         free = [q for q in structure.parameters if q.name not in section.fixed]
-        shared, own = len(free), dict.fromkeys(seen, kind_of(structure).anatomy().n_states)
+        shared, n_states = len(free), dict.fromkeys(seen, kind_of(structure).anatomy().n_states)
         with suppress(GbidError):  # another check reports it
             used = [q.name for q in experiment.fit_recordings(fit)]
             states = initial_states(structure, free, section.initial_state, used)
-            own |= dict(zip(used, np.sum(~states.known, axis=1).tolist(), strict=True))
+            n_states |= dict(zip(used, np.sum(~states.known, axis=1).tolist(), strict=True))
         with suppress(UsageError):  # another check reports it
             shared += len(fit_disturbances(experiment, fit, structure).names)
         for names in fit_models(experiment, fit).values():
             known = [name for name in names if name in seen]
-            samples, unknowns = sum(seen[name].n_samples for name in known), shared + sum(own[name] for name in known)
+            samples, unknowns = (
+                sum(seen[name].n_samples for name in known),
+                shared + sum(n_states[name] for name in known),
+            )
             if known and samples < PER_UNKNOWN * unknowns:
-                texts.append(
+                yield (
                     f"recording {', '.join(known)}: {samples} samples for the {unknowns} unknowns of fit {fit}; "
                     f"at least {PER_UNKNOWN * unknowns} are needed: record longer, or fix some parameters"
                 )
-    return list(dict.fromkeys(texts))
 
 
 def disk_space(experiment: Experiment, seen: Mapping[str, Peek]) -> tuple[int, int]:
@@ -308,24 +300,16 @@ def disk_space(experiment: Experiment, seen: Mapping[str, Peek]) -> tuple[int, i
     """
     spec = experiment.spec
     needed = 0.0
-    for name, planned in experiment.recordings.items():
-        if name in seen:
-            copies = 2 if spec.prefilter is not None and planned.excited else 1
-            channels = 1 + sum(len(channels) for channels in planned.signals.values())
-            needed += _STATED * 8 * copies * channels * seen[name].n_samples
-    needed += sum(_PER_FIT * len(fit_models(experiment, fit)) for fit in spec.fits)
-    needed += sum(_PER_FIGURE * len(fit_models(experiment, fit)) for fit in spec.figures if fit in spec.fits)
-    return int(needed), shutil.disk_usage(_nearest_folder(experiment.results)).free
-
-
-def space_problem(experiment: Experiment, needed: int, free: int) -> str:
-    """Return a text when the results need more space than the disk has, else an empty text."""
-    if needed <= free:
-        return ""
-    return (
-        f"{experiment.results}: the results need about {file_size(needed)}, {file_size(free)} are free; "
-        "make room, or write elsewhere with --results"
-    )
+    for name, head in seen.items():
+        planned = experiment.recordings[name]
+        copies = 2 if spec.prefilter is not None and planned.excited else 1
+        channels = 1 + sum(len(channels) for channels in planned.signals.values())
+        needed += _STATED * 8 * copies * channels * head.n_samples
+    for fit in spec.fits:
+        needed += (_PER_FIT + _PER_FIGURE * (fit in spec.figures)) * len(fit_models(experiment, fit))
+    path = experiment.results.absolute()
+    folder = next(folder for folder in (path, *path.parents) if folder.is_dir())
+    return int(needed), shutil.disk_usage(folder).free
 
 
 def find_data_problems(experiment: Experiment) -> tuple[list[str], int, tuple[int, int]]:
@@ -343,17 +327,10 @@ def find_data_problems(experiment: Experiment) -> tuple[list[str], int, tuple[in
     seen, broken = peek_recordings(experiment)
     texts = [f"{experiment.file.position(planned.location)}: {error}" for planned, error in broken]
     code = max((error.exit_code for _, error in broken), default=0)
-    space = disk_space(experiment, seen)
-    more: Sequence[str] = [
-        *sample_times_differ(experiment, seen),
-        *recordings_too_short(experiment, seen),
-        *filter(None, [space_problem(experiment, *space)]),
-    ]
-    texts += [f"{experiment.file.path}: {text}" for text in more]
-    return texts, max(code, DataError.exit_code if more else 0), space
-
-
-def _nearest_folder(path: Path) -> Path:
-    """Return the folder itself, or the nearest folder above it that exists."""
-    path = path.absolute()
-    return next(folder for folder in (path, *path.parents) if folder.is_dir())
+    needed, free = disk_space(experiment, seen)
+    faults = [*sample_times_differ(experiment, seen), *dict.fromkeys(recordings_too_short(experiment, seen))]
+    if needed > free:
+        sizes = f"the results need about {file_size(needed)}, {file_size(free)} are free"
+        faults.append(f"{experiment.results}: {sizes}; make room, or write elsewhere with --results")
+    texts += [f"{experiment.file.path}: {text}" for text in faults]
+    return texts, max(code, DataError.exit_code if faults else 0), (needed, free)

@@ -17,13 +17,12 @@ from gbid.core.units import SIGNALS
 from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, needed
-from gbid.experiment.rig_schema import ActuatorSection, Place, RigSection
+from gbid.experiment.rig_schema import ActuatorSection, Place
 from gbid.experiment.schema import HammerTrain
 from gbid.lpv import Domain, LPVModel, PublishedMachine, load_machine
 from gbid.recording import Recording
 from gbid.rig import (
     Course,
-    Faults,
     Hammer,
     Impact,
     Machine,
@@ -81,15 +80,9 @@ def rig_model(experiment: Experiment) -> LPVModel:
     return rig_machine(experiment).model
 
 
-def true_parameters(model: LPVModel, planned: PlannedRecording) -> dict[str, float]:
-    """Return the true key parameters and actuator parameters at the operating point of a recording."""
-    return true_parameters_at(model, planned.conditions["pressure_bar"], planned.conditions["speed_rpm"])
-
-
-def true_parameters_at(model: LPVModel, pressure_bar: float, speed_rpm: float) -> dict[str, float]:
+def _true_parameters(model: LPVModel, pressure_bar: float, speed_rpm: float) -> dict[str, float]:
     """Return the true key parameters and actuator parameters at an operating point."""
-    key_parameters = model.key_parameters(pressure_bar, speed_rpm)
-    return {**{name: float(np.asarray(value)) for name, value in key_parameters.items()}, **model.actuators}
+    return {**{name: float(v) for name, v in model.key_parameters(pressure_bar, speed_rpm).items()}, **model.actuators}
 
 
 def outside_domain(domain: Domain, name: str, point: Place, where: Location) -> Found:
@@ -113,11 +106,12 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
         When the point lies outside the domain of the model, or the rig refuses a value.
     """
     rig = needed(experiment.spec.rig, "rig")
-    place = None if (course := course_of(experiment, planned)) is None else course.at(np.array(0.0))
-    true = true_parameters(model, planned) if place is None else true_parameters_at(model, *map(float, place))
+    course, point = course_of(experiment, planned), planned.conditions
+    start = (point["pressure_bar"], point["speed_rpm"]) if course is None else map(float, course.at(np.array(0.0)))
+    parameters = _true_parameters(model, *start)
     return Machine.from_parameters(
-        true,
-        _stacks(rig.actuators) if rig.actuators.kind == "stacks" else true,
+        parameters,
+        _stacks(rig.actuators) if rig.actuators.kind == "stacks" else parameters,
         rig.unbalance,
         rig.sensors,
         rig.clearance_m,
@@ -164,18 +158,17 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
         When the rig refuses a value.
     """
     rig = needed(experiment.spec.rig, "rig")
+    amplitude_m, hold_s = rig.prbs.amplitude_m, rig.prbs.hold_s
     match planned.run:
         case ("prbs",):
-            return Prbs(rig.duration_s, rig.prbs.amplitude_m, rig.prbs.hold_s)
+            return Prbs(rig.duration_s, amplitude_m, hold_s)
         case ("loop",) if rig.loop is not None:
-            held, usual = rig.loop, rig.prbs
-            return Prbs(rig.duration_s, held.amplitude_m or usual.amplitude_m, held.hold_s or usual.hold_s)
+            return Prbs(rig.duration_s, rig.loop.amplitude_m or amplitude_m, rig.loop.hold_s or hold_s)
         case ("played",) if rig.played is not None:
             return _played(experiment, rig.played.file)
         case ("course", int(i)) if (course := course_of(experiment, planned)) is not None:
             end = course.duration_s
-            moving = Prbs(end, rig.prbs.amplitude_m, rig.prbs.hold_s)
-            return ScheduledRun(course, moving if rig.courses[i].excited else Stationary(end))
+            return ScheduledRun(course, Prbs(end, amplitude_m, hold_s) if rig.courses[i].excited else Stationary(end))
         case ("staircase", ("x" | "y") as axis) if rig.staircase is not None:
             stairs = rig.staircase
             return Staircase(axis, stairs.step_m, stairs.steps, stairs.hold_s)
@@ -190,9 +183,8 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
         case ("impact", ("x" | "y") as axis) if (impacts := experiment.spec.impacts) is not None:
             return hammer_of(impacts, axis, rig.sample_time_s)
         case ("round",) if (cycle := experiment.spec.cycle) is not None:
-            usual = rig.prbs
-            amplitude, hold = cycle.amplitude_m or usual.amplitude_m, cycle.hold_s or usual.hold_s
-            return Prbs(cycle.duration_s or rig.duration_s, amplitude, hold)
+            duration_s = cycle.duration_s or rig.duration_s
+            return Prbs(duration_s, cycle.amplitude_m or amplitude_m, cycle.hold_s or hold_s)
     return Stationary(rig.stationary.duration_s or rig.duration_s)
 
 
@@ -215,27 +207,28 @@ def _played(experiment: Experiment, name: str) -> Played:
         When it has no references of both axes.
     """
     file = read_excitation(experiment.folder / name)
-    wanted = [f"r_{axis}_m" for axis in SIGNALS["r"].channels]
-    if missing := [column for column in wanted if column not in file.columns]:
+    columns = [f"r_{axis}_m" for axis in SIGNALS["r"].channels]
+    if missing := [column for column in columns if column not in file.columns]:
         raise UsageError(
             f"{name}: no column {missing[0]}; the rig plays references r, so design the excitation with a fit of "
             "the whole plant (structure: plant)"
         )
-    return Played(np.column_stack([file.columns[column] for column in wanted]), file.sample_time, name)
+    return Played(np.column_stack([file.columns[column] for column in columns]), file.sample_time, name)
 
 
 def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[str, Any]:
     """Return the arguments of `gbid.rig.record` except machine, experiment and controller."""
-    rig = needed(experiment.spec.rig, "rig")
+    rig, name = needed(experiment.spec.rig, "rig"), planned.name
+    faulty = (entry for entry in rig.faults if any(fnmatchcase(name, pattern) for pattern in entry.recordings))
     return {
         "conditions": dict(planned.conditions),
         "seed": rig.seed,
-        "name": planned.name,
+        "name": name,
         "sample_time": rig.sample_time_s,
         "oversampling": rig.oversampling,
         "settle_s": rig.settle_s,
         "scatter": rig.scatter,
-        "faults": _faults(rig, planned.name),
+        "faults": next(faulty, None),
         "touch_down": rig.touch_down,
         "stacks": rig.actuators.record_stacks,
     }
@@ -296,14 +289,6 @@ def _stacks(section: ActuatorSection) -> PiezoStacks:
     return replace(PiezoStacks.unequal(section.spread, section.seed, base), offset=section.offset_m)
 
 
-def _faults(rig: RigSection, name: str) -> Faults | None:
-    """Return the faults of a recording from the first entry that names it; None without one."""
-    for entry in rig.faults:
-        if any(fnmatchcase(name, pattern) for pattern in entry.recordings):
-            return entry
-    return None
-
-
 # ---- True values of the parameters of a fit, for recordings of the rig.
 
 
@@ -332,28 +317,25 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: An
         return {}  # several operating points, or none, as along a course
     if any(q.imported for q in planned) or not isinstance(kind_of(structure).plant, RotorBearing | PiezoPair | Plant):
         return {}
-    known = {**_as_drawn(experiment, planned), STIFFENING: _stiffening(experiment)}
+    film = needed(experiment.spec.rig, "rig").stiffening
+    known = {**_as_drawn(experiment, planned), STIFFENING: film.inverse_square_length if film else 0.0}
     return {q.name: known[q.name] for q in structure.parameters if q.name in known}
 
 
 def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> dict[str, float]:
     """Return the true values that all recordings share; scatter changes them, and stacks have no linear parameters."""
     rig = needed(experiment.spec.rig, "rig")
-    known = true_parameters(rig_model(experiment), planned[0])
+    conditions = planned[0].conditions
+    known = _true_parameters(rig_model(experiment), conditions["pressure_bar"], conditions["speed_rpm"])
     if rig.actuators.kind == "stacks":
         known = {name: value for name, value in known.items() if name in KEY_PARAMETERS}
     if rig.scatter is None:
         return known
     if len({q.name for q in planned}) > 1:
         return {name: value for name, value in known.items() if name not in KEY_PARAMETERS}
-    random = scatter_random(rig.seed, planned[0].name, planned[0].conditions)
+    random = scatter_random(rig.seed, planned[0].name, conditions)
     drawn, _ = scattered(RotorBearingTruth.from_parameters(known), rig.scatter, random)
     return {**known, **drawn.key_parameters()}
-
-
-def _stiffening(experiment: Experiment) -> float:
-    film = experiment.spec.rig.stiffening if experiment.spec.rig else None
-    return film.inverse_square_length if film else 0.0
 
 
 def true_model(structure: AnyStructure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from gbid.control.loop.close import sample_controller
+from gbid.control import ControllerDesign, sample_controller
 from gbid.core.errors import GbidError, UsageError
 from gbid.experiment.controllers import at_point, controller_identity, found_controller, rig_time
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import about, nearest
+from gbid.experiment.fields import about, file_digest, nearest
 from gbid.experiment.rig_schema import LoopSection
-from gbid.experiment.schema import StructureOptions
 from gbid.identify.disturbances import Disturbances, disturbances_of
 from gbid.structure import (
     AnyStructure,
     ClosedLoop,
     LinearModel,
-    LinearStructure,
     PiezoPair,
     Plant,
     RotorBearing,
@@ -85,50 +83,28 @@ def _law(
     experiment: Experiment, section: LoopSection, fit: str, planned: bool
 ) -> tuple[LinearModel | Structure, float | None]:
     """Return the controller for `ClosedLoop`, and the sample time at which it is to be sampled there."""
-    found = found_controller(experiment, section, planned=planned)
-    rate = section.sample_time_s or rig_time(experiment)
-    if found.structure is not None:
-        gains = found.structure
+    controller = found_controller(experiment, section, planned=planned)
+    if not isinstance(controller, ControllerDesign):
         if section.delay_s is not None:
             raise UsageError(
                 "delay_s is for a known continuous controller; an unknown one needs a Padé filter of its own"
             )
-        return _with_known(gains, dict(section.gains)), rate if section.sampled else None
-    if found.model is not None:
-        model = found.model
-    else:
-        design = found.design
-        assert design is not None
-        point = at_point(design, _conditions(experiment, fit))
-        model = design.at(*point)
-        rate = section.sample_time_s or design.sample_time
-        if section.sampled:
-            model = sample_controller(model, rate, design.method)
+        return controller, (section.sample_time_s or rig_time(experiment)) if section.sampled else None
+    model = controller.at(*at_point(controller, _conditions(experiment, fit)))
+    rate = section.sample_time_s or controller.sample_time
     if section.sampled:
         if section.delay_s is not None:
             raise UsageError("delay_s is for a continuous controller; write computation_samples, or sampled: false")
-        return model, None if model.dt is not None else rate
+        return sample_controller(model, rate, controller.method) if model.dt is None else model, None
     if model.dt is not None:
         raise UsageError(f"controller {model.name!r} is sampled; remove sampled: false")
     if section.sample_time_s is not None:
         raise UsageError("sample_time_s is for a sampled controller; remove it, or sampled: false")
-    return _late(
-        model, (section.computation_samples + 0.5) * rate if section.delay_s is None else section.delay_s
-    ), None
+    delay_s = (section.computation_samples + 0.5) * rate if section.delay_s is None else section.delay_s
+    return _with_delayed_output(model, delay_s), None
 
 
-def _with_known(structure: Structure, gains: dict[str, float]) -> Structure:
-    """Return a structure whose known gains are fixed."""
-    if not gains:
-        return structure
-    parameters = [
-        replace(q, start=gains[q.name], lower=-np.inf, upper=np.inf, fixed=True) if q.name in gains else q
-        for q in structure.parameters
-    ]
-    return LinearStructure(structure.name, parameters, structure.matrices, structure.inputs, structure.outputs)
-
-
-def _late(model: LinearModel, delay: float) -> LinearModel:
+def _with_delayed_output(model: LinearModel, delay: float) -> LinearModel:
     """Return a continuous controller whose output is late by an exact delay [s]."""
     if not delay:
         return model
@@ -147,37 +123,25 @@ def _conditions(experiment: Experiment, fit: str) -> dict[str, float]:
     return points[0] if points and all(point == points[0] for point in points) else {}
 
 
-def _rotor_bearing(options: dict[str, Any]) -> Structure:
-    return RotorBearing(**options)
-
-
-def _piezo_pair(options: dict[str, Any]) -> Structure:
-    return PiezoPair(**options)
-
-
-def _plant(options: dict[str, Any]) -> Structure:
+def _plant(**options: Any) -> Structure:
     return Plant(RotorBearing(**options))
 
 
-def _scheduled(build: Callable[[dict[str, Any]], Structure]) -> Callable[[dict[str, Any]], ScheduledStructure]:
-    """Return the function that builds a scheduled structure from the options of the base and of its own."""
-
-    def both(options: dict[str, Any]) -> ScheduledStructure:
-        own = {key: value for key, value in options.items() if key in _OF_SCHEDULE}
-        return scheduled(build({key: value for key, value in options.items() if key not in own}), **own)
-
-    return both
+def _scheduled(build: Callable[..., Structure], **options: Any) -> ScheduledStructure:
+    """Return a scheduled structure from the options of the base and its schedule."""
+    schedule = {key: options.pop(key) for key in _OF_SCHEDULE if key in options}
+    return scheduled(build(**options), **schedule)
 
 
 _OF_BEARING = ("delay", "pade_order", "disturbance_gain", "unbalance")
 _OF_SCHEDULE = ("order", "piece_s")
 
-BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure | ScheduledStructure], tuple[str, ...]]] = {
-    "rotor_bearing": (_rotor_bearing, (*_OF_BEARING, "film")),
-    "piezo_pair": (_piezo_pair, ("disturbance_gain",)),
+BUILT_IN: dict[str, tuple[Callable[..., Structure | ScheduledStructure], tuple[str, ...]]] = {
+    "rotor_bearing": (RotorBearing, (*_OF_BEARING, "film")),
+    "piezo_pair": (PiezoPair, ("disturbance_gain",)),
     "plant": (_plant, _OF_BEARING),
-    "scheduled_rotor_bearing": (_scheduled(_rotor_bearing), (*_OF_BEARING, *_OF_SCHEDULE)),
-    "scheduled_plant": (_scheduled(_plant), (*_OF_BEARING, *_OF_SCHEDULE)),
+    "scheduled_rotor_bearing": (partial(_scheduled, RotorBearing), (*_OF_BEARING, *_OF_SCHEDULE)),
+    "scheduled_plant": (partial(_scheduled, _plant), (*_OF_BEARING, *_OF_SCHEDULE)),
 }
 """Structures that come with gbid: function that builds each, and its options."""
 
@@ -208,7 +172,7 @@ def make_structure(experiment: Experiment, fit: str, *, planned: bool = False) -
 def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
     """Return the structure of a fit without a controller; raises as `make_structure`."""
     spec = experiment.spec.fits[fit]
-    options = _given_options(spec.options)
+    options = spec.options.model_dump(exclude_none=True)
     if spec.structure in BUILT_IN:
         build, known = BUILT_IN[spec.structure]
         unknown = [key for key in options if key not in known]
@@ -217,7 +181,7 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
         if options.get("delay") == "exact" and "pade_order" in options:
             raise UsageError("option pade_order is for delay: pade; remove one of the two", "options")
         with about("options"):
-            return build(options)
+            return build(**options)
     if ":" not in spec.structure:
         hint = nearest(spec.structure, BUILT_IN)
         raise UsageError(
@@ -233,17 +197,12 @@ def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
     """Return the settings of a structure for its content key: name, options, and the digest of its file."""
     spec = experiment.spec.fits[fit]
     file = spec.structure.rpartition(":")[0]
-    settings: dict[str, Any] = {"name": spec.structure, "options": _given_options(spec.options)}
+    settings: dict[str, Any] = {"name": spec.structure, "options": spec.options.model_dump(exclude_none=True)}
     if file:
-        text = (experiment.folder_of(file) / file).read_bytes()
-        settings["file_sha256"] = hashlib.sha256(text).hexdigest()
+        settings["file_sha256"] = file_digest(experiment.folder_of(file) / file)
     if spec.loop is not None:
         settings["loop"] = {**spec.loop.model_dump(exclude={"beside"}), **controller_identity(experiment, spec.loop)}
     return settings
-
-
-def _given_options(options: StructureOptions) -> dict[str, Any]:
-    return {key: value for key, value in options if value is not None}
 
 
 def structure_or_none(experiment: Experiment, fit: str) -> AnyStructure | None:
@@ -286,13 +245,12 @@ def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tup
 
 def output_labels(experiment: Experiment, fit: str, structure: AnyStructure) -> list[str]:
     """Return the labels of the output channels of a fit, such as ``p_x``; empty without these channels."""
-    labels: list[str] = []
     planned = experiment.fit_recordings(fit)
+    signals = planned[0].signals if planned else {}
+    labels: list[str] = []
     for wanted in experiment.spec.fits[fit].outputs or structure.outputs:
         signal, _, channel = wanted.partition(".")
-        there = planned[0].signals.get(signal, ()) if planned else ()
-        if not there:
+        if not (names := signals.get(signal)):
             return []
-        picked = [channel] if channel else there
-        labels += [f"{signal}_{name}" if len(there) > 1 else signal for name in picked]
+        labels += [f"{signal}_{name}" if len(names) > 1 else signal for name in ([channel] if channel else names)]
     return labels

@@ -16,6 +16,7 @@ from gbid.experiment.controllers import (
     LoopController,
     chain_options,
     controller_at,
+    controller_key,
     expecting_model,
     is_tuned,
     loop_controllers,
@@ -175,7 +176,7 @@ def recording_result(experiment: Experiment, impact: ImpactRecording) -> Result:
     """Return the result file of a recording with impacts."""
     planned, settings = impact.planned, rig_run(experiment, impact.planned).settings()
     if impact.loop != "open":
-        settings |= {"controller": _controller(experiment, impact).key, **loop_settings(experiment)}
+        settings |= {"controller": controller_key(experiment, impact.loop), **loop_settings(experiment)}
     return experiment.result("impact", planned.name, experiment.path(RECORDINGS, planned.name), settings)
 
 

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gbid.control import ControllerDesign, close_loop, exact_plant, sample_plant
+from gbid.control import close_loop, exact_plant, load_controller, sample_plant
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError
 from gbid.experiment.controllers import (
     LoopController,
     found_controller,
-    loop_controller,
     loop_of,
     running_controller,
     stationary_at,
@@ -209,18 +208,10 @@ def loop_controller_of(experiment: Experiment, planned: PlannedRecording) -> Loo
         When a design has not been tuned with the present settings.
     """
     rig, section = _sections(experiment)
-    found = found_controller(experiment, section)
-    if found.structure is not None:
-        names = [gain.name for gain in found.structure.parameters if gain.name not in section.gains]
-        raise UsageError(f"controller {found.name!r}: no value for {', '.join(names)}; the rig needs all gains")
-    design = found.design
-    if design is None:
-        model = found.model
-        assert model is not None
-        design = ControllerDesign(found.name, None, {}, model.dt or rig.sample_time_s, models={None: model})
-    running = running_controller(experiment, design, planned.conditions)
+    running = running_controller(experiment, found_controller(experiment, section), planned.conditions)
     if rig.controller == "compiled" and running.continuous.dt is not None:
-        raise UsageError(f"controller {found.name!r} is sampled; the control chain in C needs a continuous one")
+        name = running.design.name
+        raise UsageError(f"controller {name!r} is sampled; the control chain in C needs a continuous one")
     return running
 
 
@@ -305,9 +296,8 @@ def _write_recording(job: Job, part: Path, name: str) -> None:
     experiment, planned = job.experiment, job.experiment.recordings[name]
     run, controller = rig_run(experiment, planned), None
     if planned.controller:
-        controller = loop_of(
-            experiment, loop_controller(experiment, experiment.results / planned.controller, planned.conditions), run
-        )
+        design = load_controller(experiment.results / planned.controller)
+        controller = loop_of(experiment, running_controller(experiment, design, planned.conditions), run)
     elif planned.in_loop:
         controller = running(experiment, planned, run)
     save_recording(run.record(controller), part, overwrite=True)
