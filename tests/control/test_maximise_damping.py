@@ -11,9 +11,10 @@ from scipy.optimize import minimize
 
 import gbid
 from gbid.control.tuning.local import optimise_locally
-from gbid.control.tuning.loops import families_of, loop_equations
+from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.peaks import find_peaks, peak_slopes
 from gbid.control.tuning.plane import Eigensystem, InvariantSubspaces
+from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.control.tuning.problem import GainProblem, Limits, merit
 from gbid.control.tuning.solve import check_counts
 from gbid.core.errors import UsageError
@@ -172,7 +173,8 @@ def test_progress_and_history_agree() -> None:
 def paper_problem(controller: str, **limits: float) -> tuple[GainProblem, np.ndarray]:
     model = gbid.load_model("theisen2016")
     structure = gbid.controller_structure(controller)
-    family = loop_equations(model, structure).family(np.array([(6.0, 0.0), (3.0, 6000.0)]))
+    plants = plants_of(model, structure, TuneOptions(operating_points=[(6.0, 0.0), (3.0, 6000.0)]))
+    family = plants.family(plants.points)
     low, high = (np.array([getattr(p, side) for p in structure.parameters]) for side in ("lower", "upper"))
     x = np.array([0.9, 0.7, 0.3, -0.2, -0.6, -0.9, 0.3, 0.35, 0.6, 0.9])[: len(low)]
     return GainProblem((family,), Limits(peak_sensitivity=2.0, peak_control=1.8, **limits), low, high, 800.0), x
@@ -300,23 +302,6 @@ def test_a_climb_never_ends_below_its_start() -> None:
         again = optimise_locally(problem, first.x, max_iterations=10)
         assert merit(first.score, 10.0) >= merit(problem.score(start), 10.0) - 1e-12
         assert merit(again.score, 10.0) >= merit(first.score, 10.0) - 1e-12
-
-
-def test_direct_calls_give_what_casadi_gives() -> None:
-    problem, x = paper_problem("biquad")
-    family = problem.families[0]
-    loops = family.derivatives(x)
-    n, d = loops.A.shape[-1], len(x)
-    for i in range(len(family)):
-        for M, function in ((loops.A, family.function), (loops.dA, family.jacobian)):
-            whole = function(x)[0].full()
-            block = np.split(whole, len(family), axis=1)[i]
-            expected = block if M is loops.A else block.reshape(n, n, d, order="F").transpose(2, 0, 1)
-            np.testing.assert_array_equal(M[i], expected)
-    # what was given before is not overwritten by the next call
-    before = loops.A.copy()
-    family.derivatives(0.5 * x)
-    np.testing.assert_array_equal(loops.A, before)
 
 
 def test_counts_begin_at_what_makes_sense() -> None:

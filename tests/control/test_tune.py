@@ -27,7 +27,7 @@ from gbid.control import (
     p_controller,
     scheduled,
 )
-from gbid.control.tuning.loops import loop_equations
+from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.core.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
@@ -174,7 +174,7 @@ def test_travel_of_all_loops_is_that_of_simulated_responses() -> None:
     gains = {"b0": 0.9, "b1": -1.5, "b2": -2.0, "frequency": 0.4, "damping": 0.6}
     values = {p.name: gains[p.name[:-2]] * (1.1 if p.name.endswith("x") else 1.0) for p in structure.parameters}
     points = np.array([(3.0, 0.0), (5.0, 4000.0), (7.0, 6000.0)])
-    family = loop_equations(MODEL, structure).family(points)
+    family = plants_of(MODEL, structure, TuneOptions(operating_points=points)).family(points)
     impact = HalfSine(peak_n=9.0, duration_s=1.5e-3)
     limit = PiezoTravel(impact=impact).measure(MODEL.plant_at(3, 0))
     found = limit.function(family, np.array(list(values.values())))

@@ -7,13 +7,14 @@ import os
 import subprocess
 import sys
 
-import casadi as ca
 import numpy as np
 import pytest
 
 import gbid
 from gbid.control import controller_model, exact_plant, p_controller, sampled_loop, smallest_damping
-from gbid.control.tuning.loops import delayed_outputs, loop_delay, smallest_sampled_damping
+from gbid.control.tuning.loops import PlantMatrices, loop_delay, smallest_sampled_damping
+from gbid.control.tuning.plane import true_rates
+from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.core.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
@@ -29,15 +30,15 @@ print(json.dumps({"status": str(found.status), "value": found.value, "gains": di
 """
 
 
-def test_delayed_outputs_turn_the_phase_and_nothing_else() -> None:
-    gains = {"b0_x": 1.1, "b0_y": 0.9, "b1_x": -1.4, "b1_y": 2.0, "b2_x": -3.0, "b2_y": 1.0}
-    gains |= {"frequency_x": 0.5, "frequency_y": 0.3, "damping_x": 0.5, "damping_y": 0.7}
-    K = controller_model(gbid.controller_structure("biquad"), gains)
-    late = delayed_outputs({letter: ca.SX(ca.DM(getattr(K, letter))) for letter in "ABCD"}, 3e-4)
-    A, B, C, D = (np.array(ca.DM(late[letter])) for letter in "ABCD")
+def test_delayed_inputs_turn_the_phase_and_nothing_else() -> None:
+    plant = gbid.LinearModel(
+        [[-200.0, 900.0], [-900.0, -10.0]], np.eye(2), [[1.0, 0.5], [0.0, 2.0]], [[0.1, 0], [0, 3]]
+    )
+    delayed = PlantMatrices.stacked([plant, plant]).delayed(3e-4)
+    A, B, C, D = delayed.A[1], delayed.B[1], delayed.C[1], delayed.D[1]
     for hz in (5.0, 100.0, 300.0, 600.0):
         s = 2j * np.pi * hz
-        before = K.C @ np.linalg.solve(s * np.eye(len(K.A)) - K.A, K.B) + K.D
+        before = plant.frequency_response([hz])[0]
         after = C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D
         leading = 36 / (720 * 5040) * abs(3e-4 * s) ** 7  # (n!)^2 / (2n)! / (2n + 1)! (w tau)^(2n + 1), n = 3
         np.testing.assert_allclose(after, np.exp(-3e-4 * s) * before, rtol=1.05 * leading + 1e-12, atol=1e-12)
@@ -129,3 +130,17 @@ def test_the_smallest_damping_of_an_unstable_sampled_loop_is_minus_one() -> None
     calm, wild = ({"kappa_x": kappa, "kappa_y": kappa} for kappa in (0.5, 40.0))
     assert smallest_sampled_damping(MODEL, form, calm, MODEL.operating_points[:2], 2e-4, None)[0] > 0
     assert smallest_sampled_damping(MODEL, form, wild, MODEL.operating_points[:2], 2e-4, None)[0] == -1.0
+
+
+@pytest.mark.parametrize("method", ["tustin", "zoh"])
+def test_sampled_loops_of_a_search_are_those_of_the_target(method: str) -> None:
+    structure, x = gbid.controller_structure("biquad"), np.array([0.9, 0.7, 0.3, -0.2, -0.6, -0.9, 0.3, 0.35, 0.6, 0.9])
+    plants = plants_of(MODEL, structure, TuneOptions(operating_points=ONE, sample_time=2e-4, method=method))
+    family = plants.family(plants.points)
+    gains = dict(zip((p.name for p in structure.parameters), x, strict=True))
+    loop = sampled_loop(exact_plant(MODEL, *ONE[0]), controller_model(structure, gains), 2e-4, method=method)
+    modes = true_rates(np.linalg.eigvals(family.states(x)[0]), 2e-4)
+    assert np.sort(modes.real)[-8:] == pytest.approx(np.sort(loop.closed.poles().real)[-8:], rel=1e-6)
+    slopes, step = family.derivatives(x).dA[0], 1e-6 * np.eye(len(x))
+    differences = [(family.states(x + e)[0] - family.states(x - e)[0]) / 2e-6 for e in step]
+    np.testing.assert_allclose(slopes, differences, atol=1e-6 * np.abs(slopes).max())

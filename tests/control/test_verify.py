@@ -11,7 +11,7 @@ import pytest
 from gain_problems import damping_problem, oscillator, responding
 from scipy.optimize import brentq
 
-from gbid.control.tuning.loops import LoopFamily, families_of
+from gbid.control.tuning.loops import FunctionLoops, families_of
 from gbid.control.tuning.peaks import Peaks, respond
 from gbid.control.tuning.problem import GainProblem, Limits
 from gbid.control.tuning.result import Edge, distance_to_edge, exact_norms, static_gains, worst_mode
@@ -46,11 +46,11 @@ def test_exact_norm_of_two_by_two_against_a_fine_grid() -> None:
     g = ca.SX.sym("g")
     matrices = [ca.SX(M) for M in (A, B, C, D)]
     slopes = [ca.SX(M.size, 1) for M in (A, B, C, D)]
-    family = LoopFamily(
-        ca.Function("matrices", [g], [ca.densify(M) for M in matrices]),
-        ca.Function("slopes", [g], [ca.densify(M) for M in slopes]),
+    family = FunctionLoops(
         ("loop",),
         n_outputs=2,
+        function=ca.Function("matrices", [g], [ca.densify(M) for M in matrices]),
+        jacobian=ca.Function("slopes", [g], [ca.densify(M) for M in slopes]),
     )
     w = np.linspace(0.9, 1.1, 40001)
     response = C @ np.linalg.solve(1j * w[:, None, None] * np.eye(4) - A, B.astype(complex)) + D

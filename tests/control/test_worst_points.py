@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from gain_problems import loops_of
+from gain_problems import DampedLoops
 
 from gbid.control.tuning.local import optimise_locally
-from gbid.control.tuning.plants import LpvPlants, Uncertainty
+from gbid.control.tuning.plants import Uncertainty
 from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits
 from gbid.control.tuning.search import SearchTask
 from gbid.control.tuning.solve import TOLERANCE, GainSolution, add_worst_points, measure
@@ -28,7 +28,7 @@ def bump(P: Any, Omega: Any, exp: Any = ca.exp) -> Any:
     return exp(-(((P - TOP[0]) / 0.5) ** 2) - ((Omega - TOP[1]) / 600) ** 2)
 
 
-def at_corners(loops: LpvPlants, limits: Limits) -> GainSolution:
+def at_corners(loops: DampedLoops, limits: Limits) -> GainSolution:
     problem = GainProblem((loops.family(CORNERS),), limits, np.array([-3.0]), np.array([3.0]), 1.0)
     return GainSolution(problem, optimise_locally(problem, np.zeros(1)))
 
@@ -43,7 +43,7 @@ def asks_for_more(g: Any, s: Any) -> Any:
 
 
 def test_the_worst_point_inside_is_added_and_the_search_ends() -> None:
-    loops = loops_of(asks_for_more)
+    loops = DampedLoops(asks_for_more)
     known = at_corners(loops, Limits())
     assert (known.best.x[0], known.best.score.value) == pytest.approx((0.0, 0.9), abs=1e-6)
     told: list[Any] = []
@@ -71,7 +71,7 @@ def test_a_limit_that_a_point_inside_exceeds_holds_the_design_back() -> None:
     def push(family: Any, gains: Any) -> Any:
         return np.exp(gains[0] * bump(*family.points.T, exp=np.exp))
 
-    loops = loops_of(lambda g, _s: 0.4 - (g - 1) ** 2)
+    loops = DampedLoops(lambda g, _s: 0.4 - (g - 1) ** 2)
     known = at_corners(loops, Limits(extra=(ExtraLimit("push", push, float(np.exp(0.5))),)))
     assert (known.best.x[0], known.best.score.value) == pytest.approx((1.0, 0.4), abs=1e-5)
     table = measure(known.problem, known.best.x, loops, np.vstack([CORNERS[:1], TOP]))
@@ -89,7 +89,7 @@ def test_a_limit_that_a_point_inside_exceeds_holds_the_design_back() -> None:
 def test_the_worst_of_all_plants_counts_at_a_point() -> None:
     samples = np.zeros((2, 14))
     samples[:, 0] = 0.1, -0.2  # what the first key parameter is off in two plants beside the model itself
-    loops = loops_of(lambda g, s: 0.5 + g + 0.01 * s[0] + s[2], Uncertainty(samples=samples))
+    loops = DampedLoops(lambda g, s: 0.5 + g + 0.01 * s[0] + s[2], Uncertainty(samples=samples))
     problem = GainProblem((loops.family(CORNERS),), Limits(), np.array([-3.0]), np.array([3.0]), 1.0)
     found = measure(problem, np.array([0.1]), loops, CORNERS)
     lowest = 0.5 + 0.1 + 0.01 * CORNERS[:, 0] - 0.2
@@ -98,14 +98,14 @@ def test_the_worst_of_all_plants_counts_at_a_point() -> None:
 
 
 def test_nothing_is_added_where_no_point_is_worse() -> None:
-    loops = loops_of(lambda g, s: 0.4 - (g - 1) ** 2 - 0.01 * s[0])  # worst along the edge at 7 bar
+    loops = DampedLoops(lambda g, s: 0.4 - (g - 1) ** 2 - 0.01 * s[0])  # worst along the edge at 7 bar
     known = at_corners(loops, Limits())
     assert add_worst_points(known, loops, DOMAIN, SearchTask(np.zeros(1)))[0] is known
 
 
 def test_ending_before_all_worst_points_are_in_is_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(import_module("gbid.control.tuning.solve"), "_ROUNDS", 0)
-    loops = loops_of(asks_for_more)
+    loops = DampedLoops(asks_for_more)
     known = at_corners(loops, Limits())
     solution, _ = add_worst_points(known, loops, DOMAIN, SearchTask(np.zeros(1)))
     assert not solution.best.converged

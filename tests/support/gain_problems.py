@@ -1,15 +1,15 @@
 """Design problems whose damping is a known function of the gains."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from gbid.control.tuning.loops import LoopEquations, LoopFamily, families_of
-from gbid.control.tuning.plants import LpvPlants, Uncertainty
+from gbid.control.tuning.loops import FunctionLoops, LoopFamily, families_of
+from gbid.control.tuning.plants import Uncertainty
 from gbid.control.tuning.problem import GainProblem, Limits
-from gbid.structure import KEY_PARAMETERS, Parameter
 
 
 def oscillator(damping: Any, rate: float = 1.0) -> Any:
@@ -26,18 +26,35 @@ def damping_problem(
     return GainProblem(families, limits or Limits(), np.array(lower), np.array(upper), 1.0)
 
 
-def loops_of(damping: Callable[[Any, Any], Any], uncertainty: Uncertainty | None = None) -> LpvPlants:
+@dataclass(frozen=True)
+class DampedLoops:
     """Loops of one gain whose damping factor is a function of the gain and of pressure, speed and deviations."""
-    g, s = ca.SX.sym("g"), ca.SX.sym("scenario", 2 + len(KEY_PARAMETERS))
-    eye = ca.SX.eye(2)
-    matrices = [
-        ca.densify(ca.SX(M)) for M in (oscillator(damping(g, s)), eye, ca.vertcat(eye, eye), 0 * ca.vertcat(eye, eye))
-    ]
-    slopes = [ca.densify(ca.jacobian(ca.vec(M), g)) for M in matrices]
-    equations = LoopEquations(
-        (Parameter("g", 0.0, -3.0, 3.0),), ca.Function("loop", [g, s], matrices), ca.Function("slopes", [g, s], slopes)
-    )
-    return LpvPlants(None, np.zeros((0, 2)), equations=equations, lpv=None, uncertainty=uncertainty)
+
+    damping: Callable[[Any, Any], Any]
+    uncertainty: Uncertainty | None = None
+
+    def family(self, points: np.ndarray, which: Any = None) -> LoopFamily:
+        """Loops at points with all drawn plants, or some of them."""
+        rows = points if self.uncertainty is None else self.uncertainty.scenarios(points)
+        rows = rows if which is None else rows[list(which)]
+        scenarios = ca.DM(np.hstack([rows, np.zeros((len(rows), 16 - rows.shape[1]))]).T)
+        g, s, gain, eye = ca.SX.sym("g"), ca.SX.sym("scenario", 16), ca.MX.sym("g"), ca.SX.eye(2)
+        matrices = [oscillator(self.damping(g, s)), eye, ca.vertcat(eye, eye), 0 * ca.vertcat(eye, eye)]
+        matrices = [ca.densify(ca.SX(M)) for M in matrices]
+        slopes = [ca.densify(ca.jacobian(ca.vec(M), g)) for M in matrices]
+        m = len(rows)
+        function, jacobian = (
+            ca.Function(
+                "loops", [gain], list(ca.Function("loop", [g, s], parts).map(m)(ca.repmat(gain, 1, m), scenarios))
+            )
+            for parts in (matrices, slopes)
+        )
+        labels = tuple(f"{P:g} bar, {Omega:g} rpm" for P, Omega in rows[:, :2])
+        return FunctionLoops(labels, rows[:, :2].copy(), 2, function=function, jacobian=jacobian)
+
+    def gain_limits(self, points: np.ndarray) -> tuple[()]:
+        """No limits on the gain."""
+        return ()
 
 
 def responding(damping: Any, g: Any, rates: tuple[float, ...] = (1.0,), size: Any = 1.0) -> LoopFamily:
@@ -56,9 +73,9 @@ def responding(damping: Any, g: Any, rates: tuple[float, ...] = (1.0,), size: An
     ]
     blocks = [[ca.densify(ca.SX(M)) for M in column] for column in zip(*every, strict=True)]
     slopes = [ca.horzcat(*(ca.densify(ca.jacobian(ca.vec(M), g)) for M in column)) for column in blocks]
-    return LoopFamily(
-        ca.Function("matrices", [g], [ca.horzcat(*column) for column in blocks]),
-        ca.Function("slopes", [g], slopes),
+    return FunctionLoops(
         tuple(f"loop of {rate:g} rad/s" for rate in rates),
         n_outputs=1,
+        function=ca.Function("matrices", [g], [ca.horzcat(*column) for column in blocks]),
+        jacobian=ca.Function("slopes", [g], slopes),
     )

@@ -1,22 +1,26 @@
-"""Delay by sampling and computation, approximated in a continuous loop."""
+"""Closed loops as functions of the gains, at many operating points at once: matrices and their derivatives."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, Self
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import expm
 
 from gbid.control.controllers.scheduled import Scheduled, controller_at
 from gbid.control.loop.close import Method
 from gbid.control.loop.sampled import exact_plant, sampled_loop
-from gbid.core.arrays import FloatArray, is_finite, point_label
+from gbid.core.arrays import FloatArray, is_finite
 from gbid.core.errors import UsageError
 from gbid.lpv import LPVModel
-from gbid.structure import KEY_PARAMETERS, Parameter, PiezoPair, Plant, RotorBearing, pade_delay
+from gbid.structure import LinearModel, pade_delay
 from gbid.structure.linear import Structure
 from gbid.structure.parameter import Values
 
@@ -65,40 +69,11 @@ def smallest_sampled_damping(
     return min(found)
 
 
-def delayed_outputs(controller: dict[str, ca.SX], delay_s: float) -> dict[str, ca.SX]:
-    """Return a controller with both outputs delayed.
-
-    Parameters
-    ----------
-    controller : dict of str to casadi.SX
-        A (n, n), B (n, 2), C (2, n), D (2, 2).
-    delay_s : float
-        Delay [s], as a Padé approximation of order `PADE_ORDER`; 0 leaves the controller unchanged.
-
-    Returns
-    -------
-    dict of str to casadi.SX
-        Matrices; the states of the delays follow those of the controller.
-    """
-    if not delay_s:
-        return controller
-    A, B, C, D = (controller[letter] for letter in "ABCD")
-    late, two = pade_delay(delay_s, PADE_ORDER), ca.SX.eye(2)
-    a, b, c, d = (ca.kron(two, M) for M in (late.A, late.B, late.C, late.D))
-    return {
-        "A": ca.blockcat([[A, ca.SX(A.shape[0], a.shape[0])], [b @ C, a]]),
-        "B": ca.vertcat(B, b @ D),
-        "C": ca.horzcat(d @ C, c),
-        "D": d @ D,
-    }
-
-
 # ---- Calls of CasADi functions of one vector that write directly into numpy arrays.
 #
 # The usual call with `casadi.DM` copies entry by entry, which takes twenty times as long as the function itself.
 
 
-@dataclass(frozen=True, eq=False)
 class DirectCall:
     """CasADi function from one vector to dense matrices, each with m blocks side by side.
 
@@ -112,44 +87,31 @@ class DirectCall:
         Matrices whose derivatives these are: each block then has the derivatives of ``vec`` of a block of that.
     """
 
-    function: ca.Function
-    m: int
-    slopes_of: DirectCall | None = None
-    _buffer: Any = field(init=False, repr=False)
-    _trigger: Any = field(init=False, repr=False)
-    _input: FloatArray = field(init=False, repr=False)
-    _outputs: tuple[FloatArray, ...] = field(init=False, repr=False)
-    _orders: tuple[npt.NDArray[np.intp], ...] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        n_out = range(self.function.n_out())
-        assert all(self.function.sparsity_out(i).is_dense() for i in n_out)
+    def __init__(self, function: ca.Function, m: int, slopes_of: DirectCall | None = None) -> None:
+        n_out = range(function.n_out())
+        assert all(function.sparsity_out(i).is_dense() for i in n_out)
         buffer: Any
-        buffer, trigger = self.function.buffer()  # its stub asks for a size besides, which a memoryview has
-        given = np.zeros(max(self.function.numel_in(0), 1))
-        outputs = tuple(np.zeros(max(self.function.numel_out(i), 1)) for i in n_out)
-        buffer.set_arg(0, given.data)
-        for i, output in enumerate(outputs):
+        buffer, self._trigger = function.buffer()  # its stub asks for a size besides, which a memoryview has
+        self._buffer, self._input = buffer, np.zeros(max(function.numel_in(0), 1))
+        self._outputs = [np.zeros(max(function.numel_out(i), 1)) for i in n_out]
+        buffer.set_arg(0, self._input.data)
+        self._orders: list[npt.NDArray[np.intp]] = []
+        for i, output in enumerate(self._outputs):
             buffer.set_res(i, output.data)
-        orders = tuple(map(self._order, n_out))
-        for name, value in (("_buffer", buffer), ("_trigger", trigger), ("_input", given), ("_outputs", outputs)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "_orders", orders)
+            # places of the entries of each block; CasADi stores column after column
+            rows, columns = function.size_out(i)
+            places = np.arange(rows * columns).reshape(m, columns // m, rows)
+            if slopes_of is None:
+                self._orders.append(np.ascontiguousarray(places.transpose(0, 2, 1)))
+            else:
+                _, p, q = slopes_of._orders[i].shape
+                self._orders.append(np.ascontiguousarray(places.reshape(m, columns // m, q, p).transpose(0, 1, 3, 2)))
 
-    def _order(self, i: int) -> npt.NDArray[np.intp]:
-        """Return the places of the entries of each block in an output; CasADi stores column after column."""
-        rows, columns = self.function.size_out(i)
-        places = np.arange(rows * columns).reshape(self.m, columns // self.m, rows)
-        if self.slopes_of is None:
-            return np.ascontiguousarray(places.transpose(0, 2, 1))
-        _, p, q = self.slopes_of._orders[i].shape
-        return np.ascontiguousarray(places.reshape(self.m, columns // self.m, q, p).transpose(0, 1, 3, 2))
-
-    def __call__(self, x: FloatArray) -> tuple[FloatArray, ...]:
+    def __call__(self, x: FloatArray) -> list[FloatArray]:
         """Return the blocks of each output: (m, rows, columns), or derivatives (m, d, rows, columns)."""
         self._input[: len(x)] = x
         self._trigger()
-        return tuple(output.take(order) for output, order in zip(self._outputs, self._orders, strict=True))
+        return [output.take(order) for output, order in zip(self._outputs, self._orders, strict=True)]
 
 
 # ---- Closed-loop matrices as functions of the gains, at many operating points at once.
@@ -190,15 +152,11 @@ class Derivatives(Loops):
 
 
 @dataclass(frozen=True, eq=False)
-class LoopFamily:
+class LoopFamily(ABC):
     """Loops of equal size with common gains.
 
     Parameters
     ----------
-    function : casadi.Function
-        From the gains (d, 1) to A, B, C, D of all loops side by side: ``(n, n m)`` and so on.
-    jacobian : casadi.Function
-        From the gains to the derivatives of ``vec(A)``, ... of each loop, side by side: ``(n^2, d m)`` and so on.
     labels : tuple of str
         Name of each loop, for messages.
     points : (m, 2) array, optional
@@ -209,38 +167,58 @@ class LoopFamily:
         Sample time of sampled loops [s], whose matrices are then those of the bilinear transform, see `plane`.
     """
 
-    function: ca.Function
-    jacobian: ca.Function
     labels: tuple[str, ...]
     points: FloatArray | None = None
     n_outputs: int = 0
     sample_time: float | None = None
-    _calls: dict[str, DirectCall] = field(default_factory=dict, init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        matrices = DirectCall(self.function, len(self))
-        self._calls.update(matrices=matrices, slopes=DirectCall(self.jacobian, len(self), matrices))
 
     def __len__(self) -> int:
         return len(self.labels)
 
+    @abstractmethod
     def matrices(self, gains: FloatArray) -> Loops:
         """Return the matrices of all loops."""
-        return Loops(*self._calls["matrices"](gains))
+
+    @abstractmethod
+    def derivatives(self, gains: FloatArray) -> Derivatives:
+        """Return the matrices with their derivatives."""
 
     def states(self, gains: FloatArray) -> FloatArray:
         """Return A (m, n, n)."""
         return self.matrices(gains).A
 
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FunctionLoops(LoopFamily):
+    """Loops whose matrices are functions of the gains.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        From the gains (d, 1) to A, B, C, D of all loops side by side: ``(n, n m)`` and so on.
+    jacobian : casadi.Function
+        From the gains to the derivatives of ``vec(A)``, ... of each loop, side by side: ``(n^2, d m)`` and so on.
+    labels, points, n_outputs, sample_time
+        See `LoopFamily`.
+    """
+
+    function: ca.Function
+    jacobian: ca.Function
+
+    @cached_property
+    def _calls(self) -> tuple[DirectCall, DirectCall]:
+        matrices = DirectCall(self.function, len(self))
+        return matrices, DirectCall(self.jacobian, len(self), matrices)
+
+    def matrices(self, gains: FloatArray) -> Loops:
+        """Return the matrices of all loops."""
+        return Loops(*self._calls[0](gains))
+
     def derivatives(self, gains: FloatArray) -> Derivatives:
         """Return the matrices with their derivatives."""
-        values, slopes = self._calls["matrices"](gains), self._calls["slopes"](gains)
+        values, slopes = (call(gains) for call in self._calls)
         # an infinite derivative is as useless as NaN, which spreads without warnings
-        return Derivatives(*values, *(slope if np.isfinite(slope).all() else _only_finite(slope) for slope in slopes))
-
-
-def _only_finite(slope: FloatArray) -> FloatArray:
-    return np.where(np.isfinite(slope), slope, np.nan)
+        return Derivatives(*values, *(np.where(np.isfinite(slope), slope, np.nan) for slope in slopes))
 
 
 def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFamily, ...]:
@@ -289,145 +267,257 @@ def _family_of_functions(group: list[tuple[str, ca.Function]], n_gains: int, n_d
         matrices = list(found) if isinstance(found, tuple | list) else [found, kind(n, 0), kind(0, n), kind(0, 0)]
         every.append([ca.densify(M) for M in matrices])
     slopes = [[ca.densify(ca.jacobian(ca.vec(M), g)) for M in matrices] for matrices in every]
-    return LoopFamily(
-        ca.Function("matrices", [g], [ca.horzcat(*column) for column in zip(*every, strict=True)]),
-        ca.Function("slopes", [g], [ca.horzcat(*column) for column in zip(*slopes, strict=True)]),
+    matrices, jacobian = ([ca.horzcat(*column) for column in zip(*rows, strict=True)] for rows in (every, slopes))
+    return FunctionLoops(
         tuple(label for label, _ in group),
         n_outputs=n_d if n_y else 0,
+        function=ca.Function("matrices", [g], matrices),
+        jacobian=ca.Function("slopes", [g], jacobian),
     )
 
 
+# ---- Loops of plants and one controller: continuous, or sampled in the plane of the search.
+
+
 @dataclass(frozen=True, eq=False)
-class LoopEquations:
-    r"""Closed loop of an LPV plant and a controller structure, symbolic in gains, pressure and speed.
+class PlantMatrices:
+    """Matrices of m plants of equal size: A (m, n, n), B (m, n, n_r), C (m, n_p, n), D (m, n_p, n_r)."""
 
-    With the plant ``x' = A x + B r, p = C x`` (Eq. 20), the controller ``K`` and a disturbance d on the measured
-    position, ``r = K (p + d)``:
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
 
-    .. math:: A_{cl} = \begin{pmatrix} A + B D_K C & B C_K \\ B_K C & A_K \end{pmatrix},\quad
-              B_{cl} = \begin{pmatrix} B D_K \\ B_K \end{pmatrix}
+    @classmethod
+    def stacked(cls, models: Sequence[LinearModel]) -> PlantMatrices:
+        """Return models as stacked matrices of equal size.
 
-    The outputs are ``p + d = S_o d`` and ``r = K S_o d`` (Eq. 22).
+        Smaller models get additional states without connection. They decay fast, at different rates, so that the closed
+        loop stays diagonalisable.
+        """
+        n, shape = max(model.n_states for model in models), models[0].D.shape
+        A, B, C = (np.zeros((len(models), *size)) for size in ((n, n), (n, shape[1]), (shape[0], n)))
+        fastest = max(float(np.abs(model.poles()).max()) if model.n_states else 1.0 for model in models)
+        for i, model in enumerate(models):
+            k = model.n_states
+            A[i, :k, :k], B[i, :k], C[i, :, :k] = model.A, model.B, model.C
+            spare = 1 + 0.1 * np.arange(n - k)
+            A[i, k:, k:] = np.diag(0.02 * spare if model.dt is not None else -fastest * spare)
+        return cls(A, B, C, np.array([model.D for model in models]))
 
-    Parameters
+    def delayed(self, delay_s: float) -> PlantMatrices:
+        """Return the plants with all inputs delayed, by Padé filters whose states follow those of the plant."""
+        if not delay_s:
+            return self
+        filters, each = pade_delay(delay_s, PADE_ORDER), np.eye(self.B.shape[2])
+        a, b, c, d = (np.kron(each, np.array(ca.DM(getattr(filters, letter)))) for letter in "ABCD")
+        m, n = self.A.shape[:2]
+        a, b = (np.broadcast_to(matrix, (m, *matrix.shape)) for matrix in (a, b))
+        A = np.block([[self.A, self.B @ c], [np.zeros((m, a.shape[1], n)), a]])
+        return PlantMatrices(
+            A, np.concatenate([self.B @ d, b], axis=1), np.concatenate([self.C, self.D @ c], axis=2), self.D @ d
+        )
+
+    def in_plane(self, sample_time: float) -> PlantMatrices:
+        """Return sampled plants in the plane of the search, ``w = (2 / T) (z - 1) / (z + 1)``."""
+        eye, scale = np.eye(self.A.shape[-1]), 2 / np.sqrt(sample_time)
+        P = inverses(self.A + eye)
+        CP = self.C @ P
+        return PlantMatrices(2 / sample_time * (eye - 2 * P), scale * P @ self.B, scale * CP, self.D - CP @ self.B)
+
+
+def inverses(matrices: FloatArray) -> FloatArray:
+    """Return inverses; not finite where there is none: an algebraic loop without solution, a pole at z = -1."""
+    try:
+        return np.asarray(np.linalg.inv(matrices), np.float64)
+    except np.linalg.LinAlgError:
+        results = np.full(matrices.shape, np.nan)
+        for place in np.ndindex(*matrices.shape[:-2]):
+            with suppress(np.linalg.LinAlgError):
+                results[place] = np.linalg.inv(matrices[place])
+        return results
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerLaw:
+    """Matrices ``K = [[A, B], [C, D]]`` of a controller structure and their derivatives by the gains.
+
+    A controller that is sampled by the trapezoidal rule (Tustin) is itself in the plane of the search.
+
+    Attributes
     ----------
-    gains : tuple of Parameter
-        Gains of the controller.
-    function : casadi.Function
-        ``(gains, scenario) -> A, B, C, D``. A scenario has pressure [bar], speed [rpm] and a deviation of each of the
-        fourteen key parameters.
-    jacobian : casadi.Function
-        ``(gains, scenario)`` to the derivatives of ``vec`` of each matrix by the gains.
+    n_states : int
+        Number of states n of the controller.
+    function, jacobian : casadi.Function
+        From gains and point (pressure [bar], speed [rpm]) to K, and to the derivatives of ``vec(K)``.
+    scheduled : bool
+        Whether K depends on the point.
+    held_s : float, optional
+        Sample time of a controller with held inputs [s], whose matrices are those in the plane of the search.
     """
 
-    gains: tuple[Parameter, ...]
+    n_states: int
     function: ca.Function
     jacobian: ca.Function
+    scheduled: bool
+    held_s: float | None = None
 
-    def family(self, scenarios: FloatArray, labels: Sequence[str] | None = None) -> LoopFamily:
-        """Return the loops at given scenarios (m, 16), or at (m, 2) pressures and speeds."""
-        S = np.zeros((len(scenarios), 2 + len(KEY_PARAMETERS)))
-        S[:, : scenarios.shape[1]] = scenarios
-        m, g = len(S), ca.MX.sym("gains", len(self.gains))
-        args = [ca.repmat(g, 1, m), ca.DM(S.T)]
-        if labels is None:
-            labels = [point_label(P, Omega) for P, Omega in S[:, :2]]
-        mapped: list[Any] = [f.map(m)(*args) for f in (self.function, self.jacobian)]
-        values, slopes = (ca.Function("loops", [g], list(outputs)) for outputs in mapped)
-        return LoopFamily(values, slopes, tuple(labels), np.ascontiguousarray(S[:, :2]), 2)
+    @classmethod
+    def of(cls, structure: Structure | Scheduled, shape: tuple[int, int], held_s: float | None = None) -> ControllerLaw:
+        """Return the law of a structure with given numbers of outputs and inputs.
+
+        Raises
+        ------
+        UsageError
+            When a matrix of the structure has another shape.
+        """
+        gains = tuple(structure.parameters)
+        g, point = ca.SX.sym("gains", len(gains)), ca.SX.sym("point", 2)
+        values = Values.of(gains, g)
+        scheduled = isinstance(structure, Scheduled)
+        given = (
+            structure.matrices(values, point[0], point[1])
+            if isinstance(structure, Scheduled)
+            else structure.matrices(values)
+        )
+        matrices = {letter: _as_sx(given.get(letter, ca.SX(*shape))) for letter in "ABCD"}
+        n, (n_r, n_p) = matrices["A"].shape[0], shape
+        for letter, size in {"A": (n, n), "B": (n, n_p), "C": (n_r, n), "D": (n_r, n_p)}.items():
+            if matrices[letter].shape != size:
+                raise UsageError(
+                    f"controller {structure.name!r}: {letter} has shape {matrices[letter].shape}, expected {size}"
+                )
+        K = ca.densify(ca.blockcat([[matrices["A"], matrices["B"]], [matrices["C"], matrices["D"]]]))
+        slopes = ca.densify(ca.jacobian(ca.vec(K), g))
+        function, jacobian = (ca.Function(name, [g, point], [M]) for name, M in (("law", K), ("slopes", slopes)))
+        return cls(n, function, jacobian, scheduled, held_s)
+
+    def at(self, points: FloatArray) -> tuple[DirectCall, DirectCall]:
+        """Return K and its derivatives as functions of the gains, at points (m, 2) where K depends on them."""
+        where = points.T if self.scheduled else np.zeros((2, 1))
+        m, g = where.shape[1], ca.MX.sym("gains", self.function.size1_in(0))
+        arguments = ca.repmat(g, 1, m), ca.DM(where)
+        calls = [ca.Function("at_points", [g], [each.map(m)(*arguments)]) for each in (self.function, self.jacobian)]
+        values = DirectCall(calls[0], m)
+        return values, DirectCall(calls[1], m, values)
+
+    def in_plane(self, K: FloatArray) -> FloatArray:
+        r"""Return K (m, ., .), with held inputs if it has them, in the plane of the search.
+
+        With :math:`M = \begin{pmatrix} A & B \\ 0 & 0 \end{pmatrix}` the matrices of the state are
+        :math:`(2/T) \tanh(M T/2)`, those of the output ``[C, D]`` minus ``T/2 C`` times them.
+        """
+        T, n = self.held_s, self.n_states
+        if T is None:
+            return K
+        top = _tanh(_with_inputs(K, n), T)[..., :n, :]
+        return np.concatenate([top, K[..., n:, :] - T / 2 * K[..., n:, :n] @ top], axis=-2)
+
+    def slopes_in_plane(self, K: FloatArray, dK: FloatArray) -> FloatArray:
+        """Return the derivatives (m, d, ., .) of `in_plane` from those of K."""
+        T, n = self.held_s, self.n_states
+        if T is None:
+            return dK
+        # the derivative of a function of a matrix is a block of that function of [[M, dM], [0, M]]
+        dM = _with_inputs(dK, n)
+        M = np.broadcast_to(_with_inputs(K, n)[:, None], dM.shape)
+        both = _tanh(np.block([[M, dM], [np.zeros(dM.shape), M]]), T)[..., :n, :]
+        top, change = both[..., : dM.shape[-1]], both[..., dM.shape[-1] :]
+        below = dK[..., n:, :] - T / 2 * (dK[..., n:, :n] @ top + K[:, None, n:, :n] @ change)
+        return np.concatenate([change, below], axis=-2)
 
 
-def loop_equations(
-    lpv: LPVModel,
-    controller: Structure | Scheduled,
-    actuator: dict[str, float] | None = None,
-    *,
-    delay_s: float = 0.0,
-) -> LoopEquations:
-    """Return the symbolic closed loop for all operating points.
-
-    Parameters
-    ----------
-    lpv : LPVModel
-        Model of the plant.
-    controller : Structure or Scheduled
-        Controller from p to r; see `gbid.controller_structure` and `gbid.control.scheduled`.
-    actuator : dict of str to float, optional
-        Parameters of Eq. 12 [rad/s, m/m]; by default those of the model.
-    delay_s : float
-        Additional delay of the loop by sampling and computation [s].
-
-    Returns
-    -------
-    LoopEquations
-
-    Raises
-    ------
-    UsageError
-        When there are no actuators, or when the controller does not have two inputs and two outputs.
-    """
-    actuators = dict(lpv.actuators if actuator is None else actuator)
-    missing = [parameter.name for parameter in PiezoPair().parameters if parameter.name not in actuators]
-    if missing:
-        raise UsageError(f"model {lpv.name!r} has no actuator {', '.join(missing)}; give actuator={{...}}")
-    gains = tuple(controller.parameters)
-    g, s = ca.SX.sym("gains", len(gains)), ca.SX.sym("scenario", 2 + len(KEY_PARAMETERS))
-    key = lpv.key_parameters(s[0], s[1])
-    values = {**actuators, **{name: key[name] + s[2 + i] for i, name in enumerate(KEY_PARAMETERS)}}
-    plant = Plant(RotorBearing(lpv.pade_order, disturbance_gain="none"), PiezoPair(), outputs=("p",))
-    G = plant.matrices(Values(values))
-    K = delayed_outputs(controller_matrices(controller, gains, g, s), delay_s)
-    n, n_K = G["A"].shape[0], K["A"].shape[0]
-    A = ca.blockcat([[G["A"] + G["B"] @ K["D"] @ G["C"], G["B"] @ K["C"]], [K["B"] @ G["C"], K["A"]]])
-    B = ca.vertcat(G["B"] @ K["D"], K["B"])
-    C = ca.blockcat([[G["C"], ca.SX(2, n_K)], [K["D"] @ G["C"], K["C"]]])
-    D = ca.vertcat(ca.SX.eye(2), K["D"])
-    assert A.shape == (n + n_K, n + n_K)
-    matrices = [ca.densify(ca.SX(M)) for M in (A, B, C, D)]
-    slopes = [ca.densify(ca.jacobian(ca.vec(M), g)) for M in matrices]
-    return LoopEquations(gains, ca.Function("loop", [g, s], matrices), ca.Function("slopes", [g, s], slopes))
+def _with_inputs(K: FloatArray, n: int) -> FloatArray:
+    """Return square matrices of states and inputs, ``[[A, B], [0, 0]]``, of a controller with n states."""
+    M = np.zeros((*K.shape[:-2], K.shape[-1], K.shape[-1]))
+    M[..., :n, :] = K[..., :n, :]
+    return M
 
 
-def controller_matrices(
-    controller: Structure | Scheduled,
-    gains: tuple[Parameter, ...],
-    g: ca.SX,
-    s: ca.SX,
-    size: tuple[int, int] = (2, 2),
-) -> dict[str, ca.SX]:
-    """Return the symbolic matrices A, B, C, D of a controller.
-
-    Parameters
-    ----------
-    controller : Structure or Scheduled
-        The controller.
-    gains : tuple of Parameter
-        Its gains.
-    g, s : casadi.SX
-        Values of the gains; pressure [bar] and speed [rpm].
-    size : (n_outputs, n_inputs)
-        Number of outputs and of inputs.
-
-    Raises
-    ------
-    UsageError
-        When a matrix has another shape.
-    """
-    values = Values.of(gains, g)
-    if isinstance(controller, Scheduled):
-        given = dict(controller.matrices(values, s[0], s[1]))
-    else:
-        given = dict(controller.matrices(values))
-    given.setdefault("D", ca.SX(*size))
-    K = {letter: _as_sx(given[letter]) for letter in "ABCD"}
-    n, (n_r, n_p) = K["A"].shape[0], size
-    for letter, shape in {"A": (n, n), "B": (n, n_p), "C": (n_r, n), "D": (n_r, n_p)}.items():
-        if K[letter].shape != shape:
-            raise UsageError(f"controller {controller.name!r}: {letter} has shape {K[letter].shape}, expected {shape}")
-    return K
+def _tanh(M: FloatArray, T: float) -> FloatArray:
+    """Return ``(2 / T) tanh(M T / 2)`` of matrices (..., n, n)."""
+    E, eye = expm(T * M), np.eye(M.shape[-1])
+    return np.asarray(2 / T * (E - eye) @ inverses(E + eye))
 
 
 def _as_sx(value: Any) -> ca.SX:
     if isinstance(value, list | tuple):
         return ca.SX(ca.vertcat(*(ca.horzcat(*row) if isinstance(row, list | tuple) else row for row in value)))
     return ca.SX(value)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ControlLoops(LoopFamily):
+    r"""Loops of plants given by their matrices, with the controller ``r = K (p + d)``.
+
+    The outputs are ``p + d = S_o d`` and ``r = K S_o d`` (Eq. 22). With the states z of the controller, the system
+    matrix of the loop from ``(x, z, d)`` to ``(x', z', p + d, r)`` is
+
+    .. math:: S = S_0 + L\, (I - K E)^{-1} K\, R
+
+    where R leads to ``(z, C x + d)``, L leads from ``(z', r)``, and E adds the feedthrough D r of the plant.
+
+    Parameters
+    ----------
+    plants : PlantMatrices
+        The plants; sampled ones in the plane of the search.
+    law : ControllerLaw
+        The controller.
+    companion : LoopFamily, optional
+        The same loops in continuous time, for measures that need it.
+    labels, points, n_outputs, sample_time
+        See `LoopFamily`.
+    """
+
+    plants: PlantMatrices
+    law: ControllerLaw
+    companion: LoopFamily | None = None
+
+    @cached_property
+    def _calls(self) -> tuple[DirectCall, DirectCall]:
+        assert self.points is not None
+        return self.law.at(self.points)
+
+    @cached_property
+    def _frame(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """S_0, L, R and E, all (m, ., .)."""
+        plants, k = self.plants, self.law.n_states
+        m, n, n_r = plants.B.shape
+        n_p = plants.C.shape[1]
+        rest = np.zeros((m, n + k + n_p + n_r, n + k + n_p))
+        rest[:, :n, :n], rest[:, n + k : -n_r, :n] = plants.A, plants.C
+        rest[:, n + k : -n_r, n + k :] = np.eye(n_p)
+        left = np.zeros((m, rest.shape[1], k + n_r))
+        left[:, :n, k:], left[:, n : n + k, :k] = plants.B, np.eye(k)
+        left[:, n + k : -n_r, k:], left[:, -n_r:, k:] = plants.D, np.eye(n_r)
+        right = np.zeros((m, k + n_p, rest.shape[2]))
+        right[:, :k, n : n + k], right[:, k:, :n], right[:, k:, n + k :] = np.eye(k), plants.C, np.eye(n_p)
+        through = np.zeros((m, k + n_p, k + n_r))
+        through[:, k:, k:] = plants.D
+        return rest, left, right, through
+
+    def matrices(self, gains: FloatArray) -> Loops:
+        """Return the matrices of all loops."""
+        K = self.law.in_plane(self._calls[0](gains)[0])
+        rest, left, right, E = self._frame
+        if E.any():
+            K = inverses(np.eye(K.shape[-2]) - K @ E) @ K
+        return Loops(*self._parts(rest + left @ K @ right))
+
+    def derivatives(self, gains: FloatArray) -> Derivatives:
+        """Return the matrices with their derivatives."""
+        K, dK = (call(gains)[0] for call in self._calls)
+        K, dK = self.law.in_plane(K), self.law.slopes_in_plane(K, dK)
+        rest, left, right, E = self._frame
+        if E.any():  # (I - E K)^-1 = I + E (I - K E)^-1 K
+            left = left @ inverses(np.eye(K.shape[-2]) - K @ E)
+            signals = right + E @ inverses(np.eye(K.shape[-2]) - K @ E) @ K @ right
+        else:
+            signals = right
+        slopes = left[:, None] @ dK @ signals[:, None]
+        return Derivatives(*self._parts(rest + left @ K @ right), *self._parts(slopes))
+
+    def _parts(self, system: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A, B, C and D of system matrices."""
+        n = self.plants.A.shape[-1] + self.law.n_states
+        return system[..., :n, :n].copy(), system[..., :n, n:], system[..., n:, :n], system[..., n:, n:]

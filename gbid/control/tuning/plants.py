@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, Self
@@ -12,7 +11,6 @@ from typing import Any, Literal, Self
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm, expm_frechet
 
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.loop.close import Method, sample_plant
@@ -20,14 +18,11 @@ from gbid.control.loop.sampled import exact_plant, exact_plant_of
 from gbid.control.tuning.goals import Goal, MaxDamping, MaxDecay, SlowestPole
 from gbid.control.tuning.loops import (
     PADE_ORDER,
-    Derivatives,
-    DirectCall,
-    LoopEquations,
+    ControllerLaw,
+    ControlLoops,
     LoopFamily,
-    Loops,
-    controller_matrices,
+    PlantMatrices,
     loop_delay,
-    loop_equations,
 )
 from gbid.control.tuning.problem import Limits, Objective
 from gbid.control.tuning.response_goals import PeakSensitivity
@@ -36,100 +31,9 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.identify import FitResult
 from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, regressors
-from gbid.structure import KEY_PARAMETERS, LinearModel, pade_delay, with_pade
+from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, with_pade
 from gbid.structure.linear import Structure
-
-Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-
-
-@dataclass(frozen=True, eq=False)
-class ControllerLaw:
-    """Matrices of a controller structure at operating points, and their derivatives by the gains.
-
-    Parameters
-    ----------
-    structure : Structure or Scheduled
-        The controller.
-    points : (m, 2) array
-        Pressure [bar] and speed [rpm] of each loop, for a scheduled controller.
-    shape : (n_outputs, n_inputs)
-        Number of outputs and of inputs of the controller.
-    sample_time : float, optional
-        T_s of a sampled controller [s]; None for a continuous one.
-    method : {"tustin", "zoh"}
-        Method of discretisation.
-    """
-
-    structure: Structure | Scheduled
-    points: FloatArray
-    shape: tuple[int, int]
-    sample_time: float | None = None
-    method: Method = "tustin"
-    _calls: dict[str, DirectCall] = field(default_factory=dict, init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        gains = tuple(self.structure.parameters)
-        g, s = ca.SX.sym("gains", len(gains)), ca.SX.sym("point", 2)
-        K = controller_matrices(self.structure, gains, g, s, self.shape)
-        values = [ca.densify(ca.SX(K[letter])) for letter in "ABCD"]
-        slopes = [ca.densify(ca.jacobian(ca.vec(M), g)) for M in values]
-        where = self.points.T if isinstance(self.structure, Scheduled) else np.zeros((2, 1))
-        m, q = where.shape[1], ca.MX.sym("gains", len(gains))
-        for name, outputs in (("values", values), ("slopes", slopes)):
-            one = ca.Function(name, [g, s], outputs)
-            many = ca.Function(f"{name}_at_points", [q], list(one.map(m)(ca.repmat(q, 1, m), ca.DM(where))))
-            self._calls[name] = DirectCall(many, m, self._calls.get("values"))
-
-    def matrices(self, gains: FloatArray) -> Matrices:
-        """Return A, B, C, D, each (m, ., .), or (1, ., .) for a controller that is the same in all loops."""
-        A, B, C, D = self._calls["values"](gains)
-        return (A, B, C, D) if self.sample_time is None else self._sampled(A, B, C, D)
-
-    def derivatives(self, gains: FloatArray) -> tuple[Matrices, Matrices]:
-        """Return A, B, C, D and their derivatives, each (m, d, ., .)."""
-        values, slopes = self._calls["values"](gains), self._calls["slopes"](gains)
-        A, B, C, D = values
-        dA, dB, dC, dD = slopes
-        if self.sample_time is None:
-            return (A, B, C, D), (dA, dB, dC, dD)
-        if self.method == "zoh":
-            return self._sampled(A, B, C, D), (*self._held_slopes(A, B, dA, dB), dC, dD)
-        # Tustin: with M = (I - h A / 2)^-1 the matrices are 2 M - I, h M B, C M, D + h C M B / 2
-        h = self.sample_time
-        M = np.linalg.inv(np.eye(A.shape[-1]) - h / 2 * A)
-        dM = h / 2 * M[:, None] @ dA @ M[:, None]
-        MB, CM = M @ B, C @ M
-        dMB = dM @ B[:, None] + M[:, None] @ dB
-        dCM = dC @ M[:, None] + C[:, None] @ dM
-        dDs = dD + h / 2 * (dC @ MB[:, None] + C[:, None] @ dMB)
-        return (2 * M - np.eye(A.shape[-1]), h * MB, CM, D + h / 2 * C @ MB), (2 * dM, h * dMB, dCM, dDs)
-
-    def _sampled(self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Matrices:
-        h = self.sample_time
-        assert h is not None
-        n = A.shape[-1]
-        if self.method == "zoh":
-            whole = expm(h * self._with_inputs(A, B))
-            return whole[..., :n, :n], whole[..., :n, n:], C, D
-        M = np.linalg.inv(np.eye(n) - h / 2 * A)
-        return 2 * M - np.eye(n), h * M @ B, C @ M, D + h / 2 * C @ M @ B
-
-    @staticmethod
-    def _with_inputs(A: FloatArray, B: FloatArray) -> FloatArray:
-        n = A.shape[-1]
-        whole = np.zeros((*A.shape[:-2], n + B.shape[-1], n + B.shape[-1]))
-        whole[..., :n, :n], whole[..., :n, n:] = A, B
-        return whole
-
-    def _held_slopes(
-        self, A: FloatArray, B: FloatArray, dA: FloatArray, dB: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        n, h = A.shape[-1], float(self.sample_time or 0.0)
-        base, slopes = h * self._with_inputs(A, B), h * self._with_inputs(dA, dB)
-        pairs = zip(base, slopes, strict=True)
-        found = np.array([[expm_frechet(a, s, compute_expm=False) for s in of] for a, of in pairs])
-        return found[..., :n, :n], found[..., :n, n:]
-
+from gbid.structure.parameter import Values
 
 # ---- Uncertainty of the plant: draws from the covariance of an LPV fit.
 
@@ -409,16 +313,21 @@ class Plants(ABC):
         scenarios, labels = self.scenarios(points)
         chosen = list(range(len(scenarios)) if which is None else which)
         rows, names = scenarios[chosen], tuple(labels[i] for i in chosen)
-        continuous = self.continuous_family(rows, names)
+        where, n_p = np.ascontiguousarray(rows[:, :2]), self.plant.D.shape[0]
+        continuous = ControlLoops(names, where, n_p, plants=self.continuous_plants(rows), law=self._law)
         if self.sampling is None:
             return continuous
         for row in map(tuple, rows):
             if row not in self._known:
                 self._known[row] = self.sampled(row, self.sampling)
-        plants = stacked([self._known[row] for row in map(tuple, rows)])
-        where, T = np.ascontiguousarray(rows[:, :2]), self.sampling.sample_time
-        law = ControllerLaw(self.structure, where, self.plant.D.shape[::-1], T, self.sampling.method)
-        return model_family(plants, law, names, continuous.points, continuous)
+        T = self.sampling.sample_time
+        plants = PlantMatrices.stacked([self._known[row] for row in map(tuple, rows)]).in_plane(T)
+        law = replace(self._law, held_s=T if self.sampling.method == "zoh" else None)
+        return ControlLoops(names, where, n_p, T, plants=plants, law=law, companion=continuous)
+
+    @cached_property
+    def _law(self) -> ControllerLaw:
+        return ControllerLaw.of(self.structure, self.plant.D.shape[::-1])
 
     @property
     @abstractmethod
@@ -435,8 +344,8 @@ class Plants(ABC):
         """Every plant at every point, as rows that begin with the point, and their names."""
 
     @abstractmethod
-    def continuous_family(self, scenarios: FloatArray, labels: tuple[str, ...]) -> LoopFamily:
-        """Continuous loops of scenarios."""
+    def continuous_plants(self, scenarios: FloatArray) -> PlantMatrices:
+        """Continuous plants of scenarios, with Padé delays."""
 
     @abstractmethod
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
@@ -481,8 +390,6 @@ class LpvPlants(Plants):
 
     Parameters
     ----------
-    equations : LoopEquations
-        Symbolic continuous loop of this model and structure.
     lpv : LPVModel
         The model with its actuators.
     uncertainty : Uncertainty, optional
@@ -491,7 +398,6 @@ class LpvPlants(Plants):
         Domain over which the design must hold.
     """
 
-    equations: LoopEquations = field(kw_only=True)
     lpv: LPVModel = field(kw_only=True)
     uncertainty: Uncertainty | None = None
     domain: Domain | None = None
@@ -505,15 +411,10 @@ class LpvPlants(Plants):
             points,
             options.delay_s,
             options.sampling,
-            equations=_equations(lpv, structure, options.delay_s),
             lpv=lpv,
             uncertainty=options.uncertainty,
             domain=lpv.domain if isinstance(options.operating_points, str) else None,
         )
-
-    def with_structure(self, structure: Structure | Scheduled) -> LpvPlants:
-        """Return these plants with another controller."""
-        return replace(self, structure=structure, equations=_equations(self.lpv, structure, self.delay_s))
 
     @cached_property
     def plant(self) -> LinearModel:
@@ -534,9 +435,24 @@ class LpvPlants(Plants):
         ]
         return scenarios, labels
 
-    def continuous_family(self, scenarios: FloatArray, labels: tuple[str, ...]) -> LoopFamily:
-        """Continuous loops of scenarios."""
-        return self.equations.family(scenarios, labels)
+    @cached_property
+    def _function(self) -> ca.Function:
+        """From pressure, speed and a deviation of each key parameter to A, B, C and D of the plant."""
+        s = ca.SX.sym("scenario", 2 + len(KEY_PARAMETERS))
+        key = self.lpv.key_parameters(s[0], s[1])
+        values = {**self.lpv.actuators, **{name: key[name] + s[2 + i] for i, name in enumerate(KEY_PARAMETERS)}}
+        bearing = RotorBearing(PADE_ORDER if self.delay_s else self.lpv.pade_order, disturbance_gain="none")
+        plant = Plant(bearing, PiezoPair(), outputs=("p",)).matrices(Values(values))
+        return ca.Function("plant", [s], [ca.densify(ca.SX(plant[letter])) for letter in "ABCD"])
+
+    def continuous_plants(self, scenarios: FloatArray) -> PlantMatrices:
+        """Continuous plants of scenarios, with Padé delays."""
+        m = len(scenarios)
+        S = np.zeros((m, 2 + len(KEY_PARAMETERS)))
+        S[:, : scenarios.shape[1]] = scenarios
+        every: Any = self._function.map(m)(ca.DM(S.T))
+        parts = (np.array(side_by_side) for side_by_side in every)
+        return PlantMatrices(*(M.reshape(len(M), m, -1).transpose(1, 0, 2) for M in parts)).delayed(self.delay_s)
 
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
         """Plant of a scenario, sampled with exact delays."""
@@ -560,11 +476,6 @@ class LpvPlants(Plants):
     def first(self, points: FloatArray) -> list[int]:
         """Points nearest to the corners of the operating range."""
         return corners(points)
-
-
-def _equations(lpv: LPVModel, structure: Structure | Scheduled, delay_s: float) -> LoopEquations:
-    delayed = replace(lpv, pade_order=PADE_ORDER) if delay_s else lpv
-    return loop_equations(delayed, structure, delay_s=delay_s)
 
 
 # ---- Plants given as linear models: any plants with named inputs and outputs.
@@ -604,11 +515,10 @@ class ModelPlants(Plants):
             labels = [f"{name} ({int(i) + 1})" for name, i in zip(labels, points[:, 0], strict=True)]
         return points, labels
 
-    def continuous_family(self, scenarios: FloatArray, labels: tuple[str, ...]) -> LoopFamily:
-        """Continuous loops of the models, with Padé delays."""
-        models = [_with_pade_delays(self.models[int(i)], self.delay_s) for i in scenarios[:, 0]]
-        law = ControllerLaw(self.structure, scenarios, self.plant.D.shape[::-1])
-        return model_family(stacked(models), law, labels, None)
+    def continuous_plants(self, scenarios: FloatArray) -> PlantMatrices:
+        """Continuous models, with Padé delays."""
+        models = [with_pade(self.models[int(i)], PADE_ORDER) for i in scenarios[:, 0]]
+        return PlantMatrices.stacked(models).delayed(self.delay_s)
 
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
         """Model, sampled with exact delays."""
@@ -617,19 +527,6 @@ class ModelPlants(Plants):
     def first(self, points: FloatArray) -> list[int]:
         """Return some models, evenly among all."""
         return sorted({round(i) for i in np.linspace(0, len(points) - 1, _FIRST)})
-
-
-def _with_pade_delays(model: LinearModel, delay_s: float) -> LinearModel:
-    """Return a model with all inputs delayed and its own delays, as Padé delays."""
-    smooth = model if model.delay is None else with_pade(model, PADE_ORDER)
-    if not delay_s:
-        return smooth
-    late = pade_delay(delay_s, PADE_ORDER)
-    each = np.eye(smooth.D.shape[1])
-    a, b, c, d = (np.kron(each, np.array(ca.DM(M))) for M in (late.A, late.B, late.C, late.D))
-    A = np.block([[smooth.A, smooth.B @ c], [np.zeros((len(a), len(smooth.A))), a]])
-    B, C = np.vstack([smooth.B @ d, b]), np.hstack([smooth.C, smooth.D @ c])
-    return replace(smooth, A=A, B=B, C=C, D=smooth.D @ d, K=None, state_names=())
 
 
 def checked_models(
@@ -699,179 +596,6 @@ def _channels(model: LinearModel, columns: list[int], rows: list[int]) -> Linear
         B_delayed=delayed,
         delay=None if model.delay is None else model.delay[columns],
     )
-
-
-# ---- Loops of given plants and one controller, as numbers: continuous, or sampled in the plane of the search.
-
-
-@dataclass(frozen=True, eq=False)
-class PlantMatrices:
-    """Matrices of m plants of equal size: A (m, n, n), B (m, n, n_r), C (m, n_p, n), D (m, n_p, n_r)."""
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class ModelFamily(LoopFamily):
-    r"""Loops of plants given by their matrices.
-
-    With ``x' = A x + B r, p = C x + D r``, ``r = K (p + d)`` and :math:`X = (I - D_K D)^{-1}` the reference is
-    ``r = X (C_K x_K + D_K C x + D_K d)``. The outputs are ``p + d = S_o d`` and ``r = K S_o d``. The equations of
-    sampled loops are the same; their matrices are then those of the bilinear transform, see `search.plane`.
-
-    Parameters
-    ----------
-    plants : PlantMatrices
-        The plants.
-    law : ControllerLaw
-        The controller.
-    """
-
-    plants: PlantMatrices | None = None
-    law: ControllerLaw | None = None
-    companion: LoopFamily | None = None
-
-    def __post_init__(self) -> None:
-        assert self.plants is not None
-        assert self.law is not None
-
-    def matrices(self, gains: FloatArray) -> Loops:
-        """Return the matrices of all loops."""
-        assert self.law is not None
-        loops = self._closed(self.law.matrices(gains))
-        return loops if self.sample_time is None else _transformed(loops, self.sample_time)[0]
-
-    def derivatives(self, gains: FloatArray) -> Derivatives:
-        """Return the matrices with their derivatives."""
-        assert self.law is not None
-        values, slopes = self.law.derivatives(gains)
-        loops, changes = self._closed(values), self._changes(values, slopes)
-        if self.sample_time is None:
-            return Derivatives(loops.A, loops.B, loops.C, loops.D, *changes)
-        turned, P = _transformed(loops, self.sample_time)
-        slopes_there = _transformed_slopes(loops, changes, P, self.sample_time)
-        return Derivatives(turned.A, turned.B, turned.C, turned.D, *slopes_there)
-
-    def _closed(self, K: Matrices) -> Loops:
-        plant, (A_K, B_K, C_K, D_K) = self.plants, K
-        assert plant is not None
-        m, n_p = len(plant.A), plant.C.shape[1]
-        A_K, B_K, C_K, D_K = (np.broadcast_to(M, (m, *M.shape[1:])) for M in (A_K, B_K, C_K, D_K))
-        X = _inverse(np.eye(D_K.shape[1]) - D_K @ plant.D)
-        r_x, r_k, r_d = X @ D_K @ plant.C, X @ C_K, X @ D_K
-        p_x, p_k, p_d = plant.C + plant.D @ r_x, plant.D @ r_k, np.eye(n_p) + plant.D @ r_d
-        return Loops(
-            np.block([[plant.A + plant.B @ r_x, plant.B @ r_k], [B_K @ p_x, A_K + B_K @ p_k]]),
-            np.concatenate([plant.B @ r_d, B_K @ p_d], axis=1),
-            np.block([[p_x, p_k], [r_x, r_k]]),
-            np.concatenate([p_d, r_d], axis=1),
-        )
-
-    def _changes(self, K: Matrices, slopes: Matrices) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the derivatives of the closed loop's A, B, C, D, each (m, d, ., .)."""
-        assert self.plants is not None
-        G_A, G_B, G_C, G_D = (M[:, None] for M in (self.plants.A, self.plants.B, self.plants.C, self.plants.D))
-        _, B_K, C_K, D_K = (M[:, None] for M in K)
-        dA_K, dB_K, dC_K, dD_K = slopes
-        m, d = len(G_A), dA_K.shape[1]
-        X = _inverse(np.eye(D_K.shape[2]) - D_K @ G_D)
-        dX = X @ dD_K @ G_D @ X
-        dX_C = dX @ C_K + X @ dC_K
-        dX_D = dX @ D_K + X @ dD_K
-        dr_x, dr_k, dr_d = dX_D @ G_C, dX_C, dX_D
-        dr_x, dr_k, dr_d = (np.broadcast_to(M, (m, d, *M.shape[2:])) for M in (dr_x, dr_k, dr_d))
-        p_x, p_k = G_C + G_D @ X @ D_K @ G_C, G_D @ X @ C_K
-        p_d = np.eye(G_C.shape[2]) + G_D @ X @ D_K
-        dA = np.block(
-            [
-                [G_B @ dr_x, G_B @ dr_k],
-                [dB_K @ p_x + B_K @ G_D @ dr_x, dA_K + dB_K @ p_k + B_K @ G_D @ dr_k],
-            ]
-        )
-        dB = np.concatenate([G_B @ dr_d, dB_K @ p_d + B_K @ G_D @ dr_d], axis=2)
-        dC = np.block([[G_D @ dr_x, G_D @ dr_k], [dr_x, dr_k]])
-        return dA, dB, dC, np.concatenate([G_D @ dr_d, dr_d], axis=2)
-
-
-def model_family(
-    plants: PlantMatrices,
-    law: ControllerLaw,
-    labels: tuple[str, ...],
-    points: FloatArray | None,
-    companion: LoopFamily | None = None,
-) -> ModelFamily:
-    """Return the loops of plants and a controller.
-
-    Parameters
-    ----------
-    plants : PlantMatrices
-        The plants; sampled when the controller is.
-    law : ControllerLaw
-        The controller.
-    labels : tuple of str
-        Names of the loops.
-    points : (m, 2) array, optional
-        Operating points.
-    companion : LoopFamily, optional
-        The same loops in continuous time, for measures that need it.
-    """
-    nothing = ca.Function("nothing", [ca.SX.sym("gains", len(tuple(law.structure.parameters)))], [])
-    n, T = plants.C.shape[1], law.sample_time
-    return ModelFamily(nothing, nothing, labels, points, n, T, plants=plants, law=law, companion=companion)
-
-
-def _inverse(matrices: FloatArray) -> FloatArray:
-    """Return inverses; not finite where there is none: an algebraic loop without solution, a pole at z = -1."""
-    try:
-        return np.asarray(np.linalg.inv(matrices), np.float64)
-    except np.linalg.LinAlgError:
-        found = np.full(matrices.shape, np.nan)
-        for place in np.ndindex(*matrices.shape[:-2]):
-            with suppress(np.linalg.LinAlgError):
-                found[place] = np.linalg.inv(matrices[place])
-        return found
-
-
-def _transformed(loops: Loops, T: float) -> tuple[Loops, FloatArray]:
-    """Return sampled loops in the plane ``w = (2 / T) (z - 1) / (z + 1)``, and ``(A + I)^-1``."""
-    eye, s = np.eye(loops.A.shape[-1]), 2 / np.sqrt(T)
-    P = np.asarray(_inverse(loops.A + eye), np.float64)
-    CP = loops.C @ P
-    return Loops(2 / T * (eye - 2 * P), s * P @ loops.B, s * CP, loops.D - CP @ loops.B), P
-
-
-def _transformed_slopes(
-    loops: Loops, changes: tuple[FloatArray, FloatArray, FloatArray, FloatArray], P: FloatArray, T: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    s, (dA, dB, dC, dD) = 2 / np.sqrt(T), changes
-    P1, PB, CP = P[:, None], (P @ loops.B)[:, None], (loops.C @ P)[:, None]
-    turned = P1 @ dA
-    return (
-        4 / T * turned @ P1,
-        s * (P1 @ dB - turned @ PB),
-        s * (dC @ P1 - CP @ dA @ P1),
-        dD - dC @ PB - CP @ dB + CP @ dA @ PB,
-    )
-
-
-def stacked(models: Sequence[LinearModel]) -> PlantMatrices:
-    """Return models as stacked matrices of equal size.
-
-    Smaller models get additional states without connection. They decay fast, at different rates, so that the closed
-    loop stays diagonalisable.
-    """
-    n = max(model.n_states for model in models)
-    A, B, C = (np.zeros((len(models), *shape)) for shape in ((n, n), (n, models[0].D.shape[1]), (len(models[0].D), n)))
-    fastest = max(float(np.abs(model.poles()).max()) if model.n_states else 1.0 for model in models)
-    for i, model in enumerate(models):
-        k = model.n_states
-        A[i, :k, :k], B[i, :k], C[i, :, :k] = model.A, model.B, model.C
-        spare = 1 + 0.1 * np.arange(n - k)
-        A[i, k:, k:] = np.diag(0.02 * spare if model.dt is not None else -fastest * spare)
-    return PlantMatrices(A, B, C, np.array([model.D for model in models]))
 
 
 # ---- Plants of a design from what a user gives: an LPV model, linear models, fits, or a list of these.

@@ -199,7 +199,7 @@ def tuned(
     verified = f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops"
     if isinstance(plants, LpvPlants) and plants.domain is not None:
         solution, verified = add_worst_points(solution, plants, plants.domain, task)
-    used = solution.problem.families[0].points
+    used = solution.problem.families[0].points if isinstance(plants, LpvPlants) else None
     points = () if used is None else tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used))
     notes = notes_of(plants, solution, points)
     more = {"points": points, "controller": structure, "sample_time": options.sample_time}
@@ -255,7 +255,7 @@ def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...])
 def _constant_gains(plants: LpvPlants, structure: Scheduled, limits: Limits, options: SearchOptions) -> FloatArray:
     """Best constant gains as coefficients, a start value with which a schedule cannot become worse."""
     constant = replace(structure, terms=("1",))
-    others, box = plants.continuous.with_structure(constant), _gain_bounds(constant, None)
+    others, box = replace(plants.continuous, structure=constant), _gain_bounds(constant, None)
     task = SearchTask(box[2], options=options)
     solution = solve_over_points(_problem(others, limits, box), others, plants.points, task)
     values = dict(zip((p.name for p in constant.parameters), solution.best.x, strict=True))
