@@ -8,24 +8,26 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import is_changed, share_folder
 from gbid.core.names import file_stem
 from gbid.core.notes import DataNote
 from gbid.core.units import SIGNALS
 from gbid.core.yaml_file import CHANGED, YamlFile
 from gbid.experiment.fields import Found, Location, Problem, Result, content_key, dotted, nearest
-from gbid.experiment.rig_schema import CourseSection, OperatingPoint, Place, RigSection
+from gbid.experiment.rig_schema import OperatingPoint, Place, RigSection
 from gbid.experiment.schema import (
     ExperimentFile,
     FileSection,
     FolderSection,
     ImportedSection,
     ImportSection,
+    ListedSection,
     TableSection,
     name_of,
     name_pattern,
@@ -81,29 +83,31 @@ def find_files(section: ImportSection, base: Path) -> FoundFiles:
     """
     files = [FoundFile(entry, ("import", "recordings", i)) for i, entry in enumerate(section.recordings or ())]
     problems: list[tuple[Location, str]] = []
-    folder = base / section.data_folder
-    taken = {found.entry.file for found in files}
-    sources: list[tuple[Location, Iterator[ImportedSection | str]]] = []
+    folder, listed = base / section.data_folder, {file.entry.file for file in files}
+    sources: list[tuple[Location, Iterator[ImportedSection | str], str]] = []
     if section.folder is not None:
-        skip = taken | ({section.table.file} if section.table else set())
-        sources.append((("import", "folder", "pattern"), _by_pattern(section.folder, folder, skip)))
+        skip = listed | ({section.table.file} if section.table else set())
+        remedy = "without {name} in the pattern a recording has the name of its file"
+        sources.append((("import", "folder", "pattern"), _by_pattern(section.folder, folder, skip), remedy))
     if section.table is not None:
-        sources.append((("import", "table", "file"), _by_table(section.table, folder)))
+        remedy = f"give each row of {section.table.file} a name of its own"
+        sources.append((("import", "table", "file"), _by_table(section.table, folder), remedy))
     if section.recordings is None and not sources:
         problems.append((("import",), "lists no recordings; add recordings, folder or table"))
-    if folder.is_dir():
-        for location, source in sources:
-            names: dict[str, str] = {}
-            for found in source:
-                if isinstance(found, str):
-                    problems.append((location, found))
-                elif found.name in names:
-                    both = f"{found.file} and {names[found.name]} both give the name {found.name!r}"
-                    text = f"{both}; {_distinct(section, location)}"
-                    problems.append((location, text))
+    for location, source, remedy in sources if folder.is_dir() else ():
+        names: dict[str, str] = {}
+        try:
+            for entry in source:
+                if isinstance(entry, str):
+                    problems.append((location, entry))
+                elif entry.name in names:
+                    both = f"{entry.file} and {names[entry.name]} both give the name {entry.name!r}"
+                    problems.append((location, f"{both}; {remedy}"))
                 else:
-                    names[found.name] = found.file
-                    files.append(FoundFile(found, location))
+                    names[entry.name] = entry.file
+                    files.append(FoundFile(entry, location))
+        except GbidError as error:
+            problems.append((location, str(error)))
     return FoundFiles(tuple(files), tuple(problems))
 
 
@@ -112,125 +116,102 @@ def by_count(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
-def _distinct(section: ImportSection, location: Location) -> str:
-    if section.table is not None and "table" in location:
-        return f"give each row of {section.table.file} a name of its own"
-    return "without {name} in the pattern a recording has the name of its file"
-
-
 def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterator[ImportedSection | str]:
-    """Yield a recording for each file whose name matches, and a text for each problem."""
-    try:
-        pattern = name_pattern(section.pattern)
-    except UsageError as error:
-        yield str(error)
-        return
-    more = section.more_conditions or ()
-    unknown = [name for name in more if name not in pattern.numbers]
-    if unknown:
-        name = unknown[0]
-        yield f"{section.pattern!r} has no field {name}; write {{{name}:g}}, or remove it from more_conditions"
-        return
+    """Yield a recording for each file whose name matches, and a text for each problem.
+
+    Raises
+    ------
+    UsageError
+        When the pattern cannot be used.
+    """
+    pattern, words = name_pattern(section.pattern), repr(section.pattern)
+    for name in section.more_conditions:
+        if name not in pattern.numbers:
+            raise UsageError(f"{words} has no field {name}; write {{{name}:g}}, or remove it from more_conditions")
     suffix = Path(section.pattern).suffix.lower()
     if suffix not in file_formats():
-        yield f"{section.pattern!r}: unknown ending {suffix!r}; expected one of {', '.join(file_formats())}"
-        return
-    point = _missing_point(section, pattern.numbers)
-    if point:
-        yield f"{section.pattern!r} has no field {point}; write {{{point}:g}} into it, or give it in conditions"
-        return
+        raise UsageError(f"{words}: unknown ending {suffix!r}; expected one of {', '.join(file_formats())}")
+    for name in _needed_point(section):
+        if name not in pattern.numbers:
+            raise UsageError(f"{words} has no field {name}; write {{{name}:g}} into it, or give it in conditions")
     paths = folder.rglob("*") if "/" in section.pattern else folder.glob("*")
     endings = {ending for ending in file_formats() if ending not in _RESULTS or suffix in _RESULTS}
-    there = sorted((p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in endings), key=by_count)
-    seen = [name for name in there if not any(fnmatchcase(name, p) for p in section.ignore or ()) and name not in skip]
-    unmatched = []
-    matched = 0
-    for file in seen:
-        fields = pattern.read(file)
-        if fields is None:
-            unmatched.append(file)
-            continue
-        matched += 1
-        conditions = {name: float(fields[name]) for name in pattern.numbers if name in (*POINT, *more)}
-        name = name_of(str(fields.get("name", Path(file).stem)))
-        yield _entry(section, file, name, str(fields["kind"]) if "kind" in fields else None, conditions)
-    if not matched:
-        example = f"; there is {', '.join(unmatched[:_NAMED])}" if unmatched else f"; {folder} has no such files"
-        yield f"no file matches {section.pattern!r}{example}: correct the pattern or data_folder"
-    elif unmatched:
-        for file in unmatched[:_NAMED]:
-            yield f"file {file} does not match {section.pattern!r}; rename it, or add it to ignore"
-        if len(unmatched) > _NAMED:
-            yield f"{len(unmatched) - _NAMED} more files do not match {section.pattern!r}"
+    files = sorted((p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in endings), key=by_count)
+    read = {f: pattern.read(f) for f in files if f not in skip and not any(fnmatchcase(f, p) for p in section.ignore)}
+    unmatched = [file for file, fields in read.items() if fields is None]
+    for file, fields in read.items():
+        if fields is not None:
+            numbers = {name: float(fields[name]) for name in pattern.numbers}
+            conditions = {name: value for name, value in numbers.items() if name in (*POINT, *section.more_conditions)}
+            name, kind = str(fields.get("name", Path(file).stem)), fields.get("kind")
+            yield _entry(section, file, name_of(name), None if kind is None else str(kind), conditions)
+    if len(unmatched) == len(read):
+        example = f"there is {', '.join(unmatched[:_NAMED])}" if unmatched else f"{folder} has no such files"
+        raise UsageError(f"no file matches {words}; {example}: correct the pattern or data_folder")
+    for file in unmatched[:_NAMED]:
+        yield f"file {file} does not match {words}; rename it, or add it to ignore"
+    if len(unmatched) > _NAMED:
+        yield f"{len(unmatched) - _NAMED} more files do not match {words}"
 
 
 def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection | str]:
-    """Yield a recording for each row of a table, and a text for each problem."""
-    path = folder / section.file
+    """Yield a recording for each row of a table, and a text for each problem.
+
+    Raises
+    ------
+    DataError
+        When there is no such table.
+    """
+    path, more = folder / section.file, section.more_conditions
     try:
         table = read_table(path)
         cells = table.cells
     except OSError as error:
-        yield f"{path}: cannot be read: {error.strerror}; give a CSV table"
-        return
+        raise DataError(f"{path}: cannot be read: {error.strerror}; give a CSV table") from None
     except DataError as error:
-        yield f"{error}; the table has a line with the names of the columns and one line for each recording"
-        return
+        text = "the table has a line with the names of the columns and one line for each recording"
+        raise DataError(f"{error}; {text}") from None
     header = list(table.headings)
-    more = section.more_conditions or ()
-    needed = ["file", *more, *(name for name in _needed_point(section) if name not in section.conditions)]
-    missing = [name for name in needed if name not in header]
-    if missing:
-        for name in missing:
-            yield f"{path}: no column {name!r}; {nearest(name, header)}"
-        return
-    for line, texts in zip(table.rows, cells, strict=True):
+    missing = [name for name in ("file", *more, *_needed_point(section)) if name not in header]
+    yield from (f"{path}: no column {name!r}; {nearest(name, header)}" for name in missing)
+    for line, texts in zip(table.rows, cells, strict=True) if not missing else ():
         where = f"{path}: line {line.number}"
         row = {name: cell.strip() for name, cell in zip(header, texts, strict=True)}
-        conditions, faults = _conditions(
-            row, [*more, *(n for n in POINT if n in row and n not in more)], where, table.layout.decimal
-        )
-        if not row["file"]:
+        conditions, faults = {}, []
+        for name in dict.fromkeys((*more, *(name for name in POINT if name in row))):
+            value = _number(row[name], table.layout.decimal)
+            conditions[name] = value
+            if not math.isfinite(value):
+                faults.append(f"{where}: {name} is {repr(row[name]) if row[name] else 'empty'}; write a number")
+        file = row["file"]
+        if not file:
             faults.append(f"{where}: file is empty; name the file, or remove the line")
-        elif not (folder / row["file"]).is_file():
-            faults.append(f"{where}: no file {folder / row['file']}; put it there, or remove the line")
-        elif Path(row["file"]).suffix.lower() not in file_formats():
-            faults.append(f"{where}: file {row['file']}: unknown ending; expected one of {', '.join(file_formats())}")
+        elif not (folder / file).is_file():
+            faults.append(f"{where}: no file {folder / file}; put it there, or remove the line")
+        elif Path(file).suffix.lower() not in file_formats():
+            faults.append(f"{where}: file {file}: unknown ending; expected one of {', '.join(file_formats())}")
         yield from faults
         if not faults:
-            name = row.get("name") or name_of(Path(row["file"]).stem)
-            entry = _entry(section, row["file"], name, row.get("kind") or None, conditions)
+            name = row.get("name") or name_of(Path(file).stem)
+            entry = _entry(section, file, name, row.get("kind") or None, conditions)
             yield f"{where}: {entry}" if isinstance(entry, str) else entry
 
 
-def _conditions(
-    row: Mapping[str, str], names: list[str], where: str, decimal: str
-) -> tuple[dict[str, float], list[str]]:
-    conditions, faults = {}, []
-    for name in names:
-        try:
-            value = float(row[name].replace(decimal, "."))
-        except ValueError:
-            value = math.nan
-        if math.isfinite(value):
-            conditions[name] = value
-        else:
-            said = repr(row[name]) if row[name] else "empty"
-            faults.append(f"{where}: {name} is {said}; write a number")
-    return conditions, faults
+def _number(text: str, decimal: str) -> float:
+    """Return the number of a cell; NaN when it is none."""
+    try:
+        return float(text.replace(decimal, "."))
+    except ValueError:
+        return math.nan
 
 
-def _needed_point(section: FolderSection | TableSection) -> tuple[str, ...]:
-    return POINT if section.operating_point else ()
-
-
-def _missing_point(section: FolderSection, there: tuple[str, ...]) -> str:
-    missing = [name for name in _needed_point(section) if name not in there and name not in section.conditions]
-    return missing[0] if missing else ""
+def _needed_point(section: ListedSection) -> list[str]:
+    """Return the conditions of the operating point that names or columns must give."""
+    return [name for name in POINT if section.operating_point and name not in section.conditions]
 
 
 def _entry(
-    section: FolderSection | TableSection, file: str, name: str, word: str | None, conditions: dict[str, float]
+    section: ListedSection, file: str, name: str, word: str | None, conditions: dict[str, float]
 ) -> ImportedSection | str:
     """Return the entry of one file, or a text with the reason why there is none."""
     if word is not None and word not in section.kinds:
@@ -328,72 +309,60 @@ def planned_recordings(spec: ExperimentFile, files: Iterable[FoundFile] = ()) ->
     """Yield the recordings of the rig, then those of files; names can still occur twice."""
     if spec.rig is not None:
         for i, point in enumerate(spec.rig.operating_points):
-            yield from _of_rig(spec.rig, point, ("rig", "operating_points", i))
-        for i, course in enumerate(spec.rig.courses):
-            yield from _along(spec.rig, course, i)
-    for found in files:
-        entry = found.entry
-        yield PlannedRecording(
-            entry.name,
-            entry.kind == "excited",
-            entry.conditions,
-            {name: _channels(name, len(c.columns), c.channels) for name, c in entry.signals.items()},
-            found.location,
-            entry,
-            entry.kind == "staircase",
-        )
+            yield from _at_point(spec.rig, point, ("rig", "operating_points", i))
+        for i, course in enumerate(spec.rig.courses):  # recordings of a course have no operating point
+            planned = partial(PlannedRecording, excited=course.excited, conditions={}, run=("course", i))
+            signals, location = {**_rig_signals(spec.rig), **_COURSE_SIGNALS}, ("rig", "courses", i)
+            for n in range(course.recordings):
+                yield planned(f"{course.name}{n + 1}", signals=signals, location=location)
+    for file in files:
+        entry = file.entry
+        signals = {name: _channels(name, len(c.columns), c.channels) for name, c in entry.signals.items()}
+        excited, staircase = entry.kind == "excited", entry.kind == "staircase"
+        yield PlannedRecording(entry.name, excited, entry.conditions, signals, file.location, entry, staircase)
 
 
-def _of_rig(rig: RigSection, point: OperatingPoint, location: Location) -> Iterator[PlannedRecording]:
+def _rig_signals(rig: RigSection) -> dict[str, tuple[str, ...]]:
+    return {**RIG_SIGNALS, **(_STACK_SIGNALS if rig.actuators.record_stacks else {})}
+
+
+def _at_point(rig: RigSection, point: OperatingPoint, location: Location) -> Iterator[PlannedRecording]:
+    """Yield the recordings of the rig at an operating point, run after run."""
     conditions = {"pressure_bar": point.pressure_bar, "speed_rpm": point.speed_rpm}
-    label = f"p{point.pressure_bar:g}_n{point.speed_rpm:g}"
-    signals = {**RIG_SIGNALS, **(_STACK_SIGNALS if rig.actuators.record_stacks else {})}
-
-    def planned(word: str, count: int, run: tuple[str | int | bool, ...]) -> Iterator[PlannedRecording]:
-        own = {**signals, **_EXTRA_SIGNALS.get(str(run[0]), {})}
-        stairs = run[0] in ("staircase", "stack_staircase")
+    for word, count, run in _runs(rig, point):
+        signals = {**_rig_signals(rig), **_EXTRA_SIGNALS.get(str(run[0]), {})}
+        excited, staircase = run[0] in ("prbs", "played", "loop"), run[0] in ("staircase", "stack_staircase")
         for i in range(count):
-            name = f"{label}_{word}{i + 1}"
-            excited = run[0] in ("prbs", "played", "loop")
-            yield PlannedRecording(name, excited, conditions, own, location, None, stairs, run)
+            name = f"p{point.pressure_bar:g}_n{point.speed_rpm:g}_{word}{i + 1}"
+            yield PlannedRecording(name, excited, conditions, signals, location, None, staircase, run)
 
-    yield from planned("still", rig.stationary.recordings, ("stationary",))
-    prbs = rig.prbs.recordings if point.prbs_recordings is None else point.prbs_recordings
-    yield from planned("prbs", prbs, ("prbs",))
-    if rig.played is not None and _there(rig.played.at, point):
-        yield from planned("played", rig.played.recordings, ("played",))
-    if rig.loop is not None:
-        offline = rig.loop.runout == "offline"
-        yield from planned(
-            "loop_still", int(offline) if rig.loop.stationary is None else rig.loop.stationary, ("loop_still",)
+
+def _runs(rig: RigSection, point: OperatingPoint) -> Iterator[tuple[str, int, tuple[str | int | bool, ...]]]:
+    """Yield the runs at an operating point: word of the names, number of recordings, and the run itself."""
+    yield "still", rig.stationary.recordings, ("stationary",)
+    yield "prbs", rig.prbs.recordings if point.prbs_recordings is None else point.prbs_recordings, ("prbs",)
+    if rig.played is not None and _is_at(rig.played.at, point):
+        yield "played", rig.played.recordings, ("played",)
+    if (loop := rig.loop) is not None:
+        yield (
+            "loop_still",
+            int(loop.runout == "offline") if loop.stationary is None else loop.stationary,
+            ("loop_still",),
         )
-        yield from planned("loop", rig.loop.recordings, ("loop",))
-    if rig.staircase is not None and _there(rig.staircase.at, point):
-        for axis in rig.staircase.axes:
-            yield from planned(f"stairs_{axis}", rig.staircase.recordings, ("staircase", axis))
-    if rig.stack_staircase is not None and _there(rig.stack_staircase.at, point):
-        for stack in rig.stack_staircase.stacks:
-            for controlled in rig.stack_staircase.controlled:
-                word = f"stack{stack}_{'controlled' if controlled else 'open'}"
-                yield from planned(word, rig.stack_staircase.recordings, ("stack_staircase", stack, controlled))
+        yield "loop", loop.recordings, ("loop",)
+    if (stairs := rig.staircase) is not None and _is_at(stairs.at, point):
+        yield from ((f"stairs_{axis}", stairs.recordings, ("staircase", axis)) for axis in stairs.axes)
+    if (steps := rig.stack_staircase) is not None and _is_at(steps.at, point):
+        for stack, controlled in product(steps.stacks, steps.controlled):
+            word = f"stack{stack}_{'controlled' if controlled else 'open'}"
+            yield word, steps.recordings, ("stack_staircase", stack, controlled)
     if rig.hammer is not None:
-        for axis in rig.hammer.axes:
-            yield from planned(f"hammer_{axis}", rig.hammer.recordings, ("hammer", axis))
+        yield from ((f"hammer_{axis}", rig.hammer.recordings, ("hammer", axis)) for axis in rig.hammer.axes)
     if rig.run_up is not None:
-        yield from planned("runup", rig.run_up.recordings, ("run_up",))
+        yield "runup", rig.run_up.recordings, ("run_up",)
 
 
-def _along(rig: RigSection, course: CourseSection, index: int) -> Iterator[PlannedRecording]:
-    """Yield the recordings of a course; they have no operating point."""
-    signals = {**RIG_SIGNALS, **_COURSE_SIGNALS, **(_STACK_SIGNALS if rig.actuators.record_stacks else {})}
-    for i in range(course.recordings):
-        run = ("course", index)
-        yield PlannedRecording(
-            f"{course.name}{i + 1}", course.excited, {}, signals, ("rig", "courses", index), None, False, run
-        )
-
-
-def _there(places: tuple[Place, ...] | None, point: OperatingPoint) -> bool:
+def _is_at(places: tuple[Place, ...] | None, point: Place) -> bool:
     """Return whether a run is planned at an operating point; without a list it is planned at all."""
     return places is None or any((q.pressure_bar, q.speed_rpm) == (point.pressure_bar, point.speed_rpm) for q in places)
 
@@ -452,19 +421,19 @@ class Experiment:
     @cached_property
     def points(self) -> Mapping[str, list[PlannedRecording]]:
         """Recordings by operating point."""
-        found: dict[str, list[PlannedRecording]] = {}
+        points: dict[str, list[PlannedRecording]] = {}
         for planned in self.recordings.values():
-            found.setdefault(planned.point, []).append(planned)
-        return found
+            points.setdefault(planned.point, []).append(planned)
+        return points
 
     @cached_property
     def fits_of(self) -> Mapping[str, list[str]]:
         """Names of the fits that use a recording, by the name of the recording."""
-        found: dict[str, list[str]] = {}
+        fits: dict[str, list[str]] = {}
         for fit in self.spec.fits:
             for planned in self.fit_recordings(fit):
-                found.setdefault(planned.name, []).append(fit)
-        return found
+                fits.setdefault(planned.name, []).append(fit)
+        return fits
 
     def matching(self, patterns: tuple[str, ...]) -> list[PlannedRecording]:
         """Return the recordings whose names match one of the patterns, in the order of the experiment."""
@@ -555,9 +524,7 @@ TOGETHER = "together"
 def fit_models(experiment: Experiment, fit: str) -> dict[str, list[str]]:
     """Return the models of a fit by name, each with the recordings to which it is fitted."""
     names = [q.name for q in experiment.fit_recordings(fit)]
-    if experiment.spec.fits[fit].together:
-        return {TOGETHER: names}
-    return {name: [name] for name in names}
+    return {TOGETHER: names} if experiment.spec.fits[fit].together else {name: [name] for name in names}
 
 
 def recordings_of(experiment: Experiment, fit: str, model: str) -> list[str]:
@@ -593,8 +560,8 @@ def validation_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
         pairs = []
         for model, used in models.items():
             taken, points = set(used), {experiment.recordings[name].point for name in used}
-            there = [q.name for q in excited if q.name not in taken and (on == ("others",) or q.point in points)]
-            pairs += [(model, name) for name in there or [""]]
+            others = [q.name for q in excited if q.name not in taken and (on == ("others",) or q.point in points)]
+            pairs += [(model, name) for name in others or [""]]
         return pairs
     return [(model, q.name) for model in models for q in experiment.matching(on)]
 
