@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fit_cases import EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, levels, piezo_motion, simulated
+from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, levels, simulated
 from scipy.signal import csd, welch
 
 from gbid.core.errors import DataError, UsageError
@@ -10,7 +10,7 @@ from gbid.core.tables import csv_text
 from gbid.identify import bode, fit, load_fit, measured_response, save_fit
 from gbid.identify.uncertainty.curves import response_slopes
 from gbid.recording import Recording
-from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate
+from gbid.structure import LinearStructure, Parameter, evaluate
 
 LATE = LinearStructure(
     "late",
@@ -125,20 +125,6 @@ def test_parameters_of_other_recordings_do_not_widen_the_band():
     assert not any(getattr(result.model_slopes, m)[other].any() for m in "ABCD")
     gain = result.bode([1e-6])
     assert gain.magnitude_std[0, 0, 0] == pytest.approx(result.static_gain_std[0, 0], rel=1e-6)
-
-
-def test_the_built_in_structure_with_exact_delays():
-    structure = RotorBearing(delay="exact", disturbance_gain="none")
-    u = piezo_motion(4000)
-    rec = simulated(structure, KEY, u, h=TS, hold="foh", noise=2e-8)
-    result = fit(structure, rec)
-    f = np.array([50.0, 125.0, 130.0, 200.0])
-    truth = evaluate(structure, KEY).frequency_response(f)
-    found = result.bode(f)
-    off = np.stack([(found.response - truth).real, (found.response - truth).imag], axis=-1)
-    distance = np.einsum("...a,...ab,...b->...", off, np.linalg.inv(found.covariance), off)
-    assert np.isfinite(found.covariance).all()
-    assert distance.max() < 25  # chi-squared with two degrees of freedom, sixteen times
 
 
 @pytest.mark.parametrize("wrong", [[0.0, 1.0], [-1.0], [1.0, np.nan]])

@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from gbid.core.errors import UsageError
-from gbid.identify import FitOptions, fit, load_fit, save_fit
+from gbid.identify import fit, load_fit, save_fit
 from gbid.identify.uncertainty.coloured import (
     Bootstrap,
     ErrorModel,
@@ -27,12 +27,6 @@ def coloured(n=600, seed=1):
 @pytest.fixture(scope="module")
 def result():
     return fit(MODE, coloured(), focus="simulation", std="bootstrap", bootstrap_draws=60)
-
-
-def test_the_fewest_draws_are_those_of_a_quantile():
-    FitOptions(std="bootstrap", bootstrap_draws=50)
-    with pytest.raises(UsageError, match="bootstrap_draws = 49; give a whole number of at least 50 or None"):
-        FitOptions(std="bootstrap", bootstrap_draws=49)
 
 
 def test_it_is_a_kind_of_its_own(result):

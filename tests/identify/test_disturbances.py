@@ -75,14 +75,6 @@ def test_a_trend_goes_through_the_predictor():
     assert np.abs(away(result, truth)).max() < 4
 
 
-def test_each_recording_has_its_own():
-    recs = [shifted(mode_data(seed), slope * T[:, None]) for seed, slope in ((1, 0.1), (2, -0.3))]
-    named = [gbid.Recording(r.signals, H, name=name) for r, name in zip(recs, ("a", "b"), strict=True)]
-    result = fit(MODE, named, trend="linear")
-    assert np.abs(away(result, {"trend1_y[a]": 0.1, "trend1_y[b]": -0.3})).max() < 4
-    assert result.parameters_of("b")["trend1_y"] == result.parameters["trend1_y[b]"]
-
-
 # ---- random walk ----
 
 

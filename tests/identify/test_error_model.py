@@ -43,14 +43,6 @@ def test_products_of_all_lags_are_the_sums_that_they_say():
     assert count == 53 + 24
 
 
-def test_the_model_of_coupled_outputs_is_found():
-    e, innovation = coupled(40_000)
-    model = error_model(*lag_products([e], 20))
-    assert 2 <= model.order <= 4
-    np.testing.assert_allclose(model.coefficients[:2], COUPLED, atol=0.03)
-    np.testing.assert_allclose(model.innovation, innovation, rtol=0.05)
-
-
 def test_least_squares_of_one_order_are_numpys():
     e, _ = coupled(300)
     products, count = lag_products([e], 2)
@@ -126,16 +118,6 @@ def test_feedback_of_errors_leaves_a_tenth_at_least():
     np.testing.assert_array_equal(_joined(np.array([linear, 0 * change]), np.eye(2)), linear)
     with pytest.raises(np.linalg.LinAlgError, match="overflows"):
         _joined(np.array([[[np.inf]], [[-1.0]]]), np.eye(1))
-
-
-def test_records_of_different_noise_add_up():
-    one, two = records(500, 1), records(800, 2)
-    two = two._replace(errors=10 * two.errors)
-    kept, nothing = np.arange(6), TINY * np.eye(6)
-    apart = [score_covariance([transformed(record, kept)], np.eye(2), nothing)[0] for record in (one, two)]
-    together, models = score_covariance((transformed(record, kept) for record in (one, two)), np.eye(2), nothing)
-    np.testing.assert_allclose(together, apart[0] + apart[1], rtol=1e-12)
-    assert len(models) == 2
 
 
 def test_what_the_fit_takes_from_narrow_band_errors_is_given_back():

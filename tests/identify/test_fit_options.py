@@ -192,20 +192,6 @@ def test_a_prior_is_weighed_against_the_data():
 
 
 @pytest.mark.parametrize("criterion", ["trace", "det"])
-def test_strong_and_weak_priors(criterion):
-    rec = mode_data()
-    free = fit(MODE, rec, focus="simulation", criterion=criterion)
-    strong = fit(MODE, rec, focus="simulation", prior={"z": (0.07, 1e-7)}, criterion=criterion)
-    assert (0.07 - free.parameters["z"]) / free.std["z"] > 5
-    assert strong.parameters["z"] == pytest.approx(0.07, abs=1e-6)
-    assert strong.std["z"] == pytest.approx(1e-7, rel=0.01)
-    weak = fit(MODE, rec, focus="simulation", prior={"z": (0.2, 1e3), "g": (-5.0, 1e4)}, criterion=criterion)
-    for name in PHYSICAL:
-        assert abs(weak.parameters[name] - free.parameters[name]) < 1e-3 * free.std_with("white")[name]
-        assert weak.std_with("white")[name] == pytest.approx(free.std_with("white")[name], rel=1e-3)
-
-
-@pytest.mark.parametrize("criterion", ["trace", "det"])
 def test_a_prior_weighs_as_much_beside_two_outputs(criterion):
     """Two sensors of one signal: their mean is the estimate, and a prior as sure as they are moves it half way."""
     one = lag_data(3000)
@@ -353,18 +339,6 @@ def test_several_stretches_left_out_and_whole_windows():
     assert np.abs(away(with_gain[0], MODE_AT, MODE_AT)).max() < 4
 
 
-def test_left_out_samples_at_both_ends_are_a_shorter_record():
-    """Nothing measured before or after: as if the record had been cut, for a predictor whose start is free."""
-    rec = mode_data(500)
-    cut_down = fit(MODE, rec.slice(100, 400), focus="simulation")
-    left = fit(MODE, rec, focus="simulation", left_out={"data": [(0, 100), (400, 500)]})
-    assert np.abs(away(left, cut_down.parameters, PHYSICAL)).max() < 1e-3
-    assert left.loss == pytest.approx(cut_down.loss, rel=1e-6)
-    for name in PHYSICAL:
-        assert left.std_with("white")[name] == pytest.approx(cut_down.std_with("white")[name], rel=1e-3)
-    np.testing.assert_allclose(left.fit_percent, cut_down.fit_percent, rtol=1e-5)
-
-
 LEFT_OUT = {
     "stranger": ({"other": [(0, 5)]}, UsageError, "left_out names recordings that are not fitted: other"),
     "beyond": ({"data": [(290, 301)]}, DataError, "'data': left out samples 290 to 301 are not within its 300"),
@@ -489,21 +463,6 @@ def test_output_weights_are_a_change_of_the_outputs_units():
     assert weighted.loss == pytest.approx(np.trace(weighted.error_covariance))  # reported without the weights
     only_ratios = fit(EVERY, rec, start=EVERY_AT, focus="simulation", output_weights=7.0 * weights)
     assert np.abs(away(only_ratios, weighted.parameters, names, std)).max() < 1e-3
-
-
-def test_weights_of_one_over_the_variance_come_near_the_determinant():
-    noise = np.array([1.0, 0.05])
-    rec = two_outputs(np.diag(noise))
-    options = {"start": EVERY_AT, "focus": "simulation"}
-    det = fit(EVERY, rec, criterion="det", **options)
-    weighted = fit(EVERY, rec, output_weights=noise**-2, **options)
-    plain = fit(EVERY, rec, criterion="trace", **options)
-    names, std = "awbcd", det.std_with("white")
-    assert np.abs(away(weighted, det.parameters, names, std)).max() < 0.1
-    assert np.abs(away(plain, det.parameters, names, std)).max() > 1
-    for name in names:
-        assert weighted.std_with("white")[name] == pytest.approx(std[name], rel=0.02)
-        assert plain.std_with("white")[name] > 1.05 * std[name]
 
 
 # ---- windows, starts, gains ----

@@ -48,18 +48,6 @@ def test_predictions_are_those_of_the_plain_loop(focus, holds):
     assert predictor.regressors(u, y, ()).shape == (60, 2 + ahead.shape[1] + 2 * (focus == "prediction"))
 
 
-@pytest.mark.parametrize("order", [1, 3])
-@pytest.mark.parametrize("hold", ["zoh", "foh"])
-def test_predictions_of_the_rotor_bearing(order, hold):
-    structure = RotorBearing(pade_order=order)
-    u, y = piezo_motion(700), 1e-6 * smooth(700, seed=3)
-    x0 = np.concatenate([[1e-6, -2e-6, 1e-3, 5e-4], np.zeros(2 * order)])
-    predictor = predictor_of(structure, TS, hold)
-    found = predictions(predictor, ROTOR_AT, u, y, x0, TS)
-    expected = predicted(evaluate(structure, ROTOR_AT), u, y, TS, (hold, hold), x0, True)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
-
-
 def test_simulation_focus_is_the_model_running_on_its_own():
     u = piezo_motion(400)
     predictor = predictor_of(RotorBearing(), TS, "foh", "simulation")
@@ -70,16 +58,6 @@ def test_simulation_focus_is_the_model_running_on_its_own():
     np.testing.assert_allclose(predictor.at(theta_of(predictor, KEY)).F, expm(model.A * TS), rtol=1e-9, atol=1e-11)
     assert predictor.unused == tuple(GAINS)
     assert len(predictor.free) == 14
-
-
-def test_a_model_that_fits_predicts_its_own_simulation_whatever_the_gain():
-    """Without errors the disturbance gain has nothing to feed back."""
-    u = smooth(80)
-    y = evaluate(EVERY, EVERY_AT).simulate(u, H, intersample="foh", initial_state=[1.0, 0.5])
-    for k in (0.0, 0.7, 3.0):
-        values = {**EVERY_AT, "k": k}
-        predictor = predictor_of(EVERY, hold="foh")
-        np.testing.assert_allclose(predictions(predictor, values, u, y, [1.0, 0.5]), y, atol=1e-11)
 
 
 @pytest.mark.parametrize(

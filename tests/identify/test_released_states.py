@@ -6,7 +6,7 @@ from fit_cases import H, levels
 from scipy.optimize import least_squares
 
 from gbid.core.errors import DataError, UsageError
-from gbid.identify import fit, load_fit, save_fit
+from gbid.identify import fit
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 
@@ -143,12 +143,6 @@ def test_the_covariance_by_windows_knows_the_same_states(states, monkeypatch):
     monkeypatch.setattr("gbid.identify.uncertainty.covariance.grows", lambda *_: True)
     by_windows = fit(EVERYTHING, driven(), **options)
     np.testing.assert_allclose(by_windows.covariance_white, over_record.covariance_white, rtol=1e-4)
-
-
-def test_the_choice_is_stored(tmp_path):
-    found = fit(PENDULUM, decay(5))
-    save_fit(found, tmp_path / "fit.h5")
-    assert load_fit(tmp_path / "fit.h5").options.initial_state == "structure"
 
 
 def test_no_start_value_is_needed():

@@ -17,11 +17,10 @@ from start_cases import (
 )
 
 from gbid.core.errors import DataError, UsageError
-from gbid.identify import fit, fit_multistart
+from gbid.identify import fit
 from gbid.identify.data import Record, gather
 from gbid.identify.predictor import build_predictor
 from gbid.identify.start.black_box import Target, _residual, black_box, match
-from gbid.identify.start.start import subspace_start
 from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate
 
 BY_NAME = {case.name: case for case in CASES}
@@ -147,18 +146,6 @@ def test_starts_from_the_data_lead_to_the_best_loss(name):
     )  # these have a method of their own
 
 
-@pytest.mark.parametrize("name", ["rotor in a gas bearing", "piezo pair"])
-def test_the_built_in_structures_can_be_started_in_the_same_way(name):
-    case = BY_NAME[name]
-    structure = case.structure
-    data = gather([case.make(1)], structure.inputs, structure.outputs, 10)
-    found = subspace_start(structure, data, structure.parameters, structure.intersample)
-    result = fit(structure, case.make(1), start=found.values)
-    assert result.status.success
-    assert result.loss <= fit(structure, case.make(1), start=case.truth).loss * (1 + 1e-6)
-    assert found.misfit < 0.05
-
-
 def test_stated_starts_and_fixed_values_are_kept():
     structure = LinearStructure(
         "chain", [*chain(3).parameters[:-1], Parameter("b", 480.0)], chain(3).matrices, "u", "y"
@@ -210,17 +197,6 @@ def test_a_disturbance_gain_starts_at_zero():
     result = fit(structure, rec)
     assert (result.start["l1"], result.start["l2"]) == (0.0, 0.0)
     assert result.parameters["w"] == pytest.approx(MODE_AT["w"], rel=0.01)
-
-
-def test_several_starts_try_the_one_from_the_data_second():
-    """Frequencies that are far off: no random start arrives, the one from the data does."""
-    wrong = {f"k{i}": 1.0 for i in range(3)} | {f"d{i}": 1e3 for i in range(3)} | {"b": 1e-3}
-    structure = LinearStructure("chain", [Parameter(n, v, 0.0) for n, v in wrong.items()], chain(3).matrices)
-    rec = BY_NAME["chain of 3"].make(0)
-    found = fit_multistart(structure, rec, starts=2, max_iterations=15)
-    assert len(found.losses) == 2
-    assert found.losses[1] == found.best.loss < 0.5 * found.losses[0]
-    assert set(found.best.start_origin.values()) == {"data"}
 
 
 def test_another_word_than_data_is_refused():

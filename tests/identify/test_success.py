@@ -10,7 +10,7 @@ from start_problems import SPRING, start_problem
 from gbid import LinearStructure, Parameter, Recording, fit
 from gbid.discretise import discretise
 from gbid.discretise.exact import squarings_for
-from gbid.identify import FitStatus, load_fit, save_fit
+from gbid.identify import FitStatus
 from gbid.identify.judge import verdict
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import pose
@@ -145,13 +145,6 @@ def test_verdict_of_what_the_solver_calls_converged():
     assert verdict(FitStatus.CONVERGED, **good | {"at_edge": True}) is FitStatus.UNSTABLE_PREDICTOR
     dark = np.array([False, True])
     assert verdict(FitStatus.CONVERGED, **good | {"undetermined": dark}) is FitStatus.NOT_DETERMINED
-
-
-def test_optimality_is_stored(tmp_path):
-    problem = start_problem("lag")
-    result = fit(problem.structure, problem.recording, focus="simulation")
-    save_fit(result, tmp_path / "fit.h5")
-    assert load_fit(tmp_path / "fit.h5").optimality == result.optimality
 
 
 # ---- callbacks ----

@@ -12,7 +12,7 @@ from scipy.stats import kstest
 
 from gbid.identify import correlation, fit, whiteness_test
 from gbid.recording import Recording
-from gbid.structure import LinearStructure, Parameter, Plant, RotorBearing, evaluate
+from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate
 
 LAG = LinearStructure(
     "lag",
@@ -190,11 +190,6 @@ def test_the_statistic_is_ljungs_and_boxs():
     assert whiteness_test([e], lags=5).statistic[0] == pytest.approx(expected, rel=1e-10)
 
 
-@pytest.mark.parametrize("rho", [0.3, -0.3, 0.8])
-def test_the_whiteness_test_sees_colour(rho):
-    assert whiteness_test([coloured(1000, rho, seed=3)[:, None]]).p_value[0] < 1e-6
-
-
 @pytest.mark.parametrize(("n", "lags"), [(50, 10), (1000, 0), (333, 332)])
 def test_correlation_is_numpys(n, lags):
     random = np.random.default_rng(n)
@@ -238,30 +233,6 @@ def test_modes_and_static_gain_of_the_rotor(delay, focus):
     np.testing.assert_allclose(result.static_gain_std, gain, rtol=1e-4)
     truth = np.array(evaluate(structure, {**KEY, **GAINS}).modes())[:2]
     assert (np.abs(np.array(result.model.modes())[:2] - truth) < 4 * result.modes_std[:2]).all()
-
-
-def test_modes_and_static_gain_of_a_plant():
-    structure = Plant(RotorBearing(delay="exact", disturbance_gain="none"))
-    r = 4.5e-6 * levels(1500, 2, 40)
-    truth = {**KEY, "p1_x": 3078.0, "p2_x": 8143.0, "kappa_x": 1.863, "p1_y": 2452.0, "p2_y": 6494.0, "kappa_y": 1.865}
-    result = fit(structure, simulated(structure, truth, r, h=TS, noise=1e-8), focus="simulation")
-    assert result.success
-    np.testing.assert_allclose(result.modes_std, by_differences(structure, result, lambda m: m.modes()), rtol=1e-3)
-    gain = by_differences(structure, result, lambda m: m.static_gain())
-    np.testing.assert_allclose(result.static_gain_std, gain, rtol=1e-3, atol=1e-9 * gain.max())
-
-
-def test_modes_and_static_gain_are_those_of_many_fits():
-    u = levels(1500, seed=3)
-    modes, gains, stated_modes, stated_gains = [], [], [], []
-    for seed in range(60):
-        result = fit(MODE, simulated(MODE, MODE_AT, u, noise=0.3, seed=seed), focus="simulation", start=MODE_AT)
-        modes.append(result.model.modes())
-        gains.append(result.model.static_gain())
-        stated_modes.append(result.modes_std)
-        stated_gains.append(result.static_gain_std)
-    np.testing.assert_allclose(np.mean(stated_modes, axis=0) / np.std(modes, axis=0, ddof=1), 1, atol=0.3)
-    np.testing.assert_allclose(np.mean(stated_gains, axis=0) / np.std(gains, axis=0, ddof=1), 1, atol=0.3)
 
 
 def test_an_integrator_has_no_static_gain_to_be_sure_of():

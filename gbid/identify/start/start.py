@@ -1,7 +1,8 @@
-"""Start values of an actuator of second order from data, by least squares in the frequency domain."""
+"""Start values of a fit: of the caller, of the structure, or from the data, by least squares over frequencies."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import singledispatch
@@ -45,27 +46,28 @@ def as_real(values: ComplexArray) -> FloatArray:
     return np.vstack([values.real, values.imag])
 
 
+def record_ends(s: ComplexArray, record: int, n_records: int) -> ComplexArray:
+    """Return the columns of the ends of a record, (n, 2 n_records): a polynomial in s (n, 1); zero for others."""
+    ends = np.zeros((len(s), 2 * n_records), complex)
+    ends[:, 2 * record : 2 * record + 2] = np.hstack([np.ones_like(s), s])
+    return ends
+
+
 def lag_start(records: tuple[Record, ...], channel: int, sample_time: float) -> tuple[float, float, float]:
     """Return poles [rad/s] and gain of ``u + a1 ud + a2 udd = kappa r`` with r constant between samples."""
-    rows: list[ComplexArray] = []
-    targets: list[ComplexArray] = []
-    laplace: list[ComplexArray] = []
-    n_records = len(records)
+    equations: list[tuple[ComplexArray, ComplexArray, ComplexArray]] = []
     for i, record in enumerate(records):
         omega, R = spectrum_of(record.inputs[:, [channel]], sample_time)
         _, U = spectrum_of(record.outputs[:, [channel]], sample_time)
         keep = (omega > 0) & (omega < 0.4 * np.pi / sample_time)
-        s = 1j * omega[keep, None]
+        s = np.asarray(1j * omega[keep, None], complex)
         held = R[keep] * (1 - np.exp(-s * sample_time)) / (s * sample_time)
-        ends = np.zeros((len(s), 2 * n_records), complex)
-        ends[:, 2 * i : 2 * i + 2] = np.hstack([np.ones_like(s), s])
-        rows.append(np.hstack([held, -s * U[keep], -(s**2) * U[keep], ends]))
-        targets.append(U[keep])
-        laplace.append(np.asarray(s, complex))
-    base, target, s = (np.concatenate(parts) for parts in (rows, targets, laplace))
+        row = np.hstack([held, -s * U[keep], -(s**2) * U[keep], record_ends(s, i, len(records))])
+        equations.append((row, U[keep], s))
+    base, target, s = (np.asarray(np.concatenate(parts), complex) for parts in zip(*equations, strict=True))
     a1 = a2 = gain = 0.0
     for _ in range(4):  # Sanathanan-Koerner: weights 1 / last denominator, for the output error
-        weight = 1 / (1 + a1 * s + a2 * s**2)
+        weight = np.asarray(1 / (1 + a1 * s + a2 * s**2), complex)
         columns = as_real(base * weight)
         size = np.linalg.norm(columns, axis=0)
         gain, a1, a2 = (np.linalg.lstsq(columns / size, as_real(target * weight)[:, 0], rcond=None)[0] / size)[:3]
@@ -124,80 +126,67 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
     records = tuple(Record(r.name, r.inputs[:_ENOUGH], r.outputs[:_ENOUGH]) for r in records)
     spectra = [(*spectrum_of(r.inputs, sample_time), spectrum_of(r.outputs, sample_time)[1]) for r in records]
     low, high = _resonance_band(spectra)
-    known, targets, drives, omegas = [], [], [], []
-    n_records = len(records)
+    equations = []
     for i, (omega, U, P) in enumerate(spectra):
         band = np.flatnonzero((omega >= low) & (omega <= high))
-        keep = band[:: max(1, len(band) * n_records // _FREQUENCIES)]
-        s = 1j * omega[keep, None]
-        ends = np.zeros((len(s), 2 * n_records), complex)
-        ends[:, 2 * i : 2 * i + 2] = np.hstack([np.ones_like(s), s])
-        known.append(np.hstack([P[keep], s * P[keep], ends]) / s**2)
-        targets.append(P[keep])
-        drives.append(U[keep] / s**2)
-        omegas.append(omega[keep])
-    omega = np.concatenate(omegas)
+        keep = band[:: max(1, len(band) * len(records) // _FREQUENCIES)]
+        s = np.asarray(1j * omega[keep, None], complex)
+        motion = np.hstack([P[keep], s * P[keep], record_ends(s, i, len(records))]) / s**2
+        equations.append((motion, P[keep], U[keep] / s**2, omega[keep]))
+    known, targets, complex_drive, omega = (np.concatenate(parts) for parts in zip(*equations, strict=True))
     if len(omega) < 20:
         raise DataError(
             f"recording {records[0].name!r}: only {len(omega)} frequencies around the resonance; record for longer"
         )
-    base, target = (as_real(np.concatenate(parts)) for parts in (known, targets))
+    base, target = as_real(known), as_real(targets)
     # Columns of s-powers differ by orders of magnitude; scaled, the projection is exact to rounding.
     size = np.linalg.norm(base, axis=0)
     basis, triangle = np.linalg.qr(base / size)
     rest = target - basis @ (basis.T @ target)
     if not any(moves(record.inputs).any() for record in records):  # free decays: no delays, no gains
-        rest_of_base = np.linalg.lstsq(base / size, target, rcond=None)[0] / size[:, None]
-        return _named(structure, rest_of_base)
-    complex_drive = np.concatenate(drives)
+        return _named(structure, np.linalg.lstsq(base / size, target, rcond=None)[0] / size[:, None])
 
-    def delayed(tau: FloatArray) -> FloatArray:
-        return as_real(complex_drive * np.exp(-1j * omega[:, None] * tau))
+    def delayed(tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the columns of the delayed inputs, and what the motion leaves of them."""
+        columns = as_real(complex_drive * np.exp(-1j * omega[:, None] * tau))
+        return columns, columns - basis @ (basis.T @ columns)
 
     def unexplained(columns: FloatArray) -> float:
         """Return the residual of two projected columns, up to a constant."""
-        share, own = columns.T @ rest, columns.T @ columns
-        (a, b), (_, c) = own
+        share, products = columns.T @ rest, columns.T @ columns
+        (a, b), (_, c) = products
         regular = a * c - b * b > _REGULAR * a * c
-        gain = np.array([[c, -b], [-b, a]]) @ share / (a * c - b * b) if regular else np.linalg.lstsq(own, share)[0]
-        return -float((share * gain).sum())
-
-    def misfit(tau: FloatArray) -> float:
-        columns = delayed(tau)
-        return unexplained(columns - basis @ (basis.T @ columns))
+        inverse = np.array([[c, -b], [-b, a]]) / (a * c - b * b) if regular else np.linalg.pinv(products)
+        return -float((share * (inverse @ share)).sum())
 
     bounds = {q.name: (q.lower, q.upper) for q in structure.parameters}
     longest = min(0.5 * np.pi / high * 2, bounds["tau_x"][1])
     grid = np.linspace(0.0, longest, 7)
-    sampled = [delayed(np.array([a, a])) for a in grid]  # both axes at once: pairs of delays share their columns
-    sampled = [columns - basis @ (basis.T @ columns) for columns in sampled]
-    pairs = [(i, j) for i in range(len(grid)) for j in range(len(grid))]
+    sampled = [delayed(np.array([a, a]))[1] for a in grid]  # both axes at once: pairs of delays share their columns
+    pairs = list(itertools.product(range(len(grid)), repeat=2))
     scores = [unexplained(np.column_stack([sampled[i][:, 0], sampled[j][:, 1]])) for i, j in pairs]
-    at = pairs[int(np.argmin(scores))]
-    first = grid[at[0]], grid[at[1]]
-    step = grid[1] / 2
-    simplex = np.array([first, (first[0] + step, first[1]), (first[0], first[1] + step)])
+    first = grid[list(pairs[int(np.argmin(scores))])]
+    simplex = first + grid[1] / 2 * np.array([[0, 0], [1, 0], [0, 1]])
     options = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": np.inf, "maxiter": 200}
-    tau = scipy.optimize.minimize(misfit, first, method="Nelder-Mead", options=options).x
-    tau = np.array(
-        [np.clip(t, 2 * bounds[f"tau_{a}"][0], bounds[f"tau_{a}"][1]) for t, a in zip(tau, AXES, strict=True)]
-    )
-
-    columns = delayed(tau)
-    projected = columns - basis @ (basis.T @ columns)
+    tau = scipy.optimize.minimize(
+        lambda tau: unexplained(delayed(tau)[1]), first, method="Nelder-Mead", options=options
+    ).x
+    lower, upper = np.array([bounds[f"tau_{axis}"] for axis in AXES]).T
+    tau = np.clip(tau, 2 * lower, upper)
+    columns, projected = delayed(tau)
     gain = np.asarray(np.linalg.lstsq(projected, rest, rcond=None)[0])
-    rest_of_base = np.linalg.solve(triangle, basis.T @ (target - columns @ gain)) / size[:, None]
+    motion = np.linalg.solve(triangle, basis.T @ (target - columns @ gain)) / size[:, None]
     delays = {f"tau_{axis}": float(t) for axis, t in zip(AXES, tau, strict=True)}
-    return {**_named(structure, rest_of_base, gain), **delays}
+    return {**_named(structure, motion, gain), **delays}
 
 
 def _named(structure: RotorBearing, motion: FloatArray, gain: FloatArray | None = None) -> dict[str, float]:
     """Return all parameters by name, zero for those not found, from coefficients of displacement, speed and input."""
-    found = dict.fromkeys((q.name for q in structure.parameters), 0.0)
+    values = dict.fromkeys((q.name for q in structure.parameters), 0.0)
     matrices = {"k": motion[:2].T, "d": motion[2:4].T} | ({} if gain is None else {"b": gain.T})
     for letter, matrix in matrices.items():
-        found |= {f"{letter}_{pair}": float(v) for pair, v in zip(PAIRS, matrix.ravel(), strict=True)}
-    return found
+        values |= {f"{letter}_{pair}": float(v) for pair, v in zip(PAIRS, matrix.ravel(), strict=True)}
+    return values
 
 
 # ---- Start values of a structure: those that it states, and for the built-in ones those found in the data.
@@ -241,11 +230,11 @@ def _(structure: PiezoPair, data: FitData, given: Mapping[str, float]) -> dict[s
     if not data.records[0].inputs.size:
         return _as_given(structure, given)
     _check_channels(structure, data.records, 2, 2)
-    found: dict[str, float] = {}
+    values = dict.fromkeys((q.name for q in structure.parameters), 0.0)
     for i, axis in enumerate(AXES):
-        slow, fast, gain = lag_start(data.records, i, data.sample_time)
-        found |= {f"p1_{axis}": slow, f"p2_{axis}": fast, f"kappa_{axis}": gain}
-    return {**{q.name: found.get(q.name, 0.0) for q in structure.parameters}, **given}
+        names = (f"p1_{axis}", f"p2_{axis}", f"kappa_{axis}")
+        values |= zip(names, lag_start(data.records, i, data.sample_time), strict=True)
+    return {**values, **given}
 
 
 @start_values.register
@@ -256,26 +245,19 @@ def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, 
     _check_channels(structure, data.records, 2, 2 * len(structure.outputs))
     if "u" in structure.outputs:
         actuator_records = tuple(Record(r.name, r.inputs, r.outputs[:, :2]) for r in data.records)
-        bearing_records = tuple(Record(r.name, r.outputs[:, :2], r.outputs[:, 2:]) for r in data.records)
-        actuators = start_values(structure.actuators, _like(data, actuator_records), {})
-        found = {**actuators, **bearing_start(structure.bearing, bearing_records, data.sample_time)}
-        return {**found, **given}
-    needed = [q.name for q in structure.actuators.parameters if q.name not in given]
-    if needed:
-        raise UsageError(
-            f"structure {structure.name!r} from r to p alone does not determine the actuators: "
-            f"fix {', '.join(needed)} (fixed=...) or add u to the outputs"
-        )
-    model = evaluate(structure.actuators, given)
-    records = tuple(
-        Record(r.name, model.simulate(r.inputs, data.sample_time, intersample="zoh"), r.outputs) for r in data.records
-    )
-    return {**bearing_start(structure.bearing, records, data.sample_time), **given}
-
-
-def has_own_method(structure: Any) -> bool:
-    """Return whether there is a method to find start values that was made for the structure."""
-    return start_values.dispatch(type(structure)) is not start_values.dispatch(object)
+        records = tuple(Record(r.name, r.outputs[:, :2], r.outputs[:, 2:]) for r in data.records)
+        actuators = start_values(structure.actuators, replace(data, records=actuator_records), {})
+    else:
+        needed = [q.name for q in structure.actuators.parameters if q.name not in given]
+        if needed:
+            raise UsageError(
+                f"structure {structure.name!r} from r to p alone does not determine the actuators: "
+                f"fix {', '.join(needed)} (fixed=...) or add u to the outputs"
+            )
+        model, actuators = evaluate(structure.actuators, given), {}
+        forces = (model.simulate(r.inputs, data.sample_time, intersample="zoh") for r in data.records)
+        records = tuple(Record(r.name, u, r.outputs) for r, u in zip(data.records, forces, strict=True))
+    return {**actuators, **bearing_start(structure.bearing, records, data.sample_time), **given}
 
 
 def _as_given(structure: Any, given: Mapping[str, float]) -> dict[str, float]:
@@ -290,11 +272,11 @@ def _as_given(structure: Any, given: Mapping[str, float]) -> dict[str, float]:
 
 
 def _check_channels(structure: Any, records: tuple[Record, ...], n_inputs: int, n_outputs: int) -> None:
-    found = records[0].inputs.shape[1], records[0].outputs.shape[1]
-    if found not in {(n_inputs, n_outputs), (0, n_outputs)}:  # none: a free decay
+    given = records[0].inputs.shape[1], records[0].outputs.shape[1]
+    if given not in {(n_inputs, n_outputs), (0, n_outputs)}:  # none: a free decay
         raise UsageError(
             f"structure {structure.name!r} has {n_inputs} inputs and {n_outputs} outputs; "
-            f"the recordings give {found[0]} and {found[1]}"
+            f"the recordings give {given[0]} and {given[1]}"
         )
 
 
@@ -302,11 +284,7 @@ def _without_unbalance(bearing: RotorBearing, data: FitData) -> FitData:
     """Return the data without the last two inputs when they are the unbalance, which start values do not need."""
     if not (bearing.unbalance and data.records[0].inputs.shape[1] == 4):
         return data
-    return _like(data, tuple(Record(r.name, r.inputs[:, :2], r.outputs) for r in data.records))
-
-
-def _like(data: FitData, records: tuple[Record, ...]) -> FitData:
-    return FitData(records, data.sample_time, (), (), ())
+    return replace(data, records=tuple(replace(r, inputs=r.inputs[:, :2]) for r in data.records))
 
 
 # ---- Data of the plant within a closed loop, for start values: what the controller did is known from what it measured.
@@ -324,17 +302,15 @@ def plant_data(loop: ClosedLoop, data: FitData, gains: Mapping[str, float]) -> F
     gains : dict of str to float
         Gains of a controller that is a structure, under their names in the loop.
     """
-    return replace(data, records=tuple(_of_plant(loop, record, data.sample_time, gains) for record in data.records))
-
-
-def _of_plant(loop: ClosedLoop, record: Record, sample_time: float, gains: Mapping[str, float]) -> Record:
-    controller = loop.controller_model(gains)
-    heard = record.outputs[:, list(loop.measured)]
-    w = record.inputs if record.inputs.size else np.zeros((record.n_samples, 1))
-    if loop.injected == "set point":
-        heard = heard - w
-    own: FloatArray = controller.simulate(heard, sample_time, intersample="foh" if controller.dt is None else "zoh")
-    return replace(record, inputs=own if loop.injected == "set point" else own + w)
+    controller, records = loop.controller_model(gains), []
+    set_point = loop.injected == "set point"
+    for record in data.records:
+        measured = record.outputs[:, list(loop.measured)]
+        w = record.inputs if record.inputs.size else np.zeros((record.n_samples, 1))
+        hold = "foh" if controller.dt is None else "zoh"
+        r = controller.simulate(measured - w if set_point else measured, data.sample_time, intersample=hold)
+        records.append(replace(record, inputs=r if set_point else r + w))
+    return replace(data, records=tuple(records))
 
 
 # ---- Start values of any linear structure from its data: a subspace estimate, matched to the structure.
@@ -411,39 +387,32 @@ def subspace_start(
     holds = check_holds(intersample, predictor.n_inputs)
     decays = not any(moves(r.inputs).any() for r in data.records)
     records = [Record(r.name, r.inputs[:, :0], r.outputs) for r in data.records] if decays else data.records
-    found = black_box(records, predictor.n_states, feedthrough=not decays and _acts_at_once(structure, holds))
-    target = _target(found, data, holds, decays)
+    _, m = symbolic_matrices(structure)
+    at_once = "foh" in holds or m.D.nnz() > 0  # inputs act on the outputs of the same sample
+    model = black_box(records, predictor.n_states, feedthrough=not decays and at_once)
+    target = _target(model, data, holds, decays)
     bounds = np.array([(q.lower, q.upper) for q in free], float).reshape(-1, 2)
-    starts = _draw(free, bounds, _delay_names(structure), target, data.sample_time, seed)
+    starts = _draw(free, bounds, {symbol.name() for symbol in ca.symvar(m.delay)}, target, data.sample_time, seed)
     best = match(predictor, target, starts, bounds[:, 0], bounds[:, 1])
     values = {q.name: float(v) for q, v in zip(free, best.theta, strict=True)}
     unused = {name: float(np.clip(0.0, known[name].lower, known[name].upper)) for name in predictor.unused}
-    return SubspaceStart({**unused, **values}, len(found.A), found.lags, min(best.misfit, 1.0))
+    return SubspaceStart({**unused, **values}, len(model.A), model.lags, min(best.misfit, 1.0))
 
 
-def _acts_at_once(structure: Structure, holds: Sequence[Hold]) -> bool:
-    """Return whether inputs act on the outputs of the same sample: by a feedthrough, or by a straight line to it."""
-    return "foh" in holds or symbolic_matrices(structure)[1].D.nnz() > 0
-
-
-def _delay_names(structure: Structure) -> set[str]:
-    return {symbol.name() for symbol in ca.symvar(symbolic_matrices(structure)[1].delay)}
-
-
-def _target(found: BlackBox, data: FitData, holds: Sequence[Hold], decays: bool) -> Target:
+def _target(model: BlackBox, data: FitData, holds: Sequence[Hold], decays: bool) -> Target:
     h = data.sample_time
-    values, vectors = np.linalg.eig(found.A.astype(complex))
+    values, vectors = np.linalg.eig(model.A.astype(complex))
     with np.errstate(divide="ignore"):
         poles = np.log(values) / h
     poles = np.where(np.isfinite(poles), poles, -np.pi / h)  # a pole at zero: faster than the samples
     f = _frequencies(poles, data)
     s = 2j * np.pi * f
     if decays:
-        amplitudes = np.linalg.solve(vectors, found.first_states.T)
-        response = np.einsum("yn,fn,nr->fyr", found.C @ vectors, 1 / (s[:, None] - poles), amplitudes)
+        amplitudes = np.linalg.solve(vectors, model.first_states.T)
+        response = np.einsum("yn,fn,nr->fyr", model.C @ vectors, 1 / (s[:, None] - poles), amplitudes)
         std = np.zeros(response.shape)
     else:
-        response, std = found.response(np.exp(s * h))
+        response, std = model.response(np.exp(s * h))
         held = hold_response(f * h, holds)[:, None, :]
         response, std = response / held, std / np.abs(held)
     size = np.sqrt((np.abs(response) ** 2).mean(0, keepdims=True))
@@ -471,9 +440,9 @@ def _draw(
     random = np.random.default_rng(seed)
     lower, upper = bounds.T
     stated = np.array([np.nan if q.start is None else q.start for q in free], float)
-    late = np.array([q.name in delays for q in free], bool)
-    low = np.where(late, np.maximum(lower, 0.0), lower)
-    high = np.where(late, np.minimum(upper, _LONGEST_DELAY * sample_time), upper)
+    is_delay = np.array([q.name in delays for q in free], bool)
+    low = np.where(is_delay, np.maximum(lower, 0.0), lower)
+    high = np.where(is_delay, np.minimum(upper, _LONGEST_DELAY * sample_time), upper)
     between = np.isfinite(low) & np.isfinite(high)
     low, high = np.where(between, low, 0.0), np.where(between, high, 1.0)
     scale = np.where(np.isfinite(stated) & (stated != 0), np.abs(stated), 1.0)
@@ -481,9 +450,7 @@ def _draw(
     first = np.where(between, 0.5 * (low + high), np.where(upper <= 0, -1.0, 1.0))
     yield np.clip(np.where(np.isfinite(stated), stated, first), lower, upper)
     for _ in range(_STARTS - 1):
-        powers = rate ** random.choice(
-            [0, 1, 2], len(scale)
-        )  # a damping has the size of the rate, a stiffness its square
+        powers = rate ** random.choice([0, 1, 2], len(scale))  # a damping is like the rate, a stiffness like its square
         size = np.where(random.random(len(scale)) < 0.5, scale, powers)
         size = size * 10.0 ** random.uniform(-_DECADES, _DECADES, len(scale))
         sign = np.where(lower >= 0, 1.0, np.where(upper <= 0, -1.0, random.choice([-1.0, 1.0], len(scale))))
@@ -519,7 +486,7 @@ def begin_values(
     parameters: Sequence[Parameter],
     data: FitData,
     intersample: Hold | Sequence[Hold],
-    asked: Set[str],
+    given: Set[str],
     *,
     from_data: bool,
 ) -> Begin:
@@ -535,7 +502,7 @@ def begin_values(
         Data of the fit.
     intersample : {"zoh", "foh"} or sequence of these
         Hold of the inputs.
-    asked : set of str
+    given : set of str
         Parameters whose value comes from the caller.
     from_data : bool
         Whether all start values are found in the data, also those that are stated.
@@ -550,48 +517,48 @@ def begin_values(
         When start values are missing and cannot be found in the data.
     """
     if kind_of(structure).plant is not structure:
-        return _of_loop(structure, parameters, data, asked, from_data=from_data)
+        return _of_loop(structure, parameters, data, given, from_data=from_data)
     stated = {q.name: q.start for q in parameters if q.start is not None and (q.fixed or not from_data)}
     notes: tuple[str, ...] = ()
     missing = [q.name for q in parameters if q.name not in stated]
-    if missing and not has_own_method(structure) and hasattr(structure, "matrices"):
-        own: Any = structure if data.input_names else kind_of(structure).without_inputs()
-        found = subspace_start(own, data, parameters, intersample)
-        values = {**found.values, **stated}
-        notes = (_note(found, missing),)
+    unknown = start_values.dispatch(type(structure)) is start_values.dispatch(object)
+    if missing and unknown and hasattr(structure, "matrices"):
+        driven: Any = structure if data.input_names else kind_of(structure).without_inputs()
+        start = subspace_start(driven, data, parameters, intersample)
+        values = {**start.values, **stated}
+        notes = (_note(start, missing),)
     else:
         values = start_values(structure, data, stated)
     within = {
         q.name: values[q.name] if q.name in stated else float(np.clip(values[q.name], q.lower, q.upper))
         for q in parameters
     }
-    given = {name: "user" if name in asked else "structure" for name in stated}
-    return Begin(within, {q.name: given.get(q.name, "data") for q in parameters}, notes)
+    origin = {name: "user" if name in given else "structure" for name in stated}
+    return Begin(within, {q.name: origin.get(q.name, "data") for q in parameters}, notes)
 
 
 def _of_loop(
-    loop: ClosedLoop, parameters: Sequence[Parameter], data: FitData, asked: Set[str], *, from_data: bool
+    loop: ClosedLoop, parameters: Sequence[Parameter], data: FitData, given: Set[str], *, from_data: bool
 ) -> Begin:
     """Return the start values of a loop: those of its plant, whose inputs are known from what the controller did."""
-    own = {gain.name for gain in loop.gains}
-    gains = {q.name: q.start for q in parameters if q.name in own and q.start is not None}
-    missing = [name for name in own if name not in gains]
-    if missing:
-        raise UsageError(f"{loop.name}: no start value for {', '.join(sorted(missing))}; give each a start")
-    rest = [q for q in parameters if q.name not in own]
+    names = {gain.name for gain in loop.gains}
+    gains = {q.name: q.start for q in parameters if q.name in names and q.start is not None}
+    if missing := sorted(names - gains.keys()):
+        raise UsageError(f"{loop.name}: no start value for {', '.join(missing)}; give each a start")
+    rest = [q for q in parameters if q.name not in names]
     plant = loop.structure
     if from_data or any(q.start is None for q in rest):
         data = plant_data(loop, data, gains)
-    begin = begin_values(plant, rest, data, plant.intersample, asked, from_data=from_data)
-    origin = {name: "user" if name in asked else "structure" for name in gains}
+    begin = begin_values(plant, rest, data, plant.intersample, given, from_data=from_data)
+    origin = {name: "user" if name in given else "structure" for name in gains}
     return Begin({**begin.values, **gains}, {**begin.origin, **origin}, begin.notes)
 
 
-def _note(found: SubspaceStart, missing: Sequence[str]) -> str:
+def _note(start: SubspaceStart, missing: Sequence[str]) -> str:
     listed = ", ".join(missing) if len(missing) <= 8 else f"{len(missing)} parameters"
     note = (
-        f"start values of {listed}: from the data, by a subspace model with {found.order} states; the structure "
-        f"explains {100 * (1 - found.misfit):.1f} % of its response"
+        f"start values of {listed}: from the data, by a subspace model with {start.order} states; the structure "
+        f"explains {100 * (1 - start.misfit):.1f} % of its response"
     )
-    doubt = "; that is little: try fit_multistart" if found.misfit > _POOR else ""
+    doubt = "; that is little: try fit_multistart" if start.misfit > _POOR else ""
     return FitNote.STARTS_FROM_DATA(f"{note}{doubt}")
