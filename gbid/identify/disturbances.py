@@ -7,15 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 from numpy.polynomial import legendre
 
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.core.errors import UsageError
-from gbid.discretise import Dual
 from gbid.identify.options import FitOptions, TrendName
-from gbid.structure import LinearModel, Matrices, NonlinearModel, Parameter
+from gbid.structure import LinearModel, NonlinearModel, Parameter
 
 
 @dataclass(frozen=True)
@@ -87,20 +85,17 @@ class Disturbances:
     @cached_property
     def terms(self) -> tuple[Term, ...]:
         """Coefficients of polynomials and sinusoids: those of the first power of all outputs, then of the next."""
-        found = [
+        terms = [
             Term(f"trend{power}_{name}" if power else f"offset_{name}", output, power, power)
             for power in range(self.n_polynomials)
             for output, (name, trend) in enumerate(zip(self.outputs, self.trends, strict=True))
             if power < trend.n_terms
         ]
-        for i, frequency in enumerate(self.hum):
+        for k, frequency in enumerate(self.hum):
             for j, part in enumerate(("cos", "sin")):
-                column = self.n_polynomials + 2 * i + j
-                found += [
-                    Term(f"hum{frequency:.10g}_{part}_{name}", output, column)
-                    for output, name in enumerate(self.outputs)
-                ]
-        return tuple(found)
+                column = self.n_polynomials + 2 * k + j
+                terms += [Term(f"hum{frequency:.10g}_{part}_{name}", i, column) for i, name in enumerate(self.outputs)]
+        return tuple(terms)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -142,17 +137,15 @@ class Disturbances:
 
     def matrix(self, coefficients: FloatArray) -> FloatArray:
         """Return the matrix from regressors to outputs, (..., n_outputs, n_columns), for coefficients of `terms`."""
-        found = np.zeros((*coefficients.shape[:-1], len(self.outputs), self.n_columns))
-        found[(..., *self.places)] = coefficients
-        return found
+        matrix = np.zeros((*coefficients.shape[:-1], len(self.outputs), self.n_columns))
+        matrix[(..., *self.places)] = coefficients
+        return matrix
 
     @cached_property
     def places(self) -> tuple[IntArray, IntArray]:
         """Rows and columns of `terms` in `matrix`."""
-        return (
-            np.array([term.output for term in self.terms], dtype=np.int64),
-            np.array([term.column for term in self.terms], dtype=np.int64),
-        )
+        rows, columns = np.array([(term.output, term.column) for term in self.terms], np.int64).reshape(-1, 2).T
+        return rows, columns
 
     def closest(self, outputs: FloatArray, columns: FloatArray) -> FloatArray:
         """Return the matrix of the coefficients with the smallest squares, (n_outputs, n_columns).
@@ -165,12 +158,22 @@ class Disturbances:
             Regressors at these samples.
         """
         size = np.maximum(np.abs(columns).max(axis=0, initial=0.0), np.finfo(float).tiny)
-        found = np.zeros((outputs.shape[1], self.n_columns))
-        for output in range(outputs.shape[1]):
-            own = self.places[1][self.places[0] == output]
-            scaled = columns[:, own] / size[own]
-            found[output, own] = np.linalg.lstsq(scaled, outputs[:, output], rcond=None)[0] / size[own]
-        return found
+        matrix, (rows, of_terms) = np.zeros((outputs.shape[1], self.n_columns)), self.places
+        for i, output in enumerate(outputs.T):
+            chosen = of_terms[rows == i]
+            scaled = columns[:, chosen] / size[chosen]
+            matrix[i, chosen] = np.linalg.lstsq(scaled, output, rcond=None)[0] / size[chosen]
+        return matrix
+
+    def with_walks_as_states(
+        self, model: LinearModel | NonlinearModel, parameters: Mapping[str, float]
+    ) -> LinearModel | NonlinearModel:
+        """Return a model with one more state, the last ones, for each output whose offset is a random walk.
+
+        `parameters` are those of the fit, with the gains of the random walks. Without random walks it is the model.
+        """
+        gains = [parameters[self.gain_name(output)] for output in self.walking]
+        return model.with_integrators(list(self.walking), gains) if gains else model
 
     def regressors(self, n_samples: int, sample_time: float) -> FloatArray:
         """Return the regressors of a record, (n_samples, n_columns).
@@ -199,8 +202,8 @@ UNDISTURBED = Disturbances()
 
 # ---- Disturbances that the options of a fit ask for.
 
-"""Trend of an output: a word, or the degree of a polynomial."""
 TREND_WORDS = {"none": Trend(0), "offset": Trend(1), "linear": Trend(2), "random walk": Trend(0, random_walk=True)}
+"""Trends of an output by their words; a number is the degree of a polynomial."""
 
 
 def disturbances_of(options: FitOptions, outputs: tuple[str, ...], sample_time: float) -> Disturbances:
@@ -244,96 +247,3 @@ def disturbances_of(options: FitOptions, outputs: tuple[str, ...], sample_time: 
 
 def _trend(name: TrendName) -> Trend:
     return TREND_WORDS[name] if isinstance(name, str) else Trend(name + 1)
-
-
-# ---- Disturbances in the equations of a predictor: columns of known regressors, and states of random walks.
-
-
-def disturbing_columns(disturbances: Disturbances, theta: FloatArray) -> Dual:
-    """Return the matrix from the regressors to the outputs, whose coefficients are the last of the parameters.
-
-    Parameters
-    ----------
-    disturbances : Disturbances
-        Trends and hum.
-    theta : (..., n_p) array
-        Parameters of a predictor, at one point or several.
-
-    Returns
-    -------
-    Dual
-        (..., n_outputs, n_columns), with its derivatives by all parameters.
-    """
-    n_p, count = theta.shape[-1], len(disturbances.terms)
-    value = disturbances.matrix(theta[..., n_p - count :])
-    slope = np.zeros((n_p, *value.shape))
-    for i, (row, column) in enumerate(zip(*disturbances.places, strict=True)):
-        slope[n_p - count + i, ..., row, column] = 1.0
-    return Dual(value, slope)
-
-
-def with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Matrices:
-    """Return the matrices with one more state for each of these outputs: its offset, a random walk.
-
-    Parameters
-    ----------
-    m : Matrices
-        Matrices of a structure.
-    outputs : sequence of int
-        Outputs whose offset is a random walk.
-    gains : casadi.SX
-        Gain of each of them from the error of its output [1/s]; empty when the offsets stay as they are.
-
-    Returns
-    -------
-    Matrices
-        ``db/dt = gain e`` for each offset b, and ``y = C x + D u + b + e``.
-    """
-    if not outputs:
-        return m
-    n_u, n_y, added = m.B.shape[1], m.C.shape[0], len(outputs)
-    onto = ca.SX(n_y, added)
-    for column, output in enumerate(outputs):
-        onto[output, column] = 1
-    still = ca.SX(added, n_u)
-    feedback = m.feedback
-    if feedback is not None:
-        drive = ca.vertcat(feedback.law.drive, ca.SX(added, feedback.law.drive.shape[1]))
-        feedback = feedback._replace(law=feedback.law._replace(drive=drive))
-    return m._replace(
-        A=ca.diagcat(m.A, ca.SX(added, added)),
-        B=ca.vertcat(m.B, still),
-        C=ca.horzcat(m.C, onto),
-        K=ca.vertcat(m.K, ca.diag(gains) @ onto.T if gains.numel() else ca.SX(added, n_y)),
-        B_delayed=ca.vertcat(m.B_delayed, still),
-        x0=ca.vertcat(m.x0, ca.SX(added, 1)) if m.x0.numel() else m.x0,
-        feedback=feedback,
-    )
-
-
-# ---- Model with the random walks of its outputs as states, for predictions.
-
-
-def with_walking_offsets(
-    model: LinearModel | NonlinearModel, disturbances: Disturbances, parameters: Mapping[str, float]
-) -> LinearModel | NonlinearModel:
-    """Return a model with one more state for each output whose offset is a random walk.
-
-    Parameters
-    ----------
-    model : LinearModel or NonlinearModel
-        Fitted model in continuous time.
-    disturbances : Disturbances
-        Disturbances of the fit.
-    parameters : dict of str to float
-        Parameters of the fit, with the gains of the random walks.
-
-    Returns
-    -------
-    LinearModel or NonlinearModel
-        Its last states are the offsets. Without random walks it is the model itself.
-    """
-    walking = list(disturbances.walking)
-    if not walking:
-        return model
-    return model.with_integrators(walking, [parameters[disturbances.gain_name(output)] for output in walking])

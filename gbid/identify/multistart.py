@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -127,18 +127,18 @@ def fit_multistart(
         raise UsageError(f"starts = {starts!r}; give a whole number of at least 1")
     if not isinstance(reach, float | int | np.number) or not 0 < reach < np.inf:
         raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")
-    asked = FitArguments(**options)
-    first = fitted(structure, recordings, asked)
+    arguments = FitArguments(**options)
+    first = fitted(structure, recordings, arguments)
     results = {0: first}
     searched = not kind_of(structure).nonlinear  # start values are found in the data for linear ones only
     if starts > 1 and searched and "data" not in first.start_origin.values():
         with suppress(DataError):  # the recordings may not suffice for that
-            results[1] = fitted(structure, recordings, replace(asked, start="data"))
+            results[1] = fitted(structure, recordings, replace(arguments, start="data"))
     rng = np.random.default_rng(seed)
-    start = {} if isinstance(asked.start, str) else asked.start or {}
-    fixed, bounds = asked.fixed or {}, asked.bounds or {}
-    own = first.own_names
-    centres = {own.get(name, name): first.start[name] for name in first.free}  # one draw for all values of a local one
+    start = {} if isinstance(arguments.start, str) else arguments.start or {}
+    fixed, bounds = arguments.fixed or {}, arguments.bounds or {}
+    short = first.own_names
+    centres = {short.get(name, name): first.start[name] for name in first.free}  # one draw for all of a local one
     for number in range(len(results), starts):
         drawn = dict(start)
         for q in structure.parameters:
@@ -150,30 +150,22 @@ def fit_multistart(
             low, high = (lower, upper) if np.isfinite([lower, upper]).all() else (centre - half, centre + half)
             drawn[q.name] = float(np.clip(rng.uniform(low, high), lower, upper))
         with suppress(NoValueAtStartError):
-            results[number] = fitted(structure, recordings, replace(asked, start=drawn))
+            results[number] = fitted(structure, recordings, replace(arguments, start=drawn))
     return _summary(results, starts, seed)
 
 
-def _summary(found: Mapping[int, FitResult], starts: int, seed: int) -> MultiStart:
+def _summary(results: Mapping[int, FitResult], starts: int, seed: int) -> MultiStart:
     """Return the results of numbered starts; those that are missing had no finite value."""
-    losses = np.array([found[i].loss if i in found else np.nan for i in range(starts)])
-    converged = np.array([i in found and found[i].success for i in range(starts)])
+    losses = np.array([results[i].loss if i in results else np.nan for i in range(starts)])
+    converged = np.array([i in results and results[i].success for i in range(starts)])
     finite = np.isfinite(losses)
-    best = found[int(np.argmin(np.where(finite, losses, np.inf)))]
+    best = results[int(np.argmin(np.where(finite, losses, np.inf)))]
     good = losses[converged & finite]
     same = int((np.abs(losses[finite] - best.loss) <= _SAME_LOSS * abs(best.loss)).sum())
     spread = float(good.max() / good.min()) if len(good) else np.inf
-    numbers = list(found)
-    minima = tuple(replace(m, starts=tuple(numbers[i] for i in m.starts)) for m in distinct_minima([*found.values()]))
-    tried = StartsTried(
-        starts,
-        seed,
-        int(converged.sum()),
-        same,
-        spread,
-        tuple(m.loss for m in minima),
-        tuple(len(m.starts) for m in minima),
-    )
+    minima = distinct_minima(results)
+    counts = tuple(m.loss for m in minima), tuple(len(m.starts) for m in minima)
+    tried = StartsTried(starts, seed, int(converged.sum()), same, spread, *counts)
     if not best.success and starts > 1:
         others = f"the smallest loss of a converged one is {good.min():.6g}" if len(good) else "none converged"
         note = f"this fit has the smallest loss of {starts} starts, but did not converge; {others}"
@@ -181,23 +173,22 @@ def _summary(found: Mapping[int, FitResult], starts: int, seed: int) -> MultiSta
     return MultiStart(replace(best, multi_start=tried), losses, converged, same, spread, minima)
 
 
-def distinct_minima(results: Sequence[FitResult]) -> tuple[Minimum, ...]:
+def distinct_minima(results: Mapping[int, FitResult]) -> tuple[Minimum, ...]:
     """Return the distinct points at which fits of one structure to the same data ended, by rising loss.
 
     Parameters
     ----------
-    results : sequence of FitResult
-        Fits from different starts, in the order of the starts.
+    results : dict of int to FitResult
+        Fits by the number of their start.
 
     Returns
     -------
     tuple of Minimum
         Ends of the fits that converged, and the end of the fit with the smallest loss. Fits that ended close to one of
-        these are counted there, whatever their status.
+        these are counted with it, whatever their status.
     """
-    order = [int(i) for i in np.argsort([r.loss for r in results], kind="stable") if np.isfinite(results[i].loss)]
     groups: list[list[int]] = []
-    for i in order:
+    for i in sorted((i for i, r in results.items() if np.isfinite(r.loss)), key=lambda i: results[i].loss):
         near = next((group for group in groups if _same_point(results[group[0]], results[i])), None)
         if near is None:
             groups.append([i])

@@ -14,9 +14,9 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.discretise import Dual, Hold, check_holds, constant, delayed_taps, discretise, side_by_side
-from gbid.identify.disturbances import UNDISTURBED, Disturbances, disturbing_columns, with_random_walks
+from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
-from gbid.structure import Parameter, Structure, kind_of, symbolic_matrices
+from gbid.structure import Matrices, Parameter, Structure, kind_of, symbolic_matrices
 from gbid.structure.linear import ControlLaw, HeldFeedback, LoopParts
 
 # ---- What every predictor has, linear or not: free parameters, sizes, and regressors from the samples of a record.
@@ -256,7 +256,7 @@ class Predictor(GeneralPredictor):
             shift.append(taps.shift)
         if self.disturbances.n_columns:
             drives.append(constant(np.zeros((n, self.disturbances.n_columns)), n_p))
-            feeds.append(disturbing_columns(self.disturbances, theta))
+            feeds.append(self._disturbing_columns(theta))
         held = now.columns(slice(len(prompt), None))
         plant = LoopParts(F, side_by_side(drives), C, side_by_side(feeds), held)
         if self.feedback is None:
@@ -273,6 +273,15 @@ class Predictor(GeneralPredictor):
         return _WithoutErrors(
             F.rows(order).columns(order), drive.rows(order), C.columns(order), feed, Kd.rows(order), x0, shift
         )
+
+    def _disturbing_columns(self, theta: FloatArray) -> Dual:
+        """Return the matrix from the regressors of disturbances to the outputs: the last of the parameters."""
+        n_p, count = theta.shape[-1], len(self.disturbances.terms)
+        value = self.disturbances.matrix(theta[..., n_p - count :])
+        slope = np.zeros((n_p, *value.shape))
+        for i, (row, column) in enumerate(zip(*self.disturbances.places, strict=True)):
+            slope[n_p - count + i, ..., row, column] = 1.0
+        return Dual(value, slope)
 
     def matrices(self, theta: FloatArray) -> list[Dual]:
         """Return the matrices of the structure with their derivatives, as in `Matrices`.
@@ -371,10 +380,10 @@ def build_predictor(
     a further state that only the error drives. An initial state x0 acts like an impulse at the first sample, with the
     column ``Ad x0`` onto the state and ``C x0`` onto the outputs.
     """
-    p, own = symbolic_matrices(structure)
+    p, stated = symbolic_matrices(structure)
     gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
     gain_symbols = ca.vertcat(*(ca.SX.sym(q.name) for q in gains)) if gains else ca.SX(0, 1)
-    m = with_random_walks(own, disturbances.walking, gain_symbols)
+    m = _with_random_walks(stated, disturbances.walking, gain_symbols)
     holds = check_holds(intersample, m.B.shape[1])
     if m.feedback is not None:
         m.feedback.refuse_other_data(structure.name, holds, sample_time)
@@ -393,7 +402,7 @@ def build_predictor(
     if constants:
         known, numbers = zip(*constants, strict=True)
         matrices = ca.substitute(matrices, [ca.vertcat(*known)], [ca.vertcat(*numbers)])
-    matrices[7] = ca.diag(ca.DM([float(own) for own in released] + [0.0] * (n_all - len(released)))) @ matrices[7]
+    matrices[7] = ca.diag(ca.DM([float(each) for each in released] + [0.0] * (n_all - len(released)))) @ matrices[7]
     delayed = tuple(_driven(m.B_delayed)) if m.has_delay else ()
     matrices[6] = matrices[6][list(delayed)] if delayed else ca.SX(0, 1)
     coefficients = [ca.SX.sym(term.name) for term in disturbances.terms]
@@ -456,3 +465,42 @@ def _with_zero_states(v: PredictorValues, count: int) -> PredictorValues:
 def _driven(matrix: ca.SX) -> list[int]:
     """Return the columns of a matrix that have entries."""
     return sorted(set(matrix.sparsity().get_triplet()[1]))
+
+
+def _with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Matrices:
+    """Return the matrices with one more state for each of these outputs: its offset, a random walk.
+
+    Parameters
+    ----------
+    m : Matrices
+        Matrices of a structure.
+    outputs : sequence of int
+        Outputs whose offset is a random walk.
+    gains : casadi.SX
+        Gain of each of them from the error of its output [1/s]; empty when the offsets stay as they are.
+
+    Returns
+    -------
+    Matrices
+        ``db/dt = gain e`` for each offset b, and ``y = C x + D u + b + e``.
+    """
+    if not outputs:
+        return m
+    n_u, n_y, added = m.B.shape[1], m.C.shape[0], len(outputs)
+    onto = ca.SX(n_y, added)
+    for column, output in enumerate(outputs):
+        onto[output, column] = 1
+    no_input = ca.SX(added, n_u)
+    feedback = m.feedback
+    if feedback is not None:
+        drive = ca.vertcat(feedback.law.drive, ca.SX(added, feedback.law.drive.shape[1]))
+        feedback = feedback._replace(law=feedback.law._replace(drive=drive))
+    return m._replace(
+        A=ca.diagcat(m.A, ca.SX(added, added)),
+        B=ca.vertcat(m.B, no_input),
+        C=ca.horzcat(m.C, onto),
+        K=ca.vertcat(m.K, ca.diag(gains) @ onto.T if gains.numel() else ca.SX(added, n_y)),
+        B_delayed=ca.vertcat(m.B_delayed, no_input),
+        x0=ca.vertcat(m.x0, ca.SX(added, 1)) if m.x0.numel() else m.x0,
+        feedback=feedback,
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -68,7 +68,7 @@ class RobustLoss:
 
 @dataclass(frozen=True)
 class WeightMoments:
-    """WeightMoments of the weights w over the distances d of p outputs.
+    """Moments of the weights w over the distances d of p outputs.
 
     Attributes
     ----------
@@ -114,8 +114,8 @@ def efficiency(loss: RobustLoss, n_outputs: int) -> float:
     if loss.kind == "student":  # its own scale, as the likelihood finds it
         for _ in range(100):
             scale *= loss.moments(squared / scale, n_outputs, density).power
-    found = loss.moments(squared / scale, n_outputs, density)
-    return found.curvature**2 / (found.scores * scale)
+    moments = loss.moments(squared / scale, n_outputs, density)
+    return moments.curvature**2 / (moments.scores * scale)
 
 
 def scale_of_huber(loss: RobustLoss, n_outputs: int) -> float:
@@ -153,7 +153,7 @@ class Reweighted:
     problem : Shooting
         The problem with weights.
     moments : WeightMoments
-        WeightMoments of the weights.
+        Moments of the weights.
     outlying : float
         Share of the samples that count less than half.
     """
@@ -217,12 +217,12 @@ def reweighted_solution(
         weighted = _with_weights(problem, weights)
         if np.abs(weights - before).max() < _SETTLED:
             break
-        found = run(solution.unknowns, weighted)
-        moved = (found.unknowns - solution.unknowns)[: problem.n_theta]
-        at_rest = float(np.linalg.norm(moved)) * np.sqrt(problem.likelihood_size) < _AT_REST
-        status = solution.status if at_rest else found.status  # where a round starts at its end, the solver is stuck
-        solution = replace(found, status=status, iterations=solution.iterations + found.iterations)
-        if at_rest or not found.status.success:
+        following = run(solution.unknowns, weighted)
+        step = (following.unknowns - solution.unknowns)[: problem.n_theta]
+        at_rest = float(np.linalg.norm(step)) * np.sqrt(problem.likelihood_size) < _AT_REST
+        status = solution.status if at_rest else following.status  # stuck where a round starts at its end
+        solution = replace(following, status=status, iterations=solution.iterations + following.iterations)
+        if at_rest or not following.status.success:
             break
     moments = loss.moments(squared[counted], rows.shape[1])
     return Reweighted(problem, weighted, moments, float((weights[counted] < 0.5).mean())), solution
@@ -231,15 +231,18 @@ def reweighted_solution(
 def _errors(problem: Shooting, unknowns: FloatArray) -> FloatArray:
     """Return the errors of all samples of all parts, (n, n_y); zero for samples that do not count."""
     theta, starts = problem.unpack(unknowns)
-    errors = problem.errors(problem.values(theta), starts)
-    rows = [part.blocks.by_segment(e) for part, e in zip(problem.parts, errors, strict=True)]
-    return np.concatenate([segment for part in rows for segment in part])
+    return _samples(problem, problem.errors(problem.values(theta), starts))
 
 
 def _counted(problem: Shooting) -> BoolArray:
     """Return which of these samples count, (n,)."""
-    rows = [part.blocks.by_segment(part.blocks.used[:, :, None]) for part in problem.parts]
-    return np.concatenate([segment[:, 0] > 0 for part in rows for segment in part])
+    return _samples(problem, [part.blocks.used[:, :, None] for part in problem.parts])[:, 0] > 0
+
+
+def _samples(problem: Shooting, blocks: Sequence[FloatArray]) -> FloatArray:
+    """Return values in the blocks of each part as rows of samples."""
+    parts = zip(problem.parts, blocks, strict=True)
+    return np.concatenate([rows for part, values in parts for rows in part.blocks.by_segment(values)])
 
 
 def _scale(rows: FloatArray, loss: RobustLoss, S: FloatArray | None) -> FloatArray:
@@ -263,11 +266,11 @@ def _distances(rows: FloatArray, S: FloatArray) -> FloatArray:
 
 def _with_weights(problem: Shooting, weights: FloatArray) -> Shooting:
     """Return the problem with weights of its samples, in the order of `_errors`."""
-    parts, at = [], 0
+    parts, rest = [], weights
     for part in problem.parts:
-        own = []
-        for like in part.blocks.by_segment(part.blocks.used[:, :, None]):
-            own.append(weights[at : at + len(like)])
-            at += len(like)
-        parts.append(replace(part, blocks=reweighted(part.blocks, own)))
+        of_part = []
+        for segment in part.blocks.by_segment(part.blocks.used[:, :, None]):
+            of_segment, rest = np.split(rest, [len(segment)])
+            of_part.append(of_segment)
+        parts.append(replace(part, blocks=reweighted(part.blocks, of_part)))
     return replace(problem, parts=tuple(parts))

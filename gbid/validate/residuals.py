@@ -15,7 +15,6 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import Pictured
 from gbid.identify import FitResult, correlation, select, whiteness_test
-from gbid.identify.disturbances import with_walking_offsets
 from gbid.prefilter.runout import turns_per_second
 from gbid.prefilter.runout_identification import power_of
 from gbid.recording import Recording
@@ -231,7 +230,7 @@ def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple
         predicted = fitted.run(u.T, state).T
         y = y - fitted.disturbed((y - predicted).T).T
         if result.options.focus == "prediction":
-            model = with_walking_offsets(model, disturbances, result.parameters)
+            model = disturbances.with_walks_as_states(model, result.parameters)
             state = np.concatenate([state, np.zeros(len(disturbances.walking))])
             predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
     if not np.isfinite(predicted).all():

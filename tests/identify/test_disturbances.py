@@ -7,7 +7,7 @@ from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, innovations, levels, si
 import gbid
 from gbid.core.errors import UsageError
 from gbid.identify import FitOptions, fit
-from gbid.identify.disturbances import Disturbances, Trend, disturbances_of, with_walking_offsets
+from gbid.identify.disturbances import Disturbances, Trend, disturbances_of
 from gbid.structure import evaluate
 
 N = 1500
@@ -109,7 +109,7 @@ def test_random_walks_do_not_spoil_the_standard_deviations():
 def test_the_walking_model_predicts_as_the_fit_did():
     rec = walking(5, 0.02, n=1200)
     result = fit(MODE, rec, trend="random walk", window=None)
-    model = with_walking_offsets(result.model, result.disturbances, result.parameters)
+    model = result.disturbances.with_walks_as_states(result.model, result.parameters)
     assert model.n_states == 3
     first = [*result.initial_states[0], 2.0]
     error = rec.signal("y") - model.predict(rec.signal("u"), rec.signal("y"), H, initial_state=first)
@@ -119,7 +119,8 @@ def test_the_walking_model_predicts_as_the_fit_did():
 
 def test_the_walking_model_keeps_delays():
     delayed = gbid.LinearModel([[-2.0]], [[0.0]], [[1.0]], [[0.0]], B_delayed=[[2.0]], delay=[0.3])
-    model = with_walking_offsets(delayed, disturbances_of(FitOptions(trend="random walk"), ("y",), H), {"walk_y": 0.1})
+    walk = disturbances_of(FitOptions(trend="random walk"), ("y",), H)
+    model = walk.with_walks_as_states(delayed, {"walk_y": 0.1})
     np.testing.assert_array_equal(model.B_delayed, [[2.0], [0.0]])
     u = levels(200)
     np.testing.assert_allclose(model.simulate(u, H), delayed.simulate(u, H), atol=1e-12)

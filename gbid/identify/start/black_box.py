@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -133,9 +135,8 @@ def black_box(records: Sequence[Record], order: int, *, feedthrough: bool, lags:
     scale_u = np.concatenate([r.inputs for r in records]).std(0)
     scale_u = np.where(scale_u > 0, scale_u, 1.0)
     scaled = [(r.outputs[:_ENOUGH] / scale_y, r.inputs[:_ENOUGH] / scale_u) for r in records]
-    tried = {p: _regress(scaled, p, most, feedthrough) for p in ([lags] if lags else _lag_choices(least, most))}
-    found = min(tried.values(), key=lambda each: each.criterion)
-    return _states(scaled, found, order, (scale_y, scale_u))
+    tried = [_regress(scaled, p, most, feedthrough) for p in ([lags] if lags else _lag_choices(least, most))]
+    return _states(scaled, min(tried, key=lambda each: each.criterion), order, (scale_y, scale_u))
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,20 +150,15 @@ class _Regression:
 
 
 def _lag_choices(least: int, most: int) -> list[int]:
-    choices = {most}
-    p = least
-    while p < most:
-        choices.add(p)
-        p = max(p + 1, int(1.6 * p))
-    return sorted(choices)
+    choices = [least]
+    while choices[-1] < most:
+        choices.append(min(max(choices[-1] + 1, int(1.6 * choices[-1])), most))
+    return choices
 
 
 def _past(y: FloatArray, u: FloatArray, lags: int, first: int, last: int) -> FloatArray:
     """Return the past outputs and inputs of the samples `first` to `last - 1`, by lag."""
-    parts = [y[first - i : last - i] for i in range(1, lags + 1)] + [
-        u[first - i : last - i] for i in range(1, lags + 1)
-    ]
-    return np.hstack(parts)
+    return np.hstack([signal[first - i : last - i] for signal in (y, u) for i in range(1, lags + 1)])
 
 
 def _regress(scaled: Sequence[tuple[FloatArray, FloatArray]], lags: int, skip: int, feedthrough: bool) -> _Regression:
@@ -182,8 +178,8 @@ def _regress(scaled: Sequence[tuple[FloatArray, FloatArray]], lags: int, skip: i
     noise = left.T @ left / max(n - int(keep.sum()), 1)
     _, log_det = np.linalg.slogdet(noise + 1e-24 * np.eye(Y.shape[1]))
     criterion = n * float(log_det) + 2 * int(keep.sum()) * Y.shape[1]
-    own = X.shape[1] - constants.shape[1]
-    return _Regression(lags, coefficients[:own], (pseudo @ pseudo.T)[:own, :own], noise, R[:, : Z.shape[1]], criterion)
+    n_z = X.shape[1] - constants.shape[1]
+    return _Regression(lags, coefficients[:n_z], (pseudo @ pseudo.T)[:n_z, :n_z], noise, R[:, : Z.shape[1]], criterion)
 
 
 def _constants(scaled: Sequence[tuple[FloatArray, FloatArray]], skip: int) -> FloatArray:
@@ -196,23 +192,23 @@ def _constants(scaled: Sequence[tuple[FloatArray, FloatArray]], skip: int) -> Fl
 
 def _states(
     scaled: Sequence[tuple[FloatArray, FloatArray]],
-    found: _Regression,
+    regression: _Regression,
     order: int,
     scales: tuple[FloatArray, FloatArray],
 ) -> BlackBox:
     """Return states, state matrix and output matrix from the Markov parameters of the predictor."""
-    p, (scale_y, scale_u) = found.lags, scales
+    p, (scale_y, scale_u) = regression.lags, scales
     n_y, n_u = len(scale_y), len(scale_u)
-    auto = found.coefficients[: p * n_y].T.reshape(n_y, p, n_y).transpose(1, 0, 2)
-    cross = found.coefficients[p * n_y : p * (n_y + n_u)].T.reshape(n_y, p, n_u).transpose(1, 0, 2)
-    direct = found.coefficients[p * (n_y + n_u) :].T if len(found.coefficients) > p * (n_y + n_u) else None
+    auto = regression.coefficients[: p * n_y].T.reshape(n_y, p, n_y).transpose(1, 0, 2)
+    cross = regression.coefficients[p * n_y : p * (n_y + n_u)].T.reshape(n_y, p, n_u).transpose(1, 0, 2)
+    direct = regression.coefficients[p * (n_y + n_u) :].T if len(regression.coefficients) > p * (n_y + n_u) else None
     D = np.zeros((n_y, n_u)) if direct is None else direct
     blocks = np.zeros((p, n_y, p * (n_y + n_u)))
     for i in range(p):
         blocks[i, :, : (p - i) * n_y] = auto[i:].transpose(1, 0, 2).reshape(n_y, -1)
         blocks[i, :, p * n_y : p * n_y + (p - i) * n_u] = cross[i:].transpose(1, 0, 2).reshape(n_y, -1)
     H = blocks.reshape(p * n_y, -1)
-    U, S, _ = np.linalg.svd(H @ found.triangle.T, full_matrices=False)
+    U, S, _ = np.linalg.svd(H @ regression.triangle.T, full_matrices=False)
     n = min(order, int((1e-12 * S[0] < S).sum()))
     project = (U[:, :n] / np.sqrt(S[:n])).T @ H
     states = [_past(y, u, p, p, len(y)) @ project.T for y, u in scaled]
@@ -231,8 +227,8 @@ def _states(
         auto=auto * scale_y[:, None] / scale_y,
         cross=cross * scale_y[:, None] / scale_u,
         direct=D * scale_y[:, None] / scale_u,
-        regression=found.inverse / np.outer(size, size),
-        noise=found.noise * np.outer(scale_y, scale_y),
+        regression=regression.inverse / np.outer(size, size),
+        noise=regression.noise * np.outer(scale_y, scale_y),
         A=A,
         C=C * scale_y[:, None],
         first_states=np.array([x[0] for x in states]),
@@ -316,14 +312,14 @@ def match(
     off, where the response has a local minimum at each of them. The second stage minimises the difference itself.
     For free decays ``B`` is replaced by the initial states, which enter linearly and are eliminated.
     """
-    found: list[Match] = []
+    matches: list[Match] = []
     for start in starts:
         rough = _solve(predictor, target, start, lower, upper, True, 60)
-        found.append(_solve(predictor, target, rough.theta, lower, upper, False, 100))
-        least = min(each.misfit for each in found)
-        if least < _POOR and sum(each.misfit <= least * (1 + _SAME) + 1e-9 for each in found) >= _AGREEING:
+        matches.append(_solve(predictor, target, rough.theta, lower, upper, False, 100))
+        least = min(each.misfit for each in matches)
+        if least < _POOR and sum(each.misfit <= least * (1 + _SAME) + 1e-9 for each in matches) >= _AGREEING:
             break
-    return min(found, key=lambda each: each.misfit)
+    return min(matches, key=lambda each: each.misfit)
 
 
 def _solve(
@@ -337,44 +333,32 @@ def _solve(
 ) -> Match:
     reference = np.linalg.norm(target.response * target.weight)
 
-    def both(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        value, slope = _residual(predictor, target, theta, equation)
+    @lru_cache(maxsize=1)  # the solver asks for value and slopes at one point in turn
+    def at(point: bytes) -> tuple[FloatArray, FloatArray]:
+        value, slope = _residual(predictor, target, np.frombuffer(point).copy(), equation)
         flat = np.concatenate([value.real.ravel(), value.imag.ravel()]) / reference
         jac = np.concatenate([slope.real.reshape(len(slope), -1), slope.imag.reshape(len(slope), -1)], 1).T / reference
         if not (np.isfinite(flat).all() and np.isfinite(jac).all()):
             return np.full(len(flat), _CAPPED), np.zeros(jac.shape)
         return flat, jac
 
-    last: dict[str, object] = {}
-
-    def function(theta: FloatArray) -> FloatArray:
-        last["theta"], (last["value"], last["slope"]) = theta.copy(), both(theta)
-        return last["value"]  # type: ignore[return-value]
-
-    def slope(theta: FloatArray) -> FloatArray:
-        if not np.array_equal(theta, last["theta"]):  # type: ignore[arg-type]
-            function(theta)
-        return last["slope"]  # type: ignore[return-value]
-
     inside = np.clip(start, lower, upper)
     width = np.where(np.isfinite(upper - lower), upper - lower, np.maximum(np.abs(inside), 1.0))
-    inside = np.clip(inside, lower + 1e-9 * width, upper - 1e-9 * width)
+    theta = np.clip(inside, lower + 1e-9 * width, upper - 1e-9 * width)
     with np.errstate(all="ignore"):
-        try:
-            found = scipy.optimize.least_squares(
-                function,
-                inside,
-                jac=slope,
+        with contextlib.suppress(np.linalg.LinAlgError, ValueError):
+            theta = scipy.optimize.least_squares(
+                lambda theta: at(theta.tobytes())[0],
+                theta,
+                jac=lambda theta: at(theta.tobytes())[1],
                 bounds=(lower, upper),
                 x_scale="jac",
                 max_nfev=steps,
                 xtol=1e-10,
                 ftol=1e-10,
             ).x
-        except (np.linalg.LinAlgError, ValueError):
-            found = inside
-        misfit = float(np.linalg.norm(both(found)[0]))
-    return Match(found, misfit if np.isfinite(misfit) else _CAPPED)
+        misfit = float(np.linalg.norm(at(theta.tobytes())[0]))
+    return Match(theta, misfit if np.isfinite(misfit) else _CAPPED)
 
 
 def _residual(
@@ -393,10 +377,10 @@ def _residual(
         drive = np.broadcast_to(B.value, (len(s), *B.shape)).astype(complex)
         d_drive = np.repeat(B.slope[:, None], len(s), 1).astype(complex)
         for k, i in enumerate(predictor.delayed):
-            late = np.exp(-s * delay.value[k, 0])
-            drive[:, :, i] += B_delayed.value[:, i] * late[:, None]
-            d_drive[..., i] += B_delayed.slope[:, None, :, i] * late[:, None]
-            d_drive[..., i] -= (s * late)[:, None] * B_delayed.value[:, i] * delay.slope[:, k, 0, None, None]
+            turn = np.exp(-s * delay.value[k, 0])
+            drive[:, :, i] += B_delayed.value[:, i] * turn[:, None]
+            d_drive[..., i] += B_delayed.slope[:, None, :, i] * turn[:, None]
+            d_drive[..., i] -= (s * turn)[:, None] * B_delayed.value[:, i] * delay.slope[:, k, 0, None, None]
         states = inverse @ drive
         value = left @ drive + D.value
         d_value = (
