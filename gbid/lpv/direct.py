@@ -349,15 +349,7 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
         progress=options.progress,
     )
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        assembly = assemble(
-            each[0].structure,
-            parameters,
-            begin,
-            data,
-            limits,
-            ties=ties,
-            own=each,
-        )
+        assembly = assemble(each, parameters, begin, data, limits, ties=ties)
         full = full_start(assembly, begin, gains.values)
         full |= dict(zip((q.name for q in ties.shared), shared.tolist(), strict=True))
         problem, unknowns = build_problem(assembly, data, limits, full)

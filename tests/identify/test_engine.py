@@ -24,7 +24,6 @@ from fit_cases import (
     simulated,
     smooth,
 )
-from nonlinear_cases import SAME, mass_recording
 from places import SUPPORT
 
 from gbid.core import compiled as compiling
@@ -82,32 +81,21 @@ CASES = {
 }
 
 
-def pieces_of(case, lengths, left_out=None):
-    structure, _, h, _, _ = CASES[case]
-    scale = 1e-6 if h == TS else 1.0
-    n_u, n_y = (1, 1) if structure is MODE else (2, 4 if structure is PLANT else 2)
-    pieces = []
-    for i, n in enumerate(lengths):
-        u = 4 * scale * smooth(n, n_u, seed=i)
-        y = scale * smooth(n, n_y, seed=30 + i)
-        counts = None
-        if left_out:
-            counts = np.ones(n)
-            counts[slice(*left_out)] = 0.0
-        pieces.append(Segment(u, y, counts))
-    return pieces
-
-
 def problem(case, lengths=(300,), window=50, left_out=None):
     structure, values, h, hold, more = CASES[case]
     more = dict(more)
     fixed = {name: values[name] for name in more.pop("fixed", ())}
     predictor = build_predictor(structure, fixed, h, hold, more.pop("focus", "prediction"), **more)
     theta = np.array([values.get(q.name, 0.1) for q in predictor.free])
-    blocks = cut(pieces_of(case, lengths, left_out), predictor, window)
-    scale = 1e-6 if h == TS else 1.0
+    scale, n_y = 1e-6 if h == TS else 1.0, predictor.n_outputs
+    pieces = []
+    for i, n in enumerate(lengths):
+        counts = np.ones(n)
+        counts[slice(*left_out or (0, 0))] = 0.0
+        inputs = 4 * scale * smooth(n, predictor.n_inputs, seed=i)
+        pieces.append(Segment(inputs, scale * smooth(n, n_y, seed=30 + i), None if counts.all() else counts))
+    blocks = cut(pieces, predictor, window)
     starts = scale * np.random.default_rng(5).normal(size=(blocks.n_windows, predictor.n_states))
-    n_y = predictor.n_outputs
     weight = (np.eye(n_y) + 0.3 * np.ones((n_y, n_y))) / scale**2
     return predictor, theta, blocks, starts, weight
 
@@ -302,15 +290,6 @@ def test_the_cache_folder_is_the_users_unless_named(fresh, tmp_path):
 
 
 # ---- machines without a compiler ----
-
-
-def test_without_a_compiler_nonlinear_structures_are_fitted(fresh, tmp_path):
-    fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
-    fresh.setenv("CC", "/nonexistent/cc")
-    recording = mass_recording(3, n=60)
-    result = fit(SAME["nonlinear"], recording, max_iterations=2)
-    assert result.engine == "numpy"
-    assert any("the slower portable pass was used" in note for note in result.notes)
 
 
 DATA = simulated(MODE, MODE_AT, levels(300), noise=0.3)

@@ -51,19 +51,9 @@ def by_hand(c, weight):
     """All sums by a loop over samples; state and sensitivities side by side."""
     v = c.predictor.at(c.theta)
     n, n_p, n_y = len(v.F), len(c.theta), len(v.C)
-    total = SimpleNamespace(
-        error_products=np.zeros((n_y, n_y)),
-        gradient=np.zeros(n_p),
-        hessian=np.zeros((n_p, n_p)),
-        gradient_start=[],
-        hessian_mixed=[],
-        hessian_start=[],
-        end=[],
-        end_theta=[],
-        end_start=[],
-        linked=[],
-        errors=[],
-    )
+    lists = ("gradient_start", "hessian_mixed", "hessian_start", "end", "end_theta", "end_start", "linked", "errors")
+    sums = {"error_products": np.zeros((n_y, n_y)), "gradient": np.zeros(n_p), "hessian": np.zeros((n_p, n_p))}
+    total = SimpleNamespace(**sums, **{name: [] for name in lists})
     for w, (z, y, follows) in enumerate(windows_of(c)):
         x, s, t = c.starts[w], np.zeros((n, n_p)), np.eye(n)
         g, m, h = np.zeros(n), np.zeros((n_p, n)), np.zeros((n, n))
@@ -80,15 +70,7 @@ def by_hand(c, weight):
             total.errors.append(e)
             s = v.F @ s + (v.dF @ x + v.dG @ zk).T
             x, t = v.F @ x + v.G @ zk, v.F @ t
-        for name, value in (
-            ("gradient_start", g),
-            ("hessian_mixed", m),
-            ("hessian_start", h),
-            ("end", x),
-            ("end_theta", s),
-            ("end_start", t),
-            ("linked", follows),
-        ):
+        for name, value in zip(lists, (g, m, h, x, s, t, follows), strict=False):
             getattr(total, name).append(value)
     return total
 

@@ -62,7 +62,7 @@ class LinearKernel(Kernel):
     ) -> list[Traced]:
         """Return the sums by window and by block for each weight; see `Kernel`."""
         powers = powers_of(v.F, blocks.length)
-        begin = self._begin(v, blocks, starts, powers[-1])
+        begin = self.begin(v, blocks, starts, powers[-1])
         passes = []
         for weight in weights:
             root = np.ascontiguousarray(np.linalg.cholesky(weight).T)  # W = root' root
@@ -72,13 +72,13 @@ class LinearKernel(Kernel):
             passes.append(Traced(begin, joined(blocks, sums, start_hessians(blocks, free), linked), linked, sums))
         return passes
 
-    def begin(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
-        """Return the state at the start of each block; see `Kernel`."""
-        return self._begin(v, blocks, starts, powers_of(v.F, blocks.length)[-1])
-
-    def _begin(self, v: PredictorValues, blocks: Blocks, starts: FloatArray, transition: FloatArray) -> FloatArray:
+    def begin(
+        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, transition: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the state at the start of each block, with the transition of a block if it is known; see `Kernel`."""
         if blocks.per_window == 1:
             return at_windows(blocks, starts)
+        transition = powers_of(v.F, blocks.length)[-1] if transition is None else transition
         ends = self.passed(v, blocks, np.zeros((len(v.F), len(blocks.size)))).end
         return along_windows(blocks, starts.T[:, :, None], ends[:, :, None], transition)[:, :, 0]
 
@@ -145,7 +145,7 @@ class LinearKernel(Kernel):
         transition: FloatArray,
     ) -> Backwards:
         """Run the model forwards and its adjoint backwards through the blocks of each window."""
-        prediction = self.passed(v, blocks, self._begin(v, blocks, starts, transition))
+        prediction = self.passed(v, blocks, self.begin(v, blocks, starts, transition))
         weighted = weight @ prediction.errors * blocks.used[:, :, None]
         at_end = np.zeros((len(v.F), len(blocks.size)))
         at_end[:, blocks.window_first + blocks.window_size - 1] = ends.T

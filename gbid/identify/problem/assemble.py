@@ -74,10 +74,6 @@ class Ties:
             return record, ()
         return sum(len(own) + 1 for own in self.edges[:record]), self.edges[record]
 
-    def own_names(self, record: str) -> dict[str, str]:
-        """Return the full names of the own unknowns of a record."""
-        return {q.name: f"{q.name}[{record}]" for q in self.own}
-
 
 def tie_of(
     predictor: GeneralPredictor, names: Mapping[str, str], position: Mapping[str, int], ties: Ties, piece: int
@@ -100,19 +96,15 @@ def tie_of(
     tuple of int
     (n_own, n_unknowns) array
     """
-    own = [q.name for q in predictor.free if q.name in names]
-    index = [position[q.name] for q in ties.shared] + [position[names[name]] for name in own]
-    index += [position[names[q.name]] for q in ties.own]
-    tie = np.zeros((len(predictor.free), len(index)))
-    n_shared, n_lift = len(ties.shared), len(ties.own)
-    for row, q in enumerate(predictor.free):
-        if q.name in names:
-            tie[row, n_shared + own.index(q.name)] = 1.0
-        else:
-            at = ties.names.index(q.name)
-            tie[row, :n_shared] = ties.maps[piece][at]
-            tie[row, len(index) - n_lift :] = ties.lift[at]
-    return tuple(index), tie
+    own = [i for i, q in enumerate(predictor.free) if q.name in names]
+    others = [i for i, q in enumerate(predictor.free) if q.name not in names]
+    rows, n_shared = [ties.names.index(predictor.free[i].name) for i in others], len(ties.shared)
+    seen = [q.name for q in ties.shared] + [names[predictor.free[i].name] for i in own]
+    seen += [names[q.name] for q in ties.own]
+    tie = np.zeros((len(predictor.free), len(seen)))
+    tie[own, n_shared + np.arange(len(own))] = 1.0
+    tie[others, :n_shared], tie[others, n_shared + len(own) :] = ties.maps[piece][rows], ties.lift[rows]
+    return tuple(position[name] for name in seen), tie
 
 
 # ---- Kernel of a predictor: compiled, or the portable one without a C compiler.
@@ -308,7 +300,7 @@ class Assembly:
 
 
 def assemble(
-    structure: AnyStructure,
+    structure: AnyStructure | Sequence[OwnStructure],
     parameters: tuple[Parameter, ...],
     begin: Mapping[str, float],
     data: FitData,
@@ -317,14 +309,14 @@ def assemble(
     disturbances: Disturbances = UNDISTURBED,
     released: BoolArray | None = None,
     ties: Ties | None = None,
-    own: Sequence[OwnStructure] = (),
 ) -> Assembly:
     """Return the assembly of a fit from recordings and options.
 
     Parameters
     ----------
-    structure : Structure
-        Structure of the fit.
+    structure : Structure or sequence of OwnStructure
+        Structure of the fit; or a linear one for each record, with `parameters` of all of them. Names that they share
+        are shared.
     parameters : tuple of Parameter
         Its parameters, with the starts, bounds and fixed values of the caller.
     begin : dict of str to float
@@ -339,9 +331,6 @@ def assemble(
         Initial states that are functions of the parameters.
     ties : Ties, optional
         Parameters of the structure that are linear in further, shared unknowns. These are then the first of `free`.
-    own : sequence of OwnStructure, optional
-        A linear structure for each record. `parameters` are then those of all of them, and names that they share are
-        shared.
 
     Raises
     ------
@@ -351,14 +340,16 @@ def assemble(
     held = {q.name: begin[q.name] for q in parameters if q.fixed}
     known = {q.name: q for q in parameters}
     focus, local, left_out = options.focus, options.local or {}, options.left_out or {}
-    hold = structure.intersample if options.intersample is None else options.intersample
-    each = list(own) or [OwnStructure(structure, hold)] * len(data.records)
-    models = [chosen for i, chosen in enumerate(each) if chosen not in each[:i]]
-    model_of = [models.index(chosen) for chosen in each]
+    if isinstance(structure, Sequence):
+        each = list(structure)
+    else:
+        hold = structure.intersample if options.intersample is None else options.intersample
+        each = [OwnStructure(structure, hold)] * len(data.records)
+    model_of = [each.index(chosen) for chosen in each]  # first record with the structure of each
 
     @cache
     def predictor_for(kind: Focus, released: tuple[bool, ...], model: int) -> GeneralPredictor:
-        structure, hold = models[model]
+        structure, hold = each[model]
         more: dict[str, Any] = {"disturbances": disturbances, "released": released}
         built = predictor_of(structure, held, begin, data.sample_time, hold, kind, **more)
         return replace(built, free=tuple(known.get(q.name, q) for q in built.free))
@@ -372,9 +363,9 @@ def assemble(
         return with_spare_states(chosen, n_states)
 
     own_released = [()] * len(data.records) if released is None or not released.any() else [*map(tuple, released)]
-    first = {model: predictor_for(focus, own_released[model_of.index(model)], model) for model in range(len(models))}
+    first = {model: predictor_for(focus, own_released[model], model) for model in dict.fromkeys(model_of)}
     for record, model in zip(data.records, model_of, strict=True):
-        _check_channels(models[model].structure, first[model], record, data)
+        _check_channels(each[model].structure, first[model], record, data)
     n_states = max(built.n_states for built in first.values())
     all_free = list({q.name: q for built in first.values() for q in built.free}.values())
     scopes: dict[str, Scope] = {**local, **dict.fromkeys((term.name for term in disturbances.terms), "recording")}
@@ -396,7 +387,8 @@ def assemble(
     free = _all_free(all_free, record_names)
     if ties is not None:
         record_names = tuple(
-            {**names, **ties.own_names(record.name)} for names, record in zip(record_names, data.records, strict=True)
+            {**names, **{q.name: f"{q.name}[{record.name}]" for q in ties.own}}
+            for names, record in zip(record_names, data.records, strict=True)
         )
         free = (*ties.shared, *free, *_all_free(ties.own, record_names))
     position = {q.name: i for i, q in enumerate(free)}
@@ -442,8 +434,6 @@ def group_name(record: Record, scope: Scope) -> str:
     """Return the name of the group of records that share a local parameter."""
     if scope == "recording":
         return record.name
-    if scope != "operating_point":
-        raise UsageError(f"local = {scope!r}; choose 'recording' or 'operating_point'")
     pressure, speed = (record.conditions.get(key) for key in ("pressure_bar", "speed_rpm"))
     if pressure is None or speed is None:
         raise DataError(
@@ -455,13 +445,12 @@ def group_name(record: Record, scope: Scope) -> str:
 
 def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[str, str]]) -> tuple[Parameter, ...]:
     """Return shared parameters once and local ones once for each group, in the order of the structure."""
-    found: dict[str, Parameter] = {}
+    free: dict[str, Parameter] = {}
     for q in parameters:
         for names in record_names:
-            full = names.get(q.name)
-            if full is not None and full not in found:
-                found[full] = q if full == q.name else q.renamed(full)
-    return tuple(found.values())
+            if full := names.get(q.name):
+                free.setdefault(full, q if full == q.name else q.renamed(full))
+    return tuple(free.values())
 
 
 def automatic_window(data: FitData, focus: Focus) -> int:
