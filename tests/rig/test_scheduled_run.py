@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 import gbid
 from gbid.core.errors import UsageError
-from gbid.rig import Course, Prbs, ScheduledRun, SensorChain, Stationary, Unbalance, record
+from gbid.rig import Course, Prbs, Scatter, ScheduledRun, SensorChain, Stationary, Unbalance, record
 
 TS = 2e-4
 BARE = SensorChain(
@@ -45,14 +45,17 @@ def test_rotor_follows_the_surfaces():
 
 def test_constant_course_is_a_constant_point():
     point = {"pressure_bar": 5.0, "speed_rpm": 3000.0}
-    own = dict(conditions=point, seed=1, name="b", settle_s=0.02)
-    still = record(machine(5.0, 3000.0), Prbs(0.1), simulation="stepping", **own)
+    options = dict(conditions=point, seed=1, name="b", settle_s=0.02)
+    still = record(machine(5.0, 3000.0), Prbs(0.1), simulation="stepping", **options)
     run = ScheduledRun(Course.ramp(0.1, 5.0, 3000.0), Prbs(0.1))
-    made = record(machine(3.0, 0.0), run, surfaces=LPV.key_parameters, **own)
+    made = record(machine(3.0, 0.0), run, surfaces=LPV.key_parameters, **options)
     for signal in still.signals:
         np.testing.assert_allclose(made.signal(signal), still.signal(signal), rtol=1e-9, atol=1e-15)
     assert (made.signal("speed_rpm") == 3000.0).all()
     assert made.units["pressure_bar"] == "bar"
+    drawn = [record(machine(), run, surfaces=LPV.key_parameters, scatter=Scatter(), **options) for _ in range(2)]
+    np.testing.assert_array_equal(drawn[0].signal("p"), drawn[1].signal("p"))
+    assert (drawn[0].signal("p") != made.signal("p")).any()
 
 
 def test_coast_down_is_exponential_and_its_angle_the_integral():
