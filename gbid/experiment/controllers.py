@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, cast
@@ -29,6 +29,7 @@ from gbid.control.assessment import TunedDesign
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.scheduled import with_schedule
 from gbid.control.loop.close import sample_controller
+from gbid.control.tuning.plants import DesignOptions
 from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
 from gbid.core.units import SIGNALS
@@ -183,15 +184,15 @@ def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
     """
     word = model_word(experiment, section)
     if word is not None:
-        return with_actuators(_machine_of(experiment, word).model)
+        return with_actuators(load_machine(_model_source(experiment, word)).model)
     if experiment.spec.rig is None:
         raise UsageError("needs a model; name one, or add a section lpv")
     return with_actuators(rig_model(experiment))
 
 
-def _machine_of(experiment: Experiment, word: str) -> PublishedMachine:
-    """Return the machine that a design names: one of gbid, or a file relative to the experiment."""
-    return load_machine(experiment.folder / word if Path(word).suffix in (".yaml", ".yml") else word)
+def _model_source(experiment: Experiment, word: str) -> Path | str:
+    """Return what a word names: a file relative to the experiment, or a model of gbid."""
+    return experiment.folder / word if Path(word).suffix in (".yaml", ".yml") else word
 
 
 def with_actuators(model: LPVModel) -> LPVModel:
@@ -267,14 +268,9 @@ def tune_options(section: ControllerSection) -> dict[str, Any]:
     points: Any = section.operating_points
     if not isinstance(points, str):
         points = [(q.pressure_bar, q.speed_rpm) for q in points]
-    return {
-        "operating_points": None if points == "model" else points,
-        "bounds": section.bounds or None,
-        "start": section.start or None,
-        "starts": section.starts,
-        "seed": section.seed,
-        **({"objective": section.objective} if section.goals is None else {}),
-    }
+    left_out = ("peak_sensitivity",) if section.goals is None else ("peak_sensitivity", "objective")
+    options = {f.name: getattr(section, f.name) for f in fields(DesignOptions) if f.name not in left_out}
+    return {**options, "operating_points": None if points == "model" else points}
 
 
 def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
@@ -302,7 +298,7 @@ def rig_time(experiment: Experiment) -> float:
 def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> PublishedMachine | None:
     """Return the machine that a design names if it comes with a controller, else that of the rig; None without rig."""
     word = None if section is None or surfaces_item(experiment, section) else model_word(experiment, section)
-    named = None if word is None else _machine_of(experiment, word)
+    named = None if word is None else load_machine(_model_source(experiment, word))
     if experiment.spec.rig is None or (named is not None and named.controller is not None):
         return named
     return rig_machine(experiment)
@@ -445,16 +441,13 @@ def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
     if section.model is None:
         model = rig_model(experiment)
         return with_actuators(model), f"rig {model.name}"
-    path = Path(section.model)
+    source = _model_source(experiment, section.model)
     if section.model == "lpv":
-        path = experiment.path("lpv", needed(experiment.spec.lpv, "lpv").fit, ".yaml")
-        if not path.is_file():
-            raise UsageError(f"{path}: file is missing; `gbid lpv` makes it")
-    elif path.suffix in (".yaml", ".yml"):
-        path = experiment.folder / path
-    else:
-        return with_actuators(load_model(section.model)), section.model
-    return with_actuators(load_model(path)), file_digest(path)
+        source = experiment.path("lpv", needed(experiment.spec.lpv, "lpv").fit, ".yaml")
+        if not source.is_file():
+            raise UsageError(f"{source}: file is missing; `gbid lpv` makes it")
+    key = file_digest(source) if isinstance(source, Path) else source
+    return with_actuators(load_model(source)), key
 
 
 def controller_at(experiment: Experiment, point: Place, loop: str = "closed") -> LoopController:

@@ -124,12 +124,7 @@ class ExperimentError(UsageError):
 
 def in_file_order(problems: Iterable[Problem]) -> list[Problem]:
     """Return the problems sorted by line and column."""
-
-    def place(problem: Problem) -> tuple[int, int]:
-        line, column = problem.position.split(":")[-2:]
-        return int(line), int(column)
-
-    return sorted(problems, key=place)
+    return sorted(problems, key=lambda problem: [int(number) for number in problem.position.split(":")[-2:]])
 
 
 def dotted(location: Location) -> str:
@@ -335,17 +330,14 @@ class Result:
         InputError
             When the file is missing or was made from others. Its text names the command that makes the file.
         """
+        if self.is_made:
+            return self.path
         command = f"gbid {_VERBS.get(self.stage, self.stage)}"
         if not self.path.is_file():
             raise InputError(f"{self.path}: file is missing; `{command}` makes it")
-        stored = stored_key(self.path)
-        if not stored:
-            text = f"truncated or not made by an experiment; make it again with `{command} --overwrite`"
-            raise InputError(f"{self.path}: {text}")
-        if stored != self.key:
-            text = f"made from other settings or data; make it again with `{command} --overwrite`"
-            raise InputError(f"{self.path}: {text}")
-        return self.path
+        foreign = "truncated or not made by an experiment"
+        reason = "made from other settings or data" if stored_key(self.path) else foreign
+        raise InputError(f"{self.path}: {reason}; make it again with `{command} --overwrite`")
 
 
 def file_digest(path: Path) -> str:
@@ -414,15 +406,10 @@ def writing_keyed(path: Path, key: str) -> Iterator[Path]:
             with changing(part) as file:
                 file.attrs[ATTRIBUTE] = key
         else:
-            _add_key(part, path.suffix, key)
+            content = part.read_bytes() if path.suffix in _KEYED_TEXT else b""  # pictures and pages state it themselves
+            if content and not _IN_TEXT.search(content):
+                part.write_bytes(f"# content_key: {key}\n".encode() + content)
             add_text_checksum(part, path.suffix)
-
-
-def _add_key(part: Path, ending: str, key: str) -> None:
-    """Write the key as the first line of a text file; pictures and pages state it themselves."""
-    content = part.read_bytes() if ending in _KEYED_TEXT else b""
-    if content and not _IN_TEXT.search(content):
-        part.write_bytes(f"# content_key: {key}\n".encode() + content)
 
 
 def _plain(value: Any) -> Any:

@@ -23,6 +23,7 @@ from pydantic import (
 from gbid import control
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.tuning.goals import BoundLike, DisturbanceSpectrum, Goal
+from gbid.control.tuning.plants import DesignOptions
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Finite, NotNegative, Positive
 from gbid.experiment.fields import (
@@ -595,8 +596,8 @@ class RobustSection(Section):
     price: tuple[Probability, ...] = ()
 
 
-class ControllerSection(Section):
-    """Controller of fixed structure with gains tuned over operating points (paper, Sec. 5); see `gbid.tune`.
+class ControllerSection(OptionsSection, DesignOptions, frozen=True):
+    """Controller of fixed structure with gains tuned over operating points; see `gbid.control.TuneOptions`.
 
     `structure`: ``P``, ``PD``, ``PI``, ``PID``, ``biquad``, ``filter``, ``lead-lag``, ``notch``, ``PPF``, ``observer``,
     ``resonant``, ``full P``, ``full PD``, ``full biquad``, or your own as ``file.py:name``. `lowpass_hz`, `order` and
@@ -625,18 +626,14 @@ class ControllerSection(Section):
     model: Text | None = None
     operating_points: _Points = "model"
     peak_sensitivity: Cap | None = 2.6
-    objective: Literal["damping", "decay"] = "damping"
     design_for: Literal["continuous", "sampled"] = "continuous"
     goals: Annotated[tuple[_Goal, ...] | None, BeforeValidator(given), Field(min_length=1)] = None
     bounds: dict[Text, Pair] = Field(default_factory=dict)
     uncertainty: Annotated[DrawnPlantsSection | None, BeforeValidator(given)] = None
     robust: Annotated[RobustSection | None, BeforeValidator(given)] = None
     start: dict[Text, Finite] = Field(default_factory=dict)
-    starts: Count | None = None
-    seed: CountOrZero = 0
     pareto: tuple[Cap, ...] = ()
     sample_time_s: Positive | None = None
-    method: Literal["tustin", "zoh"] = "tustin"
 
 
 # ---- Schema of an experiment YAML: keys, types and ranges. Checks across sections are in `checks`.

@@ -29,6 +29,7 @@ from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.core.arrays import ComplexArray, FloatArray, is_real, is_whole, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import CountOrZero
 from gbid.identify import FitResult
 from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, regressors
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, with_pade
@@ -181,8 +182,21 @@ class Sampling:
     method: Method = "tustin"
 
 
-@dataclass(frozen=True, eq=False)
-class TuneOptions:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DesignOptions:
+    """Options of `gbid.tune` that are keys of a design in the YAML as well; see `TuneOptions`."""
+
+    peak_sensitivity: float | None = 2.6
+    bounds: Mapping[str, tuple[float, float]] | None = None
+    objective: Objective = "damping"
+    method: Method = "tustin"
+    start: Mapping[str, float] | None = None
+    starts: CountOrZero | None = None
+    seed: CountOrZero = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TuneOptions(DesignOptions):
     """Options of `gbid.tune`.
 
     Parameters
@@ -233,16 +247,9 @@ class TuneOptions:
     actuator: Mapping[str, float] | None = None
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
-    peak_sensitivity: float | None = 2.6
-    bounds: Mapping[str, tuple[float, float]] | None = None
     uncertainty: Uncertainty | None = None
-    objective: Objective = "damping"
     sample_time: float | None = None
     computation_s: float | None = None
-    method: Method = "tustin"
-    start: Mapping[str, float] | None = None
-    starts: int | None = None
-    seed: int = 0
 
     def __post_init__(self) -> None:
         if self.goals is not None and not isinstance(self.goals, Iterable):

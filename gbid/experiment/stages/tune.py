@@ -295,7 +295,6 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
         "controller": structure,
         "uncertainty": plants,
         "sample_time": sample_time(experiment, section) if section.design_for == "sampled" else None,
-        "method": section.method,
         "progress": job.reporter.search,
     }
     promises: tuple[RobustPromise, ...] = ()
