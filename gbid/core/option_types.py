@@ -133,6 +133,8 @@ def _allows(kind: Any, value: Any) -> bool:
         return callable(value)
     if origin is not None:  # a sequence
         return isinstance(value, list | tuple | np.ndarray) and all(_allows(args[0], each) for each in value)
+    if kind is Any:
+        return True
     if kind in (None, NoneType):
         return value is None
     if isinstance(value, bool | np.bool_) or kind is bool:

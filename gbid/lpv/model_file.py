@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AllowInfNan, ConfigDict, Field, Strict, TypeAdapter, ValidationError
 
@@ -28,6 +28,30 @@ class FileTable:
     """Base class of values that are read from a file; unknown keys are refused."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    @classmethod
+    def read(cls, file: YamlFile) -> Self:
+        """Return the checked contents of a file.
+
+        Raises
+        ------
+        UsageError
+            When the file has problems; one line for each, as ``file:line:col: what``.
+        """
+        try:
+            return TypeAdapter(cls).validate_python(file.data)
+        except ValidationError as error:
+            raise UsageError("\n".join(_problem(file, problem) for problem in error.errors())) from None
+
+
+def _problem(file: YamlFile, problem: Any) -> str:
+    location = tuple(problem["loc"])
+    name, where = ".".join(map(str, location)), file.position(location)
+    if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        return f"{where}: unknown key {name!r}; remove it or correct its spelling"
+    if problem["type"] in ("missing", "missing_argument"):
+        return f"{where}: {name!r} is missing; add it"
+    return f"{where}: {name} = {problem['input']!r}: {problem['msg']}; correct it"
 
 
 @dataclass(frozen=True)
@@ -250,10 +274,7 @@ def parse(file: YamlFile) -> PublishedMachine:
     UsageError
         When the file has problems; one line for each, as ``file:line:col: what``.
     """
-    try:
-        table = TypeAdapter(ModelFile).validate_python(file.data)
-    except ValidationError as error:
-        raise UsageError("\n".join(_message(file, problem) for problem in error.errors())) from None
+    table = ModelFile.read(file)
     _check_key_parameters(file, table.key_parameters)
     values = _correct(file, table)
     scale = {group: values[f"scale[{group}]"] for group in SI_UNITS}
@@ -333,16 +354,6 @@ def _actuator_values(table: ModelFile) -> dict[str, float]:
     if table.actuators is None:
         return {}
     return {name: value for name, value in vars(table.actuators).items() if name != "source"}
-
-
-def _message(file: YamlFile, problem: Any) -> str:
-    location = tuple(problem["loc"])
-    name = ".".join(str(key) for key in location)
-    if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        return f"{file.position(location)}: unknown key {name!r}; remove it or correct its spelling"
-    if problem["type"] in ("missing", "missing_argument"):
-        return f"{file.position(location)}: {name!r} is missing"
-    return f"{file.position(location)}: {name} = {problem['input']!r}: {problem['msg']}"
 
 
 # ---- Reading and writing of model files.

@@ -10,14 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
+from annotated_types import Ge, Le
 
 from gbid.control.controllers.parts import (
     AxisGain,
     PerAxis,
+    PositiveRange,
+    Range,
     System,
     first_order,
     gain_within,
@@ -29,18 +32,25 @@ from gbid.control.controllers.parts import (
     symmetric_gain,
 )
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Allowed, CountOrZero, Exact, Finite, Positive
+
+ProperOrder = Annotated[int, Exact(), Ge(1), Allowed("at least 1: without a low-pass it is not proper")]
+FilterOrder = Annotated[int, Exact(), Ge(1), Le(8), Allowed("a whole number, 1 to 8")]
 
 
 @dataclass(frozen=True)
 class Proportional(PerAxis):
     """Base class of the structures with a gain kappa per axis, and a proportional controller themselves."""
 
-    lower: float = -3.0
-    upper: float = 3.0
+    lower: Finite = -3.0
+    upper: Finite = 3.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_bounds(self.lower, self.upper)
+        if not self.lower < self.upper:
+            raise UsageError(
+                f"controller {self.name!r}: lower = {self.lower} must be below upper = {self.upper}", "lower"
+            )
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (gain_within("kappa", 0.0, (self.lower, self.upper), "m/m"),)
@@ -54,15 +64,8 @@ class Proportional(PerAxis):
 class Derivative(Proportional):
     """Base class of the structures with a derivative gain kd per axis, which the low-pass makes proper."""
 
-    kd_limit_ms: float = 3.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_positive(kd_limit_ms=self.kd_limit_ms)
-        if self.order == 0:
-            raise UsageError(
-                f"controller {self.name!r}: order = 0; without a low-pass it is not proper, give at least 1"
-            )
+    order: ProperOrder = 1
+    kd_limit_ms: Positive = 3.0
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (*super()._axis_gains(), symmetric_gain("kd", self.kd_limit_ms, "ms"))
@@ -97,7 +100,7 @@ class PStructure(Proportional):
         Names of the axes; ``("",)`` for one input and one output with plain names.
     """
 
-    lower: float = 0.0
+    lower: Finite = 0.0
     name: str = "P"
 
 
@@ -141,12 +144,8 @@ class PIStructure(Proportional):
         As in `PStructure`.
     """
 
-    ki: tuple[float, float] = (-1000.0, -1.0)
+    ki: Range = (-1000.0, -1.0)
     name: str = "PI"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_ranges("ki", positive=False)
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (*super()._axis_gains(), gain_within("ki", -20.0, self.ki, "1/s"))
@@ -196,14 +195,10 @@ class NotchStructure(Proportional):
         As in `PStructure`.
     """
 
-    frequency_khz: tuple[float, float] = (0.02, 1.5)
-    width: tuple[float, float] = (0.05, 3.0)
-    depth: tuple[float, float] = (0.01, 4.0)
+    frequency_khz: PositiveRange = (0.02, 1.5)
+    width: PositiveRange = (0.05, 3.0)
+    depth: PositiveRange = (0.01, 4.0)
     name: str = "notch"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_ranges("frequency_khz", "width", "depth")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (
@@ -238,15 +233,11 @@ class PPFStructure(Proportional):
         As in `PStructure`; by default there is no further low-pass.
     """
 
-    order: int = 0
-    lower: float = 0.0
-    frequency_khz: tuple[float, float] = (0.02, 1.5)
-    damping: tuple[float, float] = (0.05, 3.0)
+    order: CountOrZero = 0
+    lower: Finite = 0.0
+    frequency_khz: PositiveRange = (0.02, 1.5)
+    damping: PositiveRange = (0.05, 3.0)
     name: str = "PPF"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_ranges("frequency_khz", "damping")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (*super()._axis_gains(), *pole_gains(self.frequency_khz, self.damping))
@@ -275,14 +266,9 @@ class LeadLagStructure(PerAxis):
         As in `PStructure`.
     """
 
-    gain_limit: float = 5.0
-    corner_khz: tuple[float, float] = (0.02, 1.5)
+    gain_limit: Positive = 5.0
+    corner_khz: PositiveRange = (0.02, 1.5)
     name: str = "lead-lag"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_positive(gain_limit=self.gain_limit)
-        self._check_ranges("corner_khz")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         low, high = (symmetric_gain(name, self.gain_limit) for name in ("low", "high"))
@@ -314,16 +300,11 @@ class BiquadStructure(PerAxis):
         Bounds of the frequency [kHz] and damping factor of the filter.
     """
 
-    order: int = 0
-    gain_limit: float = 5.0
-    frequency_khz: tuple[float, float] = (0.02, 1.5)
-    damping: tuple[float, float] = (0.05, 3.0)
+    order: CountOrZero = 0
+    gain_limit: Positive = 5.0
+    frequency_khz: PositiveRange = (0.02, 1.5)
+    damping: PositiveRange = (0.05, 3.0)
     name: str = "biquad"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_positive(gain_limit=self.gain_limit)
-        self._check_ranges("frequency_khz", "damping")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         numerator = (symmetric_gain(f"b{i}", self.gain_limit) for i in range(3))
@@ -357,19 +338,12 @@ class FilterStructure(PerAxis):
         As in `PStructure`; by default there is no low-pass.
     """
 
-    order: int = 0
-    filter_order: int = 4
-    gain_limit: float = 5.0
-    frequency_khz: tuple[float, float] = (0.02, 1.5)
-    damping: tuple[float, float] = (0.05, 3.0)
+    order: CountOrZero = 0
+    filter_order: FilterOrder = 4
+    gain_limit: Positive = 5.0
+    frequency_khz: PositiveRange = (0.02, 1.5)
+    damping: PositiveRange = (0.05, 3.0)
     name: str = "filter"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not isinstance(self.filter_order, int) or not 1 <= self.filter_order <= 8:
-            raise UsageError(f"controller 'filter': filter_order = {self.filter_order}; give a whole number, 1 to 8")
-        self._check_positive(gain_limit=self.gain_limit)
-        self._check_ranges("frequency_khz", "damping")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         limit, gains = self.gain_limit, [symmetric_gain("b0_1", self.gain_limit)]
@@ -422,19 +396,12 @@ class ObserverStructure(PerAxis):
         As in `PStructure`; by default there is no low-pass.
     """
 
-    order: int = 0
-    observer_limit: float = 8.0
-    feedback_limit: float = 3.0
-    frequency_khz: tuple[float, float] = (0.02, 1.0)
-    model_damping: float = 0.1
+    order: CountOrZero = 0
+    observer_limit: Positive = 8.0
+    feedback_limit: Positive = 3.0
+    frequency_khz: PositiveRange = (0.02, 1.0)
+    model_damping: Positive = 0.1
     name: str = "observer"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_positive(
-            observer_limit=self.observer_limit, feedback_limit=self.feedback_limit, model_damping=self.model_damping
-        )
-        self._check_ranges("frequency_khz")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (
@@ -478,16 +445,11 @@ class ResonantStructure(PerAxis):
         As in `PStructure`; the low-pass acts on kappa.
     """
 
-    lowest_hz: float = 20.0
-    gain_limit: float = 3.0
-    width: tuple[float, float] = (0.02, 2.0)
+    lowest_hz: Positive = 20.0
+    gain_limit: Positive = 3.0
+    width: PositiveRange = (0.02, 2.0)
     speed_rpm: Any = 0.0
     name: str = "resonant"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_positive(gain_limit=self.gain_limit, lowest_hz=self.lowest_hz)
-        self._check_ranges("width")
 
     def at_speed(self, speed_rpm: Any) -> ResonantStructure:
         """Return the structure at a speed, a number or a symbol [rpm]."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from gbid._version import __version__
 from gbid.control.controllers.built_in import built_in_structures
@@ -130,7 +130,7 @@ class ControllerDesign(Brief):
 
 # ---- Schema of a controller file.
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION: Literal[1] = 1
 LOOP = "r = K p, the output is added to the plant's input as it is (positive feedback)"
 Rows = tuple[tuple[Number, ...], ...]
 
@@ -149,7 +149,7 @@ class StructureTable(FileTable):
 
     kind: str
     name: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
+    options: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -178,59 +178,45 @@ class MatricesTable(FileTable):
     C: Rows
     D: Rows
 
+    @classmethod
+    def of(cls, model: LinearModel) -> MatricesTable:
+        """Return the matrices of a model."""
+        return cls(*(tuple(map(tuple, getattr(model, letter).tolist())) for letter in "ABCD"))
+
 
 @dataclass(frozen=True)
 class ControllerModelTable(FileTable):
     """Matrices of the controller; for scheduled gains at one operating point."""
 
-    continuous: MatricesTable
-    sampled: MatricesTable
     pressure_bar: Number | None = None
     speed_rpm: Number | None = None
+    continuous: MatricesTable = field(kw_only=True)
+    sampled: MatricesTable = field(kw_only=True)
+
+    @property
+    def point(self) -> Point | None:
+        """Operating point (pressure_bar, speed_rpm); None without one."""
+        return None if self.pressure_bar is None or self.speed_rpm is None else (self.pressure_bar, self.speed_rpm)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ControllerFile(FileTable):
-    """Contents of a controller file."""
+    """Contents of a controller file, in their order."""
 
     kind: Literal["controller"]
     schema_version: Literal[1]
     name: str
-    structure: StructureTable
-    gains: dict[str, GainTable]
-    sampling: SamplingTable
-    models: tuple[ControllerModelTable, ...]
-    loop: str = ""
     creator: str = ""
+    loop: str = ""
     inputs: tuple[str, ...] = INPUTS
     outputs: tuple[str, ...] = OUTPUTS
-    schedule: ScheduleTable | None = None
     plant: str = ""
+    structure: StructureTable
+    schedule: ScheduleTable | None = None
+    gains: dict[str, GainTable]
+    sampling: SamplingTable
     provenance: dict[str, str | Number] = field(default_factory=dict)
-
-
-def parse(file: YamlFile) -> ControllerFile:
-    """Return the checked contents of a controller file.
-
-    Raises
-    ------
-    UsageError
-        When the file has problems; one line for each, as ``file:line:col: what``.
-    """
-    try:
-        return TypeAdapter(ControllerFile).validate_python(file.data)
-    except ValidationError as error:
-        raise UsageError("\n".join(_message(file, problem) for problem in error.errors())) from None
-
-
-def _message(file: YamlFile, problem: Any) -> str:
-    location = tuple(problem["loc"])
-    name, where = ".".join(str(key) for key in location), file.position(location)
-    if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        return f"{where}: unknown key {name!r}; remove it or correct its spelling"
-    if problem["type"] in ("missing", "missing_argument"):
-        return f"{where}: {name!r} is missing; write it as save_controller does"
-    return f"{where}: {name} = {problem['input']!r}: {problem['msg']}; correct it"
+    models: tuple[ControllerModelTable, ...]
 
 
 # ---- Controller files in YAML, for the real-time target and for later use.
@@ -303,18 +289,22 @@ def save_controller(
                 else "give the operating points= to be written"
             )
         )
-    units = {parameter.name: parameter.unit for parameter in structure.parameters}
-    values = {key: float(value) for key, value in gains.items()}
     design = ControllerDesign(
-        name or structure.name, structure, values, sample_time, method, units, plant, dict(provenance or {})
+        name or structure.name,
+        structure,
+        {key: float(value) for key, value in gains.items()},
+        sample_time,
+        method,
+        {parameter.name: parameter.unit for parameter in structure.parameters},
+        plant,
+        dict(provenance or {}),
     )
     keys: list[Point | None] = [(float(p), float(s)) for p, s in points] or [None]
-    models = {key: design.at(*key) if key else design.at() for key in keys}
+    design = replace(design, models={key: design.at(*(key or ())) for key in keys})
     with atomic_path(path, overwrite) as part:
-        write_yaml(_contents(design, structure, models), part)
-    return ControllerDesign(
-        design.name, structure, values, sample_time, method, units, plant, design.provenance, models
-    )
+        contents = TypeAdapter(ControllerFile).dump_python(_contents(design, structure), mode="json", exclude_none=True)
+        write_yaml({key: value for key, value in contents.items() if value not in ("", {})}, part)
+    return design
 
 
 def load_controller(path: str | Path, structure: Structure | Scheduled | None = None) -> ControllerDesign:
@@ -340,7 +330,7 @@ def load_controller(path: str | Path, structure: Structure | Scheduled | None = 
         in a file without checksum, or without the structure that gives the matrices.
     """
     file = read_yaml(given_path(path))
-    table = parse(file)
+    table = ControllerFile.read(file)
     try:
         built = _structure(table, structure)
         design = ControllerDesign(
@@ -352,13 +342,10 @@ def load_controller(path: str | Path, structure: Structure | Scheduled | None = 
             {key: gain.unit for key, gain in table.gains.items()},
             table.plant,
             table.provenance,
-            {_point(model): _model(table, model.continuous) for model in table.models},
+            {model.point: _model(table, model.continuous) for model in table.models},
             file.notes,
         )
-        differences = [
-            _difference(file, design, i, model, _model(table, model.sampled, design.sample_time))
-            for i, model in enumerate(table.models)
-        ]
+        differences = [_difference(file, design, i, table) for i in range(len(table.models))]
     except UsageError as error:
         raise UsageError(str(error) if str(error).startswith(str(file.path)) else f"{file.path}: {error}") from None
     return _from_gains(design, [text for text in differences if text])
@@ -379,45 +366,36 @@ def _from_gains(design: ControllerDesign, differences: Sequence[str]) -> Control
     return replace(design, models=models, notes=(words, *differences[:1]))
 
 
-def _contents(
-    design: ControllerDesign, structure: Structure | Scheduled, models: Mapping[Point | None, LinearModel]
-) -> dict[str, Any]:
+def _contents(design: ControllerDesign, structure: Structure | Scheduled) -> ControllerFile:
     base = structure.base if isinstance(structure, Scheduled) else structure
     inputs, outputs = channels_of(base)
     built_in = next((kind for kind, cls in built_in_structures().items() if type(base) is cls), None)
-    table: dict[str, Any] = {"kind": built_in or "own", "name": base.name}
-    if built_in:
-        fields = asdict(base)  # type: ignore[call-overload]
-        table["options"] = {k: v for k, v in fields.items() if k not in NOT_OPTIONS}
-    contents: dict[str, Any] = {
-        "kind": "controller",
-        "schema_version": SCHEMA_VERSION,
-        "name": design.name,
-        "creator": f"gbid {__version__}",
-        "loop": LOOP,
-        "inputs": list(inputs),
-        "outputs": list(outputs),
-        "plant": design.plant,
-        "structure": table,
-    }
-    if isinstance(structure, Scheduled):
-        contents["schedule"] = {"terms": list(structure.terms), **structure.domain.ranges}
-    contents["gains"] = {key: {"value": value, "unit": design.units[key]} for key, value in design.gains.items()}
-    contents["sampling"] = {"sample_time_s": design.sample_time, "method": design.method}
-    contents["provenance"] = dict(design.provenance)
-    contents["models"] = [
-        {
-            **({} if key is None else {"pressure_bar": key[0], "speed_rpm": key[1]}),
-            "continuous": _rows(model),
-            "sampled": _rows(design.sampled_at(*key) if key else design.sampled_at()),
-        }
-        for key, model in models.items()
-    ]
-    return {key: value for key, value in contents.items() if value not in ("", {})}
-
-
-def _rows(model: LinearModel) -> dict[str, Any]:
-    return {letter: [[float(v) for v in row] for row in getattr(model, letter)] for letter in "ABCD"}
+    options = {k: v for k, v in vars(base).items() if k not in NOT_OPTIONS} if built_in else None
+    return ControllerFile(
+        kind="controller",
+        schema_version=SCHEMA_VERSION,
+        name=design.name,
+        creator=f"gbid {__version__}",
+        loop=LOOP,
+        inputs=inputs,
+        outputs=outputs,
+        plant=design.plant,
+        structure=StructureTable(built_in or "own", base.name, options),
+        schedule=ScheduleTable(structure.terms, **structure.domain.ranges)
+        if isinstance(structure, Scheduled)
+        else None,
+        gains={key: GainTable(value, design.units[key]) for key, value in design.gains.items()},
+        sampling=SamplingTable(design.sample_time, design.method),
+        provenance=dict(design.provenance),
+        models=tuple(
+            ControllerModelTable(
+                *(point or ()),
+                continuous=MatricesTable.of(model),
+                sampled=MatricesTable.of(design.sampled_at(*(point or ()))),
+            )
+            for point, model in design.models.items()
+        ),
+    )
 
 
 def _model(table: ControllerFile, matrices: MatricesTable, dt: float | None = None) -> LinearModel:
@@ -440,7 +418,7 @@ def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> St
         return given
     if given is not None:
         raise UsageError(f"its structure is the built-in {table.structure.kind!r}; leave structure= out")
-    options = {k: tuple(v) if isinstance(v, list) else v for k, v in table.structure.options.items()}
+    options = {k: tuple(v) if isinstance(v, list) else v for k, v in (table.structure.options or {}).items()}
     try:
         base = controller_structure(table.structure.kind, **options)
     except (TypeError, ValueError, ArithmeticError) as error:  # an option of another type
@@ -454,25 +432,18 @@ def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> St
     return scheduled(base, schedule.terms, Domain(schedule.pressure_bar, schedule.speed_rpm))
 
 
-def _point(model: ControllerModelTable) -> Point | None:
-    if model.pressure_bar is None or model.speed_rpm is None:
-        return None
-    return (model.pressure_bar, model.speed_rpm)
-
-
-def _difference(
-    file: YamlFile, design: ControllerDesign, i: int, stored: ControllerModelTable, sampled: LinearModel
-) -> str:
+def _difference(file: YamlFile, design: ControllerDesign, i: int, table: ControllerFile) -> str:
     """Return where matrices do not agree with gains and sampling, because only one of them was changed."""
-    point = _point(stored) or ()
-    for what, found, expected in (
-        ("continuous", design.models[_point(stored)], design.at(*point)),
-        ("sampled", sampled, design.sampled_at(*point)),
+    stored = table.models[i]
+    point = stored.point or ()
+    for what, given, expected in (
+        ("continuous", design.models[stored.point], design.at(*point)),
+        ("sampled", _model(table, stored.sampled, design.sample_time), design.sampled_at(*point)),
     ):
         for letter in "ABCD":
-            given, computed = getattr(found, letter), getattr(expected, letter)
+            matrix, computed = getattr(given, letter), getattr(expected, letter)
             scale = float(np.abs(computed).max()) if computed.size else 0.0
-            if given.shape != computed.shape or not np.allclose(given, computed, rtol=1e-9, atol=1e-9 * scale):
+            if matrix.shape != computed.shape or not np.allclose(matrix, computed, rtol=1e-9, atol=1e-9 * scale):
                 where = file.position(("models", i, what, letter))
                 return f"{where}: {what} {letter} is not what the gains and the sampling give"
     return ""

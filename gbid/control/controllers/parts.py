@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from gbid.core.arrays import is_finite, is_whole
+from gbid.core.arrays import is_finite
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Allowed, CountOrZero, Finite, Positive, check_options
 from gbid.discretise import Hold
 from gbid.structure import Parameter
 from gbid.structure.parameter import Values
@@ -20,9 +21,8 @@ System = tuple[Any, Any, Any, Any]
 """A, B, C, D as casadi.SX."""
 
 
-@dataclass(frozen=True)
-class Lowpass:
-    """Low-pass filter ``(p_lp / (s + p_lp))^n`` as a chain of first-order lags.
+def lowpass_filter(corner_hz: Any, order: int) -> System:
+    """Return the low-pass ``(p_lp / (s + p_lp))^n`` as a chain of first-order lags.
 
     Parameters
     ----------
@@ -30,33 +30,19 @@ class Lowpass:
         Corner frequency ``p_lp / 2 pi`` [Hz].
     order : int
         Order n; 0 for none.
+
+    Returns
+    -------
+    tuple of casadi.SX
+        A (n, n), B (n, 1), C (1, n), D (1, 1).
     """
-
-    corner_hz: Any = 1000.0
-    order: int = 1
-
-    def check(self, where: str) -> None:
-        """Refuse a corner frequency that is not positive, and an order that is not a whole number of at least 0.
-
-        Raises
-        ------
-        UsageError
-            When one of them is wrong.
-        """
-        if not (is_finite(self.corner_hz) and self.corner_hz > 0):
-            raise UsageError(f"{where}: lowpass_hz = {self.corner_hz!r}; give a positive number of Hz")
-        if not is_whole(self.order, 0):
-            raise UsageError(f"{where}: order = {self.order}; it must be a whole number, at least 0")
-
-    def matrices(self) -> System:
-        """Return A (n, n), B (n, 1), C (1, n), D (1, 1) as casadi.SX."""
-        n, corner = self.order, 2 * np.pi * self.corner_hz
-        # the output of each stage is the input of the next
-        chain = ca.sparsify(ca.SX(ca.DM(np.eye(n, k=-1) - np.eye(n))))
-        first, last = ca.SX(n, 1), ca.SX(1, n)
-        if n:
-            first[0], last[n - 1] = corner, 1.0
-        return corner * chain, first, last, ca.SX(1, 1) if n else ca.SX(1)
+    corner = 2 * np.pi * corner_hz
+    # the output of each stage is the input of the next
+    chain = ca.sparsify(ca.SX(ca.DM(np.eye(order, k=-1) - np.eye(order))))
+    first, last = ca.SX(order, 1), ca.SX(1, order)
+    if order:
+        first[0], last[order - 1] = corner, 1.0
+    return corner * chain, first, last, ca.SX(1, 1) if order else ca.SX(1)
 
 
 # ---- Controllers with a filter and a low-pass per axis, from disc position p to reference r.
@@ -66,6 +52,10 @@ INPUTS = ("p_x", "p_y")
 OUTPUTS = ("r_x", "r_y")
 NOT_OPTIONS = ("name", "inputs", "outputs", "intersample", "speed_rpm")
 """Fields of a structure that are no options of the user."""
+
+Range = Annotated[tuple[Finite, Finite], Allowed("two numbers, lower first")]
+PositiveRange = Annotated[tuple[Positive, Positive], Allowed("two positive numbers, lower first")]
+AxisNames = Annotated[tuple[str, ...], Allowed("each axis a name of its own")]
 
 
 class AxisGain(NamedTuple):
@@ -128,30 +118,37 @@ class PerAxis(ABC):
         one output, whose gains have plain names.
     """
 
-    lowpass_hz: float = 1000.0
-    order: int = 1
+    lowpass_hz: Positive = 1000.0
+    order: CountOrZero = 1
     tune_corner: bool = False
     name: str = ""
     inputs: tuple[str, ...] = INPUTS
     outputs: tuple[str, ...] = OUTPUTS
     intersample: Hold = "foh"
-    axes: tuple[str, ...] = AXES
+    axes: AxisNames = AXES
     crossed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        axes = tuple(self.axes) if isinstance(self.axes, Iterable) else ()
-        if not axes or not all(isinstance(axis, str) for axis in axes) or len(set(axes)) < len(axes):
-            raise UsageError(f"controller {self.name!r}: axes = {self.axes!r}; give each axis a name of its own")
-        object.__setattr__(self, "axes", axes)
+        where = f"controller {self.name!r}"
+        check_options(self, where)
+        for name in (
+            each.name for each in fields(self) if isinstance(each.default, tuple) and is_finite(each.default[0])
+        ):
+            lower, upper = getattr(self, name)
+            if not lower < upper:
+                raise UsageError(f"{where}: {name} = ({lower:g}, {upper:g}); give two numbers, lower first", name)
+            object.__setattr__(self, name, (float(lower), float(upper)))
+        if not self.axes or len(set(self.axes)) < len(self.axes):
+            raise UsageError(f"{where}: axes = {self.axes!r}; give each axis a name of its own", "axes")
+        object.__setattr__(self, "axes", tuple(self.axes))
         if self.axes != AXES:
             object.__setattr__(self, "inputs", tuple(gain_name("p", axis) for axis in self.axes))
             object.__setattr__(self, "outputs", tuple(gain_name("r", axis) for axis in self.axes))
-        Lowpass(self.lowpass_hz, self.order).check(f"controller {self.name!r}")
         if self.tune_corner and self.order == 0:
-            raise UsageError(f"controller {self.name!r}: tune_corner needs a low-pass; give an order of at least 1")
+            raise UsageError(f"{where}: tune_corner needs a low-pass; give an order of at least 1", "order")
         if self.tune_corner and not 0.05 <= self.lowpass_hz / 1e3 <= 2.5:
             raise UsageError(
-                f"controller {self.name!r}: lowpass_hz = {self.lowpass_hz:g}; to be tuned it must start in 50 to 2500"
+                f"{where}: lowpass_hz = {self.lowpass_hz:g}; to be tuned it must start in 50 to 2500", "lowpass_hz"
             )
 
     @abstractmethod
@@ -181,7 +178,7 @@ class PerAxis(ABC):
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return A, B, C and D for gains by name."""
         corner = p["lowpass_khz"] * 1e3 if self.tune_corner else self.lowpass_hz
-        lowpass, gains = Lowpass(corner, self.order).matrices(), self._axis_gains()
+        lowpass, gains = lowpass_filter(corner, self.order), self._axis_gains()
         columns = []
         for of in self.axes:
             filters = [
@@ -195,28 +192,6 @@ class PerAxis(ABC):
             letter: (ca.diagcat if letter in "AB" else join)(*(column[i] for column in columns))
             for i, letter in enumerate("ABCD")
         }
-
-    def _check_bounds(self, lower: float, upper: float) -> None:
-        for name, value in (("lower", lower), ("upper", upper)):
-            if not is_finite(value):
-                raise UsageError(f"controller {self.name!r}: {name} = {value!r}; give a finite number")
-        if not lower < upper:
-            raise UsageError(f"controller {self.name!r}: lower = {lower} must be below upper = {upper}")
-
-    def _check_positive(self, **values: float) -> None:
-        for name, value in values.items():
-            if not (is_finite(value) and value > 0):
-                raise UsageError(f"controller {self.name!r}: {name} = {value!r}; give a positive number")
-
-    def _check_ranges(self, *names: str, positive: bool = True) -> None:
-        """Refuse ranges that are empty, or not positive; store them as pairs of numbers."""
-        for name in names:
-            given = getattr(self, name)
-            pair = tuple(given) if isinstance(given, Sequence | np.ndarray) else ()
-            if len(pair) != 2 or not all(map(is_finite, pair)) or not pair[0] < pair[1] or (positive and pair[0] <= 0):
-                kind = "positive " if positive else ""
-                raise UsageError(f"controller {self.name!r}: {name} = {given!r}; give two {kind}numbers, lower first")
-            object.__setattr__(self, name, (float(pair[0]), float(pair[1])))
 
 
 # ---- Sections of filters as symbolic state-space models, and their series connection.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from math import isfinite
@@ -126,10 +125,8 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
     for name in names:
         if name in gains and not isfinite(gains[name]):
             raise UsageError(f"controller {structure.name!r}: {name} = {gains[name]}; give a finite number")
-    if isinstance(structure, PerAxis):
-        with suppress(TypeError):  # a list among its options is no key
-            return _of_built_in(structure)(gains, *channels_of(structure))
-    return model_function(structure)(gains, *channels_of(structure))
+    model_of = _of_built_in(structure) if isinstance(structure, PerAxis) else model_function(structure)
+    return model_of(gains, *channels_of(structure))
 
 
 def channels_of(structure: Structure) -> tuple[tuple[str, ...], tuple[str, ...]]:
