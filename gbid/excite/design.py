@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any, get_args
 
 import numpy as np
 
-from gbid.core.arrays import FloatArray, one_blas_thread
+from gbid.core.arrays import one_blas_thread
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.excite.excitation import Excitation, ExcitationKind, ExcitationLines, ExcitationSequence
-from gbid.excite.goal import Focused, LineModel, Quantities, expected_covariance, goal_of, quantities_of
+from gbid.excite.excitation import Excitation, ExcitationKind, ExcitationLines
+from gbid.excite.goal import Focused, LineModel, expected_covariance, goal_of, quantities_of
 from gbid.excite.limits import SAFE, ExcitationLimits
 from gbid.excite.model import KnownModel, known_model
 from gbid.excite.signals import choose_prbs, design_multisine, use_of
@@ -68,7 +69,7 @@ def design_excitation(
     standard deviations of the result are not taken from it: they come from the sums of a fit over a simulated
     recording, see `gbid.excite.expected_covariance`.
     """
-    if kind not in ("prbs", "multisine"):
+    if kind not in get_args(ExcitationKind):
         raise UsageError(f"kind = {kind!r}; choose 'prbs' or 'multisine'")
     known = known_model(model)
     n_samples = _samples(duration, sample_time)
@@ -79,54 +80,35 @@ def design_excitation(
         earlier = known.earlier_of(lines.free)
         goal = goal_of(lines, quantities, focus)
         goal = replace(goal, earlier=lines.noise_information(n_samples) + (0.0 if earlier is None else earlier))
-        gap, of_lines, sequence = None, None, None
+        parts: dict[str, Any]
         if kind == "multisine":
             made = design_multisine(goal, lines, limits, n_samples)
-            signal, gap = made.signal(n_samples), made.gap
-            period_s = made.period * sample_time
-            of_lines = ExcitationLines(made.bins / period_s, made.spectrum, period_s)
+            signal, period_s = made.signal(n_samples), made.period * sample_time
+            parts = {"gap": made.gap, "lines": ExcitationLines(made.bins / period_s, made.spectrum, period_s)}
         else:
-            chosen = choose_prbs(goal, lines, limits, n_samples)
-            signal, sequence = chosen.signal, chosen.sequence
-        return as_excitation(lines, quantities, limits, signal, goal.names, gap, of_lines, sequence)
-
-
-def as_excitation(
-    lines: LineModel,
-    quantities: Quantities,
-    limits: ExcitationLimits,
-    signal: FloatArray,
-    counted: tuple[str, ...],
-    gap: float | None = None,
-    of_lines: ExcitationLines | None = None,
-    sequence: ExcitationSequence | None = None,
-) -> Excitation:
-    """Return a signal with the standard deviations to be expected, and its use of the limits."""
-    known = lines.known
-    expected = expected_covariance(known, signal, lines.sample_time)
-    earlier = known.earlier_of(lines.free)
-    together = None
-    if earlier is not None:
-        determined = np.isfinite(np.diag(expected.covariance))
-        joined = earlier.copy()
-        joined[np.ix_(determined, determined)] += np.linalg.inv(expected.covariance[np.ix_(determined, determined)])
-        together = quantities.std(np.asarray(np.linalg.inv(joined), float))
-    use = use_of(limits, lines, signal, with_machines=True)
+            sequence, signal = choose_prbs(goal, lines, limits, n_samples)
+            parts = {"sequence": sequence}
+        expected = expected_covariance(known, signal, sample_time).covariance
+        together = None
+        if earlier is not None:
+            determined = np.ix_(*[np.isfinite(np.diag(expected))] * 2)
+            joined = earlier.copy()
+            joined[determined] += np.linalg.inv(expected[determined])
+            together = quantities.std(np.asarray(np.linalg.inv(joined), float))
+        use = use_of(limits, lines, signal, with_machines=True)
     units = {q.name: q.unit for q in known.structure.parameters}
     units |= {name: "Hz" if name.startswith("frequency_") else "" for name in quantities.names if name not in units}
     return Excitation(
-        kind="prbs" if of_lines is None else "multisine",
+        kind=kind,
         signals={name: signal[:, known.channels(name)[1]] for name in known.inputs},
-        sample_time=lines.sample_time,
+        sample_time=sample_time,
         values=dict(zip(quantities.names, quantities.values.tolist(), strict=True)),
-        std=quantities.std(expected.covariance),
+        std=quantities.std(expected),
         std_together=together,
-        counted=counted,
+        counted=goal.names,
         use={name: SAFE * share for name, share in use.items()},
-        gap=gap,
-        lines=of_lines,
-        sequence=sequence,
         units=units,
+        **parts,
     )
 
 

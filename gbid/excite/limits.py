@@ -11,7 +11,7 @@ import numpy as np
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.excite.model import KnownModel
-from gbid.rig import Machine, RotorBearingTruth, Scatter, SensorChain, scatter_random, scattered, unbalance_orbit
+from gbid.rig import Machine, RotorBearingTruth, Scatter, scatter_random, scattered, unbalance_orbit
 from gbid.rig.sensors import TURN, runout
 
 SAFE = 0.98
@@ -247,11 +247,7 @@ def rig_limits(
 def _taken(machine: Machine, rotor_bearing: RotorBearingTruth, speed: float) -> float:
     """Return the part of the clearance that unbalance and run-out take [m]."""
     orbit = unbalance_orbit(rotor_bearing, machine.unbalance, speed, _turn())
-    return float(np.linalg.norm(orbit, axis=1).max() + _runout_radius(machine.sensors))
-
-
-def _runout_radius(sensors: SensorChain) -> float:
-    return float(np.linalg.norm(runout(sensors, _turn()), axis=1).max())
+    return float(sum(np.linalg.norm(way, axis=1).max() for way in (orbit, runout(machine.sensors, _turn()))))
 
 
 def _turn() -> FloatArray:

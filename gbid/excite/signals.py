@@ -174,8 +174,6 @@ class Spectrum(NamedTuple):
     ----------
     cross : (n_lines, n_inputs, n_inputs) array
         Cross spectra: mean squares and mean products of the inputs at each line, for limits of one.
-    multipliers : (n_limits,) array
-        Multipliers of the limits; zero for those that do not matter.
     gap : float
         Duality gap per counted quantity: standard deviations are on average at most half of this, as a part, above
         those of the best spectrum.
@@ -184,7 +182,6 @@ class Spectrum(NamedTuple):
     """
 
     cross: ComplexArray
-    multipliers: FloatArray
     gap: float
     sensitivity: ComplexArray
 
@@ -241,7 +238,7 @@ def optimal_spectrum(goal: DesignGoal, sensitivity: ComplexArray, costs: Complex
     dual = _root(np.einsum("i,ifuv->fuv", multipliers, costs), -0.5)
     gap = float(np.linalg.eigvalsh(dual @ S @ dual)[:, -1].max() - np.sum(P * raw))
     back, root = _root(scale, 0.5), into @ root
-    return Spectrum(root @ root.conj().transpose(0, 2, 1), multipliers, gap, back @ S @ back)
+    return Spectrum(root @ root.conj().transpose(0, 2, 1), gap, back @ S @ back)
 
 
 def _mean_squares(costs: ComplexArray, cross: ComplexArray) -> FloatArray:
@@ -493,23 +490,10 @@ _LINES = 160  # of the grid on which sequences are compared
 _HIGHEST_ON_GRID = 0.45  # of the sampling frequency
 
 
-class ChosenSequence(NamedTuple):
-    """Sequence with its signal.
-
-    Attributes
-    ----------
-    sequence : ExcitationSequence
-        Hold, register, taps and amplitude.
-    signal : (n_samples, n_inputs) array
-        Inputs.
-    """
-
-    sequence: ExcitationSequence
-    signal: FloatArray
-
-
-def choose_prbs(goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int) -> ChosenSequence:
-    """Return the sequence of maximal length with the best criterion within limits.
+def choose_prbs(
+    goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int
+) -> tuple[ExcitationSequence, FloatArray]:
+    """Return the sequence of maximal length with the best criterion within limits, and the inputs (n_samples, n_u).
 
     Parameters
     ----------
@@ -534,23 +518,22 @@ def choose_prbs(goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_
     frequency = np.fft.rfftfreq(n_samples, lines.sample_time)
     cell = np.searchsorted(np.sqrt(grid[1:] * grid[:-1]), np.maximum(frequency, 1e-9))
     n_u = model.B.shape[1]
-    best: tuple[float, ChosenSequence] | None = None
+    best, lowest = None, np.inf
     for sequence in _sequences(lines, n_samples, n_u):
         unit = _signal(sequence, n_samples, lines.sample_time)
         amplitude = 1 / max(use_of(limits, lines, unit).values())
         spectrum = np.fft.rfft(unit * amplitude, axis=0)[1:] * (2 / n_samples)
         loss = goal.loss(_information_on_grid(at.sensitivity, spectrum, cell[1:], n_samples))
-        if best is None or loss < best[0]:
-            best = loss, ChosenSequence(replace(sequence, amplitude=amplitude), unit * amplitude)
-    if best is None or not np.isfinite(best[0]):
+        if loss < lowest:
+            best, lowest = replace(sequence, amplitude=amplitude), loss
+    if best is None:
         raise UsageError(
             f"no PRBS of {n_samples * lines.sample_time:g} s determines all parameters; give a longer duration, or "
             "fix some parameters"
         )
-    chosen = best[1]
-    shrunk = min(1.0, 1 / max(use_of(limits, lines, chosen.signal, with_machines=True).values()))
-    made = replace(chosen.sequence, amplitude=chosen.sequence.amplitude * shrunk)
-    return ChosenSequence(made, chosen.signal * shrunk)
+    signal = _signal(best, n_samples, lines.sample_time)
+    shrunk = min(1.0, 1 / max(use_of(limits, lines, signal, with_machines=True).values()))
+    return replace(best, amplitude=best.amplitude * shrunk), signal * shrunk
 
 
 def _grid(lines: LineModel, n_samples: int) -> FloatArray:

@@ -32,11 +32,13 @@ from gbid.lpv.estimates import Estimates, Orthonormal, orthonormal
 from gbid.lpv.fit import LPVFit, with_coefficients
 from gbid.lpv.model import ACTUATOR_PARAMETERS, EXPONENTS, LPVModel
 from gbid.lpv.regression import (
+    covariance_root,
     in_terms,
     in_units_of_terms,
     kron_designs,
     lack_of_fit,
     outliers,
+    rms_or_one,
     standardised,
     with_scatter,
 )
@@ -56,16 +58,6 @@ from gbid.structure.scheduling import Exponents
 
 
 @dataclass(frozen=True, eq=False)
-class DirectOptions:
-    """Options of the programme and its solver; see `gbid.fit_lpv_direct`."""
-
-    focus: Focus
-    intersample: Hold | Sequence[Hold] | None
-    max_iterations: int
-    progress: Callable[[Progress], None] | None
-
-
-@dataclass(frozen=True, eq=False)
 class Setting:
     """Setting of a direct LPV fit.
 
@@ -73,8 +65,8 @@ class Setting:
     ----------
     structures : tuple of OwnStructure
         Structure of each recording, with the behaviour of its inputs between samples.
-    options : DirectOptions
-        Options of the fit.
+    options : FitArguments
+        Options of the programme and its solver.
     parameters : tuple of Parameter
         Parameters of the structures, with the fixed ones marked.
     held : dict of str to float
@@ -96,7 +88,7 @@ class Setting:
     """
 
     structures: tuple[OwnStructure, ...]
-    options: DirectOptions
+    options: FitArguments
     parameters: tuple[Parameter, ...]
     held: Mapping[str, float]
     gains: tuple[str, ...]
@@ -117,7 +109,7 @@ class Setting:
 
         The deviation of a recording from the surfaces is ``lift @ deviations``, with `deviations` of variance one.
         """
-        lift = _factor(scatter)
+        lift = covariance_root(scatter, least=_NO_SCATTER)
         deviations = tuple(Parameter(f"off_{i + 1}", 0.0) for i in range(lift.shape[1]))
         return Ties(self.names, self.shared, self.X, deviations, lift)
 
@@ -137,7 +129,7 @@ def set_up(
     model: LPVModel,
     structures: Sequence[Structure],
     fixed: Mapping[str, float],
-    options: DirectOptions,
+    options: FitArguments,
 ) -> Setting:
     """Return the setting of a direct LPV fit: shared unknowns, their matrix to parameters, gains."""
     for structure in structures:
@@ -154,7 +146,9 @@ def set_up(
             used = " or ".join(dict.fromkeys(repr(structure.name) for structure in structures))
             raise UsageError(f"fixed: {key} {what} of structure {used}; leave it out")
     points = _points(recordings)
-    exponents = _terms_of(model)
+    coefficients = np.array([model.coefficients[key] for key in KEY_PARAMETERS])
+    in_use: BoolArray = np.any(coefficients, axis=0)
+    exponents = tuple(exponent for exponent, has_term in zip(EXPONENTS, in_use, strict=True) if has_term)
     design = orthonormal(points, exponents)
     noise = frozenset[str]().union(*(kind_of(each).anatomy().gain_only for each in structures))
     others = [q for q in parameters.values() if q.name not in (*KEY_PARAMETERS, *noise, *fixed)]
@@ -167,7 +161,7 @@ def set_up(
     unknown = [q.name for q in others if q.name not in model.actuators and q.start is None]
     if unknown:
         raise UsageError(f"no start for {', '.join(unknown)}; give the start model actuators, or fix them (fixed)")
-    surfaces = _in_columns(model, design, exponents)
+    surfaces = np.linalg.solve(design.back, coefficients[:, in_use].T).T.ravel()
     labels = [f"{key} {i + 1}" for key in KEY_PARAMETERS for i in range(len(exponents))]
     shared = [Parameter("coefficient", v).renamed(label) for label, v in zip(labels, surfaces.tolist(), strict=True)]
     shared += [replace(q, start=model.actuators.get(q.name, q.start)) for q in others]
@@ -193,22 +187,6 @@ def set_up(
     )
 
 
-def _in_columns(model: LPVModel, design: Orthonormal, exponents: Exponents) -> FloatArray:
-    """Return the coefficients of a model in orthogonal terms, parameter by parameter."""
-    places = [EXPONENTS.index(e) for e in exponents]
-    coefficients = np.array([model.coefficients[key] for key in KEY_PARAMETERS])[:, places]
-    return np.linalg.solve(design.back, coefficients.T).T.ravel()
-
-
-def _factor(scatter: FloatArray) -> FloatArray:
-    """Return ``L`` with ``L L' = scatter``, one column for each direction with scatter."""
-    size = np.sqrt(np.diag(scatter))
-    scale = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(scatter / np.outer(scale, scale))
-    kept = values > 1e-9 * max(values[-1], 1e-300)
-    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]) * scale[:, None])
-
-
 def _points(recordings: Sequence[Recording]) -> FloatArray:
     """Return the operating points of recordings, (n, 2)."""
     rows = []
@@ -226,15 +204,10 @@ def _points(recordings: Sequence[Recording]) -> FloatArray:
     return np.array(rows)
 
 
-def _terms_of(model: LPVModel) -> Exponents:
-    """Return the exponents of the terms that a model uses."""
-    used = np.any([model.coefficients[key] for key in KEY_PARAMETERS], axis=0)
-    return tuple(exponent for exponent, in_use in zip(EXPONENTS, used, strict=True) if in_use)
-
-
 # ---- Start values of disturbance gains for the direct LPV fit: a small fit for each recording with fixed surfaces.
 
 _ITERATIONS = 40
+_NO_SCATTER = 1e-9  # largest scaled eigenvalue of the scatter in a direction without scatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -370,7 +343,7 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
 
         def run() -> Solution:
             first = np.clip(unknowns, lower, upper)
-            return solve(problem, first, lower, upper, limits)
+            return solve(problem, first, lower, upper, options)
 
         fix(gains.held)
         edge = unstable(unknowns) & ~gains.held
@@ -478,11 +451,10 @@ def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInfor
     CoefficientUncertainty
         Scatter and covariances.
     """
-    scale = np.sqrt(np.mean(values**2, axis=0))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = rms_or_one(values)
     H = np.array([i.hessian for i in information]) * np.outer(scale, scale)
     g = np.array([i.scores.sum(axis=0) for i in information]) * scale
-    J = np.array([_long_run(i.scores, _lag(len(i.scores))) for i in information]) * np.outer(scale, scale)
+    J = np.array([_long_run(i.scores) for i in information]) * np.outer(scale, scale)
     inverse = np.array([_inverse(h) for h in H])
     step = np.einsum("ikl,il->ik", inverse, g)
     C = inverse @ _smoothed(H, J) @ inverse
@@ -523,18 +495,14 @@ def _smoothed(H: FloatArray, J: FloatArray) -> FloatArray:
     return np.asarray(power[:, None, None] * (L @ shape @ L.transpose(0, 2, 1)))
 
 
-def _long_run(scores: FloatArray, lag: int) -> FloatArray:
-    """Return the covariance of the sum of scores (Newey and West, 1987), (n_blocks, k)."""
+def _long_run(scores: FloatArray) -> FloatArray:
+    """Return the covariance of the sum of scores (Newey and West, 1987), from those of the blocks (n_blocks, k)."""
+    lag = min(2, len(scores) - 1)  # correlation length of residuals in blocks: a few, because blocks are long
     total = scores.T @ scores
-    for shift in range(1, min(lag, len(scores) - 1) + 1):
+    for shift in range(1, lag + 1):
         product = scores[shift:].T @ scores[:-shift]
         total += (1 - shift / (lag + 1)) * (product + product.T)
     return np.asarray(total)
-
-
-def _lag(n_blocks: int) -> int:
-    """Return the correlation length of residuals in blocks: a few, because blocks are long; fewer in short records."""
-    return min(2, n_blocks - 1)
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
@@ -616,9 +584,8 @@ def fit_lpv_direct(
             f"structure {nonlinear[0]!r} is nonlinear: surfaces straight from the recordings are for linear "
             "structures; use fit_lpv on the fits"
         )
-    setting = set_up(
-        recordings, model, structures, fixed or {}, DirectOptions(focus, intersample, max_iterations, progress)
-    )
+    options = FitArguments(focus=focus, intersample=intersample, max_iterations=max_iterations, progress=progress)
+    setting = set_up(recordings, model, structures, fixed or {}, options)
     channels = [Channels(as_names(each.inputs), as_names(each.outputs)) for each in structures]
     data = gather_own(recordings, channels, minimum=_SHORTEST)
     known = start.scatter if scatter and isinstance(start, LPVFit) else np.zeros((len(KEY_PARAMETERS),) * 2)
@@ -629,7 +596,7 @@ def fit_lpv_direct(
         )
     with one_blas_thread():
         gains = start_gains(setting, recordings)
-        shared, S = setting.start, _padded(known, len(setting.names))
+        shared, S = setting.start, np.pad(known, (0, len(setting.names) - len(known)))
         iterations, ended = 0, ""
         for round_ in range(1, _ROUNDS + 1):
             solved = solve_for(setting, data, shared, S, gains)
@@ -644,26 +611,45 @@ def fit_lpv_direct(
             shared, S, gains = uncertain.refined, uncertain.scatter, solved.gains
             if round_ > 1 and change.max() < _SETTLED:
                 break
-    options = {
-        "method": "direct",
-        "structure": ", ".join(dict.fromkeys(each.name for each in structures)),
-        "focus": focus,
-        "intersample": ", ".join(dict.fromkeys(_hold_text(hold) for _, hold in setting.structures)),
-        "weighting": "scatter" if scatter else "none",
-        "rounds": str(round_),
-        "iterations": str(iterations),
-        "engine": solved.engine,
-    }
     notes = [*solved.gains.notes, ended] if ended else list(solved.gains.notes)
     if scatter and not ended and solved.solution.status.success and change.max() >= _SETTLED:
         text = f"after {_ROUNDS} rounds the coefficients still moved by {change.max():.2g} standard deviations"
         notes.append(SurfaceNote.NOT_SETTLED(text))
+    k, m = len(KEY_PARAMETERS), len(KEY_PARAMETERS) * len(setting.exponents)
+    shared, covariance = (
+        (uncertain.refined, uncertain.refined_covariance) if scatter else (solved.shared, uncertain.covariance)
+    )
+    actuators = {**model.actuators, **dict(zip(setting.names[k:], shared[m:].tolist(), strict=True)), **setting.held}
     names = tuple(record.name for record in data.records)
-    result = _result(start, setting, names, solved, uncertain, scatter=scatter)
-    return replace(
-        result,
-        model=replace(result.model, name=name or model.name),
-        options=options,
+    estimates = Estimates(names, setting.points, uncertain.own[:, :k], uncertain.own_covariance[:, :k, :k])
+    residuals = estimates.values - (setting.X @ shared)[:, :k]
+    S = uncertain.scatter[:k, :k]
+    return LPVFit(
+        with_coefficients(
+            model,
+            KEY_PARAMETERS,
+            setting.coefficients(shared),
+            name=name or model.name,
+            domain=estimates.domain,
+            operating_points=estimates.operating_points,
+            actuators={key: actuators[key] for key in ACTUATOR_PARAMETERS if key in actuators},
+        ),
+        in_units_of_terms(covariance[:m, :m], setting.back),
+        S,
+        estimates,
+        outliers(names, residuals, standardised(residuals, estimates.covariance + S)),
+        orders=start.orders if isinstance(start, LPVFit) else (),
+        lack_of_fit=lack_of_fit(setting.points, estimates.values, setting.exponents),
+        options={
+            "method": "direct",
+            "structure": ", ".join(dict.fromkeys(each.name for each in structures)),
+            "focus": focus,
+            "intersample": ", ".join(dict.fromkeys(" ".join(as_names(hold)) for _, hold in setting.structures)),
+            "weighting": "scatter" if scatter else "none",
+            "rounds": str(round_),
+            "iterations": str(iterations),
+            "engine": solved.engine,
+        },
         status=solved.solution.status,
         notes=tuple(notes),
     )
@@ -681,10 +667,6 @@ def _structures_of(
     return [given.get(name, usual) for name in names]
 
 
-def _hold_text(hold: Hold | Sequence[Hold]) -> str:
-    return hold if isinstance(hold, str) else " ".join(hold)
-
-
 def _negative_delay(setting: Setting, shared: FloatArray) -> str:
     """Negative delay of the surfaces with its operating point, as a text; empty when all delays are positive."""
     values = setting.X @ shared
@@ -694,46 +676,3 @@ def _negative_delay(setting: Setting, shared: FloatArray) -> str:
             pressure, speed = setting.points[int(delay.argmin())]
             return f"{key} = {1e3 * delay.min():.3g} ms at {point_label(pressure, speed)}"
     return ""
-
-
-def _result(
-    start: LPVFit | LPVModel,
-    setting: Setting,
-    names: tuple[str, ...],
-    solved: DirectSolution,
-    uncertain: CoefficientUncertainty,
-    *,
-    scatter: bool,
-) -> LPVFit:
-    """Return the fit with coefficients in terms of bar and rpm."""
-    model = start.model if isinstance(start, LPVFit) else start
-    k, m = len(KEY_PARAMETERS), len(KEY_PARAMETERS) * len(setting.exponents)
-    shared, covariance = (
-        (uncertain.refined, uncertain.refined_covariance) if scatter else (solved.shared, uncertain.covariance)
-    )
-    others = dict(zip(setting.names[k:], shared[m:].tolist(), strict=True))
-    known = {**model.actuators, **others, **setting.held}
-    estimates = Estimates(names, setting.points, uncertain.own[:, :k], uncertain.own_covariance[:, :k, :k])
-    residuals = estimates.values - (setting.X @ shared)[:, :k]
-    S = uncertain.scatter[:k, :k]
-    return LPVFit(
-        with_coefficients(
-            model,
-            KEY_PARAMETERS,
-            setting.coefficients(shared),
-            domain=estimates.domain,
-            operating_points=estimates.operating_points,
-            actuators={key: known[key] for key in ACTUATOR_PARAMETERS if key in known},
-        ),
-        in_units_of_terms(covariance[:m, :m], setting.back),
-        S,
-        estimates,
-        outliers(names, residuals, standardised(residuals, estimates.covariance + S)),
-        orders=start.orders if isinstance(start, LPVFit) else (),
-        lack_of_fit=lack_of_fit(setting.points, estimates.values, setting.exponents),
-    )
-
-
-def _padded(scatter: FloatArray, n: int) -> FloatArray:
-    """Return the scatter of the key parameters, padded with zeros for the actuators."""
-    return np.pad(scatter, (0, n - len(scatter)))

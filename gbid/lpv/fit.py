@@ -6,14 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
 from gbid.core import hdf5
-from gbid.core.arrays import FloatArray, point_label
+from gbid.core.arrays import FloatArray, one_blas_thread, point_label
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import data_frame
@@ -23,9 +23,10 @@ from gbid.core.notes import SurfaceNote
 from gbid.identify import FitStatus
 from gbid.identify.result import FitResult
 from gbid.identify.table import FitTable
-from gbid.lpv.estimates import Estimates, Order, as_estimates
+from gbid.lpv.estimates import Estimates, Order, as_estimates, chosen_exponents, orthonormal, varying_exponents
 from gbid.lpv.model import (
     ACTUATOR_PARAMETERS,
+    EXPONENTS,
     SCHEDULING,
     TERMS,
     Deviation,
@@ -36,10 +37,25 @@ from gbid.lpv.model import (
     regressors,
 )
 from gbid.lpv.model_file import load_model, save_model
-from gbid.lpv.regression import OrderScore, Outlier, Weighting, in_terms, regression
+from gbid.lpv.regression import (
+    HUBER,
+    OrderScore,
+    Outlier,
+    Weighting,
+    best_order,
+    compare_orders,
+    covariance_root,
+    in_terms,
+    in_units_of_terms,
+    lack_of_fit,
+    outliers,
+    solve_surfaces,
+    surface_notes,
+    with_covariance,
+)
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.linear import Structure, as_names
-from gbid.structure.scheduling import Schedule
+from gbid.structure.scheduling import Schedule, term_name
 
 _LACK = Stored("1", "probability that right surfaces miss the points' means as far", "k")
 _TRIES = 20  # largest number of draws for each requested model
@@ -225,7 +241,7 @@ class LPVFit(Brief):
 
     def _draws(self, n: int, rng: np.random.Generator, scatter: bool) -> Iterator[FloatArray]:
         """Yield random coefficients (k, m); the deviation of a recording is added to the first term, the constant."""
-        root, lift = _root(self.covariance), _root(self.scatter)
+        root, lift = covariance_root(self.covariance), covariance_root(self.scatter)
         for _ in range(n):
             drawn = self.coefficients + (root @ rng.normal(size=root.shape[1])).reshape(self.coefficients.shape)
             if scatter:
@@ -241,14 +257,6 @@ def with_coefficients(model: LPVModel, names: Sequence[str], coefficients: Float
 def _rows(names: Sequence[str], coefficients: FloatArray) -> dict[str, tuple[float, ...]]:
     """Return coefficients (k, m) as `LPVModel` takes them."""
     return {key: tuple(row) for key, row in zip(names, coefficients.tolist(), strict=True)}
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return a matrix R with R R' equal to a covariance, which may be singular and badly scaled."""
-    size = np.sqrt(np.diag(covariance))
-    scale = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) * scale[:, None])
 
 
 # ---- Surfaces over the scheduling variables, fitted to the estimates of a campaign.
@@ -323,9 +331,8 @@ def fit_lpv(
         remains, or when a fit has no covariance for the weights.
     """
     variables = as_names(scheduling)
-    held: dict[str, float] = {}
     notes: tuple[str, ...] = ()
-    channels: dict[str, tuple[str, ...]] = {}
+    of_structure: dict[str, Any] = {}
     if structure is None:
         if variables != SCHEDULING or parameters is not None:
             raise UsageError(
@@ -339,33 +346,52 @@ def fit_lpv(
     else:
         surfaces = _surfaces(fits, structure, variables, parameters)
         estimates = as_estimates(fits, points, surfaces, variables)
-        held, notes = _held_at_mean(fits, structure, surfaces)
-        channels = {"input_names": fits[0].model.input_names, "output_names": fits[0].model.output_names}
-    surface_fit = regression(estimates, weighting, order, robust)
+        of_structure, notes = _beside_surfaces(fits, structure, surfaces)
+    if weighting not in get_args(Weighting):
+        raise UsageError(f"weighting = {weighting!r}; choose 'scatter', 'fits' or 'ordinary'")
+    if weighting != "ordinary":
+        estimates = with_covariance(estimates)
+    orders = compare_orders(estimates.points, estimates.values, variables)
+    by_score = isinstance(order, str) and order == "auto"
+    if by_score:
+        exponents = varying_exponents(estimates.points, best_order(orders))
+    else:
+        exponents = chosen_exponents(order, variables)
+    design = orthonormal(estimates.points, exponents, variables)
+    with one_blas_thread():  # threads do not speed up small matrices
+        solved = solve_surfaces(estimates, design, weighting, robust)
+    missed = lack_of_fit(estimates.points, estimates.values, exponents, variables)
+    terms = EXPONENTS if variables == SCHEDULING else exponents
+    back = in_terms(design.back, exponents, terms)
     model = LPVModel(
         name,
-        _rows(surface_fit.estimates.parameters, surface_fit.coefficients),
-        surface_fit.estimates.domain,
+        _rows(estimates.parameters, solved.coefficients @ back.T),
+        estimates.domain,
         actuators=actuators or {},
         pade_order=pade_order,
-        operating_points=surface_fit.estimates.operating_points,
+        operating_points=estimates.operating_points,
         structure=structure,
-        exponents=surface_fit.exponents,
-        held=held,
+        exponents=terms,
         title=title,
         source=source,
-        **channels,
+        **of_structure,
     )
     return LPVFit(
         model,
-        surface_fit.covariance,
-        surface_fit.scatter,
-        surface_fit.estimates,
-        surface_fit.outliers,
-        surface_fit.orders,
-        surface_fit.lack_of_fit,
-        surface_fit.options,
-        notes=(*surface_fit.notes, *notes, *_negative_delays(model)),
+        in_units_of_terms(solved.covariance, back),
+        solved.scatter,
+        estimates,
+        outliers(estimates.recordings, solved.residuals, solved.z, estimates.parameters),
+        orders,
+        missed,
+        {
+            "method": "two-step",
+            "weighting": weighting,
+            "order": ", ".join(term_name(e, variables) for e in exponents),
+            "chosen": "by cross-validation" if by_score else "given",
+            "robust": f"Huber, {HUBER:g} standard deviations" if robust else "no",
+        },
+        notes=(*solved.notes, *surface_notes(estimates, missed), *notes, *_negative_delays(model)),
     )
 
 
@@ -386,10 +412,10 @@ def _surfaces(
     return chosen
 
 
-def _held_at_mean(
+def _beside_surfaces(
     fits: Sequence[FitResult], structure: Structure, surfaces: tuple[str, ...]
-) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Mean over the fits of each parameter that is no surface, and a note with the names that the fits estimate."""
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return the channels of a model and the mean over the fits of each parameter that is no surface, with a note."""
     known = [parameter.name for parameter in structure.parameters]
     good = [fit for fit in fits if fit.success]
     if lacking := [key for key in known if any(key not in fit.parameters for fit in good)]:
@@ -400,7 +426,8 @@ def _held_at_mean(
     held = {key: float(np.mean([fit.parameters[key] for fit in good])) for key in known if key not in surfaces}
     varied = [key for key in held if any(key in fit.free for fit in fits)]
     notes = (SurfaceNote.HELD_AT_MEAN(f"held at the mean of the fits: {', '.join(varied)}"),) if varied else ()
-    return held, notes
+    channels = {"input_names": fits[0].model.input_names, "output_names": fits[0].model.output_names}
+    return {"held": held, **channels}, notes
 
 
 def _negative_delays(model: LPVModel) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from scipy.special import fdtrc, ndtr, ndtri
 
-from gbid.core.arrays import BoolArray, FloatArray, one_blas_thread
+from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import Stored
@@ -22,16 +22,14 @@ from gbid.core.notes import SurfaceNote
 from gbid.lpv.estimates import (
     HIGHEST_ORDER,
     Estimates,
-    Order,
     Orthonormal,
     as_estimates,
     check_points,
-    chosen_exponents,
     orthonormal,
     varying_exponents,
 )
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.scheduling import EXPONENTS, SCHEDULING, Exponents, term_name
+from gbid.structure.scheduling import EXPONENTS, SCHEDULING, Exponents
 
 # ---- Linear regression of vectors with known covariances and an unknown scatter between them (mixed-effects model).
 #
@@ -155,6 +153,24 @@ def _by_point(
     transposed = distinct.transpose(0, 2, 1)
     covariance = _inverse((transposed @ (weights @ distinct)).sum(axis=0))
     return covariance @ np.einsum("pmk,pk->m", transposed, targets), covariance
+
+
+def rms_or_one(values: FloatArray) -> FloatArray:
+    """Return the rms value of each column of (n, k) values, one where it is zero: the scale of the column."""
+    size = np.sqrt(np.mean(values**2, axis=0))
+    return np.where(size > 0, size, 1.0)
+
+
+def covariance_root(covariance: FloatArray, least: float = -np.inf) -> FloatArray:
+    """Return R with R R' equal to a covariance, which may be singular and badly scaled.
+
+    R has one column for each direction whose scaled eigenvalue is above `least` times the largest.
+    """
+    size = np.sqrt(np.diag(covariance))
+    scale = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = values > least * max(values[-1], 1e-300)
+    return np.asarray(vectors[:, kept] * np.sqrt(np.maximum(values[kept], 0.0)) * scale[:, None])
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
@@ -462,86 +478,7 @@ _MISSED = 0.01  # significance level of the lack-of-fit test, divided by the num
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceRegression(Brief):
-    """Surfaces through the estimates, k parameters with m terms each.
-
-    Attributes
-    ----------
-    estimates : Estimates
-        Estimates to which the surfaces were fitted.
-    exponents : tuple of tuple of int, m
-        Powers of the scheduling variables in each term; over pressure and speed the six terms of Eq. 16.
-    coefficients : (k, m) array
-        Coefficients in the units of the scheduling variables; zero for terms that were not used.
-    covariance : (k m, k m) array
-        Covariance of the coefficients.
-    scatter : (k, k) array
-        Covariance of the deviations of recordings from the surfaces.
-    outliers, orders, lack_of_fit, options, notes
-        As in `gbid.lpv.LPVFit`.
-    """
-
-    estimates: Estimates
-    exponents: Exponents
-    coefficients: FloatArray
-    covariance: FloatArray
-    scatter: FloatArray
-    outliers: tuple[Outlier, ...]
-    orders: tuple[OrderScore, ...]
-    lack_of_fit: FloatArray
-    options: dict[str, str]
-    notes: tuple[str, ...]
-
-
-def regression(estimates: Estimates, weighting: Weighting, order: Order, robust: bool) -> SurfaceRegression:
-    """Return the weighted regression of estimates on terms; options as of `gbid.fit_lpv`.
-
-    Raises
-    ------
-    UsageError
-        When an option is unknown.
-    DataError
-        When the operating points do not determine the terms, or when no fit with a covariance remains.
-    """
-    if weighting not in ("scatter", "fits", "ordinary"):
-        raise UsageError(f"weighting = {weighting!r}; choose 'scatter', 'fits' or 'ordinary'")
-    if weighting != "ordinary":
-        estimates = _with_covariance(estimates)
-    scheduling = estimates.scheduling
-    compared = compare_orders(estimates.points, estimates.values, scheduling)
-    by_score = isinstance(order, str) and order == "auto"
-    if by_score:
-        exponents = varying_exponents(estimates.points, best_order(compared))
-    else:
-        exponents = chosen_exponents(order, scheduling)
-    design = orthonormal(estimates.points, exponents, scheduling)
-    with one_blas_thread():  # threads do not speed up small matrices
-        solved = _solve(estimates, design, weighting, robust)
-    missed = lack_of_fit(estimates.points, estimates.values, exponents, scheduling)
-    terms = EXPONENTS if scheduling == SCHEDULING else exponents
-    back = in_terms(design.back, exponents, terms)
-    return SurfaceRegression(
-        estimates,
-        terms,
-        solved.coefficients @ back.T,
-        in_units_of_terms(solved.covariance, back),
-        solved.scatter,
-        outliers(estimates.recordings, solved.residuals, solved.z, estimates.parameters),
-        compared,
-        missed,
-        {
-            "method": "two-step",
-            "weighting": weighting,
-            "order": ", ".join(term_name(e, scheduling) for e in exponents),
-            "chosen": "by cross-validation" if by_score else "given",
-            "robust": f"Huber, {HUBER:g} standard deviations" if robust else "no",
-        },
-        (*solved.notes, *_notes(estimates, missed)),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _SurfaceEstimate:
+class SurfaceEstimate:
     """Surfaces in orthogonal terms."""
 
     coefficients: FloatArray  # (k, m)
@@ -552,11 +489,10 @@ class _SurfaceEstimate:
     notes: tuple[str, ...]
 
 
-def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robust: bool) -> _SurfaceEstimate:
-    """Fit all parameters, each scaled by its rms value."""
+def solve_surfaces(estimates: Estimates, design: Orthonormal, weighting: Weighting, robust: bool) -> SurfaceEstimate:
+    """Return the surfaces of all parameters, each scaled by its rms value, in the orthogonal terms of a design."""
     n, k = estimates.values.shape
-    scale = np.sqrt(np.mean(estimates.values**2, axis=0))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = rms_or_one(estimates.values)
     y = estimates.values / scale
     X = kron_designs(design.columns, k)
     C = estimates.covariance / np.outer(scale, scale)
@@ -584,7 +520,7 @@ def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robu
         covariance = sandwich(clipped, X, V, coefficients) / (CLIPPING_SLOPE**2 if robust else 1.0)
     residuals = y - X @ coefficients
     wide = np.repeat(scale, design.columns.shape[1])
-    return _SurfaceEstimate(
+    return SurfaceEstimate(
         coefficients.reshape(k, -1) * scale[:, None],
         covariance * np.outer(wide, wide),
         S * np.outer(scale, scale),
@@ -617,7 +553,7 @@ def in_units_of_terms(covariance: FloatArray, back: FloatArray) -> FloatArray:
     return np.asarray(blocks.reshape(k * n, k * n))
 
 
-def _with_covariance(estimates: Estimates) -> Estimates:
+def with_covariance(estimates: Estimates) -> Estimates:
     """Return the estimates without fits that have no covariance; list these by name."""
     known = [bool(np.isfinite(covariance).all()) for covariance in estimates.covariance]
     if all(known):
@@ -642,7 +578,8 @@ def _unchecked(estimates: Estimates, alone: BoolArray) -> tuple[str, ...]:
     )
 
 
-def _notes(estimates: Estimates, missed: FloatArray) -> tuple[str, ...]:
+def surface_notes(estimates: Estimates, missed: FloatArray) -> tuple[str, ...]:
+    """Return notes on estimates that were left out, and on parameters with a lack of fit of p-values (k,)."""
     notes = [SurfaceNote.LEFT_OUT(f"left out: {entry}") for entry in estimates.left_out]
     names = estimates.parameters
     off = [key for key, p in zip(names, missed, strict=True) if p < _MISSED / len(names)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -68,8 +67,6 @@ class ResidualTest(Brief, Pictured):
         Fit percent of the predictions (or simulations) that have these residuals.
     input_names, output_names : tuple of str
         Names of the channels.
-    verdict : tuple of str
-        Findings as sentences.
     """
 
     recording: str
@@ -88,7 +85,6 @@ class ResidualTest(Brief, Pictured):
     fit_percent: FloatArray
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
-    verdict: tuple[str, ...]
 
     def _brief(self) -> Description:
         return brief(
@@ -108,7 +104,22 @@ class ResidualTest(Brief, Pictured):
     @property
     def follows(self) -> tuple[tuple[str, ...], ...]:
         """Inputs that are correlated with the residuals of each output."""
-        return tuple(_following(row, self.input_names) for row in self.p_independent)
+        return tuple(
+            tuple(name for name, p in zip(self.input_names, row, strict=True) if p < 1 - _LEVEL)
+            for row in self.p_independent
+        )
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Findings as sentences."""
+        words = []
+        for output, white, p, inputs in zip(self.output_names, self.white, self.p_white, self.follows, strict=True):
+            words.append(f"{output}: residuals {'white' if white else 'not white'} (p = {p:.2g})")
+            if inputs:
+                words.append(
+                    f"{output}: residuals still follow {', '.join(inputs)}: the structure leaves something out"
+                )
+        return tuple(words)
 
 
 def check_residuals(result: FitResult, recording: Recording, lags: int = 50, left_out: Ranges = ()) -> ResidualTest:
@@ -187,28 +198,7 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
         fit_percent=fit_percent(y, predicted),
         input_names=tuple(input_names),
         output_names=tuple(output_names),
-        verdict=_verdict(white.p_value, independent, input_names, output_names),
     )
-
-
-def residuals_of(result: FitResult, recording: Recording, left_out: Ranges = ()) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return the residuals of a fitted model on a recording, and the names of the outputs; see `check_residuals`.
-
-    Returns
-    -------
-    (n_samples, n_outputs) array
-        Residuals of the longest stretch without samples left out.
-    tuple of str
-        Names of the outputs.
-
-    Raises
-    ------
-    DataError
-        When the recording lacks a signal, or when the predictions overflow.
-    """
-    names = select(recording, result.options.outputs)[1]
-    y, predicted = _predicted(result, recording, _longest(counted_samples(recording, left_out), recording.n_samples))
-    return y - predicted, tuple(names)
 
 
 def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple[FloatArray, FloatArray]:
@@ -268,23 +258,6 @@ def _independent(cross: FloatArray, variance: FloatArray, n: int) -> float:
     return float(chdtrc(int(kept.sum()), statistic))
 
 
-def _verdict(
-    p_white: FloatArray, p_independent: FloatArray, input_names: Sequence[str], output_names: Sequence[str]
-) -> tuple[str, ...]:
-    words = []
-    for j, output in enumerate(output_names):
-        white = p_white[j] >= (1 - _LEVEL) / len(p_white)
-        words.append(f"{output}: residuals {'white' if white else 'not white'} (p = {p_white[j]:.2g})")
-        left = _following(p_independent[j], input_names)
-        if left:
-            words.append(f"{output}: residuals still follow {', '.join(left)}: the structure leaves something out")
-    return tuple(words)
-
-
-def _following(p_independent: FloatArray, input_names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(name for name, p in zip(input_names, p_independent, strict=True) if p < 1 - _LEVEL)
-
-
 # ---- Lines of the shaft in the residuals of a fit: run-out that the prefilter left.
 
 CLEAR = 30.0
@@ -340,7 +313,9 @@ def shaft_lines(result: FitResult, recording: Recording, left_out: Ranges = ()) 
     turning = turns_per_second(recording)
     if turning is None:
         return []
-    error, names = residuals_of(result, recording, left_out)
+    names = select(recording, result.options.outputs)[1]
+    y, predicted = _predicted(result, recording, _longest(counted_samples(recording, left_out), recording.n_samples))
+    error = y - predicted
     power, frequency = power_of(error - error.mean(axis=0), recording.sample_time)
     clear = []
     for j, name in enumerate(names):

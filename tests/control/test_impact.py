@@ -103,8 +103,8 @@ def test_force_entry_finds_the_velocities() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: HalfSine(peak_n=0.0), "peak_n = 0.0; give a positive number"),
-        (lambda: HalfSine(mass_kg=np.nan), "mass_kg = nan; give a positive number"),
+        (lambda: HalfSine(peak_n=0.0), "peak_n = 0.0; give a number above 0"),
+        (lambda: HalfSine(mass_kg=np.nan), "mass_kg = nan; give a number above 0"),
         (lambda: HalfSine(direction_deg=np.inf), "direction_deg = inf"),
         (lambda: impact_response(exact_plant(MACHINE, 6, 0), PAPER), "has exact delays; replace them first"),
         (lambda: impact_response(PLANT, PAPER, piezo_travel_m=0.0), "piezo_travel_m = 0.0; give a positive"),

@@ -10,8 +10,15 @@ from study_rig import CAMPAIGN, PAPER, POINTS
 import gbid
 from gbid.core.errors import DataError, UsageError
 from gbid.lpv import Estimates, characteristics, regressors
-from gbid.lpv.estimates import _finite, orthonormal
-from gbid.lpv.regression import generalised, lack_of_fit, regression, sandwich, with_scatter
+from gbid.lpv.estimates import _finite, chosen_exponents, orthonormal
+from gbid.lpv.regression import (
+    generalised,
+    in_units_of_terms,
+    lack_of_fit,
+    sandwich,
+    solve_surfaces,
+    with_scatter,
+)
 from gbid.rig import Machine, Scatter, scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.scheduling import exponents_of
@@ -115,6 +122,14 @@ def test_sandwich_does_not_believe_wrong_weights():
     np.testing.assert_allclose(np.mean(stated, axis=0), np.var(found, axis=0), rtol=0.2)
 
 
+def solved(estimates, order):
+    """Surfaces of any parameters with the scatter between recordings, and their coefficients with covariance."""
+    design = orthonormal(estimates.points, chosen_exponents(order, estimates.scheduling), estimates.scheduling)
+    surfaces = solve_surfaces(estimates, design, "scatter", robust=False)
+    covariance = in_units_of_terms(surfaces.covariance, design.back)
+    return surfaces, (surfaces.coefficients @ design.back.T)[0], covariance
+
+
 def test_standard_deviations_are_right_where_recordings_scatter_more_and_less():
     """One scatter for all points makes them twice too large at one end of the range, and too small at the other."""
     rng = np.random.default_rng(21)
@@ -124,8 +139,8 @@ def test_standard_deviations_are_right_where_recordings_scatter_more_and_less():
     ends, z = np.array([[1, -1, 1], [1, 1, 1]]), []
     for _ in range(90):
         values = sigma * rng.normal(size=(30, 1)) + 0.1 * rng.normal(size=(30, 1))
-        found = regression(Estimates(names, points, values, C, (), ("a",), ("v",)), "scatter", 2, False)
-        z.append(ends @ found.coefficients[0] / np.sqrt(np.einsum("pi,ij,pj->p", ends, found.covariance, ends)))
+        _, c, covariance = solved(Estimates(names, points, values, C, (), ("a",), ("v",)), 2)
+        z.append(ends @ c / np.sqrt(np.einsum("pi,ij,pj->p", ends, covariance, ends)))
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(z), axis=0)), 1.0, atol=0.25)
 
 
@@ -133,8 +148,8 @@ def test_a_recording_that_alone_determines_its_point_has_the_scatter_of_the_othe
     rng = np.random.default_rng(22)
     points = np.array([0.0, 0, 0, 0, 0, 1])[:, None]
     data = Estimates(tuple("abcdef"), points, rng.normal(size=(6, 1)), np.full((6, 1, 1), 0.1), (), ("a",), ("v",))
-    found = regression(data, "scatter", 1, False)
-    assert found.covariance.sum() == pytest.approx(found.scatter[0, 0] + 0.1)  # that of one recording, at v = 1
+    found, _, covariance = solved(data, 1)
+    assert covariance.sum() == pytest.approx(found.scatter[0, 0] + 0.1)  # that of one recording, at v = 1
     (note,) = found.notes
     assert note.startswith("recordings that alone determine the surfaces at their operating point: f;")
     assert note.endswith("[GB307]")

@@ -15,6 +15,7 @@ from gbid.control.loop.sensitivity import sensitivities
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Finite, Positive, check_options
 from gbid.discretise import propagate
 from gbid.rig import Machine
 from gbid.structure import LinearModel
@@ -45,18 +46,13 @@ class HalfSine:
     default impact moves the disc by about 8 of the 25 um of clearance.
     """
 
-    peak_n: float = 12.0
-    duration_s: float = 2e-3
-    mass_kg: float = Machine.moving_mass
-    direction_deg: float = 0.0
+    peak_n: Positive = 12.0
+    duration_s: Positive = 2e-3
+    mass_kg: Positive = Machine.moving_mass
+    direction_deg: Finite = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("peak_n", "duration_s", "mass_kg"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise UsageError(f"impact: {name} = {value}; give a positive number")
-        if not isfinite(self.direction_deg):
-            raise UsageError(f"impact: direction_deg = {self.direction_deg}; give a finite number")
+        check_options(self, "impact")
 
     def towards(self, direction_deg: float) -> HalfSine:
         """Return the same impact in another direction.
@@ -157,18 +153,32 @@ def impact_response(
         raise UsageError(f"model {plant.name!r} has exact delays; replace them first: with_pade(model, order)")
     if not (isfinite(piezo_travel_m) and piezo_travel_m > 0):
         raise UsageError(f"impact: piezo_travel_m = {piezo_travel_m}; give a positive number")
-    A, E, C_p, C_r = _loop(plant, controller, force_entry(plant) if entry is None else np.asarray(entry, float))
-    A, E, C_u = _with_actuators(A, E, C_r, actuators)
-    C_p, C_r = (np.hstack([C, np.zeros((len(C), len(A) - C.shape[1]))]) for C in (C_p, C_r))
+    E = force_entry(plant) if entry is None else np.asarray(entry, float)
+    if len(E) != plant.n_states:
+        raise UsageError(f"impact: entry has {len(E)} rows for the {plant.n_states} states of {plant.name!r}")
+    n_p, n_r = len(plant.C), plant.B.shape[1]
+    A, C = plant.A, np.vstack([plant.C, np.zeros((n_r, plant.n_states))])  # C of p and r
+    if controller is not None:
+        loop = sensitivities(plant, controller)
+        to_p, to_r = loop.model("plant"), loop.model("input")
+        A, C = to_p.A, np.vstack([to_p.C, to_r.C])
+    if actuators is None:
+        C = np.vstack([C, np.zeros((n_r, len(A)))])
+    else:  # a copy of the actuators that follows r
+        C_r, beside = C[n_p:], np.zeros((len(A), actuators.n_states))
+        A = np.block([[A, beside], [actuators.B @ C_r, actuators.A]])
+        C = np.block([[C, np.zeros((len(C), actuators.n_states))], [actuators.D @ C_r, actuators.C]])
+    E = np.vstack([E, np.zeros((len(A) - len(E), E.shape[1]))])
     poles = np.linalg.eigvals(A)
     if poles.real.max() >= 0:
-        return _unstable(C_p, piezo_travel_m)
+        nothing, none = np.zeros((0, n_p)), np.zeros(0)
+        return ImpactResponse(none, none, nothing, nothing, nothing, inf, inf, inf, inf, inf, piezo_travel_m / 2)
     if duration_s is None:
         duration_s = min(impact.duration_s + 7.0 / float(-poles.real.max()), 2.0)
     angle = radians(impact.direction_deg)
     push = E @ np.array([cos(angle), sin(angle)])[: E.shape[1]] * (impact.peak_n / impact.mass_kg)
     time, states = _simulate(A, push, impact.duration_s, duration_s)
-    p, r, u = states @ C_p.T, states @ C_r.T, states @ C_u.T
+    p, r, u = np.split(states @ C.T, [n_p, n_p + n_r], axis=1)
     force = np.where(time <= impact.duration_s, impact.peak_n * np.sin(pi * time / impact.duration_s), 0.0)
     distance = np.linalg.norm(p, axis=1)
     peak = _smooth_peak(distance)
@@ -188,32 +198,6 @@ def impact_response(
         max(peak_r, peak_u / 2),
         piezo_travel_m / 2,
     )
-
-
-def _loop(
-    plant: LinearModel, controller: LinearModel | None, entry: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A and E of the loop, and C of p and of r."""
-    if entry.shape[0] != plant.n_states:
-        raise UsageError(f"impact: entry has {entry.shape[0]} rows for the {plant.n_states} states of {plant.name!r}")
-    n_r = plant.B.shape[1]
-    if controller is None:
-        return np.array(plant.A), entry, np.array(plant.C), np.zeros((n_r, plant.n_states))
-    loop = sensitivities(plant, controller)
-    to_p, to_r = loop.model("plant"), loop.model("input")
-    below = np.zeros((controller.n_states, entry.shape[1]))
-    return np.array(to_p.A), np.vstack([entry, below]), np.array(to_p.C), np.array(to_r.C)
-
-
-def _with_actuators(
-    A: FloatArray, E: FloatArray, C_r: FloatArray, actuators: LinearModel | None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Append a copy of the actuators that follows r; return A, E and C of u."""
-    if actuators is None:
-        return A, E, np.zeros((len(C_r), len(A)))
-    n, n_a = len(A), actuators.n_states
-    A = np.block([[A, np.zeros((n, n_a))], [actuators.B @ C_r, actuators.A]])
-    return A, np.vstack([E, np.zeros((n_a, E.shape[1]))]), np.hstack([actuators.D @ C_r, actuators.C])
 
 
 def _simulate(A: FloatArray, push: FloatArray, length: float, duration: float) -> tuple[FloatArray, FloatArray]:
@@ -242,11 +226,6 @@ def _smooth_peak(values: FloatArray) -> float:
     before, top, after = (float(v) for v in values[k - 1 : k + 2])
     bend = before - 2 * top + after
     return top - (after - before) ** 2 / (8 * bend) if bend < 0 else top
-
-
-def _unstable(C_p: FloatArray, travel: float) -> ImpactResponse:
-    nothing, none = np.zeros((0, len(C_p))), np.zeros(0)
-    return ImpactResponse(none, none, nothing, nothing, nothing, inf, inf, inf, inf, inf, travel / 2)
 
 
 # ---- Response of a model to a measured force, which acts on the rotor without delay and actuators (paper, Sec. 5.1).

@@ -58,10 +58,6 @@ class Scale:
         """Return [K D] in 1/s^2 and 1/s."""
         return np.hstack([-theta[:4].reshape(2, 2) * self.rate**2, -theta[4:8].reshape(2, 2) * self.rate])
 
-    def mean_rate(self, theta: FloatArray) -> float:
-        """Return the mean magnitude of the eigenvalues [rad/s]."""
-        return float(np.abs(eigenvalues_of(self.mechanical(theta))).mean())
-
     def free(self, theta: FloatArray, n: int) -> FloatArray:
         """Return the free responses, shape (n, 2, 4): one for each initial state."""
         return _powers(expm(self.matrix(theta) * self.rate * self.sample_time), n)[:, :2]
@@ -256,28 +252,6 @@ class Projected:
 
 
 @dataclass(frozen=True, eq=False)
-class SeparableFit:
-    """Result of the fit of the nonlinear parameters.
-
-    Attributes
-    ----------
-    theta : (n_parameters,) array
-        Parameters.
-    at : Projected
-        Residuals and derivatives at these parameters.
-    converged : bool
-        Whether the solver converged.
-    message : str
-        Message of the solver.
-    """
-
-    theta: FloatArray
-    at: Projected
-    converged: bool
-    message: str
-
-
-@dataclass(frozen=True, eq=False)
 class RingProblem:
     """Least-squares problem of free responses with common K, D and lags, and one initial state for each impact.
 
@@ -339,7 +313,7 @@ class RingProblem:
         longest = max(min(stop - start, alive) for d in self.data for start, stop in d.segments)
         free = self.scale.free(theta, longest) * self.weights[:, None]
         change = self.scale.free_slopes(theta, longest) * self.weights[:, None] if slopes else None
-        found = Projected()
+        projected = Projected()
         factors: dict[int, tuple[FloatArray, FloatArray]] = {}
         for d, lagging in zip(self.data, self.lagging, strict=True):
             segments = tuple((start, min(stop, start + alive)) for start, stop in d.segments)
@@ -350,20 +324,32 @@ class RingProblem:
             projector = _Projector(replace(d, segments=segments), [q for q, _ in bases])
             gains = theta[N_MECHANICAL:].reshape(-1, 2)
             residual, left = projector.apply(((d.position - lagging @ gains) * self.weights)[:, :, None])
-            found.residuals.append(residual[:, :, 0])
+            projected.residuals.append(residual[:, :, 0])
             if change is None:
                 continue
-            moved = np.zeros((len(residual), 2, len(theta)))
+            changes = np.zeros((len(residual), 2, len(theta)))
             for (start, stop), (q, r) in zip(segments, bases, strict=True):
                 states = solve_triangular(r, q.T @ left[start:stop].reshape(-1))
-                moved[start:stop, :, :N_MECHANICAL] = np.moveaxis(change[:, : stop - start] @ states, 0, -1)
+                changes[start:stop, :, :N_MECHANICAL] = np.moveaxis(change[:, : stop - start] @ states, 0, -1)
             for channel in range(2):
-                moved[:, channel, N_MECHANICAL + channel :: 2] = lagging * self.weights[channel]
-            found.slopes.append(-projector.apply(moved)[0])
-        return found
+                changes[:, channel, N_MECHANICAL + channel :: 2] = lagging * self.weights[channel]
+            projected.slopes.append(-projector.apply(changes)[0])
+        return projected
+
+    @property
+    def oscillations(self) -> FloatArray:
+        """Natural frequency [Hz] and damping factor of the decays that oscillate, shape (n, 2)."""
+        rates = [(abs(rate) / (2 * np.pi), rate.real / abs(rate)) for rate in self.rates if rate.imag]
+        return np.array(rates).reshape(-1, 2)
 
     def solve(self, theta: FloatArray, max_evaluations: int = 100) -> SeparableFit:
-        """Return the least-squares fit from given start values, by Levenberg-Marquardt."""
+        """Return the least-squares fit from given start values, by Levenberg-Marquardt.
+
+        Raises
+        ------
+        LinAlgError, ValueError
+            When the response at the start values or on the way overflows.
+        """
         last: dict[bytes, Projected] = {}
 
         def evaluated(x: FloatArray) -> Projected:
@@ -383,7 +369,13 @@ class RingProblem:
         done: Any = scipy.optimize.least_squares(
             residuals, theta, slopes, xtol=1e-8, ftol=1e-10, gtol=1e-12, **settings
         )
-        return SeparableFit(done.x, evaluated(done.x), done.status > 0, str(done.message))
+        return SeparableFit(self, done.x, evaluated(done.x), done.status > 0, str(done.message))
+
+    def try_solve(self, theta: FloatArray) -> SeparableFit | None:
+        """Return the fit of `solve`; None when a response overflows."""
+        with contextlib.suppress(np.linalg.LinAlgError, ValueError):
+            return self.solve(theta)
+        return None
 
     def _alive(self, theta: FloatArray) -> int:
         """Return the number of samples until the slowest free response is below 1e-6 of its start."""
@@ -391,6 +383,58 @@ class RingProblem:
         if slowest <= 1e-3:
             return sys.maxsize
         return max(_SHORTEST_SEPARABLE, ceil(_DIED_OUT / (slowest * self.scale.sample_time)))
+
+
+@dataclass(frozen=True, eq=False)
+class SeparableFit:
+    """Result of the fit of the nonlinear parameters.
+
+    Attributes
+    ----------
+    problem : RingProblem
+        Problem that was solved.
+    theta : (n_parameters,) array
+        Parameters.
+    at : Projected
+        Residuals and derivatives at these parameters.
+    converged : bool
+        Whether the solver converged.
+    message : str
+        Message of the solver.
+    """
+
+    problem: RingProblem
+    theta: FloatArray
+    at: Projected
+    converged: bool
+    message: str
+
+    @property
+    def mean_rate(self) -> float:
+        """Mean magnitude of the eigenvalues of the two modes [rad/s]."""
+        return float(np.abs(eigenvalues_of(self.problem.scale.mechanical(self.theta))).mean())
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's criterion (BIC) up to a constant; residuals below 1e-6 of the signal count as rounding."""
+        n = self.problem.n_values
+        parameters = len(self.theta) + self.problem.n_linear + 2 * len(self.problem.oscillations)
+        return float(n * np.log(max(self.at.squares / n, 1e-12)) + np.log(n) * parameters)
+
+    @property
+    def channel_rms(self) -> FloatArray:
+        """Rms residuals of x and y over all samples used."""
+        squares = sum((r**2).sum(axis=0) for r in self.at.residuals)
+        return np.asarray(np.sqrt(squares * 2 / self.problem.n_values) / self.problem.weights)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the parameters for correlated residuals."""
+        stacked = np.concatenate([s.reshape(-1, s.shape[-1]) for s in self.at.slopes])
+        bread = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
+        used = [d.used for d in self.problem.data]
+        step = self.problem.scale.sample_time
+        return np.asarray(bread @ covariance_of_sum(self.at.slopes, self.at.residuals, used, step) @ bread)
 
 
 class _Projector:
@@ -451,17 +495,17 @@ def start_candidates(
     list of (rate, theta)
         Angular frequency that scales K and D, and the eight parameters; see `Scale`.
     """
-    found = []
+    candidates = []
     for step in dict.fromkeys(max(1, round(1 / (band * sample_time))) for band in (_BAND_HZ, 2 * _BAND_HZ)):
         for rows in (_ROWS, 3 * _ROWS):
             guess = _realised(data, step, rows, sample_time)
             if guess is not None:
-                found.append(guess)
+                candidates.append(guess)
     if rate is None:
-        rate = found[0][0] if found else 2 * np.pi * 120.0
+        rate = candidates[0][0] if candidates else 2 * np.pi * 120.0
     for damping in (0.03, 0.4):
-        found.append((rate, np.array([0.95, 0.0, 0.0, 1.05, 2 * damping, 0.0, 0.0, 2 * damping])))
-    return found
+        candidates.append((rate, np.array([0.95, 0.0, 0.0, 1.05, 2 * damping, 0.0, 0.0, 2 * damping])))
+    return candidates
 
 
 def _realised(data: Sequence[RingData], step: int, rows: int, sample_time: float) -> tuple[float, FloatArray] | None:
@@ -512,7 +556,7 @@ _DAMPING = (0.02, 0.98)
 _EVALUATIONS = 40
 
 
-def add_oscillations(problem: RingProblem, solved: SeparableFit) -> tuple[RingProblem, SeparableFit]:
+def add_oscillations(solved: SeparableFit) -> SeparableFit:
     """Return the fit with up to two further decays that oscillate, as many as Schwarz's criterion selects.
 
     A loop with filters rings in more modes than two. If they are left out, the damping of the two modes can be a fifth
@@ -521,34 +565,16 @@ def add_oscillations(problem: RingProblem, solved: SeparableFit) -> tuple[RingPr
     need not be one of them.
     """
     for _ in range(_MOST):
-        rate = _best_rate(problem, solved)
-        larger, theta, _ = problem.with_decays(solved.theta, [*problem.rates, rate])
-        try:
-            more = larger.solve(theta)
-        except (np.linalg.LinAlgError, ValueError):
+        larger, theta, _squares = solved.problem.with_decays(solved.theta, [*solved.problem.rates, _best_rate(solved)])
+        more = larger.try_solve(theta)
+        if more is None or solved.criterion <= more.criterion:
             break
-        if schwarz(problem, solved) <= schwarz(larger, more):
-            break
-        problem, solved = larger, more
-    return problem, solved
+        solved = more
+    return solved
 
 
-def oscillations(problem: RingProblem) -> FloatArray:
-    """Return natural frequency [Hz] and damping factor of the decays that oscillate, shape (n, 2)."""
-    found = [(abs(rate) / (2 * np.pi), rate.real / abs(rate)) for rate in problem.rates if rate.imag]
-    return np.array(found).reshape(-1, 2)
-
-
-def schwarz(problem: RingProblem, solved: SeparableFit) -> float:
-    """Return Schwarz's criterion (BIC) up to a constant; residuals below 1e-6 of the signal count as rounding."""
-    n = problem.n_values
-    parameters = len(solved.theta) + problem.n_linear + 2 * len(oscillations(problem))
-    return float(n * np.log(max(solved.at.squares / n, 1e-12)) + np.log(n) * parameters)
-
-
-def _best_rate(problem: RingProblem, solved: SeparableFit) -> complex:
+def _best_rate(solved: SeparableFit) -> complex:
     """Return the rate of the decay that reduces the residuals most, with the two modes as they are."""
-    middle = problem.scale.mean_rate(solved.theta)
 
     def rate_of(v: FloatArray) -> complex:
         size, damping = np.exp(v[0]), float(np.clip(v[1], *_DAMPING))
@@ -556,10 +582,10 @@ def _best_rate(problem: RingProblem, solved: SeparableFit) -> complex:
 
     def squares(v: FloatArray) -> float:
         outside = max(_DAMPING[0] - v[1], v[1] - _DAMPING[1], 0.0)
-        left = problem.with_decays(solved.theta, [*problem.rates, rate_of(v)])[2]
+        left = solved.problem.with_decays(solved.theta, [*solved.problem.rates, rate_of(v)])[2]
         return left * (1.0 + float(outside))
 
-    starts = [np.array([np.log(middle * ratio), _START_DAMPING]) for ratio in _RATIOS]
+    starts = [np.array([np.log(solved.mean_rate * ratio), _START_DAMPING]) for ratio in _RATIOS]
     start = min(starts, key=squares)
     corners = start + np.array([[0.0, 0.0], [0.3, 0.0], [0.0, -0.25]])
     options = {"maxfev": _EVALUATIONS, "initial_simplex": corners}
@@ -576,7 +602,7 @@ _GUESSES = 2  # number of start values from which a fit is made
 
 def fit_lags(
     problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]], lags: int | str
-) -> tuple[RingProblem, SeparableFit]:
+) -> SeparableFit:
     """Return the fit of two modes, with lags when they are requested or when the data require them.
 
     Where ``"auto"`` chooses lags, it also chooses decays that oscillate, see `add_oscillations`.
@@ -595,55 +621,41 @@ def fit_lags(
 
     Returns
     -------
-    problem, solved
+    SeparableFit
 
     Raises
     ------
     DataError
         When two modes cannot be fitted.
     """
-    problem, solved = _fit_modes(problems, guesses)
-    wanted = LAGS if lags == "auto" else int(lags)
-    if wanted == 0:
-        return problem, solved
-    larger, theta, _ = problem.with_decays(solved.theta, lag_rates(problem, solved, wanted).tolist())
-    try:
-        more = larger.solve(theta)
-    except (np.linalg.LinAlgError, ValueError):
-        more = None
-    if more is None and lags != "auto":
-        raise DataError(f"recording {problem.data[0].name!r}: no fit with {lags} lags; use fewer, or lags='auto'")
-    if more is None or (lags == "auto" and schwarz(problem, solved) <= schwarz(larger, more)):
-        return problem, solved
-    return add_oscillations(larger, more) if lags == "auto" else (larger, more)
-
-
-def lag_rates(problem: RingProblem, solved: SeparableFit, count: int) -> FloatArray:
-    """Return the rates of a number of lags, in geometric steps around the modes [1/s]."""
-    middle = problem.scale.mean_rate(solved.theta)
+    solved = _fit_modes(problems, guesses)
+    count = LAGS if lags == "auto" else int(lags)
+    if count == 0:
+        return solved
     steps = np.geomspace(_SLOWEST, _FASTEST, count) if count > 1 else np.array([np.sqrt(_SLOWEST * _FASTEST)])
-    return np.asarray(middle * steps)
+    larger, theta, _ = solved.problem.with_decays(solved.theta, (solved.mean_rate * steps).tolist())
+    more = larger.try_solve(theta)
+    if lags == "auto":
+        return solved if more is None or solved.criterion <= more.criterion else add_oscillations(more)
+    if more is None:
+        name = larger.data[0].name
+        raise DataError(f"recording {name!r}: no fit with {lags} lags; use fewer, or lags='auto'")
+    return more
 
 
-def _fit_modes(
-    problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]]
-) -> tuple[RingProblem, SeparableFit]:
+def _fit_modes(problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]]) -> SeparableFit:
     """Return the fit of two modes without lags, from the best of the guesses."""
     tries = []
     for rate, theta in guesses:
         with contextlib.suppress(np.linalg.LinAlgError, ValueError):  # the response of an unstable guess can overflow
             tries.append((problems(rate).at(theta, slopes=False).squares, rate, theta))
-    tries = [t for t in tries if np.isfinite(t[0])]
-    found = []
-    for _, rate, theta in sorted(tries, key=lambda t: t[0])[:_GUESSES]:
-        problem = problems(rate)
-        with contextlib.suppress(np.linalg.LinAlgError, ValueError):
-            found.append((problem, problem.solve(theta)))
-    if not found:
+    best = sorted((t for t in tries if np.isfinite(t[0])), key=lambda t: t[0])[:_GUESSES]
+    fits = [fit for _, rate, theta in best if (fit := problems(rate).try_solve(theta)) is not None]
+    if not fits:
         raise DataError(
             f"recording {problems(1.0).data[0].name!r}: no two modes fit the ring-down; give start=[(f, zeta), ...]"
         )
-    return min(found, key=lambda t: t[1].at.squares)
+    return min(fits, key=lambda fit: fit.at.squares)
 
 
 # ---- Covariance of least squares when the residuals are correlated in time and between channels.
@@ -854,33 +866,32 @@ def fit_ringdown(
     _check_arguments(group, lags, harmonics, skip_s, start)
     h = group[0].sample_time
     forces = [force_of(rec, force, axis) if force and rec.signal(force).any() else None for rec in group]
-    found = [() if f is None else find_impacts(f, h, rec.name) for rec, f in zip(group, forces, strict=True)]
-    if not any(found):
+    impacts = [() if f is None else find_impacts(f, h, rec.name) for rec, f in zip(group, forces, strict=True)]
+    if not any(impacts):
         if lags not in ("auto", 0):
             raise UsageError(f"fit_ringdown: lags = {lags}; free decays have no force that acts through lags: give 0")
         lags = 0
     counts = [harmonics_for(rec, harmonics) for rec in group]
     data = tuple(
-        ring_data(rec, position, impacts, () if f is None else pulses_of(f, impacts), count, round(skip_s / h))
-        for rec, f, impacts, count in zip(group, forces, found, counts, strict=True)
+        ring_data(rec, position, hits, () if f is None else pulses_of(f, hits), count, round(skip_s / h))
+        for rec, f, hits, count in zip(group, forces, impacts, counts, strict=True)
     )
     unit = float(np.sqrt(np.mean([np.mean(_after(d) ** 2) for d in data])))
     if unit == 0:
         raise DataError(f"recording {group[0].name!r}: {position!r} does not move after the impacts; check the signal")
     data = tuple(replace(d, position=d.position / unit) for d in data)
 
-    directions = tuple(i for i, word in enumerate("xy") if any(b.axis == word for impacts in found for b in impacts))
+    directions = tuple(i for i, word in enumerate("xy") if any(hit.axis == word for hits in impacts for hit in hits))
 
     def problems(rate: float) -> RingProblem:
         return RingProblem(data, Scale(rate, h), directions)
 
-    problem, solved = fit_lags(problems, _guesses(data, h, start), lags)
-    rms = _channel_rms(problem, solved)
+    solved = fit_lags(problems, _guesses(data, h, start), lags)
+    rms = solved.channel_rms
     if (rms > 0).all():  # the noise of the channels differs: fit again with weights from the residuals
-        problem = replace(problem, weights=float(np.sqrt(np.mean(rms**2))) / rms)
-        solved = problem.solve(solved.theta)
-        rms = _channel_rms(problem, solved)
-    return _result(problem, solved, group, rms * unit, found, max(counts))
+        weights = float(np.sqrt(np.mean(rms**2))) / rms
+        solved = replace(solved.problem, weights=weights).solve(solved.theta)
+    return _result(solved, group, unit, impacts, max(counts))
 
 
 def _check_arguments(
@@ -924,30 +935,15 @@ def _guesses(
     return [(rate, np.array([k_x, 0, 0, k_y, d_x, 0, 0, d_y])), *start_candidates(data, h, rate)]
 
 
-def _channel_rms(problem: RingProblem, solved: SeparableFit) -> FloatArray:
-    """Return the rms residuals of x and y over all samples used."""
-    squares = sum((r**2).sum(axis=0) for r in solved.at.residuals)
-    return np.asarray(np.sqrt(squares * 2 / problem.n_values) / problem.weights)
-
-
-def _covariance(problem: RingProblem, solved: SeparableFit) -> FloatArray:
-    """Return the covariance of the parameters for correlated residuals."""
-    slopes, residuals = solved.at.slopes, solved.at.residuals
-    stacked = np.concatenate([s.reshape(-1, s.shape[-1]) for s in slopes])
-    bread = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
-    used = [d.used for d in problem.data]
-    return np.asarray(bread @ covariance_of_sum(slopes, residuals, used, problem.scale.sample_time) @ bread)
-
-
 def _result(
-    problem: RingProblem,
     solved: SeparableFit,
     group: list[Recording],
-    rms: FloatArray,
-    found: Sequence[Sequence[MeasuredImpact]],
+    unit: float,
+    impacts: Sequence[Sequence[MeasuredImpact]],
     harmonics: int,
 ) -> RingDown:
-    theta, scale, covariance = solved.theta, problem.scale, _covariance(problem, solved)
+    """Return the modes of a fit with their covariance, with the positions in `unit` m."""
+    theta, scale = solved.theta, solved.problem.scale
     K, D = np.hsplit(scale.mechanical(theta), 2)
     modes = two_modes(theta, scale)
     spread = np.full((4, 4), np.nan)
@@ -957,23 +953,23 @@ def _result(
     else:
         steps = 1e-6 * np.eye(len(theta))
         slope = np.column_stack([(two_modes(theta + s, scale) - two_modes(theta - s, scale)) / 2e-6 for s in steps])
-        spread = slope @ covariance @ slope.T
+        spread = slope @ solved.covariance @ slope.T
     std = np.sqrt(np.diag(spread))
-    notes: tuple[str, ...] = (
-        () if solved.converged else (ControlNote.SOLVER_STOPPED(f"the solver stopped: {solved.message}"),)
-    )
-    doubles = sum(impact.pulses > 1 for impacts in found for impact in impacts)
+    doubles = sum(impact.pulses > 1 for each in impacts for impact in each)
+    further = solved.problem.oscillations
+    words = ", ".join(f"{f:.0f} Hz with damping {z:.2f}" for f, z in further)
+    notes = []
+    if not solved.converged:
+        notes.append(ControlNote.SOLVER_STOPPED(f"the solver stopped: {solved.message}"))
     if doubles:
         text = f"{doubles} double hit(s); the free response is taken from the end of the last pulse"
-        notes = (*notes, ControlNote.DOUBLE_HIT(text))
-    further = oscillations(problem)
-    if len(further):
-        words = ", ".join(f"{f:.0f} Hz with damping {z:.2f}" for f, z in further)
+        notes.append(ControlNote.DOUBLE_HIT(text))
+    if words:
         text = f"the response rings in more than two modes; fitted beside them as decays at {words}"
-        notes = (*notes, ControlNote.FURTHER_MODES(text))
+        notes.append(ControlNote.FURTHER_MODES(text))
     if status is RingDownStatus.CONVERGED and std[0] + std[2] > modes[2] - modes[0]:
         text = "the frequencies differ by less than their uncertainty: which mode is which is not certain"
-        notes = (*notes, ControlNote.MODES_ALIKE(text))
+        notes.append(ControlNote.MODES_ALIKE(text))
     return RingDown(
         modes[::2],
         modes[1::2],
@@ -982,12 +978,12 @@ def _result(
         spread,
         K,
         D,
-        np.array([rate.real for rate in problem.rates if not rate.imag]),
-        rms,
-        sum(len(impacts) for impacts in found),
+        np.array([rate.real for rate in solved.problem.rates if not rate.imag]),
+        solved.channel_rms * unit,
+        sum(map(len, impacts)),
         tuple(rec.name for rec in group),
         harmonics,
         status,
-        notes,
+        tuple(notes),
         further,
     )

@@ -7,7 +7,7 @@ from math import ceil, inf, isfinite, pi
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 
 from gbid.core.arrays import FloatArray, is_real
 from gbid.core.errors import UsageError
@@ -42,8 +42,26 @@ def close_loop(plant: LinearModel, controller: LinearModel) -> LinearModel:
         When sizes, channel names or sample times do not fit together, or when the loop is not well posed
         (``I - D_K D_G`` is singular).
     """
+    loop = loop_with_disturbances(plant, controller)
+    n_p, n_r = plant.D.shape
+    return replace(
+        loop,
+        B=loop.B[:, :n_r],
+        C=loop.C[:n_p],
+        D=loop.D[:n_p, :n_r],
+        input_names=plant.input_names,
+        output_names=plant.output_names,
+    )
+
+
+def loop_with_disturbances(plant: LinearModel, controller: LinearModel) -> LinearModel:
+    r"""Return the closed loop from (w, d), added to r and to p, to (p, r); errors are those of `close_loop`.
+
+    .. math:: p = G r + d, \quad r = K p + w, \qquad
+              r = M (C_K x_K + D_K C_G x_G + w + D_K d), \quad M = (I - D_K D_G)^{-1}
+    """
     _check_fit(plant, controller)
-    n_r = plant.B.shape[1]
+    n_p, n_r = plant.D.shape
     direct = np.eye(n_r) - controller.D @ plant.D
     # the tolerance is relative to the terms that may cancel, not to their sum
     scale = 1.0 + float(np.abs(controller.D) @ np.abs(plant.D) @ np.ones(n_r) @ np.ones(n_r))
@@ -52,23 +70,23 @@ def close_loop(plant: LinearModel, controller: LinearModel) -> LinearModel:
             f"loop of {plant.name!r} and {controller.name!r} is not well posed: I - D_K D_G is singular; "
             "give one of them no direct feedthrough, a low-pass for instance"
         )
-    # r = M (w + C_K x_K + D_K C_G x_G) with M = (I - D_K D_G)^-1; this is [dr/dx, dr/dw]
-    gains = np.linalg.solve(direct, np.hstack([controller.D @ plant.C, controller.C, np.eye(n_r)]))
     n = plant.n_states + controller.n_states
-    r_x, r_w = gains[:, :n], gains[:, n:]
-    p_x = np.hstack([plant.C, np.zeros((plant.C.shape[0], controller.n_states))]) + plant.D @ r_x
-    p_w = plant.D @ r_w
-    A = np.vstack([plant.B @ r_x, controller.B @ p_x])
-    A[: plant.n_states, : plant.n_states] += plant.A
-    A[plant.n_states :, plant.n_states :] += controller.A
+    # columns by the states of plant and controller, w, d
+    r = np.linalg.solve(direct, np.hstack([controller.D @ plant.C, controller.C, np.eye(n_r), controller.D]))
+    p = plant.D @ r
+    p[:, : plant.n_states] += plant.C
+    p[:, n + n_r :] += np.eye(n_p)
+    rates = np.vstack([plant.B @ r, controller.B @ p])
+    rates[:, :n] += block_diag(plant.A, controller.A)
+    outputs = np.vstack([p, r])
     return LinearModel(
-        A,
-        np.vstack([plant.B @ r_w, controller.B @ p_w]),
-        p_x,
-        p_w,
+        rates[:, :n],
+        rates[:, n:],
+        outputs[:, :n],
+        outputs[:, n:],
         dt=plant.dt,
-        input_names=plant.input_names,
-        output_names=plant.output_names,
+        input_names=(*plant.input_names, *(f"d_{name}" for name in plant.output_names)),
+        output_names=(*plant.output_names, *plant.input_names),
         state_names=(*plant.state_names, *(f"{controller.name}.{s}" for s in controller.state_names)),
         name=f"{plant.name}, closed by {controller.name}",
     )

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from gbid.control.loop.close import close_loop, static_force_gain
+from gbid.control.loop.close import loop_with_disturbances, static_force_gain
 from gbid.control.loop.norm import Peak, larger_of_two, largest_singular_values, peak_gain, refine_maxima
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
@@ -170,7 +170,7 @@ class Sensitivities(Brief, Pictured):
     @cached_property
     def _loop(self) -> LinearModel:
         plant = with_pade(self.plant, STABILITY_PADE_ORDER) if self.has_delay else self.plant
-        return _gang(plant, self.controller)
+        return loop_with_disturbances(plant, self.controller)
 
     def _part(self, which: Which) -> LinearModel:
         """Return one sensitivity from the whole loop, whose inputs are (w, d) and outputs (p, r)."""
@@ -235,36 +235,6 @@ def _combine(which: Which, G: ComplexArray, K: ComplexArray) -> ComplexArray:
     return np.asarray(np.eye(n_p) - S if which == "complementary" else S)
 
 
-def _gang(plant: LinearModel, controller: LinearModel) -> LinearModel:
-    """Return the closed loop from (w, d), added to r and to p, to (p, r).
-
-    The disturbance d enters through a part of the plant without dynamics, so that `close_loop` can be used. The
-    extended plant has the inputs (r, d) and the outputs (p, r). The extended controller uses p and has no output to
-    d.
-    """
-    n_r, n_p = plant.B.shape[1], plant.C.shape[0]
-    close_loop(plant, controller)  # names, sample times and well-posedness of the loop itself
-    wide = replace(
-        plant,
-        B=np.hstack([plant.B, np.zeros((plant.n_states, n_p))]),
-        C=np.vstack([plant.C, np.zeros((n_r, plant.n_states))]),
-        D=np.block([[plant.D, np.eye(n_p)], [np.eye(n_r), np.zeros((n_r, n_p))]]),
-        K=None,
-        input_names=(*plant.input_names, *(f"d_{name}" for name in plant.output_names)),
-        output_names=(*plant.output_names, *plant.input_names),
-    )
-    feedback = replace(
-        controller,
-        B=np.hstack([controller.B, np.zeros((controller.n_states, n_r))]),
-        C=np.vstack([controller.C, np.zeros((n_p, controller.n_states))]),
-        D=np.block([[controller.D, np.zeros((n_r, n_r))], [np.zeros((n_p, n_p + n_r))]]),
-        K=None,
-        input_names=wide.output_names,
-        output_names=wide.input_names,
-    )
-    return replace(close_loop(wide, feedback), name=f"{plant.name}, closed by {controller.name}")
-
-
 def _check_which(which: str) -> None:
     if which not in get_args(Which):
         raise UsageError(f"sensitivity {which!r}; choose {', '.join(map(repr, get_args(Which)))}")
@@ -272,11 +242,8 @@ def _check_which(which: str) -> None:
 
 def _integrates(model: LinearModel) -> bool:
     at_rest = 0.0 if model.dt is None else 1.0
-    return bool(
-        (
-            np.abs(np.linalg.eigvals(model.A) - at_rest) <= 1e-12 * max(1.0, float(np.abs(model.A).max(initial=0.0)))
-        ).any()
-    )
+    tolerance = 1e-12 * max(1.0, float(np.abs(model.A).max(initial=0.0)))
+    return bool((np.abs(np.linalg.eigvals(model.A) - at_rest) <= tolerance).any())
 
 
 # ---- Frequency response curves of a loop (paper, Figs. 20 and 21).
