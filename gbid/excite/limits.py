@@ -10,6 +10,7 @@ import numpy as np
 
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Positive, check_options
 from gbid.excite.model import KnownModel
 from gbid.rig import Machine, RotorBearingTruth, Scatter, scatter_random, scattered, unbalance_orbit
 from gbid.rig.sensors import TURN, runout
@@ -82,9 +83,9 @@ class ExcitationLimits:
         When a limit is not positive, or nothing is left of the clearance.
     """
 
-    peaks: Mapping[str, float] = field(default_factory=dict)
-    radius: Mapping[str, float] = field(default_factory=dict)
-    clearance: float | None = None
+    peaks: Mapping[str, Positive] = field(default_factory=dict)
+    radius: Mapping[str, Positive] = field(default_factory=dict)
+    clearance: Positive | None = None
     disc: str = "p"
     taken: float = 0.0
     machines: Sequence[PossibleMachine] = ()
@@ -115,16 +116,13 @@ class ExcitationLimits:
         return bounds
 
     def __post_init__(self) -> None:
-        for what, given in (("peaks", self.peaks), ("radius", self.radius)):
-            for name, value in given.items():
-                if not (np.isfinite(value) and value > 0):
-                    raise UsageError(f"limits: {what} of {name} = {value}; give a positive number")
+        check_options(self, "limits")
         if self.clearance is None:
             if self.machines:
                 raise UsageError("limits: machines are for the clearance; give it")
             return
         most = max([self.taken, *(machine.taken for machine in self.machines)])
-        if not (np.isfinite(self.clearance) and self.clearance > most):
+        if self.clearance <= most:
             raise UsageError(
                 f"limits: clearance = {self.clearance:g} m, of which run-out and unbalance take {most:g} m; there is "
                 "no room to excite"

@@ -18,6 +18,7 @@ import numpy as np
 from gbid.core.arrays import BoolArray, FloatArray, one_blas_thread, point_label
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import SurfaceNote
+from gbid.core.option_types import takes_options
 from gbid.discretise import Hold
 from gbid.identify.data import Channels, FitData, gather_own
 from gbid.identify.fit import fit
@@ -518,28 +519,12 @@ _ROUNDS = 5
 _SETTLED = 0.2  # largest change of a settled coefficient, in standard deviations
 
 
-def fit_lpv_direct(
-    recordings: Sequence[Recording],
-    start: LPVFit | LPVModel,
-    *,
-    structure: Structure | Mapping[str, Structure] | None = None,
-    focus: Focus = "prediction",
-    intersample: Hold | Sequence[Hold] | None = None,
-    fixed: Mapping[str, float] | None = None,
-    scatter: bool = True,
-    max_iterations: int = 100,
-    name: str = "",
-    progress: Callable[[Progress], None] | None = None,
-) -> LPVFit:
-    """Return surfaces whose coefficients are estimated directly from the recordings (Eqs. 15 and 16 in one problem).
+@dataclass(frozen=True, kw_only=True)
+class DirectOptions:
+    """Options of a direct LPV fit.
 
-    Parameters
+    Attributes
     ----------
-    recordings : sequence of Recording
-        Recordings, each with its own name and with its operating point in its conditions.
-    start : LPVFit or LPVModel
-        Start values, such as the result of `gbid.fit_lpv`. Terms that are not zero in it are estimated; its actuators
-        are the start values of those of a `Plant`.
     structure : Structure or dict of str to Structure, optional
         By default `RotorBearing` with the Pade order of the model. Other choices are one with exact delays, or a
         `Plant`, whose actuators are then shared by all recordings. Each recording has its own disturbance gains.
@@ -562,6 +547,40 @@ def fit_lpv_direct(
         Name of the model; by default that of `start`.
     progress : callable, optional
         Function that is called with a `Progress` at each iteration.
+    """
+
+    structure: Structure | Mapping[str, Structure] | None = None
+    focus: Focus = "prediction"
+    intersample: Hold | Sequence[Hold] | None = None
+    fixed: Mapping[str, float] | None = None
+    scatter: bool = True
+    max_iterations: int = 100
+    name: str = ""
+    progress: Callable[[Progress], None] | None = None
+
+    @property
+    def of_fit(self) -> FitArguments:
+        """Options of the programme and its solver."""
+        return FitArguments(
+            focus=self.focus,
+            intersample=self.intersample,
+            max_iterations=self.max_iterations,
+            progress=self.progress,
+        )
+
+
+@takes_options(DirectOptions)
+def fit_lpv_direct(recordings: Sequence[Recording], start: LPVFit | LPVModel, options: DirectOptions) -> LPVFit:
+    """Return surfaces whose coefficients are estimated directly from the recordings (Eqs. 15 and 16 in one problem).
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Recordings, each with its own name and with its operating point in its conditions.
+    start : LPVFit or LPVModel
+        Start values, such as the result of `gbid.fit_lpv`. Terms that are not zero in it are estimated; its actuators
+        are the start values of those of a `Plant`.
+    **options
 
     Returns
     -------
@@ -578,17 +597,16 @@ def fit_lpv_direct(
         few operating points; or when a delay of the start is negative at an operating point.
     """
     model = start.model if isinstance(start, LPVFit) else start
-    structures = _structures_of(recordings, structure, RotorBearing(pade_order=model.pade_order))
+    structures = _structures_of(recordings, options.structure, RotorBearing(pade_order=model.pade_order))
     if nonlinear := [each.name for each in structures if kind_of(equations_of(each)).nonlinear]:
         raise UsageError(
             f"structure {nonlinear[0]!r} is nonlinear: surfaces straight from the recordings are for linear "
             "structures; use fit_lpv on the fits"
         )
-    options = FitArguments(focus=focus, intersample=intersample, max_iterations=max_iterations, progress=progress)
-    setting = set_up(recordings, model, structures, fixed or {}, options)
+    setting = set_up(recordings, model, structures, options.fixed or {}, options.of_fit)
     channels = [Channels(as_names(each.inputs), as_names(each.outputs)) for each in structures]
     data = gather_own(recordings, channels, minimum=_SHORTEST)
-    known = start.scatter if scatter and isinstance(start, LPVFit) else np.zeros((len(KEY_PARAMETERS),) * 2)
+    known = start.scatter if options.scatter and isinstance(start, LPVFit) else np.zeros((len(KEY_PARAMETERS),) * 2)
     if negative := _negative_delay(setting, setting.start):
         raise DataError(
             f"the start surfaces give {negative}, and no delay is negative: the single fits are too inaccurate; "
@@ -602,7 +620,7 @@ def fit_lpv_direct(
             solved = solve_for(setting, data, shared, S, gains)
             uncertain = uncertainty(setting.X, solved.values, solved.information)
             iterations += solved.solution.iterations
-            if not (scatter and solved.solution.status.success):
+            if not (options.scatter and solved.solution.status.success):
                 break
             if negative := _negative_delay(setting, uncertain.refined):
                 ended = f"stopped after round {round_}, as the next would begin with {negative}"
@@ -612,12 +630,12 @@ def fit_lpv_direct(
             if round_ > 1 and change.max() < _SETTLED:
                 break
     notes = [*solved.gains.notes, ended] if ended else list(solved.gains.notes)
-    if scatter and not ended and solved.solution.status.success and change.max() >= _SETTLED:
+    if options.scatter and not ended and solved.solution.status.success and change.max() >= _SETTLED:
         text = f"after {_ROUNDS} rounds the coefficients still moved by {change.max():.2g} standard deviations"
         notes.append(SurfaceNote.NOT_SETTLED(text))
     k, m = len(KEY_PARAMETERS), len(KEY_PARAMETERS) * len(setting.exponents)
     shared, covariance = (
-        (uncertain.refined, uncertain.refined_covariance) if scatter else (solved.shared, uncertain.covariance)
+        (uncertain.refined, uncertain.refined_covariance) if options.scatter else (solved.shared, uncertain.covariance)
     )
     actuators = {**model.actuators, **dict(zip(setting.names[k:], shared[m:].tolist(), strict=True)), **setting.held}
     names = tuple(record.name for record in data.records)
@@ -629,7 +647,7 @@ def fit_lpv_direct(
             model,
             KEY_PARAMETERS,
             setting.coefficients(shared),
-            name=name or model.name,
+            name=options.name or model.name,
             domain=estimates.domain,
             operating_points=estimates.operating_points,
             actuators={key: actuators[key] for key in ACTUATOR_PARAMETERS if key in actuators},
@@ -643,9 +661,9 @@ def fit_lpv_direct(
         options={
             "method": "direct",
             "structure": ", ".join(dict.fromkeys(each.name for each in structures)),
-            "focus": focus,
+            "focus": options.focus,
             "intersample": ", ".join(dict.fromkeys(" ".join(as_names(hold)) for _, hold in setting.structures)),
-            "weighting": "scatter" if scatter else "none",
+            "weighting": "scatter" if options.scatter else "none",
             "rounds": str(round_),
             "iterations": str(iterations),
             "engine": solved.engine,

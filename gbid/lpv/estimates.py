@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal, NamedTuple
 
@@ -300,7 +300,7 @@ def _of_results(
             raise UsageError(f"fit of {name!r} has no {', '.join(missing)}; the surfaces need {', '.join(parameters)}")
         names.append(name)
         values.append([fit.parameters[key] for key in parameters])
-        covariances.append(_covariance_of(fit, parameters))
+        covariances.append(covariance_of(fit, parameters))
     try:
         grid = np.array([np.asarray(point, float).reshape(len(scheduling)) for point in points])
     except (TypeError, ValueError):
@@ -317,13 +317,12 @@ def _of_results(
     return _finite(estimates, np.array([fit.success for fit in fits], dtype=bool))
 
 
-def _covariance_of(fit: FitResult, parameters: tuple[str, ...]) -> FloatArray:
-    """Return the covariance of some parameters, with zero rows for fixed ones."""
-    position: Mapping[str, int] = {name: i for i, name in enumerate(fit.free)}
+def covariance_of(fit: FitResult, parameters: Sequence[str]) -> FloatArray:
+    """Return the covariance of some parameters of a fit, with zero rows for fixed ones."""
     covariance = np.zeros((len(parameters), len(parameters)))
-    free = [i for i, key in enumerate(parameters) if key in position]
-    in_fit = [position[parameters[i]] for i in free]
-    covariance[np.ix_(free, free)] = fit.covariance[np.ix_(in_fit, in_fit)]
+    free = [i for i, key in enumerate(parameters) if key in fit.free]
+    places = [fit.free.index(parameters[i]) for i in free]
+    covariance[np.ix_(free, free)] = fit.covariance[np.ix_(places, places)]
     return covariance
 
 

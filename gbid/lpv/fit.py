@@ -23,7 +23,7 @@ from gbid.core.notes import SurfaceNote
 from gbid.identify import FitStatus
 from gbid.identify.result import FitResult
 from gbid.identify.table import FitTable
-from gbid.lpv.estimates import Estimates, Order, as_estimates, chosen_exponents, orthonormal, varying_exponents
+from gbid.lpv.estimates import Estimates, Order, as_estimates, covariance_of, orthonormal
 from gbid.lpv.model import (
     ACTUATOR_PARAMETERS,
     EXPONENTS,
@@ -42,8 +42,7 @@ from gbid.lpv.regression import (
     OrderScore,
     Outlier,
     Weighting,
-    best_order,
-    compare_orders,
+    choose_terms,
     covariance_root,
     in_terms,
     in_units_of_terms,
@@ -351,12 +350,7 @@ def fit_lpv(
         raise UsageError(f"weighting = {weighting!r}; choose 'scatter', 'fits' or 'ordinary'")
     if weighting != "ordinary":
         estimates = with_covariance(estimates)
-    orders = compare_orders(estimates.points, estimates.values, variables)
-    by_score = isinstance(order, str) and order == "auto"
-    if by_score:
-        exponents = varying_exponents(estimates.points, best_order(orders))
-    else:
-        exponents = chosen_exponents(order, variables)
+    exponents, orders = choose_terms(estimates, order)
     design = orthonormal(estimates.points, exponents, variables)
     with one_blas_thread():  # threads do not speed up small matrices
         solved = solve_surfaces(estimates, design, weighting, robust)
@@ -388,7 +382,7 @@ def fit_lpv(
             "method": "two-step",
             "weighting": weighting,
             "order": ", ".join(term_name(e, variables) for e in exponents),
-            "chosen": "by cross-validation" if by_score else "given",
+            "chosen": "by cross-validation" if isinstance(order, str) and order == "auto" else "given",
             "robust": f"Huber, {HUBER:g} standard deviations" if robust else "no",
         },
         notes=(*solved.notes, *surface_notes(estimates, missed), *notes, *_negative_delays(model)),
@@ -527,11 +521,8 @@ def _in_bar_and_rpm(result: FitResult, schedule: Schedule) -> tuple[FloatArray, 
     onto = in_terms(schedule.to_own_units, schedule.exponents)
     names = [schedule.names(key) for key in KEY_PARAMETERS]
     scaled = np.array([[result.parameters[name] for name in row] for row in names])
-    free = {name: i for i, name in enumerate(result.free)}
-    among = np.array([free.get(name, -1) for row in names for name in row])
-    covariance = np.where((among[:, None] >= 0) & (among >= 0), result.covariance[np.ix_(among, among)], 0.0)
-    all_surfaces = np.kron(np.eye(len(KEY_PARAMETERS)), onto)
-    return scaled @ onto.T, all_surfaces @ covariance @ all_surfaces.T
+    covariance = covariance_of(result, [name for row in names for name in row])
+    return scaled @ onto.T, in_units_of_terms(covariance, onto)
 
 
 # ---- Surface fits in files: the model in YAML, its uncertainty in HDF5 beside it.

@@ -434,6 +434,14 @@ def best_order(scores: tuple[OrderScore, ...], highest: int = 2) -> int:
     return min(possible, key=lambda s: s.score).order if possible else 0
 
 
+def choose_terms(estimates: Estimates, order: Order) -> tuple[Exponents, tuple[OrderScore, ...]]:
+    """Return the terms of an order, that of the best score for ``"auto"``, and the scores of all orders."""
+    scores = compare_orders(estimates.points, estimates.values, estimates.scheduling)
+    if isinstance(order, str) and order == "auto":
+        return varying_exponents(estimates.points, best_order(scores)), scores
+    return chosen_exponents(order, estimates.scheduling), scores
+
+
 def lack_of_fit(
     points: FloatArray, values: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING
 ) -> FloatArray:

@@ -300,20 +300,13 @@ def _std(fit: FloatArray) -> FloatArray:
 
 
 def _points(scores: ValidationScores) -> Iterable[PointSummary]:
-    groups: dict[tuple[float, float], list[int]] = {}
-    for i, where in enumerate(zip(scores.pressure_bar, scores.speed_rpm, strict=True)):
-        known = [np.inf if np.isnan(v) else float(v) for v in where]  # nan is not equal to itself
-        groups.setdefault((known[0], known[1]), []).append(i)
-    for _, rows in sorted(groups.items()):
-        fit = scores.fit_percent[rows]
-        yield PointSummary(
-            float(scores.pressure_bar[rows[0]]),
-            float(scores.speed_rpm[rows[0]]),
-            len(rows),
-            fit.mean(axis=0),
-            _std(fit),
-            scores.infinity_norm[rows].max(axis=0),
-        )
+    places = np.column_stack([scores.pressure_bar, scores.speed_rpm])
+    known = np.nan_to_num(places, nan=np.inf)  # nan is not equal to itself
+    for point in np.unique(known, axis=0):
+        rows = (known == point).all(axis=1)
+        fit, (pressure, speed) = scores.fit_percent[rows], places[rows][0].tolist()
+        largest = scores.infinity_norm[rows].max(axis=0)
+        yield PointSummary(pressure, speed, len(fit), fit.mean(axis=0), _std(fit), largest)
 
 
 @dataclass(frozen=True, eq=False)

@@ -125,18 +125,3 @@ def test_p_controller_is_equation_21(order: int) -> None:
     np.testing.assert_allclose(controller.static_gain(), np.diag([1.5, -0.7]), rtol=1e-12)
     assert controller.n_states == 2 * order
     assert (controller.input_names, controller.output_names) == (("p_x", "p_y"), ("r_x", "r_y"))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"kappa_x": np.nan, "kappa_y": 1}, "kappa_x = nan"),
-        ({"kappa_x": 1, "kappa_y": np.inf}, "kappa_y = inf"),
-        ({"kappa_x": 1, "kappa_y": 1, "lowpass_hz": 0}, "lowpass_hz = 0"),
-        ({"kappa_x": 1, "kappa_y": 1, "lowpass_hz": np.nan}, "lowpass_hz = nan"),
-        ({"kappa_x": 1, "kappa_y": 1, "order": -1}, "order = -1"),
-    ],
-)
-def test_p_controller_refuses(arguments: dict[str, float], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        p_controller(**arguments)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Impacts on the rig: force scaling, closed-loop ring-downs, the paper's rows, the stage and its verb."""
+"""Impacts on the rig: force scaling, ring-downs in any loop, the paper's rows, figures, the stage and its verb."""
 
 from __future__ import annotations
 
@@ -11,41 +11,48 @@ import numpy as np
 import pytest
 from experiment_files import gbid as command
 from experiment_files import write_quick
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from json_keys import assert_keys
-from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
 import gbid
+from gbid import report
 from gbid.control import (
     HalfSine,
     ImpactStudy,
     close_loop,
     controller_structure,
     exact_plant,
+    impact_response,
     p_controller,
     ringing_modes,
     sample_controller,
     sampled_loop,
     save_controller,
+    scheduled,
     study_impacts,
 )
+from gbid.control.impact.study import _decay
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import load, save
 from gbid.lpv import load_machine
-from gbid.rig import Hammer, Impact, Machine, SampledController, Stationary, record
+from gbid.rig import Hammer, Impact, Machine, SampledController, SensorChain, Stationary, record
 from gbid.structure import LinearModel
 
 MODEL = gbid.load_model("theisen2016")
 PAPER = p_controller(1.125, 0.99)
 SAMPLED = sample_controller(PAPER, 2e-4)
 POINT = (6.0, 0.0)
+QUIET = SensorChain(noise_p_m=0.0, noise_u_m=0.0, noise_f_n=0.0, resolution_p_m=0.0, resolution_u_m=0.0)
 
 
 @cache
-def hit(axis: str, loop: str = "open", speed: float = 0.0, mass: float = 2.18, seed: int = 1, impacts: int = 3):
-    machine = Machine.from_parameters(MODEL.key_parameters(6.0, speed), MODEL.actuators, moving_mass=mass)
-    times = [0.1 + 0.25 * i + i * 7.3e-5 for i in range(impacts)]
-    hammer = Hammer(tuple(Impact.along(axis, t, 12.0) for t in times), 0.1 + 0.25 * impacts)
+def hit(axis: str, loop: str = "open", speed: float = 0.0, mass: float = 2.18, seed: int = 1, noisy: bool = True):
+    sensors = {} if noisy else {"sensors": QUIET}
+    machine = Machine.from_parameters(MODEL.key_parameters(6.0, speed), MODEL.actuators, moving_mass=mass, **sensors)
+    times = [0.1 + 0.25 * i + (i * 7.3e-5 if noisy else 0.0) for i in range(3)]
+    hammer = Hammer(tuple(Impact.along(axis, t, 12.0) for t in times), 0.85)
     options = {"conditions": {"pressure_bar": 6.0, "speed_rpm": speed}, "seed": seed, "name": f"{axis}_{loop}"}
     controller = None
     if loop == "closed":
@@ -123,24 +130,11 @@ def test_closed_loop_as_it_runs_explains_the_impact_and_the_continuous_one_does_
     assert early.along_percent < running.along_percent - 1
 
 
-def test_continuous_loop_against_an_adaptive_integrator() -> None:
-    """A noise-free force, one impact; the simulated response of 1 N/kg against DOP853 on the half-sine itself."""
-    time = 2e-4 * np.arange(600)
-    since = time - 0.01007
-    f = np.where((since > 0) & (since < 2e-3), 12 * np.sin(np.pi * since / 2e-3), 0.0)
-    loop = close_loop(MODEL.plant_at(*POINT), PAPER)
-    E = np.zeros(loop.n_states)
-    E[6] = 1.0
-
-    def slope(t: float, x: np.ndarray) -> np.ndarray:
-        return loop.A @ x + E * 12 * np.sin(np.pi * t / 2e-3)
-
-    first = solve_ivp(slope, (0, 2e-3), np.zeros(loop.n_states), "DOP853", rtol=1e-11, atol=1e-20, dense_output=True)
-    after = solve_ivp(
-        lambda _, x: loop.A @ x, (2e-3, 0.12), first.y[:, -1], "DOP853", rtol=1e-11, atol=1e-20, dense_output=True
-    )
-    x = np.array([first.sol(t) if t < 2e-3 else after.sol(t) if t > 0 else 0 * E for t in np.maximum(since, 0)])
-    p = 0.4 * x @ loop.C.T
+def test_continuous_loop_is_that_of_the_half_sine() -> None:
+    """A noise-free force, one impact: the interpolated force against the half-sine itself, stepped ten times finer."""
+    response = impact_response(MODEL.plant_at(*POINT), PAPER, HalfSine(12.0, 2e-3, 1.0), duration_s=0.12)
+    step = np.maximum(10 * np.arange(600) - 503, 0)  # of 20 us, since an impact between two samples
+    p, f = 0.4 * response.p[step], response.force_n[step]
     rec = gbid.Recording({"p": p + 1e-6, "f": np.column_stack([f, 0 * f])}, 2e-4, name="smooth")
     found = gbid.validate_impact(rec, MODEL.plant_at(*POINT), PAPER)
     assert found.force_scale == pytest.approx(0.4, rel=2e-4)
@@ -173,16 +167,13 @@ def test_intervals_on_the_rig_cover_the_truth(loop: str) -> None:
 
 
 def test_study_round_trip(tmp_path) -> None:
-    study = study_impacts([hit("x", "closed")], MODEL, PAPER, SAMPLED, lags=0)
+    study = study_impacts([hit("x", "closed")], MODEL, PAPER, SAMPLED, lags=0, loop="soft")
     save(study, tmp_path / "study.h5")
     again = load(tmp_path / "study.h5", ImpactStudy)
-    assert (again.loop, again.model, again.controller) == ("closed", MODEL.name, PAPER.name)
-    assert again.expected == study.expected
+    assert (again.loop, again.model, again.controller) == ("soft", MODEL.name, PAPER.name)
+    assert (again.expected, again.figures) == (study.expected, study.figures)
     assert again.ringdown.modes() == study.ringdown.modes()
-    assert again.ringdown.recordings == study.ringdown.recordings
-    one, other = study.validations[0], again.validations[0]
-    np.testing.assert_array_equal(other.simulated, one.simulated)
-    assert (other.impacts, other.windows, other.force_scale) == (one.impacts, one.windows, one.force_scale)
+    np.testing.assert_array_equal(again.validations[0].simulated, study.validations[0].simulated)
     with pytest.raises(UsageError, match="exists"):
         save(study, tmp_path / "study.h5")
 
@@ -277,6 +268,13 @@ def test_controller_of_a_file_runs(tmp_path, capsys) -> None:
         ("spacing_s: 0.25", "spacing_s: 0.005", "too short for impacts"),
         ("spacing_s: 0.25", "impact_s: 0.0003", "less than 4 samples"),
         ("repeats: 2", "repeats: 0", "impacts.repeats"),
+        ("controller: paper", "beside: {open: paper}", "'open' is reserved; choose another"),
+        ("controller: paper", "beside: {closed: paper}", "choose another"),
+        ("controller: paper", "beside: {a: none.yaml}", "none.yaml: no such controller file"),
+        ("controller: paper", "beside: {a: 'tuned:q'}", "no section 'controller'"),
+        ("controller: paper", "beside: {a/b: paper}", "impacts.beside"),
+        ("controller: paper", "beside: {a: 3}", "impacts.beside.a"),
+        ("controller: paper", "beside: [paper]", "impacts.beside"),
     ],
 )
 def test_bad_sections(tmp_path, capsys, old: str, new: str, text: str) -> None:
@@ -293,3 +291,123 @@ def test_tuned_controller_that_is_not_there(tmp_path, capsys) -> None:
     assert command("check", path) == 0
     assert command("impact", path) == 2
     assert "gbid tune" in capsys.readouterr().err
+
+
+# ---- Further loops: each controller runs sampled on the rig, with figures of what an impact does.
+
+BESIDE = "  controller: paper\n  beside: {soft: soft.yaml, follows: follows.yaml}\n"
+
+
+def save_beside(folder) -> None:
+    """Save a biquad, and a P controller whose gains follow the pressure."""
+    soft = {"b0": 0.9, "b1": -0.5, "b2": -1.0, "frequency": 0.5, "damping": 0.7}
+    gains = {f"{name}_{axis}": value for name, value in soft.items() for axis in "xy"}
+    save_controller(folder / "soft.yaml", controller_structure("biquad"), gains)
+    follows = scheduled(controller_structure("P"), ("1", "P"), MODEL.domain)
+    rising = {q.name: 0.5 if q.name.endswith("_1") else 0.1 for q in follows.parameters}
+    save_controller(folder / "follows.yaml", follows, rising, points=[POINT])
+
+
+def test_further_loops_run_sampled_on_the_rig(tmp_path, capsys) -> None:
+    save_beside(tmp_path)
+    path = write_quick(tmp_path, ("  controller: paper\n", BESIDE), text=YAML)
+    assert command("impact", path, "--json", "--engine", "serial") == 0
+    document = json.loads(capsys.readouterr().out)
+    studies = {d["loop"]: d for d in document["impacts"]}
+    assert list(studies) == ["open", "closed", "soft", "follows"]
+    assert studies["soft"]["published"] == {}
+    folder = tmp_path / "results" / "hits" / "impacts"
+    assert (folder / "recordings" / "p6_n0_soft_x.h5").is_file()
+    for loop in ("soft", "follows"):
+        design = gbid.load_controller(tmp_path / f"{loop}.yaml")
+        sampled = design.sampled_at(*POINT)
+        expected = ringing_modes(exact_plant(MODEL, *POINT), sampled)
+        for row, (frequency, damping) in zip(studies[loop]["modes"], expected, strict=True):
+            assert row["running_frequency [Hz]"] == pytest.approx(frequency)
+            assert row["running_damping"] == pytest.approx(damping)
+        # what ran on the rig is the sampled controller: its r follows from the p that it measured
+        rec = gbid.load_recording(folder / "recordings" / f"p6_n0_{loop}_x.h5")
+        A, B, C, D = (np.array(m) for m in (sampled.A, sampled.B, sampled.C, sampled.D))
+        p = rec.signal("p") - rec.signal("p")[:900].mean(axis=0)
+        x, r = np.zeros(len(A)), np.zeros_like(p)
+        for k in range(len(p) - 1):
+            r[k + 1] = C @ x + D @ p[k]
+            x = A @ x + B @ p[k]
+        after = slice(950, 1200)
+        assert np.abs((r - rec.signal("r"))[after]).max() < 0.05 * np.abs(rec.signal("r")).max()
+    assert command("impact", path) == 0
+    out = capsys.readouterr().out
+    for words in ("6 bar, 0 rpm: soft", "6 bar, 0 rpm: follows", "piezo up to"):
+        assert words in out
+
+
+def test_a_further_loop_without_its_controller_leaves_the_others(tmp_path, capsys) -> None:
+    text = YAML.replace("  controller: paper\n", "  beside: {best: tuned}\n") + "controller: {feedback: {}}\n"
+    path = write_quick(tmp_path, text=text)
+    assert command("impact", path, "--json") == 3
+    captured = capsys.readouterr()
+    assert "impact best: " in captured.err
+    assert "`gbid tune` makes it" in captured.err
+    document = json.loads(captured.out)
+    assert [d["loop"] for d in document["impacts"]] == ["open", "closed"]
+
+
+def quiet_hit(axis: str, closed: bool) -> gbid.Recording:
+    """Hit a rig whose sensors have no noise."""
+    return hit(axis, "closed" if closed else "open", noisy=False)
+
+
+@cache
+def study(closed: bool):
+    recordings = [quiet_hit(axis, closed) for axis in "xy"]
+    return study_impacts(recordings, MODEL, PAPER if closed else None, SAMPLED if closed else None)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_figures_of_impacts_are_those_of_the_rig(closed: bool) -> None:
+    # the rig integrates disc and stacks by itself, step by step; the other side is the model's sampled loop
+    for found, axis in zip(study(closed).figures, "xy", strict=True):
+        assert found.peak_m == pytest.approx(found.peak_simulated_m, rel=0.01)
+        assert found.decay_s == pytest.approx(found.decay_simulated_s, rel=0.01)
+        assert found.piezo_m == pytest.approx(found.piezo_simulated_m, rel=0.01, abs=1e-9)
+        assert found.peak_std_m < 0.01 * found.peak_m
+        u = quiet_hit(axis, closed).signal("u")
+        assert found.piezo_m == pytest.approx(np.abs(u - u[:450].mean(axis=0)).max() / 2, rel=0.01, abs=1e-9)
+    assert (found.piezo_m > 5e-6) == closed
+
+
+def test_figures_without_a_signal_of_the_piezos_are_not_there() -> None:
+    rec = quiet_hit("x", True)
+    bare = gbid.Recording({n: v for n, v in rec.signals.items() if n not in ("u", "r")}, 2e-4, rec.conditions)
+    found = study_impacts([bare], MODEL, PAPER, SAMPLED).figures[0]
+    assert np.isnan(found.piezo_m)
+    assert found.piezo_simulated_m == pytest.approx(study(True).figures[0].piezo_simulated_m, rel=1e-3)
+
+
+def test_loops_are_averaged_over_their_impacts() -> None:
+    data = report.impact_loops_data({"open": study(False), "closed": study(True)}, duration_s=0.04)
+    assert data.time[0] == pytest.approx(-5e-3)
+    assert data.time[-1] == pytest.approx(0.04 - 2e-4)
+    for word, closed in (("open", False), ("closed", True)):
+        p = quiet_hit("x", closed).signal("p")[:, 0]
+        start = study(closed).validations[0].windows[0][0]
+        first = p[start - 25 : start + 200] - p[:450].mean()
+        np.testing.assert_allclose(data.mean[word][:, 0], first, atol=2e-7)
+        assert data.spread[word].max() < 2e-7
+    assert report.plot_impact_loops(data) is not None
+    with pytest.raises(UsageError, match="at one operating point"):
+        report.impact_loops_data({})
+
+
+@given(rate=st.floats(30, 300), noise=st.floats(0.0, 0.1))
+@settings(max_examples=20, deadline=None)
+def test_decay_of_an_exponential(rate: float, noise: float) -> None:
+    """The sum of the noise energy is known within its own scatter, which the last 5 % of the energy must hold."""
+    n = 2000
+    time = 2e-4 * np.arange(n)
+    random = np.random.default_rng(1).standard_normal(n) * noise
+    size = 4 * np.exp(-rate * time)
+    found = 2e-4 * _decay(np.sqrt(size**2 + random**2), noise**2)
+    off = 4 * noise**2 * np.sqrt(2 * n) / np.sum(size**2)
+    earliest, latest = (-np.log(1 - share) / (2 * rate) for share in (0.95 - off, 0.95 + off))
+    assert 0.97 * earliest < found < 1.03 * latest

@@ -164,7 +164,7 @@ def test_a_fit_is_a_model_whose_information_counts(fitted, multisine):
         ({"kind": "chirp"}, "choose 'prbs' or 'multisine'"),
         ({"limits": {"y": 1.0}}, "input u has no limit"),
         ({"limits": {"u": 1.0, "z": 1.0}}, "no signal 'z'"),
-        ({"limits": {"u": -1.0}}, "positive"),
+        ({"limits": {"u": -1.0}}, "a number above 0"),
         ({"focus": "tau_*"}, "nothing matches 'tau_\\*'"),
         ({"focus": ("k", "frequency_1", "damping_1", "d")}, "depend on each other"),
         ({"duration": 0.05}, "at least 200"),

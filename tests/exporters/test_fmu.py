@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from experiment_files import gbid as run
 from scipy.linalg import expm
 
 import gbid
-from gbid.cli.main import app
 from gbid.control import controller_structure, scheduled
 from gbid.control.loop.close import force_entry
 from gbid.control.loop.sampled import exact_plant, sampled_loop
@@ -334,11 +334,6 @@ def test_a_model_without_actuators_or_a_missing_compiler(tmp_path, monkeypatch):
 
 
 def test_the_command_line_writes_plants_and_loops(tmp_path, capsys):
-    def run(*arguments: object) -> int:
-        with pytest.raises(SystemExit) as ended:
-            app([str(a) for a in arguments], prog_name="gbid")
-        return int(ended.value.code or 0)
-
     assert run("export", "theisen2016", "--to", "fmu", "--output", tmp_path) == 0
     path = Path(capsys.readouterr().out.strip())
     assert path.name == "theisen2016.fmu"

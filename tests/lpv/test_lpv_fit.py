@@ -246,12 +246,6 @@ def test_lack_of_fit_is_uniform_for_the_right_order_and_small_for_a_lower_one():
     assert any("miss the means" in note for note in gbid.fit_lpv(data, order=1).notes)
 
 
-def test_terms_are_orthogonal_and_refer_back():
-    columns, back = orthonormal(GRID, exponents_of(2))
-    np.testing.assert_allclose(columns.T @ columns, 86 * np.eye(6), atol=1e-9)
-    np.testing.assert_allclose(columns, regressors(*GRID.T) @ back, rtol=1e-8)
-
-
 def test_draws_have_the_stated_covariance_and_positive_delays():
     fit = gbid.fit_lpv(campaign(seed=12)[0])
     drawn = np.array([surface_of(model, np.array([[4.5, 2500.0]]))[0] for model in fit.draw(2000, seed=1)])

@@ -81,18 +81,9 @@ def test_other_tables(model: LPVModel) -> None:
     assert model.domain.speed_rpm == (0, 6000)
     assert list(model.operating_points) == GRID
     assert model.pade_order == 1
-
-
-def test_controller_is_the_papers(model: LPVModel) -> None:
     c = MACHINE.controller
     assert c is not None
     assert (c.kappa_x, c.kappa_y, c.lowpass_hz, c.lowpass_order) == (1.125, 0.99, 1000, 1)
-
-
-def test_modes_at_6_bar_0_rpm(model: LPVModel) -> None:
-    assert rounded(model.at(6, 0).modes(), 3, 5) == OPEN
-    assert rounded(model.plant_at(6, 0).modes(), 3, 5) == OPEN
-    assert rounded(closed_modes(model), 3, 5) == CLOSED
 
 
 def test_reference_modes_are_what_the_model_gives(model: LPVModel) -> None:
@@ -114,6 +105,8 @@ def test_modes_of_tables_3_and_4_as_transcribed(model: LPVModel) -> None:
     assert table["closed", "expected"] == ((99.9, 0.318), (105.1, 0.424))
     assert table["open", "measured"] == ((126.3, 0.026), (134.4, 0.016))
     assert table["closed", "measured"] == ((89.9, 0.658), (111.6, 0.446))
+    assert table["open", "computed"] == OPEN
+    assert table["closed", "computed"] == CLOSED
 
 
 @pytest.mark.parametrize("point", [*GRID, *((p, 2050) for p in (3, 4, 5, 6, 7))])
@@ -227,21 +220,3 @@ def test_higher_pade_orders_come_closer_to_the_delay(model: LPVModel) -> None:
     third = replace(model, pade_order=3).at(3, 2000)
     assert third.n_states == 4 + 6
     np.testing.assert_allclose(third.static_gain(), model.at(3, 2000).static_gain(), rtol=1e-9)
-
-
-def test_the_papers_controller_over_the_grid(model: LPVModel) -> None:
-    """Stable everywhere; damping 0.279 and peak output sensitivity 2.62 at worst, 2.283 at 6 bar, 0 rpm."""
-    frequency = np.linspace(0, 400, 1601)
-    controller = p_controller(1.125, 0.99)
-    K = controller.frequency_response(frequency)
-    damping, peak = {}, {}
-    for point in GRID:
-        plant = model.plant_at(*point)
-        closed = close_loop(plant, controller)
-        assert closed.is_stable()
-        damping[point] = min(zeta for _, zeta in closed.modes())
-        G = plant.frequency_response(frequency)
-        peak[point] = np.linalg.norm(np.linalg.inv(np.eye(2) - G @ K), 2, axis=(1, 2)).max()
-    assert round(min(damping.values()), 3) == 0.279
-    assert round(max(peak.values()), 2) == 2.62
-    assert round(peak[6, 0], 3) == 2.283

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chain_cases import BIQUAD, design
+from chain_cases import design
+from experiment_files import gbid as command
 
 import gbid
 from gbid.control import ImpactStudy
@@ -72,14 +73,10 @@ def test_on_the_rig_the_chain_is_the_sampled_controller() -> None:
 
 def run(folder: Path, **words: object) -> list[tuple[float, float, float, float]]:
     """Return measured and designed frequency and damping of each mode."""
-    from gbid.cli.main import app
-
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "loop.yaml"
     path.write_text(EXPERIMENT.format(**words), encoding="utf-8")
-    with pytest.raises(SystemExit) as ended:
-        app(["impact", str(path)], prog_name="gbid")
-    assert not ended.value.code
+    assert command("impact", path) == 0
     (stored,) = (folder / "results" / "loop" / "impacts").glob("*.h5")
     study = load(stored, ImpactStudy)
     return [(*m, *e) for m, e in zip(study.ringdown.modes(), study.expected_sampled, strict=True)]
@@ -115,22 +112,3 @@ def test_study_of_the_published_controller_in_the_loop(tmp_path: Path, capsys: p
             measured, designed = f"{f:7.2f} Hz {d:.4f}", f"{f0:7.2f} Hz {d0:.4f}"
             sys.stdout.write(f"P {speed:5} rpm: {measured}, designed {designed}, {100 * (d / d0 - 1):+.2f} %\n")
     assert all(abs(d / d0 - 1) < 0.01 for *_, d, _, d0 in rows)
-
-
-@pytest.mark.slow
-def test_study_of_a_biquad_in_the_loop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two modes fitted to impacts: the compiled chain against the matrices in the rig; prints both.
-
-    A loop with a biquad has more than two modes that ring, so that two fitted modes are none of the loop alone. They
-    are the same for both ways to run the controller.
-    """
-    biquad = tmp_path / "biquad.yaml"
-    gbid.save_controller(biquad, "biquad", {**BIQUAD, "b2_x": 0.0, "b2_y": 0.0}, name="biquad")
-    words = {"speed": 2050, "noise": 3e-9, "repeats": 5, "word": str(biquad)}
-    matrices, compiled = (run(tmp_path / mode, controller=mode, **words) for mode in ("python", "compiled"))
-    with capsys.disabled():
-        for one, other in zip(matrices, compiled, strict=True):
-            sys.stdout.write(
-                f"biquad: matrices {one[0]:7.2f} Hz {one[1]:.4f}, chain {other[0]:7.2f} Hz {other[1]:.4f}\n"
-            )
-    np.testing.assert_allclose([row[1] for row in compiled], [row[1] for row in matrices], rtol=0.01)

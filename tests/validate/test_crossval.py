@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fit_cases import EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, levels, piezo_motion, simulated, smooth
+from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, levels, simulated, smooth
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.recording import Recording
-from gbid.structure import RotorBearing, evaluate
+from gbid.structure import evaluate
 from gbid.validate import cross_validate, estimate_initial_state, fit_percent
 
 
@@ -52,16 +52,6 @@ def test_the_initial_state_of_an_exact_recording_is_found(hold):
     u = smooth(100)
     y = every.simulate(u, H, initial_state=x0, intersample=hold)
     np.testing.assert_allclose(estimate_initial_state(every, u, y, H, hold), x0, rtol=1e-9)
-
-
-def test_the_initial_state_in_micrometres():
-    values = {**KEY, **dict.fromkeys(("bd_xx", "bd_xy", "bd_yx", "bd_yy"), 0.0)}
-    bearing = evaluate(RotorBearing(), values)
-    x0 = np.array([1e-6, -2e-6, 4e-4, 1e-3, 3e-10, -1e-10])
-    u = piezo_motion(800)
-    y = bearing.simulate(u, TS, initial_state=x0, intersample="foh")
-    found = estimate_initial_state(bearing, u, y, TS, "foh")
-    np.testing.assert_allclose(found, x0, rtol=1e-6)
 
 
 def test_the_initial_state_is_that_of_least_squares():

@@ -15,7 +15,6 @@ from gbid.identify.disturbances import Disturbances, Trend
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 from gbid.validate import check_residuals, estimate_initial_state
-from gbid.validate.residuals import _verdict
 
 OFFSET = Disturbances(("y",), (Trend(1),))
 
@@ -240,10 +239,10 @@ def test_band_and_probability_are_those_of_bartletts_covariance(data, result):
 
 
 def test_two_outputs_are_white_at_half_a_percent_each(data, result):
-    found = replace(check_residuals(result, data), p_white=np.array([0.006, 0.004]))
+    two = {"p_white": np.array([0.006, 0.004]), "p_independent": np.ones((2, 1)), "output_names": ("x", "y")}
+    found = replace(check_residuals(result, data), **two)
     np.testing.assert_array_equal(found.white, [True, False])
-    words = _verdict(np.array([0.006, 0.004]), np.ones((2, 1)), ["u"], ["x", "y"])
-    assert words == ("x: residuals white (p = 0.006)", "y: residuals not white (p = 0.004)")
+    assert found.verdict == ("x: residuals white (p = 0.006)", "y: residuals not white (p = 0.004)")
 
 
 def test_the_longest_stretch_is_tested(data, result):

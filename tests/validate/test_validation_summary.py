@@ -11,7 +11,6 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import write_csv
 from gbid.identify import fit, select
-from gbid.recording import Recording
 from gbid.rig import Prbs, record
 from gbid.structure import PiezoPair, Plant, RotorBearing
 from gbid.validate import (
@@ -111,16 +110,9 @@ def test_repeated_poles_are_no_obstacle(recordings):
     np.testing.assert_allclose(scores.fit_percent[0], one.fit_percent, atol=1e-9)
 
 
-def test_a_pair_is_refused_as_by_itself(recordings):
-    result = fit(PiezoPair(), recordings[0])
-    slow = Recording(recordings[1].signals, 4e-4, name="slow", channels=dict(recordings[1].channels))
-    with pytest.raises(DataError, match=r"'slow' has sample time 0\.0004 s"):
-        cross_validate_many([result], [slow])
-    wild = replace(result, model=replace(result.model, A=-100 * np.array(result.model.A)))
-    with pytest.raises(DataError, match="overflows on recording 'r1'"):
-        cross_validate_many([wild], recordings[1:2])
+def test_no_pair_is_refused(recordings):
     with pytest.raises(DataError, match="no pair"):
-        cross_validate_many([result], recordings[:1])
+        cross_validate_many([fit(PiezoPair(), recordings[0])], recordings[:1])
 
 
 # ---- stretches left out ----
@@ -251,11 +243,3 @@ def test_summary_comes_back_as_it_was(tmp_path):
     assert lines[1] == "pressure_bar,speed_rpm,output,pairs,mean,std,infinity_norm,unit"
     assert lines[2].startswith(f"all,all,p_x,40,{found.mean[0]!r},".replace("np.float64(", "").replace(")", ""))
     assert len(lines) == 2 + 2 * 5
-
-
-def test_the_hold_of_the_fit_is_kept_for_many():
-    first = simulated(MODE, MODE_AT, levels(400), name="first")
-    result = fit(MODE, first, focus="simulation", intersample="foh")
-    other = simulated(MODE, MODE_AT, levels(300, seed=4), name="b")
-    scores = cross_validate_many([result], [other])
-    np.testing.assert_allclose(scores.fit_percent[0], cross_validate(result, other).fit_percent, atol=1e-10)
