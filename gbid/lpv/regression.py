@@ -22,9 +22,11 @@ from gbid.core.notes import SurfaceNote
 from gbid.lpv.estimates import (
     HIGHEST_ORDER,
     Estimates,
+    Order,
     Orthonormal,
     as_estimates,
     check_points,
+    chosen_exponents,
     orthonormal,
     varying_exponents,
 )
