@@ -16,8 +16,7 @@ import gbid
 from benchmarks.running import store
 from benchmarks.running import stored as stored_run
 from gbid.control import MaxDamping, PeakSensitivity
-from gbid.control.controllers.scheduled import with_schedule
-from gbid.control.controllers.structures import controller_structure
+from gbid.control.controllers.structures import controller_structure, with_schedule
 
 STORED = Path(__file__).parents[1] / "docs" / "structures.json"
 CAPS = (1.5, 2.0, 2.6)

@@ -17,15 +17,13 @@ from .controllers.file import (
     load_controller as load_controller,
     save_controller as save_controller,
 )
-from .controllers.scheduled import (
+from .controllers.structures import (
     Scheduled as Scheduled,
     controller_at as controller_at,
-    scheduled as scheduled,
-)
-from .controllers.structures import (
     controller_model as controller_model,
     controller_structure as controller_structure,
     p_controller as p_controller,
+    scheduled as scheduled,
 )
 from .impact.half_sine import (
     HalfSine as HalfSine,

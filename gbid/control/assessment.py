@@ -10,8 +10,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import h5py
 import numpy as np
 
-from gbid.control.controllers.scheduled import Scheduled, controller_at
-from gbid.control.controllers.structures import controller_structure
+from gbid.control.controllers.structures import Scheduled, controller_at, controller_structure
 from gbid.control.impact.half_sine import HalfSine, impact_response
 from gbid.control.loop.close import Method, smallest_damping
 from gbid.control.loop.norm import Peak

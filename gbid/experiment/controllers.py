@@ -27,7 +27,7 @@ from gbid.control import (
 )
 from gbid.control.assessment import TunedDesign
 from gbid.control.controllers.built_in import built_in_structures
-from gbid.control.controllers.scheduled import with_schedule
+from gbid.control.controllers.structures import with_schedule
 from gbid.control.loop.close import sample_controller
 from gbid.control.tuning.plants import DesignOptions
 from gbid.core.errors import UsageError

@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gbid._version import __version__
 from gbid.control import ControllerDesign
-from gbid.control.controllers.scheduled import Scheduled
+from gbid.control.controllers.structures import Scheduled
 from gbid.core.compiled import CompilerMissingError, compile_shared
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, scratch_folder

@@ -395,10 +395,8 @@ class LPVModel(Brief):
         """
         place = self._in_order(point, variables, scalar=True)
         values = self._values(place, extrapolate)
-        if self.structure is None:
-            structure = _bearing(self.pade_order if pade_order is None else pade_order)
-            return self._evaluate(_model_function(structure), values, place, self.input_names)
-        return self._evaluate(model_function(self.structure), values, place, self.input_names)
+        structure = self.structure or _bearing(self.pade_order if pade_order is None else pade_order)
+        return self._evaluate(structure, values, place, self.input_names)
 
     def plant_at(
         self, *point: float, pade_order: int | None = None, extrapolate: bool = False, **variables: float
@@ -422,9 +420,7 @@ class LPVModel(Brief):
         place = self._in_order(point, variables, scalar=True)
         values = {**self.actuators, **self._values(place, extrapolate)}
         bearing = _bearing(self.pade_order if pade_order is None else pade_order)
-        return self._evaluate(
-            _model_function(Plant(bearing, PiezoPair(), outputs=("p",))), values, place, ("r_x", "r_y")
-        )
+        return self._evaluate(Plant(bearing, PiezoPair(), outputs=("p",)), values, place, ("r_x", "r_y"))
 
     def need_bearing(self) -> None:
         """Refuse a model of another machine than a gas bearing, where key parameters over pressure and speed are used.
@@ -465,11 +461,7 @@ class LPVModel(Brief):
         return {key: value + shape for key, value in values.items()}
 
     def _evaluate(
-        self,
-        model_of: Callable[..., LinearModel],
-        values: Mapping[str, float],
-        place: tuple[float, ...],
-        inputs: tuple[str, ...],
+        self, structure: Any, values: Mapping[str, float], place: tuple[float, ...], inputs: tuple[str, ...]
     ) -> LinearModel:
         label = ", ".join(f"{name} {value:g}" for name, value in zip(self.scheduling, place, strict=True))
         label = point_label(*place) if self.scheduling == SCHEDULING else label
@@ -479,6 +471,7 @@ class LPVModel(Brief):
                     f"model {self.name!r}: {key} = {values[key]:g} s at {label}; "
                     "the polynomials do not hold where a delay is not positive"
                 )
+        model_of = model_function(structure) if self.structure else _model_function(structure)
         return replace(model_of(values, inputs, self.output_names), name=f"{self.name} at {label}")
 
     # pickle cannot store the read-only views, so plain dicts are sent to worker processes.
@@ -497,7 +490,7 @@ def _bearing(pade_order: int) -> RotorBearing:
 
 
 @lru_cache(maxsize=8)
-def _model_function(structure: RotorBearing | Plant) -> Callable[..., LinearModel]:
+def _model_function(structure: Any) -> Callable[..., LinearModel]:
     """Return the models of a structure for values; making its symbolic matrices takes longer than evaluating them."""
     return model_function(structure)
 

@@ -17,7 +17,7 @@ from gbid.core.brief import Brief, Description, brief, estimates
 from gbid.core.errors import ChangedFileWarning, DataError, UsageError
 from gbid.core.files import atomic_path
 from gbid.core.names import given_path
-from gbid.core.tables import Table, Value, plain_table
+from gbid.core.tables import Table, Value, finite_or_none, plain_table
 from gbid.core.yaml_file import read_yaml, write_yaml
 from gbid.identify import FitResult, FitTable, TableEntry, tabulate
 from gbid.validate.crossval import PointSummary, ValidationSummary
@@ -243,9 +243,10 @@ def summary_csv_table(summary: ValidationSummary) -> Table:
     rows: list[list[Value]] = []
     every = PointSummary(math.nan, math.nan, summary.n_pairs, summary.mean, summary.std, summary.infinity_norm_max)
     for point in (every, *summary.points):
-        where: list[Value] = ["all", "all"] if point is every else [_known(point.pressure_bar), _known(point.speed_rpm)]
+        place = map(finite_or_none, (point.pressure_bar, point.speed_rpm))
+        where: list[Value] = ["all", "all"] if point is every else list(place)
         for j, (output, unit) in enumerate(zip(summary.output_names, summary.output_units, strict=True)):
-            numbers = [_known(column[j]) for column in (point.mean, point.std, point.infinity_norm)]
+            numbers = [finite_or_none(column[j]) for column in (point.mean, point.std, point.infinity_norm)]
             rows.append([*where, output, point.n_pairs, *numbers, unit])
     note = "fit percent of simulations over pairs of model and recording; infinity_norm: largest error"
     return plain_table(names, rows, [note])
@@ -326,7 +327,3 @@ def load_actuators(path: str | Path) -> dict[str, float]:
     for note in file.notes:
         warnings.warn(note, ChangedFileWarning, stacklevel=2)
     return {name: float(values[name]) for name in ACTUATOR}
-
-
-def _known(value: float) -> float | None:
-    return None if math.isnan(value) else float(value)

@@ -8,8 +8,7 @@ import pytest
 import gbid
 from gbid.control import MaxDamping, PeakSensitivity, close_loop, controller_at, controller_model
 from gbid.control.controllers.built_in import built_in_structures
-from gbid.control.controllers.scheduled import with_schedule
-from gbid.control.controllers.structures import controller_structure
+from gbid.control.controllers.structures import controller_structure, with_schedule
 from gbid.control.tuning.plants import checked_models
 from gbid.core.errors import UsageError
 

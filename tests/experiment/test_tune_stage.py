@@ -255,7 +255,7 @@ def test_worst_figures_are_those_of_the_assessment():
         ("{p: {operating_points: all}}", ("controller.p.operating_points: expected the word model or domain", "'all'")),
         ("{p: {operating_points: [{pressure_bar: 9, speed_rpm: 0}]}}", ("points[0].pressure_bar", "3 to 7")),
         ("{p: {operating_points: [{pressure_bar: 6, speed_rpm: 0, speed: 1}]}}", ("points[0].speed:", "unknown key")),
-        ("{p: {tune_corner: true, order: 0}}", ("controller.p.structure", "tune_corner needs a low-pass")),
+        ("{p: {tune_corner: true, order: 0}}", ("controller.p.tune_corner", "tune_corner needs a low-pass")),
         ("{p: {goals: }}", ("controller.p.goals", "is empty")),
         (
             "{p: {}, q: {}}\nimpacts: {controller: tuned, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}",

@@ -22,7 +22,7 @@ from gbid.control import (
     save_controller,
 )
 from gbid.control.controllers.built_in import built_in_structures
-from gbid.control.controllers.scheduled import with_schedule
+from gbid.control.controllers.structures import with_schedule
 from gbid.core.yaml_file import read_yaml
 from gbid.rig import Hammer, Impact, Machine, SampledController, Stationary, record
 

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
+from experiment_files import gbid as run
 from scipy.io import loadmat
 
 import gbid
-from gbid.cli.main import app
 from gbid.control import controller_structure, scheduled
 from gbid.export import targets
 
@@ -19,12 +19,6 @@ def write_names(item, request):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(", ".join(each.name for each in request.beside))
     return [path]
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        app([str(a) for a in arguments], prog_name="gbid")
-    return int(ended.value.code or 0)
 
 
 def test_a_new_target_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:

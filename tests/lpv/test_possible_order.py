@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gbid.core.errors import DataError
-from gbid.lpv.estimates import check_points, chosen_exponents, possible_order, varying_exponents
+from gbid.lpv.estimates import check_points, chosen_exponents, order_words, possible_order, varying_exponents
 from gbid.lpv.regression import best_order, compare_orders
 
 GRID = [(p, n) for p in (4.0, 5.0, 6.0) for n in (0.0, 4000.0, 6000.0)]
@@ -25,16 +25,9 @@ def test_the_highest_order_that_points_allow(points, order):
     assert possible_order(points) == order
     check_points(points, chosen_exponents(order))
     if order != 2:
-        words = (
-            '["1", "P", "P^2"]'
-            if order == ("1", "P", "P^2")
-            else str(order)
-            if isinstance(order, int)
-            else '["1", "Omega"]'
-        )
         with pytest.raises(DataError) as caught:
             check_points(points, chosen_exponents(2))
-        assert str(caught.value).endswith(f"or choose a lower order, such as order: {words}")
+        assert str(caught.value).endswith(f"or choose a lower order, such as order: {order_words(order)}")
 
 
 def test_auto_at_one_speed_and_at_one_point():

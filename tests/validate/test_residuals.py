@@ -14,7 +14,7 @@ from gbid.identify import fit
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
-from gbid.validate import check_residuals, estimate_initial_state
+from gbid.validate import check_residuals, cross_validate, estimate_initial_state
 
 OFFSET = Disturbances(("y",), (Trend(1),))
 
@@ -198,6 +198,12 @@ def test_a_recording_without_the_signals_is_refused(result):
         check_residuals(result, Recording({"u": levels(500)}, H))
 
 
+def test_a_model_that_overflows_is_refused(data, result):
+    wild = replace(result, model=replace(result.model, A=np.array([[80.0]])))
+    with pytest.raises(DataError, match="overflows on recording 'first'"):
+        check_residuals(wild, data)
+
+
 def test_the_simulation_of_a_mode_leaves_its_white_noise():
     rec = simulated(MODE, MODE_AT, levels(2000), noise=0.3)
     found = check_residuals(fit(MODE, rec, focus="simulation"), rec)
@@ -260,3 +266,29 @@ def test_an_offset_of_the_outputs_changes_nothing_where_offsets_are_estimated(da
     np.testing.assert_allclose(found.rms, plain.rms, rtol=1e-9)
     np.testing.assert_allclose(found.infinity_norm, plain.infinity_norm, rtol=1e-9)
     np.testing.assert_allclose(found.autocorrelation, plain.autocorrelation, atol=1e-9)
+
+
+# ---- offsets that belong to a recording ----
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A fit with an offset, its parameters the truth but for noise."""
+    recording = simulated(MODE, MODE_AT, levels(2000), name="first")
+    return fit(MODE, with_offset(recording, 3.0, 1), focus="simulation", trend="offset")
+
+
+def with_offset(recording, offset, seed):
+    signals = dict(recording.signals)
+    name = MODE.outputs[0]
+    noise = np.random.default_rng(seed).standard_normal(signals[name].shape)
+    signals[name] = signals[name] + offset + 0.01 * signals[name].std() * noise
+    return replace(recording, signals=signals)
+
+
+def test_a_recording_has_an_offset_of_its_own(model):
+    other = with_offset(simulated(MODE, MODE_AT, levels(2000, seed=5), name="second"), -7.0, 2)
+    assert cross_validate(model, other).fit_percent.min() > 98.5
+    assert check_residuals(model, other).white.all()
+    without = replace(model, disturbances=Disturbances())
+    assert cross_validate(without, other).fit_percent.min() < 90

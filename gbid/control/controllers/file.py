@@ -12,10 +12,15 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from gbid._version import __version__
-from gbid.control.controllers.built_in import built_in_structures
-from gbid.control.controllers.parts import INPUTS, NOT_OPTIONS, OUTPUTS
-from gbid.control.controllers.scheduled import Scheduled, controller_at, scheduled, with_schedule
-from gbid.control.controllers.structures import channels_of, controller_structure
+from gbid.control.controllers.built_in import INPUTS, NOT_OPTIONS, OUTPUTS, built_in_structures
+from gbid.control.controllers.structures import (
+    Scheduled,
+    channels_of,
+    controller_at,
+    controller_structure,
+    scheduled,
+    with_schedule,
+)
 from gbid.control.loop.close import Method, sample_controller
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError

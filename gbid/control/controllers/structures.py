@@ -1,18 +1,21 @@
-"""Controllers of fixed structure, built-in or user-defined, and their models for given gains."""
+"""Controllers of fixed structure, built-in or user-defined, with constant or scheduled gains, and their models."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import isfinite
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
-from gbid.control.controllers.built_in import PStructure, built_in_structures
-from gbid.control.controllers.parts import INPUTS, NOT_OPTIONS, OUTPUTS, PerAxis
+from gbid.control.controllers.built_in import INPUTS, NOT_OPTIONS, OUTPUTS, PerAxis, PStructure, built_in_structures
+from gbid.core.arrays import point_label
 from gbid.core.errors import UsageError
-from gbid.structure import LinearModel
+from gbid.discretise import Hold
+from gbid.lpv import TERMS, Domain, basis
+from gbid.structure import LinearModel, LinearStructure, Parameter
 from gbid.structure.linear import Structure, model_function
+from gbid.structure.parameter import Values
 
 # ---- Proportional controller as a linear model, from the disc position p to the piezo reference r.
 
@@ -132,3 +135,239 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
 def channels_of(structure: Structure) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the names of inputs and outputs of a controller: those of its axes, or of x and y for your own."""
     return (structure.inputs, structure.outputs) if isinstance(structure, PerAxis) else (INPUTS, OUTPUTS)
+
+
+# ---- Scheduled gains: polynomials in pressure and speed.
+
+_SUFFIX = dict(zip(TERMS, ("1", "P", "Omega", "OmegaP", "P2", "Omega2"), strict=True))
+
+
+@runtime_checkable
+class FollowsSpeed(Protocol):
+    """Structure whose matrices follow the speed, so that it needs a schedule."""
+
+    def at_speed(self, speed_rpm: Any) -> Any:
+        """Return the structure at a speed [rpm]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    r"""Controller whose gains are polynomials in pressure and speed (terms of Eq. 16).
+
+    .. math:: g(P, \Omega) = \sum_j c_j\, t_j(\tilde P, \tilde \Omega), \quad
+              \tilde P = \frac{P - P_0}{\Delta P}, \quad \tilde \Omega = \frac{\Omega - \Omega_0}{\Delta \Omega}
+
+    P_0 and Omega_0 are the middle of the domain, Delta P and Delta Omega its half widths. So the scaled pressure and
+    speed lie between -1 and 1, and all coefficients of a gain have its order of magnitude. The parameters are the
+    coefficients, ``kappa_x_1``, ``kappa_x_P``, ``kappa_x_Omega``, ... for the gain ``kappa_x``.
+
+    Parameters
+    ----------
+    base : Structure
+        Structure of the controller at one operating point.
+    terms : tuple of str
+        Terms of `gbid.lpv.TERMS`; ``"1"`` must be one of them.
+    domain : Domain
+        Range of pressure and speed.
+    """
+
+    base: Structure
+    terms: tuple[str, ...]
+    domain: Domain
+
+    def __post_init__(self) -> None:
+        unknown = [term for term in self.terms if term not in TERMS]
+        if unknown or "1" not in self.terms or len(set(self.terms)) != len(self.terms):
+            raise UsageError(
+                f"{self.name}: terms = {list(self.terms)}; choose from {', '.join(map(repr, TERMS))}, "
+                "each once and '1' among them"
+            )
+
+    @property
+    def name(self) -> str:
+        """Name of the base structure with the terms."""
+        return f"{self.base.name} scheduled over {', '.join(self.terms)}"
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs of the base structure."""
+        return self.base.inputs
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs of the base structure."""
+        return self.base.outputs
+
+    @property
+    def intersample(self) -> Hold | tuple[Hold, ...]:
+        """Inter-sample behaviour of the inputs of the base structure."""
+        return self.base.intersample
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Coefficients, gain by gain.
+
+        The constant term has the bounds of the gain, the other terms have plus and minus half their width. These
+        bounds do not limit the gains themselves. Limit the values of `gains` at operating points for that.
+        """
+        return tuple(
+            Parameter(self._coefficient(gain, term), *_range(gain, term), unit=gain.unit)
+            for gain in self.base.parameters
+            for term in self.terms
+        )
+
+    def gains(self, p: Mapping[str, Any], pressure_bar: Any, speed_rpm: Any) -> dict[str, Any]:
+        """Return the gains at one operating point, for numbers or symbols.
+
+        Parameters
+        ----------
+        p : dict of str to float or casadi.SX
+            Coefficients by name.
+        pressure_bar, speed_rpm : float or casadi.SX
+            Operating point [bar], [rpm].
+
+        Returns
+        -------
+        dict of str to float or casadi.SX
+            Gains by the names of the parameters of the base structure.
+
+        Raises
+        ------
+        UsageError
+            When a coefficient is missing, or when numbers lie outside the domain.
+        """
+        missing = [parameter.name for parameter in self.parameters if parameter.name not in p]
+        if missing:
+            raise UsageError(f"{self.name}: no value for {', '.join(missing)}")
+        self.domain.check((pressure_bar, speed_rpm), self.name)
+        scaled = (
+            (value - (high + low) / 2) / ((high - low) / 2 or 1.0)
+            for value, (low, high) in zip((pressure_bar, speed_rpm), self.domain.bounds, strict=True)
+        )
+        values = dict(zip(TERMS, basis(*scaled), strict=True))
+        return {
+            gain.name: sum(p[self._coefficient(gain, term)] * values[term] for term in self.terms)
+            for gain in self.base.parameters
+        }
+
+    def matrices(self, p: Values, pressure_bar: Any, speed_rpm: Any) -> Mapping[str, Any]:
+        """Return A, B, C and D at one operating point; all arguments may be symbols.
+
+        Parameters
+        ----------
+        p : Values
+            Coefficients by name.
+        pressure_bar, speed_rpm : float or casadi.SX
+            Operating point [bar], [rpm].
+        """
+        return self.base_at(speed_rpm).matrices(Values(self.gains(p, pressure_bar, speed_rpm)))
+
+    def base_at(self, speed_rpm: Any) -> Structure:
+        """Return the base structure at a speed, which matters when its matrices follow the speed.
+
+        Parameters
+        ----------
+        speed_rpm : float or casadi.SX
+            Speed [rpm].
+        """
+        return self.base.at_speed(speed_rpm) if isinstance(self.base, FollowsSpeed) else self.base
+
+    def at(self, pressure_bar: float, speed_rpm: float) -> LinearStructure:
+        """Return the structure at one operating point; its parameters are the coefficients.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm : float
+            Operating point [bar], [rpm].
+        """
+        self.domain.check((pressure_bar, speed_rpm), self.name)
+        return LinearStructure(
+            f"{self.name} at {point_label(pressure_bar, speed_rpm)}",
+            self.parameters,
+            lambda p: self.matrices(p, pressure_bar, speed_rpm),
+            self.inputs,
+            self.outputs,
+            self.intersample,
+        )
+
+    def _coefficient(self, gain: Parameter, term: str) -> str:
+        return f"{gain.name}_{_SUFFIX[term]}"
+
+
+def scheduled(
+    structure: Structure, terms: Sequence[str] = ("1", "P", "Omega"), domain: Domain | None = None
+) -> Scheduled:
+    """Return a controller structure whose gains depend on pressure and speed.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the controller at one operating point; see `controller_structure`.
+    terms : sequence of str
+        Terms of the polynomials, from `gbid.lpv.TERMS`.
+    domain : Domain, optional
+        Range that scales pressure and speed, usually ``lpv.domain``. By default 3 to 7 bar and 0 to 6000 rpm.
+
+    Returns
+    -------
+    Scheduled
+
+    Raises
+    ------
+    UsageError
+        When a term is unknown or repeated, or when the constant term is missing.
+    """
+    return Scheduled(structure, tuple(terms), domain or Domain((3.0, 7.0), (0.0, 6000.0)))
+
+
+def with_schedule(structure: Structure | Scheduled, domain: Domain | None = None) -> Structure | Scheduled:
+    """Return a structure, scheduled with constant gains when its matrices follow the speed.
+
+    Parameters
+    ----------
+    structure : Structure or Scheduled
+        Structure of the controller.
+    domain : Domain, optional
+        Range of pressure and speed, as for `scheduled`.
+    """
+    if isinstance(structure, Scheduled) or not isinstance(structure, FollowsSpeed):
+        return structure
+    return scheduled(structure, ("1",), domain)
+
+
+def controller_at(
+    structure: Structure | Scheduled, gains: Mapping[str, float], pressure_bar: float, speed_rpm: float
+) -> LinearModel:
+    """Return a controller, scheduled or not, at one operating point.
+
+    Parameters
+    ----------
+    structure : Structure or Scheduled
+        Structure of the controller.
+    gains : dict of str to float
+        A value for every parameter: gains, or coefficients of scheduled gains.
+    pressure_bar, speed_rpm : float
+        Operating point [bar], [rpm].
+
+    Returns
+    -------
+    LinearModel
+        Continuous, from p to r.
+
+    Raises
+    ------
+    UsageError
+        As for `controller_model`; for a scheduled controller also when the point lies outside its domain.
+    """
+    if isinstance(structure, Scheduled):
+        return controller_model(structure.base_at(speed_rpm), structure.gains(gains, pressure_bar, speed_rpm))
+    return controller_model(structure, gains)
+
+
+def _range(gain: Parameter, term: str) -> tuple[float, float, float]:
+    """Return start value and bounds of a coefficient."""
+    if term == "1":
+        return gain.start or 0.0, gain.lower, gain.upper
+    half = (gain.upper - gain.lower) / 2
+    return 0.0, -half, half

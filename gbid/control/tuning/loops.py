@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-from gbid.control.controllers.scheduled import Scheduled, controller_at
+from gbid.control.controllers.structures import Scheduled, controller_at
 from gbid.control.loop.close import Method
 from gbid.control.loop.sampled import exact_plant, sampled_loop
 from gbid.core.arrays import FloatArray, is_finite

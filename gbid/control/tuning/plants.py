@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from gbid.control.controllers.scheduled import Scheduled
+from gbid.control.controllers.structures import Scheduled
 from gbid.control.loop.close import Method, sample_plant
 from gbid.control.loop.sampled import exact_plant, exact_plant_of
 from gbid.control.tuning.goals import Goal, MaxDamping, MaxDecay, SlowestPole

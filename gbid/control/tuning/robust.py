@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import bdtrc, betaincinv
 
-from gbid.control.controllers.scheduled import Scheduled, with_schedule
-from gbid.control.controllers.structures import controller_structure
+from gbid.control.controllers.structures import Scheduled, controller_structure, with_schedule
 from gbid.control.tuning.goals import Goal, limits_of
 from gbid.control.tuning.plants import Plants, TuneOptions, Uncertainty, plants_of
 from gbid.control.tuning.problem import GainProblem

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid.control.controllers.scheduled import Scheduled, with_schedule
-from gbid.control.controllers.structures import controller_structure
+from gbid.control.controllers.structures import Scheduled, controller_structure, with_schedule
 from gbid.control.tuning.goals import (
     limits_of,
 )
