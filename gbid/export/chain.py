@@ -600,11 +600,11 @@ def chain_of(
 
 def _controller_table(design: ControllerDesign) -> tuple[list[tuple[Point | None, LinearModel]], GridTable]:
     """Return the sampled controllers at the nodes with their operating points, and the table of all their entries."""
-    found: dict[Point | None, LinearModel] = {}
+    models: dict[Point | None, LinearModel] = {}
 
-    def row_at(pressure_bar: float, speed_rpm: float) -> FloatArray:
-        model = design.sampled_at(pressure_bar, speed_rpm)
-        found[pressure_bar, speed_rpm] = model
+    def row_at(*point: float) -> FloatArray:
+        model = design.sampled_at(*point)
+        models[(point[0], point[1]) if point else None] = model
         return _row(design, model)
 
     if isinstance(design.structure, Scheduled):
@@ -613,9 +613,8 @@ def _controller_table(design: ControllerDesign) -> tuple[list[tuple[Point | None
         points = [point for point in design.models if point is not None]
         table = table_of_points({point: row_at(*point) for point in points}, f"controller {design.name!r}")
     else:
-        model = design.sampled_at()
-        return [(None, model)], GridTable((), (), _row(design, model)[None])
-    return list(found.items()), table
+        table = GridTable((), (), row_at()[None])
+    return list(models.items()), table
 
 
 def _row(design: ControllerDesign, model: LinearModel) -> FloatArray:
