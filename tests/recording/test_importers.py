@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import scipy.io
 from places import DOCS, MEASURED
+from refusals import refused
 from ruamel.yaml import YAML
 
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import UsageError
 from gbid.recording import ImportMapping, SignalMapping, import_recording, load_recording, save_recording
 from gbid.recording.importing import Peek, peek
 
@@ -66,17 +67,6 @@ def write_v4(path, variables):
 
 
 MAT_WRITERS = pytest.mark.parametrize("write", [write_v5, write_v73])
-
-
-def refused(path, mapping, *words, error=DataError):
-    with pytest.raises(error) as caught:
-        import_recording(path, mapping)
-    text = str(caught.value)
-    assert str(path) in text
-    assert "\n" not in text
-    for word in words:
-        assert word in text
-    return text
 
 
 # What is read
@@ -473,24 +463,17 @@ def test_files_that_are_not_there_or_of_unknown_kind(tmp_path):
     [
         ({"sample_time": None}, "neither sample_time_s nor time"),
         ({"sample_time": 0}, "sample_time = 0; give a number above 0 or None"),
-        ({"sample_time": "fast"}, "sample_time = 'fast'; give a number"),
         ({"sample_time_s": DT}, "both given"),
         ({"sampel_time": DT}, "unknown key 'sampel_time'; did you mean 'sample_time'?"),
         ({"time_unit": "ms"}, "time_unit is given without time"),
-        ({"time": 3}, "time = 3; give a text or None"),
         ({"samples": [5]}, "samples = [5]; give (a whole number of at least 0, a whole number of at least 0 or None)"),
         ({"samples": [5, 5]}, "samples = (5, 5); give the first and the end, which lies after it"),
-        ({"samples": [-5, None]}, "samples = [-5, None]; give"),
         ({"samples": [0, 5], "from_s": 1.0}, "samples is given beside from_s"),
-        ({"from_s": -1.0}, "from_s = -1.0; give a number of at least 0"),
         ({"from_s": 2.0, "to_s": 1.0}, "to_s = 1.0; give a time after from_s"),
-        ({"piece": 0}, "piece = 0; give a whole number of at least 1"),
         ({"piece": 1}, "piece needs the time column"),
         ({"encoding": "klingon"}, "encoding: 'klingon' is not known"),
         ({"decimal": ";"}, "decimal = ';'; give '.', ',' or None"),
         ({"delimiter": "::"}, "delimiter = '::'; give one character"),
-        ({"header_line": 0}, "header_line = 0; give a whole number of at least 1"),
-        ({"conditions": [1]}, "conditions = [1]; give a dict by name"),
         ({"conditions": {"pressure_bar": "6"}}, "conditions = {'pressure_bar': '6'}; give a dict by name (a number)"),
         ({"signals": {}}, "at least one signal"),
         ({"signals": ["p"]}, "at least one signal"),

@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from refusals import refused
 
 import gbid
 from gbid.cli.main import app
@@ -112,16 +113,6 @@ STATED = {  # what a mapping of each has to say
     ".h5": {"signals": {"p": {"columns": ["run/p_x", "run/p_y"]}}, "time": "run/table/t"},
 }
 KINDS = pytest.mark.parametrize("kind", WRITERS)
-
-
-def refused(path: Path, mapping: dict, *words: str, error: type[Exception] = DataError) -> None:
-    with pytest.raises(error) as caught:
-        gbid.import_recording(path, mapping)
-    text = str(caught.value)
-    assert str(path) in text
-    assert "\n" not in text
-    for word in words:
-        assert word in text
 
 
 @KINDS

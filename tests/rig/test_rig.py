@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig_point import actuator, rotor_bearing
+from rig_point import BARE, actuator, machine, modes, rotor_bearing
 from scipy.integrate import solve_ivp
 from scipy.signal import welch
 
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import UsageError
 from gbid.rig import (
     Machine,
     Prbs,
@@ -28,19 +28,6 @@ from gbid.rig.sensors import encoder_angle
 
 TS = 2e-4
 FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}
-BARE = SensorChain(
-    noise_p_m=0.0,
-    noise_u_m=0.0,
-    runout_amplitude_m=np.zeros((2, 0)),
-    runout_phase_rad=np.zeros((2, 0)),
-    offset_p_m=(0, 0),
-    offset_u_m=(0, 0),
-    encoder_counts=None,
-)
-
-
-def machine(**parts) -> Machine:
-    return Machine(rotor_bearing(), actuator(), **parts)
 
 
 def steps(n_samples, hold=5, seed=3):
@@ -57,10 +44,7 @@ def with_delay(tau) -> RotorBearingTruth:
 
 def test_errata_modes_of_the_test_point_hold():
     truth = rotor_bearing(6.0, 0.0)
-    matrix = np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]])
-    eigenvalues = np.linalg.eigvals(matrix)
-    modes = sorted({(round(abs(s) / 2 / np.pi, 3), round(-s.real / abs(s), 5)) for s in eigenvalues})
-    np.testing.assert_allclose(modes, [(126.590, 0.03523), (132.110, 0.02914)], atol=6e-4)
+    np.testing.assert_allclose(modes(truth), [(126.590, 132.110), (0.03523, 0.02914)], atol=6e-4)
 
 
 def brute_force(truth, piezos, reference, n_fine):
@@ -263,11 +247,6 @@ def test_default_excitation_stays_clear_of_the_bearing(pressure_bar):
         assert np.abs(rec.signal("p")).max() > 5e-6
 
 
-def test_motion_that_uses_up_the_clearance_is_refused():
-    with pytest.raises(DataError, match=r"recording 'a': the disc moves \d\d\.\d um at .* clearance of 25\.0 um"):
-        record(machine(), Prbs(hold_s=4e-3), conditions=FIG7, seed=0, name="a")
-
-
 # ---- excitation and encoder ----
 
 
@@ -318,9 +297,7 @@ def test_encoder_angle_is_wrapped_and_within_one_count(angles, counts):
         (lambda: with_delay([1e-4]), r"delay has shape \(1,\)"),
         (lambda: replace(rotor_bearing(), stiffness=np.full((2, 2), np.nan)), "stiffness .* not finite"),
         (lambda: replace(actuator(), slow_pole=[0, 1]), "slow_pole .* positive"),
-        (lambda: Prbs(amplitude_m=0.0), "amplitude_m = 0.0"),
         (lambda: Prbs(hold_s=5.1e-4).reference(10, TS, np.random.default_rng(0)), "hold_s = 0.00051 s"),
-        (lambda: SensorChain(noise_p_m=-1.0), "noise_p_m = -1.0"),
         (lambda: SensorChain(runout_amplitude_m=np.ones(3)), "runout_amplitude_m = array"),
         (
             lambda: SensorChain(runout_amplitude_m=np.ones((2, 3))),
@@ -328,7 +305,6 @@ def test_encoder_angle_is_wrapped_and_within_one_count(angles, counts):
         ),
         (lambda: SensorChain(offset_u_m=(1.0,)), "offset_u"),
         (lambda: SensorChain(encoder_counts=1), "encoder_counts = 1"),
-        (lambda: Unbalance(eccentricity_m=-1e-6), "eccentricity_m = -1e-06"),
         (lambda: machine(clearance=0.0), "clearance = 0.0"),
         (lambda: record(machine(), Prbs(), conditions={}, seed=0, name="a"), "speed_rpm = None"),
         (lambda: record(machine(), Prbs(), conditions=FIG7, seed=-1, name="a"), "seed = -1"),

@@ -2,11 +2,12 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from experiment_files import gbid, write_quick
-from rig_point import machine, rotor_bearing
+from rig_point import machine, modes, rotor_bearing
 
 from gbid.core.errors import UsageError
 from gbid.experiment.fields import ExperimentError
@@ -15,6 +16,7 @@ from gbid.experiment.machine import true_values
 from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.structures import make_structure
+from gbid.lpv.model import PUBLISHED_RMS
 from gbid.recording import find_problems, load_recording
 from gbid.rig import (
     Faults,
@@ -23,7 +25,6 @@ from gbid.rig import (
     RotorBearingTruth,
     Scatter,
     SensorChain,
-    Stationary,
     drawn_truth,
     record,
     saturations,
@@ -37,10 +38,15 @@ FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}
 POINTS = [(p, n) for p in (3.0, 4.0, 5.0, 6.0, 7.0) for n in (0.0, 4000.0, 6000.0)]
 
 
-def modes(truth):
-    values = np.linalg.eigvals(np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]]))
-    upper = sorted(values[values.imag > 0], key=abs)
-    return np.abs(upper) / 2 / np.pi, np.array([-s.real / abs(s) for s in upper])
+TRUTH = RotorBearingTruth(
+    np.array([[-5e5, 3e3], [-2e3, -8e5]]),
+    np.array([[-250.0, 30.0], [-20.0, -280.0]]),
+    np.array([[1.5e5, 3e3], [2e3, 2.5e5]]),
+    np.array([0.8e-3, 0.6e-3]),
+)
+SCATTER = Scatter(
+    share=0.5, delay_s=(1e-4, 2e-4), frequency_hz=(2.0, 4.0), damping=(0.01, 0.02), static_gain=(0.01, 0.02, 0.03, 0.04)
+)
 
 
 # ---- scatter ----
@@ -48,12 +54,7 @@ def modes(truth):
 
 def test_scatter_has_the_size_that_was_asked_for():
     """Where no draw is thrown away: much damping, modes far apart, long delays."""
-    truth = RotorBearingTruth(
-        np.array([[-5e5, 3e3], [-2e3, -8e5]]),
-        np.array([[-250.0, 30.0], [-20.0, -280.0]]),
-        np.array([[1.5e5, 3e3], [2e3, 2.5e5]]),
-        np.array([0.8e-3, 0.6e-3]),
-    )
+    truth = TRUTH
     scatter, random = Scatter(share=1.0), np.random.default_rng(0)
     draws = [scattered(truth, scatter, random) for _ in range(2000)]
     assert sum(thrown for _, thrown in draws) == 0
@@ -105,6 +106,77 @@ def test_draw_belongs_to_seed_name_and_operating_point_and_is_told():
     assert drawn_truth(record(machine(), Prbs(0.1), conditions=FIG7, seed=1, name="a")) == pytest.approx(
         rotor_bearing().key_parameters()
     )
+
+
+# ---- scatter from random numbers that are known ----
+
+
+class Given:
+    """Random numbers that are told beforehand, ten for each draw."""
+
+    def __init__(self, *draws: Any) -> None:
+        self._draws = iter(draws)
+
+    def standard_normal(self, n: int) -> Any:
+        assert n == 10
+        return np.array(next(self._draws), float)
+
+
+def gain(truth: RotorBearingTruth) -> Any:
+    return -np.linalg.solve(truth.stiffness, truth.input_gain)
+
+
+def test_each_number_moves_its_own_quantity_by_half_its_deviation() -> None:
+    z = [1.0, -0.5, 0.6, -0.8, 1.0, -2.0, 1.0, -1.0, 0.5, 2.0]
+    found, rejected = scattered(TRUTH, SCATTER, Given(z))
+    assert rejected == 0
+    frequency, damping = modes(TRUTH)
+    np.testing.assert_allclose(modes(found)[0], frequency + np.array([1.0, -1.0]), rtol=1e-9)
+    np.testing.assert_allclose(modes(found)[1], damping + np.array([0.003, -0.008]), rtol=1e-9)
+    np.testing.assert_allclose(found.delay, TRUTH.delay + np.array([0.5e-4, -2e-4]), rtol=1e-12)
+    np.testing.assert_allclose(gain(found), gain(TRUTH) + np.array([[0.005, -0.01], [0.0075, 0.04]]), rtol=1e-9)
+
+
+def test_the_scatter_is_that_of_the_papers_recordings() -> None:
+    paper = Scatter()
+    stated = (*paper.delay_s, *paper.frequency_hz, *paper.damping, *paper.static_gain)
+    assert stated == tuple(PUBLISHED_RMS.values())
+
+
+def test_mode_shapes_are_kept() -> None:
+    found, _ = scattered(TRUTH, SCATTER, Given([1.0, -0.5, 0.6, -0.8, *[0.0] * 6]))
+
+    def shapes(truth: RotorBearingTruth) -> Any:
+        values, vectors = np.linalg.eig(np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]]))
+        upper = [i for i in np.argsort(np.abs(values), kind="stable") if values[i].imag > 0]
+        return vectors[1, upper] / vectors[0, upper]
+
+    np.testing.assert_allclose(shapes(found), shapes(TRUTH), rtol=1e-8)
+
+
+@pytest.mark.parametrize(("place", "sign"), [(2, -1), (3, -1), (4, -1), (5, -1), (2, 1), (0, -1)])
+def test_draws_beyond_the_limits_are_rejected_and_counted(place: int, sign: int) -> None:
+    """Too little damping or a delay too short; a mode that no longer oscillates; a frequency below zero."""
+    wild = np.zeros(10)
+    wild[place] = sign * 1000.0
+    found, rejected = scattered(TRUTH, SCATTER, Given(wild, wild, np.zeros(10)))
+    assert rejected == 2
+    np.testing.assert_allclose(found.stiffness, TRUTH.stiffness, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(found.damping, TRUTH.damping, rtol=1e-9, atol=1e-8)
+
+
+def test_half_of_a_small_damping_or_delay_is_allowed() -> None:
+    """Limits far above the truth become half of it."""
+    strict = Scatter(share=1.0, damping=(1.0, 1.0), delay_s=(1.0, 1.0), minimum_damping=0.9, minimum_delay_s=1.0)
+    damping, delay = modes(TRUTH)[1], TRUTH.delay
+    just = np.concatenate([[0, 0], -0.49 * damping, -0.49 * delay, np.zeros(4)])
+    found, rejected = scattered(TRUTH, strict, Given(just))
+    assert rejected == 0
+    np.testing.assert_allclose(modes(found)[1], 0.51 * damping, rtol=1e-8)
+    for place, size in ((2, damping[0]), (3, damping[1]), (4, delay[0]), (5, delay[1])):
+        below = np.zeros(10)
+        below[place] = -0.51 * size
+        assert scattered(TRUTH, strict, Given(below, np.zeros(10)))[1] == 1
 
 
 # ---- faults and converters ----
@@ -167,10 +239,8 @@ def test_converters_step():
     [
         (lambda: Faults(dead={"p": 0.0}), "faults: no channel p; write signal.channel"),
         (lambda: Faults(sample_time_factor=0.0), "sample_time_factor = 0.0; give a number above 0"),
-        (lambda: Faults(rub_clearance_m=0.0), "rub_clearance_m = 0.0"),
         (lambda: made(Faults(dead={"q.x": 0.0})), "has no channel q.x"),
         (lambda: made(Faults(swapped=("phi",))), "no signal phi with two channels"),
-        (lambda: Scatter(share=-1.0), "share = -1.0"),
         (
             lambda: Scatter(delay_s=(1.0,)),
             r"delay_s = \(1.0,\); give \(a number of at least 0, a number of at least 0\)",
@@ -295,6 +365,7 @@ def test_a_change_of_any_part_makes_the_recording_anew(tmp_path, capsys):
             "seed: 3\n  staircase: {hold_s: 1.05e-3}",
             "rig.staircase.hold_s: hold_s = 0.00105 s is not",
         ),
+        ("seed: 3", "seed: 3\n  stack_staircase: {}", "kind: stacks"),
         ("seed: 3", "seed: 3\n  stack_staircase: {stacks: [5]}", "rig.stack_staircase.stacks[0]: must be at most 4"),
         ("seed: 3", "seed: 3\n  actuators: {kind: piezo}", "rig.actuators.kind: expected 'linear' or 'stacks'"),
         ("seed: 3", "seed: 3\n  actuators: {spread: 0.4}", "rig.actuators.spread: must be below 0.3"),
@@ -309,13 +380,3 @@ def test_yaml_problems_are_named(tmp_path, old, new, words):
     with pytest.raises(ExperimentError) as caught:
         load_experiment(write_quick(tmp_path, (old, new)))
     assert words in str(caught.value)
-
-
-def test_stack_staircase_needs_stacks(tmp_path):
-    with pytest.raises(ExperimentError, match=r"stack_staircase: .*kind: stacks"):
-        load_experiment(write_quick(tmp_path, ("seed: 3", "seed: 3\n  stack_staircase: {}")))
-
-
-def test_stationary_runs_stay_as_they_are():
-    rec = record(machine(), Stationary(0.1), conditions=FIG7, seed=0, name="a")
-    assert rec.provenance["simulation"] == "closed form, exact delays"

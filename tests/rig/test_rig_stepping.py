@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from places import DOCS
-from rig_point import actuator, machine
+from rig_point import BARE, actuator, machine
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_lyapunov
 from stepping_twin import run_in_python
@@ -26,7 +26,6 @@ from gbid.rig import (
     RotorBearingTruth,
     RunUp,
     SampledController,
-    SensorChain,
     StackStaircase,
     Staircase,
     Stationary,
@@ -40,10 +39,6 @@ from gbid.rig import (
 TS = 2e-4
 FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}
 STILL = {"pressure_bar": 6.0, "speed_rpm": 0.0}
-NO_RUNOUT = {"runout_amplitude_m": np.zeros((2, 0)), "runout_phase_rad": np.zeros((2, 0))}
-BARE = SensorChain(
-    noise_p_m=0, noise_u_m=0, noise_f_n=0, offset_p_m=(0, 0), offset_u_m=(0, 0), encoder_counts=None, **NO_RUNOUT
-)
 SENSOR_NOISE = 30e-9
 
 
@@ -420,8 +415,6 @@ def test_loop_is_held_to_the_travel():
         (lambda **k: SampledController(np.eye(2), np.eye(3), np.eye(2), np.eye(2), TS), r"B has shape \(3, 3\)"),
         (lambda **k: replace(p_controller(), sample_time=0.0), "sample_time = 0.0"),
         (lambda **k: FilmStiffening(9e-6, 8e-6), "deviation_m = 9e-06"),
-        (lambda **k: FlexibleMode(frequency_hz=0.0), "frequency_hz = 0.0"),
-        (lambda **k: ProcessNoise(-1.0), "density = -1.0"),
         (lambda **k: Hammer(()), "no impacts"),
         (lambda **k: Hammer((Impact(2.0),), 1.0), "an impact at 2.0 s"),
         (lambda **k: Impact.along("z"), "axis = 'z'"),

@@ -2,18 +2,14 @@
 
 import numpy as np
 import pytest
-from rig_point import machine
+from rig_point import BARE, machine
 from scipy.integrate import solve_ivp
 
 import gbid
 from gbid.core.errors import UsageError
-from gbid.rig import Course, Prbs, Scatter, ScheduledRun, SensorChain, Stationary, Unbalance, record
+from gbid.rig import Course, Prbs, Scatter, ScheduledRun, Stationary, Unbalance, record
 
 TS = 2e-4
-BARE = SensorChain(
-    noise_p_m=0, noise_u_m=0, offset_p_m=(0, 0), offset_u_m=(0, 0), encoder_counts=None,
-    runout_amplitude_m=np.zeros((2, 0)), runout_phase_rad=np.zeros((2, 0)),
-)  # fmt: skip
 LPV = gbid.load_model("theisen2016")
 
 

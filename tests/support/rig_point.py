@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gbid.rig import ActuatorTruth, Machine, RotorBearingTruth
+from gbid.rig import ActuatorTruth, Machine, RotorBearingTruth, SensorChain
 
 # constant, bar, rpm, bar rpm, bar^2, rpm^2; printed unit, 1e-3 of it per kg
 _TABLE = {
@@ -23,6 +23,17 @@ _TABLE = {
 }
 
 
+BARE = SensorChain(
+    noise_p_m=0.0,
+    noise_u_m=0.0,
+    noise_f_n=0.0,
+    runout_amplitude_m=np.zeros((2, 0)),
+    runout_phase_rad=np.zeros((2, 0)),
+    offset_p_m=(0, 0),
+    offset_u_m=(0, 0),
+    encoder_counts=None,
+)
+"""Sensors without errors."""
 _ACTUATORS = {"p1_x": 3078, "p2_x": 8143, "kappa_x": 1.863, "p1_y": 2452, "p2_y": 6494, "kappa_y": 1.865}
 
 
@@ -38,3 +49,10 @@ def rotor_bearing(pressure_bar: float = 5.0, speed_rpm: float = 6000.0) -> Rotor
 
 def actuator() -> ActuatorTruth:
     return machine().actuator
+
+
+def modes(truth: RotorBearingTruth) -> tuple[np.ndarray, np.ndarray]:
+    """Return natural frequencies [Hz] and damping factors of the two modes, by rising frequency."""
+    values = np.linalg.eigvals(np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]]))
+    upper = np.array(sorted(values[values.imag > 0], key=abs))
+    return np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper)
