@@ -4,13 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from fit_cases import ACTUATORS, KEY, TS, fit_data, levels, piezo_motion, predicted, smooth
+from fit_cases import ACTUATORS, KEY, TS, fit_data, piezo_motion, predicted, smooth
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from gbid.core.errors import UsageError
-from gbid.discretise import Dual, delayed_taps, discretise
+from gbid.discretise import delayed_taps, discretise
 from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.linear import PortableLinearKernel
 from gbid.identify.predictor import build_predictor
@@ -92,16 +92,6 @@ def test_taps_against_fine_integration(hold, delay):
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
-def test_no_delay_is_no_delay(hold):
-    taps = delayed_taps(A, b, 0.0, H, hold)
-    _, now, following = discretise(A, b, H, hold)
-    assert taps.shift == 0
-    np.testing.assert_allclose(taps.columns[0], following, atol=1e-16)
-    np.testing.assert_allclose(taps.columns[1], now, rtol=1e-14)
-    np.testing.assert_allclose(taps.columns[2], 0, atol=1e-16)
-
-
-@pytest.mark.parametrize("hold", ["zoh", "foh"])
 @pytest.mark.parametrize("whole", [1, 2, 3])
 def test_a_whole_sample_is_a_shift_and_met_from_both_sides(hold, whole):
     """Response to an input, with its lags as they are, is the same from just below and just above."""
@@ -127,18 +117,6 @@ def test_a_constant_input_does_not_see_the_delay(delay, hold):
     taps = delayed_taps(A, b, delay, H, hold)
     held = discretise(A, b, H, "zoh").G_now
     np.testing.assert_allclose(sum(taps.columns), held, rtol=1e-12, atol=1e-14)
-
-
-@pytest.mark.parametrize("hold", ["zoh", "foh"])
-@pytest.mark.parametrize("delay", [0.02, 0.1 + 0.05, 0.29])
-def test_the_derivative_by_the_delay(hold, delay):
-    def columns(tau):
-        return np.hstack(delayed_taps(A, b, tau, H, hold).columns)
-
-    tau = Dual(np.array([[delay]]), np.ones((1, 1, 1)))
-    found = delayed_taps(Dual(A, np.zeros((1, 2, 2))), Dual(b, np.zeros((1, 2, 1))), tau, H, hold)
-    slope = np.hstack([c.slope[0] for c in found.columns])
-    np.testing.assert_allclose(slope, (columns(delay + 1e-6) - columns(delay - 1e-6)) / 2e-6, rtol=1e-6, atol=1e-8)
 
 
 def test_a_negative_delay_is_refused():
@@ -297,24 +275,6 @@ def test_rotor_bearing_with_exact_delays():
     u = piezo_motion(800)
     a, b = (m.simulate(u, TS, intersample="foh") for m in (exact, pade))
     np.testing.assert_allclose(a, b, atol=1e-4 * np.abs(b).max())
-
-
-@pytest.mark.parametrize("outputs", [("u", "p"), ("p",)])
-def test_plant_with_exact_delays(outputs):
-    values = {**ACTUATORS, **KEY, **GAINS}
-    exact = evaluate(Plant(RotorBearing(delay="exact"), outputs=outputs), values)
-    pade = evaluate(Plant(RotorBearing(pade_order=8), outputs=outputs), values)
-    np.testing.assert_allclose(
-        exact.frequency_response(FREQUENCIES), pade.frequency_response(FREQUENCIES), rtol=1e-9, atol=1e-9
-    )
-    r = 4.5e-6 * np.vstack([np.zeros((20, 2)), levels(800, 2, 40)])  # at rest before, as the delay's states are
-    a, b = (m.simulate(r, TS) for m in (exact, pade))
-    np.testing.assert_allclose(a, b, atol=1e-4 * np.abs(b).max())
-    # Errors of the disc position drive the rotor's velocities alone.
-    n_u = 2 * (len(outputs) - 1)
-    K = np.zeros((exact.n_states, n_u + 2))
-    K[-2:, -2:] = [[3e4, -4e3], [2e3, 5e4]]
-    np.testing.assert_array_equal(exact.K, K)
 
 
 def test_wrong_words_for_a_delay_are_refused():

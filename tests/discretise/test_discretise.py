@@ -66,16 +66,6 @@ def test_exponential_of_any_matrix(n, exponent, seed):
         np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max(), rtol=0)
 
 
-def test_the_integrals_are_what_their_definition_says():
-    Z = 1.3 * np.random.default_rng(0).normal(size=(4, 4))
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    s, w = (nodes + 1) / 2, weights / 2
-    found = exponentials(Z, squarings_for([Z]))
-    np.testing.assert_allclose(found.phi1, sum(wi * expm(Z * si) for si, wi in zip(s, w, strict=True)), rtol=1e-12)
-    weighted = sum(wi * (1 - si) * expm(Z * si) for si, wi in zip(s, w, strict=True))
-    np.testing.assert_allclose(found.phi2, weighted, rtol=1e-11)
-
-
 def test_too_few_squarings_show_and_more_than_enough_do_no_harm():
     Z = MATRICES["rotation"]  # undamped: what is wrong at first is not forgotten by the doublings
     need = squarings_for([Z])

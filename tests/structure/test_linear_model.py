@@ -58,12 +58,6 @@ def test_modes_come_by_rising_frequency() -> None:
     assert frequencies[0] == pytest.approx(20 / (2 * np.pi), rel=0.01)
 
 
-def test_poles_survive_sampling() -> None:
-    model = oscillators()
-    np.testing.assert_allclose(model.discretise(0.004).poles(), model.poles(), rtol=1e-9)
-    np.testing.assert_allclose(np.sort(model.poles().imag), np.sort(np.linalg.eigvals(model.A).imag), rtol=1e-12)
-
-
 def test_discretise_is_scipys_zero_order_hold() -> None:
     model = replace(oscillators(), K=np.arange(12.0).reshape(4, 3))
     sampled = model.discretise(0.01)

@@ -76,14 +76,6 @@ def test_rotor_bearing_has_the_transfer_function_of_equations_5_to_9(order):
     np.testing.assert_allclose(model.static_gain(), -np.linalg.solve(K, B), rtol=1e-9)
 
 
-def test_rotor_bearing_with_a_high_order_has_the_exact_delay():
-    model = evaluate(RotorBearing(pade_order=8, disturbance_gain="none"), KEY)
-    s = 2j * np.pi * FREQUENCIES[:, None, None]
-    mechanical = np.linalg.solve(s**2 * np.eye(2) - s * square("d") - square("k"), square("b"))
-    delay = np.exp(-s * np.array([[KEY["tau_x"], KEY["tau_y"]]]))
-    np.testing.assert_allclose(model.frequency_response(FREQUENCIES), mechanical * delay, rtol=1e-5)
-
-
 def test_rotor_bearing_parameters():
     bearing = RotorBearing()
     names = [q.name for q in bearing.parameters]
@@ -173,19 +165,6 @@ def test_structures_are_structures():
     for structure in (RotorBearing(), PiezoPair(), Plant(), LinearStructure("arm", ARM, arm)):
         assert isinstance(structure, Structure)
     assert not isinstance(arm, Structure)
-
-
-@pytest.mark.parametrize("structure", [RotorBearing(pade_order=2), PiezoPair(disturbance_gain="full"), Plant()])
-def test_symbolic_matrices_are_the_evaluated_ones(structure):
-    values = {q.name: v for q, v in zip(structure.parameters, np.linspace(0.3, 2, 40), strict=False)}
-    p, m = symbolic_matrices(structure)
-    assert p.shape == (len(structure.parameters), 1)
-    model = evaluate(structure, values)
-    function = ca.Function("m", [p], [ca.densify(letter) for letter in m[:8]])
-    numeric = function([values[q.name] for q in structure.parameters])
-    for found, expected in zip(numeric[:5], (model.A, model.B, model.C, model.D, model.K), strict=True):
-        np.testing.assert_array_equal(np.array(found), expected)
-    assert (m.has_delay, m.B_delayed.nnz(), m.delay.numel()) == (False, 0, 0)
 
 
 # ---- a structure of one's own ----
