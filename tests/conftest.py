@@ -28,7 +28,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the pages of the documentation: they take longest, and at the end they would leave processors idle."""
     items.sort(key=lambda item: not item.name.startswith("test_code_cells_run"))
-    from gbid.experiment.pool import collect_less
+    from gbid.experiment.engines import collect_less
 
     gc.collect()
     collect_less()  # else each collection of garbage goes through half a million objects of pytest

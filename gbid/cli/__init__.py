@@ -1,1 +1,1 @@
-"""Command line: one small module per verb, which reads the options, calls the library and prints."""
+"""Command line: verbs, which read the options, call the library and print."""

@@ -12,8 +12,7 @@ from gbid._version import __version__
 from gbid.cli.about import check, doctor, explain, schema
 from gbid.cli.files import clean, export, import_recordings, new
 from gbid.cli.options import CONTROL, DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
-from gbid.cli.results import figures, report, reproduce, serve
-from gbid.cli.verbs import OR_RUN, batch, fit, of_stages, run
+from gbid.cli.verbs import OR_RUN, batch, figures, fit, of_stages, report, reproduce, run, serve
 
 VERBS: dict[str, dict[str, Callable[..., None]]] = {
     START: {"new": new, "check": check, "run": run, "clean": clean, "doctor": doctor, "schema": schema},

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import wraps
+from glob import escape
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -25,19 +26,10 @@ def files_ending(*endings: str) -> Callable[[str], list[str]]:
 
     def complete(incomplete: str) -> list[str]:
         written, slash, begun = incomplete.rpartition("/")
-        folder = Path(written + slash).expanduser() if slash else Path()
-        try:
-            paths = sorted(folder.iterdir())
-        except OSError:
-            return []
-        offered = []
-        for path in paths:
-            if path.name.startswith(begun) and (begun.startswith(".") or not path.name.startswith(".")):
-                if path.is_dir():
-                    offered.append(f"{written}{slash}{path.name}/")
-                elif path.suffix in endings:
-                    offered.append(f"{written}{slash}{path.name}")
-        return offered
+        paths = sorted(Path(written + slash).expanduser().glob(f"{escape(begun)}*"))
+        shown = [path for path in paths if begun.startswith(".") or not path.name.startswith(".")]
+        offered = [(path.name, path.is_dir()) for path in shown if path.is_dir() or path.suffix in endings]
+        return [f"{written}{slash}{name}{'/' * folder}" for name, folder in offered]
 
     return complete
 
@@ -46,12 +38,8 @@ complete_experiment = files_ending(".yaml", ".yml")
 complete_source = files_ending(".yaml", ".yml", ".h5")
 
 
-ExperimentPath = Annotated[
-    Path,
-    typer.Argument(
-        metavar="EXPERIMENT", help="The experiment YAML.", show_default=False, autocompletion=complete_experiment
-    ),
-]
+_EXPERIMENT: Any = {"metavar": "EXPERIMENT", "help": "The experiment YAML.", "show_default": False}
+ExperimentPath = Annotated[Path, typer.Argument(autocompletion=complete_experiment, **_EXPERIMENT)]
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from gbid.cli.printing import tell
 from gbid.core.names import printable
@@ -30,28 +30,35 @@ NAMED = 10
 """Largest number of failures of a stage with many items that are printed at once; the end lists all."""
 
 
+@dataclass
 class Tally:
     """Counts of the outcomes of one stage.
 
-    Parameters
+    Attributes
     ----------
     stage : str
         Name of the stage.
-    todo, there, failed : int
+    todo, kept, before : int
         Numbers of items to make, existing, and failed before.
+    done, failed, stuck : int
+        Numbers of items that ended, failed, and did not converge.
     """
 
-    def __init__(self, stage: str = "", todo: int = 0, kept: int = 0, failed: int = 0) -> None:
-        self.stage, self.todo, self.there, self.before = stage, todo, kept, failed
-        self.done = self.failed = self.stuck = 0
-        self._running: set[str] = set()
-        self.worst, self.worst_item = math.inf, ""
-        self._began = time.monotonic()
+    stage: str = ""
+    todo: int = 0
+    kept: int = 0
+    before: int = 0
+    done: int = 0
+    failed: int = 0
+    stuck: int = 0
+    _running: set[str] = field(default_factory=set)
+    _worst: tuple[float, str] = (math.inf, "")
+    _began: float = field(default_factory=time.monotonic)
 
     @property
     def many(self) -> bool:
         """Whether the stage has many items."""
-        return self.todo + self.there + self.before > MANY
+        return self.todo + self.kept + self.before > MANY
 
     @property
     def running(self) -> int:
@@ -72,8 +79,8 @@ class Tally:
             self.done += 1
             self.failed += outcome.state == "failed"
         self.stuck += outcome.state != "failed" and not outcome.converged
-        if outcome.fit_percent < self.worst:
-            self.worst, self.worst_item = outcome.fit_percent, outcome.item
+        if outcome.fit_percent < self._worst[0]:
+            self._worst = outcome.fit_percent, outcome.item
 
     def is_named(self, outcome: Outcome) -> bool:
         """Return whether an outcome gets its own line: the first failures of a stage, or all when it has few items."""
@@ -84,25 +91,22 @@ class Tally:
 
     def opening(self) -> str:
         """Return the numbers of items to make, existing, and failed before, as text."""
-        parts = [f"{self.todo} to make"]
-        parts += [f"{self.there} there"] if self.there else []
-        parts += [f"{self.before} failed already"] if self.before else []
-        return f"{self.stage}: {', '.join(parts)}"
+        counts = ((self.kept, "there"), (self.before, "failed already"))
+        return ", ".join([f"{self.stage}: {self.todo} to make", *(f"{n} {word}" for n, word in counts if n)])
 
     def text(self) -> str:
         """Return the state of the stage as text."""
-        parts = [f"{self.stage}: {self.done} of {self.todo} done"]
-        parts += [f"{self.running} running"] if self.running else []
-        parts += [f"{self.failed} failed"] if self.failed else []
-        parts += [f"{self.stuck} not converged"] if self.stuck else []
+        counts = ((self.running, "running"), (self.failed, "failed"), (self.stuck, "not converged"))
+        parts = [f"{self.stage}: {self.done} of {self.todo} done", *(f"{n} {word}" for n, word in counts if n)]
         passed = time.monotonic() - self._began
         if 0 < self.done < self.todo and passed > 0:
             left = _duration(passed / self.done * (self.todo - self.done))
             parts.append(f"{rate(self.done / passed)}, {left} left")
         if self.done == self.todo:
             parts.append(_duration(passed))
-        if math.isfinite(self.worst):
-            parts.append(f"worst fit {self.worst:.1f} % ({self.worst_item})")
+        percent, item = self._worst
+        if math.isfinite(percent):
+            parts.append(f"worst fit {percent:.1f} % ({item})")
         return ", ".join(parts)
 
 
@@ -164,12 +168,17 @@ _BAR = 16  # characters
 
 
 class LiveBar:
-    """Bar of `rich` on standard error with time left and what is being done, below the finished lines. It is a context.
+    """Bar of `rich` on standard error with time left and what is being done, below the finished lines.
 
     Parameters
     ----------
     console : rich.console.Console, optional
         Console to write to; by default standard error. rich leaves the colours out where NO_COLOR is set.
+
+    Attributes
+    ----------
+    progress : rich.progress.Progress
+        The bar, a context; it is shown while one is in it.
     """
 
     def __init__(self, console: Any = None) -> None:
@@ -180,29 +189,20 @@ class LiveBar:
         text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
         columns = (SpinnerColumn(), BarColumn(_BAR), TimeRemainingColumn(compact=True), text)
         console = console or Console(stderr=True, highlight=False)
-        self._progress = Progress(*columns, console=console, transient=True)
-        self._task = self._progress.add_task("", total=None)
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._progress.stop()
+        self.progress = Progress(*columns, console=console, transient=True)
+        self._task = self.progress.add_task("", total=None)
 
     def begin(self, total: int) -> None:
         """Begin a bar of so many items; without any it only moves."""
-        self._progress.reset(self._task, total=total or None, description="")
+        self.progress.reset(self._task, total=total or None, description="")
 
     def show(self, text: str, done: int) -> None:
         """Show a text and the number of items done."""
-        self._progress.update(self._task, completed=done, description=printable(text))
+        self.progress.update(self._task, completed=done, description=printable(text))
 
     def say(self, text: str) -> None:
         """Print a line above."""
-        self._progress.console.print(printable(text), markup=False, soft_wrap=True)
+        self.progress.console.print(printable(text), markup=False, soft_wrap=True)
 
 
 # ---- Causes of results that were not made: what failed first, and what is missing because of it.
@@ -293,42 +293,12 @@ def reporting(quiet: bool = False, verbose: bool = False) -> Iterator[Reporter]:
     """
     if quiet:
         yield Reporter()
-    elif verbose or not sys.stderr.isatty():
-        reporter = ProgressReporter(verbose)
+        return
+    bar = None if verbose or not sys.stderr.isatty() else LiveBar()
+    with bar.progress if bar is not None else nullcontext():
+        reporter = ProgressReporter(verbose, bar)
         yield reporter
         reporter.close()
-    else:
-        with LiveBar() as bar:
-            reporter = ProgressReporter(bar=bar)
-            yield reporter
-            reporter.close()
-
-
-class _Idle:
-    """Results that cannot be made because of earlier failures: told in one line for each stage."""
-
-    def __init__(self) -> None:
-        self._failed: list[Outcome] = []
-        self._stage, self._count, self._first = "", 0, ""
-
-    def takes(self, outcome: Outcome) -> bool:
-        """Keep an outcome; return whether it is one of those that are only counted."""
-        if outcome.state == "failed":
-            self._failed.append(outcome)
-        if outcome.state != "failed" or outcome.cause != "input":
-            return False
-        self._stage, self._count = outcome.stage, self._count + 1
-        self._first = self._first or outcome.text
-        return True
-
-    def said(self, stage: str = "") -> str:
-        """Return the line on the results counted so far, once another stage begins; empty before."""
-        if not self._count or stage == self._stage:
-            return ""
-        why = in_short(self._failed) or self._first
-        text = not_made(self._stage, self._count, why)
-        self._stage, self._count, self._first = "", 0, ""
-        return text
 
 
 class ProgressReporter(Reporter):
@@ -344,7 +314,9 @@ class ProgressReporter(Reporter):
 
     def __init__(self, verbose: bool = False, bar: LiveBar | None = None) -> None:
         self._verbose, self._bar, self._say = verbose, bar, tell if bar is None else bar.say
-        self._line, self._tally, self._idle, self._said, self._searched = ProgressLine(), Tally(), _Idle(), 0.0, 0.0
+        self._line, self._tally, self._said, self._searched = ProgressLine(), Tally(), 0.0, 0.0
+        self._failed: list[Outcome] = []
+        self._idle: list[Outcome] = []  # of one stage, not made because their input is missing; told in one line
 
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
         """Print the numbers of items when there are many."""
@@ -380,8 +352,11 @@ class ProgressReporter(Reporter):
         tally = self._tally
         self._flush(outcome.stage)
         tally.end(outcome)
-        counted_only = self._idle.takes(outcome)
-        if (tally.is_named(outcome) or self._verbose) and not counted_only:
+        if outcome.state == "failed":
+            self._failed.append(outcome)
+        if outcome.state == "failed" and outcome.cause == "input":
+            self._idle.append(outcome)
+        elif tally.is_named(outcome) or self._verbose:
             self._say(outcome_line(outcome))
         self._show(f"{outcome.stage} {outcome.item}")
         if not tally.many or outcome.stage != tally.stage or outcome.state == "kept" or not tally.todo:
@@ -406,5 +381,8 @@ class ProgressReporter(Reporter):
             self._bar.show(self._tally.text() if self._tally.many else text, self._tally.done)
 
     def _flush(self, stage: str) -> None:
-        if text := self._idle.said(stage):
-            self._say(text)
+        """Tell of results that could not be made, once another stage begins."""
+        if self._idle and self._idle[0].stage != stage:
+            why = in_short(self._failed) or self._idle[0].text
+            self._say(not_made(self._idle[0].stage, len(self._idle), why))
+            self._idle.clear()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,17 @@ import typer
 
 from gbid.cli.options import CommonOptions
 from gbid.cli.printing import print_json, print_notes, print_tables, tell
-from gbid.cli.progress import causes_in_words, reporting
+from gbid.cli.progress import MANY, causes_in_words, reporting
 from gbid.core.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
 from gbid.core.files import remove_stale_parts
 from gbid.core.tables import Column, Table
-from gbid.experiment.campaign import working
+from gbid.experiment.campaign import collect, read_shard, run_campaign, working
 from gbid.experiment.experiment import Experiment, changed_files
 from gbid.experiment.fields import nearest
-from gbid.experiment.run import Job, Outcome, Stage, Task, run_stage, run_tasks, standing
+from gbid.experiment.run import Job, Outcome, Stage, Task, has_section, run_stage, run_tasks, standing
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks
+from gbid.report.fit_tables import campaign_document, campaign_tables
 from gbid.report.views import view_of
 
 # ---- Command that one would sensibly give next, from the sections that an experiment has.
@@ -75,19 +77,8 @@ _CODES = {"defect": GbidError.exit_code, "usage": UsageError.exit_code}
 
 def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Return outcomes as plain rows."""
-    return [
-        {
-            "stage": o.stage,
-            "item": o.item,
-            "state": o.state,
-            "path": str(o.path),
-            "converged": o.converged,
-            "text": o.text,
-            "cause": o.cause,
-            "failed_before": o.before,
-        }
-        for o in outcomes
-    ]
+    keys = ("stage", "item", "state", "path", "converged", "text", "cause")
+    return [{**{key: getattr(o, key) for key in keys}, "failed_before": o.before} for o in outcomes]
 
 
 def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] = (), advice: str = "") -> None:
@@ -160,12 +151,12 @@ def plan_rows(job: Job, stages: Sequence[Stage]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     pending = False
     for stage in stages:
-        if not job.experiment.file.data.get(stage.section):
+        if not has_section(job.experiment, stage.section):
             continue
         if pending and not stage.early:
             rows.append({"stage": stage.name, "to_make": None, "there": None, "failed": None})
             continue
-        work = stage.tasks(job)
+        work = stage.work(job)
         known = [standing(job, item) for item in work if isinstance(item, Task)]
         states = [outcome.state for outcome in known if outcome is not None]
         missing = known.count(None)
@@ -208,6 +199,36 @@ def looked_at(experiment: Experiment, options: CommonOptions) -> Iterator[Job]:
         yield Job(experiment, options.overwrite, reporter)
 
 
+def document_of(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Return the JSON document of stages."""
+    return {key: value for stage in stages for key, value in view_of(stage).document(job, outcomes).items()}
+
+
+def tables_of(stages: Sequence[Stage], document: Mapping[str, Any]) -> Iterable[Table]:
+    """Return the tables of stages, made when they are printed."""
+    return (table for stage in stages for table in view_of(stage).tables(document))
+
+
+def conclude(
+    verb: str,
+    experiment: Experiment,
+    options: CommonOptions,
+    outcomes: Sequence[Outcome],
+    document: Mapping[str, Any],
+    tables: Iterable[Table] = (),
+    lines: Sequence[str] = (),
+) -> None:
+    """Print the results of a verb, as JSON or as tables and lines; end with its exit code and the next step."""
+    if options.as_json:
+        print_json({**document, "outcomes": outcome_rows(outcomes)})
+    else:
+        print_tables(*tables)
+        if lines:
+            typer.echo("\n".join(lines))
+    advice = "" if options.quiet or not verb else next_step(experiment, verb)
+    finish(outcomes, document.get("crossval", ()), advice)
+
+
 def check_sections(experiment: Experiment, sections: Sequence[str], hint: str = "") -> None:
     """Refuse an experiment that has none of the sections, with further advice.
 
@@ -216,7 +237,7 @@ def check_sections(experiment: Experiment, sections: Sequence[str], hint: str = 
     UsageError
         When it is so.
     """
-    if not any(experiment.file.data.get(section) for section in sections):
+    if not any(has_section(experiment, section) for section in sections):
         words = " or ".join(repr(section) for section in sections)
         raise UsageError(f"{experiment.file.path}: no section {words}; add one{hint}")
 
@@ -249,8 +270,7 @@ def run_stages(
     experiment, stages = options.load(path), [stage for stage in registry.STAGES if stage.name in names]
     if only is not None and experiment.spec.fits and only not in experiment.spec.fits:
         raise UsageError(f"--only {only}: no such fit; {nearest(only, experiment.spec.fits)}")
-    sections = [FIT.section] if verb == "fit" else list(dict.fromkeys(stage.section for stage in stages))
-    check_sections(experiment, sections, hint)
+    check_sections(experiment, [stage.section for stage in stages[list(names).index(verb) :]], hint)
     if options.dry_run:
         print_plan(experiment, stages, options)
         return
@@ -258,12 +278,66 @@ def run_stages(
     with opened(experiment, options) as job:
         for stage in stages:
             outcomes += run_tasks(job, fit_tasks(job, only)) if stage is FIT else run_stage(job, stage)
-    document: dict[str, Any] = {}
-    for stage in stages:
-        document |= view_of(stage).document(job, outcomes)
-    if options.as_json:
-        print_json({**document, "outcomes": outcome_rows(outcomes)})
-    else:
+    document = document_of(job, stages, outcomes)
+    conclude(verb, experiment, options, outcomes, document, tables_of(stages, document))
+
+
+def run_batch(path: Path, options: CommonOptions, scheduler: str | None, shard: str | None, collected: bool) -> None:
+    """Run a campaign, or a part of it, and print its table; see `gbid.cli.verbs.batch`.
+
+    Raises
+    ------
+    UsageError
+        When options contradict each other, or when there are no fits.
+    """
+    part = read_shard(shard) if shard is not None else None
+    asks_for_work = options.retry or options.workers is not None or options.engine != "auto"
+    if collected and (asks_for_work or part is not None or scheduler is not None):
+        raise UsageError("--collect runs nothing; leave --shard, --retry, --engine, --workers and --scheduler out")
+    experiment = options.load(path)
+    check_sections(experiment, ["fits"])
+    if options.dry_run:
+        print_plan(experiment, [stage for stage in registry.STAGES if stage.early], options)
+        return
+    options = replace(options, engine="serial") if collected else options
+    with opened(experiment, options, scheduler=scheduler, shared=part is not None) as job:
+        outcomes = [] if collected else run_campaign(job, part)
+        table, made = collect(job) if part is None else (None, [])
+    outcomes += made
+    document = campaign_document(experiment, outcomes, table)
+    lines = [*(f"table: {path}" for path in document["table"]), f"results: {experiment.results}"]
+    following = "" if part is not None else "batch"
+    conclude(following, experiment, options, outcomes, document, campaign_tables(document), lines)
+
+
+def run_all(path: Path, options: CommonOptions) -> None:
+    """Run all stages of an experiment, draw its figures and write its report; see `gbid.cli.verbs.run`."""
+    from gbid.report.pictures import draw_figures
+    from gbid.report.write import write_report
+
+    experiment = options.load(path)
+    stages = [stage for stage in registry.STAGES if stage.in_run(experiment)]
+    if options.dry_run:
+        print_plan(experiment, stages, options)
+        return
+    with opened(experiment, options) as job:
+        outcomes = run_campaign(job)
+        table, collected = collect(job) if experiment.spec.fits else (None, [])
+        outcomes += collected
         for stage in stages:
-            print_tables(*view_of(stage).tables(document))
-    finish(outcomes, document.get("crossval", ()), "" if options.quiet else next_step(experiment, verb))
+            outcomes += () if stage.early else run_stage(job, stage)
+        drawn, written = draw_figures(job), write_report(job)
+    outcomes += [*drawn, written]
+    shown = [stage for stage in registry.STAGES if stage.name not in ("rig", "import", "figure")]
+    document = document_of(job, shown, outcomes)
+    tables = tables_of(shown, document)
+    if len(document["fits"]) > MANY:
+        at = shown.index(FIT)
+        campaign = campaign_tables(campaign_document(experiment, outcomes, table))
+        tables = [*tables_of(shown[:at], document), *campaign, *tables_of(shown[at + 1 :], document)]
+    figures = [str(outcome.path) for outcome in drawn if outcome.state != "failed"]
+    page = None if written.state == "failed" else str(written.path)
+    about = {"experiment": experiment.spec.name, "results": str(experiment.results), "figures": figures, "report": page}
+    lines = [*(f"figure: {file}" for file in figures), f"results: {experiment.results}"]
+    lines += [f"report: {page}"] if page else []
+    conclude("run", experiment, options, outcomes, {**document, **about}, tables, lines)

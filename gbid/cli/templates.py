@@ -34,17 +34,12 @@ def write_example_data(path: Path, seed: int, n_samples: int = 4000, sample_time
     """
     random = np.random.default_rng(seed)
     omega = 2 * np.pi * 40.0
-    model = LinearModel(
-        np.array([[0.0, 1.0], [-(omega**2), -2 * 0.05 * omega]]),
-        np.array([[0.0], [2.0]]),
-        np.array([[1.0, 0.0]]),
-        np.array([[0.0]]),
-    )
+    A = np.array([[0.0, 1.0], [-(omega**2), -2 * 0.05 * omega]])
+    model = LinearModel(A, np.array([[0.0], [2.0]]), np.array([[1.0, 0.0]]), np.array([[0.0]]))
     volt = np.repeat(random.choice([-1.0, 1.0], size=-(-n_samples // 8)), 8)[:n_samples]
     metre = model.simulate(volt[:, None], sample_time)[:, 0] + 2e-7 * random.standard_normal(n_samples)
     time = 1e3 * sample_time * np.arange(n_samples)
-    rows = np.column_stack([time, volt, 1e6 * metre])
-    np.savetxt(path, rows, delimiter=",", header="time [ms],drive [V],position [um]", comments="", fmt="%.6g")
+    _save_csv(path, {"time [ms]": time, "drive [V]": volt, "position [um]": 1e6 * metre})
 
 
 def write_held_bearing(path: Path, seed: int, n_samples: int = 6000, sample_time: float = 1e-4) -> None:
@@ -66,10 +61,10 @@ def write_held_bearing(path: Path, seed: int, n_samples: int = 6000, sample_time
     random = np.random.default_rng(seed)
     stiffness, gain = 4e4, 60.0
     rate = stiffness**0.5  # the poles are about +- this, in 1/s
-    A = np.array([[np.cosh(rate * sample_time), np.sinh(rate * sample_time) / rate], [0.0, 0.0]])
-    A[1] = [rate * np.sinh(rate * sample_time), np.cosh(rate * sample_time)]
+    cosh, sinh = np.cosh(rate * sample_time), np.sinh(rate * sample_time)
+    A = np.array([[cosh, sinh / rate], [rate * sinh, cosh]])
     A[:, 1] *= np.exp(-2.0 * sample_time)  # damping
-    B = gain * np.array([(np.cosh(rate * sample_time) - 1) / stiffness, np.sinh(rate * sample_time) / rate])
+    B = gain * np.array([(cosh - 1) / stiffness, sinh / rate])
     added = np.repeat(random.choice([-0.15, 0.15], -(-n_samples // 20)), 20)[:n_samples]
     noise = 1e-6 * random.standard_normal(n_samples)
     current, position = np.empty(n_samples), np.empty(n_samples)
@@ -81,9 +76,14 @@ def write_held_bearing(path: Path, seed: int, n_samples: int = 6000, sample_time
         before = position[k]
         current[k] = added[k] - (5 * stiffness * position[k] + 2.8 * rate * velocity) / gain
         x = A @ x + B * current[k]
-    rows = np.column_stack([1e3 * sample_time * np.arange(n_samples), added, current, 1e6 * position])
-    header = "time [ms],added [A],current [A],position [um]"
-    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.6g")
+    time = 1e3 * sample_time * np.arange(n_samples)
+    columns = {"time [ms]": time, "added [A]": added, "current [A]": current, "position [um]": 1e6 * position}
+    _save_csv(path, columns)
+
+
+def _save_csv(path: Path, columns: dict[str, FloatArray]) -> None:
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6g")
 
 
 # ---- Templates of experiments that `gbid new` writes.
@@ -135,11 +135,7 @@ def write_draft(text: str, folder: Path) -> list[Path]:
     DataError
         When the folder cannot be written.
     """
-    return _write(folder, lambda part: _write_text(part / EXPERIMENT, text))
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    return _write(folder, lambda part: (part / EXPERIMENT).write_text(text, encoding="utf-8"))
 
 
 def _copy(source: Path, part: Path) -> None:
@@ -170,7 +166,7 @@ def refuse_used(folder: Path) -> None:
         raise UsageError(f"{folder} exists and is not empty; choose another folder")
 
 
-def _write(folder: Path, fill: Callable[[Path], None]) -> list[Path]:
+def _write(folder: Path, fill: Callable[[Path], object]) -> list[Path]:
     refuse_used(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -179,7 +175,11 @@ def _write(folder: Path, fill: Callable[[Path], None]) -> list[Path]:
         raise DataError(f"{folder}: cannot be written: {error.strerror or error}") from None
     try:
         fill(part)
-        _add_schema(part)
+        schema = json.dumps(experiment_json_schema(), indent=2, ensure_ascii=False)
+        (part / SCHEMA).write_text(schema + "\n", encoding="utf-8")
+        experiment = part / EXPERIMENT  # its first line names the schema, where editors look for it
+        text = experiment.read_text(encoding="utf-8")
+        experiment.write_text(f"# yaml-language-server: $schema={SCHEMA}\n{text}", encoding="utf-8")
         mask = os.umask(0)
         os.umask(mask)
         part.chmod(0o777 & ~mask)
@@ -189,12 +189,3 @@ def _write(folder: Path, fill: Callable[[Path], None]) -> list[Path]:
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return sorted(path for path in folder.rglob("*") if path.is_file())
-
-
-def _add_schema(folder: Path) -> None:
-    """Write the schema, and name it in the first line of the experiment, where editors look for it."""
-    schema = json.dumps(experiment_json_schema(), indent=2, ensure_ascii=False)
-    (folder / SCHEMA).write_text(schema + "\n", encoding="utf-8")
-    experiment = folder / EXPERIMENT
-    text = experiment.read_text(encoding="utf-8")
-    experiment.write_text(f"# yaml-language-server: $schema={SCHEMA}\n{text}", encoding="utf-8")

@@ -1,9 +1,11 @@
-"""Verbs that run stages and print their results: `gbid run`, `fit`, `batch`, and those of a section, as `gbid tune`."""
+"""Verbs that run stages or show their results: `gbid run`, `fit`, `batch`, those of a section, `report`, `serve`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -60,83 +62,123 @@ def batch(
     collect: Annotated[bool, typer.Option("--collect", help="Run nothing; make the table of existing fits.")] = False,
 ) -> None:
     """Make, prefilter and fit all recordings on all processors; run it again to go on where it stopped."""
-    from dataclasses import replace
+    from gbid.cli.stages import run_batch
 
-    from gbid.cli.printing import print_json, print_tables
-    from gbid.cli.stages import check_sections, finish, next_step, opened, outcome_rows, print_plan
-    from gbid.core.errors import UsageError
-    from gbid.experiment.campaign import collect as make_table
-    from gbid.experiment.campaign import read_shard, run_campaign
-    from gbid.experiment.stages import registry
-    from gbid.report.fit_tables import campaign_document, campaign_tables
-
-    part = read_shard(shard) if shard is not None else None
-    asks_for_work = options.retry or options.workers is not None or options.engine != "auto"
-    if collect and (asks_for_work or part is not None or scheduler is not None):
-        raise UsageError("--collect runs nothing; leave --shard, --retry, --engine, --workers and --scheduler out")
-    loaded = options.load(experiment)
-    check_sections(loaded, ["fits"])
-    if options.dry_run:
-        print_plan(loaded, [stage for stage in registry.STAGES if stage.early], options)
-        return
-    options = replace(options, engine="serial") if collect else options
-    with opened(loaded, options, scheduler=scheduler, shared=part is not None) as job:
-        outcomes = [] if collect else run_campaign(job, part)
-        table = None
-        if part is None:
-            table, made = make_table(job)
-            outcomes += made
-    document = campaign_document(loaded, outcomes, table)
-    if options.as_json:
-        print_json({**document, "outcomes": outcome_rows(outcomes)})
-    else:
-        print_tables(*campaign_tables(document))
-        typer.echo("\n".join([*(f"table: {path}" for path in document["table"]), f"results: {loaded.results}"]))
-    finish(outcomes, advice="" if options.quiet or part is not None else next_step(loaded, "batch"))
+    run_batch(experiment, options, scheduler, shard, collect)
 
 
 @with_options()
 def run(experiment: ExperimentPath, options: CommonOptions) -> None:
     """Run all stages that an experiment names, from recordings to the report; current results are kept."""
-    from gbid.cli.printing import print_json, print_tables
-    from gbid.cli.progress import MANY
-    from gbid.cli.stages import finish, next_step, opened, outcome_rows, print_plan
-    from gbid.experiment.campaign import collect, run_campaign
-    from gbid.experiment.run import run_stage
-    from gbid.experiment.stages import registry
-    from gbid.experiment.stages.fit import FIT
-    from gbid.report.fit_tables import campaign_document, campaign_tables
-    from gbid.report.pictures import draw_figures
-    from gbid.report.views import view_of
+    from gbid.cli.stages import run_all
+
+    run_all(experiment, options)
+
+
+# ---- Verbs that show existing results and compute nothing else.
+
+
+class FigureFormat(StrEnum):
+    """Formats of figures."""
+
+    PDF = "pdf"
+    SVG = "svg"
+    PNG = "png"
+
+
+@with_options("results", "overwrite", "quiet", "verbose", "as_json", "debug")
+def figures(
+    experiment: ExperimentPath,
+    options: CommonOptions,
+    formats: Annotated[
+        list[FigureFormat],
+        typer.Option("--format", help="Format of the figures; give it again for a further one, which takes its time."),
+    ] = [FigureFormat.PDF],  # noqa: B006  typer needs a list
+) -> None:
+    """Write the paper's figures (pdf) and tables (csv, Markdown), as far as the results allow."""
+    from gbid.cli.stages import conclude, looked_at
+    from gbid.report.named import paper
+
+    loaded = options.load(experiment)
+    with looked_at(loaded, options) as job:
+        outcomes, left_out = paper().write_paper(job, list(dict.fromkeys(formats)))
+    items = {o.path.stem for o in outcomes if o.state != "failed"}
+    lines = [f"left out: {item.item}: {item.why}" for item in left_out]
+    lines.append(f"{len(items)} figures and tables in {loaded.results / paper().FOLDER}")
+    absent = [{"item": item.item, "why": item.why} for item in left_out]
+    conclude("figures", loaded, options, outcomes, {"left_out": absent}, lines=lines)
+
+
+@with_options("results", "overwrite", "quiet", "verbose", "as_json", "debug")
+def report(
+    experiment: ExperimentPath,
+    options: CommonOptions,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="FILE", help="The file; by default report.html in the results."),
+    ] = None,
+) -> None:
+    """Write one self-contained HTML file with the existing results; nothing else is computed."""
+    from gbid.cli.stages import conclude, looked_at
+    from gbid.core.errors import UsageError
+    from gbid.core.files import remove_stale_parts
     from gbid.report.write import write_report
 
     loaded = options.load(experiment)
-    if options.dry_run:
-        print_plan(loaded, [stage for stage in registry.STAGES if stage.in_run(loaded)], options)
-        return
-    with opened(loaded, options) as job:
-        outcomes = run_campaign(job)
-        table, collected = collect(job) if loaded.spec.fits else (None, [])
-        outcomes += collected
-        for stage in registry.STAGES:
-            outcomes += () if stage.early or not stage.in_run(loaded) else run_stage(job, stage)
-        drawn = draw_figures(job)
-        written = write_report(job)
-    outcomes += [*drawn, written]
-    shown = [stage for stage in registry.STAGES if stage.name not in ("rig", "import", "figure")]
-    document: dict[str, Any] = {"experiment": loaded.spec.name, "results": str(loaded.results)}
-    for stage in shown:
-        document |= view_of(stage).document(job, outcomes)
-    figures = [str(outcome.path) for outcome in drawn if outcome.state != "failed"]
-    page = None if written.state == "failed" else str(written.path)
+    if not loaded.results.is_dir():
+        raise UsageError(f"{loaded.results}: no results yet; run `gbid run {experiment}` first")
+    if output is not None:
+        remove_stale_parts(output.parent, f".{output.name}.*")
+    with looked_at(loaded, options) as job:
+        outcome = write_report(job, output)
+    lines = [] if outcome.state == "failed" else [f"report: {outcome.path}"]
+    conclude("report", loaded, options, [outcome], {"report": str(outcome.path)}, lines=lines)
+
+
+@with_options("results", "overwrite", "quiet", "verbose", "as_json", "debug")
+def reproduce(
+    experiment: ExperimentPath,
+    options: CommonOptions,
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="FILE", help="Also write the rows to this file, as JSON.")
+    ] = None,
+) -> None:
+    """Compare our results with those of the paper, row by row: deviation, scatter in the paper, and reasons."""
+    import json
+
+    from gbid.cli.printing import print_json, print_tables
+    from gbid.cli.stages import finish, looked_at, next_step
+    from gbid.core.files import atomic_path
+    from gbid.report.named import paper
+
+    loaded = options.load(experiment)
+    with looked_at(loaded, options) as job:
+        outcomes, document = paper().write_reproduction(job)
+    if output is not None:
+        with atomic_path(output, overwrite=True) as part:
+            part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if options.as_json:
-        print_json({**document, "figures": figures, "report": page, "outcomes": outcome_rows(outcomes)})
+        print_json(document)
     else:
-        for stage in shown:
-            if stage is FIT and len(document["fits"]) > MANY:
-                print_tables(*campaign_tables(campaign_document(loaded, outcomes, table)))
-            else:
-                print_tables(*view_of(stage).tables(document))
-        report = [f"report: {page}"] if page else []
-        typer.echo("\n".join([*(f"figure: {path}" for path in figures), f"results: {loaded.results}", *report]))
-    finish(outcomes, document["crossval"], "" if options.quiet else next_step(loaded, "run"))
+        print_tables(*paper().reproduction_tables(document))
+        typer.echo("\n".join(f"written: {outcome.path}" for outcome in outcomes))
+    finish(outcomes, advice="" if options.quiet else next_step(loaded, "reproduce"))
+
+
+@with_options("results", "debug")
+def serve(
+    experiment: ExperimentPath,
+    options: CommonOptions,
+    port: Annotated[int, typer.Option("--port", metavar="N", help="Port of this machine; 0 for any free one.")] = 8471,
+    browser: Annotated[bool, typer.Option("--browser", help="Open the report in the browser.")] = False,
+) -> None:
+    """Show the results as pages on this machine; they follow a running campaign. Ctrl-C ends it."""
+    import webbrowser
+
+    from gbid.serve import open_server
+
+    with open_server(experiment, options.results, port) as server:
+        typer.echo(f"report: {server.address}\ngain explorer: {server.address}explorer")
+        if browser:
+            webbrowser.open(server.address)
+        server.serve_forever()

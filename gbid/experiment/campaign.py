@@ -1,4 +1,4 @@
-"""Campaign: its parts, plan and engines, the lock of the results folder, its run and its table."""
+"""Campaign: its parts, the lock of the results folder, its run and its table."""
 
 from __future__ import annotations
 
@@ -9,29 +9,26 @@ import os
 import re
 import shutil
 import socket
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Literal, get_args
 
 from gbid.core.errors import DataError, UsageError
 from gbid.core.files import find_stale_parts, remove_stale_parts
 from gbid.core.tables import write_csv
-from gbid.experiment.dask import DaskEngine
+from gbid.experiment.engines import make_engine
 from gbid.experiment.experiment import Experiment, fit_models
 from gbid.experiment.fields import stored_key
-from gbid.experiment.pool import ProcessPool
 from gbid.experiment.run import (
-    FOLDER,
-    InTurn,
+    FAILED,
+    Failure,
     Job,
     Outcome,
     Reporter,
     Stage,
     Task,
-    TaskEngine,
     go_on,
     produce,
     remembered_failure,
@@ -100,133 +97,10 @@ def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task])
     return [task for task in tasks if mine.issuperset(task.recordings)]
 
 
-# ---- Plan of a campaign: the tasks to run, current results, and earlier failures.
-
-
-@dataclass(frozen=True)
-class Planned:
-    """Tasks of one stage with their known outcomes.
-
-    Attributes
-    ----------
-    stage : Stage
-        The stage.
-    tasks : tuple of Task
-        Its tasks.
-    known : tuple of Outcome or None
-        Known outcome of each task; None for a task to run.
-    """
-
-    stage: Stage
-    tasks: tuple[Task, ...]
-    known: tuple[Outcome | None, ...]
-
-
-def plan_campaign(job: Job, shard: Shard | None = None) -> list[Planned]:
-    """Return the tasks of all stages, with current results and earlier failures.
-
-    Parameters
-    ----------
-    job : Job
-        The job.
-    shard : Shard, optional
-        Part of the campaign; all of it by default.
-
-    Returns
-    -------
-    list of Planned
-        Stages with tasks, in their order.
-
-    Raises
-    ------
-    UsageError
-        When a result made from other settings exists and must not be replaced. No task has run then.
-    """
-    stages = []
-    for stage, all_tasks in early_tasks(job):
-        tasks = tasks_of(shard, job.experiment, all_tasks)
-        if tasks:
-            stages.append(Planned(stage, tuple(tasks), tuple(standing(job, task) for task in tasks)))
-    return stages
-
-
 def early_tasks(job: Job) -> list[tuple[Stage, list[Task]]]:
     """Return the stages whose tasks are known before a run, from recordings to fits, with their tasks."""
     early = [stage for stage in registry.STAGES if stage.early]
-    return [(stage, [item for item in stage.tasks(job) if isinstance(item, Task)]) for stage in early]
-
-
-# ---- Engines that run the tasks: this process, a pool of processes, or Dask.
-
-EngineName = Literal["auto", "serial", "pool", "dask"]
-
-FEW = 8
-"""Smallest number of tasks of a stage for which worker processes are started."""
-
-
-def make_engine(name: str = "auto", workers: int | None = None, scheduler: str | None = None) -> TaskEngine:
-    """Return an engine that runs tasks.
-
-    Parameters
-    ----------
-    name : {"auto", "serial", "pool", "dask"}
-        "serial" is this process; "pool" is a pool of processes on this machine; "auto" is this process for a few tasks
-        and the pool for many.
-    workers : int, optional
-        Number of processes; the default is the number of processors that this process may use.
-    scheduler : str, optional
-        Address of a Dask scheduler.
-
-    Returns
-    -------
-    TaskEngine
-        The engine; close it after use.
-
-    Raises
-    ------
-    UsageError
-        When the name is unknown, the options contradict each other, or the scheduler does not answer.
-    """
-    if name not in get_args(EngineName):
-        raise UsageError(f"engine {name!r}; choose {', '.join(get_args(EngineName))}")
-    if workers is not None and workers < 1:
-        raise UsageError(f"{workers} workers; give at least 1")
-    if scheduler is not None and name not in ("auto", "dask"):
-        raise UsageError(f"a scheduler is for the engine dask, not {name}; leave one of the two out")
-    if scheduler is not None and workers is not None:
-        raise UsageError("a scheduler has its own workers; leave the number of workers out")
-    if workers is not None and name == "serial":
-        raise UsageError("the engine serial is this process alone; leave the number of workers out, or choose pool")
-    count = workers or _processors()
-    if name == "dask" or scheduler is not None:
-        return DaskEngine(scheduler, count)
-    if name == "serial":
-        return InTurn()
-
-    return ProcessPool(count) if name == "pool" else Auto(ProcessPool(count))
-
-
-class Auto:
-    """Engine that runs a few tasks in this process and many on a pool; a pool that has started runs all."""
-
-    def __init__(self, pool: TaskEngine) -> None:
-        self._pool, self._started = pool, False
-
-    def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; yield number and outcome of each, as in `gbid.experiment.run.TaskEngine`."""
-        self._started = self._started or len(tasks) >= FEW
-        yield from (self._pool if self._started else InTurn()).outcomes(job, tasks)
-
-    def close(self) -> None:
-        """Close the pool."""
-        self._pool.close()
-
-
-def _processors() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # missing on some systems
-        return os.cpu_count() or 1
+    return [(stage, [item for item in stage.work(job) if isinstance(item, Task)]) for stage in early]
 
 
 # ---- Lock of a results folder: one runner at a time, or several shards of one campaign.
@@ -257,16 +131,18 @@ def locked(results: Path, shared: bool = False) -> Iterator[None]:
         results.mkdir(parents=True, exist_ok=True)
         handle = _take(path, shared)
     except BlockingIOError:
-        raise UsageError(
-            f"{results}: another gbid is working in this folder{_owner(path)}; wait for it, or use --results to write "
-            "elsewhere"
-        ) from None
+        text = f"another gbid is working in this folder{_owner(path)}; wait for it, or use --results to write elsewhere"
+        raise UsageError(f"{results}: {text}") from None
     except OSError as error:
         text = f"{path}: cannot be locked: {error.strerror or error}; use --results to write elsewhere"
         raise DataError(text) from None
     try:
-        if not shared:
-            _sign(handle)
+        if not shared:  # the owner, for the error message of another runner
+            owner = {"host": socket.gethostname(), "process": os.getpid()}
+            owner["since"] = f"{datetime.now():%Y-%m-%d %H:%M:%S}"
+            with contextlib.suppress(OSError):  # the lock is valid also on a full disk
+                os.ftruncate(handle, 0)
+                os.pwrite(handle, json.dumps(owner).encode(), 0)
         yield
     finally:
         with contextlib.suppress(OSError):  # shards: the last one removes the file
@@ -289,14 +165,6 @@ def _take(path: Path, shared: bool) -> int:
             os.close(handle)
             raise
         os.close(handle)
-
-
-def _sign(handle: int) -> None:
-    """Write the owner of the lock into the file, for the error message of another runner."""
-    owner = {"host": socket.gethostname(), "process": os.getpid(), "since": f"{datetime.now():%Y-%m-%d %H:%M:%S}"}
-    with contextlib.suppress(OSError):  # the lock is valid also on a full disk
-        os.ftruncate(handle, 0)
-        os.pwrite(handle, json.dumps(owner).encode(), 0)
 
 
 def _owner(path: Path) -> str:
@@ -380,28 +248,26 @@ def run_campaign(job: Job, shard: Shard | None = None) -> list[Outcome]:
     NoSpaceError
         When the disk is full; complete results are kept.
     """
+    plan = [(stage, tasks_of(shard, job.experiment, tasks)) for stage, tasks in early_tasks(job)]
+    standings = [[standing(job, task) for task in tasks] for _, tasks in plan]  # of all stages before any runs
     outcomes: list[Outcome] = []
     failed: dict[str, Outcome] = {}  # by recording
-    for planned in plan_campaign(job, shard):
-        known = [
-            outcome or _without_input(task, failed) for task, outcome in zip(planned.tasks, planned.known, strict=True)
-        ]
-        made = run_tasks(job, planned.tasks, known)
-        for task, outcome in zip(planned.tasks, made, strict=True):
-            if outcome.state == "failed" and task.stage != "fit":
-                failed.setdefault(task.item, outcome)
-        outcomes += made if shard is not None else go_on(job, planned.stage, made)
+    for (stage, tasks), known in zip(plan, standings, strict=True):
+        settled = [outcome or _without_input(task, failed) for task, outcome in zip(tasks, known, strict=True)]
+        made = run_tasks(job, tasks, settled)
+        for outcome in made:
+            if outcome.state == "failed" and stage is not FIT:
+                failed.setdefault(outcome.item, outcome)
+        outcomes += made if shard is not None or not made else go_on(job, stage, made)
     return outcomes
 
 
 def _without_input(task: Task, failed: Mapping[str, Outcome]) -> Outcome | None:
     """Return a failed outcome for a task whose recording failed; None for other tasks."""
-    for name in task.recordings:
-        if name in failed:
-            source = failed[name]
-            text = f"its input is missing: {source.stage} {source.item} failed"
-            return Outcome(task.stage, task.item, task.path, "failed", text, cause="input")
-    return None
+    source = next((failed[name] for name in task.recordings if name in failed), None)
+    if source is None:
+        return None
+    return task.failed(Failure(task.key, "input", f"its input is missing: {source.stage} {source.item} failed"))
 
 
 # ---- Files that a results folder can do without.
@@ -419,7 +285,7 @@ def stale_files(results: Path, everything: bool = False, kernels: Path | None = 
     kernels : pathlib.Path, optional
         Folder of compiled kernels, which are then among them as well.
     """
-    found = [*find_stale_parts(results), *(results / FOLDER).rglob("*.json")]
+    found = [*find_stale_parts(results), *(results / FAILED).rglob("*.json")]
     if everything:
         found += [path for path in results.rglob("[!.]*") if path.is_file() and stored_key(path)]
     if kernels is not None and kernels.is_dir():
@@ -499,12 +365,13 @@ def collect(job: Job) -> tuple[FitTable, list[Outcome]]:
 def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> TableEntry:
     conditions = [job.experiment.recordings[name].conditions for name in task.recordings]
     shared = {k: v for k, v in conditions[0].items() if all(other.get(k) == v for other in conditions)}
-    if isinstance(state, str):
-        return TableEntry(fit, model, task.recordings, shared, failure=state)
-    try:
-        return TableEntry(fit, model, task.recordings, shared, load_fit(task.path))
-    except DataError as error:
-        return TableEntry(fit, model, task.recordings, shared, failure=str(error))
+    result, failure = None, state if isinstance(state, str) else ""
+    if not failure:
+        try:
+            result = load_fit(task.path)
+        except DataError as error:
+            failure = str(error)
+    return TableEntry(fit, model, task.recordings, shared, result, failure)
 
 
 def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:

@@ -148,32 +148,27 @@ def _apart(items: Iterable[ExportItem]) -> tuple[ExportItem, ...]:
     """Return items whose names differ, also where they are made of names that differ in a dot or a blank only."""
     named: dict[str, ExportItem] = {}
     for item in items:
-        name, count = item.name, 1
-        while name.lower() in named:  # also for file systems that do not tell capitals
-            count += 1
-            name = f"{item.name}_{count}"
+        names = (item.name, *(f"{item.name}_{count}" for count in range(2, len(named) + 3)))
+        name = next(name for name in names if name.lower() not in named)  # some file systems do not tell capitals
         named[name.lower()] = replace(item, name=name)
     return tuple(named.values())
 
 
 def _tuned(job: Job, name: str) -> ControllerDesign:
     """Return a tuned design of the experiment; one of the user's own structure with this structure."""
-    path = job.path(TUNED, name, ".yaml")
+    path, section = job.path(TUNED, name, ".yaml"), job.experiment.spec.controller[name]
     if not path.is_file():
         raise DataError(f"{path}: file is missing; `gbid tune` makes it")
-    section = job.experiment.spec.controller[name]
     own = ":" in section.structure and section.schedule is None
     return load_controller(path, design_structure(job.experiment, section) if own else None)
 
 
 def made_maps(job: Job) -> tuple[RunoutMap, ...]:
     """Return the run-out maps that the prefilter of the experiment has stored, one for each operating point."""
-    found = []
-    for point in job.experiment.points:
-        path = job.path(MAP_FOLDER, point)
-        if job.experiment.spec.prefilter is not None and path.is_file():
-            found.append(load(path, PrefilterFile).runout_map)
-    return tuple(each for each in found if each is not None)
+    points = job.experiment.points if job.experiment.spec.prefilter is not None else ()
+    paths = [path for point in points if (path := job.path(MAP_FOLDER, point)).is_file()]
+    maps = [load(path, PrefilterFile).runout_map for path in paths]
+    return tuple(runout_map for runout_map in maps if runout_map is not None)
 
 
 # ---- Writing of the exported files.

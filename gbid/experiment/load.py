@@ -23,6 +23,7 @@ from gbid.core.yaml_file import read_yaml
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, planned_recordings
 from gbid.experiment.fields import ExperimentError, Found, Location, Problem, dotted, in_file_order, schema_faults
 from gbid.experiment.recordings import data_file, mapping_of
+from gbid.experiment.run import has_section
 from gbid.experiment.schema import ExperimentFile
 from gbid.experiment.stages import registry
 from gbid.experiment.structures import fit_disturbances, structure_or_none
@@ -44,7 +45,7 @@ def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str
     list of (location, text)
         Location in the YAML and text of each problem, without duplicates.
     """
-    checks = [check for stage in registry.STAGES for check in stage.checks]
+    checks = [check for stage in registry.STAGES if has_section(experiment, stage.section) for check in stage.checks]
     problems = (problem for check in (has_recordings, names_are_unique, *checks) for problem in check(experiment))
     return list(dict.fromkeys(problems))
 

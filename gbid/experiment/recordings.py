@@ -96,8 +96,8 @@ def driving_channels(experiment: Experiment, recording: str) -> list[str]:
     """Return the signals and channels of a recording that are inputs of fits, and outputs of none."""
     measured = set(_measured_channels(experiment, recording))
     fits = experiment.fits_of.get(recording, ())
-    used = [name for fit in fits for name in fit_channels(experiment, fit)[0]]
-    return [name for name in dict.fromkeys(used) if name not in measured]
+    used = dict.fromkeys(name for fit in fits for name in fit_channels(experiment, fit)[0])
+    return [name for name in used if name not in measured]
 
 
 def _measured_channels(experiment: Experiment, recording: str) -> list[str]:
@@ -106,14 +106,18 @@ def _measured_channels(experiment: Experiment, recording: str) -> list[str]:
 
 def recording_result(experiment: Experiment, planned: PlannedRecording) -> Result:
     """Return the result file of a recording of the rig or of a file."""
+    path = experiment.path(FOLDER, planned.name)
+    if planned.controller:  # the file of the controller is made while the cycle runs
+        settings = {**rig_run(experiment, planned).settings(), **loop_settings(experiment)}
+        running = stored_key(experiment.results / planned.controller)
+        return experiment.result("cycle recording", planned.name, path, settings, [running])
     if planned.imported is None:
-        return _round_result(experiment, planned) if planned.controller else _rig_result(experiment, planned.name)
+        return _rig_result(experiment, planned.name)
     settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
     try:
         digest = file_digest(data_file(experiment, planned.imported))
     except OSError:  # the import reports the error; the key changes when the file can be read
         digest = "cannot be read"
-    path = experiment.path(FOLDER, planned.name)
     return experiment.result("import", planned.name, path, settings, [digest])
 
 
@@ -128,13 +132,6 @@ def _rig_result(experiment: Experiment, name: str) -> Result:
     if planned.run[:1] == ("course",):
         settings["surfaces"] = {key: list(row) for key, row in rig_model(experiment).coefficients.items()}
     return experiment.result("rig", name, experiment.path(FOLDER, name), settings, sources)
-
-
-def _round_result(experiment: Experiment, planned: PlannedRecording) -> Result:
-    settings = {**rig_run(experiment, planned).settings(), **loop_settings(experiment)}
-    running = stored_key(experiment.results / planned.controller)
-    path = experiment.path(FOLDER, planned.name)
-    return experiment.result("cycle recording", planned.name, path, settings, [running])
 
 
 def load_made(job: Job, planned: PlannedRecording) -> Recording:
@@ -169,16 +166,16 @@ def excitation_limits(
     outputs : tuple of str
         Outputs of the fit; without the disc among them its motion is not known.
     """
-    own = section.limits
-    if own.clearance_m is None and planned.imported is None and DISC in outputs:
+    limits = section.limits
+    if limits.clearance_m is None and planned.imported is None and DISC in outputs:
         return rig_limits(
             machine_at(experiment, planned, rig_model(experiment)),
             conditions=planned.conditions,
-            peaks=own.peaks,
-            radius=own.radius,
+            peaks=limits.peaks,
+            radius=limits.radius,
             scatter=record_options(experiment, planned)["scatter"],
         )
-    return ExcitationLimits(own.peaks, own.radius, own.clearance_m, DISC, own.taken_m)
+    return ExcitationLimits(limits.peaks, limits.radius, limits.clearance_m, DISC, limits.taken_m)
 
 
 # ---- Actuator parameters of the surfaces.

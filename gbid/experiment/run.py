@@ -7,6 +7,7 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -186,7 +187,8 @@ class Job:
         return self.experiment.path(folder, name, ending)
 
 
-FOLDER = "failed"
+FAILED = "failed"
+"""Folder of the records of failures, in the results."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +215,7 @@ class Failure:
 
 def failure_path(job: Job, result: Result) -> Path:
     """Return the path of the record of a failure, ``failed/<stage>/<item>.json``."""
-    return job.path(f"{FOLDER}/{result.stage}", result.item, ".json")
+    return job.path(f"{FAILED}/{result.stage}", result.item, ".json")
 
 
 def remember_failure(job: Job, result: Result, failure: Failure) -> None:
@@ -276,22 +278,19 @@ def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] |
     """
     if not tasks:
         return []
-    found = [standing(job, task) for task in tasks] if known is None else list(known)
-    settled = [outcome for outcome in found if outcome is not None]
-    todo = [number for number, outcome in enumerate(found) if outcome is None]
+    outcomes = dict(enumerate(known or [standing(job, task) for task in tasks]))
+    todo = [number for number, outcome in outcomes.items() if outcome is None]
+    settled = [outcome for outcome in outcomes.values() if outcome is not None]
     failed = sum(outcome.state == "failed" for outcome in settled)
     job.reporter.expect(tasks[0].stage, len(todo), len(settled) - failed, failed)
     for outcome in settled:
         job.reporter.end(outcome)
     if todo:
-        running = (job.engine or InTurn()).outcomes(job, [tasks[number] for number in todo])
-        try:
+        with closing((job.engine or InTurn()).outcomes(job, [tasks[number] for number in todo])) as running:
             for which, outcome in running:
-                found[todo[which]] = ended = replace(outcome, path=tasks[todo[which]].path)
+                outcomes[todo[which]] = ended = replace(outcome, path=tasks[todo[which]].path)
                 job.reporter.end(ended)
-        finally:
-            running.close()
-    return [outcome for outcome in found if outcome is not None]
+    return [outcome for outcome in outcomes.values() if outcome is not None]
 
 
 def standing(job: Job, task: Task) -> Outcome | None:
@@ -334,19 +333,23 @@ def perform(job: Job, task: Task) -> Outcome:
     KeyboardInterrupt
         After Ctrl-C.
     """
-    began = time.perf_counter()
     try:
-        with writing_keyed(task.path, task.key) as part:
-            made = task.write(job, part) or Made()
+        outcome = _make(job, task)
         failure_path(job, task).unlink(missing_ok=True)
-        return task.ended("made", made, time.perf_counter() - began)
+        return outcome
     except NoSpaceError:
         raise
     except Exception as error:
         if from_interrupt(error):
             raise KeyboardInterrupt from None
-        failure = _failure_of(task, error)
-    return fail(job, task, failure)
+        return fail(job, task, _failure_of(task, error))
+
+
+def _make(job: Job, task: Task) -> Outcome:
+    began = time.perf_counter()
+    with writing_keyed(task.path, task.key) as part:
+        made = task.write(job, part) or Made()
+    return task.ended("made", made, time.perf_counter() - began)
 
 
 def fail(job: Job, task: Task, failure: Failure) -> Outcome:
@@ -378,19 +381,17 @@ def produce(job: Job, result: Result, write: Callable[[Path], str | None]) -> Ou
     UsageError
         When a result made from other settings exists and must not be replaced.
     """
-    began = time.perf_counter()
+    task = Task.of(result, lambda _, part: Made(write(part) or ""))
     try:
-        if is_current(result.path, result.key, job.overwrite):
-            outcome = Outcome(result.stage, result.item, result.path, "kept")
+        if is_current(task.path, task.key, job.overwrite):
+            outcome = task.ended("kept", Made())
         else:
-            job.reporter.begin(result.stage, result.item)
-            with writing_keyed(result.path, result.key) as part:
-                text = write(part) or ""
-            outcome = Outcome(result.stage, result.item, result.path, "made", text, time.perf_counter() - began)
+            job.reporter.begin(task.stage, task.item)
+            outcome = _make(job, task)
     except NoSpaceError:
         raise
     except DataError as error:
-        outcome = Outcome(result.stage, result.item, result.path, "failed", str(error), cause=cause_of(error))
+        outcome = task.failed(_failure_of(task, error))
     job.reporter.end(outcome)
     return outcome
 
@@ -459,9 +460,10 @@ Work = Sequence[Task | Outcome]
 """Tasks to run, and outcomes of items for which no task is possible."""
 
 
-def always(_: Experiment) -> bool:
-    """Return true: `gbid run` runs a stage."""
-    return True
+def has_section(experiment: Experiment, key: str) -> bool:
+    """Return whether an experiment has a section, by its key in the YAML."""
+    fields = type(experiment.spec).model_fields.items()
+    return any(getattr(experiment.spec, name) for name, field in fields if key in (name, field.alias))
 
 
 @dataclass(frozen=True)
@@ -475,9 +477,9 @@ class Stage:
     section : str
         Key of its section in the YAML; a field of `gbid.experiment.schema.ExperimentFile` defines the section.
     checks : tuple of callable
-        Checks of the section that are possible before a run.
+        Checks of the section that are possible before a run; not called when the YAML has no such section.
     tasks : callable
-        Function that returns the work of the section; empty when the YAML has no such section.
+        Function that returns the work of the section; not called when the YAML has no such section.
     then : tuple of callable
         Functions that return work on the results of the stage, such as tables; run one after the other.
     early : bool
@@ -495,8 +497,12 @@ class Stage:
     tasks: Callable[[Job], Work]
     then: tuple[Callable[[Job, Sequence[Outcome]], Work], ...] = ()
     early: bool = False
-    in_run: Callable[[Experiment], bool] = always
+    in_run: Callable[[Experiment], bool] = lambda _: True
     view: View | None = None
+
+    def work(self, job: Job) -> Work:
+        """Return the work of the section; none when the YAML has no such section."""
+        return self.tasks(job) if has_section(job.experiment, self.section) else ()
 
 
 def run_stage(job: Job, stage: Stage) -> list[Outcome]:
@@ -514,13 +520,13 @@ def run_stage(job: Job, stage: Stage) -> list[Outcome]:
     NoSpaceError
         When the disk is full.
     """
-    return go_on(job, stage, do_work(job, stage.tasks(job)))
+    return go_on(job, stage, do_work(job, stage.work(job)))
 
 
 def go_on(job: Job, stage: Stage, made: Sequence[Outcome]) -> list[Outcome]:
     """Make the results that start from those of the stage's tasks; return the outcomes of both."""
     outcomes = list(made)
-    for work in stage.then:
+    for work in stage.then if has_section(job.experiment, stage.section) else ():
         outcomes += do_work(job, work(job, outcomes))
     return outcomes
 

@@ -29,17 +29,16 @@ from gbid.experiment.machine import rig_machine, rig_model, true_model, true_val
 from gbid.experiment.recordings import load_made
 from gbid.experiment.run import Job, Task, standing
 from gbid.experiment.schema import ControllerSection, wanted_signals
-from gbid.experiment.stages.crossval import CrossvalRow, read_crossval, read_summary
+from gbid.experiment.stages.crossval import CrossvalRow, nominal_of, read_crossval, read_summary
 from gbid.experiment.stages.cycle import CycleRow, made_rows
-from gbid.experiment.stages.fit import fit_tasks, load_made_fit
+from gbid.experiment.stages.fit import FIT, load_made_fit
 from gbid.experiment.stages.impact import loops_without_controller, study_tasks
-from gbid.experiment.stages.importing import import_tasks
+from gbid.experiment.stages.importing import IMPORT
 from gbid.experiment.stages.loop import LoopCostRow, made_costs
 from gbid.experiment.stages.lpv import read_surfaces
-from gbid.experiment.stages.nominal import nominal_of
 from gbid.experiment.stages.prefilter import FOLDER as PREFILTERED
-from gbid.experiment.stages.prefilter import prefilter_tasks
-from gbid.experiment.stages.rig import rig_tasks
+from gbid.experiment.stages.prefilter import PREFILTER
+from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import load_made_static, static_tasks
 from gbid.experiment.stages.tune import assess_published, design_plant, read_designs
 from gbid.experiment.structures import make_structure
@@ -391,8 +390,8 @@ class StageResults(Generic[Value]):
 
 def read_standings(job: Job) -> tuple[Standing, ...]:
     """Return the states of recordings, prefiltered recordings and fits, in this order."""
-    tasks = [*rig_tasks(job), *import_tasks(job), *prefilter_tasks(job), *fit_tasks(job)]
-    return tuple(_standing(job, task) for task in tasks)
+    work = [item for stage in (RIG, IMPORT, PREFILTER, FIT) for item in stage.work(job)]
+    return tuple(_standing(job, task) for task in work if isinstance(task, Task))
 
 
 def _standing(job: Job, task: Task) -> Standing:

@@ -6,17 +6,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from gbid.control.assess import TunedDesign
+from gbid.control.impact.study import ImpactStudy
 from gbid.core.hdf5 import load
 from gbid.core.tables import Table
 from gbid.experiment.run import Document, Job, Outcome, Stage, View, outcomes_view
-from gbid.experiment.stages.crossval import SUMMARY, crossval_rows
+from gbid.experiment.stages.crossval import SUMMARY, crossval_rows, nominal_of
 from gbid.experiment.stages.cycle import made_rows
-from gbid.experiment.stages.impact import made_impacts
 from gbid.experiment.stages.loop import made_costs
-from gbid.experiment.stages.lpv import made_surfaces
-from gbid.experiment.stages.nominal import nominal_of
 from gbid.experiment.stages.static import load_made_static
-from gbid.experiment.stages.tune import made_designs
+from gbid.lpv import load_lpv_fit
 from gbid.prefilter import PrefilterFile
 from gbid.report.control_tables import (
     cycle_documents,
@@ -111,12 +110,18 @@ def _nominal(job: Job, outcomes: Sequence[Outcome]) -> Document:
 
 
 def _surfaces(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    return {"lpv": lpv_documents(job.experiment, [o for o in outcomes if o.stage == "lpv"], made_surfaces(outcomes))}
+    surfaces = {o.item: load_lpv_fit(o.path) for o in _made(outcomes, "lpv") if o.path.suffix == ".yaml"}
+    return {"lpv": lpv_documents(job.experiment, [o for o in outcomes if o.stage == "lpv"], surfaces)}
 
 
 def _impacts(job: Job, outcomes: Sequence[Outcome]) -> Document:
     paths = {o.item: o.path for o in outcomes if o.stage == "ringdown"}
-    return {"impacts": impact_documents(job.experiment, made_impacts(outcomes), paths)}
+    studies = {o.item: load(o.path, ImpactStudy) for o in _made(outcomes, "ringdown")}
+    return {"impacts": impact_documents(job.experiment, studies, paths)}
+
+
+def _designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
+    return {o.item: load(o.path, TunedDesign) for o in _made(outcomes, "tune")}
 
 
 def _entry(key: str, table: Callable[[Any], Table]) -> Callable[[Document], list[Table]]:
@@ -143,7 +148,7 @@ VIEWS: Mapping[str, View] = {
     "nominal": View(_nominal, _entry("nominal", nominal_table)),
     "lpv": View(_surfaces, lambda document: map(lpv_table, document["lpv"])),
     "tune": View(
-        lambda _, outcomes: {"tuning": tuning_documents(outcomes, made_designs(outcomes))},
+        lambda _, outcomes: {"tuning": tuning_documents(outcomes, _designs(outcomes))},
         lambda document: tuning_tables(document["tuning"]),
     ),
     "impact": View(_impacts, lambda document: impact_tables(document["impacts"])),

@@ -88,10 +88,9 @@ def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
     UsageError
         When the axis or a gain is unknown, a gain is not finite, or the point lies outside the domain.
     """
-    names = [parameter.name for parameter in design.structure.parameters]
-    unknown = [name for name in settings.gains if name not in names]
+    unknown = set(settings.gains) - {parameter.name for parameter in design.structure.parameters}
     if unknown or settings.axis not in ("x", "y"):
-        raise UsageError(f"explorer: no gain {unknown[0]!r}" if unknown else f"explorer: axis = {settings.axis!r}")
+        raise UsageError(f"explorer: no gain {min(unknown)!r}" if unknown else f"explorer: axis = {settings.axis!r}")
     gains = {**design.figures.gains, **settings.gains}
     if not all(isfinite(value) for value in gains.values()):
         raise UsageError("explorer: give finite gains")
@@ -170,30 +169,31 @@ class Live:
     def __init__(self, experiment: Path, results: Path | None = None) -> None:
         self._where = experiment, results
         self._lock = threading.Lock()  # matplotlib draws in one thread at a time
-        self._page: tuple[str, str] = ("", "")
-        self._designs: tuple[str, dict[str, AssessedDesign]] = ("", {})
+        self._key, self._page = "", ""
+        self._designs: dict[str, AssessedDesign] = {}
         self.name = self._read().experiment.spec.name
 
     def _read(self) -> Results:
-        return Results(Job(load_experiment(*self._where)))
+        """Return the present results; forget what was made of earlier ones."""
+        results = Results(Job(load_experiment(*self._where)))
+        if (key := report_key(results)) != self._key:
+            self._key, self._page, self._designs = key, "", {}
+        return results
 
     def state(self) -> dict[str, Any]:
         """Return how far the campaign is: the key of the present results, and counts of results by stage and state."""
         with self._lock:
-            results = self._read()
             stages: dict[str, Counter[str]] = {}
-            for standing in results.standings:
+            for standing in self._read().standings:
                 stages.setdefault(standing.stage, Counter())[standing.state] += 1
-            return {"key": report_key(results), "stages": {stage: dict(count) for stage, count in stages.items()}}
+            return {"key": self._key, "stages": stages}
 
     def page(self) -> str:
         """Return the report of the present results; drawn anew only when they changed."""
         with self._lock:
             results = self._read()
-            key = report_key(results)
-            if self._page[0] != key:
-                self._page = key, report_text(results, key)
-            return self._page[1]
+            self._page = self._page or report_text(results, self._key)
+            return self._page
 
     def designs(self) -> dict[str, AssessedDesign]:
         """Return the designs by name: the tuned ones and the published controllers.
@@ -205,16 +205,14 @@ class Live:
         """
         with self._lock:
             results = self._read()
-            key = report_key(results)
-            if self._designs[0] != key:
-                self._designs = key, {design.name: design for design in results.assessed}
-            if not self._designs[1]:
+            self._designs = self._designs or {design.name: design for design in results.assessed}
+            if not self._designs:
                 raise UsageError("no controller yet; run `gbid tune` or `gbid run`")
-            return self._designs[1]
+            return self._designs
 
     def known_designs(self) -> dict[str, AssessedDesign]:
         """Return the designs as the explorer last read them: a slider asks often, and reading takes time."""
-        return self._designs[1] or self.designs()
+        return self._designs or self.designs()
 
 
 # ---- Pages of the server: the report with a line that follows the campaign, and the gain explorer.
@@ -253,11 +251,10 @@ def _own(name: str) -> str:
 
 def _described(design: AssessedDesign) -> dict[str, Any]:
     """Return what the page needs to know of a design: ranges of operating point and gains, and values."""
-    pressures, speeds = design.plant.domain.pressure_bar, design.plant.domain.speed_rpm
-    first = design.figures.points[0]
+    domain, (pressure, speed) = design.plant.domain, design.figures.points[0].tolist()
     controls = [
-        _control("pressure_bar", "Injection pressure", "bar", *pressures, float(first[0])),
-        _control("speed_rpm", "Speed", "rpm", *speeds, float(first[1])),
+        _control("pressure_bar", "Injection pressure", "bar", *domain.pressure_bar, pressure),
+        _control("speed_rpm", "Speed", "rpm", *domain.speed_rpm, speed),
     ]
     for parameter in design.structure.parameters:
         value = design.figures.gains[parameter.name]
@@ -281,10 +278,7 @@ def _control(name: str, label: str, unit: str, low: float, high: float, value: f
 
 
 HOST = "127.0.0.1"
-_OWN = (
-    "127.0.0.1",
-    "localhost",
-)  # another name in the request is a page of another site that asks in the reader's name
+_OWN = ("127.0.0.1", "localhost")  # a request to another name comes from a page of another site
 _HTML, _JSON = "text/html; charset=utf-8", "application/json"
 
 
@@ -382,11 +376,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, status: HTTPStatus, kind: str, text: str) -> None:
         body = text.encode()
+        headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store"}
         self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("X-Content-Type-Options", "nosniff")
+        for name, value in {**headers, "X-Content-Type-Options": "nosniff"}.items():
+            self.send_header(name, value)
         self.end_headers()
         self.wfile.write(body)
 

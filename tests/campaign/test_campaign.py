@@ -2,7 +2,6 @@ import contextlib
 import errno
 import json
 import os
-import random
 import re
 import shutil
 import signal
@@ -23,12 +22,10 @@ from places import SUPPORT
 from gbid import load_table
 from gbid.core.errors import NoSpaceError, UsageError
 from gbid.core.files import remove_stale_parts
-from gbid.experiment.campaign import Auto, Shard, locked, make_engine, read_shard, run_campaign, tasks_of, working
+from gbid.experiment.campaign import Shard, locked, read_shard, run_campaign, tasks_of, working
+from gbid.experiment.engines import ATTEMPTS, FEW, ProcessPool, make_engine
 from gbid.experiment.load import load_experiment
-from gbid.experiment.pool import ATTEMPTS, ProcessPool
 from gbid.experiment.run import InTurn, Job, remembered_failure, run_tasks
-from gbid.experiment.stages.fit import fit_tasks
-from gbid.experiment.stages.importing import import_tasks
 from gbid.experiment.stages.rig import rig_tasks
 from gbid.identify import load_fit
 
@@ -101,25 +98,6 @@ def test_pool_gives_what_this_process_gives(pool, springs, fresh):
     assert [o.item for o in outcomes if o.stage == "fit"] == [f"spring/run{i}" for i in range(1, 11)]
     assert gbid("batch", fresh, "--collect") == 0
     assert table_of(fresh) == table_of(springs)
-
-
-def test_kill_of_the_runner_then_resume(springs, fresh):
-    process = batch(fresh, "--engine", "serial")
-    stop = random.Random(os.getpid()).randint(1, 9)
-    for line in process.stderr:
-        stop -= line.startswith("fit ")
-        if not stop:
-            break
-    process.kill()
-    process.communicate()
-    before = stamps(results_of(fresh))
-    assert 1 <= len(before) < 10
-    assert not (results_of(fresh) / "table.csv").exists()
-    assert gbid("batch", fresh, "--engine", "serial") == 0
-    after = stamps(results_of(fresh))
-    assert {name: after[name] for name in before} == before
-    assert table_of(fresh) == table_of(springs)
-    assert left_over(results_of(fresh)) == []
 
 
 @PROC
@@ -353,15 +331,6 @@ def test_shards_at_the_same_time_then_collect(springs, fresh, capsys):
     assert json.loads(capsys.readouterr().out)["stages"]["fit"]["kept"] == 10
 
 
-def test_shards_share_the_work(tmp_path):
-    from experiment_files import write_quick
-
-    job = Job(load_experiment(write_quick(tmp_path)))
-    parts = [tasks_of(Shard(i, 2), job.experiment, fit_tasks(job)) for i in (1, 2)]
-    assert sorted(t.item for part in parts for t in part) == sorted(t.item for t in fit_tasks(job))
-    assert all(len(part) == 2 for part in parts)
-
-
 def test_shards_share_staircases_but_not_stationary_recordings(tmp_path):
     from experiment_files import write_quick
 
@@ -410,14 +379,6 @@ def test_failures_are_listed_kept_and_retried(tmp_path, capsys):
     assert gbid("batch", path) == 0
     assert not record.exists()
     assert load_table(results_of(path) / "table.h5").success.all()
-
-
-def test_a_file_that_cannot_be_read_fails_alone(tmp_path):
-    job = Job(load_experiment(write_springs(tmp_path, 2)))
-    (tmp_path / "data" / "run1.csv").unlink()
-    outcomes = run_tasks(job, import_tasks(job))
-    assert [o.state for o in outcomes] == ["failed", "made"]
-    assert "run1.csv" in outcomes[0].text
 
 
 def test_what_has_nothing_to_start_from_is_not_run(tmp_path):
@@ -514,7 +475,7 @@ def test_temporary_files_of_a_process_that_ended_unnoticed_are_stale(tmp_path):
 def test_engines_by_name():
     assert isinstance(make_engine("serial"), InTurn)
     with contextlib.closing(make_engine("auto", 3)) as engine:
-        assert isinstance(engine, Auto)
+        assert (engine.n_workers, engine.fewest) == (3, FEW)
     for arguments in (("serail",), ("pool", 0), ("serial", 2), ("serial", None, "tcp://a:1"), ("dask", 2, "tcp://a:1")):
         with pytest.raises(UsageError):
             make_engine(*arguments)

@@ -12,9 +12,9 @@ from campaign_files import left_over, rows_of, task, write_springs
 from experiment_files import gbid
 
 from gbid.core.errors import GbidError, NoSpaceError, UsageError
-from gbid.experiment.campaign import make_engine, run_campaign, working
+from gbid.experiment.campaign import run_campaign, working
+from gbid.experiment.engines import ATTEMPTS, make_engine
 from gbid.experiment.load import load_experiment
-from gbid.experiment.pool import ATTEMPTS
 from gbid.experiment.run import Job, run_tasks
 
 distributed = pytest.importorskip("distributed", reason="distributed is not installed (gbid[dask])")
@@ -92,7 +92,7 @@ def test_progress_counts_one_for_each_thread(engine, tmp_path):
     watcher = files.Watcher()
     tasks = [task(tmp_path, f"{i:x}", files.write_number) for i in range(16)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gbid.experiment.dask._JOURNEYS", 2)  # four tasks travel together
+        patch.setattr("gbid.experiment.engines._JOURNEYS", 2)  # four tasks travel together
         run_tasks(replace(job, reporter=watcher, engine=engine), tasks)
     assert [done for done, _ in watcher.seen] == list(range(1, 17))
     assert all(running <= 2 for _, running in watcher.seen)
@@ -107,14 +107,14 @@ def test_a_task_that_kills_its_workers_does_not_stop_the_others_of_its_journey(e
     tasks = [task(tmp_path, f"{i:x}", files.write_number) for i in range(16)]
     tasks[3] = task(tmp_path, "3", files.die)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gbid.experiment.dask._JOURNEYS", 2)  # four tasks travel together
+        patch.setattr("gbid.experiment.engines._JOURNEYS", 2)  # four tasks travel together
         outcomes = run_tasks(job, tasks)
     assert [o.state for o in outcomes] == ["made"] * 3 + ["failed"] + ["made"] * 12
     assert outcomes[3].cause == "crash"
 
 
 def test_no_scheduler_answers(monkeypatch):
-    monkeypatch.setattr("gbid.experiment.dask._PATIENCE", 0.5)
+    monkeypatch.setattr("gbid.experiment.engines._DASK_PATIENCE", 0.5)
     with pytest.raises(UsageError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         make_engine("dask", scheduler="tcp://127.0.0.1:9")
 

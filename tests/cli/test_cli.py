@@ -11,8 +11,6 @@ from experiment_files import gbid, write_quick, write_spring, write_spring_data
 from json_keys import assert_keys
 from places import ROOT
 
-from gbid import __version__
-
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
@@ -39,17 +37,6 @@ def spring(tmp_path_factory):
     path = write_spring(folder)
     assert gbid("run", path) == 0
     return path
-
-
-def test_version_and_help(capsys):
-    assert gbid("--version") == 0
-    assert capsys.readouterr().out == f"gbid {__version__}\n"
-    assert gbid("--help") == 0
-    text = capsys.readouterr().out
-    for verb in ("new", "check", "rig", "import", "fit", "crossval", "run"):
-        assert f"  {verb} " in text
-        assert gbid(verb, "--help") == 0
-        assert "EXPERIMENT" in capsys.readouterr().out or verb == "new"
 
 
 def test_help_imports_nothing_heavy_and_commands_nothing_they_may_not_need():
@@ -263,12 +250,8 @@ def test_several_starts_are_told(tmp_path, capsys):
     assert gbid("fit", path, "--json") == 0
     told = document(capsys.readouterr().out)["fits"][0]["multi_start"]
     assert (told["starts"], told["seed"]) == (3, 0)
+    assert 1 <= told["agreed"] <= told["converged"] <= 3
     assert told["spread"] >= 1
-
-
-def test_results_option(spring, tmp_path):
-    assert gbid("import", spring, "--results", tmp_path / "elsewhere") == 0
-    assert files_in(tmp_path / "elsewhere") == ["recordings/run1.h5", "recordings/run2.h5"]
 
 
 def test_yaml_problems_end_with_2_one_line_each_and_write_nothing(tmp_path, capsys):
@@ -285,13 +268,6 @@ def test_yaml_problems_end_with_2_one_line_each_and_write_nothing(tmp_path, caps
     assert error["exit_code"] == 2
     assert len(error["messages"]) == 2
     assert files_in(tmp_path) == ["experiment.yaml"]
-
-
-def test_missing_experiment_and_section(tmp_path, spring, capsys):
-    assert gbid("run", tmp_path / "none.yaml") == 2
-    assert "no such file" in capsys.readouterr().err
-    assert gbid("rig", spring) == 2
-    assert "no section 'rig'" in capsys.readouterr().err
 
 
 def test_bad_data_end_with_3_and_do_not_stop_the_others(tmp_path, capsys):

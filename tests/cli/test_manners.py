@@ -251,7 +251,8 @@ def test_no_color_takes_the_colours_out(monkeypatch):
     for name in ("", "1"):
         monkeypatch.setenv("NO_COLOR", name)
         console = Console(file=io.StringIO(), force_terminal=True, width=80)
-        with LiveBar(console) as bar:
+        bar = LiveBar(console)
+        with bar.progress:
             bar.begin(4)
             bar.show("fit spring", 2)
         written[name] = console.file.getvalue()

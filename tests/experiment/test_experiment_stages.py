@@ -5,7 +5,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from experiment_files import QUICK, copy_results, write_quick, write_spring, write_spring_data
+from experiment_files import copy_results, write_quick, write_spring, write_spring_data
 from places import EXPERIMENTS
 from places import MEASURED as SHARED
 
@@ -239,20 +239,6 @@ def test_a_fit_that_does_not_converge_is_written_and_flagged(again):
         assert load_made_fit(job, "piezos", "p5_n6000_prbs1").success is False
 
 
-def test_fit_to_all_recordings_together(tmp_path):
-    path = write_spring(
-        tmp_path, ("focus: simulation", "focus: simulation, together: true"), ("on: cyclic", 'on: "run*"')
-    )
-    job = Job(load_experiment(path))
-    outcomes, rows = all_stages(job)
-    assert {o.state for o in outcomes} == {"made"}
-    result = load_made_fit(job, "spring", "together")
-    assert result.recordings == ("run1", "run2")
-    assert result.parameters["k"] == pytest.approx((2 * np.pi * 40) ** 2, rel=1e-3)
-    assert result.parameters["b"] == pytest.approx(2e6, rel=1e-2)
-    assert [(r.model, r.recording) for r in rows] == [("together", "run1"), ("together", "run2")]
-
-
 OPTIONS = (
     "{structure: piezo_pair, output_weights: [1.0, 2.0], prior: {p1_x: {value: 3000, std: 1.0e4}}, "
     "options: {disturbance_gain: none}, trend: {u_x: 2, u_y: linear}, hum: 50, robust: student, robust_threshold: 5, "
@@ -369,20 +355,6 @@ def test_starts_from_the_data(tmp_path):
     assert any("by a subspace model with 2 states" in note for note in result.notes)
 
 
-def test_several_starts_are_counted(tmp_path):
-    path = write_spring(
-        tmp_path, ("focus: simulation", "focus: simulation, multi_start: {starts: 4, seed: 5, reach: 0.1}")
-    )
-    job = Job(load_experiment(path))
-    run_stage(job, IMPORT)
-    (first, _) = run_stage(job, FIT)
-    tried = load_made_fit(job, "spring", "run1").multi_start
-    assert (tried.starts, tried.seed) == (4, 5)
-    assert 1 <= tried.agreed <= tried.converged <= 4
-    assert tried.spread >= 1
-    assert first.converged
-
-
 def test_a_changed_data_file_makes_results_stale(tmp_path):
     path = write_spring(tmp_path)
     all_stages(Job(load_experiment(path)))
@@ -492,17 +464,6 @@ def test_prefilter_without_a_map(tmp_path):
     outcomes = run_stage(job, PREFILTER)
     assert {o.state for o in outcomes} == {"made"}
     assert load(tmp_path / "results/quick/prefilter/p5_n6000.h5", PrefilterFile).runout_map is None
-
-
-def test_several_operating_points_have_their_own_maps_and_partners(tmp_path):
-    points = "    - {pressure_bar: 5.0, speed_rpm: 6000}\n"
-    path = write_quick(tmp_path, (points, points + "    - {pressure_bar: 6.5, speed_rpm: 0}\n"))
-    assert QUICK.count(points) == 1
-    job = Job(load_experiment(path))
-    assert len(run_stage(job, RIG)) == 6
-    outcomes = run_stage(job, PREFILTER)
-    assert [o.item for o in outcomes if "map" in o.item] == ["map p5_n6000", "map p6.5_n0"]
-    assert {o.state for o in outcomes} == {"made"}
 
 
 @pytest.mark.skipif(not (SHARED / "rotary_arm.npz").is_file(), reason="shared/data is not beside this checkout")

@@ -91,12 +91,6 @@ def test_wrong_sections_are_named(tmp_path, old, new, words):
         load_experiment(write_quick(tmp_path, (old, new), text=STAIRS))
 
 
-def test_nothing_to_characterise_is_said(tmp_path, capsys):
-    path = write_quick(tmp_path)
-    assert gbid("static", path) == 2
-    assert "no section 'static'" in capsys.readouterr().err
-
-
 def test_a_plateau_too_short_is_a_failure_beside_the_others(stairs, tmp_path):
     path = write_quick(tmp_path, ("keep: 0.4", "keep: 0.001"), text=STAIRS)
     experiment = load_experiment(path)

@@ -160,7 +160,8 @@ def test_figures_draw_names_as_they_are(plain, tmp_path):
 
 def test_progress_shows_names_as_they_are(capsys):
     console = Console(file=io.StringIO(), force_terminal=True, width=100)
-    with LiveBar(console) as bar:
+    bar = LiveBar(console)
+    with bar.progress:
         for reporter in (ProgressReporter(), ProgressReporter(bar=bar)):
             for name in AWFUL:
                 reporter.expect("fit", 1, 0, 0)

@@ -23,9 +23,8 @@ from gbid.core.errors import UsageError
 from gbid.experiment.campaign import run_campaign
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
-from gbid.experiment.stages.crossval import CROSSVAL, validate_pair
+from gbid.experiment.stages.crossval import CROSSVAL, NOMINAL, validate_pair
 from gbid.experiment.stages.lpv import LPV
-from gbid.experiment.stages.nominal import NOMINAL
 from gbid.report.page import explorer_model, packed, trace
 from gbid.report.read import Results
 from gbid.report.sections import fit_data, warnings

@@ -113,6 +113,25 @@ def copy_results(source: Path, target: Path) -> Path:
     return target
 
 
+SMALL = """\
+format: 1
+name: small
+rig:
+  seed: 5
+  operating_points:
+    - {pressure_bar: 3, speed_rpm: 0}
+    - {pressure_bar: 3, speed_rpm: 6000}
+    - {pressure_bar: 6, speed_rpm: 0}
+    - {pressure_bar: 6, speed_rpm: 6000}
+  duration_s: 0.4
+  prbs: {recordings: 2, amplitude_m: 1.5e-6, hold_s: 4e-3}
+  stationary: {recordings: 1, duration_s: 1.0}
+prefilter: {harmonics: 6}
+fits:
+  bearing: {structure: rotor_bearing, focus: simulation}
+lpv: {fit: bearing, order: ["1", P, Omega, Omega P], actuators: theisen2016}
+"""
+
 STAIRS = """\
 format: 1
 name: stairs

@@ -1,11 +1,13 @@
-"""Cross-validation: checks of its section, its pairs and rows, and the stages of its tables and of the figures."""
+"""Cross-validation: checks, pairs, rows and tables; the nominal actuator chosen from models; checks of figures."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +15,14 @@ import numpy as np
 
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import load, save
-from gbid.core.tables import Table, Value, csv_rows, plain_table, write_csv
+from gbid.core.tables import Value, csv_rows, plain_table, write_csv
 from gbid.experiment.experiment import SPECIAL, Experiment, figure_pairs, validation_pairs
-from gbid.experiment.fields import Found, Result, nearest, stored_key
+from gbid.experiment.fields import Found, Result, nearest, needed, stored_key
 from gbid.experiment.run import (
     Cause,
     Failure,
     Job,
+    Made,
     Outcome,
     Stage,
     Task,
@@ -27,22 +30,25 @@ from gbid.experiment.run import (
     remember_failure,
     remembered_failure,
 )
-from gbid.experiment.stages.fit import fit_result, load_made_fit, samples_of
+from gbid.experiment.stages.fit import a_fit_is_named, fit_entries, fit_result, left_out_of, load_made_fit
 from gbid.experiment.stages.prefilter import fit_input, load_fit_input
 from gbid.experiment.structures import make_structure
-from gbid.identify import FitResult, MeasuredResponse, measured_response
+from gbid.identify import FitResult, MeasuredResponse, measured_response, tabulate
 from gbid.recording import Recording
 from gbid.structure import kind_of
 from gbid.validate import (
+    NominalActuator,
     ResidualTest,
     Validation,
     ValidationScores,
     ValidationSummary,
     check_residuals,
     cross_validate,
+    nominal_actuator,
+    save_nominal_actuator,
     summarise,
 )
-from gbid.validate.central import summary_csv_table
+from gbid.validate.central import ACTUATOR, summary_csv_table
 from gbid.validate.crossval import score
 from gbid.validate.simulate import Simulator, ValidationData, simulator, validation_data
 
@@ -56,28 +62,27 @@ def crossval_has_partners(experiment: Experiment) -> Found:
         if f"{name}_summary" in experiment.spec.crossval:
             text = f"its file {name}_summary.csv is that of the summary of {name}; rename one of the two fits"
             yield ("crossval", f"{name}_summary"), text
-        special = [word for word in section.on if word in SPECIAL]
-        if special and len(section.on) > 1:
-            yield ("crossval", name, "on"), f"{special[0]} stands alone; list names or write {special[0]} only"
-            continue
-        if not special:
-            for pattern in section.on:
-                if not experiment.matching((pattern,)):
-                    yield (
-                        ("crossval", name, "on"),
-                        f"no recording matches {pattern!r}; {nearest(pattern, (*SPECIAL, *experiment.recordings))}",
-                    )
-            continue
-        if experiment.spec.fits[name].together and special == ["cyclic"]:
-            text = "cyclic needs a fit per recording; write others or point, or name recordings"
-            yield ("crossval", name, "on"), text
-            continue
-        pairs = validation_pairs(experiment, name)
-        for model in dict.fromkeys(model for model, _ in pairs):
-            if not any(m == model and recording for m, recording in pairs):
-                where = "" if special == ["others"] else " at its operating point"
-                yield ("crossval", name, "on"), f"no other recording for {model!r}{where}; name some"
-                break
+        yield from ((("crossval", name, "on"), text) for text in _partner_problems(experiment, name, section.on))
+
+
+def _partner_problems(experiment: Experiment, name: str, on: Sequence[str]) -> Iterator[str]:
+    special = [word for word in on if word in SPECIAL]
+    if special and len(on) > 1:
+        yield f"{special[0]} stands alone; list names or write {special[0]} only"
+    elif not special:
+        for pattern in on:
+            if not experiment.matching((pattern,)):
+                yield f"no recording matches {pattern!r}; {nearest(pattern, (*SPECIAL, *experiment.recordings))}"
+    elif experiment.spec.fits[name].together and special == ["cyclic"]:
+        yield "cyclic needs a fit per recording; write others or point, or name recordings"
+    else:
+        partners: dict[str, list[str]] = {}
+        for model, recording in validation_pairs(experiment, name):
+            partners.setdefault(model, []).append(recording)
+        alone = next((model for model, recordings in partners.items() if not any(recordings)), None)
+        if alone is not None:
+            where = "" if special == ["others"] else " at its operating point"
+            yield f"no other recording for {alone!r}{where}; name some"
 
 
 # ---- Cross-validation of one model on one recording.
@@ -127,18 +132,6 @@ def residuals_on(job: Job, name: str, result: FitResult, data: Recording) -> Res
     edges = [0, *sorted(edge for stretch in left_out for edge in stretch), data.n_samples]
     longest = max(stop - start for start, stop in zip(edges[::2], edges[1::2], strict=True))
     return check_residuals(result, data, lags=max(1, min(_LAGS, longest // 4)), left_out=left_out)
-
-
-def left_out_of(job: Job, name: str, data: Recording) -> list[tuple[int, int]]:
-    """Return the samples of a recording that the experiment leaves out of a fit, as (first, stop) pairs.
-
-    Raises
-    ------
-    DataError
-        When a stretch lies beyond the end of the recording.
-    """
-    stretches = job.experiment.spec.fits[name].left_out.get(data.name, ())
-    return [samples_of(data, *stretch) for stretch in stretches]
 
 
 def pair_keys(job: Job, name: str, model: str, recording: str) -> list[str]:
@@ -241,63 +234,44 @@ class CrossvalRow:
         return self.minimum_percent is not None and not self.fit_percent >= self.minimum_percent
 
 
-def scores_of_rows(job: Job, rows: Sequence[CrossvalRow]) -> ValidationScores:
+def _scores(job: Job, rows: Sequence[CrossvalRow]) -> ValidationScores:
     """Return the scores of the rows of one fit as arrays."""
     outputs = tuple(dict.fromkeys(row.output for row in rows))
     first = rows[:: len(outputs)]
-    known = [job.experiment.recordings[row.recording].conditions for row in first]
-    shape = (len(first), len(outputs))
+    conditions = [job.experiment.recordings[row.recording].conditions for row in first]
+    percent, norm = np.array([[row.fit_percent, row.infinity_norm] for row in rows]).T
     return ValidationScores(
         tuple(row.model for row in first),
         tuple(row.recording for row in first),
-        np.array([conditions.get("pressure_bar", np.nan) for conditions in known]),
-        np.array([conditions.get("speed_rpm", np.nan) for conditions in known]),
+        np.array([known.get("pressure_bar", np.nan) for known in conditions]),
+        np.array([known.get("speed_rpm", np.nan) for known in conditions]),
         outputs,
         tuple(row.unit for row in rows[: len(outputs)]),
-        np.array([row.fit_percent for row in rows]).reshape(shape),
-        np.array([row.infinity_norm for row in rows]).reshape(shape),
+        percent.reshape(len(first), -1),
+        norm.reshape(len(first), -1),
     )
 
 
-def rows_table(rows: Sequence[CrossvalRow]) -> Table:
-    """Return the table of the cross-validation of a fit, as in its CSV file."""
-    notes = (
-        "fit_percent: 100 (1 - |y - yhat| / |y - mean y|), yhat simulated; infinity_norm: largest |y - yhat|",
-        "residual_p: p-value of the whiteness test, empty where not tested; "
-        "residuals_follow: inputs that are correlated with the residuals",
-    )
-    values = [[_value(getattr(row, column)) for column in COLUMNS] for row in rows]
-    return plain_table(COLUMNS, values, notes)
+_NOTES = (
+    "fit_percent: 100 (1 - |y - yhat| / |y - mean y|), yhat simulated; infinity_norm: largest |y - yhat|",
+    "residual_p: p-value of the whiteness test, empty where not tested; "
+    "residuals_follow: inputs that are correlated with the residuals",
+)
 
 
-def read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
+def _read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
     """Return the rows in the CSV table of the cross-validation of a fit."""
     table = csv_rows(path)
     minimum = job.experiment.spec.crossval[name].minimum_percent
-    n_outputs = len({row["output"] for row in table})
+    level = _LEVEL / max(1, len({cells["output"] for cells in table}))
     rows = []
-    for row in table:
-        p = float(row["residual_p"]) if row["residual_p"] else None
-        rows.append(
-            CrossvalRow(
-                name,
-                row["model"],
-                row["recording"],
-                row["output"],
-                float(row["fit_percent"]),
-                float(row["infinity_norm"]),
-                row["unit"],
-                p,
-                None if p is None else p >= _LEVEL / n_outputs,
-                tuple(shlex.split(row["residuals_follow"])),
-                minimum,
-            )
-        )
+    for cells in table:
+        p = float(cells["residual_p"]) if cells["residual_p"] else None
+        values: dict[str, Any] = {**cells, "residual_p": p, "residuals_white": None if p is None else p >= level}
+        values |= {key: float(cells[key]) for key in ("fit_percent", "infinity_norm")}
+        values["residuals_follow"] = tuple(shlex.split(cells["residuals_follow"]))
+        rows.append(CrossvalRow(fit=name, minimum_percent=minimum, **values))
     return rows
-
-
-def _value(value: Any) -> Value:
-    return shlex.join(value) if isinstance(value, tuple) else value
 
 
 # ---- Pairs of model and recording in the cross-validation of a fit: those possible, their content key and rows.
@@ -329,17 +303,16 @@ class FitPairs:
     @cached_property
     def missing(self) -> dict[Pair, str]:
         """Pairs whose model or recording is missing, with the reason."""
-        pairs = validation_pairs(self._job.experiment, self._name)
         experiment = self._job.experiment
+        pairs = validation_pairs(experiment, self._name)
         models = {m: _why_missing(fit_result(experiment, self._name, m)) for m, _ in pairs}
         recordings = {r: _why_missing(fit_input(experiment, experiment.recordings[r])) for _, r in pairs}
-        return {(m, r): models[m] or recordings[r] for m, r in pairs if models[m] or recordings[r]}
+        return {(m, r): text for m, r in pairs if (text := models[m] or recordings[r])}
 
     @cached_property
     def possible(self) -> list[Pair]:
         """Pairs that can be validated."""
-        pairs = validation_pairs(self._job.experiment, self._name)
-        return [pair for pair in pairs if pair not in self.missing]
+        return [pair for pair in validation_pairs(self._job.experiment, self._name) if pair not in self.missing]
 
     @cached_property
     def table(self) -> Result:
@@ -360,54 +333,38 @@ class FitPairs:
         item = f"{self._name}/{pair[0]} on {pair[1]}"
         return Outcome("crossval", item, self._job.path(FOLDER, self._name, ".csv"), "failed", text, cause=cause)
 
-    def rows(self) -> tuple[list[CrossvalRow], dict[Pair, str]]:
+    def rows(self) -> tuple[list[Sequence[Value]], dict[Pair, str]]:
         """Return the rows of all pairs in order, and the reason for pairs without rows; reads each recording once."""
-        found: dict[Pair, list[CrossvalRow]] = {}
+        rows: dict[Pair, list[Sequence[Value]]] = {}
         failed: dict[Pair, str] = {}
         tested = set(dict(reversed(self.possible)).items())  # the first pair of each model
-        by_recording: dict[str, list[Pair]] = {}
-        for pair in self.possible:
-            by_recording.setdefault(pair[1], []).append(pair)
-        for recording, here in by_recording.items():
-            try:
-                data = load_fit_input(self._job, self._job.experiment.recordings[recording])
-            except DataError as error:
-                failed |= dict.fromkeys(here, str(error))
-                continue
-            own: ValidationData | None = None  # the same for all models of a recording
-            for pair in here:
+        for recording, pairs in groupby(sorted(self.possible, key=itemgetter(1)), key=itemgetter(1)):
+            data: Recording | None = None
+            validation: ValidationData | None = None  # the same for all models of a recording
+            for pair in pairs:
                 test = self._residuals == "pairs" or (self._residuals == "models" and pair in tested)
                 try:
-                    if own is None:
-                        own = self._data(pair[0], data)
-                    found[pair] = self._rows(pair[0], data, own, test)
+                    data = data or load_fit_input(self._job, self._job.experiment.recordings[recording])
+                    validation = validation or self._data(pair[0], data)
+                    rows[pair] = self._rows(pair[0], data, validation, test)
                 except DataError as error:
                     failed[pair] = str(error)
-        return [row for pair in self.possible if pair in found for row in found[pair]], failed
+        return [row for pair in self.possible for row in rows.get(pair, ())], failed
 
-    def _rows(self, model: str, data: Recording, own: ValidationData, test: bool) -> list[CrossvalRow]:
+    def _rows(self, model: str, data: Recording, validation: ValidationData, test: bool) -> list[Sequence[Value]]:
         fitted, plain = self._model(model)
         if plain.local_names:
             plain = with_local(self._job, self._name, plain, data.name)
             fitted = simulator(plain)
-        percent, largest = score(fitted, own)
-        residuals = residuals_on(self._job, self._name, plain, data) if test else None
-        return [
-            CrossvalRow(
-                self._name,
-                model,
-                data.name,
-                output,
-                float(percent[i]),
-                float(largest[i]),
-                own.output_units[i],
-                None if residuals is None else float(residuals.p_white[i]),
-                None if residuals is None else bool(residuals.white[i]),
-                () if residuals is None else residuals.follows[i],
-                self._job.experiment.spec.crossval[self._name].minimum_percent,
-            )
-            for i, output in enumerate(own.output_names)
-        ]
+        percent, largest = score(fitted, validation)
+        outputs = validation.output_names
+        p: Sequence[float | None] = [None] * len(outputs)
+        follows: Sequence[Sequence[str]] = [()] * len(outputs)
+        if test:
+            residuals = residuals_on(self._job, self._name, plain, data)
+            p, follows = residuals.p_white.tolist(), residuals.follows
+        columns = (outputs, percent.tolist(), largest.tolist(), validation.output_units, p, map(shlex.join, follows))
+        return [(model, data.name, *cells) for cells in zip(*columns, strict=True)]
 
     def _data(self, model: str, data: Recording) -> ValidationData:
         return validation_data(self._model(model)[1], data, left_out_of(self._job, self._name, data))
@@ -457,7 +414,7 @@ def crossval_rows(job: Job) -> list[CrossvalRow]:
 def read_crossval(job: Job, name: str) -> list[CrossvalRow]:
     """Return the rows of the cross-validation of a fit; empty unless they are made from the present results."""
     pairs = FitPairs(job, name)
-    return read_rows(job, name, pairs.table.path) if pairs.possible and pairs.table.is_made else []
+    return _read_rows(job, name, pairs.table.path) if pairs.possible and pairs.table.is_made else []
 
 
 def read_summary(job: Job, name: str) -> ValidationSummary | None:
@@ -480,18 +437,15 @@ def _write_table(job: Job, part: Path, name: str) -> None:
     if not rows:
         first = next(iter(failed.values()))
         raise DataError(f"no model can be validated; the first of {len(failed)} pairs: {first}")
-    write_csv(rows_table(rows), part)
+    write_csv(plain_table(COLUMNS, rows, _NOTES), part)
 
 
 def _failed_pairs(job: Job, pairs: FitPairs, rows: Sequence[CrossvalRow]) -> dict[Pair, str]:
     """Return the possible pairs without rows, with the reason."""
     done = {(row.model, row.recording) for row in rows}
-    failed = {}
-    for pair in pairs.possible:
-        if pair not in done:
-            failure = remembered_failure(job, pairs.of(pair))
-            failed[pair] = failure.text if failure else "failed in an earlier run; run again with --overwrite"
-    return failed
+    failures = {pair: remembered_failure(job, pairs.of(pair)) for pair in pairs.possible if pair not in done}
+    unknown = "failed in an earlier run; run again with --overwrite"
+    return {pair: failure.text if failure else unknown for pair, failure in failures.items()}
 
 
 def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
@@ -502,7 +456,7 @@ def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
         if outcome.state == "failed" or name not in job.experiment.spec.crossval:
             continue
         pairs = FitPairs(job, name)
-        failed = _failed_pairs(job, pairs, read_rows(job, name, outcome.path))
+        failed = _failed_pairs(job, pairs, _read_rows(job, name, outcome.path))
         work += [pairs.failed(pair, text, "data") for pair, text in failed.items()]
         texts = _texts({**pairs.missing, **failed})
         for ending in (".h5", ".csv"):
@@ -524,9 +478,9 @@ def _texts(failed: dict[Pair, str]) -> list[str]:
 
 def _write_summary(job: Job, part: Path, name: str, ending: str) -> None:
     pairs = FitPairs(job, name)
-    rows = read_rows(job, name, pairs.table.path)
+    rows = _read_rows(job, name, pairs.table.path)
     failed = _texts({**pairs.missing, **_failed_pairs(job, pairs, rows)})
-    summary = summarise(scores_of_rows(job, rows), failed=failed)
+    summary = summarise(_scores(job, rows), failed=failed)
     if ending == ".h5":
         save(summary, part, overwrite=True)
     else:
@@ -535,6 +489,57 @@ def _write_summary(job: Job, part: Path, name: str, ending: str) -> None:
 
 CROSSVAL = Stage("crossval", "crossval", (crossval_has_partners,), crossval_tasks, (_summary_work,))
 """``crossval/<fit>.csv`` and its summary, ``<fit>_summary.h5`` and ``.csv``, for each fit that is cross-validated."""
+
+
+# ---- Stage of the nominal actuator (paper, Sec. 3.7).
+
+NOMINAL_FOLDER = "nominal"
+
+
+def nominal_is_an_actuator(experiment: Experiment) -> Found:
+    """Yield problems of the nominal section: its fit must exist, have the parameters, and give several models."""
+    section = needed(experiment.spec.nominal, "nominal")
+    yield from a_fit_is_named(
+        experiment, ("nominal", "fit"), section.fit, ACTUATOR, "name a fit of piezo_pair or plant"
+    )
+
+
+def nominal_tasks(job: Job) -> Work:
+    """Return the task of the nominal section; a failed outcome when no fit has a result."""
+    try:
+        return [Task.of(nominal_of(job)[1], _write_nominal)]
+    except DataError as error:
+        fit = needed(job.experiment.spec.nominal, "nominal").fit
+        return [Outcome("nominal", fit, job.path(NOMINAL_FOLDER, fit, ".yaml"), "failed", str(error), cause="input")]
+
+
+def nominal_of(job: Job) -> tuple[NominalActuator, Result]:
+    """Return the most central model of the fit in the nominal section, and the result file of the choice.
+
+    Raises
+    ------
+    UsageError
+        When the section is missing.
+    DataError
+        When its fit has no models.
+    """
+    experiment, fit = job.experiment, needed(job.experiment.spec.nominal, "nominal").fit
+    entries = fit_entries(job, fit)
+    nominal = nominal_actuator(tabulate(entries))
+    models = [fit_result(experiment, fit, entry.model) for entry in entries if entry.result is not None]
+    path = experiment.path(NOMINAL_FOLDER, fit, ".yaml")
+    return nominal, experiment.result("nominal", fit, path, {"left_out": nominal.left_out}, models)
+
+
+def _write_nominal(job: Job, part: Path) -> Made:
+    nominal, result = nominal_of(job)
+    source = f"{job.experiment.spec.name}, fit {result.item}, model of {nominal.name}"
+    save_nominal_actuator(nominal, part, source=source, overwrite=True)
+    return Made(f"{nominal.name}; {len(nominal.outliers)} outliers")
+
+
+NOMINAL = Stage("nominal", "nominal", (nominal_is_an_actuator,), nominal_tasks)
+"""``nominal/<fit>.yaml`` with the most central model of the fit in the nominal section."""
 
 
 # ---- Stage of the figures of fits; `gbid.report` draws them from the results of the other stages.
@@ -550,10 +555,8 @@ def figures_show_fits(experiment: Experiment) -> Found:
             yield ("figures", name, "to_s"), f"{section.to_s:g} s is not after from_s = {begin:g} s; make it larger"
         rig = experiment.spec.rig
         if rig is not None and experiment.spec.imported is None and begin >= rig.duration_s:
-            yield (
-                ("figures", name, "from_s"),
-                f"{begin:g} s lies beyond the end of the recordings, {rig.duration_s:g} s; make it smaller",
-            )
+            text = f"{begin:g} s lies beyond the end of the recordings, {rig.duration_s:g} s; make it smaller"
+            yield ("figures", name, "from_s"), text
 
 
 FIGURES = Stage("figure", "figures", (figures_show_fits,), lambda _: ())

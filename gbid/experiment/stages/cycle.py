@@ -25,12 +25,11 @@ from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
 from gbid.experiment.schema import MOST_ROUNDS, ImpactsSection
 from gbid.experiment.stages.fit import fit_tasks
-from gbid.experiment.stages.impact import recording_tasks as impact_tasks
-from gbid.experiment.stages.impact import study_tasks, timing_problems
-from gbid.experiment.stages.lpv import Surfaces, lpv_tasks, model_task
-from gbid.experiment.stages.prefilter import prefilter_tasks
-from gbid.experiment.stages.rig import rig_tasks
-from gbid.experiment.stages.tune import controller_tasks, design_tasks, read_designs
+from gbid.experiment.stages.impact import IMPACT, study_tasks, timing_problems
+from gbid.experiment.stages.lpv import LPV, Surfaces
+from gbid.experiment.stages.prefilter import PREFILTER
+from gbid.experiment.stages.rig import RIG
+from gbid.experiment.stages.tune import TUNE, design_tasks, read_designs
 from gbid.lpv import CHARACTERISTICS, LPVFit, load_lpv_fit
 from gbid.lpv.model import characteristics
 from gbid.structure import KEY_PARAMETERS
@@ -111,9 +110,7 @@ def round_recordings(experiment: Experiment, number: int) -> dict[str, PlannedRe
 
 def cycle_can_run(experiment: Experiment) -> Found:
     """Yield problems of the cycle: what it needs, and operating points that have no map or lie outside."""
-    section, spec = experiment.spec.cycle, experiment.spec
-    if section is None:
-        return
+    section, spec = needed(experiment.spec.cycle, "cycle"), experiment.spec
     for other, why in (("rig", "runs on it"), ("lpv", "fits its surfaces again"), ("controller", "tunes it again")):
         if not getattr(spec, other):
             yield ("cycle",), f"there is no section {other!r}; add one, because the cycle {why}"
@@ -126,13 +123,8 @@ def cycle_can_run(experiment: Experiment) -> Found:
             yield ("cycle", "design"), f"design {name!r} does not use the surfaces; write model: lpv, or choose another"
     except GbidError as error:
         yield ("cycle", "design"), str(error)
-    yield from _point_problems(experiment)
-
-
-def _point_problems(experiment: Experiment) -> Found:
-    section, rig = needed(experiment.spec.cycle, "cycle"), needed(experiment.spec.rig, "rig")
-    at = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points]
-    if experiment.spec.prefilter is not None and experiment.spec.prefilter.method != "none":
+    at = [(q.pressure_bar, q.speed_rpm) for q in spec.rig.operating_points]
+    if spec.prefilter is not None and spec.prefilter.method != "none":
         for i, q in enumerate(section.operating_points or ()):
             if (q.pressure_bar, q.speed_rpm) not in at:
                 text = "is no operating point of the section rig, so it has no run-out map; choose one of those"
@@ -284,25 +276,25 @@ TABLE = "cycle"
 Step = Callable[[Job, Sequence[Outcome]], Work]
 
 
-def _of_new_recordings(tasks: Callable[[Job], Sequence[Task]], job: Job, _: Sequence[Outcome]) -> Work:
+def _of_new_recordings(work: Callable[[Job], Work], job: Job, _: Sequence[Outcome]) -> Work:
     """Return those tasks of a round that stand on a recording made under a controller."""
     new = {name for name, planned in job.experiment.recordings.items() if planned.controller}
-    return [task for task in tasks(job) if new & set(task.recordings)]
+    return [task for task in work(job) if isinstance(task, Task) and new & set(task.recordings)]
 
 
-def _fits_of_surfaces(job: Job) -> Sequence[Task]:
+def _fits_of_surfaces(job: Job) -> Work:
     return fit_tasks(job, needed(job.experiment.spec.lpv, "lpv").fit)
 
 
-_TRIALS: tuple[Step, ...] = (lambda job, _: impact_tasks(job), lambda job, _: study_tasks(job))
+def _steps_of(stage: Stage) -> tuple[Step, ...]:
+    return (lambda job, _: stage.work(job), *stage.then)
+
+
+_TRIALS = _steps_of(IMPACT)[:2]  # recordings and studies; the cycle has a table of its own
 _STEPS: tuple[Step, ...] = (
-    partial(_of_new_recordings, rig_tasks),
-    partial(_of_new_recordings, prefilter_tasks),
-    partial(_of_new_recordings, _fits_of_surfaces),
-    lambda job, _: lpv_tasks(job),
-    partial(model_task, ""),
-    lambda job, _: design_tasks(job),
-    controller_tasks,
+    *(partial(_of_new_recordings, work) for work in (RIG.work, PREFILTER.work, _fits_of_surfaces)),
+    *_steps_of(LPV),
+    *_steps_of(TUNE),
     *_TRIALS,
 )
 """Steps of a round, each on the results of those before."""
@@ -315,8 +307,8 @@ def round_job(job: Job, number: int) -> Job:
 
 def _next(step: Step, number: int, job: Job, made: Sequence[Outcome]) -> Work:
     """Return the work of a step of a round; none after a failure, because all later steps need its result."""
-    section = job.experiment.spec.cycle
-    if section is None or number > section.rounds or any(outcome.state == "failed" for outcome in made):
+    rounds = needed(job.experiment.spec.cycle, "cycle").rounds
+    if number > rounds or any(outcome.state == "failed" for outcome in made):
         return []
     done = {outcome.path for outcome in made}
     return [_in_round(number, work) for work in step(round_job(job, number), made) if work.path not in done]
@@ -336,8 +328,6 @@ def _write_in_round(job: Job, part: Path, number: int, write: Callable[[Job, Pat
 
 def first_tasks(job: Job) -> Work:
     """Return the tasks of the impacts with the design of the experiment; a failed outcome when there is none."""
-    if job.experiment.spec.cycle is None:
-        return []
     path = job.path(FOLDER, TABLE, ".csv")
     try:
         name = cycle_design(job.experiment)
@@ -350,13 +340,7 @@ def first_tasks(job: Job) -> Work:
 
 
 def _table_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    if job.experiment.spec.cycle is None or any(outcome.state == "failed" for outcome in made):
-        return []
-    return [table_task(job)]
-
-
-def _in_run(experiment: Experiment) -> bool:
-    return experiment.spec.cycle is None or experiment.spec.cycle.in_run
+    return [] if any(outcome.state == "failed" for outcome in made) else [table_task(job)]
 
 
 def table_task(job: Job) -> Task:
@@ -419,6 +403,6 @@ CYCLE = Stage(
         *(partial(_next, step, number) for number in range(1, MOST_ROUNDS + 1) for step in _STEPS),
         _table_tasks,
     ),
-    in_run=_in_run,
+    in_run=lambda experiment: experiment.spec.cycle is None or experiment.spec.cycle.in_run,
 )
 """``cycle/round<n>`` with surfaces, controller and impacts of each round, and ``cycle/cycle.csv``."""

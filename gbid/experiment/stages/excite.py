@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -23,12 +24,9 @@ def excitations_have_fits(experiment: Experiment) -> Found:
         if section.fit not in experiment.spec.fits:
             yield ("excite", name, "fit"), f"no fit {section.fit!r}; {nearest(section.fit, experiment.spec.fits)}"
             continue
-        try:
-            inputs, _ = fit_channels(experiment, section.fit)
-        except GbidError:
-            continue  # another check reports it
-        if not inputs:
-            yield ("excite", name, "fit"), f"fit {section.fit!r} has no inputs; there is nothing to excite"
+        with suppress(GbidError):  # another check reports it
+            if not fit_channels(experiment, section.fit)[0]:
+                yield ("excite", name, "fit"), f"fit {section.fit!r} has no inputs; there is nothing to excite"
 
 
 # ---- Stage of the excitations of the next recordings.
@@ -47,9 +45,8 @@ def excite_tasks(job: Job) -> Work:
                 work.append(Outcome("excite", item, path, "failed", entry.failure, cause="input"))
                 continue
             settings = {"limits": _limits(experiment, section, entry.result), **section.model_dump(exclude={"limits"})}
-            result = experiment.result(
-                "excite", item, path, settings, [fit_result(experiment, section.fit, entry.model)]
-            )
+            source = fit_result(experiment, section.fit, entry.model)
+            result = experiment.result("excite", item, path, settings, [source])
             work.append(Task.of(result, partial(_write, name=name, model=entry.model), entry.recordings))
     return work
 
@@ -71,11 +68,8 @@ def _write(job: Job, part: Path, name: str, model: str) -> Made:
         focus=section.focus,
     )
     save_excitation(excitation, part, overwrite=True)
-    counted = [
-        100 * excitation.std[name] / abs(excitation.values[name])
-        for name in excitation.counted
-        if excitation.values[name]
-    ]
+    sizes = {name: abs(excitation.values[name]) for name in excitation.counted}
+    counted = [100 * excitation.std[name] / size for name, size in sizes.items() if size]
     mean = f"mean std expected {sum(counted) / len(counted):.3g} %; " if counted else ""
     return Made(f"{mean}limits reached: {', '.join(excitation.reached) or 'none'}")
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 from functools import partial
-from math import inf
+from itertools import islice
+from math import ceil, inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,11 @@ import numpy.typing as npt
 from gbid.core.errors import DataError, GbidError
 from gbid.core.hdf5 import read_attribute, read_dataset, reading
 from gbid.experiment.controllers import found_controller
-from gbid.experiment.experiment import Check, Experiment, fit_models, recordings_of
+from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
 from gbid.experiment.fields import Found, Location, Result, nearest, refusal
 from gbid.experiment.recordings import refuse_bad_signals
-from gbid.experiment.rig_schema import LoopSection
 from gbid.experiment.run import Job, Made, Stage, Task
-from gbid.experiment.schema import FitSection, PrefilterSection
+from gbid.experiment.schema import FitSection
 from gbid.experiment.stages.prefilter import fit_input, load_fit_input
 from gbid.experiment.structures import (
     fit_channels,
@@ -34,138 +34,164 @@ from gbid.experiment.structures import (
 from gbid.identify import FitOptions, FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
 from gbid.identify.problem.states import initial_states
 from gbid.recording import ProblemKind, Recording
-from gbid.structure import Anatomy, AnyStructure, Parameter, kind_of
+from gbid.structure import AnyStructure, kind_of
 from gbid.validate.residuals import shaft_lines
 
 
-def structures_load(experiment: Experiment) -> Found:
-    """Yield a problem for each fit whose structure is unknown or cannot be built."""
-    for name, section in experiment.spec.fits.items():
-        problems = list(refusal(("fits", name), partial(plant_structure, experiment, name)))
-        yield from problems
-        if problems or (section.loop is not None and not _controller_is_found(experiment, section.loop)):
-            continue  # the checks of loops report a missing controller
-        where = ("fits", name, "structure" if section.loop is None else "loop")
-        yield from refusal(where, partial(_closed_structure, experiment, name))
-
-
-def _closed_structure(experiment: Experiment, name: str) -> Anatomy:
-    return kind_of(make_structure(experiment, name, planned=True)).anatomy()
-
-
-def _controller_is_found(experiment: Experiment, section: LoopSection) -> bool:
-    try:
-        found_controller(experiment, section, planned=True)
-    except GbidError:
-        return False
-    return True
-
-
-def fits_find_recordings(experiment: Experiment) -> Found:
-    """Yield a problem for each pattern that matches no recording."""
-    for name, section in experiment.spec.fits.items():
-        for pattern in section.recordings or ():
-            if not experiment.matching((pattern,)):
-                yield (
-                    ("fits", name, "recordings"),
-                    f"no recording matches {pattern!r}; {nearest(pattern, experiment.recordings)}",
-                )
-        if section.recordings is None and experiment.recordings and not experiment.fit_recordings(name):
-            yield ("fits", name), "there are no excited recordings; name the recordings to fit"
-
-
-def parameters_are_known(experiment: Experiment) -> Found:
-    """Yield problems of parameter names, start values, fixed values and bounds."""
+def fits_can_be_made(experiment: Experiment) -> Found:
+    """Yield problems of each fit: structure, recordings, parameters, signals, and options that do not suit them."""
     for name, section in experiment.spec.fits.items():
         structure = structure_or_none(experiment, name)
-        if structure is None:
-            continue
-        known = {q.name: q for q in structure.parameters}
-        disturbing = _disturbing(experiment, name, structure)
-        given: dict[str, Collection[str]] = {
-            "start": _given_starts(section),
-            "fixed": section.fixed,
-            "bounds": section.bounds,
-            "prior": section.prior,
-            "local": section.local,
-        }
-        for key, parameters in given.items():
-            for parameter in parameters:
-                if key == "prior" and parameter.partition("[")[0] in disturbing:
-                    continue
-                if (parameter.partition("[")[0] if key == "prior" else parameter) not in known:
-                    where = ("fits", name, key, parameter)
-                    yield where, f"no parameter of {structure.name}; {nearest(parameter, known)}"
-                elif key != "fixed" and parameter.partition("[")[0] in section.fixed:
-                    yield ("fits", name, key, parameter), "the parameter is fixed; remove one of the two"
-        yield from _bounds_hold(name, section, known)
+        problems = [
+            *_structure_problems(experiment, name, section),
+            *_recording_problems(experiment, name, section),
+            *_local_problems(experiment, name, section),
+            *_left_out_problems(experiment, name, section),
+        ]
+        if structure is not None:
+            problems += _parameter_problems(experiment, name, section, structure)
+            problems += _signal_problems(experiment, name, section)
+            problems += _option_problems(experiment, name, section, structure)
+        yield from ((("fits", name, *where), text) for where, text in problems)
 
 
-def _disturbing(experiment: Experiment, fit: str, structure: AnyStructure) -> list[str]:
-    """Return the names of the coefficients of trends and hum; none where another check reports their options."""
-    try:
-        return list(fit_disturbances(experiment, fit, structure).names)
-    except GbidError:
-        return []
+def _structure_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
+    """Yield a problem when the structure is unknown or cannot be built."""
+    problems = list(refusal((), partial(plant_structure, experiment, name)))
+    yield from problems
+    if problems:
+        return
+    if section.loop is not None:
+        try:
+            found_controller(experiment, section.loop, planned=True)
+        except GbidError:
+            return  # the checks of loops report a missing controller
+    where = ("structure" if section.loop is None else "loop",)
+    yield from refusal(where, lambda: kind_of(make_structure(experiment, name, planned=True)).anatomy())
 
 
-def _given_starts(section: FitSection) -> Mapping[str, float]:
-    """Return the start values of a section; none where the fit finds them in the data."""
-    return section.start if isinstance(section.start, Mapping) else {}
+def _recording_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
+    """Yield a problem for each pattern that matches no recording."""
+    for pattern in section.recordings or ():
+        if not experiment.matching((pattern,)):
+            yield ("recordings",), f"no recording matches {pattern!r}; {nearest(pattern, experiment.recordings)}"
+    if section.recordings is None and experiment.recordings and not experiment.fit_recordings(name):
+        yield (), "there are no excited recordings; name the recordings to fit"
 
 
-def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter]) -> Found:
-    """Yield a problem for bounds that are not in order or exclude the start value."""
+def _parameter_problems(experiment: Experiment, name: str, section: FitSection, structure: AnyStructure) -> Found:
+    """Yield problems of parameter names, start values, fixed values and bounds."""
+    known = {q.name: q for q in structure.parameters}
+    disturbing: Sequence[str] = ()  # coefficients of trends and hum, which have priors as well
+    with suppress(GbidError):  # another check reports their options
+        disturbing = fit_disturbances(experiment, name, structure).names
+    starts: Mapping[str, float] = section.start if isinstance(section.start, Mapping) else {}
+    given = {"start": starts, "fixed": section.fixed, "bounds": section.bounds, "prior": section.prior}
+    for key, parameters in {**given, "local": section.local}.items():
+        for parameter in parameters:
+            gain = parameter.partition("[")[0]
+            if key == "prior" and gain in disturbing:
+                continue
+            if (gain if key == "prior" else parameter) not in known:
+                yield (key, parameter), f"no parameter of {structure.name}; {nearest(parameter, known)}"
+            elif key != "fixed" and gain in section.fixed:
+                yield (key, parameter), "the parameter is fixed; remove one of the two"
     for parameter, (low, high) in section.bounds.items():
-        where = ("fits", name, "bounds", parameter)
-        lower, upper = float("-inf") if low is None else low, float("inf") if high is None else high
+        lower, upper = -inf if low is None else low, inf if high is None else high
+        start = starts.get(parameter, known[parameter].start) if parameter in known else None
         if not lower < upper:
-            yield where, f"the lower bound {lower:g} is not below the upper one {upper:g}; swap or change them"
-        elif parameter in known:
-            start = _given_starts(section).get(parameter, known[parameter].start)
-            if start is not None and section.start != "data" and not lower <= start <= upper:
-                yield where, f"the bounds exclude the start value {start:g}; widen them or give another start"
-    for parameter, start in _given_starts(section).items():
+            text = f"the lower bound {lower:g} is not below the upper one {upper:g}; swap or change them"
+            yield ("bounds", parameter), text
+        elif start is not None and section.start != "data" and not lower <= start <= upper:
+            text = f"the bounds exclude the start value {start:g}; widen them or give another start"
+            yield ("bounds", parameter), text
+    for parameter, start in starts.items():
         if parameter in known and parameter not in section.bounds:
             lower, upper = known[parameter].lower, known[parameter].upper
             if not lower <= start <= upper:
-                where = ("fits", name, "start", parameter)
-                yield where, f"{start:g} lies outside the bounds {lower:g} to {upper:g}; give bounds as well"
+                text = f"{start:g} lies outside the bounds {lower:g} to {upper:g}; give bounds as well"
+                yield ("start", parameter), text
 
 
-def signals_are_there(experiment: Experiment) -> Found:
-    """Yield a problem for each signal or channel that a recording of a fit does not have."""
-    for name, section in experiment.spec.fits.items():
-        structure = structure_or_none(experiment, name)
-        if structure is None:
-            continue
-        for key, given, used in zip(
-            ("inputs", "outputs"), (section.inputs, section.outputs), fit_channels(experiment, name), strict=True
-        ):
-            where: Location = ("fits", name, key) if given else ("fits", name)
-            for wanted in used:
-                yield from ((where, text) for text in _missing(experiment, name, wanted))
+def _signal_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
+    """Yield a problem for each signal or channel that a recording of the fit does not have."""
+    inputs, outputs = fit_channels(experiment, name)
+    for key, given, used in (("inputs", section.inputs, inputs), ("outputs", section.outputs, outputs)):
+        for wanted in used:
+            for text in islice(_missing(experiment.fit_recordings(name), *wanted.partition(".")[::2]), 1):
+                yield (key,) if given else (), text
 
 
-def _missing(experiment: Experiment, fit: str, wanted: str) -> Iterator[str]:
-    signal, _, channel = wanted.partition(".")
-    for planned in experiment.fit_recordings(fit):
+def _missing(recordings: Sequence[PlannedRecording], signal: str, channel: str) -> Iterator[str]:
+    for planned in recordings:
         if signal not in planned.signals:
             yield f"recording {planned.name!r} has no signal {signal!r}; {nearest(signal, planned.signals)}"
-            return
-        if channel and channel not in planned.signals[signal]:
-            there = nearest(channel, planned.signals[signal])
-            yield f"recording {planned.name!r}: signal {signal!r} has no channel {channel!r}; {there}"
-            return
+        elif channel and channel not in planned.signals[signal]:
+            hint = nearest(channel, planned.signals[signal])
+            yield f"recording {planned.name!r}: signal {signal!r} has no channel {channel!r}; {hint}"
 
 
-FIT_CHECKS: tuple[Check, ...] = (
-    structures_load,
-    fits_find_recordings,
-    parameters_are_known,
-    signals_are_there,
-)
-"""Checks of the fits."""
+def _option_problems(experiment: Experiment, name: str, section: FitSection, structure: AnyStructure) -> Found:
+    """Yield a problem for each option that does not suit the states, outputs and disturbances of the structure."""
+    labels = output_labels(experiment, name, structure)
+    if labels:
+        yield from refusal((), partial(fit_disturbances, experiment, name, structure))
+    try:
+        anatomy = kind_of(structure).anatomy()
+    except GbidError:
+        return  # another check reports it
+    for key, given in (("prior", section.prior), ("local", section.local)):
+        for parameter in given:
+            if section.focus == "simulation" and parameter.partition("[")[0] in anatomy.gain_only:
+                yield (key, parameter), "a simulation does not use the disturbance gain; remove it"
+    weights, state, count = section.output_weights, section.initial_state, anatomy.n_states
+    if weights is not None and labels and len(weights) != len(labels):
+        yield ("output_weights",), f"{len(weights)} weights for {len(labels)} outputs: {', '.join(labels)}"
+    if weights is not None and section.criterion == "det":
+        yield ("output_weights",), "are for criterion: trace; det weighs outputs by their errors"
+    used = sorted({q.name for q in experiment.fit_recordings(name)})
+    problems = [
+        f"{len(given)} numbers for the {count} states of {structure.name}; give one each"
+        for given in (state.values() if isinstance(state, Mapping) else (state,))
+        if not isinstance(given, str) and len(given) != count
+    ]
+    if isinstance(state, Mapping) and sorted(state) != used:
+        problems.append(f"give one for each recording of the fit: {', '.join(used)}")
+    yield from ((("initial_state",), text) for text in problems)
+    if not problems:
+        free = [q for q in structure.parameters if q.name not in section.fixed]
+        try:
+            initial_states(structure, free, state, used)
+        except GbidError as error:
+            yield ("initial_state",), str(error)
+
+
+def _local_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
+    """Yield a problem for local parameters of a fit to one recording, or without operating points."""
+    planned = experiment.fit_recordings(name)
+    if section.local and (not section.together or len(planned) < 2):
+        yield ("local",), "is for a fit to several recordings at once; write together: true"
+        return
+    silent = [q.name for q in planned if not {"pressure_bar", "speed_rpm"} <= set(q.conditions)]
+    for parameter, scope in section.local.items():
+        if scope == "operating_point" and silent:
+            text = f"recording {silent[0]!r} has no pressure_bar and speed_rpm; add them to its conditions"
+            yield ("local", parameter), text
+
+
+def _left_out_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
+    """Yield a problem for each left-out stretch that is not inside a recording of the fit."""
+    rig, used = experiment.spec.rig, {q.name: q for q in experiment.fit_recordings(name)}
+    for recording, stretches in section.left_out.items():
+        if recording not in used:
+            yield ("left_out", recording), f"no recording of this fit; {nearest(recording, used)}"
+            continue
+        for i, (begin, end) in enumerate(stretches):
+            if end <= begin:
+                yield ("left_out", recording, i), f"{end:g} s is not after {begin:g} s; make it larger"
+            elif rig is not None and used[recording].imported is None and end > rig.duration_s:
+                text = f"{end:g} s is beyond the end of the recording, {rig.duration_s:g} s; end it there"
+                yield ("left_out", recording, i), text
 
 
 def a_fit_is_named(experiment: Experiment, where: Location, name: str, needed: Sequence[str], remedy: str) -> Found:
@@ -192,130 +218,6 @@ def a_fit_is_named(experiment: Experiment, where: Location, name: str, needed: S
     missing = [n for n in needed if n not in {q.name for q in structure.parameters}] if structure else []
     if missing:
         yield where, f"{name} has no parameters {', '.join(missing)}; {remedy}"
-
-
-# ---- Checks of the options of a fit together with its structure and recordings.
-
-
-def focus_sees_options(experiment: Experiment) -> Found:
-    """Yield a problem for each option that has no effect on a fit for simulation."""
-    for name, section in experiment.spec.fits.items():
-        if section.focus != "simulation":
-            continue
-        known = _known(experiment, name)
-        if known is None:
-            continue
-        unseen = known[0].gain_only
-        for key, given in (("prior", section.prior), ("local", section.local)):
-            for parameter in given:
-                if parameter.partition("[")[0] in unseen:
-                    yield ("fits", name, key, parameter), "a simulation does not use the disturbance gain; remove it"
-
-
-def vectors_have_their_length(experiment: Experiment) -> Found:
-    """Yield a problem when the numbers of weights and outputs, or of initial values and states, differ."""
-    for name, section in experiment.spec.fits.items():
-        known = _known(experiment, name)
-        if known is None:
-            continue
-        parts, structure = known
-        labels = output_labels(experiment, name, structure)
-        weights, state = section.output_weights, section.initial_state
-        if weights is not None and labels and len(weights) != len(labels):
-            there = ", ".join(labels)
-            yield ("fits", name, "output_weights"), f"{len(weights)} weights for {len(labels)} outputs: {there}"
-        if weights is not None and section.criterion == "det":
-            yield (
-                ("fits", name, "output_weights"),
-                "are for criterion: trace; det weighs outputs by their errors",
-            )
-        wrong = False
-        for given in state.values() if isinstance(state, Mapping) else (state,):
-            if not isinstance(given, str) and len(given) != parts.n_states:
-                yield (
-                    ("fits", name, "initial_state"),
-                    f"{len(given)} numbers for the {parts.n_states} states of {structure.name}; give one each",
-                )
-                wrong = True
-        used = {q.name for q in experiment.fit_recordings(name)}
-        if isinstance(state, Mapping) and set(state) != used:
-            wrong = True
-            yield ("fits", name, "initial_state"), f"give one for each recording of the fit: {', '.join(sorted(used))}"
-        if not wrong:
-            free = [q for q in structure.parameters if q.name not in section.fixed]
-            try:
-                initial_states(structure, free, state, sorted(used))
-            except GbidError as error:
-                yield ("fits", name, "initial_state"), str(error)
-
-
-def trends_are_of_outputs(experiment: Experiment) -> Found:
-    """Yield a problem for each trend and hum that the fit would refuse."""
-    for name in experiment.spec.fits:
-        structure = structure_or_none(experiment, name)
-        if structure is None or not output_labels(experiment, name, structure):
-            continue
-        yield from refusal(("fits", name), partial(fit_disturbances, experiment, name, structure))
-
-
-def local_parameters_have_groups(experiment: Experiment) -> Found:
-    """Yield a problem for local parameters of a fit to one recording, or without operating points."""
-    for name, section in experiment.spec.fits.items():
-        planned = experiment.fit_recordings(name)
-        if section.local and (not section.together or len(planned) < 2):
-            yield (
-                ("fits", name, "local"),
-                "is for a fit to several recordings at once; write together: true",
-            )
-            continue
-        for parameter, scope in section.local.items():
-            silent = [q.name for q in planned if not {"pressure_bar", "speed_rpm"} <= set(q.conditions)]
-            if scope == "operating_point" and silent:
-                yield (
-                    ("fits", name, "local", parameter),
-                    f"recording {silent[0]!r} has no pressure_bar and speed_rpm; add them to its conditions",
-                )
-
-
-def stretches_left_out_exist(experiment: Experiment) -> Found:
-    """Yield a problem for each left-out stretch that is not inside a recording of the fit."""
-    rig = experiment.spec.rig
-    for name, section in experiment.spec.fits.items():
-        used = {q.name: q for q in experiment.fit_recordings(name)}
-        for recording, stretches in section.left_out.items():
-            where: Location = ("fits", name, "left_out", recording)
-            if recording not in used:
-                yield where, f"no recording of this fit; {nearest(recording, used)}"
-                continue
-            for i, (begin, end) in enumerate(stretches):
-                if end <= begin:
-                    yield (*where, i), f"{end:g} s is not after {begin:g} s; make it larger"
-                elif rig is not None and used[recording].imported is None and end > rig.duration_s:
-                    yield (
-                        (*where, i),
-                        f"{end:g} s is beyond the end of the recording, {rig.duration_s:g} s; end it there",
-                    )
-
-
-def _known(experiment: Experiment, fit: str) -> tuple[Anatomy, AnyStructure] | None:
-    """Return what is known of a structure, and the structure; None when another check reports it."""
-    structure = structure_or_none(experiment, fit)
-    if structure is None:
-        return None
-    try:
-        return kind_of(structure).anatomy(), structure
-    except GbidError:
-        return None
-
-
-OPTION_CHECKS: tuple[Check, ...] = (
-    focus_sees_options,
-    vectors_have_their_length,
-    trends_are_of_outputs,
-    local_parameters_have_groups,
-    stretches_left_out_exist,
-)
-"""Checks of the options of fits."""
 
 
 # ---- Stage of the fits: one model per recording, or one for all recordings together.
@@ -418,7 +320,7 @@ def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, i
     DataError
         When no sample lies between the times, or the end lies beyond the recording.
     """
-    first, stop = (math.ceil(t / recording.sample_time - 1e-6) for t in (from_s, to_s))
+    first, stop = (ceil(t / recording.sample_time - 1e-6) for t in (from_s, to_s))
     if stop > recording.n_samples:
         raise DataError(
             f"left_out: recording {recording.name!r} ends at {recording.n_samples * recording.sample_time:g} s, "
@@ -429,6 +331,17 @@ def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, i
             f"left_out: recording {recording.name!r} has no sample from {from_s:g} s to before {to_s:g} s; widen it"
         )
     return first, stop
+
+
+def left_out_of(job: Job, name: str, data: Recording) -> list[tuple[int, int]]:
+    """Return the samples of a recording that the experiment leaves out of a fit, as (first, stop) pairs.
+
+    Raises
+    ------
+    DataError
+        When a stretch lies beyond the end of the recording.
+    """
+    return [samples_of(data, *stretch) for stretch in job.experiment.spec.fits[name].left_out.get(data.name, ())]
 
 
 def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
@@ -456,38 +369,31 @@ def _suspects(job: Job, name: str, result: FitResult, data: Sequence[Recording])
     """Return remarks on lines of the shaft in residuals that are not white: run-out that the prefilter left."""
     if result.trusted == "white":
         return []
-    section, left_out = job.experiment.spec.prefilter, job.experiment.spec.fits[name].left_out
-    removed = "no run-out is removed" if section is None or section.method == "none" else _removed(section)
-    found = []
+    section, notes = job.experiment.spec.prefilter, []
+    if section is None or section.method == "none":
+        removed = "no run-out is removed"
+    elif section.method == "harmonics" and section.harmonics != "auto":
+        removed = (
+            f"the prefilter removes {section.harmonics} harmonics; see what its map leaves, or write harmonics: auto"
+        )
+    else:
+        removed = f"the prefilter removes run-out by method {section.method}; see what its map leaves"
     for rec in data:
-        ranges = [samples_of(rec, *stretch) for stretch in left_out.get(rec.name, ())]
-        try:
-            lines = shaft_lines(result, rec, ranges)
-        except GbidError:  # a model that overflows has a note of its own
-            continue
-        found += [
-            f"suspect for residuals that are not white: {rec.name}: {line.output} has a line of {line.rms:.2g} "
-            f"{_unit(rec, line.output)} rms at {line.frequency_hz:.1f} Hz, order {line.order} of the shaft; {removed}"
-            for line in lines
-        ]
-    return found
-
-
-def _removed(section: PrefilterSection) -> str:
-    if section.method == "harmonics" and section.harmonics != "auto":
-        return f"the prefilter removes {section.harmonics} harmonics; see what its map leaves, or write harmonics: auto"
-    return f"the prefilter removes run-out by method {section.method}; see what its map leaves"
-
-
-def _unit(rec: Recording, output: str) -> str:
-    return rec.units.get(output.rpartition("_")[0], "")
+        with suppress(GbidError):  # a model that overflows has a note of its own
+            notes += [
+                f"suspect for residuals that are not white: {rec.name}: {line.output} has a line of {line.rms:.2g} "
+                f"{rec.units.get(line.output.rpartition('_')[0], '')} rms at {line.frequency_hz:.1f} Hz, "
+                f"order {line.order} of the shaft; {removed}"
+                for line in shaft_lines(result, rec, left_out_of(job, name, rec))
+            ]
+    return notes
 
 
 def _smallest(percent: npt.NDArray[Any]) -> float:
-    return float(percent.min()) if percent.size else math.nan
+    return float(percent.min()) if percent.size else nan
 
 
-FIT = Stage("fit", "fits", (*FIT_CHECKS, *OPTION_CHECKS), fit_tasks, early=True)
+FIT = Stage("fit", "fits", (fits_can_be_made,), fit_tasks, early=True)
 """``fits/<fit>/<recording>.h5``, or ``together.h5`` for a fit to all its recordings.
 
 A fit that does not converge is written, too; its outcome reports that.

@@ -13,7 +13,6 @@ from gbid.core.tables import table_of_records, write_csv
 from gbid.experiment.controllers import (
     LOOPS,
     ImpactRecording,
-    LoopController,
     chain_options,
     controller_at,
     controller_key,
@@ -29,9 +28,8 @@ from gbid.experiment.controllers import (
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, Location, Result, needed, refusal
 from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_run
-from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
-from gbid.experiment.schema import HammerTrain, ImpactsSection
+from gbid.experiment.schema import HammerTrain
 from gbid.recording import load_recording, save_recording
 
 LONGEST_IMPACT = 0.25
@@ -40,20 +38,15 @@ LONGEST_IMPACT = 0.25
 
 def impacts_can_be_made(experiment: Experiment) -> Found:
     """Yield problems of the rig, the operating points, the timing of impacts, and the controllers."""
-    section = experiment.spec.impacts
-    if section is None:
+    section, rig = needed(experiment.spec.impacts, "impacts"), experiment.spec.rig
+    if rig is None:
+        yield ("impacts",), "needs the section rig; add one (for recordings of your own use gbid.fit_ringdown)"
         return
-    if experiment.spec.rig is None:
-        yield (
-            ("impacts",),
-            "needs the section rig; add one (for recordings of your own use gbid.fit_ringdown)",
-        )
-        return
-    yield from timing_problems(section, experiment.spec.rig.sample_time_s, ("impacts",))
+    yield from timing_problems(section, rig.sample_time_s, ("impacts",))
     try:
         domain, name = rig_model(experiment).domain, rig_model(experiment).name
         for axis in section.axes:
-            hammer_of(section, axis, experiment.spec.rig.sample_time_s)
+            hammer_of(section, axis, rig.sample_time_s)
     except GbidError:
         return  # the checks of the rig section report this
     if section.model == "lpv" and experiment.spec.lpv is None:
@@ -64,39 +57,26 @@ def impacts_can_be_made(experiment: Experiment) -> Found:
     for i, point in enumerate(section.operating_points):
         outside = list(outside_domain(domain, name, point, ("impacts", "operating_points", i)))
         yield from outside
-        if not outside:
-            inside.append(point)
-    yield from _controller_problems(experiment, section, inside)
+        inside += [] if outside else [point]
+    for loop, word in {"closed": section.controller, **section.beside}.items():
+        where: Location = ("impacts", "beside", loop) if loop in section.beside else ("impacts", "controller")
+        if loop in section.beside and loop in LOOPS:
+            yield where, f"the name {loop!r} is reserved; choose another"
+        elif is_tuned(word):
+            yield from refusal(where, partial(tuned_design, experiment, word))
+        elif loop in loop_controllers(section):
+            for point in inside:
+                yield from refusal(where, partial(controller_at, experiment, point, loop))
 
 
 def timing_problems(section: HammerTrain, sample_time: float, where: Location) -> Found:
     """Yield a problem when impacts are too long for the time between them, or too short to be measured."""
     if section.impact_s > LONGEST_IMPACT * section.spacing_s:
-        yield (
-            (*where, "spacing_s"),
-            f"{section.spacing_s:g} s is too short for impacts of {section.impact_s:g} s; lengthen it",
-        )
+        text = f"{section.spacing_s:g} s is too short for impacts of {section.impact_s:g} s; lengthen it"
+        yield (*where, "spacing_s"), text
     elif section.impact_s < 4 * sample_time:
-        yield (
-            (*where, "impact_s"),
-            f"{section.impact_s:g} s is less than 4 samples; the force cannot be measured: lengthen it",
-        )
-
-
-def _controller_problems(experiment: Experiment, section: ImpactsSection, points: list[Place]) -> Found:
-    """Yield a problem for each loop with a used name or without a controller."""
-    taken = [loop for loop in section.beside if loop in LOOPS]
-    for loop in taken:
-        yield ("impacts", "beside", loop), f"the name {loop!r} is reserved; choose another"
-    for loop, word in {"closed": section.controller, **section.beside}.items():
-        if loop in taken:
-            continue
-        where: Location = ("impacts", "beside", loop) if loop in section.beside else ("impacts", "controller")
-        if is_tuned(word):
-            yield from refusal(where, partial(tuned_design, experiment, word))
-        elif loop in loop_controllers(section):
-            for point in points:
-                yield from refusal(where, partial(controller_at, experiment, point, loop))
+        text = f"{section.impact_s:g} s is less than 4 samples; the force cannot be measured: lengthen it"
+        yield (*where, "impact_s"), text
 
 
 # ---- Stage of the impacts (paper, Sec. 5.1): hammer on the rig in open and closed loop, ring-downs, force scaling.
@@ -114,8 +94,6 @@ def recording_tasks(job: Job) -> Work:
         When the model or the controller of the closed loop is missing.
     """
     experiment = job.experiment
-    if experiment.spec.impacts is None:
-        return []
     idle = loops_without_controller(experiment)
     return [
         *(Outcome("impact", loop, job.path(FOLDER, loop), "failed", why, cause="input") for loop, why in idle.items()),
@@ -127,21 +105,13 @@ def recording_tasks(job: Job) -> Work:
     ]
 
 
-def _studies_of(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    return study_tasks(job) if made else []
-
-
-def study_tasks(job: Job) -> list[Task]:
+def study_tasks(job: Job, _: Sequence[Outcome] = ()) -> list[Task]:
     """Return the tasks of the studies, one for each operating point and loop."""
     tasks = []
     section = needed(job.experiment.spec.impacts, "impacts")
     for name, group in _studies(job.experiment).items():
-        settings = {
-            "harmonics": section.harmonics,
-            "lags": section.lags,
-            "model": expecting_model(job.experiment)[1],
-            "loop": group[0].loop,
-        }
+        model, loop = expecting_model(job.experiment)[1], group[0].loop
+        settings = {"harmonics": section.harmonics, "lags": section.lags, "model": model, "loop": loop}
         sources = [recording_result(job.experiment, impact) for impact in group]
         result = job.experiment.result("ringdown", name, job.path(FOLDER, name), settings, sources)
         names = [impact.planned.name for impact in group]
@@ -167,11 +137,6 @@ def loops_without_controller(experiment: Experiment) -> dict[str, str]:
     return idle
 
 
-def made_impacts(outcomes: Sequence[Outcome]) -> dict[str, ImpactStudy]:
-    """Return the existing studies by name."""
-    return {o.item: load(o.path, ImpactStudy) for o in outcomes if o.stage == "ringdown" and o.state != "failed"}
-
-
 def recording_result(experiment: Experiment, impact: ImpactRecording) -> Result:
     """Return the result file of a recording with impacts."""
     planned, settings = impact.planned, rig_run(experiment, impact.planned).settings()
@@ -189,30 +154,27 @@ def _studies(experiment: Experiment) -> dict[str, list[ImpactRecording]]:
     return studies
 
 
-def _controller(experiment: Experiment, impact: ImpactRecording) -> LoopController:
-    return controller_at(experiment, impact.point, impact.loop)
-
-
 def _write_recording(job: Job, part: Path, name: str) -> None:
     impact = planned_impacts(job.experiment)[name]
     run, running = rig_run(job.experiment, impact.planned), None
     if impact.loop != "open":
-        running = loop_of(job.experiment, _controller(job.experiment, impact), run)
+        running = loop_of(job.experiment, controller_at(job.experiment, impact.point, impact.loop), run)
     save_recording(run.record(running), part, overwrite=True)
 
 
 def _write_study(job: Job, part: Path, name: str) -> Made:
     experiment, section = job.experiment, needed(job.experiment.spec.impacts, "impacts")
     group = _studies(experiment)[name]
-    controller = _controller(experiment, group[0]) if group[0].loop != "open" else None
+    point, loop = group[0].point, group[0].loop
+    controller = controller_at(experiment, point, loop) if loop != "open" else None
+    laws = (None, None) if controller is None else (controller.continuous, controller.sampled)
     study = study_impacts(
         [load_recording(recording_result(experiment, impact).require()) for impact in group],
         expecting_model(experiment)[0],
-        None if controller is None else controller.continuous,
-        None if controller is None else controller.sampled,
+        *laws,
         harmonics=section.harmonics,
         lags=section.lags,
-        loop=group[0].loop,
+        loop=loop,
     )
     save(study, part, overwrite=True)
     return _made_study(study)
@@ -253,7 +215,7 @@ def _write_csv(job: Job, part: Path, table: str, studies: Sequence[str]) -> None
     write_csv(table_of_records(rows), part)
 
 
-IMPACT = Stage("impact", "impacts", (impacts_can_be_made,), recording_tasks, (_studies_of, _csv_tasks))
+IMPACT = Stage("impact", "impacts", (impacts_can_be_made,), recording_tasks, (study_tasks, _csv_tasks))
 """``impacts/<point>_<loop>.h5``, the recordings behind them, ``impacts.csv`` and ``responses.csv``."""
 
 
@@ -261,15 +223,7 @@ IMPACT = Stage("impact", "impacts", (impacts_can_be_made,), recording_tasks, (_s
 
 
 def chain_can_run(experiment: Experiment) -> Found:
-    """Yield a problem when values of the section do not fit each other, or when the rig has no loop to close."""
-    rig = experiment.spec.rig
-    if rig is not None and rig.controller == "compiled" and experiment.spec.impacts is None:
-        yield (
-            ("rig", "controller"),
-            "closes the loop of impacts, but there is no section impacts; add it or remove this",
-        )
-    if experiment.spec.target is None:
-        return
+    """Yield a problem when values of the section do not fit each other."""
     yield from refusal(("target",), partial(chain_options, experiment))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Found, content_key, file_digest
+from gbid.experiment.fields import Found, content_key, file_digest, needed
 from gbid.experiment.recordings import (
     data_file,
     driving_channels,
@@ -25,21 +25,15 @@ from gbid.recording.formats import file_formats
 
 def data_can_be_read(experiment: Experiment) -> Found:
     """Yield problems of data files and mappings; the contents of the files are checked later."""
-    section = experiment.spec.imported
-    if section is None:
-        return
-    folder = experiment.folder / section.data_folder
+    folder = experiment.folder / needed(experiment.spec.imported, "import").data_folder
     if not folder.is_dir():
         yield ("import", "data_folder"), f"no folder {folder}; give it relative to the experiment file"
     yield from experiment.imports.problems
-    reported: set[str] = set()
-    for found in experiment.imports.files:
-        entry, here = found.entry, found.location
+    by_place = {str(file.location): file for file in reversed(experiment.imports.files)}
+    for file in by_place.values():  # all files of a folder share one mapping; that of the first is checked
+        entry, here = file.entry, file.location
         path = data_file(experiment, entry)
         listed = "recordings" in here
-        if not listed and str(here) in reported:
-            continue  # all files of a folder share one mapping
-        reported.add(str(here))
         here_file = (*here, "file") if listed else here
         file_format = file_formats().get(path.suffix.lower())
         if file_format is None:
@@ -114,8 +108,7 @@ def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording,
                 except GbidError as error:
                     found.append((planned, str(error), error.exit_code))
 
-    beside = find_group_problems(readable())
-    for name, problems in beside.items():
+    for name, problems in find_group_problems(readable()).items():
         found += [(experiment.recordings[name], problem.text, DataError.exit_code) for problem in problems]
     return found
 
@@ -133,10 +126,8 @@ def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> No
         if other.name == planned.name:
             return
         if other.imported is not None and _content(experiment, other) == mine:
-            raise DataError(
-                f"recording {planned.name!r} holds the same samples as {other.name!r}; leave one of them out, or "
-                "correct its file"
-            )
+            text = f"recording {planned.name!r} holds the same samples as {other.name!r}"
+            raise DataError(f"{text}; leave one of them out, or correct its file")
 
 
 def _content(experiment: Experiment, planned: PlannedRecording) -> str:

@@ -7,25 +7,18 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from gbid.core.errors import GbidError
 from gbid.core.tables import read_values, table_of_values, write_csv
-from gbid.experiment.controllers import (
-    chosen,
-    early_design,
-    early_designs,
-    found_controller,
-)
+from gbid.experiment.controllers import early_design, early_designs
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, InputError, Location, nearest, refusal
-from gbid.experiment.rig_schema import ControllerChoice
+from gbid.experiment.fields import Found, Location, nearest
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.fit import fit_entries, fit_result
 from gbid.experiment.stages.prefilter import load_fit_input
-from gbid.experiment.stages.rig import check_loop_stable, loop_controller_of
+from gbid.experiment.stages.rig import controller_problems
 from gbid.experiment.stages.tune import design_task
 from gbid.identify import FitResult, TableEntry
 
@@ -36,7 +29,7 @@ def fit_loops_are_known(experiment: Experiment) -> Found:
         if section.loop is None:
             continue
         where: Location = ("fits", name, "loop")
-        yield from _controller_problems(experiment, section.loop, where)
+        yield from controller_problems(experiment, section.loop, where)
         beside = section.loop.beside
         if beside is None:
             continue
@@ -48,51 +41,6 @@ def fit_loops_are_known(experiment: Experiment) -> Found:
             yield (*where, "beside"), "compares fits of single recordings; remove together: true, or this key"
 
 
-def rig_loop_can_run(experiment: Experiment) -> Found:
-    """Yield problems of the controller of the rig's recordings in closed loop."""
-    rig = experiment.spec.rig
-    if rig is None or rig.loop is None:
-        return
-    where: Location = ("rig", "loop")
-    found = list(_controller_problems(experiment, rig.loop, where))
-    yield from found
-    if rig.controller == "compiled" and rig.loop.runout != "online":
-        yield (*where, "runout"), "the control chain in C subtracts the run-out; write runout: online"
-    if rig.loop.runout == "offline" and rig.loop.stationary == 0:
-        yield (*where, "stationary"), "the answers to run-out come from recordings without excitation; write 1"
-    if rig.loop.runout == "online" and rig.stationary.recordings == 0:
-        yield (
-            (*where, "runout"),
-            "the map comes from stationary recordings without controller, and there are none; write runout: offline or "
-            "none",
-        )
-    if found:
-        return
-    reported: set[str] = set()
-    for planned in experiment.recordings.values():
-        if not planned.in_loop:
-            continue
-        try:
-            check_loop_stable(experiment, planned, loop_controller_of(experiment, planned).sampled)
-        except InputError:
-            return  # the design is tuned first, and checked when it runs
-        except GbidError as error:
-            if str(error) not in reported:
-                yield (*where, _key_of(rig.loop)), str(error)
-            reported.add(str(error))
-
-
-def _controller_problems(experiment: Experiment, section: ControllerChoice, where: Location) -> Found:
-    problems = list(refusal(where, partial(chosen, experiment, section)))
-    yield from problems
-    if not problems and chosen(experiment, section) is section:  # else that of the rig, reported there
-        yield from refusal(where, partial(found_controller, experiment, section, planned=True), _key_of(section))
-
-
-def _key_of(section: ControllerChoice) -> str:
-    return "structure" if section.controller is None else "controller"
-
-
 # ---- Stage of the designs that close the loop of recordings: they are tuned before anything is recorded.
 
 
@@ -101,7 +49,7 @@ def loop_tasks(job: Job) -> list[Task]:
     return [design_task(early_design(job.experiment, name)) for name in early_designs(job.experiment)]
 
 
-LOOP = Stage("loop", "rig", (rig_loop_can_run, fit_loops_are_known), loop_tasks, early=True)
+LOOP = Stage("loop", "controller", (), loop_tasks, early=True)
 """``controller/<design>.h5`` of the designs that close the loop of recordings."""
 
 
@@ -157,9 +105,8 @@ def cost_tasks(job: Job) -> list[Task]:
     for name, section in experiment.spec.fits.items():
         beside = section.loop.beside if section.loop is not None else None
         if beside is not None and _converged(job, name) and _converged(job, beside):
-            fits = [
-                fit_result(experiment, fit, entry.model) for fit in (name, beside) for entry, _ in _converged(job, fit)
-            ]
+            models = [(fit, entry.model) for fit in (name, beside) for entry, _ in _converged(job, fit)]
+            fits = [fit_result(experiment, *model) for model in models]
             path = experiment.path(FOLDER, name, ".csv")
             result = experiment.result("loop cost", name, path, {"beside": beside}, fits)
             tasks.append(Task.of(result, partial(_write, name=name, beside=beside)))
@@ -173,36 +120,21 @@ def made_costs(job: Job) -> list[LoopCostRow]:
 
 def cost_rows(job: Job, name: str, beside: str) -> list[LoopCostRow]:
     """Return the rows of a fit, by operating point and parameter; empty without a common point or parameter."""
-    here, there = (_by_point(job, _converged(job, each)) for each in (name, beside))
+    closed_points, free_points = (_by_point(job, _converged(job, each)) for each in (name, beside))
     rows = []
-    for point in here:
-        if point not in there:
+    for point, closed in closed_points.items():
+        free = free_points.get(point, [])
+        if not free:
             continue
-        closed, free = here[point], there[point]
-        size, free_size = _size(job, closed), _size(job, free)
+        signal = closed[0].options.outputs[-1].partition(".")[0]
+        unit = load_fit_input(job, job.experiment.recordings[closed[0].recordings[0]]).units[signal]
+        sizes = _sizes(job, closed) | _sizes(job, free, "_beside")
         for parameter in closed[0].std:
             std, std_beside = (_median_std(group, parameter) for group in (closed, free))
             if std is None or std_beside is None:  # fixed, not a parameter of both, or without standard deviation
                 continue
-            rows.append(
-                LoopCostRow(
-                    fit=name,
-                    beside=beside,
-                    point=point,
-                    recordings=len(closed),
-                    recordings_beside=len(free),
-                    duration_s=size.duration,
-                    duration_beside_s=free_size.duration,
-                    peak=size.peak,
-                    peak_beside=free_size.peak,
-                    peak_of=size.signal,
-                    peak_unit=size.unit,
-                    parameter=parameter,
-                    unit=closed[0].units[parameter],
-                    std=std,
-                    std_beside=std_beside,
-                )
-            )
+            row = {**sizes, "unit": closed[0].units[parameter], "std": std, "std_beside": std_beside}
+            rows.append(LoopCostRow(name, beside, point, peak_of=signal, peak_unit=unit, parameter=parameter, **row))
     return rows
 
 
@@ -213,26 +145,19 @@ def _converged(job: Job, name: str) -> list[tuple[TableEntry, FitResult]]:
 
 
 def _by_point(job: Job, entries: Sequence[tuple[TableEntry, FitResult]]) -> dict[str, list[FitResult]]:
-    found: dict[str, list[FitResult]] = {}
+    results: dict[str, list[FitResult]] = {}
     for entry, result in entries:
-        found.setdefault(job.experiment.recordings[entry.recordings[0]].point, []).append(result)
-    return found
+        results.setdefault(job.experiment.recordings[entry.recordings[0]].point, []).append(result)
+    return results
 
 
-class _Size(NamedTuple):
-    duration: float
-    peak: float
-    signal: str
-    unit: str
-
-
-def _size(job: Job, results: Sequence[FitResult]) -> _Size:
-    """Return length and peak of recordings, as medians, with signal and unit of the peak."""
+def _sizes(job: Job, results: Sequence[FitResult], beside: str = "") -> dict[str, Any]:
+    """Return the number of recordings and the medians of their lengths and peaks, by the columns of the table."""
     recordings = [load_fit_input(job, job.experiment.recordings[result.recordings[0]]) for result in results]
     signal = results[0].options.outputs[-1].partition(".")[0]
     peaks = [float(np.abs(recording.signal(signal)).max()) for recording in recordings]
     length = median(recording.duration for recording in recordings)
-    return _Size(length, median(peaks), signal, recordings[0].units[signal])
+    return {f"recordings{beside}": len(recordings), f"duration{beside}_s": length, f"peak{beside}": median(peaks)}
 
 
 def _median_std(results: Sequence[FitResult], parameter: str) -> float | None:
@@ -251,5 +176,5 @@ def _in_run(experiment: Experiment) -> bool:
     return any(section.loop is not None and section.loop.beside is not None for section in fits)
 
 
-LOOP_COST = Stage("loop cost", "fits", (), cost_tasks, in_run=_in_run)
+LOOP_COST = Stage("loop cost", "fits", (fit_loops_are_known,), cost_tasks, in_run=_in_run)
 """``loops/<fit>.csv``: standard deviations in the loop beside those without controller."""

@@ -33,9 +33,7 @@ from gbid.validate.central import load_actuators
 
 def surfaces_can_be_drawn(experiment: Experiment) -> Found:
     """Yield problems of the lpv section: fit, key parameters, actuators, and operating points for the order."""
-    section = experiment.spec.lpv
-    if section is None:
-        return
+    section = needed(experiment.spec.lpv, "lpv")
     where: Location = ("lpv", "fit")
     structure = structure_or_none(experiment, section.fit) if section.fit in experiment.spec.fits else None
     if structure and (scheduled := kind_of(structure).scheduled):
@@ -49,11 +47,10 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
         yield ("lpv", "robust"), "needs weighting: scatter or ordinary"
     points = []
     for planned in experiment.fit_recordings(section.fit):
-        point = [planned.conditions.get(key) for key in ("pressure_bar", "speed_rpm")]
-        if None in point:
+        if not {"pressure_bar", "speed_rpm"} <= set(planned.conditions):
             yield where, f"recording {planned.name!r} has no pressure_bar and speed_rpm; surfaces need both"
             return
-        points.append([float(v) for v in point if v is not None])
+        points.append([planned.conditions["pressure_bar"], planned.conditions["speed_rpm"]])
     if points and section.order != "auto":
         order = section.order
         yield from refusal(("lpv", "order"), lambda: check_points(np.array(points), chosen_exponents(order)))
@@ -112,35 +109,26 @@ class Surfaces:
 
     @cached_property
     def _two_step(self) -> LPVFit:
-        """Surfaces fitted to the estimates of the fits."""
-        section, experiment = self._section, self._job.experiment
-        if all(entry.result is None for entry in self._entries):
+        """Surfaces fitted to the estimates of the fits; of a scheduled structure those that its fit found."""
+        section, spec = self._section, self._job.experiment.spec
+        results = [entry.result for entry in self._entries if entry.result is not None]
+        if not results:
             raise InputError(f"fit {section.fit!r} has no results; run `gbid fit` or `gbid run` first")
-        structure = make_structure(experiment, section.fit)
+        source = f"experiment {spec.name}, fit {section.fit}"
+        structure = make_structure(self._job.experiment, section.fit)
         if kind_of(structure).scheduled:
-            return self._of_scheduled()
+            actuators = self._actuators or None
+            return lpv_of(results[0], actuators=actuators, name=spec.name, title=spec.title, source=source)
         return fit_lpv(
             tabulate(self._entries),
             weighting=section.weighting,
             order=section.order,
             robust=section.robust,
             actuators=self._actuators,
-            pade_order=self._pade_order,
-            name=experiment.spec.name,
-            title=experiment.spec.title,
-            source=f"experiment {experiment.spec.name}, fit {section.fit}",
-        )
-
-    def _of_scheduled(self) -> LPVFit:
-        """Return the surfaces that the fit of a scheduled structure found."""
-        (entry,), experiment = self._entries, self._job.experiment
-        assert entry.result is not None
-        return lpv_of(
-            entry.result,
-            actuators=self._actuators or None,
-            name=experiment.spec.name,
-            title=experiment.spec.title,
-            source=f"experiment {experiment.spec.name}, fit {self._section.fit}",
+            pade_order=pade_order_of(structure),
+            name=spec.name,
+            title=spec.title,
+            source=source,
         )
 
     def _direct(self) -> LPVFit:
@@ -151,10 +139,8 @@ class Surfaces:
         hold = fit_arguments(experiment, name, recordings)["intersample"]
         structure = kind_of(make_structure(experiment, name)).linear
         if structure is None:
-            raise UsageError(
-                f"fit {name!r}: surfaces straight from the recordings are for linear structures with constant "
-                "parameters"
-            )
+            text = "surfaces straight from the recordings are for linear structures with constant parameters"
+            raise UsageError(f"fit {name!r}: {text}")
         return fit_lpv_direct(
             recordings,
             self._two_step,
@@ -174,10 +160,6 @@ class Surfaces:
         values = load_actuators(self._job.path("nominal", nominal.fit, ".yaml"))
         return {name: values[name] for name in ACTUATOR_PARAMETERS}
 
-    @property
-    def _pade_order(self) -> int:
-        return pade_order_of(make_structure(self._job.experiment, self._section.fit))
-
 
 # ---- Stage of the surfaces over pressure and speed (paper, Sec. 4).
 
@@ -186,20 +168,17 @@ _MODEL = "model_file"  # attribute with the model's YAML: the surfaces are then 
 
 def lpv_tasks(job: Job) -> Work:
     """Return the task of the lpv section; the model and the direct LPV fit follow."""
-    section = job.experiment.spec.lpv
-    if section is None:
-        return []
+    fit = needed(job.experiment.spec.lpv, "lpv").fit
     try:
-        return [_uncertainty_task(job, section.fit)]
+        return [_uncertainty_task(job, fit)]
     except GbidError as error:
-        path = job.path(FOLDER, section.fit)
-        return [Outcome("lpv", f"{section.fit} uncertainty", path, "failed", str(error), cause=cause_of(error))]
+        path = job.path(FOLDER, fit)
+        return [Outcome("lpv", f"{fit} uncertainty", path, "failed", str(error), cause=cause_of(error))]
 
 
 def model_task(suffix: str, job: Job, made: Sequence[Outcome]) -> list[Task]:
     """Return the task of a model file, which follows its uncertainty and has the same content key."""
-    section = job.experiment.spec.lpv
-    item = "" if section is None else f"{section.fit}{suffix}"
+    item = f"{needed(job.experiment.spec.lpv, 'lpv').fit}{suffix}"
     source = job.path(FOLDER, item)
     if not any(outcome.path == source and outcome.state != "failed" for outcome in made):
         return []
@@ -208,8 +187,8 @@ def model_task(suffix: str, job: Job, made: Sequence[Outcome]) -> list[Task]:
 
 
 def _direct_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    section = job.experiment.spec.lpv
-    if section is None or not section.direct or any(outcome.state == "failed" for outcome in made):
+    section = needed(job.experiment.spec.lpv, "lpv")
+    if not section.direct or any(outcome.state == "failed" for outcome in made):
         return []
     return [_uncertainty_task(job, f"{section.fit}{DIRECT}")]
 
@@ -218,29 +197,20 @@ def _uncertainty_task(job: Job, item: str) -> Task:
     return Task.of(Surfaces(job).result(item), partial(_write_uncertainty, item=item))
 
 
-def made_surfaces(outcomes: Sequence[Outcome]) -> dict[str, LPVFit]:
-    """Return the existing surfaces by item; the two-step ones first."""
-    return {
-        o.item: load_lpv_fit(o.path)
-        for o in outcomes
-        if o.stage == "lpv" and o.state != "failed" and o.path.suffix == ".yaml"
-    }
-
-
 def read_surfaces(job: Job) -> dict[str, LPVFit]:
     """Return the surfaces made from the present fits, by item; empty when there are none."""
     section = job.experiment.spec.lpv
     if section is None:
         return {}
-    found: dict[str, LPVFit] = {}
+    fits: dict[str, LPVFit] = {}
     with suppress(GbidError, OSError):
         surfaces = Surfaces(job)
         for item in (section.fit, f"{section.fit}{DIRECT}"):
             result = surfaces.result(item)
             path = result.path.with_suffix(".yaml")
             if stored_key(path) == result.key:
-                found[item] = load_lpv_fit(path)
-    return found
+                fits[item] = load_lpv_fit(path)
+    return fits
 
 
 def _write_uncertainty(job: Job, part: Path, item: str) -> Made:

@@ -30,9 +30,7 @@ from gbid.recording import Recording, load_recording, with_unbalance
 
 def runout_maps_can_be_made(experiment: Experiment) -> Found:
     """Yield a problem for each operating point without a stationary recording, position or angle."""
-    section = experiment.spec.prefilter
-    if section is None:
-        return
+    section = needed(experiment.spec.prefilter, "prefilter")
     if section.median % 2 == 0:
         yield ("prefilter", "median"), f"{section.median} is even; give an odd size, 1 for no median"
     for planned in experiment.recordings.values():
@@ -50,11 +48,8 @@ def runout_maps_can_be_made(experiment: Experiment) -> Found:
     for planned in experiment.recordings.values():
         if planned.excited and not answered(experiment, planned) and planned.point not in still | reported:
             reported.add(planned.point)
-            yield (
-                ("prefilter",),
-                f"no stationary recording at {planned.point} (as {planned.name!r}), so no run-out map; "
-                "add one, or write method: none",
-            )
+            text = f"no stationary recording at {planned.point} (as {planned.name!r}), so no run-out map"
+            yield ("prefilter",), f"{text}; add one, or write method: none"
 
 
 # ---- Stage of the prefilter (paper, Sec. 3.5): one run-out map per operating point, from its stationary recordings.
@@ -68,8 +63,6 @@ _HARMONICS_IN_LOOP = 10  # where their number is to be found from data
 def prefilter_tasks(job: Job) -> list[Task]:
     """Return the tasks of the prefilter section, one for each excited recording."""
     experiment = job.experiment
-    if experiment.spec.prefilter is None:
-        return []
     return [
         Task.of(prefiltered_result(experiment, planned), partial(_write_prefiltered, name=planned.name), [planned.name])
         for planned in experiment.recordings.values()
@@ -79,9 +72,7 @@ def prefilter_tasks(job: Job) -> list[Task]:
 
 def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
     """Return the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks."""
-    experiment, section = job.experiment, job.experiment.spec.prefilter
-    if section is None:
-        return []
+    experiment, section = job.experiment, needed(job.experiment.spec.prefilter, "prefilter")
     failed = {outcome.item for outcome in made if outcome.state == "failed"}
     tasks = []
     for label, excited in _by_map(experiment).items():

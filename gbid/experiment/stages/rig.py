@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,16 +13,17 @@ from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError
 from gbid.experiment.controllers import (
     LoopController,
+    chosen,
     found_controller,
     loop_of,
     running_controller,
     stationary_at,
 )
-from gbid.experiment.experiment import Check, Experiment, PlannedRecording
-from gbid.experiment.fields import Found, Location, nearest, needed, refusal
+from gbid.experiment.experiment import Experiment, PlannedRecording
+from gbid.experiment.fields import Found, InputError, Location, nearest, needed, refusal
 from gbid.experiment.machine import PlannedRun, machine_at, outside_domain, rig_experiment, rig_model, rig_run
 from gbid.experiment.recordings import recording_result
-from gbid.experiment.rig_schema import RigLoopSection, RigSection
+from gbid.experiment.rig_schema import ControllerChoice, RigLoopSection, RigSection
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.prefilter import identified_map
 from gbid.lpv import LPVModel
@@ -36,9 +36,7 @@ from gbid.structure import LinearModel
 
 def rig_runs(experiment: Experiment) -> Found:
     """Yield problems of the rig's model, its operating points, and times that are not whole samples."""
-    rig = experiment.spec.rig
-    if rig is None:
-        return
+    rig = needed(experiment.spec.rig, "rig")
     try:
         model = rig_model(experiment)
     except GbidError as error:
@@ -57,8 +55,11 @@ def rig_runs(experiment: Experiment) -> Found:
                 text = f"leaves the domain of {model.name}, {low:g} to {high:g}; choose values inside"
                 outside.append((("rig", "courses", i, key), text))
     yield from outside
-    for location, seconds in _times(rig):
-        yield from refusal(location, partial(whole_samples, str(location[-1]), seconds, rig.sample_time_s))
+    for location in _TIMES:
+        part = getattr(rig, location[0])
+        seconds = getattr(part, location[1], None) if location[1:] else part
+        if seconds:
+            yield from refusal(("rig", *location), partial(whole_samples, location[-1], seconds, rig.sample_time_s))
     if outside or list(effects_are_known(experiment)):
         return  # the machine cannot be made
     refused = [
@@ -78,77 +79,54 @@ def _check_run(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     UsageError
         With what to do.
     """
-    rig, machine = needed(experiment.spec.rig, "rig"), machine_at(experiment, planned, model)
+    machine = machine_at(experiment, planned, model)
     rig_experiment(experiment, planned)
     try:
         if not planned.in_loop:
             machine.rotor_bearing.check_stable()
     except UsageError as error:
-        if rig.loop is None:
-            raise UsageError(f"{error}; record it under a controller: loop:") from None
-        raise UsageError(
-            f"{error}; write recordings: 0 in the sections prbs and stationary, so that all are made in the loop"
-        ) from None
+        remedy = "write recordings: 0 in the sections prbs and stationary, so that all are made in the loop"
+        if needed(experiment.spec.rig, "rig").loop is None:
+            remedy = "record it under a controller: loop:"
+        raise UsageError(f"{error}; {remedy}") from None
 
 
-def faults_name_recordings(experiment: Experiment) -> Found:
-    """Yield a problem for each entry of faults without recordings or with a wrong value."""
-    rig = experiment.spec.rig
-    for i, entry in enumerate(rig.faults if rig else ()):
-        here: Location = ("rig", "faults", i)
+def rig_keys_go_together(experiment: Experiment) -> Found:
+    """Yield problems of faults, single stacks, places of staircases, sizes in metres, and the compiled controller."""
+    rig = needed(experiment.spec.rig, "rig")
+    for i, entry in enumerate(rig.faults):
         for pattern in entry.recordings:
             if not any(q.imported is None for q in experiment.matching((pattern,))):
-                known = nearest(pattern, experiment.recordings)
-                yield (*here, "recordings"), f"no recording of the rig matches {pattern!r}; {known}"
+                hint = nearest(pattern, experiment.recordings)
+                yield ("rig", "faults", i, "recordings"), f"no recording of the rig matches {pattern!r}; {hint}"
+    if rig.actuators.kind != "stacks":
+        if rig.stack_staircase is not None:
+            yield ("rig", "stack_staircase"), "needs single stacks; write actuators: {kind: stacks}"
+        if rig.actuators.record_stacks:
+            yield ("rig", "actuators", "record_stacks"), "needs single stacks; write kind: stacks"
+    points = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points]
+    for part, section in (("staircase", rig.staircase), ("stack_staircase", rig.stack_staircase)):
+        for i, place in enumerate((section.at if section else None) or ()):
+            if (place.pressure_bar, place.speed_rpm) not in points:
+                text = f"{point_label(place.pressure_bar, place.speed_rpm)} is no operating point of the rig; add it"
+                yield ("rig", part, "at", i), text
+    for part, key in _SIZES:
+        largest = np.max(getattr(getattr(rig, part), key, 0.0))
+        if largest > rig.clearance_m:
+            text = f"{largest:g} m is more than the clearance of the bearing, {rig.clearance_m:g} m"
+            yield ("rig", part, key), f"{text}; make it smaller (sizes are in metres)"
+    if rig.controller == "compiled" and experiment.spec.impacts is None:
+        text = "closes the loop of impacts, but there is no section impacts; add it or remove this"
+        yield ("rig", "controller"), text
 
 
 def effects_are_known(experiment: Experiment) -> Found:
     """Yield a problem for each effect that is unknown or has a wrong option."""
-    rig = experiment.spec.rig
-    for name, options in rig.effects.items() if rig else ():
+    for name, options in needed(experiment.spec.rig, "rig").effects.items():
         if name not in rig_effects():
             yield ("rig", "effects", name), f"no effect {name!r}; {nearest(name, rig_effects())}"
             continue
         yield from refusal(("rig", "effects", name), partial(rig_effect, name, **options))
-
-
-def stacks_are_there(experiment: Experiment) -> Found:
-    """Yield a problem for each key that needs single stacks when the rig has none."""
-    rig = experiment.spec.rig
-    if rig is None or rig.actuators.kind == "stacks":
-        return
-    if rig.stack_staircase is not None:
-        yield ("rig", "stack_staircase"), "needs single stacks; write actuators: {kind: stacks}"
-    if rig.actuators.record_stacks:
-        yield ("rig", "actuators", "record_stacks"), "needs single stacks; write kind: stacks"
-
-
-def staircases_are_somewhere(experiment: Experiment) -> Found:
-    """Yield a problem for each staircase at a point that is not an operating point of the rig."""
-    rig = experiment.spec.rig
-    there = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points] if rig else []
-    for part in ("staircase", "stack_staircase"):
-        section = getattr(rig, part, None)
-        for i, place in enumerate((section.at if section else None) or ()):
-            if (place.pressure_bar, place.speed_rpm) not in there:
-                text = f"{point_label(place.pressure_bar, place.speed_rpm)} is no operating point of the rig; add it"
-                yield ("rig", part, "at", i), text
-
-
-def sizes_fit_the_clearance(experiment: Experiment) -> Found:
-    """Yield a problem for each size above the clearance; usually the factor 1e-6 was forgotten."""
-    rig = experiment.spec.rig
-    for location in _SIZES if rig else ():
-        part, key = location
-        value = getattr(getattr(rig, part), key, 0.0)
-        assert rig is not None
-        largest = max(value) if isinstance(value, tuple) else value
-        if largest > rig.clearance_m:
-            text = (
-                f"{largest:g} m is more than the clearance of the bearing, {rig.clearance_m:g} m; "
-                "make it smaller (sizes are in metres)"
-            )
-            yield ("rig", *location), text
 
 
 _SIZES = (
@@ -161,35 +139,56 @@ _SIZES = (
     ("unbalance", "eccentricity_m"),
     ("non_synchronous", "size_m"),
 )
+"""Keys that are sizes; one above the clearance usually lacks the factor 1e-6."""
 
-
-def _times(rig: RigSection) -> Iterator[tuple[Location, float]]:
-    """Yield the times that must be whole numbers of samples."""
-    yield ("rig", "duration_s"), rig.duration_s
-    if rig.settle_s:
-        yield ("rig", "settle_s"), rig.settle_s
-    yield ("rig", "prbs", "hold_s"), rig.prbs.hold_s
-    for part, key in (
-        ("stationary", "duration_s"),
-        ("staircase", "hold_s"),
-        ("stack_staircase", "hold_s"),
-        ("hammer", "duration_s"),
-        ("run_up", "duration_s"),
-    ):
-        seconds = getattr(getattr(rig, part), key, None)
-        if seconds is not None:
-            yield ("rig", part, key), seconds
-
-
-RIG_CHECKS: tuple[Check, ...] = (
-    effects_are_known,
-    rig_runs,
-    sizes_fit_the_clearance,
-    stacks_are_there,
-    staircases_are_somewhere,
-    faults_name_recordings,
+_TIMES: tuple[tuple[str, ...], ...] = (
+    ("duration_s",),
+    ("settle_s",),
+    ("prbs", "hold_s"),
+    ("stationary", "duration_s"),
+    ("staircase", "hold_s"),
+    ("stack_staircase", "hold_s"),
+    ("hammer", "duration_s"),
+    ("run_up", "duration_s"),
 )
-"""Checks of the rig section."""
+"""Keys that are times, which must be whole numbers of samples."""
+
+
+def rig_loop_can_run(experiment: Experiment) -> Found:
+    """Yield problems of the controller of the rig's recordings in closed loop."""
+    rig = needed(experiment.spec.rig, "rig")
+    if rig.loop is None:
+        return
+    where: Location = ("rig", "loop")
+    problems = list(controller_problems(experiment, rig.loop, where))
+    yield from problems
+    if rig.controller == "compiled" and rig.loop.runout != "online":
+        yield (*where, "runout"), "the control chain in C subtracts the run-out; write runout: online"
+    if rig.loop.runout == "offline" and rig.loop.stationary == 0:
+        yield (*where, "stationary"), "the answers to run-out come from recordings without excitation; write 1"
+    if rig.loop.runout == "online" and rig.stationary.recordings == 0:
+        text = "the map comes from stationary recordings without controller, and there are none"
+        yield (*where, "runout"), f"{text}; write runout: offline or none"
+    for planned in experiment.recordings.values() if not problems else ():
+        if planned.in_loop:
+            try:
+                check_loop_stable(experiment, planned, loop_controller_of(experiment, planned).sampled)
+            except InputError:
+                return  # the design is tuned first, and checked when it runs
+            except GbidError as error:
+                yield (*where, _key_of(rig.loop)), str(error)
+
+
+def controller_problems(experiment: Experiment, section: ControllerChoice, where: Location) -> Found:
+    """Yield problems of the controller that a section of a loop names."""
+    problems = list(refusal(where, partial(chosen, experiment, section)))
+    yield from problems
+    if not problems and chosen(experiment, section) is section:  # else that of the rig, reported there
+        yield from refusal(where, partial(found_controller, experiment, section, planned=True), _key_of(section))
+
+
+def _key_of(section: ControllerChoice) -> str:
+    return "structure" if section.controller is None else "controller"
 
 
 # ---- Controller of the rig's recordings in closed loop, as it runs.
@@ -229,9 +228,8 @@ def check_loop_stable(experiment: Experiment, planned: PlannedRecording, sampled
     pressure, speed = planned.conditions["pressure_bar"], planned.conditions["speed_rpm"]
     plant = sample_plant(exact_plant(model, pressure, speed), rig.sample_time_s, rig.sample_time_s)
     if not close_loop(plant, sampled).is_stable():
-        raise UsageError(
-            f"controller {sampled.name!r} makes the rotor unstable at {point_label(pressure, speed)}; choose another"
-        )
+        at = point_label(pressure, speed)
+        raise UsageError(f"controller {sampled.name!r} makes the rotor unstable at {at}; choose another")
 
 
 def running(
@@ -303,5 +301,6 @@ def _write_recording(job: Job, part: Path, name: str) -> None:
     save_recording(run.record(controller), part, overwrite=True)
 
 
+RIG_CHECKS = (effects_are_known, rig_runs, rig_keys_go_together, rig_loop_can_run)
 RIG = Stage("rig", "rig", RIG_CHECKS, rig_tasks, early=True)
 """Recordings of the virtual rig, ``recordings/<name>.h5``."""

@@ -7,13 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gbid.characterise import (
-    PiezoCurve,
-    StaticMap,
-    characterise_piezo,
-    characterise_staircase,
-    static_rows,
-)
+from gbid.characterise import PiezoCurve, StaticMap, characterise_piezo, characterise_staircase, static_rows
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
 from gbid.experiment.experiment import Experiment
@@ -22,10 +16,7 @@ from gbid.experiment.recordings import load_made, recording_result, refuse_bad_s
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import wanted_signals
 
-ONLY_FOR = {
-    "bearing": ("source",),
-    "piezo": ("channel", "command_channel", "settle_s", "limits"),
-}
+ONLY_FOR = {"bearing": ("source",), "piezo": ("channel", "command_channel", "settle_s", "limits")}
 """Keys that only one of the two kinds has."""
 
 
@@ -36,8 +27,8 @@ def static_makes_sense(experiment: Experiment) -> Found:
         chosen = experiment.matching(section.recordings)
         for pattern in section.recordings:
             if not experiment.matching((pattern,)):
-                known = nearest(pattern, experiment.recordings)
-                yield (*here, "recordings"), f"no recording matches {pattern!r}; {known}"
+                hint = nearest(pattern, experiment.recordings)
+                yield (*here, "recordings"), f"no recording matches {pattern!r}; {hint}"
         if section.kind == "piezo" and len(chosen) > 1:
             names = ", ".join(q.name for q in chosen)
             yield (*here, "recordings"), f"a piezo is characterised from one recording, not {names}; name one"
@@ -50,8 +41,8 @@ def static_makes_sense(experiment: Experiment) -> Found:
         for planned in chosen:
             for key, signal in wanted_signals(section).items():
                 if signal not in planned.signals:
-                    there = ", ".join(planned.signals)
-                    yield (*here, key), f"recording {planned.name!r} has no signal {signal!r}; it has {there}"
+                    signals = ", ".join(planned.signals)
+                    yield (*here, key), f"recording {planned.name!r} has no signal {signal!r}; it has {signals}"
 
 
 # ---- Stage of the static characterisation (paper, Sec. 3.1 and Appendix A): maps and curves from staircases.
@@ -88,18 +79,15 @@ def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
         When the file is missing.
     """
     path = job.path(FOLDER, name)
-    if job.experiment.spec.static[name].kind == "piezo":
-        return load(path, PiezoCurve)
-    return load(path, StaticMap)
+    return load(path, PiezoCurve) if job.experiment.spec.static[name].kind == "piezo" else load(path, StaticMap)
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    experiment, tasks = job.experiment, []
+    tasks = []
     for name in (outcome.item for outcome in made if outcome.state != "failed"):
-        source, path = static_result(experiment, name), experiment.path(FOLDER, name, ".csv")
-        tasks.append(
-            Task.of(experiment.result("static", f"{name} (csv)", path, {}, [source]), partial(_write_csv, name=name))
-        )
+        source, path = static_result(job.experiment, name), job.path(FOLDER, name, ".csv")
+        result = job.experiment.result("static", f"{name} (csv)", path, {}, [source])
+        tasks.append(Task.of(result, partial(_write_csv, name=name)))
     return tasks
 
 
@@ -112,11 +100,8 @@ def _write(job: Job, part: Path, name: str) -> Made:
         # The command rests at its limits and other axes do not move: only the measured signals are checked.
         measured = [signal for key, signal in wanted_signals(section).items() if key != "command"]
         refuse_bad_signals(planned, data[-1], measured, kinds=("too_few_samples", "dead", "swapped", "rub"))
-    result: StaticMap | PiezoCurve
-    if section.kind == "piezo":
-        result = characterise_piezo(data[0], **options)
-    else:
-        result = characterise_staircase(data, **options)
+    piezo = section.kind == "piezo"
+    result = characterise_piezo(data[0], **options) if piezo else characterise_staircase(data, **options)
     save(result, part, overwrite=True)
     return Made("; ".join(result.notes))
 

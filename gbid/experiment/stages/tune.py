@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -50,132 +50,103 @@ from gbid.experiment.fields import Found, InputError, Location, Result, nearest,
 from gbid.experiment.machine import outside_domain
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
-from gbid.experiment.schema import ControllerSection, RobustSection
+from gbid.experiment.schema import ControllerSection, GoalSection, RobustSection
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv import read_surfaces
-from gbid.lpv import LPVModel, ProportionalDesign, load_lpv_fit, load_model
-from gbid.structure.linear import Structure
+from gbid.lpv import LPVModel, load_lpv_fit, load_model
 
 
 def designs_can_be_tuned(experiment: Experiment) -> Found:
-    """Yield problems of the structure, model, gains and operating points of each design."""
+    """Yield problems of the structure, model, gains, goals and operating points of each design."""
     for name, section in experiment.spec.controller.items():
-        where: Location = ("controller", name)
-        model: LPVModel | None = None
-        try:
-            item = surfaces_item(experiment, section)
-        except GbidError as error:
-            yield (*where, "model"), str(error)
-            continue
-        if item is None:
-            try:
-                model = named_model(experiment, section)
-            except GbidError as error:
-                yield (*where, "model") if section.model else where, str(error)
-                continue
-            for key in ("uncertainty", "robust"):
-                if getattr(section, key) is not None:
-                    yield (*where, key), "needs the surfaces of this experiment; write model: lpv"
-        else:
-            yield from _surfaces_problems(experiment, section, where)
-        if model is not None:
-            yield from _point_problems(section, model, where)
-        yield from _goal_problems(experiment, section, where)
-        try:
-            structure = design_structure(experiment, section, None if model is None else model.domain)
-        except GbidError as error:
-            yield (*where, error.key or "structure"), str(error)
-            continue
-        yield from _gain_problems(section, structure, where)
+        yield from ((("controller", name, *where), text) for where, text in _design_problems(experiment, section))
 
 
-def _surfaces_problems(experiment: Experiment, section: ControllerSection, where: Location) -> Found:
-    lpv = needed(experiment.spec.lpv, "lpv")
-    if lpv.actuators is None:
-        yield (*where, "model") if section.model else where, "the surfaces have no actuators; add lpv: actuators"
-    if section.model == "lpv_direct" and not lpv.direct:
-        yield (*where, "model"), "there are no surfaces of a direct LPV fit; write lpv: direct: true"
-
-
-def _point_problems(section: ControllerSection, model: LPVModel, where: Location) -> Found:
-    if section.operating_points == "model" and not model.operating_points:
-        yield (
-            (*where, "operating_points") if "operating_points" in section.model_fields_set else where,
-            f"model {model.name!r} lists no operating points; list some, or write domain",
-        )
-    if isinstance(section.operating_points, str):
+def _design_problems(experiment: Experiment, section: ControllerSection) -> Found:
+    """Yield problems of a design, with locations below its section."""
+    model: LPVModel | None = None
+    named: Location = ("model",) if section.model else ()
+    try:
+        item = surfaces_item(experiment, section)
+    except GbidError as error:
+        yield ("model",), str(error)
         return
-    for i, point in enumerate(section.operating_points):
-        yield from outside_domain(model.domain, model.name, point, (*where, "operating_points", i))
-
-
-def _goal_problems(experiment: Experiment, section: ControllerSection, where: Location) -> Found:
+    if item is None:
+        try:
+            model = named_model(experiment, section)
+        except GbidError as error:
+            yield named, str(error)
+            return
+        for key in ("uncertainty", "robust"):
+            if getattr(section, key) is not None:
+                yield (key,), "needs the surfaces of this experiment; write model: lpv"
+        yield from _point_problems(section, model)
+    else:
+        lpv = needed(experiment.spec.lpv, "lpv")
+        if lpv.actuators is None:
+            yield named, "the surfaces have no actuators; add lpv: actuators"
+        if section.model == "lpv_direct" and not lpv.direct:
+            yield ("model",), "there are no surfaces of a direct LPV fit; write lpv: direct: true"
     if section.robust is not None:
         if section.goals is None:
-            yield (*where, "robust"), "needs goals; list them, such as goals: [{goal: MaxDamping}]"
+            yield ("robust",), "needs goals; list them, such as goals: [{goal: MaxDamping}]"
         if section.uncertainty is not None:
-            yield (*where, "uncertainty"), "comes with robust already; leave it out"
+            yield ("uncertainty",), "comes with robust already; leave it out"
         if section.pareto:
-            yield (*where, "pareto"), "is not for robust designs; write price: [...] below robust, or a second design"
-    if section.goals is None:
+            yield ("pareto",), "is not for robust designs; write price: [...] below robust, or a second design"
+    if section.goals is not None:
+        yield from _goal_problems(experiment, section, section.goals)
+    try:
+        structure = design_structure(experiment, section, None if model is None else model.domain)
+    except GbidError as error:
+        yield (error.key or "structure",), str(error)
         return
+    gains = [parameter.name for parameter in structure.parameters]
+    for key, given in (("bounds", section.bounds), ("start", section.start)):
+        for gain in given:
+            if gain not in gains:
+                yield (key, gain), f"{structure.name} has no gain of this name; {nearest(gain, gains)}"
+    for gain, (low, high) in section.bounds.items():
+        if not low < high:
+            yield ("bounds", gain), f"lower bound {low:g} is not below the upper one, {high:g}"
+
+
+def _point_problems(section: ControllerSection, model: LPVModel) -> Found:
+    if section.operating_points == "model" and not model.operating_points:
+        where: Location = ("operating_points",) if "operating_points" in section.model_fields_set else ()
+        yield where, f"model {model.name!r} lists no operating points; list some, or write domain"
+    if not isinstance(section.operating_points, str):
+        for i, point in enumerate(section.operating_points):
+            yield from outside_domain(model.domain, model.name, point, ("operating_points", i))
+
+
+def _goal_problems(experiment: Experiment, section: ControllerSection, entries: Sequence[GoalSection]) -> Found:
     for key in ("peak_sensitivity", "objective"):
         if key in section.model_fields_set:
-            yield (*where, key), "stands beside goals; write it as a goal, too"
+            yield (key,), "stands beside goals; write it as a goal, too"
     goals = []
-    for i, entry in enumerate(section.goals):
+    for i, entry in enumerate(entries):
         try:
             goals.append(made_goal(entry, no_disturbance))
         except GbidError as error:
-            yield (*where, "goals", i), str(error)
+            yield ("goals", i), str(error)
         for pattern in entry.arguments.get("disturbance", ()):
-            yield from _disturbance_problems(experiment, pattern, (*where, "goals", i, "disturbance"))
-    if len(goals) < len(section.goals):
-        return
-    plant = load_model("theisen2016").plant_at(6.0, 0.0)  # every plant has the channels of this one
-    yield from refusal((*where, "goals"), lambda: limits_of(goals, plant))
+            for text in _disturbance_problems(experiment, pattern):
+                yield ("goals", i, "disturbance"), text
+    if len(goals) == len(entries):
+        plant = load_model("theisen2016").plant_at(6.0, 0.0)  # every plant has the channels of this one
+        yield from refusal(("goals",), lambda: limits_of(goals, plant))
 
 
-def _disturbance_problems(experiment: Experiment, pattern: str, where: Location) -> Found:
-    found = experiment.matching((pattern,))
-    if not found:
-        yield where, f"no recording {pattern!r}; {nearest(pattern, experiment.recordings)}"
-    for planned in found:
+def _disturbance_problems(experiment: Experiment, pattern: str) -> Iterator[str]:
+    matching = experiment.matching((pattern,))
+    if not matching:
+        yield f"no recording {pattern!r}; {nearest(pattern, experiment.recordings)}"
+    for planned in matching:
         if not planned.stationary:
-            yield where, f"recording {planned.name!r} is not stationary; its spectrum is not that of a disturbance"
+            yield f"recording {planned.name!r} is not stationary; its spectrum is not that of a disturbance"
         elif "p" not in planned.signals:
-            yield where, f"recording {planned.name!r} has no signal p; there is {', '.join(planned.signals)}"
-
-
-def _gain_problems(section: ControllerSection, structure: Structure | Scheduled, where: Location) -> Found:
-    names = [parameter.name for parameter in structure.parameters]
-    for key in ("bounds", "start"):
-        for gain in getattr(section, key):
-            if gain not in names:
-                yield (*where, key, gain), f"{structure.name} has no gain of this name; {nearest(gain, names)}"
-    for gain, (low, high) in section.bounds.items():
-        if not low < high:
-            yield (*where, "bounds", gain), f"lower bound {low:g} is not below the upper one, {high:g}"
-
-
-# ---- Goals of a design, with the disturbance that recordings of the experiment show.
-
-
-def design_goals(job: Job, section: ControllerSection) -> list[Goal] | None:
-    """Return the goals of a design; None when the section has none.
-
-    Raises
-    ------
-    DataError
-        When a recording of a disturbance is missing or was made from other settings.
-    """
-    if section.goals is None:
-        return None
-
-    def shown(patterns: tuple[str, ...]) -> DisturbanceSpectrum:
-        return recorded_disturbance([load_made(job, planned) for planned in job.experiment.matching(patterns)])
-
-    return [made_goal(entry, shown) for entry in section.goals]
+            yield f"recording {planned.name!r} has no signal p; there is {', '.join(planned.signals)}"
 
 
 # ---- Stage of the tuned controllers (paper, Sec. 5).
@@ -240,11 +211,6 @@ def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
     return designs, missing
 
 
-def made_designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
-    """Return the existing designs by name."""
-    return {o.item: load(o.path, TunedDesign) for o in outcomes if o.stage == "tune" and o.state != "failed"}
-
-
 def _surfaces(job: Job) -> Collection[str]:
     """Return the names of the surfaces made from the present fits; empty when no design needs them."""
     experiment = job.experiment
@@ -289,7 +255,12 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncert
 def _write_design(job: Job, part: Path, name: str) -> Made:
     experiment, section = job.experiment, controller_section(job.experiment, name)
     model, plants = design_plant(job, section)
-    structure, goals = design_structure(experiment, section, model.domain), design_goals(job, section)
+    structure: Any = design_structure(experiment, section, model.domain)
+
+    def disturbance(patterns: tuple[str, ...]) -> DisturbanceSpectrum:
+        return recorded_disturbance([load_made(job, planned) for planned in experiment.matching(patterns)])
+
+    goals = None if section.goals is None else [made_goal(entry, disturbance) for entry in section.goals]
     options: dict[str, Any] = {
         **tune_options(section),
         "controller": structure,
@@ -308,17 +279,11 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
         if section.pareto:
             others = pareto(model, section.pareto, goals=without_cap(section, goals) if goals else None, **options)
             front = tuple(map(CappedDesign, others.caps, others.designs))
-    design = TunedDesign(
-        name,
-        model.name,
-        result,
-        _performance(job, section, name, model, structure, result),
-        front,
-        impact(section),
-        sample_time(experiment, section),
-        section.method,
-        promises,
-    )
+    assessed = assess(model, structure, result.gains, result.points, name=name, **assess_options(experiment, section))
+    published = assess_published(experiment, model, section, result.points)
+    figures = (DesignFigures.of(assessed), *(() if published is None else (published,)))
+    conditions = (impact(section), sample_time(experiment, section), section.method)
+    design = TunedDesign(name, model.name, result, figures, front, *conditions, promises)
     save(design, part, overwrite=True)
     return _made(design)
 
@@ -328,10 +293,8 @@ def _robust(
 ) -> tuple[GainResult, tuple[RobustPromise, ...]]:
     """Return the design for the wanted probability, and the promises for all of them."""
     numbers = {key: getattr(section, key) for key in ("confidence", "draws", "fresh", "seed")}
-    search = {key: value for key, value in options.items() if key != "seed"}
-    price = price_of_robustness(
-        model, goals=goals, probabilities=(section.probability, *section.price), **search, **numbers
-    )
+    probabilities = (section.probability, *section.price)
+    price = price_of_robustness(model, goals=goals, probabilities=probabilities, **{**options, **numbers})
     promises = tuple(
         RobustPromise(
             p,
@@ -349,32 +312,21 @@ def _robust(
     return price.designs[price.probabilities.index(section.probability)].result, promises
 
 
-def _performance(
-    job: Job, section: ControllerSection, name: str, model: LPVModel, structure: Any, result: GainResult
-) -> tuple[DesignFigures, ...]:
-    """Return the assessments of the design and of the published controller."""
-    options = assess_options(job.experiment, section)
-    own = DesignFigures.of(assess(model, structure, result.gains, result.points, name=name, **options))
-    came = published_design(job.experiment, section)
-    return (own,) if came is None else (own, _assess_published(model, came, result.points, options))
-
-
-def _assess_published(
-    model: LPVModel, came: ProportionalDesign, points: Sequence[tuple[float, float]], options: dict[str, Any]
-) -> DesignFigures:
-    gains = {"kappa_x": came.kappa_x, "kappa_y": came.kappa_y}
-    return DesignFigures.of(assess(model, published_structure(came), gains, points, name=PUBLISHED, **options))
-
-
-def assess_published(experiment: Experiment, model: LPVModel) -> DesignFigures | None:
+def assess_published(
+    experiment: Experiment, model: LPVModel, section: ControllerSection | None = None, points: Any = None
+) -> DesignFigures | None:
     """Return the assessment of the published controller of a model; None when there is none.
 
-    It is for experiments without designs. The conditions are those of an empty section ``controller``: operating points
-    of the model, sample time of the rig.
+    Without a section, as in experiments without designs, the conditions are those of an empty section ``controller``:
+    operating points of the model, sample time of the rig.
     """
-    came = published_design(experiment)
-    options = assess_options(experiment, ControllerSection())
-    return None if came is None else _assess_published(model, came, model.operating_points, options)
+    came = published_design(experiment, section)
+    if came is None:
+        return None
+    options = assess_options(experiment, section or ControllerSection())
+    gains = {"kappa_x": came.kappa_x, "kappa_y": came.kappa_y}
+    points = model.operating_points if points is None else points
+    return DesignFigures.of(assess(model, published_structure(came), gains, points, name=PUBLISHED, **options))
 
 
 def _made(design: TunedDesign) -> Made:
