@@ -8,8 +8,10 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError
@@ -39,7 +41,7 @@ def write_example_data(path: Path, seed: int, n_samples: int = 4000, sample_time
     volt = np.repeat(random.choice([-1.0, 1.0], size=-(-n_samples // 8)), 8)[:n_samples]
     metre = model.simulate(volt[:, None], sample_time)[:, 0] + 2e-7 * random.standard_normal(n_samples)
     time = 1e3 * sample_time * np.arange(n_samples)
-    _save_csv(path, {"time [ms]": time, "drive [V]": volt, "position [um]": 1e6 * metre})
+    _save_csv(path, "time [ms],drive [V],position [um]", time, volt, 1e6 * metre)
 
 
 def write_held_bearing(path: Path, seed: int, n_samples: int = 6000, sample_time: float = 1e-4) -> None:
@@ -77,13 +79,11 @@ def write_held_bearing(path: Path, seed: int, n_samples: int = 6000, sample_time
         current[k] = added[k] - (5 * stiffness * position[k] + 2.8 * rate * velocity) / gain
         x = A @ x + B * current[k]
     time = 1e3 * sample_time * np.arange(n_samples)
-    columns = {"time [ms]": time, "added [A]": added, "current [A]": current, "position [um]": 1e6 * position}
-    _save_csv(path, columns)
+    _save_csv(path, "time [ms],added [A],current [A],position [um]", time, added, current, 1e6 * position)
 
 
-def _save_csv(path: Path, columns: dict[str, FloatArray]) -> None:
-    rows = np.column_stack(list(columns.values()))
-    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6g")
+def _save_csv(path: Path, header: str, *columns: npt.NDArray[Any]) -> None:
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.6g")
 
 
 # ---- Templates of experiments that `gbid new` writes.

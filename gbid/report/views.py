@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from gbid.control.assess import TunedDesign
+from gbid.control.assessment import TunedDesign
 from gbid.control.impact.study import ImpactStudy
 from gbid.core.hdf5 import load
 from gbid.core.tables import Table
