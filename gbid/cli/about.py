@@ -36,22 +36,13 @@ def check(
     print_notes(changed_files(loaded))
     for text in problems:
         tell(f"gbid: error: {text}")
-    spec = loaded.spec
+    spec, recordings = loaded.spec, list(loaded.recordings)
     if options.as_json:
-        print_json(
-            {
-                "experiment": spec.name,
-                "recordings": list(loaded.recordings),
-                "fits": list(spec.fits),
-                "results": str(loaded.results),
-                "bytes_needed": needed,
-                "bytes_free": free,
-                "problems": problems,
-            }
-        )
+        about = {"experiment": spec.name, "recordings": recordings, "fits": list(spec.fits), "results": loaded.results}
+        print_json({**about, "bytes_needed": needed, "bytes_free": free, "problems": problems})
     elif not problems:
         fits = f"{len(spec.fits)} fit{'s' * (len(spec.fits) != 1)}"
-        typer.echo(f"{experiment}: nothing wrong: {len(loaded.recordings)} recordings, {fits}")
+        typer.echo(f"{experiment}: nothing wrong: {len(recordings)} recordings, {fits}")
         tell(f"results in {loaded.results}: about {file_size(needed)}, {file_size(free)} free")
         tell(f"next: {next_step(loaded, 'check')}")
     if problems:
@@ -99,17 +90,17 @@ def explain(
     from gbid.core.tables import Column, Table
 
     if code:
-        found = explanation_of(code)
+        note = explanation_of(code)
         if options.as_json:
-            print_json(found._asdict())
+            print_json(note._asdict())
         else:
-            typer.echo(f"{found.code}: {found.title}\n\n{found.meaning}\n\nWhat to do: {found.remedy}")
-        return
-    if options.as_json:
-        print_json({"notes": [entry._asdict() for group in families().values() for entry in group]})
-        return
-    columns = [Column("code"), Column("note", wrap=True)]
-    print_tables(*(Table(about, columns, [[e.code, e.title] for e in group]) for about, group in families().items()))
+            typer.echo(f"{note.code}: {note.title}\n\n{note.meaning}\n\nWhat to do: {note.remedy}")
+    elif options.as_json:
+        print_json({"notes": [note._asdict() for group in families().values() for note in group]})
+    else:
+        columns = [Column("code"), Column("note", wrap=True)]
+        tables = (Table(about, columns, [[q.code, q.title] for q in group]) for about, group in families().items())
+        print_tables(*tables)
 
 
 # ---- `gbid schema`: JSON schema of the experiment YAML, for editors.

@@ -105,12 +105,9 @@ def new(
     experiment = folder / "experiment.yaml"
     first = "check" if measured else "run"
     then = "run" if measured else "check"
-    for line in (
-        *(f"note: {text}" for text in notes),
-        f"next: gbid {first} {experiment}",
-        f"then: change {experiment} and {then} it with gbid {then} {experiment}",
-    ):
-        typer.echo(line, err=True)
+    lines = [*(f"note: {text}" for text in notes), f"next: gbid {first} {experiment}"]
+    lines.append(f"then: change {experiment} and {then} it with gbid {then} {experiment}")
+    typer.echo("\n".join(lines), err=True)
 
 
 def _signal(text: str) -> tuple[str, tuple[str, ...]]:

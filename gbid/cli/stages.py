@@ -98,15 +98,16 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
     failed = [o for o in outcomes if o.state == "failed"]
     stuck = [o for o in outcomes if o.state != "failed" and not o.converged]
     missed = [row for row in validated if row["missed"]]
-    code = _exit_code(failed, stuck, missed)
+    codes = [_CODES.get(o.cause, DataError.exit_code) for o in failed]
+    codes += [NotConvergedError.exit_code] * bool(stuck) + [ThresholdError.exit_code] * bool(missed)
+    code = min(codes, default=0)
     for o in stuck:
         tell(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})")
     for row in sorted(missed, key=lambda row: row["fit_percent"])[:_MISSED]:
-        tell(
-            f"gbid: error: crossval {row['fit']}: model of {row['model']} on {row['recording']}: "
-            f"{row['output']} {row['fit_percent']:.2f} %, below the minimum of {row['minimum_percent']:g} %; "
-            "look at its figures (`residuals: true`), or lower minimum_percent"
-        )
+        pair = f"crossval {row['fit']}: model of {row['model']} on {row['recording']}: {row['output']}"
+        below = f"{row['fit_percent']:.2f} %, below the minimum of {row['minimum_percent']:g} %"
+        remedy = "look at its figures (`residuals: true`), or lower minimum_percent"
+        tell(f"gbid: error: {pair} {below}; {remedy}")
     if len(missed) > _MISSED:
         tell(f"gbid: error: crossval: {len(missed)} pairs below the minimum; the worst are listed")
     for line in causes_in_words(failed, code, _CODES):
@@ -115,12 +116,6 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
         raise typer.Exit(code)
     if advice:
         tell(f"next: {advice}")
-
-
-def _exit_code(failed: Sequence[Outcome], stuck: Sequence[Outcome], missed: Sequence[Mapping[str, Any]]) -> int:
-    codes = [_CODES.get(o.cause, DataError.exit_code) for o in failed]
-    codes += [NotConvergedError.exit_code] * bool(stuck) + [ThresholdError.exit_code] * bool(missed)
-    return min(codes, default=0)
 
 
 # ---- What a verb would make, without making it: `--dry-run`.
@@ -150,19 +145,14 @@ def plan_rows(job: Job, stages: Sequence[Stage]) -> list[dict[str, Any]]:
     """Return the counts of each stage that the experiment names; None where earlier stages have to run first."""
     rows: list[dict[str, Any]] = []
     pending = False
-    for stage in stages:
-        if not has_section(job.experiment, stage.section):
-            continue
-        if pending and not stage.early:
-            rows.append({"stage": stage.name, "to_make": None, "there": None, "failed": None})
-            continue
-        work = stage.work(job)
-        known = [standing(job, item) for item in work if isinstance(item, Task)]
-        states = [outcome.state for outcome in known if outcome is not None]
-        missing = known.count(None)
-        failed = states.count("failed") + sum(not isinstance(item, Task) for item in work)
-        rows.append({"stage": stage.name, "to_make": missing, "there": states.count("kept"), "failed": failed})
-        pending = pending or missing > 0
+    for stage in (stage for stage in stages if has_section(job.experiment, stage.section)):
+        counts: list[int | None] = [None, None, None]
+        if stage.early or not pending:
+            known = [standing(job, item) if isinstance(item, Task) else item for item in stage.work(job)]
+            states = ["missing" if outcome is None else outcome.state for outcome in known]
+            counts = [states.count(state) for state in ("missing", "kept", "failed")]
+            pending = pending or "missing" in states
+        rows.append({"stage": stage.name, **dict(zip(("to_make", "there", "failed"), counts, strict=True))})
     return rows
 
 

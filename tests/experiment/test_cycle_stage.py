@@ -128,9 +128,3 @@ def test_standard_deviations_of_modes_are_those_of_draws(cycled):
 def test_what_a_cycle_needs_is_checked(tmp_path, change, words):
     with pytest.raises(UsageError, match=words):
         load_experiment(write_quick(tmp_path, change, text=CYCLE))
-
-
-def test_smaller_damping_is_that_of_a_mode_that_was_found():
-    numbers = dict.fromkeys((name for name in CycleRow.__dataclass_fields__), 0.0)
-    row = CycleRow(**{**numbers, "damping_1": 0.3, "damping_1_std": 0.01, "damping_2": 0.2, "damping_2_std": 0.02})
-    assert row.reached == (0.2, 0.02)

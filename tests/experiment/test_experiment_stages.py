@@ -229,16 +229,6 @@ def test_later_stages_name_what_is_missing(tmp_path):
     assert not [path for path in (tmp_path / "results").rglob("*") if path.is_file()]
 
 
-def test_a_fit_that_does_not_converge_is_written_and_flagged(again):
-    path = write_quick(again, ("{structure: piezo_pair}", "{structure: piezo_pair, max_iterations: 1}"))
-    job = Job(load_experiment(path), overwrite=True)
-    for _ in range(2):  # made, then kept
-        outcomes = [o for o in run_stage(job, FIT) if o.item.startswith("piezos")]
-        assert [o.converged for o in outcomes] == [False, False]
-        assert "iteration limit" in outcomes[0].text
-        assert load_made_fit(job, "piezos", "p5_n6000_prbs1").success is False
-
-
 OPTIONS = (
     "{structure: piezo_pair, output_weights: [1.0, 2.0], prior: {p1_x: {value: 3000, std: 1.0e4}}, "
     "options: {disturbance_gain: none}, trend: {u_x: 2, u_y: linear}, hum: 50, robust: student, robust_threshold: 5, "
