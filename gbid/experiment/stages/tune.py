@@ -50,7 +50,7 @@ from gbid.experiment.fields import Found, InputError, Location, Result, nearest,
 from gbid.experiment.machine import outside_domain
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
-from gbid.experiment.schema import ControllerSection, GoalSection, RobustSection
+from gbid.experiment.schema import ControllerSection, GoalEntry, RobustSection
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv import read_surfaces
 from gbid.lpv import LPVModel, load_lpv_fit, load_model
@@ -120,7 +120,7 @@ def _point_problems(section: ControllerSection, model: LPVModel) -> Found:
             yield from outside_domain(model.domain, model.name, point, ("operating_points", i))
 
 
-def _goal_problems(experiment: Experiment, section: ControllerSection, entries: Sequence[GoalSection]) -> Found:
+def _goal_problems(experiment: Experiment, section: ControllerSection, entries: Sequence[GoalEntry]) -> Found:
     for key in ("peak_sensitivity", "objective"):
         if key in section.model_fields_set:
             yield (key,), "stands beside goals; write it as a goal, too"
