@@ -124,6 +124,7 @@ from .tuning.robust import (
     PlantDraws as PlantDraws,
     PriceOfRobustness as PriceOfRobustness,
     RobustDesign as RobustDesign,
+    RobustOptions as RobustOptions,
     price_of_robustness as price_of_robustness,
     tune_robust as tune_robust,
 )

@@ -23,7 +23,7 @@ from typing import (
 )
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Lt
 
 from gbid.core.errors import UsageError
 
@@ -149,6 +149,8 @@ def _holds(bound: Any, value: Any) -> bool:
         return bool(bound.gt < value)
     if isinstance(bound, Ge):
         return bool(bound.ge <= value)
+    if isinstance(bound, Lt):
+        return bool(value < bound.lt)
     if isinstance(bound, Exact):
         return not bound.finite or math.isfinite(value)
     return bool(value <= bound.le) if isinstance(bound, Le) else True
@@ -159,7 +161,7 @@ def _words(kind: Any) -> list[str]:
     origin, args = get_origin(kind), get_args(kind)
     if origin is Annotated:
         stated = [mark.text for mark in args[1:] if isinstance(mark, Allowed)]
-        bounds = [_bound(mark) for mark in args[1:] if isinstance(mark, Gt | Ge | Le)]
+        bounds = [_bound(mark) for mark in args[1:] if isinstance(mark, Gt | Ge | Le | Lt)]
         return stated or [f"{_either(_words(args[0]))}{' ' if bounds else ''}{' and '.join(bounds)}"]
     if origin in (Union, UnionType):
         return [word for each in args for word in _words(each)]
@@ -177,9 +179,9 @@ def _words(kind: Any) -> list[str]:
     return [named.get(kind) or str(kind.__name__)]
 
 
-def _bound(mark: Gt | Ge | Le) -> str:
-    if isinstance(mark, Gt):
-        return f"above {mark.gt}"
+def _bound(mark: Gt | Ge | Le | Lt) -> str:
+    if isinstance(mark, Gt | Lt):
+        return f"above {mark.gt}" if isinstance(mark, Gt) else f"below {mark.lt}"
     return f"of at least {mark.ge}" if isinstance(mark, Ge) else f"of at most {mark.le}"
 
 

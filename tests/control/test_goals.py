@@ -330,7 +330,7 @@ def test_disturbance_of_a_recording() -> None:
     ("goals", "message"),
     [
         (lambda: [PeakSensitivity(2.0)], "none of them is an objective"),
-        (lambda: [MaxDamping(), 2.0], "is no goal"),
+        (lambda: [MaxDamping(), 2.0], "give a list such as"),
         (lambda: [MaxDamping(), MaxDecay()], "exclude each other"),
         (lambda: [MaxDamping(), PeakSensitivity(-1.0)], "positive number"),
         (lambda: [MaxDamping(), PeakSensitivity([(10.0, 1.0), (5.0, 2.0)])], "rising frequencies"),

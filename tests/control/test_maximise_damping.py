@@ -16,8 +16,6 @@ from gbid.control.tuning.peaks import find_peaks, peak_slopes
 from gbid.control.tuning.plane import Eigensystem, InvariantSubspaces
 from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.control.tuning.problem import GainProblem, Limits, merit
-from gbid.control.tuning.solve import check_counts
-from gbid.core.errors import UsageError
 
 
 def delayed_loop(a: float, tau: float) -> ca.Function:
@@ -302,10 +300,3 @@ def test_a_climb_never_ends_below_its_start() -> None:
         again = optimise_locally(problem, first.x, max_iterations=10)
         assert merit(first.score, 10.0) >= merit(problem.score(start), 10.0) - 1e-12
         assert merit(again.score, 10.0) >= merit(first.score, 10.0) - 1e-12
-
-
-def test_counts_begin_at_what_makes_sense() -> None:
-    check_counts(0, 0, 1)
-    for wrong in ((-1, 1, 1), (0, -1, 1), (0, 1, 0)):
-        with pytest.raises(UsageError, match="give an integer of at least"):
-            check_counts(*wrong)

@@ -327,7 +327,7 @@ def test_an_unstable_open_loop_is_named() -> None:
         ({"peak_sensitivity": "2"}, "peak_sensitivity = '2'"),
         ({"sample_time": 1e-12}, "more than 300 samples of sample_time = 1e-12 s"),
         ({"sample_time": 2e-4, "computation_s": 1.0}, "take 1.* s, more than 300 samples"),
-        ({"uncertainty": np.eye(84)}, "uncertainty is a ndarray"),
+        ({"uncertainty": np.eye(84)}, "give gbid.Uncertainty"),
         (
             {"operating_points": ONE, "uncertainty": gbid.Uncertainty(samples=np.full((1, 14), 1e308))},
             "6 bar, 0 rpm.*not finite at the start; check the plant, also those drawn",

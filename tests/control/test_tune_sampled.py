@@ -12,7 +12,7 @@ import pytest
 
 import gbid
 from gbid.control import controller_model, exact_plant, p_controller, sampled_loop, smallest_damping
-from gbid.control.tuning.loops import PlantMatrices, loop_delay, smallest_sampled_damping
+from gbid.control.tuning.loops import PlantMatrices, smallest_sampled_damping
 from gbid.control.tuning.plane import true_rates
 from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.core.errors import UsageError
@@ -45,9 +45,9 @@ def test_delayed_inputs_turn_the_phase_and_nothing_else() -> None:
 
 
 def test_delay_is_half_a_sample_and_the_computation() -> None:
-    assert loop_delay(None, None) == 0
-    assert loop_delay(2e-4, None) == pytest.approx(3e-4)
-    assert loop_delay(2e-4, 0.0) == pytest.approx(1e-4)
+    assert TuneOptions().delay_s == 0
+    assert TuneOptions(sample_time=2e-4).delay_s == pytest.approx(3e-4)
+    assert TuneOptions(sample_time=2e-4, computation_s=0.0).delay_s == pytest.approx(1e-4)
 
 
 def test_design_for_sampling_is_true_of_the_sampled_loop_and_damps_it_more() -> None:

@@ -6,10 +6,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import scipy
+from annotated_types import Gt, Lt
 
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.peaks import respond
@@ -25,12 +26,19 @@ from gbid.control.tuning.problem import ExtraLimit, Limits, LoopState, Measure, 
 from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray, is_finite
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Allowed, Finite, NotNegative, Number, Positive, check_options
 from gbid.recording import Recording
 from gbid.structure import LinearModel
 
 
 class Goal(ABC):
-    """Objective or limit of a design; see `gbid.tune`."""
+    """Objective or limit of a design; see `gbid.tune`. Its arguments are checked by their types."""
+
+    def __post_init__(self) -> None:
+        check_options(self, type(self).__name__)
+        low, high = getattr(self, "low_hz", 0.0), getattr(self, "high_hz", inf)
+        if not low < high:
+            raise UsageError(f"{type(self).__name__}: low_hz = {low!r}, high_hz = {high!r}; give 0 <= low < high")
 
     @abstractmethod
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
@@ -59,11 +67,10 @@ class Wanted(Goal):
     """
 
     soft: bool = False
-    weight: float = 1.0
+    weight: Positive = 1.0
 
     def __post_init__(self) -> None:
-        if not (is_finite(self.weight) and self.weight > 0):
-            raise UsageError(f"{type(self).__name__}: weight = {self.weight!r}; give a positive number")
+        super().__post_init__()
         if self.weight != 1.0 and not self.soft:
             raise UsageError(f"{type(self).__name__}: weight belongs to an objective; give soft=True as well")
 
@@ -85,43 +92,14 @@ class Wanted(Goal):
         )
 
 
-def positive(goal: Goal, **values: float) -> None:
-    """Refuse values of a goal that are not positive numbers.
-
-    Raises
-    ------
-    UsageError
-        When one of them is not.
-    """
-    for name, value in values.items():
-        if not (is_finite(value) and value > 0):
-            raise UsageError(f"{type(goal).__name__}: {name} = {value!r}; give a positive number")
-
-
-def band(goal: Goal, low_hz: float, high_hz: float) -> None:
-    """Refuse a band of frequencies that is empty.
-
-    Raises
-    ------
-    UsageError
-        When it is.
-    """
-    numbers = is_finite(low_hz) and (is_finite(high_hz) or high_hz == inf)
-    if not numbers or not 0 <= low_hz < high_hz:
-        raise UsageError(f"{type(goal).__name__}: low_hz = {low_hz!r}, high_hz = {high_hz!r}; give 0 <= low < high")
-
-
 def limits_of(goals: Sequence[Goal], plant: LinearModel) -> Limits:
     """Return objective and limits of a list of goals.
 
     Raises
     ------
     UsageError
-        When there is no goal, when one is not a `Goal`, or when none of them is an objective.
+        When none of them is an objective.
     """
-    for goal in goals:
-        if not isinstance(goal, Goal):
-            raise UsageError(f"goals: {goal!r} is no goal; give a list such as [MaxDamping(), PeakSensitivity(2.0)]")
     limits = Limits(weight=inf)  # no objective yet
     for goal in goals:
         limits = goal.add_to(limits, plant)
@@ -289,13 +267,9 @@ class MaxDamping(Goal):
         Natural frequencies of the modes that count [Hz]; all modes by default.
     """
 
-    weight: float = 1.0
-    low_hz: float = 0.0
-    high_hz: float = inf
-
-    def __post_init__(self) -> None:
-        positive(self, weight=self.weight)
-        band(self, self.low_hz, self.high_hz)
+    weight: Positive = 1.0
+    low_hz: NotNegative = 0.0
+    high_hz: Number = inf
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this objective."""
@@ -316,10 +290,7 @@ class MaxDecay(Goal):
         Weight beside soft goals: the objective is the decay in units of a typical rate of the loops, over the weight.
     """
 
-    weight: float = 1.0
-
-    def __post_init__(self) -> None:
-        positive(self, weight=self.weight)
+    weight: Positive = 1.0
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this objective."""
@@ -341,15 +312,9 @@ class MinDamping(Wanted):
         See `Wanted`.
     """
 
-    limit: float
-    low_hz: float = 0.0
-    high_hz: float = inf
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        band(self, self.low_hz, self.high_hz)
-        if not (is_finite(self.limit) and -1 < self.limit < 1):
-            raise UsageError(f"MinDamping: limit = {self.limit!r}; give a damping factor below 1")
+    limit: Annotated[Finite, Gt(-1), Lt(1), Allowed("a damping factor below 1")]
+    low_hz: NotNegative = 0.0
+    high_hz: Number = inf
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
         """Return the measure of this goal."""
@@ -370,15 +335,9 @@ class SlowestPole(Wanted):
         See `Wanted`.
     """
 
-    rate: float
-    low_hz: float = 0.0
-    high_hz: float = inf
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        band(self, self.low_hz, self.high_hz)
-        if not (is_finite(self.rate) and self.rate >= 0):
-            raise UsageError(f"SlowestPole: rate = {self.rate!r}; give a rate of at least 0 in 1/s")
+    rate: Annotated[NotNegative, Allowed("a rate of at least 0 in 1/s")]
+    low_hz: NotNegative = 0.0
+    high_hz: Number = inf
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
         """Return the measure of this goal."""
@@ -517,16 +476,10 @@ class RmsGoal(Wanted):
         See `Wanted`.
     """
 
-    limit_m: float
-    disturbance: DisturbanceSpectrum
+    limit_m: Positive
+    disturbance: Annotated[DisturbanceSpectrum, Allowed("recorded_disturbance(...)")]
     control: ClassVar[bool]
     label: ClassVar[str]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive(self, limit_m=self.limit_m)
-        if not isinstance(self.disturbance, DisturbanceSpectrum):
-            raise UsageError(f"{type(self).__name__}: give disturbance=recorded_disturbance(...)")
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
         """Return the measure of this goal."""

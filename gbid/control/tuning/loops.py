@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from gbid.control.controllers.structures import Scheduled, controller_at
 from gbid.control.loop.close import Method
 from gbid.control.loop.sampled import exact_plant, sampled_loop
-from gbid.core.arrays import FloatArray, is_finite
+from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.lpv import LPVModel
 from gbid.structure import LinearModel, pade_delay
@@ -26,26 +26,6 @@ from gbid.structure.parameter import Values
 
 PADE_ORDER = 3
 """Order of the Padé delays of a loop that is designed for sampling."""
-
-
-def loop_delay(sample_time: float | None, computation_s: float | None) -> float:
-    """Return the delay by holding the references (half a sample) and by their computation (one sample by default) [s].
-
-    Raises
-    ------
-    UsageError
-        When a time is not allowed, or when a computation time is given without a sample time.
-    """
-    if sample_time is None:
-        if computation_s is not None:
-            raise UsageError("computation_s: give sample_time as well")
-        return 0.0
-    computation = sample_time if computation_s is None else computation_s
-    if not (is_finite(sample_time) and sample_time > 0):
-        raise UsageError(f"sample_time = {sample_time!r}; give seconds, above 0")
-    if not (is_finite(computation) and computation >= 0):
-        raise UsageError(f"computation_s = {computation!r}; give seconds, 0 or more")
-    return computation + sample_time / 2
 
 
 def smallest_sampled_damping(

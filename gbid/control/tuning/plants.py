@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import casadi as ca
 import numpy as np
@@ -22,14 +22,13 @@ from gbid.control.tuning.loops import (
     ControlLoops,
     LoopFamily,
     PlantMatrices,
-    loop_delay,
 )
-from gbid.control.tuning.problem import Limits, Objective
+from gbid.control.tuning.problem import Objective
 from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.core.arrays import ComplexArray, FloatArray, is_real, is_whole, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import CountOrZero
+from gbid.core.option_types import Allowed, CountOrZero, Finite, NotNegative, Number, Positive, check_options
 from gbid.identify import FitResult
 from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, regressors
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, with_pade
@@ -186,11 +185,13 @@ class Sampling:
 class DesignOptions:
     """Options of `gbid.tune` that are keys of a design in the YAML as well; see `TuneOptions`."""
 
-    peak_sensitivity: float | None = 2.6
-    bounds: Mapping[str, tuple[float, float]] | None = None
+    peak_sensitivity: Positive | None = 2.6
+    bounds: (
+        Annotated[Mapping[str, tuple[Number, Number]], Allowed("(lower, upper) by the names of the gains")] | None
+    ) = None
     objective: Objective = "damping"
     method: Method = "tustin"
-    start: Mapping[str, float] | None = None
+    start: Annotated[Mapping[str, Finite], Allowed("a dict by the names of the gains")] | None = None
     starts: CountOrZero | None = None
     seed: CountOrZero = 0
 
@@ -242,29 +243,27 @@ class TuneOptions(DesignOptions):
         When a value is not allowed.
     """
 
-    goals: Sequence[Goal] | None = None
+    goals: Annotated[Sequence[Goal], Allowed("a list such as [MaxDamping(), PeakSensitivity(2.0)]")] | None = None
     operating_points: Sequence[Point] | Literal["domain"] | None = None
     actuator: Mapping[str, float] | None = None
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
-    uncertainty: Uncertainty | None = None
-    sample_time: float | None = None
-    computation_s: float | None = None
+    uncertainty: Annotated[Uncertainty, Allowed("gbid.Uncertainty(covariance)")] | None = None
+    sample_time: Annotated[Positive, Allowed("seconds, above 0")] | None = None
+    computation_s: Annotated[NotNegative, Allowed("seconds, 0 or more")] | None = None
 
     def __post_init__(self) -> None:
-        if self.goals is not None and not isinstance(self.goals, Iterable):
-            raise UsageError(f"goals = {self.goals!r}; give a list such as [MaxDamping(), PeakSensitivity(2.0)]")
+        check_options(self)
         if self.goals is not None and (self.objective, self.peak_sensitivity) != ("damping", 2.6):
             raise UsageError("tune: objective or peak_sensitivity beside goals; write them as goals, too")
-        Limits(self.objective, peak_sensitivity=self.peak_sensitivity)  # raises errors that name the arguments
-        loop_delay(self.sample_time, self.computation_s)  # raises the errors of the two
-        if self.uncertainty is not None and not isinstance(self.uncertainty, Uncertainty):
-            raise UsageError(f"uncertainty is a {type(self.uncertainty).__name__}; give gbid.Uncertainty(covariance)")
+        if self.computation_s is not None and self.sample_time is None:
+            raise UsageError("computation_s: give sample_time as well")
 
     @property
     def delay_s(self) -> float:
-        """Delay of the loop by sampling and computation [s]."""
-        return loop_delay(self.sample_time, self.computation_s)
+        """Delay of the loop by holding the references (half a sample) and by their computation [s]."""
+        sampling = self.sampling
+        return 0.0 if sampling is None else sampling.computation_s + sampling.sample_time / 2
 
     @property
     def sampling(self) -> Sampling | None:

@@ -29,9 +29,9 @@ from gbid.control.tuning.plane import (
     rate_slopes,
     true_rates,
 )
-from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray, is_finite
-from gbid.core.errors import UsageError
+from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray
 from gbid.core.hdf5 import Stored
+from gbid.core.option_types import Allowed, NotNegative, Positive, check_options
 
 # ---- Measures: quantities of every loop that a design limits or minimises.
 
@@ -153,23 +153,16 @@ class Limits:
     """
 
     objective: Objective = "damping"
-    slowest_pole: float = 0.0
-    peak_sensitivity: float | None = None
-    peak_control: float | None = None
-    static_amplification: float | None = None
+    slowest_pole: Annotated[NotNegative, Allowed("a rate of at least 0 in 1/s")] = 0.0
+    peak_sensitivity: Positive | None = None
+    peak_control: Positive | None = None
+    static_amplification: Positive | None = None
     extra: tuple[Measure, ...] = ()
     soft: tuple[Measure, ...] = ()
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.objective not in ("damping", "decay"):
-            raise UsageError(f"objective = {self.objective!r}; choose 'damping' or 'decay'")
-        if not (is_finite(self.slowest_pole) and self.slowest_pole >= 0):
-            raise UsageError(f"slowest_pole = {self.slowest_pole!r}; give a rate of at least 0 in 1/s")
-        for name in ("peak_sensitivity", "peak_control", "static_amplification"):
-            value = getattr(self, name)
-            if value is not None and not (is_finite(value) and value > 0):
-                raise UsageError(f"{name} = {value!r}; give a positive number or None")
+        check_options(self)
 
     @property
     def measures(self) -> tuple[Measure, ...]:

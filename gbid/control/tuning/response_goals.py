@@ -6,15 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from math import pi, radians
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from annotated_types import Gt, Le, Lt
 
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.loop.close import force_entry
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.loop.sensitivity import structured_singular_values
-from gbid.control.tuning.goals import Bound, BoundLike, Wanted, bound_over_frequency, positive
+from gbid.control.tuning.goals import Bound, BoundLike, Wanted, bound_over_frequency
 from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
 from gbid.control.tuning.peaks import (
     ModalResponse,
@@ -29,6 +30,7 @@ from gbid.control.tuning.plane import Eigensystem, IntArray, searched_frequencie
 from gbid.control.tuning.problem import ExtraLimit, Limits, LoopState, Measure, Pieces
 from gbid.core.arrays import ComplexArray, FloatArray, is_finite
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Allowed, Finite, NotNegative, Positive
 from gbid.structure import LinearModel
 
 # ---- Measure of a response over frequency: its peak over a bound, with exact gradients.
@@ -250,15 +252,9 @@ class RollOff(Wanted):
         See `Wanted`.
     """
 
-    from_hz: float
-    level: float
-    slope_db: float = 20.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive(self, from_hz=self.from_hz, level=self.level)
-        if not (is_finite(self.slope_db) and 0 <= self.slope_db <= 200):
-            raise UsageError(f"RollOff: slope_db = {self.slope_db!r}; give 0 to 200 dB per decade")
+    from_hz: Positive
+    level: Positive
+    slope_db: Annotated[NotNegative, Le(200), Allowed("0 to 200 dB per decade")] = 20.0
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
         """Return the measure of this goal."""
@@ -283,11 +279,7 @@ class StaticAmplification(Wanted):
         See `Wanted`.
     """
 
-    limit: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive(self, limit=self.limit)
+    limit: Positive
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
         """Return the measure of this goal."""
@@ -324,13 +316,8 @@ class MinDiskMargin(Wanted):
         See `Wanted`.
     """
 
-    alpha: float
+    alpha: Annotated[Positive, Lt(2), Allowed("a number between 0 and 2")]
     channel: int | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (is_finite(self.alpha) and 0 < self.alpha < 2):
-            raise UsageError(f"MinDiskMargin: alpha = {self.alpha!r}; give a number between 0 and 2")
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
         """Return the measure of this goal."""
@@ -362,12 +349,7 @@ class MinGainMargin(Wanted):
         See `Wanted`; the quantity is the share ``log(factor) / log(gain margin)``.
     """
 
-    factor: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (is_finite(self.factor) and self.factor > 1):
-            raise UsageError(f"MinGainMargin: factor = {self.factor!r}; give a number above 1")
+    factor: Annotated[Finite, Gt(1)]
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
         """Return the measure of this goal."""
@@ -392,12 +374,7 @@ class MinPhaseMargin(Wanted):
         See `Wanted`; the quantity is the share ``degrees / phase margin``.
     """
 
-    degrees: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (is_finite(self.degrees) and 0 < self.degrees < 180):
-            raise UsageError(f"MinPhaseMargin: degrees = {self.degrees!r}; give a number between 0 and 180")
+    degrees: Annotated[Positive, Lt(180), Allowed("a number between 0 and 180")]
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
         """Return the measure of this goal."""
@@ -523,14 +500,8 @@ class PiezoTravel(Wanted):
         See `Wanted`.
     """
 
-    impact: HalfSine = field(default_factory=HalfSine)
-    travel_m: float = 45e-6
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive(self, travel_m=self.travel_m)
-        if not isinstance(self.impact, HalfSine):
-            raise UsageError(f"PiezoTravel: impact = {self.impact!r}; give a HalfSine")
+    impact: Annotated[HalfSine, Allowed("a HalfSine")] = field(default_factory=HalfSine)
+    travel_m: Positive = 45e-6
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
         """Measure of this goal; the entry of a force is the same for all plants."""

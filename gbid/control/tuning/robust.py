@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Lt
 from scipy.special import bdtrc, betaincinv
 
 from gbid.control.controllers.structures import Scheduled, controller_structure, with_schedule
 from gbid.control.tuning.goals import Goal, limits_of
 from gbid.control.tuning.plants import Plants, TuneOptions, Uncertainty, plants_of
-from gbid.control.tuning.problem import GainProblem
+from gbid.control.tuning.problem import GainProblem, SearchStep
 from gbid.control.tuning.result import GainResult
-from gbid.control.tuning.search import Progress, typical_rate
+from gbid.control.tuning.search import typical_rate
 from gbid.control.tuning.tune import tuned
-from gbid.core.arrays import FloatArray, is_finite, is_whole
+from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Allowed, Count, CountOrZero, Finite, Positive
 from gbid.lpv import LPVFit, LPVModel
 from gbid.structure.linear import Structure
 
@@ -171,31 +173,12 @@ class RobustDesign(Brief):
         )
 
 
-def tune_robust(
-    model: LPVFit | LPVModel,
-    controller: str | Structure | Scheduled = "P",
-    *,
-    goals: Sequence[Goal],
-    probability: float = 0.95,
-    confidence: float = 0.95,
-    uncertainty: Uncertainty | None = None,
-    draws: int = 200,
-    fresh: int = 500,
-    seed: int = 0,
-    rounds: int = 12,
-    start: Mapping[str, float] | None = None,
-    **options: Any,
-) -> RobustDesign:
-    """Return a design whose objective and limits hold with a stated probability over the uncertainty of the plant.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobustOptions(TuneOptions):
+    """Options of `tune_robust`, besides those of `gbid.tune`.
 
-    Parameters
+    Attributes
     ----------
-    model : LPVFit or LPVModel
-        The plant. A fit brings its uncertainty: the covariance of its coefficients and the scatter between recordings.
-    controller : str, Structure or Scheduled
-        As for `gbid.tune`.
-    goals : sequence of Goal
-        Objectives and limits, as for `gbid.tune`.
     probability : float
         Share of all plants that must reach the objective and keep the limits, between 0.5 and 1.
     confidence : float
@@ -208,10 +191,33 @@ def tune_robust(
         Seed of the draws; the fresh ones have another one.
     rounds : int
         Largest number of plants that are added to the nominal one; 0 tries the nominal design.
-    start : dict of str to float, optional
-        Gains as an additional start value.
+    progress : callable, optional
+        As for `gbid.tune`.
+    """
+
+    probability: Annotated[Finite, Ge(0.5), Lt(1), Allowed("0.5 to 1")] = 0.95
+    confidence: Annotated[Positive, Lt(1), Allowed("0 to 1")] = 0.95
+    draws: Annotated[int, Ge(10)] = 200
+    fresh: Count = 500
+    rounds: CountOrZero = 12
+    progress: Callable[[SearchStep], None] | None = None
+
+
+def tune_robust(
+    model: LPVFit | LPVModel, controller: str | Structure | Scheduled = "P", **options: Any
+) -> RobustDesign:
+    """Return a design whose objective and limits hold with a stated probability over the uncertainty of the plant.
+
+    Parameters
+    ----------
+    model : LPVFit or LPVModel
+        The plant. A fit brings its uncertainty: the covariance of its coefficients and the scatter between recordings.
+    controller : str, Structure or Scheduled
+        As for `gbid.tune`.
     **options
-        Further options of `gbid.tune`, such as `operating_points` and `sample_time`.
+        Options of `gbid.tune`, such as `goals` (objectives and limits, needed), `operating_points` and `sample_time`,
+        and those of `gbid.control.RobustOptions`: `probability`, `confidence`, `uncertainty`, `draws`, `fresh`, `seed`
+        and `rounds`.
 
     Returns
     -------
@@ -228,25 +234,18 @@ def tune_robust(
     of them fails, the plant at the edge of that share is added and the design optimised again. So it does not serve the
     few worst plants that the probability leaves out. The promise comes from the fresh draws, by an order statistic.
     """
-    for name, value, least in (("draws", draws, 10), ("fresh", fresh, 1), ("seed", seed, 0), ("rounds", rounds, 0)):
-        if not is_whole(value, least):
-            raise UsageError(f"tune_robust: {name} = {value!r}; give an integer of at least {least}")
-    if not (is_finite(probability) and 0.5 <= probability < 1 and is_finite(confidence) and 0 < confidence < 1):
-        raise UsageError(
-            f"tune_robust: probability = {probability!r}, confidence = {confidence!r}; give 0.5 to 1, and 0 to 1"
-        )
-    machine, known = _plant_and_uncertainty(model, uncertainty, draws, seed)
+    given = RobustOptions(**options)
+    given = replace(given, goals=tuple(given.goals or ()))
+    probability, confidence, draws, fresh = given.probability, given.confidence, given.draws, given.fresh
+    machine, known = _plant_and_uncertainty(model, given)
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
-    structure = with_schedule(structure, machine.domain)
-    progress = options.pop("progress", None)
-    trial = _Trial(machine, structure, TuneOptions(goals=tuple(goals or ()), **options), progress)
+    trial = _Trial(machine, with_schedule(structure, machine.domain), given)
     chosen: tuple[int, ...] = ()
     # the share of failures that is allowed in the draws leaves room for the confidence on the fresh ones
     target = min(probability + (1 - probability) * 0.4, 1 - 0.5 / draws)
-    result, gains = trial.design((), known, start), start
-    for _ in range(rounds):
-        gains = dict(result.gains)
-        seen = trial.on(known, gains)
+    result = trial.design((), known, given.start)
+    for _ in range(given.rounds):
+        seen = trial.on(known, result.gains)
         failing = _shortfall(seen, result.value)
         if float((failing > 0).mean()) <= 1 - target or not result.success:
             break
@@ -254,9 +253,9 @@ def tune_robust(
         if int(edge) in chosen:
             break
         chosen = (*chosen, int(edge))
-        result = trial.design(chosen, known, gains)
-    seen = trial.on(known, dict(result.gains))
-    others = trial.on(replace(known, draws=fresh, seed=seed + _FRESH_SEED), dict(result.gains))
+        result = trial.design(chosen, known, dict(result.gains))
+    seen = trial.on(known, result.gains)
+    others = trial.on(replace(known, draws=fresh, seed=given.seed + _FRESH_SEED), result.gains)
     return RobustDesign(
         result,
         probability,
@@ -275,15 +274,14 @@ class _Trial:
 
     lpv: LPVModel
     structure: Structure | Scheduled
-    options: TuneOptions
-    progress: Progress | None = None
+    options: RobustOptions
 
     def design(self, chosen: tuple[int, ...], known: Uncertainty, start: Mapping[str, float] | None) -> GainResult:
         """Design for the nominal plant and chosen draws."""
         starts = 1 if chosen and self.options.starts is None else self.options.starts
         plants = replace(known, chosen=chosen) if chosen else None
-        options = replace(self.options, uncertainty=plants, start=start, starts=starts)
-        return tuned(self.lpv, self.structure, options, self.progress)
+        options = replace(self.options, uncertainty=plants, start=start, starts=starts, seed=0)
+        return tuned(self.lpv, self.structure, options, self.options.progress)
 
     def on(self, drawn: Uncertainty, gains: Mapping[str, float]) -> PlantDraws:
         """Return the performance of gains on all draws."""
@@ -301,19 +299,15 @@ def _shortfall(seen: PlantDraws, value: float) -> FloatArray:
     return np.asarray(np.maximum((value - seen.value) / max(abs(value), 1e-6) - 1e-3, seen.violation - HOLDS))
 
 
-def _plant_and_uncertainty(
-    model: LPVFit | LPVModel, uncertainty: Uncertainty | None, draws: int, seed: int
-) -> tuple[LPVModel, Uncertainty]:
-    if uncertainty is not None and not isinstance(uncertainty, Uncertainty):
-        raise UsageError(f"uncertainty is a {type(uncertainty).__name__}; give gbid.Uncertainty(covariance)")
-    if uncertainty is not None and uncertainty.covariance is None:
+def _plant_and_uncertainty(model: LPVFit | LPVModel, options: RobustOptions) -> tuple[LPVModel, Uncertainty]:
+    plant, known = model.model if isinstance(model, LPVFit) else model, options.uncertainty
+    if known is None:
+        if not isinstance(model, LPVFit):
+            raise UsageError(f"tune_robust: model {model.name!r} has no uncertainty; give an LPV fit, or uncertainty=")
+        known = Uncertainty(model.covariance, scatter=model.scatter)
+    if known.covariance is None:
         raise UsageError("tune_robust: give the covariance of the coefficients; samples cannot be drawn anew")
-    if isinstance(model, LPVFit):
-        known = uncertainty or Uncertainty(model.covariance, scatter=model.scatter)
-        return model.model, replace(known, draws=draws, seed=seed)
-    if uncertainty is None:
-        raise UsageError(f"tune_robust: model {model.name!r} has no uncertainty; give an LPV fit, or uncertainty=")
-    return model, replace(uncertainty, draws=draws, seed=seed)
+    return plant, replace(known, draws=options.draws, seed=options.seed)
 
 
 # ---- Price of robustness: the damping that holds with a probability, over that probability.

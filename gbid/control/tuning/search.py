@@ -15,6 +15,7 @@ from gbid.control.tuning.plane import IntArray, eigenvalues, true_rates
 from gbid.control.tuning.problem import GainProblem, Limits, Score, SearchStep, merit
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Count, CountOrZero, check_options
 
 # ---- Order of designs: first by their limits, then by the objective.
 
@@ -55,6 +56,8 @@ class SearchOptions:
         where only eigenvalues count 24, and 12 for more than twelve.
     seed : int
         Seed of the random starts and moves.
+    evaluations : int, optional
+        Number of designs after which the search ends, about.
     finalists : int
         Number of the best designs that are fully optimised.
     short : int
@@ -82,8 +85,9 @@ class SearchOptions:
         Number of these moves.
     """
 
-    starts: int | None = None
-    seed: int = 0
+    starts: CountOrZero | None = None
+    seed: CountOrZero = 0
+    evaluations: Count | None = None
     finalists: int = 3
     short: int = 30
     full: int = 100
@@ -95,6 +99,9 @@ class SearchOptions:
     hop_radius: float = 0.01
     sketch: bool = False
     sketch_hops: int = 6
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 Progress = Callable[[SearchStep], None]

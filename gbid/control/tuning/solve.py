@@ -40,7 +40,7 @@ from gbid.control.tuning.search import (
     typical_rate,
     usable_start,
 )
-from gbid.core.arrays import FloatArray, is_whole
+from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.notes import ControlNote
 from gbid.lpv import Domain
@@ -410,7 +410,7 @@ def maximise_damping(
     if len(set(names)) < len(names):
         raise UsageError(f"maximise_damping: gains {', '.join(map(str, names))}; give each a name of its own")
     low, high = as_bounds(lower, upper, names)
-    check_counts(seed=seed, starts=starts, evaluations=evaluations)
+    search_options = SearchOptions(starts, seed, evaluations)
     families = families_of(functions, len(names))
     neutral = np.clip(np.zeros(len(names)), low, high)
     limits = Limits(objective, slowest_pole, peak_sensitivity, peak_control, static_amplification)
@@ -420,23 +420,10 @@ def maximise_damping(
     neutral = usable_start(families, [neutral, *given], low, high, int(seed))
     scale, designs = typical_rate(families, neutral), Evaluations(most=evaluations)
     problem = GainProblem(families, limits, low, high, scale, evaluations=designs)
-    solution = solve(problem, SearchTask(neutral, tuple(given), SearchOptions(starts, seed), progress))
+    solution = solve(problem, SearchTask(neutral, tuple(given), search_options, progress))
     n_loops = sum(len(family) for family in families)
     norms = " and exact H-infinity norms" if limits.has_responses else ""
     return summarise(solution, names, f"eigenvalues{norms} of the {n_loops} closed-loop matrices")
-
-
-def check_counts(seed: int, starts: int | None, evaluations: int | None = None) -> None:
-    """Refuse a seed and numbers of starts or designs that are no whole numbers, or too small.
-
-    Raises
-    ------
-    UsageError
-        When one of them is.
-    """
-    for name, value, least in (("seed", seed, 0), ("starts", starts, 0), ("evaluations", evaluations, 1)):
-        if not is_whole(value, least) and (value is not None or name == "seed"):
-            raise UsageError(f"{name} = {value!r}; give an integer of at least {least}")
 
 
 def _listed(functions: Any) -> list[Any]:

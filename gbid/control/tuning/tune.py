@@ -31,7 +31,6 @@ from gbid.control.tuning.solve import (
     add_worst_points,
     as_bounds,
     as_start,
-    check_counts,
     sketch_over_points,
     solve_over_points,
     summarise,
@@ -182,7 +181,6 @@ def tuned(
     """Gains of a controller for options as one value; see `tune`."""
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
     structure = with_schedule(structure, getattr(model, "domain", None))
-    check_counts(options.seed, options.starts)
     plants = plants_of(model, structure, options)
     goals = options.default_goals(min(plants.slowest)) if options.goals is None else options.goals
     limits = limits_of(goals, plants.plant)
@@ -232,9 +230,6 @@ def _search(plants: Plants, limits: Limits, box: Box, task: SearchTask) -> GainS
 def _gain_bounds(structure: Structure | Scheduled, bounds: Mapping[str, tuple[float, float]] | None) -> Box:
     names = tuple(parameter.name for parameter in structure.parameters)
     given = _by_gain("bounds", bounds, names)
-    for name, pair in given.items():
-        if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
-            raise UsageError(f"bounds of gain {name!r}: {pair!r}; give (lower, upper)")
     pairs = [given.get(p.name, (p.lower, p.upper)) for p in structure.parameters]
     low, high = as_bounds([pair[0] for pair in pairs], [pair[1] for pair in pairs], names)
     start = np.clip([p.start if p.start is not None else 0.0 for p in structure.parameters], low, high)
@@ -243,8 +238,6 @@ def _gain_bounds(structure: Structure | Scheduled, bounds: Mapping[str, tuple[fl
 
 def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...]) -> dict[str, Any]:
     """Return what is given for gains by name."""
-    if given is not None and not isinstance(given, Mapping):
-        raise UsageError(f"{what} = {given!r}; give a dict by the names of the gains: {', '.join(names)}")
     unknown = [str(name) for name in given or {} if name not in names]
     if unknown:
         raise UsageError(f"{what}: no gain {', '.join(unknown)}; there are {', '.join(names)}")
