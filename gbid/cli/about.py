@@ -29,7 +29,7 @@ def check(
     loaded = options.load(experiment)
     problems, code, (needed, free) = find_data_problems(loaded)
     reported = "\n".join(problems)
-    for planned, text, severity in find_import_problems(loaded) if not quick else ():
+    for planned, text, severity in find_import_problems(loaded) if loaded.spec.imported and not quick else ():
         if text not in reported:
             problems.append(f"{loaded.file.position(planned.location)}: {text}")
             code = max(code, severity)

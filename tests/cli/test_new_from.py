@@ -58,13 +58,8 @@ def test_one_speed_is_drafted_and_can_be_checked(measured, tmp_path, capsys):
 
 
 def test_a_run_up_is_cut_away_and_one_point_has_order_0(tmp_path, capsys):
-    full = "t [s];r_x;r_y;u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
-    write(
-        tmp_path / "a" / "5,5 bar 4000 rpm PRBS 1.csv",
-        True,
-        names=full.replace("r_x", "r_x [um]").replace("r_y", "r_y [um]"),
-        still_s=0.05,
-    )
+    full = "t [s];r_x [um];r_y [um];u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
+    write(tmp_path / "a" / "5,5 bar 4000 rpm PRBS 1.csv", True, names=full, still_s=0.05)
     assert gbid("new", tmp_path / "own", "--from", tmp_path / "a") == 0
     text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
     assert "from_s: 0.2" in text
@@ -126,14 +121,11 @@ def test_roles_of_channels(names, roles):
 
 
 def test_names_of_several_forms_have_no_pattern():
-    assert (
-        read_names(["p5_n0_a1.csv", "p6_n4000_b2.csv"]).pattern.text
-        == "p{pressure_bar:g}_n{speed_rpm:d}_{kind}{nr:d}.csv"
-    )
-    assert (
-        read_names(["5.5 bar, 0 rpm.csv", "6 bar, 0 rpm.csv"]).pattern.text
-        == "{pressure_bar:g} bar, {speed_rpm:d} rpm.csv"
-    )
+    for names, pattern in (
+        (["p5_n0_a1.csv", "p6_n4000_b2.csv"], "p{pressure_bar:g}_n{speed_rpm:d}_{kind}{nr:d}.csv"),
+        (["5.5 bar, 0 rpm.csv", "6 bar, 0 rpm.csv"], "{pressure_bar:g} bar, {speed_rpm:d} rpm.csv"),
+    ):
+        assert read_names(names).pattern.text == pattern
     assert read_names(["p5.csv", "q_5.csv"]) is None
     assert read_names(["p5,5.csv", "p6.csv"]).read("p5,5.csv") == {"pressure_bar": 5.5}
 

@@ -59,36 +59,25 @@ def write(folder, signals, options):
 
 @pytest.mark.parametrize("how", GIVEN)
 def test_decays_are_fitted_from_the_yaml(tmp_path, how):
-    path = write(tmp_path, *GIVEN[how])
+    fitted(write(tmp_path, *GIVEN[how]), k=4000.0, d=3.0)
+
+
+def fitted(path, **true):
+    """The fit to both decays, whose parameters are the true ones."""
     assert gbid("run", path) == 0
-    result = load_fit(tmp_path / "results" / "fits" / "spring" / "together.h5")
+    result = load_fit(path.parent / "results" / "fits" / "spring" / "together.h5")
     assert result.success
-    for name, true in (("k", 4000.0), ("d", 3.0)):
-        assert abs(result.parameters[name] - true) < 4 * result.std[name]
-
-
-RELEASED = """\
-from gbid import LinearStructure, Parameter
-
-
-def matrices(p):
-    return {"A": [[0, 1], [-p.k, -p.d]], "C": [[1, 0]], "x0": [p.a, -p.d / 2 * p.a]}
-
-
-own = [Parameter("k", 3500.0), Parameter("d", 1.0), Parameter("a", 0.5)]
-structure = LinearStructure("spring", own, matrices, (), "y")
-"""
+    for name, value in true.items():
+        assert abs(result.parameters[name] - value) < 4 * result.std[name]
+    return result
 
 
 def test_initial_states_of_the_structure_and_of_the_data(tmp_path):
     states = "initial_state: {one: structure, two: [0.5403, estimated]}\n    inputs: []"
     path = write(tmp_path, OUTPUT, states)
-    (tmp_path / "structure.py").write_text(RELEASED)
-    assert gbid("run", path) == 0
-    result = load_fit(tmp_path / "results" / "fits" / "spring" / "together.h5")
-    assert result.success
-    for name, true in (("k", 4000.0), ("d", 3.0), ("a", 1.0)):
-        assert abs(result.parameters[name] - true) < 4 * result.std[name]
+    released = STRUCTURE.replace('"B": [[0], [p.b]]', '"x0": [p.a, -p.d / 2 * p.a]').replace('"b", 1.0', '"a", 0.5')
+    (tmp_path / "structure.py").write_text(released.replace('"force")', '(), "y")'))
+    result = fitted(path, k=4000.0, d=3.0, a=1.0)
     assert result.initial_states[0, 0] == pytest.approx(result.parameters["a"])
     assert result.initial_states[1, 0] == pytest.approx(0.5403)
     assert result.initial_states[1, 1] == pytest.approx(-np.sqrt(4000) * np.sin(1), rel=0.02)

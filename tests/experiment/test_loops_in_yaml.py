@@ -77,12 +77,9 @@ def _filtered(path):
 def test_the_answers_of_an_unstable_rotor_to_runout_are_filtered(tmp_path):
     """The motion is that of a rotor without run-out and unbalance, which no linear filter could know."""
     shaken = _filtered(_unstable(tmp_path / "shaken"))
-    quiet = (
-        "encoder_counts: null}",
-        "encoder_counts: null, runout_amplitude_m: [[0.0], [0.0]], "
-        "runout_phase_rad: [[0.0], [0.0]]}\n  unbalance: {eccentricity_m: 0.0}",
-    )
-    calm = _filtered(_unstable(tmp_path / "calm", quiet))
+    smooth = "runout_amplitude_m: [[0.0], [0.0]], runout_phase_rad: [[0.0], [0.0]]}"
+    quiet = f"encoder_counts: null, {smooth}\n  unbalance: {{eccentricity_m: 0.0}}"
+    calm = _filtered(_unstable(tmp_path / "calm", ("encoder_counts: null}", quiet)))
     assert shaken.signal("p").std() > 1e-6
     for signal, largest in (("p", 20e-9), ("r", 20e-9), ("u", 150e-9)):  # u has its own noise
         assert np.abs(shaken.signal(signal) - calm.signal(signal)).max() < largest
@@ -121,12 +118,11 @@ def test_a_tuned_controller_is_known_before_it_is_tuned(tmp_path):
     with pytest.raises(InputError, match="gbid tune"):
         make_structure(job.experiment, "held")
     other = load_experiment(write_quick(tmp_path, ("theisen2016,", "theisen2016, starts: 2,"), text=TUNED))
-    changed = {
-        name: recording_result(other, planned).key
-        != recording_result(job.experiment, job.experiment.recordings[name]).key
-        for name, planned in other.recordings.items()
-    }
-    assert changed == {name: "loop" in name for name in changed}
+    keys, others = (
+        {name: recording_result(experiment, planned).key for name, planned in experiment.recordings.items()}
+        for experiment in (job.experiment, other)
+    )
+    assert {name: keys[name] != others[name] for name in keys} == {name: "loop" in name for name in keys}
     assert [q.name for q in other.fit_recordings("held")] == ["p6_n0_loop1", "p6_n0_loop2"]
 
 
@@ -162,22 +158,14 @@ def test_the_price_of_a_loop_is_the_ratio_of_the_standard_deviations(tmp_path, m
     job = Job(load_experiment(path))
     stds = {"held": ({"k": 6.0, "fixed": 0.0},), "open": ({"k": 1.0}, {"k": 2.0}, {"k": 9.0})}
 
+    def entry(name, std):
+        options, units = SimpleNamespace(outputs=("u", "p")), {"k": "m"}
+        result = SimpleNamespace(success=True, std=std, units=units, recordings=(name,), options=options)
+        return SimpleNamespace(model=name, recordings=(name,), result=result)
+
     def entries(_job, name):
         word = "loop" if name == "held" else "prbs"
-        return [
-            SimpleNamespace(
-                model=f"p7_n6000_{word}{i + 1}",
-                recordings=(f"p7_n6000_{word}{i + 1}",),
-                result=SimpleNamespace(
-                    success=True,
-                    std=std,
-                    units={"k": "m"},
-                    recordings=(f"p7_n6000_{word}{i + 1}",),
-                    options=SimpleNamespace(outputs=("u", "p")),
-                ),
-            )
-            for i, std in enumerate(stds[name])
-        ]
+        return [entry(f"p7_n6000_{word}{i}", std) for i, std in enumerate(stds[name], start=1)]
 
     peaks = {"loop1": 3e-6, "prbs1": 1e-6, "prbs2": 4e-6, "prbs3": 2e-6}
 
