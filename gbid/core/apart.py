@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import IO, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from gbid.core.errors import DataError, GbidError
 from gbid.core.files import library_errors
@@ -173,7 +173,8 @@ def serve() -> None:
         _set(limits)
         if folder is not None:
             os.chdir(folder)
-        _send(answers, _outcome(read, path, arguments))
+        pickle.dump(_outcome(read, path, arguments), answers)
+        answers.flush()
 
 
 def _outcome(read: Callable[..., Any], path: Path, arguments: list[Any]) -> tuple[Any, BaseException | None]:
@@ -182,11 +183,6 @@ def _outcome(read: Callable[..., Any], path: Path, arguments: list[Any]) -> tupl
             return read(path, *arguments), None
     except (GbidError, OSError) as error:
         return None, error
-
-
-def _send(answers: IO[bytes], outcome: tuple[Any, BaseException | None]) -> None:
-    pickle.dump(outcome, answers)
-    answers.flush()
 
 
 def _set(limits: ReaderLimits) -> None:

@@ -247,17 +247,14 @@ class Table:
 
     def document(self) -> dict[str, Any]:
         """Return title, headings and values as a document for JSON; numbers that are not finite are None."""
-        rows = [[_finite(value_of(entry)) for entry in row] for row in self.rows]
+        values = [[value_of(entry) for entry in row] for row in self.rows]
+        rows = [[finite_or_none(value) if isinstance(value, float) else value for value in row] for row in values]
         return {"title": self.title, "columns": [column.heading for column in self.columns], "rows": rows}
 
 
 def value_of(entry: Entry) -> Value:
     """Return the value of a cell."""
     return entry.value if isinstance(entry, Cell) else entry
-
-
-def _finite(value: Value) -> Value:
-    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def formatted(value: float | None, format: str | int, unit: str = "") -> Entry:

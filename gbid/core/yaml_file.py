@@ -112,10 +112,7 @@ def _tree(text: str) -> Any:
     return YAML(typ="rt").load(text)
 
 
-@lru_cache(maxsize=32)
-def _kept_tree(text: str) -> Any:
-    """Return the tree of a text, which nobody changes. A run reads its files many times, and the parser is slow."""
-    return _tree(text)
+_kept_tree = lru_cache(maxsize=32)(_tree)  # nobody changes it; a run reads its files often, and the parser is slow
 
 
 def _open_brackets(content: bytes) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Finite, NotNegative, Positive, check_options
+from gbid.core.option_types import Finite, NotNegative, Positive
 from gbid.rig.machine import RigEffect, RigRun
 
 
@@ -84,9 +84,6 @@ class FloorVibration(RigEffect):
     direction_deg: Finite = 90.0
     name: str = field(default="floor_vibration", init=False)
 
-    def __post_init__(self) -> None:
-        check_options(self, self.name)
-
     def force(self, run: RigRun) -> FloatArray:
         """Return the force per moving mass, opposite to the acceleration of the frame, (n + 1, 2) [m/s^2]."""
         turn, first = np.radians(self.direction_deg), run.random.uniform(0.0, 2 * np.pi)
@@ -110,9 +107,6 @@ class MainsHum(RigEffect):
     amplitude_m: NotNegative = 0.2e-6
     name: str = field(default="mains_hum", init=False)
 
-    def __post_init__(self) -> None:
-        check_options(self, self.name)
-
     def reading(self, run: RigRun) -> FloatArray:
         """Return a sine at the mains frequency, equal in x and y, (n + 1, 2) [m]."""
         sine = np.sin(2 * np.pi * self.frequency_hz * run.time + run.random.uniform(0.0, 2 * np.pi))
@@ -132,9 +126,6 @@ class ProbeDrift(RigEffect):
     x_m_per_s: Finite = 0.1e-6
     y_m_per_s: Finite = 0.05e-6
     name: str = field(default="probe_drift", init=False)
-
-    def __post_init__(self) -> None:
-        check_options(self, self.name)
 
     def reading(self, run: RigRun) -> FloatArray:
         """Return the linear drift of both probes, (n + 1, 2) [m]."""

@@ -191,6 +191,9 @@ class RigEffect:
 
     name: str = field(default="", init=False)
 
+    def __post_init__(self) -> None:
+        check_options(self, self.name)
+
     def force(self, run: RigRun) -> FloatArray | None:  # noqa: ARG002  # for subclasses
         """Return an additional force per moving mass at the samples of `run`, (n + 1, 2) [m/s^2]."""
         return None

@@ -13,7 +13,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.discretise import Hold
-from gbid.structure.built_in import KEY_PARAMETERS, pade_order_of
+from gbid.structure.built_in import KEY_PARAMETERS
 from gbid.structure.linear import Structure
 from gbid.structure.parameter import Parameter
 
@@ -197,11 +197,6 @@ class ScheduledStructure(Brief):
                 names = coefficient_names(q.name, len(self.exponents))
                 coefficients += [Parameter(name, unit=q.unit) for name in names]
         return (*coefficients, *(q for q in self.base.parameters if q.name not in self.surfaces))
-
-    @property
-    def pade_order(self) -> int:
-        """Order of the delays of the base; 1 where they are exact or there are none."""
-        return pade_order_of(self.base)
 
 
 def scheduled(

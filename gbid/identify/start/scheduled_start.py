@@ -20,6 +20,7 @@ from gbid.identify.problem.solve import solve
 from gbid.identify.start.start import Begin, begin_values
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure
+from gbid.structure.built_in import pade_order_of
 from gbid.structure.scheduling import Schedule, ScheduledStructure, coefficient_names
 
 _DARK = 1e-7  # terms are not determined when a singular value is below this share of the largest
@@ -89,7 +90,7 @@ def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording])
         structure.surfaces,
         structure.exponents,
         sum(len(each) + 1 for each in edges),
-        structure.pade_order,
+        pade_order_of(structure.base),
     )
     courses = Courses(schedule, values, edges)
     size = np.linalg.svd(np.concatenate(courses.terms), compute_uv=False)
