@@ -6,7 +6,6 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from gbid.identify.uncertainty.coloured import (
-    ErrorModel,
     RecordSensitivities,
     _joined,
     error_model,
@@ -62,15 +61,6 @@ def test_white_residuals_have_a_model_without_lags():
     assert max(orders) <= 3
     assert longest_order(30, 2) == 0
     assert longest_order(10**6, 2) > 100
-
-
-def test_the_root_gives_the_spectrum_of_a_first_order_lag():
-    model = ErrorModel(np.array([[[0.8]]]), np.array([[2.0]]))
-    w = 2 * np.pi * np.arange(33) / 64
-    root = model.root(64)[:, 0, 0]
-    np.testing.assert_allclose(np.abs(root) ** 2, 2.0 / np.abs(1 - 0.8 * np.exp(-1j * w)) ** 2, rtol=1e-12)
-    three = ErrorModel(np.zeros((0, 3, 3)), np.diag([1.0, 4.0, 9.0]))
-    np.testing.assert_allclose(three.root(8)[2], np.diag([1.0, 2.0, 3.0]), atol=1e-12)
 
 
 def records(n, seed=1, left_out=slice(0, 0)):

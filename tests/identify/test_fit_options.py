@@ -163,15 +163,6 @@ def test_offsets_of_each_recording():
         assert again.parameters[name] == pytest.approx(result.parameters[name] + shift, abs=1e-3 * result.std[name])
 
 
-def test_offsets_with_a_disturbance_gain():
-    rec = innovations(EVERY, EVERY_AT, levels(1500, 2, hold=3), noise=[0.2, 0.1])
-    rec = rec.with_signals(y=rec.signal("y") + np.array([3.0, -4.0]))
-    result = fit(EVERY, rec, start=EVERY_AT, trend="offset")
-    truth = {**EVERY_AT, "offset_y_1": 3.0, "offset_y_2": -4.0}
-    assert result.free == tuple(truth)
-    assert np.abs(away(result, truth, truth)).max() < 4
-
-
 # ---- priors ----
 
 
@@ -264,20 +255,6 @@ def test_a_given_initial_state_holds_for_every_window_length_and_recording():
     for result in results:
         np.testing.assert_allclose(result.initial_states, [[3.0, -4.0]] * 2, rtol=1e-12)
     assert np.abs(away(results[0], results[1].parameters, PHYSICAL)).max() < 1e-3
-
-
-INITIAL = {
-    "word": ("rest", "initial_state = 'rest'; give the word auto, estimated, zero or structure, a list"),
-    "too long": ([0.0, 0.0, 0.0], r"initial_state has shape \(3,\); the structure has 2 states"),
-    "not finite": ([0.0, np.nan], "initial_state"),
-}
-
-
-@pytest.mark.parametrize("what", INITIAL)
-def test_wrong_initial_states_are_refused(what):
-    value, text = INITIAL[what]
-    with pytest.raises(UsageError, match=text):
-        fit(MODE, mode_data(300), initial_state=value)
 
 
 # ---- samples left out ----

@@ -158,13 +158,6 @@ def test_starts_lie_within_bounds_and_reach(monkeypatch):
         assert high - 0.2 * (high - low) < drawn[name].max() <= high, name
 
 
-def test_a_start_of_ones_own_is_the_first_and_the_centre(rec):
-    found = fit_multistart(WIDE, rec, starts=2, seed=3, reach=1e-6, start={"w": 11.5, "g": 2.0, "z": 0.05}, window=None)
-    own = fit(WIDE, rec, start={"w": 11.5, "g": 2.0, "z": 0.05}, window=None)
-    assert found.losses[0] == own.loss
-    assert found.best.success
-
-
 def test_one_start_is_a_plain_fit(rec):
     found = fit_multistart(WIDE, rec, starts=1, start=WIDE_AT)
     own = fit(WIDE, rec, start=WIDE_AT)

@@ -7,13 +7,10 @@ from start_cases import (
     CASES,
     CHAIN_AT,
     LATE_LAG,
-    LEVITATION,
-    LEVITATION_AT,
     PENDULUM,
     PENDULUM_AT,
     chain,
     levitated,
-    swings,
 )
 
 from gbid.core.errors import DataError, UsageError
@@ -49,35 +46,6 @@ def test_an_offset_of_each_record_does_no_harm():
     moved = [Record(r.name, r.inputs + 0.7 * i, r.outputs + np.array([3.0, -5.0 * i])) for i, r in enumerate(recs, 1)]
     found = black_box(moved, 2, feedthrough=True)
     np.testing.assert_allclose(poles_of(found, H), np.sort_complex(evaluate(EVERY, EVERY_AT).poles()), rtol=1e-7)
-
-
-def test_std_of_the_black_box_is_its_scatter():
-    """With errors of the prediction that are white, as the disturbance gain makes them."""
-    f = np.array([0.3, 0.6, 1.5, 4.0])
-    truth = evaluate(EVERY, EVERY_AT).discretise(H).frequency_response(f)
-    z = []
-    for seed in range(40):
-        u = np.random.default_rng(seed).normal(size=(2000, 2))
-        rec = record_of(innovations(EVERY, EVERY_AT, u, noise=0.3, seed=seed + 900))
-        response, std = black_box([rec], 2, feedthrough=True, lags=12).response(np.exp(2j * np.pi * f * H))
-        z.append([((response - truth) / std).real, ((response - truth) / std).imag])
-    assert 0.85 < np.sqrt(np.square(z).mean()) < 1.15
-
-
-def test_an_unstable_plant_in_a_closed_loop():
-    rec = record_of(levitated(0))
-    found = black_box([rec], 3, feedthrough=False)
-    truth = np.sort_complex(evaluate(LEVITATION, LEVITATION_AT).poles())
-    assert truth.real.max() == pytest.approx(50)
-    np.testing.assert_allclose(poles_of(found, 1e-3).real, truth.real, rtol=0.1)
-
-
-def test_free_decays_of_several_records_share_their_poles():
-    records = gather(swings(0), (), ("y",), 10).records
-    found = black_box(records, 3, feedthrough=False)
-    assert found.first_states.shape == (2, 3)
-    truth = np.sort_complex(evaluate(PENDULUM, PENDULUM_AT).poles())
-    np.testing.assert_allclose(poles_of(found, 0.02), truth, rtol=0.1)
 
 
 def test_too_few_samples_are_refused():
