@@ -259,33 +259,54 @@ def _sensitivities(
     at: Estimate, cuts: Sequence[Blocks], passes: Sequence[Traced], chains: Chains
 ) -> Iterator[RecordSensitivities]:
     """Return an iterator over the sensitivities of the records; all at once would fill the memory."""
-    parts = list(at.parts())
-    predictions = [
-        part.kernel.passed(v, blocks, traced.begin)
-        for (v, part, _), blocks, traced in zip(parts, cuts, passes, strict=True)
-    ]
+    passed = [_Passed(*each) for each in zip(at.parts(), cuts, passes, strict=True)]
 
     def of_segment(window: int) -> _SegmentSensitivities:
         k, i = at.segments[window]
-        (v, part, _), blocks, prediction = parts[k], cuts[k], predictions[k]
-        n_y, first = blocks.y.shape[2], int(blocks.window_first[i])
-        some = slice(first, first + int(blocks.window_size[i]))
-        psi = part.kernel.sensitivities(v, blocks, prediction, passes[k].linked, some)
-        psi = psi.reshape(n_y, psi.shape[0] // n_y, -1)[:, :, : int(blocks.size[some].sum())]
-        feedback = part.kernel.feedback(v, blocks, prediction) if part.predictor.feeds_back else None
-        if part.tie is not None:
-            n = len(part.tie)
-            by_theta = np.einsum("op,yot->ypt", part.tie, psi[:, :n], optimize=True)
-            psi = np.concatenate([by_theta, psi[:, n:]], axis=1)
-            feedback = feedback and _tied_values(feedback, part.tie)
-        errors = blocks.by_segment(prediction.errors)[i]
-        counted = blocks.by_segment(blocks.used[:, :, None])[i][:, 0] > 0
-        return _SegmentSensitivities(psi, errors, counted, part.index, chains[window][0], feedback)
+        return passed[k].window(i, chains[window][0])._replace(feedback=passed[k].feedback)
 
     records: list[list[int]] = [[] for _ in at.record_window]
     for window in sorted(at.segments):
         records[chains[window][1]].append(window)
     return (_joined([of_segment(window) for window in windows]) for windows in records)  # holds none that it gave away
+
+
+class _Passed:
+    """Part of a problem after a pass over its windows, from which their sensitivities are made one by one."""
+
+    def __init__(self, part: tuple[Any, RecordGroup, FloatArray], blocks: Blocks, traced: Traced) -> None:
+        self._v, self._part, _ = part
+        self._blocks, self._linked = blocks, traced.linked
+        self._prediction = self._part.kernel.passed(self._v, blocks, traced.begin)
+        self._errors, used = (
+            values.transpose(0, 3, 1, 2).reshape(-1, blocks.length, values.shape[2])  # block by block
+            for values in (self._prediction.errors, blocks.used[:, :, None])
+        )
+        self._counted = used[:, :, 0] > 0
+
+    @cached_property
+    def feedback(self) -> PredictorValues | None:
+        """Predictor that feeds measured outputs back, with derivatives by the unknowns of the problem."""
+        if not self._part.predictor.feeds_back:
+            return None
+        v, tie = self._part.kernel.feedback(self._v, self._blocks, self._prediction), self._part.tie
+        if tie is None:
+            return v
+        dF, dG, dC, dH = (np.tensordot(tie.T, slope, 1) for slope in (v.dF, v.dG, v.dC, v.dH))
+        return v._replace(dF=dF, dG=dG, dC=dC, dH=dH)
+
+    def window(self, i: int, start: FloatArray) -> _SegmentSensitivities:
+        """Return the sensitivities of a window; `start` (n, n_all) are those of the state at its start."""
+        part, blocks = self._part, self._blocks
+        some = slice(int(blocks.window_first[i]), int(blocks.window_first[i] + blocks.window_size[i]))
+        n_samples, n_y, tie = int(blocks.size[some].sum()), blocks.y.shape[2], part.tie
+        psi = part.kernel.sensitivities(self._v, blocks, self._prediction, self._linked, some)
+        psi = psi.reshape(n_y, psi.shape[0] // n_y, -1)[:, :, :n_samples]
+        if tie is not None:
+            by_theta = np.einsum("op,yot->ypt", tie, psi[:, : len(tie)], optimize=True)
+            psi = np.concatenate([by_theta, psi[:, len(tie) :]], axis=1)
+        errors, counted = self._errors[some].reshape(-1, n_y)[:n_samples], self._counted[some].ravel()[:n_samples]
+        return _SegmentSensitivities(psi, errors, counted, part.index, start)
 
 
 class _SegmentSensitivities(NamedTuple):
@@ -310,15 +331,15 @@ class _SegmentSensitivities(NamedTuple):
     counted: BoolArray
     places: IntArray
     start: FloatArray
-    feedback: PredictorValues | None
+    feedback: PredictorValues | None = None
 
 
 def _joined(segments: Sequence[_SegmentSensitivities]) -> RecordSensitivities:
     """Return the sensitivities of a record by the unknowns that matter, from its segments in the order of time."""
     fed = [(each.feedback, each.places) for each in segments if each.feedback is not None]
-    if len(segments) == 1:  # its start is the initial state itself
-        (only,) = segments
-        columns, psi = np.concatenate([only.places, np.flatnonzero(only.start.any(axis=0))]), only.psi
+    only, moving = segments[0], np.flatnonzero(segments[0].start.any(axis=0))
+    if len(segments) == 1 and np.array_equal(only.start[:, moving], np.eye(len(only.start))):  # the initial state
+        columns, psi = np.concatenate([only.places, moving]), only.psi
         place = np.arange(len(only.places))
     else:
         touched = np.any([each.start.any(axis=0) for each in segments], axis=0)
@@ -331,12 +352,6 @@ def _joined(segments: Sequence[_SegmentSensitivities]) -> RecordSensitivities:
         psi, place = np.concatenate(stretches, axis=2), order[fed[-1][1]] if fed else order
     errors, counted = (np.concatenate(parts) for parts in zip(*((s.errors, s.counted) for s in segments), strict=True))
     return RecordSensitivities(columns, psi, errors, counted, (fed[-1][0], place) if fed else None)
-
-
-def _tied_values(v: PredictorValues, tie: FloatArray) -> PredictorValues:
-    """Return a predictor with derivatives by the unknowns of a problem, ``theta = tie @ unknowns``."""
-    dF, dG, dC, dH = (np.tensordot(tie.T, slope, 1) for slope in (v.dF, v.dG, v.dC, v.dH))
-    return v._replace(dF=dF, dG=dG, dC=dC, dH=dH)
 
 
 def _symmetric(omitted: PartHessian, tie: FloatArray | None) -> PartHessian:
@@ -377,96 +392,29 @@ def _omitted(at: Estimate, sums: Sequence[Sweep], weight: FloatArray) -> list[Pa
 # choice.
 
 
-class WindowSlopes(NamedTuple):
-    """Sensitivities within the windows of a part, by its parameters and, after them, the state at a window's start.
-
-    Attributes
-    ----------
-    psi : (n_windows, n_samples, n_y, n_own + n) array
-        Derivatives of the predictions.
-    errors : (n_windows, n_samples, n_y) array
-        Prediction errors.
-    counted : (n_windows, n_samples) boolean array
-        Whether a sample is in the cost; false beyond the end of a shorter window.
-    size : (n_windows,) integer array
-        Number of samples of each window.
-    end : (n_windows, n, n_own + n) array
-        Derivatives of the state after the last sample.
-    """
-
-    psi: FloatArray
-    errors: FloatArray
-    counted: BoolArray
-    size: IntArray
-    end: FloatArray
-
-
 def windowed_records(at: Estimate) -> Iterator[RecordSensitivities]:
     """Yield the sensitivities of each record by all parameters and its own coordinates of free trajectories.
 
     All gaps between windows are to be closed.
     """
     problem, n, n_p = at.problem, at.problem.n_states, at.problem.n_theta
-    slopes = [window_slopes(part, v, starts) for v, part, starts in at.parts()]
+    passed, sums = [], []
+    for v, part, starts in at.parts():
+        (traced,) = part.kernel.trace(v, part.blocks, starts, [np.eye(part.blocks.y.shape[2])])
+        passed.append(_Passed((v, part, starts), part.blocks, traced))
+        sums.append(tied(traced.sums, part.tie))
     for record, (first, known) in enumerate(zip(at.record_window, at.given, strict=True)):
         chain = problem.windows_from(first)
         parts = np.searchsorted(problem.first_window, chain, side="right") - 1
         places = chain - problem.first_window[parts]
         ends = np.zeros((len(chain), n, n_p + n))
-        for end, k, place in zip(ends, parts, places, strict=True):
-            by_window = slopes[k].end[place]
-            end[:, problem.parts[k].index] = _onto(by_window[:, :-n], problem.parts[k].tie)
-            end[:, n_p:] = by_window[:, -n:]
+        for end, k, i in zip(ends, parts, places, strict=True):
+            end[:, problem.parts[k].index] = sums[k].end_theta[i]
+            end[:, n_p:] = sums[k].end_start[i]
         along = _trajectories(ends[:-1, :, n_p:], ends[:-1, :, :n_p], problem.state_scale, known)
-        psi, errors, counted = [], [], []
-        for k, place, T in zip(parts, places, along, strict=True):
-            of_part, samples = slopes[k], slice(0, int(slopes[k].size[place]))
-            by_start = of_part.psi[place, samples, :, -n:] @ T
-            by_start[:, :, problem.parts[k].index] += _onto(of_part.psi[place, samples, :, :-n], problem.parts[k].tie)
-            counts = of_part.counted[place, samples]
-            psi.append(by_start * counts[:, None, None])
-            errors.append(of_part.errors[place, samples] * counts[:, None])
-            counted.append(counts)
+        joined = _joined([passed[k].window(i, T) for k, i, T in zip(parts, places, along, strict=True)])
         columns = np.concatenate([np.arange(n_p), n_p + record * n + np.arange(n)])
-        slopes_of_record = np.ascontiguousarray(np.concatenate(psi).transpose(1, 2, 0))
-        yield RecordSensitivities(columns, slopes_of_record, np.concatenate(errors), np.concatenate(counted))
-
-
-def _onto(slopes: FloatArray, tie: FloatArray | None) -> FloatArray:
-    """Return derivatives (..., n_own) by the unknowns of a problem, ``theta = tie @ unknowns``."""
-    return slopes if tie is None else np.asarray(slopes @ tie)
-
-
-def window_slopes(part: RecordGroup, v: Any, starts: FloatArray) -> WindowSlopes:
-    """Return the sensitivities within each window.
-
-    Parameters
-    ----------
-    part : RecordGroup
-        Part of the problem.
-    v
-        Its predictor at the estimate.
-    starts : (n_windows, n) array
-        States at the starts of its windows.
-    """
-    blocks, kernel = part.blocks, part.kernel
-    n_windows, n_y = blocks.n_windows, blocks.y.shape[2]
-    place, own_blocks = blocks.by_window
-    (traced,) = kernel.trace(v, blocks, starts, [np.eye(n_y)])
-    prediction, linked = kernel.passed(v, blocks, traced.begin), traced.linked
-    flat = kernel.sensitivities(v, blocks, prediction, linked, slice(0, blocks.n_blocks))
-    psi = flat.reshape(n_y, -1, blocks.n_blocks, blocks.length)[:, :, place].transpose(2, 3, 4, 0, 1)
-
-    def rows(values: FloatArray) -> FloatArray:
-        """Return values (n_groups, length, n, lanes) as (n_windows, n_samples, n)."""
-        flat = values.transpose(0, 3, 1, 2).reshape(-1, blocks.length, values.shape[2])
-        return np.asarray(flat[place].reshape(n_windows, -1, values.shape[2]))
-
-    used = rows(blocks.used[:, :, None])[:, :, 0] > 0
-    used &= np.repeat(own_blocks, blocks.length, axis=1)
-    size = np.where(own_blocks, blocks.size[place], 0).sum(axis=1)
-    end = np.concatenate([linked.end_theta, linked.end_start], axis=2)
-    return WindowSlopes(psi.reshape(n_windows, -1, n_y, end.shape[2]), rows(prediction.errors), used, size, end)
+        yield joined._replace(columns=columns[joined.columns])
 
 
 def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray, known: BoolArray) -> FloatArray:
