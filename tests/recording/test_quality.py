@@ -10,14 +10,9 @@ from scipy.stats import beta
 
 from gbid.recording import Recording, find_group_problems, find_problems, import_recording
 from gbid.recording.quality import (
-    _apart,
     _crossed,
-    _in_motion,
-    _least_squares,
-    _median_of_three,
     _Response,
     _response,
-    _struck,
     find_rub,
 )
 from gbid.rig import (
@@ -200,19 +195,6 @@ def test_when_channels_count_as_crossed(gain, coherence, crossed):
 
 
 # ---- rub ----
-
-
-def test_parts_of_the_search_for_impacts():
-    assert _median_of_three(np.array([[5.0], [1.0], [2.0], [9.0], [3.0]]))[:, 0].tolist() == [5.0, 2.0, 2.0, 3.0, 3.0]
-    assert np.flatnonzero(_apart(np.arange(10), np.array([2, 7]), 1)).tolist() == [0, 4, 5, 9]
-    assert _apart(np.arange(3), np.zeros(0, int), 1).all()
-    force = np.zeros((60, 2))
-    force[20, 1], force[50, 0] = -8.0, 0.3  # a hit, and noise of the sensor
-    struck = _struck(Recording({"p": np.zeros((60, 2)), "f": force}, 1e-3), half=3)
-    assert np.flatnonzero(struck).tolist() == list(range(15, 26))
-    assert _in_motion(np.array([[3.0, 0.0], [0.1, 0.1], [0.0, 2.0]])).tolist() == [0, 2]
-    basis = np.column_stack([np.ones(9), np.arange(9.0), np.zeros(9)])
-    np.testing.assert_allclose(_least_squares(basis, basis @ [[1.0], [2.0], [5.0]]), [[1.0], [2.0], [0.0]], atol=1e-6)
 
 
 @pytest.mark.parametrize(("point", "clearance"), [((3.0, 0.0), 6e-6), ((5.0, 4000.0), 7e-6), ((7.0, 6000.0), 9e-6)])

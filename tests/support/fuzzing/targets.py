@@ -142,16 +142,15 @@ def _own_hdf5() -> list[FuzzTarget]:
     }
     targets = []
     for name, value in values.items():
-        surfaces = name == "surfaces"
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "a.h5"
-            if surfaces:
+            if name == "surfaces":
                 gbid.save_lpv_fit(value, path.with_suffix(".yaml"))
             else:
                 save(value, path)
             content = path.read_bytes()
             beside = {p.suffix: p.read_bytes() for p in Path(folder).iterdir() if p != path}
-        read = _plainly(gbid.load_lpv_fit if surfaces else load)
+        read = _plainly(load)
         share = 4 if beside else 40  # a file beside it takes its time
         targets += [
             FuzzTarget(name, ".h5", FileOrigin.OWN, content, read, mutate_bytes, share, beside),
