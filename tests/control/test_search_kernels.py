@@ -12,7 +12,7 @@ from gbid.control.tuning.loops import Derivatives
 from gbid.control.tuning.peaks import find_peaks, peak_slopes
 from gbid.control.tuning.plane import Eigensystem, InvariantSubspaces, eigenvalues, power_sums
 
-_KERNELS = tuple(f"gbid.control.tuning.{name}" for name in ("plane.kernels", "peaks.kernels", "peaks.kernel"))
+_KERNELS = tuple(f"gbid.control.tuning.{name}" for name in ("plane.kernels", "peaks.kernels"))
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gbid.control.tuning.loops import Loops
-from gbid.control.tuning.peaks import find_peaks, respond
+from gbid.control.tuning.peaks import ModalResponse, find_peaks
 from gbid.control.tuning.plane import Eigensystem
 
 BOTH = slice(None)
@@ -30,7 +30,7 @@ def directly(loops: Loops, w: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("gap", [0.1, 1e-2, 3e-3])
 def test_response_of_nearly_equal_poles_is_that_of_a_direct_solution(gap: float) -> None:
     loops, w = chain(gap), np.geomspace(1.0, 1e5, 60)
-    found = respond(loops, Eigensystem.of(loops.A), BOTH, np.zeros(2, int), np.stack([w, 2 * w]))
+    found = ModalResponse(loops, Eigensystem.of(loops.A), BOTH)(np.stack([w, 2 * w]), np.zeros(2, int))
     np.testing.assert_allclose(found[0], directly(loops, w), rtol=1e-6)
     np.testing.assert_allclose(found[1], directly(loops, 2 * w), rtol=1e-6)
 

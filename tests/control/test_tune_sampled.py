@@ -12,7 +12,7 @@ import pytest
 
 import gbid
 from gbid.control import controller_model, exact_plant, p_controller, sampled_loop, smallest_damping
-from gbid.control.tuning.loops import PlantMatrices, smallest_sampled_damping
+from gbid.control.tuning.loops import PlantMatrices
 from gbid.control.tuning.plane import true_rates
 from gbid.control.tuning.plants import TuneOptions, plants_of
 from gbid.core.errors import UsageError
@@ -123,13 +123,6 @@ def test_modes_that_die_within_a_sample_do_not_count() -> None:
     assert smallest_damping(model(slow, fast)) == pytest.approx(0.5)
     within = np.exp(dt * (-0.8 / dt + 2j * np.pi * 2000))  # it dies within more than a sample
     assert smallest_damping(model(slow, within)) == pytest.approx(4000 / np.hypot(4000, 4000 * np.pi))
-
-
-def test_the_smallest_damping_of_an_unstable_sampled_loop_is_minus_one() -> None:
-    form = gbid.controller_structure("P")
-    calm, wild = ({"kappa_x": kappa, "kappa_y": kappa} for kappa in (0.5, 40.0))
-    assert smallest_sampled_damping(MODEL, form, calm, MODEL.operating_points[:2], 2e-4, None)[0] > 0
-    assert smallest_sampled_damping(MODEL, form, wild, MODEL.operating_points[:2], 2e-4, None)[0] == -1.0
 
 
 @pytest.mark.parametrize("method", ["tustin", "zoh"])

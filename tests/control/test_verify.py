@@ -12,7 +12,7 @@ from gain_problems import damping_problem, oscillator, responding
 from scipy.optimize import brentq
 
 from gbid.control.tuning.loops import FunctionLoops, families_of
-from gbid.control.tuning.peaks import Peaks, respond
+from gbid.control.tuning.peaks import ModalResponse, Peaks
 from gbid.control.tuning.problem import GainProblem, Limits
 from gbid.control.tuning.result import Edge, distance_to_edge, exact_norms, static_gains, worst_mode
 from gbid.control.tuning.search import SearchTask
@@ -73,7 +73,7 @@ def on_two_frequencies(loops: Any, modes: Any, rows: slice, extra: Any = None, l
     which, places = np.repeat(np.arange(m), 2), np.tile([0.5, 2.0], m)
     if extra is not None:
         which, places = np.concatenate([which, extra[0]]), np.concatenate([places, extra[1]])
-    response = respond(loops, modes, rows, which, places[:, None])
+    response = ModalResponse(loops, modes, rows)(places[:, None], which)
     return Peaks(which, places, np.linalg.svd(response, compute_uv=False)[:, 0, 0])
 
 

@@ -323,7 +323,6 @@ TOLERANCE = 2e-3
 ROOM = 5e-3
 """Largest relative rise of the objective that an optimal design leaves open."""
 _RADII = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
-_PENALTY = 10.0
 _ACTIVE = 1e-4
 """Distance from a limit, as log, or from a bound, in units of the gain, within which it is active."""
 _KEPT = 0.1
@@ -493,14 +492,14 @@ def _in_ball(problem: GainProblem, x: FloatArray, unit: FloatArray, radius: floa
         gain = length / value
         if gain <= TOLERANCE or not np.isfinite(length):
             break
-        floor, share, added = merit(here.score, _PENALTY), radius, False
+        floor, share, added = merit(here.score), radius, False
         for trial in range(8):
             y = np.clip(x + share * direction / length * unit, problem.lower, problem.upper)
             there = problem.functions(y, 0.0)
             share /= 2
             if not there.score.usable:
                 continue
-            if trial == 0 and merit(there.score, _PENALTY) > floor + _KEPT * radius * length:
+            if trial == 0 and merit(there.score) > floor + _KEPT * radius * length:
                 x, here = y, problem.functions(y, radius)
                 hull = _bounds(problem, x, unit, radius)
                 added = hull.add(here) or True

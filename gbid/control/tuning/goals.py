@@ -6,14 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import scipy
 from annotated_types import Gt, Lt
 
 from gbid.control.tuning.loops import LoopFamily
-from gbid.control.tuning.peaks import respond
+from gbid.control.tuning.peaks import ModalResponse
 from gbid.control.tuning.plane import (
     Eigensystem,
     damping_factors,
@@ -68,6 +68,8 @@ class Wanted(Goal):
 
     soft: bool = False
     weight: Positive = 1.0
+    native: ClassVar[str] = ""
+    """Name of the limit that the search knows without a measure, which is verified by an exact norm."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -86,10 +88,14 @@ class Wanted(Goal):
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this goal among the objectives or the limits."""
-        found = self.measure(plant)
-        return (
-            replace(limits, soft=(*limits.soft, found)) if self.soft else replace(limits, extra=(*limits.extra, found))
-        )
+        limit = getattr(self, "limit", None)
+        if self.native and not self.soft and is_finite(limit):
+            known = getattr(limits, self.native)
+            changed: dict[str, Any] = {self.native: float(limit if known is None else min(known, limit))}
+            return replace(limits, **changed)
+        where = "soft" if self.soft else "extra"
+        changed = {where: (*getattr(limits, where), self.measure(plant))}
+        return replace(limits, **changed)
 
 
 def limits_of(goals: Sequence[Goal], plant: LinearModel) -> Limits:
@@ -498,7 +504,7 @@ class RmsGoal(Wanted):
             T = family.sample_time
             below = hz < (np.inf if T is None else 0.499 / T)
             w = searched_frequencies(2 * np.pi * hz[below], T)
-            M = respond(loops, system, rows, np.arange(len(family)), np.tile(w, (len(family), 1)))
+            M = ModalResponse(loops, system, rows)(np.tile(w, (len(family), 1)))
             squares = np.einsum("mkij,kjl,mkil->m", M, power[below], M.conj(), optimize=True).real
             return np.asarray(np.sqrt(np.maximum(squares, 1e-300)))
 

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.control.tuning.certificate import Certificate, Meeting, back_to_meeting, meetings
-from gbid.control.tuning.problem import ActiveFunction, ActiveFunctions, GainProblem, Score, merit
+from gbid.control.tuning.problem import PENALTY, ActiveFunction, ActiveFunctions, GainProblem, Score, merit
 from gbid.core.arrays import BoolArray, FloatArray
 
 # ---- Small convex quadratic programmes by CasADi's DAQP, which reads and writes numpy arrays directly.
@@ -204,7 +204,6 @@ class LocalOptimum:
     certificate: Certificate | None = None
 
 
-_PENALTY = 10.0
 _JUDGED = 10
 """Number of iterations over which the rise of the merit is judged."""
 _HOPE = 10.0
@@ -265,9 +264,9 @@ def optimise_locally(
     LocalOptimum
     """
     x = np.clip(start, problem.lower, problem.upper)
-    optimum = _sqp(problem, x, radius, max_iterations, plain, goal, pace, _PENALTY)
-    if repair and 1e-8 < optimum.score.violation < 0.1 and merit(optimum.score, _PENALTY) > goal:
-        again = _sqp(problem, optimum.x, 1e-3, 40, plain, goal, pace, 1e3 * _PENALTY)
+    optimum = _sqp(problem, x, radius, max_iterations, plain, goal, pace, PENALTY)
+    if repair and 1e-8 < optimum.score.violation < 0.1 and merit(optimum.score) > goal:
+        again = _sqp(problem, optimum.x, 1e-3, 40, plain, goal, pace, 1e3 * PENALTY)
         optimum = replace(again, iterations=optimum.iterations + again.iterations)
     return optimum
 
@@ -286,7 +285,7 @@ def _sqp(
     H = np.zeros((len(x), len(x)))
     functions = problem.functions(x)
     groups: list[tuple[Meeting, ...]] | None = None
-    stalled, before = 0, merit(functions.score, _PENALTY)
+    stalled, before = 0, merit(functions.score)
     for iteration in range(1, max_iterations + 1):
         if not functions.score.usable or problem.evaluations.exhausted:
             return LocalOptimum(x, functions.score, iteration, False)
@@ -330,7 +329,7 @@ def _sqp(
         stalled = stalled + 1 if improvement < 1e-9 else 0
         if radius < 1e-9 or stalled > 12:
             return LocalOptimum(x, functions.score, iteration, True)
-        reached = merit(functions.score, _PENALTY)
+        reached = merit(functions.score)
         if iteration % 5 == 0 and iteration >= _EARLY and goal > -np.inf:
             left = max(_LATE - iteration, 0)
             if reached < goal - (pace * left * abs(goal) if left else 0.0):

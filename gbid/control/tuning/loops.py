@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -14,39 +14,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-from gbid.control.controllers.structures import Scheduled, controller_at
-from gbid.control.loop.close import Method
-from gbid.control.loop.sampled import exact_plant, sampled_loop
+from gbid.control.controllers.structures import Scheduled
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.lpv import LPVModel
 from gbid.structure import LinearModel, pade_delay
 from gbid.structure.linear import Structure
 from gbid.structure.parameter import Values
 
 PADE_ORDER = 3
 """Order of the Padé delays of a loop that is designed for sampling."""
-
-
-def smallest_sampled_damping(
-    lpv: LPVModel,
-    controller: Structure | Scheduled,
-    gains: Mapping[str, float],
-    points: Iterable[tuple[float, float]],
-    sample_time: float,
-    computation_s: float | None,
-    method: Method = "tustin",
-) -> tuple[float, tuple[float, float]]:
-    """Return the smallest damping factor of the sampled loop over points, and its point; -1 when it is unstable.
-
-    Delays are exact.
-    """
-    found = []
-    for point in points:
-        K = controller_at(controller, gains, *point)
-        loop = sampled_loop(exact_plant(lpv, *point), K, sample_time, computation_s=computation_s, method=method)
-        found.append((loop.damping if loop.stable else -1.0, point))
-    return min(found)
 
 
 # ---- Calls of CasADi functions of one vector that write directly into numpy arrays.

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from gbid.control.loop.norm import largest_singular_values
-from gbid.control.tuning.kernels import compiled_peak_slopes, kernels
+from gbid.control.tuning.kernels import IntArray, SchurResponse, compiled_peak_slopes, compiled_peaks, kernels
 from gbid.control.tuning.loops import Derivatives, Loops
-from gbid.control.tuning.plane import Eigensystem, IntArray, bilinear, schur_form
+from gbid.control.tuning.plane import Eigensystem, bilinear, schur_form
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
-from gbid.core.compiled import CompilerMissingError, Library, load_library
 
-SchurResponse = tuple[ComplexArray, ComplexArray, ComplexArray]
-"""Schur form (n, n) of a loop, with its inputs and outputs in that basis."""
 _PER_DECADE = 28
 _SUSPECT = 1e6
 """Largest entry of left eigenvectors up to which a response needs no check."""
@@ -142,11 +138,6 @@ def direct_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
     return np.asarray(C[:, None] @ np.linalg.solve(shifted, B[:, None].astype(complex)) + D[:, None])
 
 
-def respond(loops: Loops, modes: Eigensystem, rows: slice, which: IntArray, frequency: FloatArray) -> ComplexArray:
-    """Return frequency responses of some outputs of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
-    return ModalResponse(loops, modes, rows)(frequency, which)
-
-
 def _largest(responses: ComplexArray, _: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency."""
     return largest_singular_values(responses)
@@ -183,8 +174,8 @@ def find_peaks(
     """
     m = len(loops.A)
     respond_at, base = ModalResponse(loops, modes, rows), base_frequencies(modes.values)
-    if gain is _largest and loops.D[:, rows].shape[1:] == (2, 2) and (library := kernel()) is not None:
-        return _compiled_peaks(library, respond_at, base, extra, least)
+    if gain is _largest and loops.D[:, rows].shape[1:] == (2, 2) and (library := kernels()) is not None:
+        return Peaks(*compiled_peaks(library, respond_at.parts(), base, extra, least))
     grid = _grid(modes, base, extra)
     values = gain(respond_at(grid), grid)
     padded = np.full((m, grid.shape[1] + 2), -np.inf)
@@ -299,226 +290,3 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
     dS = bilinear(u, loops.dD[i][:, :, rows], v) + bilinear(u, loops.dC[i][:, :, rows], RBv)
     dS = dS + bilinear(uCR, loops.dB[i], v) + bilinear(uCR, loops.dA[i], RBv)
     return dS.real, values[:, 0]
-
-
-# ---- The same peaks of two by two responses in C: on a grid of 200 frequencies, a tenth of the time.
-
-_PEAKS_IN_C = r"""
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
-typedef struct { double re, im; } num;
-
-/* One loop: modes (poles and residues), or for nearly parallel eigenvectors its Schur form with inputs and outputs. */
-typedef struct { long n; const num *pole, *residue, *form, *inputs, *outputs; const double *D; } loop_response;
-
-enum { TILE = 32 };
-
-/* Entries of the response at frequencies w, as real and imaginary parts: sum over modes. */
-static void of_modes(const loop_response *l, long count, const double *restrict w, double e[8][TILE])
-{
-    for (long k = 0; k < l->n; k++) {
-        const num *r = l->residue + 4 * k;
-        double rate = l->pole[k].re, place = l->pole[k].im;
-        for (long i = 0; i < count; i++) {
-            double off = w[i] - place, size = 1.0 / (rate * rate + off * off), x = -rate * size, y = -off * size;
-            e[0][i] += x * r[0].re - y * r[0].im, e[1][i] += x * r[0].im + y * r[0].re;
-            e[2][i] += x * r[1].re - y * r[1].im, e[3][i] += x * r[1].im + y * r[1].re;
-            e[4][i] += x * r[2].re - y * r[2].im, e[5][i] += x * r[2].im + y * r[2].re;
-            e[6][i] += x * r[3].re - y * r[3].im, e[7][i] += x * r[3].im + y * r[3].re;
-        }
-    }
-}
-
-/* The same by substitution in (j w - form) X = inputs; `work` holds X, four rows of TILE numbers for each state. */
-static void of_form(const loop_response *l, long count, const double *restrict w, double (*work)[4][TILE],
-                    double e[8][TILE])
-{
-    long n = l->n;
-    for (long k = n - 1; k >= 0; k--) {
-        double(*restrict X)[TILE] = work[k];
-        num b0 = l->inputs[2 * k], b1 = l->inputs[2 * k + 1], t = l->form[k * n + k];
-        for (long i = 0; i < TILE; i++) X[0][i] = b0.re, X[1][i] = b0.im, X[2][i] = b1.re, X[3][i] = b1.im;
-        for (long j = k + 1; j < n; j++) {
-            num f = l->form[k * n + j];
-            double(*restrict Y)[TILE] = work[j];
-            for (long i = 0; i < TILE; i++) {
-                X[0][i] += f.re * Y[0][i] - f.im * Y[1][i], X[1][i] += f.re * Y[1][i] + f.im * Y[0][i];
-                X[2][i] += f.re * Y[2][i] - f.im * Y[3][i], X[3][i] += f.re * Y[3][i] + f.im * Y[2][i];
-            }
-        }
-        for (long i = 0; i < count; i++) {
-            double off = w[i] - t.im, size = 1.0 / (t.re * t.re + off * off), x = -t.re * size, y = -off * size;
-            double p = X[0][i], q = X[1][i];
-            X[0][i] = p * x - q * y, X[1][i] = p * y + q * x;
-            p = X[2][i], q = X[3][i];
-            X[2][i] = p * x - q * y, X[3][i] = p * y + q * x;
-        }
-        for (long i = count; i < TILE; i++) X[0][i] = X[1][i] = X[2][i] = X[3][i] = 0.0;
-        for (int r = 0; r < 2; r++) {
-            num c = l->outputs[r * n + k];
-            for (long i = 0; i < TILE; i++) {
-                e[4 * r][i] += c.re * X[0][i] - c.im * X[1][i], e[4 * r + 1][i] += c.re * X[1][i] + c.im * X[0][i];
-                e[4 * r + 2][i] += c.re * X[2][i] - c.im * X[3][i], e[4 * r + 3][i] += c.re * X[3][i] + c.im * X[2][i];
-            }
-        }
-    }
-}
-
-/* Largest singular values at frequencies w. */
-static void gains(const loop_response *l, long total, const double *w, double (*work)[4][TILE], double *out)
-{
-    double e[8][TILE];
-    for (long first = 0; first < total; first += TILE, w += TILE, out += TILE) {
-        long count = total - first < TILE ? total - first : TILE;
-        for (int k = 0; k < 4; k++)
-            for (long i = 0; i < TILE; i++) e[2 * k][i] = l->D[k], e[2 * k + 1][i] = 0.0;
-        if (l->form) of_form(l, count, w, work, e);
-        else of_modes(l, count, w, e);
-        for (long i = 0; i < count; i++) {
-            double sum = 0.0, x, y, product, rest;
-            for (int k = 0; k < 8; k++) sum += e[k][i] * e[k][i];
-            x = e[0][i] * e[6][i] - e[1][i] * e[7][i] - e[2][i] * e[4][i] + e[3][i] * e[5][i];
-            y = e[0][i] * e[7][i] + e[1][i] * e[6][i] - e[2][i] * e[5][i] - e[3][i] * e[4][i];
-            product = sqrt(x * x + y * y), rest = sum - 2 * product;
-            out[i] = 0.5 * (sqrt(sum + 2 * product) + sqrt(rest > 0 ? rest : 0.0));
-        }
-    }
-}
-
-/* Place and height of the parabola through three points; without a top between them, the highest one. */
-static void vertex(double middle, double step, const double *v, double *place, double *top)
-{
-    double bend = 2 * v[1] - v[0] - v[2], rise = (v[2] - v[0]) / 2, share = bend > 0 ? rise / bend : 0.0;
-    share = share > 1 ? 1.0 : share < -1 ? -1.0 : share;
-    if (fabs(share) < 1) {
-        *place = middle + step * share, *top = v[1] + share * rise - share * share * bend / 2;
-        return;
-    }
-    int at = v[1] > v[0] ? (v[2] > v[1] ? 2 : 1) : (v[2] > v[0] ? 2 : 0);
-    *place = middle + step * (at - 1.0), *top = v[at];
-}
-
-static int ascending(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-/* Local maxima over frequency of m loops: returns their number; loop, place and height of each. */
-long peaks(long m, long n, long n_base, long n_extra, double least, long most, const num *pole, const num *residue,
-           const double *D, const long *form_of, const num *form, const num *inputs, const num *outputs,
-           const double *base, const long *extra_loop, const double *extra_w, long *loop, double *place, double *height)
-{
-    enum { N = 9 };
-    long room = n_base + 2 * n + n_extra, found = 0;
-    double *grid = malloc(3 * room * sizeof(double)), points[N], there[N];
-    double(*work)[4][TILE] = malloc(n * sizeof *work);
-    if (!grid || !work) {
-        free(grid), free(work);
-        return -1;
-    }
-    double *own = grid + room, *value = own + room;
-    for (long l = 0; l < m; l++) {
-        const num *p = pole + n * l;
-        loop_response r = {n, p, residue + 4 * n * l, 0, 0, 0, D + 4 * l};
-        long count = 0, special = form_of[l];
-        if (special >= 0) {
-            r.form = form + special * n * n;
-            r.inputs = inputs + special * 2 * n, r.outputs = outputs + special * 2 * n;
-        }
-        for (long k = 0; k < n; k++) {
-            /* conjugate and real poles give shifted points: two equal frequencies would look like a maximum */
-            double size = sqrt(p[k].re * p[k].re + p[k].im * p[k].im);
-            int upper = p[k].im > 0;
-            own[count++] = upper ? size : 1.07 * size;
-            own[count++] = upper ? p[k].im : 0.93 * size;
-        }
-        for (long k = 0; k < n_extra; k++)
-            if (extra_loop[k] == l) own[count++] = extra_w[k];
-        qsort(own, count, sizeof(double), ascending);
-        long total = 0, i = 0, j = 0;
-        while (i < n_base || j < count)
-            grid[total++] = j == count || (i < n_base && base[i] <= own[j]) ? base[i++] : own[j++];
-        gains(&r, total, grid, work, value);
-        double highest = 0.0;
-        int sound = 1;
-        for (i = 0; i < total; i++) {
-            if (!(value[i] - value[i] == 0)) sound = 0;
-            if (value[i] > highest) highest = value[i];
-        }
-        double enough = 0.6 * highest > 0.9 * least ? 0.6 * highest : 0.9 * least;
-        for (i = 0; sound && i < total; i++) {
-            if (!(value[i] > enough) || (i > 0 && value[i] < value[i - 1])) continue;
-            if (i + 1 < total && value[i] <= value[i + 1]) continue;
-            double low = grid[i > 0 ? i - 1 : 0], high = grid[i + 1 < total ? i + 1 : i];
-            double best = value[i], where = grid[i], three[3], middle, top;
-            for (int round = 0; round < 2; round++) {
-                for (j = 0; j < N; j++) points[j] = low + (high - low) * (j / (N - 1.0));
-                gains(&r, N, points, work, there);
-                long at = 0;
-                for (j = 1; j < N; j++)
-                    if (there[j] > there[at]) at = j;
-                at = at < 1 ? 1 : at > N - 2 ? N - 2 : at;
-                low = points[at - 1], high = points[at + 1];
-                memcpy(three, there + at - 1, sizeof three);
-                if (three[1] > best * (1 + 1e-12)) best = three[1], where = points[at];
-            }
-            double step = (high - low) / 2;
-            vertex(low + step, step, three, &middle, &top);
-            step *= 0.1;
-            for (j = 0; j < 3; j++) points[j] = middle + step * (j - 1.0) > 0 ? middle + step * (j - 1.0) : 0.0;
-            gains(&r, 3, points, work, three);
-            vertex(middle, step, three, &middle, &top);
-            if (found < most) {
-                loop[found] = l;
-                int better = top > best * (1 + 1e-12);
-                place[found] = better ? middle : where;
-                height[found++] = better ? top : best;
-            }
-        }
-    }
-    free(grid), free(work);
-    return found;
-}
-"""
-
-
-@cache
-def kernel() -> Library | None:
-    """Return the compiled library; None without a C compiler."""
-    try:
-        library = load_library(_PEAKS_IN_C)
-    except CompilerMissingError:
-        return None
-    number = ctypes.c_long
-    library.peaks.argtypes = [*[number] * 4, ctypes.c_double, number, *[ctypes.c_void_p] * 13]
-    library.peaks.restype = number
-    return library
-
-
-def _compiled_peaks(
-    library: Library,
-    response: ModalResponse,
-    base: FloatArray,
-    extra: tuple[IntArray, FloatArray] | None,
-    least: float,
-) -> Peaks:
-    """Return the peaks of two by two responses, see `find_peaks`."""
-    poles, residues, D, forms = response.parts()
-    m, n = poles.shape
-    loops, places = (np.zeros(0, np.intp), np.zeros(0)) if extra is None else extra
-    most = m * (len(base) + 2 * n + len(places)) // 2 + m
-    results = np.empty(most, np.intp), np.empty(most), np.empty(most)
-    form_of, schur = np.full(m, -1), [np.zeros(0, complex)] * 3
-    if forms:
-        form_of[list(forms)] = np.arange(len(forms))
-        schur = [np.array(parts) for parts in zip(*forms.values(), strict=True)]
-    given = [np.ascontiguousarray(array) for array in (poles, residues, D, form_of, *schur, base)]
-    extras = np.ascontiguousarray(loops, np.intp), np.ascontiguousarray(places, float)
-    arrays = [array.ctypes.data for array in (*given, *extras, *results)]
-    count = library.peaks(m, n, len(base), len(places), least, most, *arrays)
-    if count < 0:
-        raise MemoryError("the kernel of the peaks got no memory")
-    return Peaks(*(array[:count].copy() for array in results))

@@ -16,6 +16,7 @@ from scipy.linalg import eig
 from scipy.linalg.lapack import dgebal, zgees, ztrsen, ztrsyl
 
 from gbid.control.tuning.kernels import (
+    IntArray,
     compiled_cluster,
     compiled_eigensystems,
     compiled_eigenvalues,
@@ -23,8 +24,6 @@ from gbid.control.tuning.kernels import (
     kernels,
 )
 from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray
-
-IntArray = npt.NDArray[np.intp]
 
 _FASTEST = 40.0
 """Largest decay of a mode in one sample, as an exponent; a dead-beat mode (z = 0) is given this rate."""

@@ -13,15 +13,14 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from gbid.control.loop.norm import largest_singular_values
+from gbid.control.tuning.kernels import IntArray
 from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
-from gbid.control.tuning.peaks import Peaks, find_peaks, peak_slopes, respond
+from gbid.control.tuning.peaks import ModalResponse, Peaks, find_peaks, peak_slopes
 from gbid.control.tuning.plane import (
     Cluster,
     Eigensystem,
-    IntArray,
     InvariantSubspaces,
     damping_factors,
     damping_slopes,
@@ -70,7 +69,7 @@ class LoopState:
 class Pieces(NamedTuple):
     """Smooth pieces of a measure: loop (k,), excess (k,), its gradient (k, d), place in the complex plane (k,)."""
 
-    loop: npt.NDArray[np.intp]
+    loop: IntArray
     excess: FloatArray
     slope: FloatArray
     place: ComplexArray
@@ -221,7 +220,11 @@ class ActiveFunctions:
     states: tuple[LoopState, ...] = ()
 
 
-def merit(score: Score, penalty: float) -> float:
+PENALTY = 10.0
+"""Weight of the largest violation of a limit beside the objective."""
+
+
+def merit(score: Score, penalty: float = PENALTY) -> float:
     """Return the merit to be maximised: objective minus a penalty on the largest violation."""
     return score.value - penalty * score.violation if score.usable else -np.inf
 
@@ -446,7 +449,7 @@ class GainProblem:
         sound = [[piece for piece in group if np.isfinite(piece.slope).all()] for group in (aims, limits)]
         return ActiveFunctions(Score(worst, violation), tuple(sound[0]), tuple(sound[1]), tuple(states))
 
-    def merit_and_slope(self, x: FloatArray, penalty: float) -> tuple[float, FloatArray]:
+    def merit_and_slope(self, x: FloatArray, penalty: float = PENALTY) -> tuple[float, FloatArray]:
         """Return objective minus a penalty on the largest violation, and the gradient of the worst functions."""
         found = self.functions(x, 0.0)
         slope = np.zeros_like(x)
@@ -594,9 +597,9 @@ class GainProblem:
                 peaks = find_peaks(loops, system, rows_of(family, kind), extra, least=limit * float(np.exp(-room)))
                 found.append((kind, peaks, limit))
         if self.limits.static_amplification is not None:
-            every, rest = np.arange(len(loops.A)), np.zeros((len(loops.A), 1))
-            response = respond(loops, system, rows_of(family, "static"), every, rest)
-            peaks = Peaks(every, rest[:, 0], largest_singular_values(response)[:, 0])
+            rest = np.zeros((len(loops.A), 1))
+            response = ModalResponse(loops, system, rows_of(family, "static"))(rest)
+            peaks = Peaks(np.arange(len(rest)), rest[:, 0], largest_singular_values(response)[:, 0])
             found.append(("static", peaks, self.limits.static_amplification))
         return found
 

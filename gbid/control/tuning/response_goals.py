@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from math import pi, radians
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Gt, Le, Lt
@@ -16,6 +16,7 @@ from gbid.control.loop.close import force_entry
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.loop.sensitivity import structured_singular_values
 from gbid.control.tuning.goals import Bound, BoundLike, Wanted, bound_over_frequency
+from gbid.control.tuning.kernels import IntArray
 from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
 from gbid.control.tuning.peaks import (
     ModalResponse,
@@ -26,9 +27,9 @@ from gbid.control.tuning.peaks import (
     find_peaks,
     peak_slopes,
 )
-from gbid.control.tuning.plane import Eigensystem, IntArray, searched_frequencies, true_frequencies
-from gbid.control.tuning.problem import ExtraLimit, Limits, LoopState, Measure, Pieces
-from gbid.core.arrays import ComplexArray, FloatArray, is_finite
+from gbid.control.tuning.plane import Eigensystem, searched_frequencies, true_frequencies
+from gbid.control.tuning.problem import ExtraLimit, LoopState, Measure, Pieces
+from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, Finite, NotNegative, Positive
 from gbid.structure import LinearModel
@@ -171,8 +172,6 @@ class ResponseGoal(Wanted):
     limit: BoundLike
     response: ClassVar[LoopResponse]
     label: ClassVar[str]
-    native: ClassVar[str] = ""
-    """Name of the limit that the search knows without a measure."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -182,14 +181,6 @@ class ResponseGoal(Wanted):
         """Return the measure of this goal."""
         bound = bound_over_frequency(self.limit, type(self).__name__)
         return ResponseMeasure(f"{self.label} over frequency", self.response, bound, weight=self.weight)
-
-    def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
-        """Return the limits with this goal; one hard limit for all frequencies is verified by an exact norm."""
-        if self.soft or not self.native or not is_finite(self.limit):
-            return super().add_to(limits, plant)
-        known = getattr(limits, self.native)
-        changed: dict[str, Any] = {self.native: float(self.limit if known is None else min(known, self.limit))}
-        return replace(limits, **changed)
 
 
 @dataclass(frozen=True)
@@ -280,6 +271,7 @@ class StaticAmplification(Wanted):
     """
 
     limit: Positive
+    native = "static_amplification"
 
     def measure(self, plant: LinearModel) -> ResponseMeasure:
         """Return the measure of this goal."""
@@ -290,13 +282,6 @@ class StaticAmplification(Wanted):
         return ResponseMeasure(
             "static amplification", LoopResponse.SENSITIVITY, Bound(at_rest, np.zeros(0)), weight=self.weight
         )
-
-    def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
-        """Return the limits with this goal."""
-        if self.soft:
-            return super().add_to(limits, plant)
-        known = limits.static_amplification
-        return replace(limits, static_amplification=self.limit if known is None else min(known, self.limit))
 
 
 @dataclass(frozen=True)

@@ -9,17 +9,17 @@ from heapq import heapify, heappop, heappush
 import numpy as np
 
 from gbid.control.tuning.certificate import certify
+from gbid.control.tuning.kernels import IntArray
 from gbid.control.tuning.local import LocalOptimum, ascend, optimise_locally
 from gbid.control.tuning.loops import LoopFamily
-from gbid.control.tuning.plane import IntArray, eigenvalues, true_rates
-from gbid.control.tuning.problem import GainProblem, Limits, Score, SearchStep, merit
+from gbid.control.tuning.plane import eigenvalues, true_rates
+from gbid.control.tuning.problem import PENALTY, GainProblem, Limits, Score, SearchStep, merit
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Count, CountOrZero, check_options
 
 # ---- Order of designs: first by their limits, then by the objective.
 
-PENALTY = 10.0
 FEASIBLE = 1e-6
 """Largest relative violation of a limit that is tolerated."""
 
@@ -34,7 +34,7 @@ def better(one: Score, other: Score) -> bool:
 
 def rank(found: LocalOptimum) -> float:
     """Return the merit of a design, objective minus a penalty on the largest violation."""
-    return merit(found.score, PENALTY)
+    return merit(found.score)
 
 
 def best_of(found: list[LocalOptimum]) -> LocalOptimum:
@@ -229,7 +229,7 @@ class LocalSearch:
         if evaluations.most is not None:
             most = min(most, max(evaluations.most - evaluations.count, 1))
         ascent = ascend(
-            lambda y: problem.merit_and_slope(y, PENALTY),
+            problem.merit_and_slope,
             np.clip(start, problem.lower, problem.upper),
             problem.lower,
             problem.upper,
@@ -378,7 +378,6 @@ def stabilised(problem: GainProblem, x: FloatArray, unit: FloatArray) -> FloatAr
 
 # ---- Start values on a grid, for few gains.
 
-_PENALTY = 10.0
 _BOUNDING = 4
 """Largest number of loops of a family in a bound: a few far apart give nearly the bound of all."""
 _BEHIND_GAIN_GRID = 0.1
@@ -406,11 +405,11 @@ def grid_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n: 
     while queue and -queue[0][0] > best - _BEHIND_GAIN_GRID:
         _, i, tight = heappop(queue)
         if tighter and not tight:
-            heappush(queue, (-merit(problem.score(grid[i], best - _BEHIND_GAIN_GRID, some), _PENALTY), i, True))
+            heappush(queue, (-merit(problem.score(grid[i], best - _BEHIND_GAIN_GRID, some)), i, True))
             continue
         score = problem.score(grid[i], worst=best - _BEHIND_GAIN_GRID)
         if score.value > best - _BEHIND_GAIN_GRID:
-            merits[i] = merit(score, _PENALTY)
+            merits[i] = merit(score)
             best = max(best, merits[i])
     chosen: list[int] = []
     for i in np.argsort(-merits, kind="stable"):
@@ -434,7 +433,7 @@ def _bounds_of_one(problem: GainProblem, designs: FloatArray, neutral: FloatArra
         rates = true_rates(eigenvalues(np.stack([family.states(x)[one] for x in designs])), T)
         value = np.minimum(value, problem.aim(rates, T).min(axis=1))
         slow = np.maximum(slow, rates.real.max(axis=1))
-    found = value - _PENALTY * np.maximum(0.0, (problem.slowest + slow) / problem.scale)
+    found = value - PENALTY * np.maximum(0.0, (problem.slowest + slow) / problem.scale)
     return np.asarray(np.where(np.isnan(found), -np.inf, found))
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from gbid.control.controllers.structures import Scheduled, controller_structure, with_schedule
+from gbid.control.controllers.structures import Scheduled, controller_at, controller_structure, with_schedule
+from gbid.control.loop.sampled import exact_plant, sampled_loop
 from gbid.control.tuning.goals import (
     limits_of,
 )
-from gbid.control.tuning.loops import smallest_sampled_damping
 from gbid.control.tuning.plants import (
     LpvPlants,
     ModelPlants,
@@ -62,15 +62,12 @@ def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution, points: tu
     sampling = plants.sampling
     if sampling is not None and isinstance(plants, LpvPlants):
         gains = dict(zip(names, map(float, solution.best.x), strict=True))
-        damping, (P, Omega) = smallest_sampled_damping(
-            plants.lpv,
-            plants.structure,
-            gains,
-            sorted(points),
-            sampling.sample_time,
-            sampling.computation_s,
-            sampling.method,
-        )
+        T, computation_s, reached = sampling.sample_time, sampling.computation_s, []
+        for point in sorted(points):
+            plant, law = exact_plant(plants.lpv, *point), controller_at(plants.structure, gains, *point)
+            loop = sampled_loop(plant, law, T, computation_s=computation_s, method=sampling.method)
+            reached.append((loop.damping, point))
+        damping, (P, Omega) = min(reached)
         text = (
             f"designed for sampling at {1e3 * sampling.sample_time:g} ms with {1e3 * sampling.computation_s:g} ms to "
             f"compute; the sampled loop has a smallest damping factor of {damping:.3f}, at {point_label(P, Omega)}"
