@@ -324,8 +324,8 @@ def read_names(files: Sequence[str]) -> NamesRead | None:
         quantity = _quantity([t.lower() for t in split[0]], i) if _form(token) == "number" else ""
         if quantity and quantity not in used and (quantity != "nr" or differs):
             used.add(quantity)
-            whole = quantity != "pressure_bar" and all(each.isdigit() for each in column)
-            parts.append(f"{{{quantity}:{'d' if whole else 'g'}}}")
+            integers = quantity != "pressure_bar" and all(each.isdigit() for each in column)
+            parts.append(f"{{{quantity}:{'d' if integers else 'g'}}}")
         elif not differs:
             parts.append(token)
         elif quantity:

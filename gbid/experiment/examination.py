@@ -68,18 +68,18 @@ def examine() -> list[Finding]:
 def _versions() -> Iterator[Finding]:
     yield Finding("gbid", Verdict.GOOD, f"{__version__} in {Path(__file__).parents[1]}")
     yield Finding("python", Verdict.GOOD, f"{platform.python_version()} on {platform.platform()}, {sys.executable}")
-    needed: list[str] = []
-    extras: list[str] = []
+    versions: dict[bool, dict[str, str]] = {False: {}, True: {}}  # of what gbid needs, and of extras
     for requirement in requires("gbid") or ():
-        found = match(r"[A-Za-z0-9._-]+", requirement)
-        if found and not requirement.endswith(_OF_DEVELOPERS):
-            (extras if "extra ==" in requirement else needed).append(found[0])
-    missing = [name for name in needed if not _version(name)]
-    words = ", ".join(f"{name} {_version(name)}" for name in needed if _version(name))
-    remedy = f"{', '.join(missing)} missing; install gbid anew with pip" if missing else ""
-    yield Finding("packages", Verdict.BAD if missing else Verdict.GOOD, words, remedy)
-    there = [f"{name} {_version(name)}" for name in dict.fromkeys(extras) if _version(name)]
-    yield Finding("optional packages", Verdict.GOOD, ", ".join(there) or "none")
+        name = match(r"[A-Za-z0-9._-]+", requirement)
+        if name and not requirement.endswith(_OF_DEVELOPERS):
+            versions["extra ==" in requirement][name[0]] = _version(name[0])
+    needed, extras = (
+        ", ".join(f"{name} {version}" for name, version in group.items() if version) for group in versions.values()
+    )
+    missing = ", ".join(name for name, version in versions[False].items() if not version)
+    remedy = f"{missing} missing; install gbid anew with pip" if missing else ""
+    yield Finding("packages", Verdict.BAD if missing else Verdict.GOOD, needed, remedy)
+    yield Finding("optional packages", Verdict.GOOD, extras or "none")
 
 
 def _version(name: str) -> str:
@@ -106,27 +106,23 @@ def _cache() -> Finding:
         works = library.gbid_trial() == 7
     except (CompilerMissingError, OSError, AttributeError) as error:
         return Finding("compiled kernels", Verdict.NOTE, str(folder), str(error))
-    kernels = list(folder.glob("*.so")) if folder.is_dir() else []
-    size = file_size(sum(path.stat().st_size for path in kernels))
-    words = f"{folder}: {len(kernels)} kernels, {size}"
+    kernels = [path.stat().st_size for path in folder.glob("*.so")]
+    words = f"{folder}: {len(kernels)} kernels, {file_size(sum(kernels))}"
     if not works:
         return Finding("compiled kernels", Verdict.BAD, words, "a compiled function is wrong: `gbid clean --kernels`")
-    if library.note:
-        remedy = f"{why_not_trusted(folder) or library.note}: chmod go-w it, or set GBID_CACHE_DIR"
-        return Finding("compiled kernels", Verdict.NOTE, words, remedy)
-    return Finding("compiled kernels", Verdict.GOOD, words)
+    remedy = f"{why_not_trusted(folder) or library.note}: chmod go-w it, or set GBID_CACHE_DIR" if library.note else ""
+    return Finding("compiled kernels", Verdict.NOTE if remedy else Verdict.GOOD, words, remedy)
 
 
 def _disks() -> Iterator[Finding]:
     for what, folder in (("this folder", Path()), ("temporary files", Path(tempfile.gettempdir()))):
-        free = shutil.disk_usage(folder).free
-        words = f"{folder.resolve()}: {file_size(free)} free"
+        free, remedy = shutil.disk_usage(folder).free, ""
         if not os.access(folder, os.W_OK):
-            yield Finding(what, Verdict.NOTE, words, "cannot be written; results can go elsewhere with --results")
+            remedy = "cannot be written; results can go elsewhere with --results"
         elif free < _LITTLE:
-            yield Finding(what, Verdict.NOTE, words, "little room; `gbid check` says how much an experiment needs")
-        else:
-            yield Finding(what, Verdict.GOOD, words)
+            remedy = "little room; `gbid check` says how much an experiment needs"
+        words = f"{folder.resolve()}: {file_size(free)} free"
+        yield Finding(what, Verdict.NOTE if remedy else Verdict.GOOD, words, remedy)
 
 
 def _threads() -> Iterator[Finding]:

@@ -365,8 +365,8 @@ def stored_key(path: Path) -> str:
             with opened(path) as file:
                 return str(file.attrs.get(ATTRIBUTE, ""))
         content = path.read_bytes()
-        found = _IN_TEXT.search(content)
-        return found[1].decode() if found and not is_changed(content) else ""
+        key = _IN_TEXT.search(content)
+        return key[1].decode() if key and not is_changed(content) else ""
     except (OSError, DataError):
         return ""
 
@@ -383,12 +383,12 @@ def is_current(path: Path, key: str, overwrite: bool) -> bool:
     """
     if not path.exists():
         return False
-    found = stored_key(path)
-    if found == key:
+    stored = stored_key(path)
+    if stored == key:
         return True
     if overwrite:
         return False
-    if not found:
+    if not stored:
         words = "damaged, changed after it was made, or not made by an experiment"
         raise DataError(f"{path}: {words}; remove it or use --overwrite")
     raise UsageError(

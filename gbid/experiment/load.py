@@ -112,8 +112,8 @@ def load_experiment(path: str | Path, results: str | Path | None = None) -> Expe
     if spec is not None:
         folder = Path(results) if results else path.parent / (spec.results or f"results/{file_stem(spec.name)}")
         experiment = Experiment(file, spec, folder)
-        found = find_experiment_problems(experiment)
-        problems += [experiment.problem(place, text) for place, text in found if not _touches(place, faults)]
+        across = find_experiment_problems(experiment)
+        problems += [experiment.problem(place, text) for place, text in across if not _touches(place, faults)]
         if not problems:
             return experiment
     raise ExperimentError(in_file_order(problems))
@@ -230,21 +230,21 @@ def peek_recordings(experiment: Experiment) -> tuple[dict[str, Peek], list[tuple
     list of (PlannedRecording, GbidError)
         Recordings that cannot be read, each with its error.
     """
-    found: dict[str, Peek] = {}
+    heads: dict[str, Peek] = {}
     broken: list[tuple[PlannedRecording, GbidError]] = []
     rig = experiment.spec.rig
     for name, planned in experiment.recordings.items():
         if planned.imported is None:
             assert rig is not None
             seconds = rig.duration_s if planned.excited else rig.stationary.duration_s or rig.duration_s
-            found[name] = Peek(round(seconds / rig.sample_time_s), rig.sample_time_s)
+            heads[name] = Peek(round(seconds / rig.sample_time_s), rig.sample_time_s)
             continue
         try:
             mapping = ImportMapping.from_dict(mapping_of(planned.imported))
-            found[name] = peek(data_file(experiment, planned.imported), mapping)
+            heads[name] = peek(data_file(experiment, planned.imported), mapping)
         except GbidError as error:
             broken.append((planned, error))
-    return found, broken
+    return heads, broken
 
 
 def sample_times_differ(experiment: Experiment, seen: Mapping[str, Peek]) -> Iterator[str]:

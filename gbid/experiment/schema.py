@@ -80,7 +80,7 @@ class ImpactsSection(HammerTrain):
     """Hammer impacts with and without a controller (paper, Sec. 5.1); see `gbid.fit_ringdown`, `gbid.validate_impact`.
 
     `controller`: ``paper`` is the controller in the model file of the rig, ``tuned`` the design of the
-    section controller (``tuned:NAME`` when there are several), else a controller file.
+    section controller (``tuned:NAME`` when there are several), else a controller file, or ``file.py:name``.
     `beside`: further closed loops by name, each with a controller written in the same way.
     `model`: model that predicts the modes: a name, a file, or ``lpv`` for the surfaces of this experiment;
     the model of the rig when left out. `repeats` is the number of impacts in a recording, `spacing_s` the time between
@@ -714,8 +714,7 @@ class NamePattern:
         match = self.regex.fullmatch(path)
         if match is None:
             return None
-        found = match.groupdict()
-        return {name: float(found[name]) if name in self.numbers else found[name] for name in self.fields}
+        return {name: float(match[name]) if name in self.numbers else match[name] for name in self.fields}
 
 
 def name_pattern(text: str) -> NamePattern:
@@ -731,16 +730,15 @@ def name_pattern(text: str) -> NamePattern:
         name, form = match["name"], match["kind"] or ""
         parts.append(_literal(text, text[end : match.start()]))
         end = match.end()
-        if not name.isidentifier():
-            raise UsageError(f"{text!r}: {match[0]} names no field; write {{name}}, {{kind}} or {{pressure_bar:g}}")
-        if form not in _FORMS:
-            raise UsageError(f"{text!r}: {match[0]}: unknown form {form!r}; write :g for a number, :d for a whole one")
-        if name in fields:
-            raise UsageError(f"{text!r}: field {name!r} occurs twice; rename or remove one")
-        if form and name in ("name", "kind"):
-            raise UsageError(f"{text!r}: {name} is a word, not a number; write {{{name}}}")
-        if not form and name in ("pressure_bar", "speed_rpm"):
-            raise UsageError(f"{text!r}: {name} is a number; write {{{name}:g}}")
+        faults = {
+            f"{match[0]} names no field; write {{name}}, {{kind}} or {{pressure_bar:g}}": not name.isidentifier(),
+            f"{match[0]}: unknown form {form!r}; write :g for a number, :d for a whole one": form not in _FORMS,
+            f"field {name!r} occurs twice; rename or remove one": name in fields,
+            f"{name} is a word, not a number; write {{{name}}}": form and name in ("name", "kind"),
+            f"{name} is a number; write {{{name}:g}}": not form and name in ("pressure_bar", "speed_rpm"),
+        }
+        if wrong := [words for words, is_wrong in faults.items() if is_wrong]:
+            raise UsageError(f"{text!r}: {wrong[0]}")
         fields.append(name)
         if form:
             numbers.append(name)

@@ -114,6 +114,11 @@ def test_controller_file_has_the_gains_and_runs_in_the_impacts(tuned):
         experiment = load_experiment(hit)
         running = controller_at(experiment, experiment.spec.impacts.operating_points[0])
         np.testing.assert_array_equal(running.continuous.C, design.at().C)
+    (path.parent / "law.py").write_text("from gbid.control import p_controller\n\nlaw = p_controller(0.5, 0.4)\n")
+    hit.write_text(hit.read_text().replace("tuned:feedback", "law.py:law"))
+    experiment = load_experiment(hit)
+    running = controller_at(experiment, experiment.spec.impacts.operating_points[0])
+    np.testing.assert_array_equal(running.continuous.C, gbid.control.p_controller(0.5, 0.4).C)
 
 
 def test_changed_settings_stop_and_replace(tuned, tmp_path):
