@@ -110,13 +110,6 @@ def even_step(values: FloatArray, tolerance: float = MAX_JITTER) -> float | None
     return median if even else None
 
 
-def largest_deviation(time: FloatArray) -> float:
-    """Return the largest relative deviation of a time step from the median step."""
-    steps = np.diff(time)
-    median = np.median(steps)
-    return float(np.max(np.abs(steps - median)) / median)
-
-
 def even_pieces(
     path: Path, what: str, time: FloatArray, columns: Mapping[str, FloatArray], start: int
 ) -> list[ClockPiece]:
@@ -249,7 +242,8 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
     pieces = even_pieces(path, mapping.time, time, {name: c.values for name, c in columns.items()}, start)
     piece, remarks = _chosen(path, mapping, pieces, time, start)
     time = time[piece.rows]
-    uneven = largest_deviation(time)
+    steps = np.diff(time)
+    uneven = float(np.abs(steps / np.median(steps) - 1).max())  # largest relative deviation from the median step
     if uneven > MAX_RESAMPLED:
         raise DataError(
             f"{path}: time column {mapping.time!r}: steps differ from the median step by up to {uneven:.0%}; "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -31,16 +31,7 @@ from gbid.structure.parameter import Parameter, Values, set_fields
 # ---- Matrices of a controller as symbols: continuous, or sampled with its computation time.
 
 
-class SymbolicLaw(NamedTuple):
-    """Matrices A, B, C, D of a controller, as casadi.SX."""
-
-    A: ca.SX
-    B: ca.SX
-    C: ca.SX
-    D: ca.SX
-
-
-def law_of(controller: LinearModel | Structure, gains: ca.SX, pade_order: int) -> SymbolicLaw:
+def law_of(controller: LinearModel | Structure, gains: ca.SX, pade_order: int) -> ControlLaw:
     """Return the matrices of a controller.
 
     Parameters
@@ -59,14 +50,14 @@ def law_of(controller: LinearModel | Structure, gains: ca.SX, pade_order: int) -
     """
     if isinstance(controller, LinearModel):
         model = with_pade(controller, pade_order)
-        return SymbolicLaw(*(ca.SX(ca.sparsify(ca.DM(getattr(model, letter)))) for letter in "ABCD"))
+        return ControlLaw(*(ca.SX(ca.sparsify(ca.DM(getattr(model, letter)))) for letter in "ABCD"))
     p, m = symbolic_matrices(controller)
     if m.has_delay:
         raise UsageError(f"controller {controller.name!r} has exact delays; give pade_delay filters instead")
-    return SymbolicLaw(*ca.substitute([m.A, m.B, m.C, m.D], [p], [gains]))
+    return ControlLaw(*ca.substitute([m.A, m.B, m.C, m.D], [p], [gains]))
 
 
-def tustin(law: SymbolicLaw, sample_time: float) -> SymbolicLaw:
+def tustin(law: ControlLaw, sample_time: float) -> ControlLaw:
     """Return a controller sampled by the trapezoidal rule, as a program runs it.
 
     With ``M = (I - h A / 2)^-1`` the matrices are ``2 M - I``, ``h M B``, ``C M`` and ``D + h C M B / 2``.
@@ -75,14 +66,14 @@ def tustin(law: SymbolicLaw, sample_time: float) -> SymbolicLaw:
     if not n:
         return law
     M = ca.sparsify(ca.inv(ca.SX.eye(n) - h / 2 * law.A))
-    return SymbolicLaw(2 * M - ca.SX.eye(n), h * M @ law.B, law.C @ M, law.D + h / 2 * law.C @ M @ law.B)
+    return ControlLaw(2 * M - ca.SX.eye(n), h * M @ law.B, law.C @ M, law.D + h / 2 * law.C @ M @ law.B)
 
 
-def computed_later(law: SymbolicLaw, samples: int) -> SymbolicLaw:
+def computed_later(law: ControlLaw, samples: int) -> ControlLaw:
     """Return a sampled controller whose output acts some samples later; each sample adds a state for each output."""
     for _ in range(samples):
         n, n_r = law.A.shape[0], law.C.shape[0]
-        law = SymbolicLaw(
+        law = ControlLaw(
             ca.blockcat([[law.A, ca.SX(n, n_r)], [law.C, ca.SX(n_r, n_r)]]),
             ca.vertcat(law.B, law.D),
             ca.horzcat(ca.SX(n_r, n), ca.SX.eye(n_r)),
@@ -245,14 +236,14 @@ class ClosedLoop(Brief):
         drive, feed = plant.B, plant.D
         n, n_y = plant.A.shape[0], plant.C.shape[0]
         B, D = (ca.SX(n, len(self.measured)), ca.SX(n_y, len(self.measured))) if set_point else (drive, feed)
-        control_law = ControlLaw(law.A, law.B, law.C, law.D, drive, feed)
+        law = law._replace(drive=drive, feed=feed)
         parts = LoopParts(plant.A, B, plant.C, D, plant.K)
         begins = {"x0": ca.vertcat(plant.x0, ca.SX(law.A.shape[0], 1))} if plant.x0.numel() else {}
         if self.sample_time is None:
-            return {**closed_parts(parts, control_law, self.measured, set_point)._asdict(), **begins}
+            return {**closed_parts(parts, law, self.measured, set_point)._asdict(), **begins}
         return {
             **parts._asdict(),
-            "feedback": HeldFeedback(control_law, self.measured, set_point, self.sample_time),
+            "feedback": HeldFeedback(law, self.measured, set_point, self.sample_time),
             **begins,
         }
 
@@ -274,7 +265,7 @@ class ClosedLoop(Brief):
         if missing:
             raise UsageError(f"{self.name}: no value for {', '.join(missing)}")
         law = self._law(Values({gain.name: ca.SX(float(given[gain.name])) for gain in self.gains}))
-        A, B, C, D = (np.asarray(ca.DM(ca.densify(M)), float).reshape(M.shape) for M in law)
+        A, B, C, D = (np.asarray(ca.DM(ca.densify(M)), float).reshape(M.shape) for M in law[:4])
         return LinearModel(A, B, C, D, dt=self.sample_time, name=self.controller.name)
 
     def _plant(self, p: Values) -> Matrices:
@@ -283,7 +274,7 @@ class ClosedLoop(Brief):
         A, B, C, D, K, B_delayed, delay, x0 = ca.substitute(list(m[:8]), [symbols], [values])
         return pade_matrices(Matrices(A, B, C, D, K, B_delayed, delay, x0), self.pade_order)
 
-    def _law(self, p: Values) -> SymbolicLaw:
+    def _law(self, p: Values) -> ControlLaw:
         law = law_of(self.controller, ca.vertcat(*(p[gain.name] for gain in self.gains)), self.pade_order)
         if self.sample_time is None:
             return law

@@ -41,15 +41,15 @@ class ControlLaw(NamedTuple):
     A, B, C, D
         (n, n), (n, n_measured), (n_r, n), (n_r, n_measured).
     drive, feed
-        Matrices from r to the states and to the outputs of the plant.
+        Matrices from r to the states and to the outputs of the plant that it acts on; None without a plant.
     """
 
     A: Any
     B: Any
     C: Any
     D: Any
-    drive: Any
-    feed: Any
+    drive: Any = None
+    feed: Any = None
 
 
 class HeldFeedback(NamedTuple):
