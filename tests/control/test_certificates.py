@@ -10,7 +10,7 @@ import pytest
 from gain_problems import damping_problem
 
 from benchmarks.known_loops import two_masses_canonical
-from gbid.control.tuning.certificate import GradientHull, certify
+from gbid.control.tuning.certificate import certify
 from gbid.control.tuning.local import ascend
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.problem import GainProblem, Limits
@@ -76,17 +76,6 @@ def test_two_eigenvalues_that_have_not_met_leave_room() -> None:
     assert 1e-4 < rise < certificate.room
     far, x = certify(parted(0.3), rest, np.ones(1))
     assert not far.holds or x[0] > 0.08
-
-
-def test_shortest_combination_of_gradients() -> None:
-    free, none = np.ones(2), np.zeros(2, bool)
-    problem = damping_problem(lambda g: 0.3 + 0.1 * g[0] + 0.05 * g[1], [-1.0] * 2, [1.0] * 2)
-    hull = GradientHull(free, none, none)
-    hull.add(problem.functions(np.zeros(2)))
-    assert hull.shortest() == pytest.approx([0.1, 0.05], rel=1e-6)
-    held = GradientHull(free, none, np.array([True, False]))
-    held.add(problem.functions(np.zeros(2)))
-    assert held.shortest() == pytest.approx([0.0, 0.05], abs=1e-8)
 
 
 def test_bfgs_climbs_a_curved_ridge_without_a_gradient() -> None:

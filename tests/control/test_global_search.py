@@ -13,7 +13,7 @@ from gain_problems import damping_problem
 
 from gbid.control.tuning.local import optimise_locally
 from gbid.control.tuning.problem import GainProblem, Score
-from gbid.control.tuning.search import SearchOptions, SearchOutcome, SearchTask, better, search, spread_points
+from gbid.control.tuning.search import SearchOptions, SearchOutcome, SearchTask, search
 
 NEVER_ACTIVE = (("never active", np.zeros(4), 1.0),)
 """A limit: without any, BFGS takes the place of the steps whose weakness some tests show."""
@@ -88,59 +88,3 @@ def test_a_far_hill_with_ripples_is_found_beside_a_smooth_one() -> None:
     found = searched(problem, neutral, (beside,), starts=0)
     assert found.best.score.value == pytest.approx(0.6, abs=1e-6)
     assert found.best.x == pytest.approx(rough, abs=1e-3)
-
-
-def test_all_given_designs_are_optimised_and_the_best_end_wins() -> None:
-    """Hills of 0.3 and 0.472; the search of similar loops ends at both of them."""
-    low, high = np.array([0.5, 0.5, 0.0, 0.0]), np.array([-0.5, 0.0, 0.5, 0.0])
-
-    def hills(g: Any) -> Any:
-        return 0.3 - 0.3 * ca.sumsqr(g - low) + 0.6 * ca.exp(-ca.sumsqr(g - high) / 0.1)
-
-    problem = damping_problem(hills, [-1.0] * 4, [1.0] * 4)
-    problem = replace(problem, linear=NEVER_ACTIVE)
-    assert searched(problem, low + 0.05, starts=0, hops=0).best.score.value == pytest.approx(0.3, abs=1e-3)
-    found = searched(problem, low + 0.05, (high + 0.05,), starts=0, hops=0)
-    assert found.best.x == pytest.approx(high, abs=0.1)
-    assert found.best.score.value > 0.4
-    ends = searched(problem, low, (high,), starts=0, sketch=True).ends
-    assert [one.score.value for one in ends] == pytest.approx([0.472, 0.3], abs=1e-3)
-
-
-def test_the_best_finalist_wins_not_the_one_that_led_before() -> None:
-    """A curved valley leads to 0.52; a short local search from its start ends far behind a hill of 0.32."""
-    hill, begin = np.array([-1.0, -1.0, 0.0, 0.0]), np.array([-1.0, 1.0, 0.5, 0.5])
-
-    def hill_and_valley(g: Any) -> Any:
-        off = 40_000 * (g[1] - g[0] ** 2) ** 2 + (1 - g[0]) ** 2 + g[2] ** 2 + g[3] ** 2
-        return 0.02 + 0.5 / (1 + off) + 0.3 * ca.exp(-ca.sumsqr((g - hill) / 0.3))
-
-    problem = damping_problem(hill_and_valley, [-2.0] * 4, [2.0] * 4)
-    problem = replace(problem, linear=NEVER_ACTIVE)
-    found = searched(problem, hill, (begin,), starts=0, hops=0).best
-    assert found.score.value == pytest.approx(0.52, abs=1e-6)
-    assert found.x == pytest.approx([1, 1, 0, 0], abs=1e-3)
-    alone = searched(problem, hill, (begin,), starts=0, hops=0, finalists=1).best
-    assert alone.score.value < 0.33
-
-
-def test_limits_come_before_the_aim() -> None:
-    kept, low, worse = Score(0.2, 0.0), Score(0.1, 0.0), Score(0.9, 1e-3)
-    assert better(kept, low)
-    assert not better(low, kept)
-    assert better(low, worse)
-    assert not better(worse, low)
-    assert better(worse, Score(0.95, 2e-3))
-    assert not better(Score(0.95, 2e-3), worse)
-    assert better(Score(0.3, 0.9e-6), kept)  # a limit exceeded by less than 1e-6 is kept
-
-
-@pytest.mark.parametrize("d", [1, 11, 60])
-def test_starts_fill_the_box_more_evenly_than_random_numbers(d: int) -> None:
-    points = spread_points(64, d, 3)
-    assert points.shape == (64, d)
-    assert ((points >= 0) & (points < 1)).all()
-    # largest gap of each coordinate: 1/64 at best, and about log(64)/64 = 0.065 of random numbers
-    gaps = np.diff(np.sort(points, axis=0), axis=0).max(axis=0)
-    assert gaps.mean() < 0.04
-    assert not np.allclose(points, spread_points(64, d, 4))

@@ -39,7 +39,6 @@ from gbid.control.controllers.structures import controller_structure
 from gbid.control.tuning.goals import Goal, limits_of
 from gbid.control.tuning.plants import LpvPlants, TuneOptions, plants_of
 from gbid.control.tuning.problem import GainProblem
-from gbid.control.tuning.response_goals import _intervals
 from gbid.core.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
@@ -201,16 +200,6 @@ def test_a_transfer_function_may_have_a_zero_at_rest_or_a_pole_on_the_axis() -> 
     assert excess(PeakSensitivity(high_pass)).min() > 5
     undamped = gbid.LinearModel([[0, 300.0], [-300.0, 0]], [[0], [300.0]], [[1.0, 0]], [[0.0]])
     assert np.isfinite(excess(PeakSensitivity(undamped))).all()
-
-
-def test_two_crossings_between_neighbours_of_the_grid_are_found() -> None:
-    grid = np.array([[1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.0, 4.0]])
-    height = np.array([1e-3, -1e-3])  # the second loop turns back before zero
-    loop, low, high, sign = _intervals(grid, lambda which, w: height[which, None] - (w - 2.6) ** 2)
-    assert loop.tolist() == [0, 0]
-    assert sign.tolist() == [-1, 1]
-    for place, a, b in zip(2.6 + np.array([-1, 1]) * np.sqrt(1e-3), low, high, strict=True):
-        assert a < place < b
 
 
 @pytest.mark.parametrize("bounds", [(-1.0, 1.0), (0.5, 1.5)])

@@ -69,14 +69,6 @@ def test_the_papers_design_is_found_again() -> None:
     assert result.value == pytest.approx(damping(dict(result.gains), ONE), abs=1e-12)
 
 
-def test_one_point_without_cap_is_the_best_of_grid_and_simplex() -> None:
-    result = designed("one", None)
-    brute = brute_force(Loops(MODEL, ONE), None, result.value - 0.02)
-    assert brute.value <= result.value + 1e-5
-    assert brute.value >= result.value - 1e-5
-    assert "not limited" in result.notes[0]
-
-
 def test_fifteen_points_without_cap_lie_at_the_edge_and_say_so() -> None:
     result = designed("fifteen", None)
     assert result.success
@@ -117,12 +109,6 @@ def test_fifty_seeds_of_random_starts_end_in_one_optimum(points: object, cap: fl
     values = np.array([result.value for result in results])
     assert np.ptp(values) <= 1e-5
     assert values.max() <= gbid.tune(MODEL, operating_points=points, peak_sensitivity=cap).value + 1e-5
-
-
-def test_random_starts_find_what_the_grid_finds() -> None:
-    for seed in range(2):
-        found = gbid.tune(MODEL, operating_points=ONE, starts=8, seed=seed)
-        assert found.value == pytest.approx(designed().value, abs=1e-5)
 
 
 def test_all_limits_hold_at_once() -> None:
@@ -262,13 +248,10 @@ def test_uncertain_plants_are_held_too() -> None:
         assert gbid.sensitivities(plant, p_controller(**result.gains)).peak("output").value <= 2.6 * (1 + 1e-6)
 
 
-@pytest.mark.parametrize("cap", [None, 2.6])
-def test_adding_loops_as_they_turn_out_worse_ends_where_all_at_once_do(
-    monkeypatch: pytest.MonkeyPatch, cap: float | None
-) -> None:
-    whole = designed("fifteen", cap)
+def test_adding_loops_as_they_turn_out_worse_ends_where_all_at_once_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = designed("fifteen")
     monkeypatch.setattr(import_module("gbid.control.tuning.solve"), "_MANY", 5)
-    added = gbid.tune(MODEL, peak_sensitivity=cap)
+    added = gbid.tune(MODEL)
     assert added.value == pytest.approx(whole.value, abs=1e-7)
     assert added.verified_on == whole.verified_on
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from itertools import count
 from typing import Any
@@ -43,6 +43,7 @@ from gbid.control.tuning.search import (
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.notes import ControlNote
+from gbid.core.option_types import takes_options
 from gbid.lpv import Domain
 
 _FAR = 1e9
@@ -320,38 +321,12 @@ def _zoom(
 # ---- Gains with the largest damping, for any closed-loop matrices that depend on gains.
 
 
-def maximise_damping(
-    A_of_gains: ca.Function | Sequence[ca.Function],
-    gains: Sequence[str],
-    lower: npt.ArrayLike,
-    upper: npt.ArrayLike,
-    objective: Objective = "damping",
-    *,
-    slowest_pole: float = 0.0,
-    peak_sensitivity: float | None = None,
-    peak_control: float | None = None,
-    static_amplification: float | None = None,
-    start: npt.ArrayLike | None = None,
-    starts: int | None = None,
-    seed: int = 0,
-    evaluations: int | None = None,
-    progress: Progress | None = None,
-) -> GainResult:
-    r"""Return the gains that maximise the smallest damping factor, or the slowest decay, over all given loops.
+@dataclass(frozen=True, eq=False)
+class DampingOptions:
+    """Options of `gbid.maximise_damping`.
 
-    .. math:: \max_{l \le g \le u} \; \min_{i,\,j} \; \zeta(\lambda_j(A_i(g))), \quad
-              \zeta(\lambda) = -\mathrm{Re}\,\lambda / |\lambda|
-
-    over all oscillatory eigenvalues (the real ones must be stable), or ``-Re`` over all eigenvalues.
-
-    Parameters
+    Attributes
     ----------
-    A_of_gains : casadi.Function or sequence of these
-        From the vector of gains (d, 1) to the closed-loop matrix (n, n) in continuous time [1/s]. For limits on
-        frequency responses: to A, B, C, D from disturbances d of the q measured outputs to these outputs with their
-        disturbances, ``S_o d``, and below to the control signals, ``K S_o d``.
-    gains : sequence of str
-        Names of the d gains.
     lower, upper : float or (d,) array
         Finite bounds.
     objective : {"damping", "decay"}
@@ -371,6 +346,43 @@ def maximise_damping(
         Number of designs after which the search ends, about; the status is then ``"iteration limit"``.
     progress : callable, optional
         Called with a `SearchStep` after each stage.
+    """
+
+    lower: npt.ArrayLike
+    upper: npt.ArrayLike
+    objective: Objective = "damping"
+    _: KW_ONLY
+    slowest_pole: float = 0.0
+    peak_sensitivity: float | None = None
+    peak_control: float | None = None
+    static_amplification: float | None = None
+    start: npt.ArrayLike | None = None
+    starts: int | None = None
+    seed: int = 0
+    evaluations: int | None = None
+    progress: Progress | None = None
+
+
+@takes_options(DampingOptions)
+def maximise_damping(
+    A_of_gains: ca.Function | Sequence[ca.Function], gains: Sequence[str], options: DampingOptions
+) -> GainResult:
+    r"""Return the gains that maximise the smallest damping factor, or the slowest decay, over all given loops.
+
+    .. math:: \max_{l \le g \le u} \; \min_{i,\,j} \; \zeta(\lambda_j(A_i(g))), \quad
+              \zeta(\lambda) = -\mathrm{Re}\,\lambda / |\lambda|
+
+    over all oscillatory eigenvalues (the real ones must be stable), or ``-Re`` over all eigenvalues.
+
+    Parameters
+    ----------
+    A_of_gains : casadi.Function or sequence of these
+        From the vector of gains (d, 1) to the closed-loop matrix (n, n) in continuous time [1/s]. For limits on
+        frequency responses: to A, B, C, D from disturbances d of the q measured outputs to these outputs with their
+        disturbances, ``S_o d``, and below to the control signals, ``K S_o d``.
+    gains : sequence of str
+        Names of the d gains.
+    **options
 
     Returns
     -------
@@ -409,18 +421,24 @@ def maximise_damping(
         raise UsageError("maximise_damping: give at least one function and one gain")
     if len(set(names)) < len(names):
         raise UsageError(f"maximise_damping: gains {', '.join(map(str, names))}; give each a name of its own")
-    low, high = as_bounds(lower, upper, names)
-    search_options = SearchOptions(starts, seed, evaluations)
+    low, high = as_bounds(options.lower, options.upper, names)
+    search_options = SearchOptions(options.starts, options.seed, options.evaluations)
     families = families_of(functions, len(names))
     neutral = np.clip(np.zeros(len(names)), low, high)
-    limits = Limits(objective, slowest_pole, peak_sensitivity, peak_control, static_amplification)
+    limits = Limits(
+        options.objective,
+        options.slowest_pole,
+        options.peak_sensitivity,
+        options.peak_control,
+        options.static_amplification,
+    )
     if limits.has_responses and not all(family.n_outputs for family in families):
         raise UsageError("limits on frequency responses need functions from the gains to A, B, C and D of every loop")
-    given = [] if start is None else [np.clip(as_start(start, names), low, high)]
-    neutral = usable_start(families, [neutral, *given], low, high, int(seed))
-    scale, designs = typical_rate(families, neutral), Evaluations(most=evaluations)
+    given = [] if options.start is None else [np.clip(as_start(options.start, names), low, high)]
+    neutral = usable_start(families, [neutral, *given], low, high, options.seed)
+    scale, designs = typical_rate(families, neutral), Evaluations(most=options.evaluations)
     problem = GainProblem(families, limits, low, high, scale, evaluations=designs)
-    solution = solve(problem, SearchTask(neutral, tuple(given), search_options, progress))
+    solution = solve(problem, SearchTask(neutral, tuple(given), search_options, options.progress))
     n_loops = sum(len(family) for family in families)
     norms = " and exact H-infinity norms" if limits.has_responses else ""
     return summarise(solution, names, f"eigenvalues{norms} of the {n_loops} closed-loop matrices")
