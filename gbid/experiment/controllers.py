@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import scipy
@@ -18,7 +17,6 @@ from gbid.control import (
     Goal,
     HalfSine,
     PeakSensitivity,
-    PiezoTravel,
     Scheduled,
     controller_structure,
     load_controller,
@@ -29,11 +27,9 @@ from gbid.control.assessment import TunedDesign
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.structures import with_schedule
 from gbid.control.loop.close import sample_controller
-from gbid.control.tuning.plants import DesignOptions
 from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
-from gbid.core.units import SIGNALS
-from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
+from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import InputError, Result, about, file_digest, nearest, needed, stored_key
 from gbid.experiment.machine import PlannedRun, rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection, Place
@@ -41,12 +37,11 @@ from gbid.experiment.schema import (
     GOALS,
     ControllerSection,
     GoalEntry,
-    ImpactsSection,
     TargetSection,
 )
 from gbid.export.chain import ChainOptions, chain_of
 from gbid.export.chain_c import CompiledChain
-from gbid.lpv import Domain, LPVModel, ProportionalDesign, PublishedMachine, load_machine, load_model
+from gbid.lpv import Domain, LPVModel, ProportionalDesign, PublishedMachine, load_machine
 from gbid.prefilter import identify_runout
 from gbid.rig import ProgramController, SampledController, Stationary
 from gbid.structure import LinearModel, LinearStructure, kind_of, load_structure, load_structure_or_model
@@ -96,18 +91,6 @@ def peak_cap(section: ControllerSection) -> float | None:
         return section.peak_sensitivity
     limits = [entry.arguments["limit"] for entry in section.goals if _caps_peak(entry)]
     return min(map(float, limits), default=None)
-
-
-def _travel_goal(section: ControllerSection) -> PiezoTravel | None:
-    """Return the first goal on the travel of the stacks; None when there is none."""
-    made = (made_goal(entry, no_disturbance) for entry in section.goals or () if entry.goal == PiezoTravel.__name__)
-    return cast("PiezoTravel | None", next(made, None))
-
-
-def impact(section: ControllerSection) -> HalfSine:
-    """Return the impact for the assessment of designs: that of the goals, or the default."""
-    goal = _travel_goal(section)
-    return HalfSine() if goal is None else goal.impact
 
 
 def without_cap(section: ControllerSection, goals: Sequence[Goal]) -> list[Goal]:
@@ -184,13 +167,13 @@ def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
     """
     word = model_word(experiment, section)
     if word is not None:
-        return with_actuators(load_machine(_model_source(experiment, word)).model)
+        return with_actuators(load_machine(model_source(experiment, word)).model)
     if experiment.spec.rig is None:
         raise UsageError("needs a model; name one, or add a section lpv")
     return with_actuators(rig_model(experiment))
 
 
-def _model_source(experiment: Experiment, word: str) -> Path | str:
+def model_source(experiment: Experiment, word: str) -> Path | str:
     """Return what a word names: a file relative to the experiment, or a model of gbid."""
     return experiment.folder / word if Path(word).suffix in (".yaml", ".yml") else word
 
@@ -263,27 +246,6 @@ def _structure_text(experiment: Experiment, name: str | None) -> str:
     return (experiment.folder / file).read_text(errors="replace") if file else ""
 
 
-def tune_options(section: ControllerSection) -> dict[str, Any]:
-    """Return the arguments of `gbid.tune` from the section, except model, structure and cap."""
-    points: Any = section.operating_points
-    if not isinstance(points, str):
-        points = [(q.pressure_bar, q.speed_rpm) for q in points]
-    left_out = ("peak_sensitivity",) if section.goals is None else ("peak_sensitivity", "objective")
-    options = {f.name: getattr(section, f.name) for f in fields(DesignOptions) if f.name not in left_out}
-    return {**options, "operating_points": None if points == "model" else points}
-
-
-def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
-    """Return the arguments of `gbid.control.assess` from the section, except the points."""
-    goal = _travel_goal(section)
-    return {
-        "sample_time": sample_time(experiment, section),
-        "method": section.method,
-        "impact": impact(section),
-        **({} if goal is None else {"piezo_travel_m": goal.travel_m}),
-    }
-
-
 def sample_time(experiment: Experiment, section: ControllerSection) -> float:
     """Return the sample time of the controller [s]."""
     return section.sample_time_s or rig_time(experiment)
@@ -298,7 +260,7 @@ def rig_time(experiment: Experiment) -> float:
 def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> PublishedMachine | None:
     """Return the machine that a design names if it comes with a controller, else that of the rig; None without rig."""
     word = None if section is None or surfaces_item(experiment, section) else model_word(experiment, section)
-    named = None if word is None else load_machine(_model_source(experiment, word))
+    named = None if word is None else load_machine(model_source(experiment, word))
     if experiment.spec.rig is None or (named is not None and named.controller is not None):
         return named
     return rig_machine(experiment)
@@ -355,26 +317,6 @@ TUNED = "controller"
 """Folder of the tuned controllers in the results."""
 
 
-@dataclass(frozen=True)
-class ImpactRecording:
-    """Planned recording with impacts.
-
-    Attributes
-    ----------
-    planned : PlannedRecording
-        Recording of the rig.
-    point : Place
-        Operating point.
-    loop, axis : str
-        Name of the loop (``"open"``, ``"closed"`` or that of a further loop), and axis of the impacts.
-    """
-
-    planned: PlannedRecording
-    point: Place
-    loop: str
-    axis: str
-
-
 @dataclass(frozen=True, eq=False)
 class LoopController:
     """Controller in continuous and in discrete time.
@@ -390,64 +332,6 @@ class LoopController:
     continuous: LinearModel
     sampled: LinearModel
     design: ControllerDesign
-
-
-def study_name(point: Place, loop: str) -> str:
-    """Return the name of the study of one operating point in one loop, e.g. ``p6_n0_open``."""
-    return f"p{point.pressure_bar:g}_n{point.speed_rpm:g}_{loop}"
-
-
-def loop_controllers(section: ImpactsSection) -> dict[str, str]:
-    """Return the controller entry of each loop, in their order; empty for the open loop."""
-    return {loop: section.controller if loop == "closed" else "" for loop in section.loops} | section.beside
-
-
-def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
-    """Return the recordings with impacts by name, e.g. ``p6_n0_open_x``; empty without the section."""
-    section = experiment.spec.impacts
-    if section is None:
-        return {}
-    signals = {**RIG_SIGNALS, "f": SIGNALS["f"].channels}
-    impacts = [
-        ImpactRecording(
-            PlannedRecording(
-                f"{study_name(point, loop)}_{axis}",
-                False,
-                point.model_dump(),
-                signals,
-                ("impacts", "operating_points", i),
-                run=("impact", axis),
-            ),
-            point,
-            loop,
-            axis,
-        )
-        for i, point in enumerate(section.operating_points)
-        for loop in loop_controllers(section)
-        for axis in section.axes
-    ]
-    return {each.planned.name: each for each in impacts}
-
-
-def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
-    """Return the model that predicts the modes, and a text that identifies it in content keys.
-
-    Raises
-    ------
-    UsageError
-        When the model is missing or has no actuators.
-    """
-    section = needed(experiment.spec.impacts, "impacts")
-    if section.model is None:
-        model = rig_model(experiment)
-        return with_actuators(model), f"rig {model.name}"
-    source = _model_source(experiment, section.model)
-    if section.model == "lpv":
-        source = experiment.path("lpv", needed(experiment.spec.lpv, "lpv").fit, ".yaml")
-        if not source.is_file():
-            raise UsageError(f"{source}: file is missing; `gbid lpv` makes it")
-    key = file_digest(source) if isinstance(source, Path) else source
-    return with_actuators(load_model(source)), key
 
 
 def controller_at(experiment: Experiment, point: Place, loop: str = "closed") -> LoopController:
@@ -710,21 +594,6 @@ def answered(experiment: Experiment, planned: PlannedRecording) -> bool:
     """Return whether the controller of a recording answers to run-out, because it does not subtract it."""
     rig = experiment.spec.rig
     return planned.in_loop and rig is not None and rig.loop is not None and rig.loop.runout == "offline"
-
-
-def loop_stills(experiment: Experiment, point: str) -> list[PlannedRecording]:
-    """Return the recordings of the rig under the controller and without excitation at an operating point."""
-    return [planned for planned in experiment.points[point] if planned.run[:1] == ("loop_still",)]
-
-
-def early_designs(experiment: Experiment) -> list[str]:
-    """Return the names of the designs that close the loop of recordings, so that they are tuned before all others."""
-    spec, names = experiment.spec, dict[str, None]()
-    for section in (spec.rig.loop if spec.rig else None, *(fit.loop for fit in spec.fits.values())):
-        if section is not None and is_tuned(section.controller or ""):
-            with suppress(UsageError):  # a check reports it
-                names[tuned_design(experiment, str(section.controller))] = None
-    return list(names)
 
 
 def early_design(experiment: Experiment, name: str) -> Result:

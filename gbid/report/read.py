@@ -18,7 +18,6 @@ from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import load
 from gbid.experiment.controllers import (
     design_structure,
-    impact,
     peak_cap,
     published_design,
     published_structure,
@@ -40,7 +39,7 @@ from gbid.experiment.stages.prefilter import FOLDER as PREFILTERED
 from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import load_made_static, static_tasks
-from gbid.experiment.stages.tune import assess_published, design_plant, read_designs
+from gbid.experiment.stages.tune import assess_published, design_plant, impact, read_designs
 from gbid.experiment.structures import make_structure
 from gbid.identify import FitResult
 from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, PublishedMachine

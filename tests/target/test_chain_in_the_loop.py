@@ -14,10 +14,9 @@ from experiment_files import gbid as command
 import gbid
 from gbid.control import ImpactStudy
 from gbid.core.hdf5 import load
-from gbid.experiment.controllers import planned_impacts
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
-from gbid.experiment.stages.impact import recording_result
+from gbid.experiment.stages.impact import planned_impacts, recording_result
 from gbid.export.chain import ChainOptions, chain_of
 from gbid.export.chain_c import CompiledChain
 from gbid.rig import Hammer, Impact, Machine, ProgramController, SampledController, record

@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows, study_impacts
-from gbid.core.errors import GbidError
+from gbid.core.errors import GbidError, UsageError
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
+from gbid.core.units import SIGNALS
 from gbid.experiment.controllers import (
     LOOPS,
-    ImpactRecording,
     chain_options,
     controller_at,
     controller_key,
-    expecting_model,
     is_tuned,
-    loop_controllers,
     loop_of,
     loop_settings,
-    planned_impacts,
-    study_name,
+    model_source,
     tuned_design,
+    with_actuators,
 )
-from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, Result, needed, refusal
+from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
+from gbid.experiment.fields import Found, Location, Result, file_digest, needed, refusal
 from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_run
+from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
-from gbid.experiment.schema import HammerTrain
+from gbid.experiment.schema import HammerTrain, ImpactsSection
+from gbid.lpv import LPVModel, load_model
 from gbid.recording import load_recording, save_recording
 
 LONGEST_IMPACT = 0.25
@@ -77,6 +79,73 @@ def timing_problems(section: HammerTrain, sample_time: float, where: Location) -
     elif section.impact_s < 4 * sample_time:
         text = f"{section.impact_s:g} s is less than 4 samples; the force cannot be measured: lengthen it"
         yield (*where, "impact_s"), text
+
+
+# ---- Recordings with impacts, and the model that predicts their modes.
+
+
+@dataclass(frozen=True)
+class ImpactRecording:
+    """Planned recording with impacts.
+
+    Attributes
+    ----------
+    planned : PlannedRecording
+        Recording of the rig.
+    point : Place
+        Operating point.
+    loop : str
+        Name of the loop: ``"open"``, ``"closed"`` or that of a further loop.
+    """
+
+    planned: PlannedRecording
+    point: Place
+    loop: str
+
+    @property
+    def study(self) -> str:
+        """Name of the study of its operating point in its loop, e.g. ``p6_n0_open``."""
+        return self.planned.name.rpartition("_")[0]
+
+
+def loop_controllers(section: ImpactsSection) -> dict[str, str]:
+    """Return the controller entry of each loop, in their order; empty for the open loop."""
+    return {loop: section.controller if loop == "closed" else "" for loop in section.loops} | section.beside
+
+
+def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
+    """Return the recordings with impacts by name, e.g. ``p6_n0_open_x``."""
+    section = needed(experiment.spec.impacts, "impacts")
+    signals = {**RIG_SIGNALS, "f": SIGNALS["f"].channels}
+    impacts = {}
+    for i, point in enumerate(section.operating_points):
+        place = ("impacts", "operating_points", i)
+        for loop, axis in product(loop_controllers(section), section.axes):
+            name = f"p{point.pressure_bar:g}_n{point.speed_rpm:g}_{loop}_{axis}"
+            planned = PlannedRecording(name, False, point.model_dump(), signals, place, run=("impact", axis))
+            impacts[name] = ImpactRecording(planned, point, loop)
+    return impacts
+
+
+def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
+    """Return the model that predicts the modes, and a text that identifies it in content keys.
+
+    Raises
+    ------
+    UsageError
+        When the model is missing or has no actuators.
+    """
+    section = needed(experiment.spec.impacts, "impacts")
+    if section.model is None:
+        model = rig_model(experiment)
+        return with_actuators(model), f"rig {model.name}"
+    source = model_source(experiment, section.model)
+    if section.model == "lpv":
+        source = experiment.path("lpv", needed(experiment.spec.lpv, "lpv").fit, ".yaml")
+        if not source.is_file():
+            raise UsageError(f"{source}: file is missing; `gbid lpv` makes it")
+    key = file_digest(source) if isinstance(source, Path) else source
+    return with_actuators(load_model(source)), key
 
 
 # ---- Stage of the impacts (paper, Sec. 5.1): hammer on the rig in open and closed loop, ring-downs, force scaling.
@@ -150,7 +219,7 @@ def _studies(experiment: Experiment) -> dict[str, list[ImpactRecording]]:
     idle, studies = loops_without_controller(experiment), dict[str, list[ImpactRecording]]()
     for impact in planned_impacts(experiment).values():
         if impact.loop not in idle:
-            studies.setdefault(study_name(impact.point, impact.loop), []).append(impact)
+            studies.setdefault(impact.study, []).append(impact)
     return studies
 
 

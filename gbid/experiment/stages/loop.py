@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from gbid.core.errors import UsageError
 from gbid.core.tables import read_values, table_of_values, write_csv
-from gbid.experiment.controllers import early_design, early_designs
+from gbid.experiment.controllers import early_design, is_tuned, tuned_design
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, Location, nearest
 from gbid.experiment.run import Job, Stage, Task
@@ -42,6 +44,16 @@ def fit_loops_are_known(experiment: Experiment) -> Found:
 
 
 # ---- Stage of the designs that close the loop of recordings: they are tuned before anything is recorded.
+
+
+def early_designs(experiment: Experiment) -> list[str]:
+    """Return the names of the designs that close the loop of recordings, so that they are tuned before all others."""
+    spec, names = experiment.spec, dict[str, None]()
+    for section in (spec.rig.loop if spec.rig else None, *(fit.loop for fit in spec.fits.values())):
+        if section is not None and is_tuned(section.controller or ""):
+            with suppress(UsageError):  # a check reports it
+                names[tuned_design(experiment, str(section.controller))] = None
+    return list(names)
 
 
 def loop_tasks(job: Job) -> list[Task]:

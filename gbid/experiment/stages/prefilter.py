@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import save
-from gbid.experiment.controllers import answered, loop_stills
+from gbid.experiment.controllers import answered
 from gbid.experiment.experiment import NO_POINT, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Result, needed
 from gbid.experiment.recordings import driving_channels, load_made, recording_result, refuse_bad_signals, used_channels
@@ -94,6 +94,11 @@ def prefiltered_result(experiment: Experiment, planned: PlannedRecording) -> Res
     sources = [recording_result(experiment, q) for q in (planned, *still)]
     path = experiment.path(FOLDER, planned.name)
     return experiment.result("prefilter", planned.name, path, {"name": planned.name, **section.model_dump()}, sources)
+
+
+def loop_stills(experiment: Experiment, point: str) -> list[PlannedRecording]:
+    """Return the recordings of the rig under the controller and without excitation at an operating point."""
+    return [planned for planned in experiment.points[point] if planned.run[:1] == ("loop_still",)]
 
 
 def fit_input(experiment: Experiment, planned: PlannedRecording) -> Result:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from gbid.control import (
     DisturbanceSpectrum,
     GainResult,
     Goal,
+    HalfSine,
+    PiezoTravel,
     Scheduled,
     Uncertainty,
     assess,
@@ -22,17 +25,16 @@ from gbid.control import (
 )
 from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
 from gbid.control.tuning.goals import limits_of
+from gbid.control.tuning.plants import DesignOptions
 from gbid.core.errors import GbidError
 from gbid.core.files import scratch_folder
 from gbid.core.hdf5 import load, save
 from gbid.experiment.controllers import (
     TUNED,
-    assess_options,
     controller_section,
     design_result,
     design_structure,
     goal_recordings,
-    impact,
     made_goal,
     named_model,
     no_disturbance,
@@ -41,7 +43,6 @@ from gbid.experiment.controllers import (
     published_structure,
     sample_time,
     surfaces_item,
-    tune_options,
     with_actuators,
     without_cap,
 )
@@ -250,6 +251,39 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncert
     if drawn.plants == "recordings":
         return model, Uncertainty(samples=fit.estimates.values - fit.surface)
     return model, Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
+
+
+def _travel_goal(section: ControllerSection) -> PiezoTravel | None:
+    """Return the first goal on the travel of the stacks; None when there is none."""
+    made = (made_goal(entry, no_disturbance) for entry in section.goals or () if entry.goal == PiezoTravel.__name__)
+    return cast("PiezoTravel | None", next(made, None))
+
+
+def impact(section: ControllerSection) -> HalfSine:
+    """Return the impact for the assessment of designs: that of the goals, or the default."""
+    goal = _travel_goal(section)
+    return HalfSine() if goal is None else goal.impact
+
+
+def tune_options(section: ControllerSection) -> dict[str, Any]:
+    """Return the arguments of `gbid.tune` from the section, except model, structure and cap."""
+    points: Any = section.operating_points
+    if not isinstance(points, str):
+        points = [(q.pressure_bar, q.speed_rpm) for q in points]
+    left_out = ("peak_sensitivity",) if section.goals is None else ("peak_sensitivity", "objective")
+    options = {f.name: getattr(section, f.name) for f in fields(DesignOptions) if f.name not in left_out}
+    return {**options, "operating_points": None if points == "model" else points}
+
+
+def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
+    """Return the arguments of `gbid.control.assess` from the section, except the points."""
+    goal = _travel_goal(section)
+    return {
+        "sample_time": sample_time(experiment, section),
+        "method": section.method,
+        "impact": impact(section),
+        **({} if goal is None else {"piezo_travel_m": goal.travel_m}),
+    }
 
 
 def _write_design(job: Job, part: Path, name: str) -> Made:
