@@ -62,7 +62,7 @@ def measure(folder: Path, recordings: int | None, workers: int) -> dict[str, Any
     made = experiment(folder, recordings)
     times: dict[str, dict[str, float]] = {}
     for name, stage in (("rig", RIG), ("prefilter", PREFILTER)):
-        before = {task.path for task in stage.tasks(Job(made)) if hasattr(task, "path") and task.path.exists()}
+        before = {task.path for task in stage.work(Job(made)) if hasattr(task, "path") and task.path.exists()}
         _, times[name] = timed(lambda stage=stage: run(made, stage, workers))  # type: ignore[misc]  # bound now
         if before:  # of an earlier run
             times.pop(name)

@@ -40,10 +40,8 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
             yield
     except typer.Exit:
         raise
-    except KeyboardInterrupt:
-        _end(_INTERRUPTED, INTERRUPTED, "", as_json, debug)
-    except Exception as error:
-        if from_interrupt(error):
+    except (KeyboardInterrupt, Exception) as error:
+        if isinstance(error, KeyboardInterrupt) or from_interrupt(error):
             _end(_INTERRUPTED, INTERRUPTED, "", as_json, debug)
         if isinstance(error, GbidError):
             _end(str(error).splitlines(), error.exit_code, "error: ", as_json, debug)
