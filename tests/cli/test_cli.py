@@ -343,14 +343,13 @@ def test_a_defect_of_ours_ends_with_1(spring, monkeypatch, capsys):
     assert document(captured.out)["error"]["exit_code"] == 1
 
 
-@pytest.mark.parametrize("template", ["quickstart", "own-recordings"])
-def test_new_experiments_are_in_order(template, tmp_path, capsys):
+def test_new_experiments_are_in_order(tmp_path, capsys):
     folder = tmp_path / "mine"
-    assert gbid("new", folder, "--template", template) == 0
+    assert gbid("new", folder) == 0
     assert capsys.readouterr().out.splitlines() == [str(folder / name) for name in files_in(folder)]
     assert gbid("check", folder / "experiment.yaml") == 0
     before = files_in(folder)
-    assert gbid("new", folder, "--template", template) == 2
+    assert gbid("new", folder) == 2
     assert "not empty" in capsys.readouterr().err
     assert files_in(tmp_path) == [f"mine/{name}" for name in before]
 
