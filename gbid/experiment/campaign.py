@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
+from itertools import chain
 from pathlib import Path
 
 from gbid.core.errors import DataError, UsageError
@@ -59,10 +60,10 @@ def read_shard(text: str) -> Shard:
     UsageError
         When the text has another form, or i is not within 1 to n.
     """
-    found = re.fullmatch(r"(\d+)/(\d+)", text)
-    if not found or not 1 <= int(found[1]) <= int(found[2]):
+    numbers = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not numbers or not 1 <= int(numbers[1]) <= int(numbers[2]):
         raise UsageError(f"shard {text!r}; write i/n with i from 1 to n, as 3/8")
-    return Shard(int(found[1]), int(found[2]))
+    return Shard(int(numbers[1]), int(numbers[2]))
 
 
 def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task]) -> list[Task]:
@@ -90,10 +91,10 @@ def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task])
         return list(tasks)
     recordings = experiment.recordings.values()
     apart = sorted((q for q in recordings if not q.stationary), key=lambda planned: not planned.excited)
-    own = apart[shard.number - 1 :: shard.count]
-    points = {planned.point for planned in own if planned.excited}
-    still = [q.name for q in recordings if q.stationary and q.point in points]
-    mine = {*(planned.name for planned in own), *still}
+    dealt = apart[shard.number - 1 :: shard.count]
+    points = {planned.point for planned in dealt if planned.excited}
+    stationary = [q.name for q in recordings if q.stationary and q.point in points]
+    mine = {*(planned.name for planned in dealt), *stationary}
     return [task for task in tasks if mine.issuperset(task.recordings)]
 
 
@@ -169,8 +170,8 @@ def _take(path: Path, shared: bool) -> int:
 
 def _owner(path: Path) -> str:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return f" (process {found['process']} on {found['host']}, since {found['since']})"
+        owner = json.loads(path.read_text(encoding="utf-8"))
+        return f" (process {owner['process']} on {owner['host']}, since {owner['since']})"
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return ""
 
@@ -285,12 +286,12 @@ def stale_files(results: Path, everything: bool = False, kernels: Path | None = 
     kernels : pathlib.Path, optional
         Folder of compiled kernels, which are then among them as well.
     """
-    found = [*find_stale_parts(results), *(results / FAILED).rglob("*.json")]
+    stale = [*find_stale_parts(results), *(results / FAILED).rglob("*.json")]
     if everything:
-        found += [path for path in results.rglob("[!.]*") if path.is_file() and stored_key(path)]
+        stale += [path for path in results.rglob("[!.]*") if path.is_file() and stored_key(path)]
     if kernels is not None and kernels.is_dir():
-        found += [*find_stale_parts(kernels), *kernels.glob("*.so"), *kernels.glob("*.lock")]
-    return sorted(dict.fromkeys(found))
+        stale += [*find_stale_parts(kernels), *kernels.glob("*.so"), *kernels.glob("*.lock")]
+    return sorted(dict.fromkeys(stale))
 
 
 def remove(results: Path, files: Sequence[Path]) -> None:
@@ -379,7 +380,8 @@ def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:
     made = [task.is_made for task in tasks]
     sources: dict[str, list[Task]] = {}
     if not all(made):
-        for source in (task for stage, found in early_tasks(job) for task in found if stage is not FIT):
+        earlier = [early for stage, early in early_tasks(job) if stage is not FIT]
+        for source in chain.from_iterable(earlier):
             sources.setdefault(source.item, []).append(source)
     return [state or _why_not(job, task, sources) for state, task in zip(made, tasks, strict=True)]
 

@@ -79,9 +79,9 @@ def bare_job(job: Job) -> Job:
     """Return the job for worker processes: absolute paths, no positions in the YAML, no reporter."""
     experiment = job.experiment
     file = YamlFile(experiment.file.path.resolve(), {}, CommentedMap())
-    there = replace(experiment, file=file, results=experiment.results.resolve())
-    vars(there)["recordings"] = experiment.recordings  # searched once: the files of a folder may change
-    return Job(there, job.overwrite, retry=job.retry)
+    bare = replace(experiment, file=file, results=experiment.results.resolve())
+    vars(bare)["recordings"] = experiment.recordings  # searched once: the files of a folder may change
+    return Job(bare, job.overwrite, retry=job.retry)
 
 
 def bare_task(task: Task) -> Task:
@@ -370,8 +370,8 @@ class DaskEngine:
             if waiting:
                 chunk = waiting.popleft()
                 upcoming.extend(chunk)
-                there = [bare_task(tasks[number]) for number in chunk]
-                future = self.client.submit(_attempt_there, name, there, pure=False)
+                shipment = [bare_task(tasks[number]) for number in chunk]
+                future = self.client.submit(_attempt_there, name, shipment, pure=False)
                 sent[future] = chunk
                 completed.add(future)
 

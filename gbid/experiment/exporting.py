@@ -181,12 +181,12 @@ _WORDS = {
 }
 
 
-def write_exports(found: Exports, to: str, request: ExportRequest) -> list[Path]:
+def write_exports(exports: Exports, to: str, request: ExportRequest) -> list[Path]:
     """Write everything that a target takes, and return the files.
 
     Parameters
     ----------
-    found : Exports
+    exports : Exports
         Models and controllers, from `find_exports`.
     to : str
         Name of the target, one of `gbid.export.targets.TARGETS`.
@@ -207,10 +207,10 @@ def write_exports(found: Exports, to: str, request: ExportRequest) -> list[Path]
         When a file cannot be written.
     """
     target = export_target(to)
-    items = [item for item in found.items if item.kind in target.takes]
+    items = [item for item in exports.items if item.kind in target.takes]
     if not items:
         takes = ", ".join(_WORDS[kind] for kind in target.takes)
-        there = ", ".join(dict.fromkeys(_WORDS[item.kind] for item in found.items))
-        raise UsageError(f"{found.source}: --to {to} takes {takes}; here are only {there}: choose another target")
-    request = replace(request, beside=found.items)
+        kinds = ", ".join(dict.fromkeys(_WORDS[item.kind] for item in exports.items))
+        raise UsageError(f"{exports.source}: --to {to} takes {takes}; here are only {kinds}: choose another target")
+    request = replace(request, beside=exports.items)
     return [path for item in items for path in target.write(item, request)]

@@ -198,9 +198,9 @@ def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, floa
         return None
     beside = experiment.folder / wanted
     try:
-        found = load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
+        actuators = load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
     except UsageError as error:
         raise UsageError(f"expected nominal, or a model or its file; {error}") from None
-    if not found:
+    if not actuators:
         raise UsageError(f"model {wanted!r} has no actuators; name another, or write nominal")
-    return dict(found)
+    return dict(actuators)

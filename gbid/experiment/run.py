@@ -444,8 +444,8 @@ def outcomes_view(stage: str, key: str) -> View:
     columns = [Column("item"), Column("state"), Column("text", wrap=True)]
 
     def document(_: Job, outcomes: Sequence[Outcome]) -> Document:
-        own = [o for o in outcomes if o.stage == stage]
-        return {key: [{"item": o.item, "state": o.state, "text": o.text, "path": str(o.path)} for o in own]}
+        made = [o for o in outcomes if o.stage == stage]
+        return {key: [{"item": o.item, "state": o.state, "text": o.text, "path": str(o.path)} for o in made]}
 
     def tables(document: Document) -> list[Table]:
         rows = [[row[column.name] for column in columns] for row in document[key]]

@@ -172,9 +172,9 @@ def with_local(job: Job, name: str, result: FitResult, recording: str) -> FitRes
             f"fit {name!r} has parameters local to a recording or operating point ({', '.join(scopes)}); "
             f"there are none for recording {recording!r}; validate it on one of its own"
         )
-    structure, found = make_structure(job.experiment, name), result.parameters_of(alike[0])
-    own = {q.name: found[q.name] for q in structure.parameters}
-    model = kind_of(structure).model(own, result.model.input_names, result.model.output_names)
+    structure, estimates = make_structure(job.experiment, name), result.parameters_of(alike[0])
+    parameters = {q.name: estimates[q.name] for q in structure.parameters}
+    model = kind_of(structure).model(parameters, result.model.input_names, result.model.output_names)
     first, other = (result.local_names.get(name, {}) for name in (result.recordings[0], alike[0]))
     return replace(result, model=model, model_slopes=result.model_slopes if first == other else None)
 

@@ -321,15 +321,12 @@ def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, i
         When no sample lies between the times, or the end lies beyond the recording.
     """
     first, stop = (ceil(t / recording.sample_time - 1e-6) for t in (from_s, to_s))
+    where = f"left_out: recording {recording.name!r}"
     if stop > recording.n_samples:
-        raise DataError(
-            f"left_out: recording {recording.name!r} ends at {recording.n_samples * recording.sample_time:g} s, "
-            f"before {to_s:g} s; make the stretch end there"
-        )
+        end = recording.n_samples * recording.sample_time
+        raise DataError(f"{where} ends at {end:g} s, before {to_s:g} s; make the stretch end there")
     if stop <= first:
-        raise DataError(
-            f"left_out: recording {recording.name!r} has no sample from {from_s:g} s to before {to_s:g} s; widen it"
-        )
+        raise DataError(f"{where} has no sample from {from_s:g} s to before {to_s:g} s; widen it")
     return first, stop
 
 

@@ -98,7 +98,7 @@ def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording,
     list of (PlannedRecording, text, exit code)
         Recording, text and exit code of each problem.
     """
-    found: list[tuple[PlannedRecording, str, int]] = []
+    faults: list[tuple[PlannedRecording, str, int]] = []
 
     def readable() -> Iterator[Recording]:
         for planned in experiment.recordings.values():
@@ -106,11 +106,11 @@ def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording,
                 try:
                     yield replace(read_import(experiment, planned), name=planned.name)
                 except GbidError as error:
-                    found.append((planned, str(error), error.exit_code))
+                    faults.append((planned, str(error), error.exit_code))
 
     for name, problems in find_group_problems(readable()).items():
-        found += [(experiment.recordings[name], problem.text, DataError.exit_code) for problem in problems]
-    return found
+        faults += [(experiment.recordings[name], problem.text, DataError.exit_code) for problem in problems]
+    return faults
 
 
 def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> None:

@@ -151,7 +151,7 @@ def _stated_maps(job: Job, planned: PlannedRecording) -> tuple[RunoutMap | None,
         if not answered(job.experiment, planned):
             return _runout_map(job, planned.point), {}
         maps = _maps_in_loop(job, planned.point)
-        return maps.get(POSITION), {signal: own for signal, own in maps.items() if signal != POSITION}
+        return maps.get(POSITION), {signal: answer for signal, answer in maps.items() if signal != POSITION}
     except DataError as error:
         raise type(error)(f"no run-out map: {error}") from None
 
@@ -215,20 +215,20 @@ def _maps_in_loop(job: Job, point: str) -> dict[str, RunoutMap]:
 
 def _by_map(experiment: Experiment) -> dict[str, list[PlannedRecording]]:
     """Return the excited recordings by their run-out map: operating point, and whether the loop answers to run-out."""
-    found: dict[str, list[PlannedRecording]] = {}
-    for point, there in experiment.points.items():
-        for planned in (q for q in there if q.excited):
+    excited: dict[str, list[PlannedRecording]] = {}
+    for point, recordings in experiment.points.items():
+        for planned in (q for q in recordings if q.excited):
             label = f"{point}_loop" if answered(experiment, planned) else point
-            found.setdefault(label, []).append(planned)
-    return found
+            excited.setdefault(label, []).append(planned)
+    return excited
 
 
 def _stationary(experiment: Experiment, point: str) -> list[PlannedRecording]:
-    there = [q for q in experiment.points.get(point, ()) if q.stationary]
+    stationary = [q for q in experiment.points.get(point, ()) if q.stationary]
     section = experiment.spec.prefilter
-    if point == NO_POINT and not there and section is not None and section.slow_roll is not None:
+    if point == NO_POINT and not stationary and section is not None and section.slow_roll is not None:
         return [q for q in experiment.matching(section.slow_roll) if q.stationary]
-    return there
+    return stationary
 
 
 PREFILTER = Stage("prefilter", "prefilter", (runout_maps_can_be_made,), prefilter_tasks, (map_tasks,), early=True)
