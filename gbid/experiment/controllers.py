@@ -342,15 +342,15 @@ def controller_at(experiment: Experiment, point: Place, loop: str = "closed") ->
     UsageError
         When there is none, its file is faulty, or its sample time is not that of the rig.
     """
-    word, file_of = _word_of(experiment, loop), partial(_controller_file, experiment)
-    controller = _named_controller(experiment, word, lambda name: load_controller(file_of(name)))
+    word = _word_of(experiment, loop)
+    controller = _named_controller(experiment, word, lambda name: load_controller(_controller_file(experiment, name)))
     return running_controller(experiment, controller, point.model_dump())
 
 
 def controller_key(experiment: Experiment, loop: str) -> str:
     """Return what identifies the controller of a loop in content keys; raises as `controller_at`."""
-    file_of = partial(_controller_file, experiment)
-    return _source_key(experiment, _word_of(experiment, loop), lambda name: file_digest(file_of(name)))
+    word = _word_of(experiment, loop)
+    return _source_key(experiment, word, lambda name: file_digest(_controller_file(experiment, name)))
 
 
 def _word_of(experiment: Experiment, loop: str) -> str:
@@ -572,8 +572,8 @@ def controller_identity(experiment: Experiment, section: ControllerChoice) -> di
     settings: dict[str, Any] = section.model_dump(include=set(ControllerChoice.model_fields))
     if section.controller is None:
         return {**settings, "text": _structure_text(experiment, section.structure)}
-    key_of = partial(early_design, experiment)
-    return {**settings, "source": _source_key(experiment, section.controller, lambda name: key_of(name).key)}
+    key = _source_key(experiment, section.controller, lambda name: early_design(experiment, name).key)
+    return {**settings, "source": key}
 
 
 def closed_loop_settings(experiment: Experiment) -> dict[str, Any]:
