@@ -339,7 +339,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     @property
     def own_names(self) -> dict[str, str]:
         """Names of the local parameters in the structure, by full name."""
-        return {full: own for names in self.local_names.values() for own, full in names.items()}
+        return {full: short for names in self.local_names.values() for short, full in names.items()}
 
     def parameters_of(self, recording: str) -> dict[str, float]:
         """Return the parameters of one recording under the names of the structure.
@@ -363,8 +363,8 @@ class FitResult(Brief, Pictured, hdf5.InFile):
             raise KeyError(f"recording {recording!r} was not fitted; there are {', '.join(self.recordings)}")
         local = self.own_names
         shared = {name: value for name, value in self.parameters.items() if name not in local}
-        own = self.local_names.get(recording, {})
-        return {**shared, **{name: self.parameters[full] for name, full in own.items()}}
+        full_names = self.local_names.get(recording, {})
+        return {**shared, **{name: self.parameters[full] for name, full in full_names.items()}}
 
     def std_with(self, kind: StdKind) -> dict[str, float]:
         """Return the standard deviations from one of the covariances.

@@ -6,7 +6,6 @@ from shaken_rig import NO_RUNOUT, PUBLISHED, TRUE, shaken
 
 import gbid
 from gbid.core.errors import UsageError
-from gbid.identify.kernel.sample import build_nonlinear_predictor
 from gbid.rig import FilmStiffening, Machine, Prbs, Unbalance, record
 from gbid.structure import equations_of, evaluate, nonlinear_model
 
@@ -108,17 +107,3 @@ def test_film_is_for_fits_of_the_bearing_alone():
             gbid.load_model("theisen2016"),
             structure=STRUCTURE,
         )
-
-
-def test_equal_equations_share_their_functions_and_others_do_not():
-    def functions(structure, **options):
-        own = {"fixed": {}, "begin": TRUTH, "sample_time": 2e-4, "intersample": "foh", "focus": "simulation", **options}
-        return build_nonlinear_predictor(equations_of(structure), **own).functions
-
-    first = functions(STRUCTURE)
-    assert (
-        functions(gbid.RotorBearing(film="stiffening", delay="exact", disturbance_gain="none"), sample_time=1e-4)
-        is first
-    )
-    assert functions(STRUCTURE, fixed={"d_xy": 0.0}) is not first
-    assert functions(STRUCTURE, intersample="zoh") is not first

@@ -6,7 +6,6 @@ from scipy.linalg import expm
 
 from gbid import LinearStructure, Parameter, Recording, RotorBearing, fit, fit_ringdown, load_model
 from gbid.core.errors import DataError, UsageError
-from gbid.identify.predictor import build_predictor
 from gbid.structure import evaluate
 
 H, N = 1e-3, 2000
@@ -116,12 +115,6 @@ def test_a_constant_force_determines_its_gain():
     )
     with pytest.raises(DataError, match="no recording moves u: the data do not determine tau;"):
         fit(late, decay((1.0, 0.0), force=force), focus="simulation")
-
-
-def test_predictor_of_a_decay_has_one_idle_regressor():
-    predictor = build_predictor(ALONE, {}, H, "zoh", "simulation")
-    assert predictor.regressors(np.zeros((5, 0)), np.zeros((5, 1)), ()).shape == (5, 1)
-    assert not predictor.at(np.array([1.0, 1.0])).G.any()
 
 
 # ---- rotor on gas bearings ----

@@ -86,14 +86,6 @@ def _matched(values, order):
     return [values[np.argmin(np.abs(values - place))] for place in order]
 
 
-def test_poles_of_a_mode_have_the_std_of_its_frequency_and_damping():
-    result = fit(MODE, simulated(MODE, MODE_AT, levels(600, hold=2), noise=0.3), focus="simulation")
-    found = pole_zero(result)
-    pole, cov = found.poles[1], found.pole_covariance[1]
-    toward = np.array([pole.real, pole.imag]) / abs(pole)
-    assert np.sqrt(toward @ cov @ toward) / (2 * np.pi) == pytest.approx(result.modes_std[0, 0], rel=1e-9)
-
-
 def test_an_ellipse_holds_its_share():
     cov = np.array([[2.0, -0.7], [-0.7, 0.5]])
     edge = ellipse(cov, 0.9)
@@ -171,19 +163,6 @@ def test_a_delay_is_found_to_the_sample(tau, hold):
 def test_a_drift_does_not_make_a_response_long():
     drifting = LinearModel(np.diag([-1e-5, -1e6]), [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
     assert _settling(drifting) < 1e-3
-
-
-def test_a_delay_at_the_end_of_the_search_is_found():
-    rec = simulated(LAG, {"tau": 1.25}, levels(3000), noise=0.02, seed=4)
-    found = estimate_delay(rec, longest_s=estimate_delay(rec).lag * H)
-    assert found.lag == len(found.correlation) - 1 == int(1.25 / H + 1e-9) + 1
-
-
-def test_the_correlation_has_the_shape_of_the_impulse_response():
-    rec = simulated(LAG, {"tau": 0.0}, np.random.default_rng(2).normal(size=(20_000, 1)))
-    found = estimate_delay(rec)
-    shape = found.correlation[1:20] / found.correlation[1]
-    np.testing.assert_allclose(shape, np.exp(-2.0 * H * np.arange(19)), atol=0.05)
 
 
 def test_no_connection_is_said():

@@ -38,6 +38,15 @@ def test_linear_equations_give_the_fit_of_the_linear_structure(masses, options):
             assert other.std[name] == pytest.approx(linear.std[name], rel=2e-5)
 
 
+def test_estimates_and_deviations_agree_to_one_in_a_million(masses):
+    linear, other = (gbid.fit(SAME[kind], masses, window=None) for kind in ("linear", "nonlinear"))
+    for name in linear.free:
+        assert other.parameters[name] == pytest.approx(linear.parameters[name], rel=1e-6)
+        assert other.std[name] == pytest.approx(linear.std[name], rel=1e-6)
+    np.testing.assert_allclose(other.modes_std, linear.modes_std, rtol=1e-6)
+    assert np.abs(other.integration_shift).max() < 1e-3
+
+
 def test_identification_example_of_casadi_is_found_to_eight_digits():
     """CasADi's docs/examples/python/sysid.py: mass, damping and nonlinear spring from data without noise."""
     truth = {"M": 5.625, "c": 2.3, "k": 1.0, "k_nl": 4.69}
@@ -86,6 +95,13 @@ def test_deviations_of_a_duffing_oscillator_are_those_of_its_estimates():
     off = np.array([_off(seed) for seed in range(8)])
     assert np.abs(off).max() < 4
     assert 0.6 < np.sqrt(np.mean(off**2)) < 1.5
+
+
+@pytest.mark.slow
+def test_intervals_of_a_duffing_oscillator_cover():
+    inside = np.abs([_off(seed) for seed in range(200)]) < 1.959964
+    print(f"intervals of 95 % cover {100 * inside.mean():.1f} % ({inside.mean(axis=0)})")  # noqa: T201
+    assert 0.93 <= inside.mean() <= 0.97
 
 
 def test_too_coarse_an_integration_is_refined_or_said():

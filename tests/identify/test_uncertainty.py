@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from compilers import no_compiler
-from fit_cases import EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, innovations, levels, piezo_motion, simulated
+from fit_cases import EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, levels, piezo_motion, simulated
 from scipy.linalg import matmul_toeplitz
 from scipy.signal import lfilter
 from scipy.stats import kstest
@@ -113,24 +113,6 @@ def test_the_trace_of_unequal_and_correlated_outputs():
     spread = np.std(values, axis=0, ddof=1)
     np.testing.assert_allclose(np.mean(white, axis=0) / spread, 1, atol=0.3)
     np.testing.assert_allclose(np.mean(robust, axis=0) / spread, 1, atol=0.35)
-
-
-def test_the_disturbance_gain_has_its_own_uncertainty():
-    u = levels(1000, seed=2)
-    gain = LinearStructure(
-        "gain",
-        [*LAG.parameters, Parameter("k", 0.5)],
-        lambda p: {"A": [[-p.a]], "B": [[p.b]], "C": [[1]], "K": [[p.k]]},
-    )
-    truth = {**LAG_AT, "k": 3.0}
-    values, white = [], []
-    for seed in range(60):
-        result = fit(gain, innovations(gain, truth, u, noise=[0.3], seed=seed))
-        assert result.success
-        values.append([result.parameters[name] for name in "abk"])
-        white.append(stds(result, "white"))
-    np.testing.assert_allclose(np.mean(white, axis=0) / np.std(values, axis=0, ddof=1), 1, atol=0.3)
-    assert (np.abs(np.mean(values, axis=0) - [1.5, 2.0, 3.0]) < 4 * np.mean(white, axis=0) / np.sqrt(60) + 0.02).all()
 
 
 @pytest.mark.parametrize("focus", ["simulation", "prediction"])

@@ -176,12 +176,12 @@ def information_over_records(
     omitted = _omitted(at, first_sums, weight) if observed else []
     for k, (part, each) in enumerate(zip(problem.parts, sums, strict=True)):
         along = [chains[int(problem.first_window[k] + window)][0] for window in part.blocks.segment_first]
-        hessians = [PartHessian(own.hessian, own.hessian_mixed) for own in each]
+        hessians = [PartHessian(sweep.hessian, sweep.hessian_mixed) for sweep in each]
         if observed:
             more = _symmetric(omitted[k], part.tie)
             hessians.append(PartHessian(each[0].hessian + more.theta, each[0].hessian_mixed + more.mixed))
-        for total, hessian, own in zip(totals, hessians, [*each, each[0]], strict=False):
-            _add(total, part.index, hessian, own.hessian_start, along)
+        for total, hessian, sweep in zip(totals, hessians, [*each, each[0]], strict=False):
+            _add(total, part.index, hessian, sweep.hessian_start, along)
     sensitivities = _sensitivities(at, cuts, [made[0] for made in passes], chains)
     return Information(totals[0], totals[len(weights) - 1], totals[-1] if observed else None, sensitivities)
 
