@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.arrays import ComplexArray
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Positive, check_options
 from gbid.excite.model import KnownModel
@@ -188,7 +188,7 @@ def limited_signals(
 
 # ---- Limits for a machine of the virtual rig: no rub, with its unbalance, run-out and scatter.
 
-_ANGLES = 720  # of a turn
+_TURN = np.asarray(np.arange(720) * (TURN / 720), float)  # angles of a turn
 
 
 def rig_limits(
@@ -244,9 +244,5 @@ def rig_limits(
 
 def _taken(machine: Machine, rotor_bearing: RotorBearingTruth, speed: float) -> float:
     """Return the part of the clearance that unbalance and run-out take [m]."""
-    orbit = unbalance_orbit(rotor_bearing, machine.unbalance, speed, _turn())
-    return float(sum(np.linalg.norm(way, axis=1).max() for way in (orbit, runout(machine.sensors, _turn()))))
-
-
-def _turn() -> FloatArray:
-    return np.asarray(np.arange(_ANGLES) * (TURN / _ANGLES), float)
+    orbit = unbalance_orbit(rotor_bearing, machine.unbalance, speed, _TURN)
+    return float(sum(np.linalg.norm(way, axis=1).max() for way in (orbit, runout(machine.sensors, _TURN))))

@@ -238,11 +238,10 @@ class CompiledChain:
 
     def _run(self, rows: FloatArray) -> FloatArray:
         rows = np.ascontiguousarray(rows)
-        found = np.empty((len(rows), _WIDTH_OUT))
-        self._library.chain_run(
-            ctypes.c_long(len(rows)), ctypes.c_void_p(rows.ctypes.data), ctypes.c_void_p(found.ctypes.data), self._state
-        )
-        return found
+        outputs = np.empty((len(rows), _WIDTH_OUT))
+        pointers = (ctypes.c_void_p(each.ctypes.data) for each in (rows, outputs))
+        self._library.chain_run(ctypes.c_long(len(rows)), *pointers, self._state)
+        return outputs
 
 
 def _output(row: FloatArray) -> ChainOutput:

@@ -228,9 +228,9 @@ class PythonChain:
         if good:
             now = [*given.position, given.angle]
             for i in range(3):
-                still = state.last is not None and state.last[i] == now[i]
+                unchanged = state.last is not None and state.last[i] == now[i]
                 turning = i < 2 or (self._chain.needs_angle and given.speed_rpm > options.stuck_speed_rpm)
-                state.same[i] = min(state.same[i] + 1, options.stuck_samples) if still and turning else 0
+                state.same[i] = min(state.same[i] + 1, options.stuck_samples) if unchanged and turning else 0
             state.last = now
             square = state.deviation[0] * state.deviation[0] + state.deviation[1] * state.deviation[1]
             far = square > options.disc_limit_m * options.disc_limit_m
@@ -377,10 +377,10 @@ def _repeated(twin: PythonChain, given: tuple[float, ...], drive: _Drive) -> Cha
     """Return the output after the repetitions of a row, by the operations of the C self-test."""
     x, y, angle, turn, pressure, speed, dither = given
     for k in range(drive.repeat):
-        moved = dither if k % 2 else -dither
+        shift = dither if k % 2 else -dither
         output = twin.step(
             ChainInput(
-                (nan if drive.faulty else x + moved, y + moved),
+                (nan if drive.faulty else x + shift, y + shift),
                 angle + float(k % _TURN_IN) * turn,
                 pressure,
                 speed,

@@ -268,7 +268,7 @@ def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None
     elements = list(rotor.bearing_elements)
     if not elements:
         raise UsageError("the rotor has no bearings; give it some, whose coefficients are the start values")
-    there = ", ".join(f"{element.tag!r} at node {element.n}" for element in elements)
+    choices = ", ".join(f"{element.tag!r} at node {element.n}" for element in elements)
     if bearings is None:
         named: dict[str, int | str] = {element.tag: element.tag for element in elements}
     elif isinstance(bearings, Mapping):
@@ -276,24 +276,24 @@ def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None
     else:
         named = {tag: tag for tag in ((bearings,) if isinstance(bearings, str) else bearings)}
     if not named:
-        raise UsageError(f"bearings: none is named; there is {there}")
+        raise UsageError(f"bearings: none is named; there is {choices}")
     chosen: dict[str, Any] = {}
     for name, key in named.items():
-        found = [e for e in elements if key == (e.n if isinstance(key, int) else e.tag)]
-        if len(found) != 1:
-            which = "no bearing" if not found else f"{len(found)} bearings"
-            raise UsageError(f"bearings: {which} {key!r} in the rotor; there is {there}")
+        matching = [e for e in elements if key == (e.n if isinstance(key, int) else e.tag)]
+        if len(matching) != 1:
+            which = "no bearing" if not matching else f"{len(matching)} bearings"
+            raise UsageError(f"bearings: {which} {key!r} in the rotor; there is {choices}")
         if not str(name).isidentifier():
             raise UsageError(
                 f"bearings: {name!r} cannot end the names of parameters; give names, as {{'left': {key!r}}}"
             )
-        if found[0].n_link is not None:
+        if matching[0].n_link is not None:
             raise UsageError(
-                f"bearings: {key!r} connects node {found[0].n} with node {found[0].n_link}; give one to ground"
+                f"bearings: {key!r} connects node {matching[0].n} with node {matching[0].n_link}; give one to ground"
             )
-        if found[0] in chosen.values():
+        if matching[0] in chosen.values():
             raise UsageError(f"bearings: {key!r} is named twice; name each bearing once")
-        chosen[str(name)] = found[0]
+        chosen[str(name)] = matching[0]
     return chosen
 
 
@@ -349,11 +349,11 @@ def modal_basis(equations: LateralMatrices, modes: int, loads: FloatArray) -> Fl
     gyroscopic = (equations.damping - equations.damping.T) @ shapes[:, :N_GYROSCOPIC]
     loaded = np.hstack([supports, loads, gyroscopic])
     forced = np.linalg.solve(supported, loaded[:, loaded.any(axis=0)])
-    whole = _size(equations, forced)
+    full_size = _size(equations, forced)
     for _ in range(2):  # twice: what rounding leaves of the first projection is then as small as rounding
         forced = forced - shapes @ (shapes.T @ (equations.mass @ forced))
     size = _size(equations, forced)
-    new = size > np.sqrt(_DEPENDENT) * whole
+    new = size > np.sqrt(_DEPENDENT) * full_size
     forced = forced[:, new] / size[new]
     if not forced.shape[1]:
         return np.asarray(shapes)

@@ -417,20 +417,20 @@ class CoefficientUncertainty(NamedTuple):
         Covariance of the coefficients.
     scatter : (k, k) array
         Covariance of the deviations between recordings.
-    own : (n, k) array
+    single : (n, k) array
         Parameters that each recording alone would give.
-    own_covariance : (n, k, k) array
+    single_covariance : (n, k, k) array
         Covariance of these parameters.
     refined : (m,) array
-        Coefficients with weights from scatter and own covariance.
+        Coefficients with weights from the scatter and these covariances.
     refined_covariance : (m, m) array
         Covariance of the refined coefficients.
     """
 
     covariance: FloatArray
     scatter: FloatArray
-    own: FloatArray
-    own_covariance: FloatArray
+    single: FloatArray
+    single_covariance: FloatArray
     refined: FloatArray
     refined_covariance: FloatArray
 
@@ -639,7 +639,7 @@ def fit_lpv_direct(recordings: Sequence[Recording], start: LPVFit | LPVModel, op
     )
     actuators = {**model.actuators, **dict(zip(setting.names[k:], shared[m:].tolist(), strict=True)), **setting.held}
     names = tuple(record.name for record in data.records)
-    estimates = Estimates(names, setting.points, uncertain.own[:, :k], uncertain.own_covariance[:, :k, :k])
+    estimates = Estimates(names, setting.points, uncertain.single[:, :k], uncertain.single_covariance[:, :k, :k])
     residuals = estimates.values - (setting.X @ shared)[:, :k]
     S = uncertain.scatter[:k, :k]
     return LPVFit(

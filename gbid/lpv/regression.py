@@ -576,7 +576,7 @@ def with_covariance(estimates: Estimates) -> Estimates:
 
 def _unchecked(estimates: Estimates, alone: BoolArray) -> tuple[str, ...]:
     """Return a note on the recordings that alone determine the surfaces at their operating point."""
-    names = [name for name, one in zip(estimates.recordings, alone, strict=True) if one]
+    names = [name for name, is_alone in zip(estimates.recordings, alone, strict=True) if is_alone]
     if not names:
         return ()
     named = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")

@@ -170,8 +170,8 @@ def _refuse_hit(recording: Recording, decay: FloatArray, skip: int) -> None:
         When it does.
     """
     length = max(len(decay) // _STRETCHES, 1)
-    moved = decay - np.median(decay, axis=0)
-    size = np.array([np.sqrt(np.mean(moved[i : i + length] ** 2)) for i in range(0, len(moved) - length + 1, length)])
+    motion = decay - np.median(decay, axis=0)
+    size = np.array([np.sqrt(np.mean(motion[i : i + length] ** 2)) for i in range(0, len(motion) - length + 1, length)])
     rises = np.flatnonzero((size[1:] > _SUDDEN * size[:-1]) & (size[1:] > 0.2 * size.max()))
     if len(rises):
         first, last = ((skip + (int(rises[i]) + k) * length) * recording.sample_time for i, k in ((0, 1), (-1, 2)))
@@ -696,8 +696,8 @@ def covariance_of_sum(
         gamma = np.atleast_2d(products) * (1 - lag / (n_lags + 1)) / count
         for J in influence:
             if len(J) > lag:
-                late, early = J[lag:].reshape(-1, n_parameters), np.matmul(gamma, J[: len(J) - lag])
-                part = late.T @ early.reshape(-1, n_parameters)
+                shifted, weighted = J[lag:].reshape(-1, n_parameters), np.matmul(gamma, J[: len(J) - lag])
+                part = shifted.T @ weighted.reshape(-1, n_parameters)
                 total += part if lag == 0 else part + part.T
     return total
 

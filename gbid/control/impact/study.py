@@ -173,16 +173,16 @@ def validate_impact(
     residual = measured - stationary - simulated
     windows = _windows(response, impacts)
     rows = np.concatenate([np.arange(*window) for window in windows])
-    moved, modelled = (measured - stationary)[rows], simulated[rows]
+    motion, modelled = (measured - stationary)[rows], simulated[rows]
     angles = np.concatenate(
         [np.full(b - a, impact.direction_deg) for impact, (a, b) in zip(impacts, windows, strict=True)]
     )
     direction = np.column_stack([np.cos(np.deg2rad(angles)), np.sin(np.deg2rad(angles))])
-    along = [(part * direction).sum(axis=1)[:, None] for part in (moved, modelled)]
+    along = [(part * direction).sum(axis=1)[:, None] for part in (motion, modelled)]
     return ImpactValidation(
         g,
         _scale_std(g, free, residual, response, f, impacts, windows, h),
-        fit_percent(moved, modelled),
+        fit_percent(motion, modelled),
         float(fit_percent(*along)[0]),
         np.asarray(recording.time),
         measured,
@@ -292,14 +292,12 @@ def impact_figures(
     ImpactFigures
     """
     v, h = validation, recording.sample_time
-    moved = v.measured - v.stationary
-    noise = _noise(moved, v)
+    motion = v.measured - v.stationary
+    noise = _noise(motion, v)
     driven = _piezos(v.simulated, actuators, controller, h)
-    peaks = [(float(a.max()), float(b.max())) for a, b in zip(_sizes(v, moved), _sizes(v, v.simulated), strict=True)]
-    decays = [
-        (_decay(a, noise) * h, _decay(b, 0.0) * h)
-        for a, b in zip(_sizes(v, moved), _sizes(v, v.simulated), strict=True)
-    ]
+    sizes = list(zip(_sizes(v, motion), _sizes(v, v.simulated), strict=True))
+    peaks = [(float(a.max()), float(b.max())) for a, b in sizes]
+    decays = [(_decay(a, noise) * h, _decay(b, 0.0) * h) for a, b in sizes]
     stacks = [(float("nan"), float(np.abs(driven[a:b]).max()) / 2) for a, b in v.windows]
     if "u" in recording.signals:
         u = recording.signal("u")
@@ -323,12 +321,12 @@ def _sizes(validation: ImpactValidation, position: FloatArray) -> Iterator[Float
         yield np.hypot(*position[start:stop].T)
 
 
-def _noise(moved: FloatArray, validation: ImpactValidation) -> float:
+def _noise(motion: FloatArray, validation: ImpactValidation) -> float:
     """Return the mean square of the distance outside the responses; nan when there is no such time."""
-    quiet = np.ones(len(moved), dtype=bool)
+    quiet = np.ones(len(motion), dtype=bool)
     for start, stop in validation.windows:
         quiet[start:stop] = False
-    return float((moved[quiet] ** 2).sum(axis=1).mean()) if quiet.sum() >= _QUIET else float("nan")
+    return float((motion[quiet] ** 2).sum(axis=1).mean()) if quiet.sum() >= _QUIET else float("nan")
 
 
 def _decay(distance: FloatArray, noise: float) -> float:

@@ -246,9 +246,11 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
         for column, delay in parts:
             if not column.any():
                 continue
-            late = (delay + computation_s) / sample_time
-            late = round(late) if abs(late - round(late)) < 1e-9 else late  # avoids rounding errors at whole samples
-            shift, taps = delayed_taps(A, column, late * sample_time, sample_time, "zoh")
+            samples = (delay + computation_s) / sample_time
+            samples = (
+                round(samples) if abs(samples - round(samples)) < 1e-9 else samples
+            )  # avoids rounding errors at whole samples
+            shift, taps = delayed_taps(A, column, samples * sample_time, sample_time, "zoh")
             for j, tap in enumerate(taps):
                 if np.any(tap):
                     key = (shift - 1 + j, i)

@@ -120,10 +120,10 @@ def refine_maxima(
     best, place = values[peaks], grid[peaks]
     for _ in range(rounds):
         points = low[:, None] + (high - low)[:, None] * steps
-        found = function(points.ravel()).reshape(points.shape)
-        top = found.argmax(axis=1)
+        refined = function(points.ravel()).reshape(points.shape)
+        top = refined.argmax(axis=1)
         row = np.arange(len(top))
-        best, place = found[row, top], points[row, top]
+        best, place = refined[row, top], points[row, top]
         inner = np.clip(top, 1, len(steps) - 2)
         low, high = points[row, inner - 1], points[row, inner + 1]
     winner = int(best.argmax())
@@ -149,8 +149,8 @@ def _peak_of(
 
     poles = np.linalg.eigvals(A)
     places = np.unique(np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag)]))
-    found = gains(places)
-    best, w_best = float(found.max()), float(places[found.argmax()])
+    sizes = gains(places)
+    best, w_best = float(sizes.max()), float(places[sizes.argmax()])
     if at_infinity > best:
         best, w_best = at_infinity, inf
     if best == 0.0:
@@ -162,12 +162,12 @@ def _peak_of(
             break
         edges = np.unique(np.concatenate([[0.0], crossings]))
         middles = np.concatenate([edges, (edges[1:] + edges[:-1]) / 2])
-        found = gains(middles)
-        if found.max() <= gamma:  # the crossings come from rounding: the curve does not exceed gamma
-            if found.max() > best:
-                best, w_best = float(found.max()), float(middles[found.argmax()])
+        sizes = gains(middles)
+        if sizes.max() <= gamma:  # the crossings come from rounding: the curve does not exceed gamma
+            if sizes.max() > best:
+                best, w_best = float(sizes.max()), float(middles[sizes.argmax()])
             break
-        best, w_best = float(found.max()), float(middles[found.argmax()])
+        best, w_best = float(sizes.max()), float(middles[sizes.argmax()])
     return _vertex(gains, best, w_best)
 
 
