@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,48 +21,40 @@ from gbid.identify.kernel.sums import SampleSums
 
 # ---- C of a casadi.Function for eight columns at once, written from CasADi's own list of instructions.
 
-_BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
-_COMPARED = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
-_UNARY = {
+_BY_LANE = "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil erf log1p expm1"
+_OF_ONE = {getattr(ca, f"OP_{name.upper()}"): name for name in _BY_LANE.split()}
+_PAIRS_BY_LANE = "pow constpow fmin fmax fmod remainder atan2 copysign hypot"
+_OF_TWO = {getattr(ca, f"OP_{name.upper()}"): name.removeprefix("const") for name in _PAIRS_BY_LANE.split()}
+"""Functions that are called for one lane after the other."""
+_EXPRESSIONS = {
+    ca.OP_INPUT: "{0}",
     ca.OP_ASSIGN: "{0}",
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
     ca.OP_NEG: "-{0}",
     ca.OP_SQ: "{0}*{0}",
     ca.OP_TWICE: "2.0*{0}",
     ca.OP_INV: "1.0/{0}",
+    ca.OP_LT: "one({0} < {1})",
+    ca.OP_LE: "one({0} <= {1})",
+    ca.OP_EQ: "one({0} == {1})",
+    ca.OP_NE: "one({0} != {1})",
     ca.OP_NOT: "one({0} == 0.0)",
     ca.OP_IF_ELSE_ZERO: "kept({1}, {0} != 0.0)",
     ca.OP_AND: "one(({0} != 0.0) & ({1} != 0.0))",
     ca.OP_OR: "one(({0} != 0.0) | ({1} != 0.0))",
     ca.OP_FABS: "kept({0}, {0} > 0.0) - kept({0}, {0} < 0.0)",
     ca.OP_SIGN: "one({0} > 0.0) - one({0} < 0.0)",
+    **{operation: f"{name}_({{0}})" for operation, name in _OF_ONE.items()},
+    **{operation: f"{name}_({{0}}, {{1}})" for operation, name in _OF_TWO.items()},
 }
 """Expressions of vectors."""
-_BY_LANE = "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil erf log1p expm1"
-_OF_ONE = {getattr(ca, f"OP_{name.upper()}"): name for name in _BY_LANE.split()}
-_PAIRS_BY_LANE = "pow constpow fmin fmax fmod remainder atan2 copysign hypot"
-_OF_TWO = {getattr(ca, f"OP_{name.upper()}"): name.removeprefix("const") for name in _PAIRS_BY_LANE.split()}
-"""Functions that are called for one lane after the other."""
+_OF_OUTPUT, _OF_STEP = (2, 3), (3, 4, 6)  # arguments that are the same for all samples: parameters, length of a step
 
 
-class LaneFunction(NamedTuple):
-    """A casadi.Function, and how it is written.
-
-    Attributes
-    ----------
-    function : casadi.Function
-        The function.
-    constant : tuple of int
-        Arguments that are the same for all samples of a pass.
-    places : dict of int to sequence of int
-        Where the entries of a result go; one after the other without it.
-    """
-
-    function: ca.Function
-    constant: tuple[int, ...]
-    places: Mapping[int, Sequence[int]] = {}
-
-
-def lane_source(functions: Mapping[str, LaneFunction]) -> str:
+def lane_source(functions: SampleFunctions) -> str:
     """Return C functions of the same names, ``void name(const v *a0, ..., const v *c, v *r0, ...)``.
 
     What depends on the constant arguments alone, a fifth of a step with its derivatives, is computed once for a pass:
@@ -73,8 +65,8 @@ def lane_source(functions: Mapping[str, LaneFunction]) -> str:
     NotImplementedError
         When a function has an operation that is unknown here.
     """
-    each = [lane.function for lane in functions.values()]
-    met = {f.instruction_id(k) for f in each for k in range(f.n_instructions())}
+    named = {name: f for name, f in functions._asdict().items() if isinstance(f, ca.Function)}
+    met = {f.instruction_id(k) for f in named.values() for k in range(f.n_instructions())}
     helpers = [
         f"static inline v {name}_(v a) {{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l]); return r; }}"
         for operation, name in _OF_ONE.items()
@@ -85,12 +77,16 @@ def lane_source(functions: Mapping[str, LaneFunction]) -> str:
         f"{{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l], b[l]); return r; }}"
         for name in sorted({name for operation, name in _OF_TWO.items() if operation in met})
     ]
-    return "\n".join([*helpers, *(_written(name, lane) for name, lane in functions.items())])
+    dense = places_of(functions.step_jacobian.sparsity_out(2))
+    return "\n".join([*helpers, *(_written(name, f, dense) for name, f in named.items())])
 
 
-def _written(name: str, lane: LaneFunction) -> str:
-    """Return C of a function, and of the part of it that is constant in a pass."""
-    f = lane.function
+def _written(name: str, f: ca.Function, dense: Sequence[int]) -> str:
+    """Return C of a function, and of the part of it that is constant in a pass.
+
+    The entries of the Jacobian of a step by its inputs go to places in dense columns, all others one after the other.
+    """
+    constant = _OF_STEP if name.startswith("step") else _OF_OUTPUT
     once: list[str] = []  # one statement for each constant value, all with names of their own
     lines: list[str] = []
     kept: dict[str, int] = {}  # constant values that the rest needs, and their places
@@ -104,11 +100,11 @@ def _written(name: str, lane: LaneFunction) -> str:
     for k in range(f.n_instructions()):
         operation, into, given = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
         if operation == ca.OP_OUTPUT:
-            row = lane.places[into[0]][into[1]] if into[0] in lane.places else into[1]
+            row = dense[into[1]] if (name, into[0]) == ("step_jacobian", 2) else into[1]
             lines.append(f"  r{into[0]}[{row}] = {seen(at[given[0]])};")
             continue
         if operation == ca.OP_INPUT:
-            fixed, names = given[0] in lane.constant, [f"a{given[0]}[{given[1]}]"]
+            fixed, names = given[0] in constant, [f"a{given[0]}[{given[1]}]"]
         else:
             fixed, names = all(at[i].startswith("k") for i in given), [at[i] for i in given]
         if fixed:
@@ -122,7 +118,7 @@ def _written(name: str, lane: LaneFunction) -> str:
     once += [f"  c[{place}] = {value};" for value, place in kept.items()]
     arguments = [f"const v *restrict a{i}" for i in range(f.n_in())]
     results = [f"v *restrict r{i}" for i in range(f.n_out())]
-    same = [arguments[i] for i in lane.constant]
+    same = [arguments[i] for i in constant]
     return "\n".join(
         [
             f"enum {{ {name}_size = {max(1, len(kept))} }};",
@@ -141,19 +137,9 @@ def _value(f: ca.Function, k: int, operation: int, names: list[str]) -> str:
         return f"all({float(f.instruction_constant(k))!r})".replace("inf", "__builtin_inf()").replace(
             "nan", '__builtin_nan("")'
         )
-    if operation == ca.OP_INPUT:
-        return names[0]
-    if operation in _BINARY:
-        return f"{names[0]} {_BINARY[operation]} {names[1]}"
-    if operation in _COMPARED:
-        return f"one({names[0]} {_COMPARED[operation]} {names[1]})"
-    if operation in _UNARY:
-        return _UNARY[operation].format(*names)
-    if operation in _OF_ONE:
-        return f"{_OF_ONE[operation]}_({names[0]})"
-    if operation in _OF_TWO:
-        return f"{_OF_TWO[operation]}_({names[0]}, {names[1]})"
-    raise NotImplementedError(f"operation {operation} of casadi")
+    if operation not in _EXPRESSIONS:
+        raise NotImplementedError(f"operation {operation} of casadi")
+    return _EXPRESSIONS[operation].format(*names)
 
 
 # ---- C of the products with the Jacobians of a sample, in which entries that are always zero do not occur.
@@ -273,7 +259,6 @@ _FLAGS = (
     "-shared",
     "-w",
 )
-_OF_OUTPUT, _OF_STEP = (2, 3), (3, 4, 6)  # arguments that are the same for all samples: parameters, length of a step
 
 
 class LanesKernel(CompiledPasses, NonlinearKernel):
@@ -382,14 +367,5 @@ def source_of(functions: SampleFunctions) -> str:
         "FEEDS": int(functions.feeds_back),
         "ROWS": max(4, _BUFFER_BYTES // ((n_c + 3) * n_y * 64)),
     }
-    dense = {2: places_of(functions.step_jacobian.sparsity_out(2))}
-    written = {
-        "output": LaneFunction(functions.output, _OF_OUTPUT),
-        "step": LaneFunction(functions.step, _OF_STEP),
-        "output_jacobian": LaneFunction(functions.output_jacobian, _OF_OUTPUT),
-        "step_jacobian": LaneFunction(functions.step_jacobian, _OF_STEP, dense),
-        "output_back": LaneFunction(functions.output_back, _OF_OUTPUT),
-        "step_back": LaneFunction(functions.step_back, _OF_STEP),
-    }
-    parts = {"FUNCTIONS": lane_source(written), "PRODUCTS": product_source(functions)}
+    parts = {"FUNCTIONS": lane_source(functions), "PRODUCTS": product_source(functions)}
     return filled("lane_template.c", {**parts, **sizes})
