@@ -6,6 +6,7 @@ from compilers import NEEDS_COMPILER
 from shooting_problem import problem
 
 from gbid.identify.disturbances import Disturbances, Trend
+from gbid.identify.kernel.sums import Lagrangian
 from gbid.identify.problem.hessian import entries_of, in_one_window, left_out_columns, on_ends
 
 DISTURBED = Disturbances(("p_x", "p_y"), (Trend(3), Trend(0, random_walk=True)), (50.0,))
@@ -23,7 +24,7 @@ def by_adjoint(shooting, unknowns, lam):
     theta, starts = shooting.unpack(unknowns)
     values = shooting.values(theta)
     weight = shooting.weight(shooting.error_products(values, starts))
-    found = shooting.gradients(values, starts, on_ends(shooting, lam), weight)
+    found = shooting.gradients(values, Lagrangian(starts, on_ends(shooting, lam), weight))
     by_theta = shooting.prior.information / shooting.likelihood_size * (theta - shooting.prior.mean)
     for part, (own, _) in zip(shooting.parts, found, strict=True):
         by_theta[part.index] += own

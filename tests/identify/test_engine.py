@@ -32,7 +32,7 @@ from gbid.identify import fit
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import Segment, cut
 from gbid.identify.kernel.linear import CompiledLinearKernel, KernelPattern, PortableLinearKernel, kernel_source
-from gbid.identify.kernel.sums import Moved
+from gbid.identify.kernel.sums import Lagrangian, Moved
 from gbid.identify.predictor import build_predictor
 from gbid.structure import PiezoPair, Plant, RotorBearing
 
@@ -150,15 +150,15 @@ def test_the_compiled_kernel_is_the_portable_one(case, shape, fresh, cache):
     for a, b in zip(found.linked[:2], expected.linked[:2], strict=True):  # the ends are in the sums
         np.testing.assert_allclose(a[live], b[live], rtol=1e-9, atol=1e-12 * np.abs(b).max())
     random = np.random.default_rng(8)
-    ends = random.normal(size=starts.shape)
+    at = Lagrangian(starts, random.normal(size=starts.shape), weight)
     moved = []
     for column in range(len(theta)):
-        at = theta.copy()
-        at[column] += (step := 1e-6 * (abs(theta[column]) or 1.0))
-        moved.append(Moved(column, step, predictor.at(at)))
-    for a, b in zip(*(kernel.gradient(v, blocks, starts, ends, weight) for kernel in kernels), strict=True):
+        other = theta.copy()
+        other[column] += (step := 1e-6 * (abs(theta[column]) or 1.0))
+        moved.append(Moved(column, step, predictor.at(other)))
+    for a, b in zip(*(kernel.gradient(v, blocks, at) for kernel in kernels), strict=True):
         assert (np.abs(a - b) <= 1e-9 * np.abs(b) + 1e-11 * np.abs(b).max(axis=0)).all()
-    second, reference = (kernel.left_out(v, blocks, starts, ends, weight, moved) for kernel in kernels)
+    second, reference = (kernel.left_out(v, blocks, at, moved) for kernel in kernels)
     size = np.sqrt(np.diag(expected.sums.hessian))  # of each parameter; the portable ones are differences of gradients
     assert (np.abs(second[0] - reference[0]) <= 1e-4 * np.outer(size, size)).all()
     start = np.sqrt(np.diagonal(expected.sums.hessian_start, axis1=1, axis2=2).max(axis=0))

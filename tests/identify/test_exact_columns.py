@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 from shooting_problem import problem
 
 from gbid.identify import fit
+from gbid.identify.kernel.sums import Lagrangian
 from gbid.identify.problem.hessian import in_one_window, omitted_part
 from gbid.identify.uncertainty.covariance import Estimate, information_over_records
 from gbid.recording import Recording
@@ -56,7 +57,7 @@ def test_columns_of_an_overflow_are_not_finite():
     shares = [np.full(len(part.index), np.nan) for part in joined.parts]
     weight = np.eye(joined.error_products(joined.values(theta), starts).shape[0])
     ends = np.zeros_like(starts)
-    for found in omitted_part(joined, theta, starts, ends, shares, weight):
+    for found in omitted_part(joined, theta, Lagrangian(starts, ends, weight), shares):
         assert np.isnan(found.theta).all()
 
 

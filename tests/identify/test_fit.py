@@ -162,7 +162,7 @@ def test_scaling_does_not_move_the_optimum_of_the_rotor(rotor, rotor_fit, window
     task = pose(RotorBearing(), rotor, FitArguments())
     posed = task.problem(task.begin.values, window)
     ones = np.ones(posed.shooting.n_theta), np.ones(posed.shooting.n_states)
-    unscaled = replace(posed.shooting, theta_scale=ones[0], state_scale=ones[1], _last={}, _met={})
+    unscaled = replace(posed.shooting, theta_scale=ones[0], state_scale=ones[1])
     box = [unscaled.pack(*posed.shooting.unpack(x)) for x in (posed.unknowns, *posed.box)]
     theta, starts = unscaled.unpack(solve(unscaled, *box).unknowns)
     found = dict(zip((q.name for q in posed.assembly.free), theta, strict=True))

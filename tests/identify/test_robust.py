@@ -11,6 +11,7 @@ from shooting_problem import problem
 import gbid
 from gbid.core.errors import UsageError
 from gbid.identify import FitOptions, fit
+from gbid.identify.kernel.sums import Lagrangian
 from gbid.identify.problem.hessian import on_ends
 from gbid.identify.robust import _counted, _with_weights, efficiency, robust_loss
 
@@ -75,7 +76,7 @@ def test_gradients_hold_for_weights_of_samples(engine, criterion):
     theta, starts = weighted.unpack(unknowns)
     values, nothing = weighted.values(theta), np.zeros(weighted.n_gaps)
     weight = weighted.weight(weighted.error_products(values, starts))
-    by_adjoint = weighted.gradients(values, starts, on_ends(weighted, nothing), weight)
+    by_adjoint = weighted.gradients(values, Lagrangian(starts, on_ends(weighted, nothing), weight))
     by_start = np.concatenate([starts for _, starts in by_adjoint]) * weighted.state_scale
     np.testing.assert_allclose(by_start.ravel(), gradient[weighted.n_theta :], rtol=1e-6, atol=1e-9)
     same = _with_weights(shooting, np.ones(count))

@@ -17,7 +17,7 @@ from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at
 from gbid.identify.kernel.linear import CompiledPasses, filled, reached, run_compiled
 from gbid.identify.kernel.nonlinear import NonlinearKernel
 from gbid.identify.kernel.sample import NonlinearValues, SampleFunctions
-from gbid.identify.kernel.sums import SampleSums
+from gbid.identify.kernel.sums import Lagrangian, SampleSums
 
 # ---- C of a casadi.Function for eight columns at once, written from CasADi's own list of instructions.
 
@@ -310,15 +310,13 @@ class LanesKernel(CompiledPasses, NonlinearKernel):
         sums = BlockSums(hessian, products, by_theta, gradient[:, n_p:], mixed, end, onto[:, :, :n_p])
         return SampleSums(sums, by_start, onto[:, :, n_p:])
 
-    def gradient(
-        self, v: NonlinearValues, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def gradient(self, v: NonlinearValues, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
         """Return the gradient by the adjoint of each step; see `Kernel`."""
-        prediction = self.predict(v, blocks, starts)
-        weighted = weight @ prediction.errors * blocks.used[:, :, None]
+        prediction = self.predict(v, blocks, at.starts)
+        weighted = at.weight @ prediction.errors * blocks.used[:, :, None]
         by_theta, by_start = np.empty(self._n_p), np.empty((blocks.n_windows, self._n))
         windows = [blocks.size, blocks.window_first, blocks.window_size]
-        arrays = [blocks.z(v.shift), prediction.states, weighted, *windows, ends]
+        arrays = [blocks.z(v.shift), prediction.states, weighted, *windows, at.ends]
         self._call("adjoint", v, blocks, blocks.n_windows, arrays, [by_theta, by_start])
         return by_theta, by_start
 

@@ -18,6 +18,7 @@ from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at
 from gbid.identify.kernel.portable import PortablePasses, flat
 from gbid.identify.kernel.sums import (
     Kernel,
+    Lagrangian,
     Linked,
     Moved,
     Sweep,
@@ -82,26 +83,18 @@ class LinearKernel(Kernel):
         ends = self.passed(v, blocks, np.zeros((len(v.F), len(blocks.size)))).end
         return along_windows(blocks, starts.T[:, :, None], ends[:, :, None], transition)[:, :, 0]
 
-    def gradient(
-        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def gradient(self, v: PredictorValues, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
         """Return the gradient by the adjoint: less work than a pass with sensitivities.
 
         ``w`` are the weighted errors, and ``a[k]`` is the derivative of the cost by the state at sample k. The adjoint
         runs backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers at the end of a window. Derivatives by the
         entries of F and G are sums of products of ``a`` with states and regressors. Those by C and H use ``w``.
         """
-        back = self._backwards(v, blocks, starts, ends, weight, powers_of(v.F, blocks.length)[-1])
+        back = self._backwards(v, blocks, at, powers_of(v.F, blocks.length)[-1])
         return _by_parameters(v, back.sums), back.start[:, blocks.window_first].T
 
     def left_out(
-        self,
-        v: PredictorValues,
-        blocks: Blocks,
-        starts: FloatArray,
-        ends: FloatArray,
-        weight: FloatArray,
-        moved: Sequence[Moved],
+        self, v: PredictorValues, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]
     ) -> tuple[FloatArray, FloatArray]:
         """Return the second-order term from two passes for all columns together; see `Kernel`.
 
@@ -114,7 +107,7 @@ class LinearKernel(Kernel):
         So by a parameter and a start, ``dF_j F^k`` is all that is left.
         """
         powers, n, n_p = powers_of(v.F, blocks.length), len(v.F), len(v.dF)
-        back = self._backwards(v, blocks, starts, ends, weight, powers[-1])
+        back = self._backwards(v, blocks, at, powers[-1])
         products, end_theta = self.second_pass(v, blocks, back)
         linked = link(blocks, end_theta, powers)
         live, m = slice(0, blocks.n_blocks), back.factors.shape[2]
@@ -135,20 +128,12 @@ class LinearKernel(Kernel):
         mixed[:, columns] = by_start[:, columns]
         return theta, mixed
 
-    def _backwards(
-        self,
-        v: PredictorValues,
-        blocks: Blocks,
-        starts: FloatArray,
-        ends: FloatArray,
-        weight: FloatArray,
-        transition: FloatArray,
-    ) -> Backwards:
+    def _backwards(self, v: PredictorValues, blocks: Blocks, at: Lagrangian, transition: FloatArray) -> Backwards:
         """Run the model forwards and its adjoint backwards through the blocks of each window."""
-        prediction = self.passed(v, blocks, self.begin(v, blocks, starts, transition))
-        weighted = weight @ prediction.errors * blocks.used[:, :, None]
+        prediction = self.passed(v, blocks, self.begin(v, blocks, at.starts, transition))
+        weighted = at.weight @ prediction.errors * blocks.used[:, :, None]
         at_end = np.zeros((len(v.F), len(blocks.size)))
-        at_end[:, blocks.window_first + blocks.window_size - 1] = ends.T
+        at_end[:, blocks.window_first + blocks.window_size - 1] = at.ends.T
         back = self.adjoint_pass(v, blocks, weighted, prediction.states, at_end)
         if blocks.per_window > 1:
             at_start = _back_along_windows(blocks, back.start, transition)

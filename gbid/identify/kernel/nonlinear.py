@@ -13,7 +13,7 @@ from gbid.core.errors import NoValueAtStartError
 from gbid.identify.kernel.blocks import Blocks, Prediction
 from gbid.identify.kernel.portable import PortablePasses, flat
 from gbid.identify.kernel.sample import NonlinearValues, SampleFunctions
-from gbid.identify.kernel.sums import Linked, Moved, SampleKernel, Sweep, Traced, growth_along, joined
+from gbid.identify.kernel.sums import Lagrangian, Linked, Moved, SampleKernel, Sweep, Traced, growth_along, joined
 from gbid.identify.predictor import PredictorValues
 
 # Search of the states at the starts of windows.
@@ -52,29 +52,21 @@ class NonlinearKernel(SampleKernel):
             passes.append(Traced(begin, joined(blocks, by_block, start_hessian, linked), linked, by_block))
         return passes
 
-    def gradient(
-        self, v: NonlinearValues, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def gradient(self, v: NonlinearValues, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
         """Return the gradient from a pass with sensitivities; see `Kernel`."""
-        s = self.sweep(v, blocks, starts, weight)
-        by_theta, by_start = (np.einsum("wn,wnm->wm", ends, each) for each in (s.end_theta, s.end_start))
+        s = self.sweep(v, blocks, at.starts, at.weight)
+        by_theta, by_start = (np.einsum("wn,wnm->wm", at.ends, each) for each in (s.end_theta, s.end_start))
         return s.gradient + by_theta.sum(axis=0), s.gradient_start + by_start
 
     def left_out(
-        self,
-        v: NonlinearValues,
-        blocks: Blocks,
-        starts: FloatArray,
-        ends: FloatArray,
-        weight: FloatArray,
-        moved: Sequence[Moved],
+        self, v: NonlinearValues, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]
     ) -> tuple[FloatArray, FloatArray]:
         """Return the second-order term by differences of the gradient; see `Kernel`."""
-        gauss_newton = self.sweep(v, blocks, starts, weight)
+        gauss_newton = self.sweep(v, blocks, at.starts, at.weight)
         theta, mixed = np.zeros_like(gauss_newton.hessian), np.zeros_like(gauss_newton.hessian_mixed)
-        here = self.gradient(v, blocks, starts, ends, weight)
-        for j, step, at in moved:
-            after = self.gradient(at, blocks, starts, ends, weight)
+        here = self.gradient(v, blocks, at)
+        for j, step, other in moved:
+            after = self.gradient(other, blocks, at)
             theta[:, j] = (after[0] - here[0]) / step - gauss_newton.hessian[:, j]
             mixed[:, j] = (after[1] - here[1]) / step - gauss_newton.hessian_mixed[:, j]
         return theta, mixed

@@ -277,6 +277,24 @@ class Moved(NamedTuple):
     v: Any
 
 
+class Lagrangian(NamedTuple):
+    """Point of ``sum e' W e / 2`` plus the states at the ends of windows times multipliers.
+
+    Attributes
+    ----------
+    starts : (n_windows, n) array
+        States at the starts of the windows.
+    ends : (n_windows, n) array
+        Multipliers of the states at their ends.
+    weight : (n_y, n_y) array
+        Constant weight W of the errors; with it, parts of a problem do not depend on each other.
+    """
+
+    starts: FloatArray
+    ends: FloatArray
+    weight: FloatArray
+
+
 class Kernel(ABC):
     """Kernel of one kind of predictor. In all methods, `v` is what the ``at`` of the predictor returns.
 
@@ -320,10 +338,8 @@ class Kernel(ABC):
         return self.passed(v, blocks, begin).products
 
     @abstractmethod
-    def gradient(
-        self, v: Any, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the gradient of ``sum e' W e / 2`` plus the ends of windows times `ends`, (n_windows, n).
+    def gradient(self, v: Any, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
+        """Return the gradient of a Lagrangian.
 
         Returns
         -------
@@ -334,18 +350,8 @@ class Kernel(ABC):
         """
 
     @abstractmethod
-    def left_out(
-        self,
-        v: Any,
-        blocks: Blocks,
-        starts: FloatArray,
-        ends: FloatArray,
-        weight: FloatArray,
-        moved: Sequence[Moved],
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the second-order term of the Hessian, which Gauss-Newton neglects, in columns of moved parameters.
-
-        The cost is that of `gradient`.
+    def left_out(self, v: Any, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]) -> tuple[FloatArray, FloatArray]:
+        """Return the second-order term of its Hessian, which Gauss-Newton neglects, in columns of moved parameters.
 
         Returns
         -------

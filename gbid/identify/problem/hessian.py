@@ -15,7 +15,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.identify.kernel.blocks import cut
-from gbid.identify.kernel.sums import Moved
+from gbid.identify.kernel.sums import Lagrangian, Moved
 from gbid.identify.problem.nlp import Iterate, RecordGroup, Shooting
 
 # ---- Problem with each segment of a record as one window: it has fewer unknowns for the last iterations.
@@ -97,10 +97,8 @@ class PartHessian(NamedTuple):
 def omitted_part(
     problem: Shooting,
     theta: FloatArray,
-    starts: FloatArray,
-    ends: FloatArray,
+    at: Lagrangian,
     curvatures: Sequence[FloatArray],
-    weight: FloatArray,
     wanted: Sequence[Sequence[int]] | None = None,
 ) -> list[PartHessian]:
     """Return the second derivatives of cost and weighted window ends that Gauss-Newton omits, part by part.
@@ -113,15 +111,11 @@ def omitted_part(
         Problem of the fit.
     theta : (n_p,) array
         Parameters.
-    starts : (n_windows, n) array
-        States at the starts of the windows.
-    ends : (n_windows, n) array
-        Multipliers at the ends of the windows.
+    at : Lagrangian
+        Starts of all windows, multipliers at their ends, and weight of the errors.
     curvatures : sequence of (n_p,) array
         For each part, its approximate share in the second derivatives of the cost by the parameters at its `index`. The
         sum of the shares sets the steps of differences.
-    weight : (n_y, n_y) array
-        Constant weight of the errors; with it, parts do not depend on each other.
     wanted : sequence of sequence of int, optional
         For each part, the indices of its own parameters with a column; all when left out. Other columns are zero.
 
@@ -136,10 +130,14 @@ def omitted_part(
     units, values = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny)), problem.values(theta)
     every = wanted or [range(len(part.predictor.free)) for part in problem.parts]
     omitted, finite = [], bool(np.isfinite(curvature).all())  # no steps can be chosen where the errors overflow
-    for (v, part, begin), last, columns in zip(problem.each(values, starts), problem.by_part(ends), every, strict=True):
+    for (v, part, begin), last, columns in zip(
+        problem.each(values, at.starts), problem.by_part(at.ends), every, strict=True
+    ):
         if finite and len(columns):
             moved = _moved(problem, part, theta, columns, units)
-            omitted.append(PartHessian(*part.kernel.left_out(v, part.blocks, begin, last, weight, moved)))
+            omitted.append(
+                PartHessian(*part.kernel.left_out(v, part.blocks, Lagrangian(begin, last, at.weight), moved))
+            )
         else:
             n_own, fill = len(part.predictor.free), 0.0 if finite else np.nan
             mixed = np.full((part.blocks.n_windows, n_own, problem.n_states), fill)
@@ -239,9 +237,9 @@ def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
         Correction. With it, each curvature has its absolute value, but at least `_LEAST` of Gauss-Newton's.
     """
     size, axes = np.linalg.eigh(gauss_newton)
-    there = size > _FLAT * size[-1]
-    root = np.sqrt(size[there])
-    inward, outward = axes[:, there] / root, axes[:, there] * root
+    curved = size > _FLAT * size[-1]
+    root = np.sqrt(size[curved])
+    inward, outward = axes[:, curved] / root, axes[:, curved] * root
     ratio, along = np.linalg.eigh(inward.T @ left_out @ inward)
     outward = outward @ along
     return np.asarray((outward * (np.maximum(np.abs(1 + ratio), _LEAST) - 1)) @ outward.T)
@@ -293,22 +291,24 @@ def left_out_columns(
     curvatures = [
         np.diag(gn.theta) / problem.theta_scale[part.index] ** 2 for part, gn in zip(problem.parts, kept, strict=True)
     ]
-    omitted = omitted_part(problem, *problem.unpack(unknowns), on_ends(problem, lam_gaps), curvatures, weight, wanted)
-    found = []
-    for part, own, (theta, mixed), gn in zip(problem.parts, wanted, omitted, kept, strict=True):
+    theta, starts = problem.unpack(unknowns)
+    omitted = omitted_part(problem, theta, Lagrangian(starts, on_ends(problem, lam_gaps), weight), curvatures, wanted)
+    exact = []
+    for part, columns, (theta, mixed), gn in zip(problem.parts, wanted, omitted, kept, strict=True):
         scale = problem.theta_scale[part.index]
         left = PartHessian(np.zeros_like(gn.theta), np.zeros_like(gn.mixed))
+        places = list(columns)
         if part.tie is not None:
             theta, mixed = part.tie.T @ theta @ part.tie, np.einsum("wjn,jp->wpn", mixed, part.tie)
-        theta = theta * np.outer(scale, scale)
-        mixed = mixed * (scale[:, None] * problem.state_scale)
-        at = list(own) if part.tie is None else list(range(len(part.index)))
+            places = list(range(len(part.index)))
+        theta, mixed = theta * np.outer(scale, scale), mixed * (scale[:, None] * problem.state_scale)
         if np.isfinite(theta).all() and np.isfinite(mixed).all():
-            theta[np.ix_(at, at)] = (theta[np.ix_(at, at)] + theta[np.ix_(at, at)].T) / 2
-            left.theta[:, at], left.mixed[:, at] = theta[:, at], mixed[:, at]
-            left.theta[at] = theta[:, at].T
-        found.append(left)
-    return found
+            block = np.ix_(places, places)
+            theta[block] = (theta[block] + theta[block].T) / 2
+            left.theta[:, places], left.mixed[:, places] = theta[:, places], mixed[:, places]
+            left.theta[places] = theta[:, places].T
+        exact.append(left)
+    return exact
 
 
 def entries_of(problem: Shooting, left_out: Sequence[PartHessian]) -> FloatArray:

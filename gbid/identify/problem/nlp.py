@@ -13,7 +13,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray, IntArray
 from gbid.identify.kernel.blocks import Blocks
-from gbid.identify.kernel.sums import Kernel, Sweep, spectral_radius, tied
+from gbid.identify.kernel.sums import Kernel, Lagrangian, Sweep, spectral_radius, tied
 from gbid.identify.options import Criterion
 from gbid.identify.predictor import GeneralPredictor, Predictor
 
@@ -397,17 +397,16 @@ class Shooting:
         each = self.each(values, starts)
         return [tied(part.kernel.sweep(v, part.blocks, begin, weight), part.tie) for v, part, begin in each]
 
-    def gradients(
-        self, values: list[Any], starts: FloatArray, ends: FloatArray, weight: FloatArray
-    ) -> list[tuple[FloatArray, FloatArray]]:
+    def gradients(self, values: list[Any], at: Lagrangian) -> list[tuple[FloatArray, FloatArray]]:
         """Return the gradients of cost and weighted window ends, part by part, by the adjoint of its kernel.
 
         They are by the parameters of its predictor, and by the starts of its windows, (n_windows, n), in physical units
-        and without the prior; not finite when the errors overflow. `ends` (n_windows, n) are the multipliers at the
-        ends of the windows. The weight (n_y, n_y) is constant; with it, parts do not depend on each other.
+        and without the prior; not finite when the errors overflow.
         """
-        each = zip(self.each(values, starts), self.by_part(ends), strict=True)
-        return [part.kernel.gradient(v, part.blocks, begin, last, weight) for (v, part, begin), last in each]
+        each = zip(self.each(values, at.starts), self.by_part(at.ends), strict=True)
+        return [
+            part.kernel.gradient(v, part.blocks, Lagrangian(begin, ends, at.weight)) for (v, part, begin), ends in each
+        ]
 
     def errors(self, values: list[Any], starts: FloatArray) -> list[FloatArray]:
         """Return the prediction errors of every part in blocks; zero for samples that are not in the cost."""

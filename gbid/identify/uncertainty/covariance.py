@@ -16,7 +16,7 @@ from gbid.core.arrays import BoolArray, FloatArray, IntArray, one_of_each_pair, 
 from gbid.discretise import Dual
 from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
 from gbid.identify.kernel.sample import NonlinearPredictor
-from gbid.identify.kernel.sums import Sweep, Traced, tied
+from gbid.identify.kernel.sums import Lagrangian, Sweep, Traced, tied
 from gbid.identify.predictor import Predictor, PredictorValues
 from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_part
 from gbid.identify.problem.integration import linearised
@@ -378,9 +378,9 @@ def _omitted(at: Estimate, sums: Sequence[Sweep], weight: FloatArray) -> list[Pa
     _, starts = joined.unpack(at.problem.pack(at.theta, at.starts)[kept])
     ends, values = np.zeros_like(starts), at.problem.values(at.theta)
     for _ in joined.links:  # backwards from the last segments: derivative of the cost by the ends of segments
-        gradients = joined.gradients(values, starts, ends, weight)
+        gradients = joined.gradients(values, Lagrangian(starts, ends, weight))
         ends[joined.links[:, 0]] = np.concatenate([by_start for _, by_start in gradients])[joined.links[:, 1]]
-    return omitted_part(joined, at.theta, starts, ends, [np.diag(s.hessian) for s in sums], weight)
+    return omitted_part(joined, at.theta, Lagrangian(starts, ends, weight), [np.diag(s.hessian) for s in sums])
 
 
 # ---- Sensitivities of the predictions of an unstable model, from its shooting windows.
