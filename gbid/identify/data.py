@@ -186,7 +186,7 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
             raise DataError(
                 f"recording {recording.name!r} has {recording.n_samples} samples; this fit needs at least {minimum}"
             )
-        for label in np.array(output_names)[~moves(y_columns)]:
+        for label in np.array(output_names)[~moves(y_columns)].tolist():
             value = y_columns[0, output_names.index(label)]
             raise DataError(
                 f"recording {recording.name!r}: channel {label!r} is {value:g} throughout; the output is "
