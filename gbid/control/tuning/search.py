@@ -83,6 +83,21 @@ class SearchOptions:
         Whether several different designs are wanted, as starts for similar loops: each finalist is moved a few times.
     sketch_hops : int
         Number of these moves.
+    nodes : int
+        Number of points of a grid from which a search begins.
+    pace : float
+        By what share of its goal a local search may be behind for each iteration that is left.
+    certifying_radii : tuple of float
+        Trust regions of further local searches from a design without a certificate, as shares of the bounds.
+    neighbours : float
+        Distance of designs, as a share of the bounds, within which they belong to one optimum; and of a gain from a
+        bound at which a further local search begins.
+    least_rise : float
+        Relative rise of a random move below which it counts as in vain.
+    different : float
+        Relative difference of values from which on designs count as different optima.
+    same, agreeing : float
+        Relative difference of values that count as the same optimum: after random moves, and of full local searches.
     """
 
     starts: CountOrZero | None = None
@@ -99,6 +114,14 @@ class SearchOptions:
     hop_radius: float = 0.01
     sketch: bool = False
     sketch_hops: int = 6
+    nodes: int = 5
+    pace: float = 4e-3
+    certifying_radii: tuple[float, ...] = (1e-3, 5e-3)
+    neighbours: float = 1e-3
+    least_rise: float = 3e-4
+    different: float = 1e-3
+    same: float = 1e-4
+    agreeing: float = 1e-5
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -131,12 +154,6 @@ class SearchTask:
 
 GRID = {1: 61, 2: 25, 3: 9}
 """Number of grid points per gain, for up to three gains."""
-_AT_BOUND = 1e-3
-"""Distance from a bound, as a share of the bounds, of a gain that a further local search begins at that bound."""
-_PACE = 4e-3
-"""By what share of its goal a local search after a random move may be behind for each iteration that is left."""
-_SHORT_STEPS = (1e-3, 5e-3)
-"""Trust regions of further local searches from a design without a certificate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,14 +194,23 @@ class LocalSearch:
             return self._ascent(start, 100 + 20 * len(start))
         radius, few = 0.02 if again else 0.1, self.options.short
         return optimise_locally(
-            self.problem, start, radius=radius, max_iterations=few, plain=not again, goal=goal, pace=_PACE, repair=False
+            self.problem,
+            start,
+            radius=radius,
+            max_iterations=few,
+            plain=not again,
+            goal=goal,
+            pace=self.options.pace,
+            repair=False,
         )
 
     def full(self, start: FloatArray, goal: float = -np.inf) -> LocalOptimum:
         """Return a local optimum; less good where it will not soon reach a goal."""
         if self.free:
             start = self._ascent(start, 200 + 60 * len(start)).x
-        return optimise_locally(self.problem, start, max_iterations=self.options.full, goal=goal, pace=_PACE)
+        return optimise_locally(
+            self.problem, start, max_iterations=self.options.full, goal=goal, pace=self.options.pace
+        )
 
     def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
         """Return the local optimum after a random move of some size; less good where it will not be better."""
@@ -193,7 +219,9 @@ class LocalSearch:
             ascent = self._ascent(best.x + step * np.maximum(self.unit, np.abs(best.x)), 100 + 40 * len(best.x))
             return optimise_locally(self.problem, ascent.x, max_iterations=20, radius=1e-3)
         x, radius = best.x + step * (self.problem.upper - self.problem.lower), self.options.hop_radius
-        return optimise_locally(self.problem, x, max_iterations=60, radius=radius, goal=rank(best), pace=_PACE)
+        return optimise_locally(
+            self.problem, x, max_iterations=60, radius=radius, goal=rank(best), pace=self.options.pace
+        )
 
     def with_certificate(self, best: LocalOptimum) -> LocalOptimum:
         """Return a certified design by local searches with short steps from one without, or else the best of them.
@@ -202,10 +230,10 @@ class LocalSearch:
         begins with the gains at the bounds that they are next to.
         """
         low, high = self.problem.lower, self.problem.upper
-        near = _AT_BOUND * (high - low)
+        near = self.options.neighbours * (high - low)
         at_bounds = np.where(best.x - low < near, low, np.where(high - best.x < near, high, best.x))
         for start in [best.x, at_bounds] if (at_bounds != best.x).any() else [best.x]:
-            for radius in _SHORT_STEPS:
+            for radius in self.options.certifying_radii:
                 if self.problem.evaluations.exhausted or self.certified(best):
                     return best
                 again = optimise_locally(self.problem, start, max_iterations=60, radius=radius)
@@ -222,7 +250,7 @@ class LocalSearch:
     def settled(self, finals: list[LocalOptimum]) -> bool:
         """Return whether three of the best designs have the same value and the best one is certified."""
         best = best_of(finals)
-        return sum(_same(one.score, best.score, _AGREE) for one in finals) > 2 and self.certified(best)
+        return sum(_same(one.score, best.score, self.options.agreeing) for one in finals) > 2 and self.certified(best)
 
     def _ascent(self, start: FloatArray, most: int) -> LocalOptimum:
         problem, evaluations = self.problem, self.problem.evaluations
@@ -247,12 +275,6 @@ def certificate_units(unit: FloatArray, x: FloatArray) -> FloatArray:
 # ---- Basin hopping: random moves of a design, each with a new local search.
 
 Note = Callable[[str, Score], None]
-_PROGRESS = 3e-4
-"""Relative gain of a random move below which it counts as in vain."""
-_OTHER = 1e-3
-"""Relative difference of values from which on designs count as different optima."""
-_SAME, _AGREE = 1e-4, 1e-5
-"""Relative difference of values that count as the same optimum: after random moves, and of full local searches."""
 
 
 def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator, note: Note) -> LocalOptimum:
@@ -261,10 +283,14 @@ def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator
     It cannot where it has no certificate. One other design is moved where the moves of the best one led nowhere.
     """
     start = best_of(finals)
-    others = [one for one in sorted(finals, key=rank, reverse=True) if not _same(one.score, start.score, _OTHER)]
+    others = [
+        one
+        for one in sorted(finals, key=rank, reverse=True)
+        if not _same(one.score, start.score, local.options.different)
+    ]
     less = replace(local, options=replace(local.options, patience=local.options.patience // 2))
     best = local.with_certificate(hop_line(less if local.free else local, start, rng, note))
-    doubted = int(_same(best.score, start.score, _OTHER))
+    doubted = int(_same(best.score, start.score, local.options.different))
     for i, other in enumerate(others):
         if local.problem.evaluations.exhausted or (i >= doubted and local.certified(best)):
             break
@@ -283,13 +309,13 @@ def hop_line(local: LocalSearch, best: LocalOptimum, rng: np.random.Generator, n
         size = sizes[i % len(sizes)]
         again = local.hop(best, size, rng)
         improved = better(again.score, best.score)
-        progress = again.score.value - best.score.value > _PROGRESS * abs(best.score.value)
+        progress = again.score.value - best.score.value > options.least_rise * abs(best.score.value)
         repaired = again.score.violation <= FEASIBLE < best.score.violation
         if improved and (progress or repaired):
             vain = returned = 0
         else:
             vain += 1
-            returned += _same(again.score, best.score, _SAME) and size > sizes[0] and not local.free
+            returned += _same(again.score, best.score, options.same) and size > sizes[0] and not local.free
         best = again if improved else best
         note("basin hopping", best.score)
     return best
@@ -587,7 +613,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
     local = LocalSearch(problem, gain_units(problem, given[0]), options)
     on_grid = d in GRID and options.starts is None
     if on_grid:
-        starts = grid_starts(problem, given[0], local.unit, GRID[d], _NODES)
+        starts = grid_starts(problem, given[0], local.unit, GRID[d], options.nodes)
     else:
         starts = random_starts(problem, given[0], local.unit, _n_starts(local), options.seed)
     many = not (on_grid or local.free) and len(given) + len(starts) > 2 * options.finalists
@@ -608,7 +634,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
         designs.sort(key=rank, reverse=True)
         note("global", designs[0].score)
     finals: list[LocalOptimum] = []
-    same = _NEIGHBOURS * (problem.upper - problem.lower)
+    same = options.neighbours * (problem.upper - problem.lower)
     for design in designs:
         if (len(finals) == options.finalists and not on_grid) or (finals and local.settled(finals)):
             break
@@ -631,12 +657,6 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
         best = local.with_certificate(best)
         note("local", best.score)
     return SearchOutcome(best, tuple(history), tuple(ends))
-
-
-_NODES = 5
-"""Number of points of a grid from which a search begins."""
-_NEIGHBOURS = 1e-3
-"""Distance of designs, as a share of the bounds, within which they belong to one optimum."""
 
 
 def _n_starts(local: LocalSearch) -> int:
