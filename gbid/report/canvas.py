@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
@@ -103,8 +102,6 @@ def symbol(name: str) -> str:
     return f"${match[1]}_{{{match[2]}}}$" if match[2] else f"${match[1]}$"
 
 
-P = ParamSpec("P")
-R = TypeVar("R")
 LayoutName = Literal["constrained"]
 
 ONE_COLUMN, TWO_COLUMNS = 3.35, 6.9
@@ -142,17 +139,10 @@ def own_style() -> Iterator[None]:
         yield
 
 
-def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Return a function that draws in the style of gbid."""
+styled = own_style()
+"""Decorator of functions that draw in the style of gbid."""
 
-    @wraps(draw)
-    def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
-        with own_style():
-            return draw(*args, **kwargs)
-
-    return wrapper
-
-
+_Given: TypeAlias = "Axes | Sequence[Axes] | npt.ArrayLike | None"
 _MAKER: ContextVar[Callable[..., Figure]] = ContextVar("maker", default=Figure)
 
 
@@ -188,13 +178,8 @@ def shown_by_pyplot() -> Iterator[None]:
 
 
 def panels(
-    ax: Axes | Sequence[Axes] | None,
-    rows: int = 1,
-    columns: int = 1,
-    *,
-    size: tuple[float, float],
-    **options: Any,
-) -> tuple[Figure, list[Axes]]:
+    ax: _Given, rows: int = 1, columns: int = 1, *, size: tuple[float, float], **options: Any
+) -> tuple[Figure, npt.NDArray[np.object_]]:
     """Return the axes that were given, or those of a new figure with panels.
 
     Parameters
@@ -212,8 +197,8 @@ def panels(
     -------
     figure : matplotlib.figure.Figure
         The figure of the axes.
-    axes : list of matplotlib Axes
-        Axes by rows.
+    axes : (rows * columns,) array of matplotlib Axes
+        Axes by rows; those that were given beyond them are left out.
 
     Raises
     ------
@@ -222,11 +207,26 @@ def panels(
     """
     if ax is None:
         figure = new_figure(size)
-        return figure, list(figure.subplots(rows, columns, squeeze=False, **options).ravel())
-    given = list(np.ravel(np.array(ax, dtype=object)))
+        return figure, figure.subplots(rows, columns, squeeze=False, **options).ravel()
+    given = np.ravel(np.array(ax, dtype=object))
     if len(given) < rows * columns:
         raise UsageError(f"{len(given)} axes for {rows * columns} panels; give one for each, or none")
-    return figure_of(given[0]), given
+    return figure_of(given[0]), given[: rows * columns]
+
+
+def one_panel(ax: Axes | None, size: tuple[float, float]) -> tuple[Figure, Axes]:
+    """Return the axes that were given, or those of a new figure with one panel, and their figure."""
+    figure, (panel,) = panels(ax, size=size)
+    return figure, panel
+
+
+def channel_pairs(
+    axes: npt.NDArray[np.object_], output_names: Sequence[str], input_names: Sequence[str]
+) -> Iterator[tuple[int, int, Any]]:
+    """Yield the panel of each pair of channels with the indices of output and input, and write the pair above it."""
+    for (i, j), panel in np.ndenumerate(axes):
+        panel.set_title(f"{symbol(input_names[j])} to {symbol(output_names[i])}", loc="right", pad=4)
+        yield i, j, panel
 
 
 def ink() -> str:
@@ -242,7 +242,7 @@ def series(i: int, **changes: Any) -> dict[str, Any]:
     return {key: value for key, value in style.items() if value is not None}
 
 
-def letter(axes: Sequence[Axes]) -> None:
+def letter(axes: Iterable[Axes]) -> None:
     """Write the names a), b), ... above the panels."""
     for ax, name in zip(axes, "abcdefghijkl", strict=False):
         ax.set_title(f"{name})", loc="left", pad=4)

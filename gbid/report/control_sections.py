@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from typing import Literal
 
 import numpy as np
@@ -96,13 +97,8 @@ def _impact(
     if not (len(opened.time_s) and len(closed.time_s)):
         return Words(f"No impact response along {axis} at {place}: the loop is not stable.", "bad")
     i = "xy".index(axis)
-    data = ImpactCurves(
-        opened.time_s,
-        {"open loop": opened.p[:, i], f"{design.name}": closed.p[:, i]},
-        {"force": opened.force_n},
-        axis,
-        f"{place}, impact along {axis}",
-    )
+    curves = {"open loop": opened.p[:, i], f"{design.name}": closed.p[:, i]}
+    data = ImpactCurves(opened.time_s, curves, {"force": opened.force_n}, axis, f"{place}, impact along {axis}")
     alt = (
         f"Disc position {axis} after an impact of {impact.peak_n:g} N along {axis} at {place}: open loop up to "
         f"{1e6 * opened.peak_p_m:.1f} µm, closed loop up to {1e6 * closed.peak_p_m:.1f} µm"
@@ -220,24 +216,17 @@ def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
 def _modes(results: Results, design: AssessedDesign) -> list[Block]:
     """Return a table of the modes in the paper, and those of this model with the published gains."""
     source = published_machine(results.experiment, results.experiment.spec.controller.get(design.group))
-    rows = []
+    rows: list[list[Entry]] = []
     for known in source.reference_modes if source is not None else ():
         point = (known.pressure_bar, known.speed_rpm)
         if known.kind != "expected" or not design.plant.domain.contains(*point):
             continue
         plant = design.plant.plant_at(*point)
         modes = (close_loop(plant, design.at(point)) if known.loop == "closed" else plant).modes()
-        for k, (frequency, damping) in enumerate(known.modes):
-            rows.append(
-                (
-                    f"{point_label(*point)}, {known.loop} loop, mode {k + 1}",
-                    modes[k][0] if k < len(modes) else None,
-                    frequency,
-                    modes[k][1] if k < len(modes) else None,
-                    damping,
-                    known.source,
-                )
-            )
+        pairs = zip_longest(known.modes, modes[: len(known.modes)], fillvalue=(None, None))
+        for k, ((frequency, damping), (ours, our_damping)) in enumerate(pairs, 1):
+            where = f"{point_label(*point)}, {known.loop} loop, mode {k}"
+            rows.append([where, ours, frequency, our_damping, damping, known.source])
     if not rows:
         return []
     columns = [
@@ -260,19 +249,18 @@ def _by_point(design: AssessedDesign) -> Block:
 
 # ---- Section on the identification-for-control cycle: its rounds.
 
-_INCOMPLETE = "the cycle is not complete; run `gbid cycle` or `gbid run`"
-
 
 def cycle_section(results: Results) -> PageSection | None:
     """Return the section with the rounds of the cycle; None when the experiment has none."""
-    if results.experiment.spec.cycle is None:
+    section = results.experiment.spec.cycle
+    if section is None:
         return None
-    rows = results.cycle
-    if not rows:
-        on_request = not results.experiment.spec.cycle.in_run
-        text = "`gbid cycle` runs the rounds; `gbid run` leaves them out" if on_request else _INCOMPLETE
-        return PageSection("cycle", "Cycle", [Words(text, "" if on_request else "warn")])
-    return PageSection("cycle", "Cycle", [cycle_summary(cycle_documents(rows))])
+    block: Block = Words("the cycle is not complete; run `gbid cycle` or `gbid run`", "warn")
+    if results.cycle:
+        block = cycle_summary(cycle_documents(results.cycle))
+    elif not section.in_run:
+        block = Words("`gbid cycle` runs the rounds; `gbid run` leaves them out")
+    return PageSection("cycle", "Cycle", [block])
 
 
 # ---- Section on the impacts: modes identified from hammer impacts, compared with the model and the paper.
@@ -284,13 +272,6 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
         return None
     studies = results.studies.found
     paths = {name: results.job.path("impacts", name) for name in studies}
-    tables = impact_tables(impact_documents(results.experiment, studies, paths))
-    missing = [Words(why, "warn") for why in results.studies.missing.values()]
-    return PageSection("impacts", "Impacts", [*_pictured(pictures, results), *missing, *tables])
-
-
-def _pictured(pictures: Pictures, results: Results) -> list[Block]:
-    """Return pictures of the responses of all loops to the same impact, for each operating point."""
     blocks: list[Block] = []
     for loops in map(results.labelled, results.loops):
         where = place_of(next(iter(loops.values())).conditions)
@@ -302,7 +283,9 @@ def _pictured(pictures: Pictures, results: Results) -> list[Block]:
             blocks.append(Shown(pictures.picture(plot_impact_loops(impact_loops_data(loops)), alt)))
         except UsageError as error:
             blocks.append(Words(f"{where}: {error}", "warn"))
-    return blocks
+    blocks += [Words(why, "warn") for why in results.studies.missing.values()]
+    blocks += impact_tables(impact_documents(results.experiment, studies, paths))
+    return PageSection("impacts", "Impacts", blocks)
 
 
 # ---- Section on recordings in closed loop: what the loop costs in precision.
@@ -313,10 +296,8 @@ def loops_section(results: Results) -> PageSection | None:
     fits = results.experiment.spec.fits.values()
     if not any(fit.loop is not None and fit.loop.beside for fit in fits):
         return None
-    tables = loop_tables(loop_documents(results.loop_costs))
-    if not tables:
-        return PageSection("loops", "Loops", [Words("the comparison is not made yet; run `gbid run`", "warn")])
-    return PageSection("loops", "Loops", tables)
+    missing = [Words("the comparison is not made yet; run `gbid run`", "warn")]
+    return PageSection("loops", "Loops", loop_tables(loop_documents(results.loop_costs)) or missing)
 
 
 # ---- Section on the surfaces over pressure and speed, with the estimates.

@@ -14,18 +14,16 @@ from gbid.control.impact.half_sine import HalfSine
 from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows
 from gbid.control.tuning.result import GainResult
 from gbid.core.arrays import point_label
-from gbid.core.tables import Cell, Column, Entry, Table, formatted
+from gbid.core.tables import Cell, Column, Entry, Table, formatted, shown_unit
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.machine import rig_machine
 from gbid.experiment.run import Outcome
 from gbid.experiment.stages.cycle import CycleRow
 from gbid.experiment.stages.loop import LoopCostRow
 from gbid.lpv import ReferenceModes
-from gbid.report.fit_tables import Row
+from gbid.report.fit_tables import Row, keyed_table
 from gbid.report.read import conditions_words
 
-_FIGURES = (("peak", "m", 1e6), ("decay", "s", 1e3), ("piezo", "m", 1e6))
-"""Figures of impacts in the rows of responses: name, unit, factor to the unit of tables."""
 _PAPER = ("open", "closed")
 """Loops in Tables 3 and 4."""
 
@@ -39,11 +37,6 @@ class _ModeQuantity(NamedTuple):
     key: str
     column: int
     digits: int
-
-    def of(self, document: Row, mode: int, entry: str) -> Any:
-        """Return the value of a mode of a study; None without such a mode."""
-        name = entry.format(self.key) + (f" [{self.unit}]" if self.unit else "")
-        return next((row[name] for row in document["modes"] if row["mode"] == mode), None)
 
 
 _QUANTITIES = (
@@ -86,12 +79,8 @@ def impact_document(name: str, study: ImpactStudy, path: Path, published: Sequen
         Published modes of the machine; those of this operating point and loop are added.
     """
     ring = study.ringdown
-    here = [
-        m
-        for m in published
-        if (m.pressure_bar, m.speed_rpm) == (study.conditions["pressure_bar"], study.conditions["speed_rpm"])
-        and m.loop == study.loop
-    ]
+    conditions = study.conditions["pressure_bar"], study.conditions["speed_rpm"], study.loop
+    here = [m for m in published if (m.pressure_bar, m.speed_rpm, m.loop) == conditions]
     return {
         "name": name,
         "path": str(path),
@@ -129,8 +118,10 @@ def impact_tables(documents: Sequence[Row]) -> list[Table]:
             if loop not in paper:
                 shown = [(f"{q.sign}{mode}", document, mode, q) for q in _QUANTITIES for mode in (1, 2)]
                 tables.append(_mode_table(f"{where}: {loop}", shown))
-        tables.append(_response_table(where, list(here.values())))
-        tables.append(_impact_figures_table(where, list(here.values())))
+        responses = [row for document in here.values() for row in document["responses"]]
+        title = f"{where}: measured against simulated responses, p = g_f G f"
+        tables.append(keyed_table(title, _RESPONSE, responses))
+        tables.append(_impact_figures_table(where, responses, list(here.values())))
     return tables
 
 
@@ -161,42 +152,39 @@ def _mode_table(
     closed = any(document["controller"] for _, document, *_ in shown)
     for words, entry, decimals in _LINES:
         if closed or "running" not in entry:
-            cells = (
-                formatted(q.of(document, mode, entry), f".{q.digits + decimals}f") for _, document, mode, q in shown
-            )
-            rows.append([words, *cells])
+            rows.append([words])
+            for _, document, mode, q in shown:
+                name = entry.format(q.key) + (f" [{q.unit}]" if q.unit else "")
+                value = next((row[name] for row in document["modes"] if row["mode"] == mode), None)
+                rows[-1].append(formatted(value, f".{q.digits + decimals}f"))
     columns = [Column(heading, quantity.unit, 4) for heading, _, _, quantity in shown]
     return Table(title, [Column(""), *columns], [*rows, *more])
 
 
-def _response_table(where: str, documents: Sequence[Row]) -> Table:
-    """Return the table of measured and simulated responses."""
-    columns = {
-        "recording": Column("recording"),
-        "impacts": Column("impacts", format="d"),
-        "force_scale [1/kg]": Column("g_f", "1/kg", ".4f"),
-        "force_scale_std [1/kg]": Column("std", format=".4f"),
-        "fit_along [%]": Column("fit along\nthe impact", "%", ".2f"),
-        "fit_x [%]": Column("fit x", "%", ".2f"),
-        "fit_y [%]": Column("fit y", "%", ".2f"),
-    }
-    rows = [[row[key] for key in columns] for document in documents for row in document["responses"]]
-    return Table(f"{where}: measured against simulated responses, p = g_f G f", list(columns.values()), rows)
+_RESPONSE = {
+    "recording": Column("recording"),
+    "impacts": Column("impacts", format="d"),
+    "force_scale [1/kg]": Column("g_f", "1/kg", ".4f"),
+    "force_scale_std [1/kg]": Column("std", format=".4f"),
+    "fit_along [%]": Column("fit along\nthe impact", "%", ".2f"),
+    "fit_x [%]": Column("fit x", "%", ".2f"),
+    "fit_y [%]": Column("fit y", "%", ".2f"),
+}
+"""Columns of the table of measured and simulated responses, by key."""
+_FIGURES = (("peak", "m", "disc up to\n"), ("decay", "s", "over after\n"), ("piezo", "m", "piezo up to\n"))
+"""Figures of impacts in the rows of responses: name, unit and heading."""
 
 
-def _impact_figures_table(where: str, documents: Sequence[Row]) -> Table:
+def _impact_figures_table(where: str, responses: Sequence[Row], documents: Sequence[Row]) -> Table:
     """Return the table of measured and simulated motion of disc and piezos, with the notes of all tables."""
     columns = [Column("recording")]
-    for name, unit in (("disc up to\n", "µm"), ("over after\n", "ms"), ("piezo up to\n", "µm")):
-        columns += [Column(name, unit, ".2f"), Column("std", format=".2f"), Column("simulated", format=".2f")]
-    keys = [
-        (f"{name}{suffix} [{unit}]", factor) for name, unit, factor in _FIGURES for suffix in ("", "_std", "_simulated")
-    ]
-    rows: list[list[Entry]] = [
-        [row["recording"], *(None if row[key] is None else factor * row[key] for key, factor in keys)]
-        for document in documents
-        for row in document["responses"]
-    ]
+    rows: list[list[Entry]] = [[row["recording"]] for row in responses]
+    for name, unit, heading in _FIGURES:
+        factor, shown = shown_unit(unit)
+        columns += [Column(heading, shown, ".2f"), Column("std", format=".2f"), Column("simulated", format=".2f")]
+        for row, cells in zip(responses, rows, strict=True):
+            values = (row[f"{name}{suffix} [{unit}]"] for suffix in ("", "_std", "_simulated"))
+            cells += [None if value is None else factor * value for value in values]
     notes = []
     for document in documents:
         notes += [f"note, {document['loop']} loop: {note}" for note in document["notes"]]
@@ -284,17 +272,17 @@ def _compared(title: str, worst: Mapping[str, Mapping[str, float]], notes: Seque
     return Table(title, [Column("figure"), *(Column(name, format=4) for name in worst)], rows, notes)
 
 
+_OF_RESULT = (
+    *("value", "objective", "status", "success", "violation", "verified_on"),
+    *("peak_sensitivity", "peak_control", "static_amplification"),
+)
+
+
 def _result_row(result: GainResult) -> Row:
-    names = ("value", "objective", "status", "success", "violation", "verified_on")
-    peaks = ("peak_sensitivity", "peak_control", "static_amplification")
     return {
         "gains": dict(result.gains),
-        **{name: getattr(result, name) for name in (*names, *peaks)},
-        "worst": {
-            "where": result.worst.where,
-            "frequency_hz": result.worst.frequency_hz,
-            "damping": result.worst.damping,
-        },
+        **{name: getattr(result, name) for name in _OF_RESULT},
+        "worst": {name: getattr(result.worst, name) for name in ("where", "frequency_hz", "damping")},
         "active": list(result.active),
         "goals": [asdict(figure) for figure in result.goals],
         "notes": list(result.notes),
@@ -375,6 +363,7 @@ def _caps(documents: Sequence[Row]) -> Table:
 
 def _promises(documents: Sequence[Row]) -> Table:
     columns = {
+        "design": Column("design"),
         "probability": Column("probability", format="g"),
         "promised": Column("promised", format=".4f"),
         "keeps_limits": Column("keeps limits", format=".3f"),
@@ -383,20 +372,19 @@ def _promises(documents: Sequence[Row]) -> Table:
         "plants": Column("plants", format="d"),
         "fresh": Column("fresh", format="d"),
     }
-    rows = [[d["design"], *(promise[key] for key in columns)] for d in documents for promise in d["promises"]]
+    rows = [{"design": d["design"], **promise} for d in documents for promise in d["promises"]]
     confidences = sorted({promise["confidence"] for d in documents for promise in d["promises"]})
     note = (
         f"promised: reached with the probability, at a confidence of {', '.join(f'{100 * c:g} %' for c in confidences)}"
         ", on fresh drawn plants that the design has not seen; keeps limits: lower bound of the probability; "
         "plants: drawn plants for which it was optimised"
     )
-    return Table("Robust designs", [Column("design"), *columns.values()], rows, [note])
+    return keyed_table("Robust designs", columns, rows, [note])
 
 
 # ---- Tables of recordings in closed loop: what the loop costs in precision, and the rounds of the cycle.
 
 _INTERVAL, _DIGITS = 1.96, 2
-_STDS = ("std", "std_beside")
 
 
 def loop_documents(rows: Sequence[LoopCostRow]) -> list[Row]:
@@ -413,29 +401,26 @@ def loop_tables(documents: Sequence[Row]) -> list[Table]:
         Documents of `loop_documents`.
     """
     tables = []
+    columns = {
+        "parameter": Column("parameter"),
+        "std": Column("std in the loop", format=_DIGITS),
+        "std_beside": Column("std without", format=_DIGITS),
+        "ratio": Column("ratio", format=".2f"),
+    }
     for (fit, point), group in groupby(documents, key=lambda row: (row["fit"], row["point"])):
-        rows = list(group)
-        columns = [Column("parameter"), *(Column(name, format=_DIGITS) for name in ("std in the loop", "std without"))]
-        cells = [
-            [row["parameter"], *(formatted(row[key], _DIGITS, row["unit"]) for key in _STDS), row["ratio"]]
-            for row in rows
-        ]
+        rows, notes = list(group), []
+        for words, end in (("in the loop", ""), ("without", "_beside")):
+            peak = formatted(rows[0][f"peak{end}"], _DIGITS, rows[0]["peak_unit"])
+            shown = peak.text if isinstance(peak, Cell) else "?"
+            count, length = rows[0][f"recordings{end}"], rows[0][f"duration{end}_s"]
+            notes.append(f"{words}: {count} fits, recordings of {length:g} s, {rows[0]['peak_of']} up to {shown}")
+        notes.append("medians over the converged fits; above a ratio of 1 the loop costs precision, below it gains")
         title = f"{fit}, {point}: what the loop costs in precision, beside {rows[0]['beside']}"
-        tables.append(Table(title, [*columns, Column("ratio", format=".2f")], cells, _cost_notes(rows[0])))
+        cells = (
+            {**row, **{key: formatted(row[key], _DIGITS, row["unit"]) for key in ("std", "std_beside")}} for row in rows
+        )
+        tables.append(keyed_table(title, columns, cells, notes))
     return tables
-
-
-def _cost_notes(row: Row) -> list[str]:
-    notes = []
-    for words, end in (("in the loop", ""), ("without", "_beside")):
-        peak = formatted(row[f"peak{end}"], _DIGITS, row["peak_unit"])
-        shown = peak.text if isinstance(peak, Cell) else "?"
-        count, length = row[f"recordings{end}"], row[f"duration{end}_s"]
-        notes.append(f"{words}: {count} fits, recordings of {length:g} s, {row['peak_of']} up to {shown}")
-    return [
-        *notes,
-        "medians over the converged fits; above a ratio of 1 the loop costs precision, below it gains",
-    ]
 
 
 def cycle_documents(rows: Sequence[CycleRow]) -> list[Row]:
@@ -466,19 +451,13 @@ def cycle_summary(documents: Sequence[Row]) -> Table:
         "damping of the design over all points and plants; expected: of the sampled loop at this point, by the "
         "surfaces; reached: smaller damping of both modes of the loop on the rig, measured by impacts",
     )
-    return Table("Rounds of the cycle", columns, [_cells(CycleRow(**document)) for document in documents], notes)
-
-
-def _cells(row: CycleRow) -> list[str | int | float]:
-    damping, std = row.reached
-    reached = f"{damping:.4f} ± {_INTERVAL * std:.4f}" if row.converged else "ring-downs not fitted"
-    return [
-        row.round,
-        point_label(row.pressure_bar, row.speed_rpm),
-        row.recordings,
-        f"{row.model_frequency_1_hz_std:.3f}, {row.model_frequency_2_hz_std:.3f}",
-        f"{row.model_damping_1_std:.5f}, {row.model_damping_2_std:.5f}",
-        row.promised_damping,
-        row.expected_damping,
-        reached,
-    ]
+    rows: list[list[Entry]] = []
+    for row in (CycleRow(**document) for document in documents):
+        frequencies = f"{row.model_frequency_1_hz_std:.3f}, {row.model_frequency_2_hz_std:.3f}"
+        dampings = f"{row.model_damping_1_std:.5f}, {row.model_damping_2_std:.5f}"
+        damping, std = row.reached
+        reached = f"{damping:.4f} ± {_INTERVAL * std:.4f}" if row.converged else "ring-downs not fitted"
+        point = point_label(row.pressure_bar, row.speed_rpm)
+        model = (row.recordings, frequencies, dampings, row.promised_damping, row.expected_damping)
+        rows.append([row.round, point, *model, reached])
+    return Table("Rounds of the cycle", columns, rows, notes)

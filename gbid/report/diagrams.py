@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyBboxPatch
 
-from gbid.report.canvas import BLACK, TWO_COLUMNS, panels, styled
+from gbid.report.canvas import BLACK, TWO_COLUMNS, one_panel, styled
 from gbid.report.named import NamedFigure
-from gbid.report.read import Results
 
 # ---- Elements of block diagrams: blocks, sums, wires and labels.
 
@@ -24,7 +22,7 @@ _RADIUS = 0.13
 
 def diagram(ax: Axes | None, width: float, top: float, inches: float, bottom: float = 0.0) -> Axes:
     """Return axes with `width` units for a diagram; new axes are `inches` wide."""
-    _, (ax, *_) = panels(ax, size=(inches, inches * (top - bottom) / width))
+    _, ax = one_panel(ax, (inches, inches * (top - bottom) / width))
     ax.set(xlim=(0, width), ylim=(bottom, top), aspect="equal")
     ax.set_axis_off()
     return ax
@@ -294,17 +292,9 @@ def plot_closed_loop(ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _nothing(_results: Results) -> None:
-    """Diagrams need no results."""
-
-
-def _drawn(plot: Callable[[], Axes], _nothing: None) -> Axes:
-    return plot()
-
-
 FIGURES = (
-    NamedFigure("fig03_differential_pairing", _nothing, partial(_drawn, plot_differential_pairing)),
-    NamedFigure("fig04_identification_flow", _nothing, partial(_drawn, plot_identification_flow)),
-    NamedFigure("fig06_rotor_bearing_model", _nothing, partial(_drawn, plot_rotor_bearing_model)),
-    NamedFigure("fig19_closed_loop", _nothing, partial(_drawn, plot_closed_loop)),
+    NamedFigure("fig03_differential_pairing", lambda _: plot_differential_pairing()),
+    NamedFigure("fig04_identification_flow", lambda _: plot_identification_flow()),
+    NamedFigure("fig06_rotor_bearing_model", lambda _: plot_rotor_bearing_model()),
+    NamedFigure("fig19_closed_loop", lambda _: plot_closed_loop()),
 )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gbid.characterise import PiezoCurve, StaticMap
-from gbid.core.arrays import point_label
+from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import UsageError
 from gbid.core.tables import (
     Cell,
@@ -30,6 +30,7 @@ from gbid.core.units import conversion_factor
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.run import Outcome
 from gbid.identify import FitResult, FitTable
+from gbid.identify.result import StdKind
 from gbid.lpv import LPVFit
 from gbid.lpv.model import PUBLISHED_LARGEST_GAIN
 from gbid.prefilter import PrefilterReport
@@ -61,9 +62,8 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
         None, also the standard deviation of a parameter without one.
     """
     rows = []
-    by_kind = {"std_white": result.std_with("white"), "std_robust": result.std_with("robust")}
-    if result.covariance_bootstrap is not None:
-        by_kind["std_bootstrap"] = result.std_with("bootstrap")
+    kinds: tuple[StdKind, ...] = ("white", "robust", "bootstrap")
+    stds = {q: result.std_with(q) for q in kinds if q != "bootstrap" or result.covariance_bootstrap is not None}
     for name, estimate in result.parameters.items():
         std, true = result.std[name], truth.get(name)
         off = None if true is None else estimate - true
@@ -72,7 +72,7 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
                 "parameter": name,
                 "estimate": estimate,
                 "std": finite_or_none(std),
-                **{key: finite_or_none(stds[name]) for key, stds in by_kind.items()},
+                **{f"std_{kind}": finite_or_none(by_name[name]) for kind, by_name in stds.items()},
                 "truth": true,
                 "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
                 "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
@@ -88,20 +88,21 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
 def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
     """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
     modes = result.model.modes()
-    true = truth.modes() if truth is not None else []
-    if len(true) != len(modes):
-        true = []
+    known = truth.modes() if truth is not None else []
+    true = known if len(known) == len(modes) else [(None, None)] * len(modes)
     return [
         {
-            "mode": i + 1,
+            "mode": i,
             "frequency_hz": frequency,
-            "frequency_std_hz": finite_or_none(result.modes_std[i, 0]),
+            "frequency_std_hz": finite_or_none(frequency_std),
             "damping": damping,
-            "damping_std": finite_or_none(result.modes_std[i, 1]),
-            "true_frequency_hz": true[i][0] if true else None,
-            "true_damping": true[i][1] if true else None,
+            "damping_std": finite_or_none(damping_std),
+            "true_frequency_hz": true_frequency,
+            "true_damping": true_damping,
         }
-        for i, (frequency, damping) in enumerate(modes)
+        for i, ((frequency, damping), (frequency_std, damping_std), (true_frequency, true_damping)) in enumerate(
+            zip(modes, result.modes_std, true, strict=True), 1
+        )
     ]
 
 
@@ -126,32 +127,9 @@ def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
     ]
 
 
-def fit_percent_rows(result: FitResult) -> list[Row]:
-    """Return the fit percent of each output of each recording."""
-    return [
-        {"recording": recording, "output": output, "fit_percent": float(result.fit_percent[i, j])}
-        for i, recording in enumerate(result.recordings)
-        for j, output in enumerate(result.model.output_names)
-    ]
-
-
-def whiteness_rows(result: FitResult) -> list[Row]:
-    """Return the p-value of the whiteness test of each output."""
-    return [
-        {"output": output, "p_value": finite_or_none(p)}
-        for output, p in zip(result.model.output_names, result.whiteness, strict=True)
-    ]
-
-
-def multi_start_row(result: FitResult) -> Row | None:
-    """Return the counts of the fits from several starts; None for a fit from one start."""
-    if result.multi_start is None:
-        return None
-    return {**asdict(result.multi_start), "spread": finite_or_none(result.multi_start.spread)}
-
-
 def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
     """Return the document of a fit."""
+    outputs, starts = result.model.output_names, result.multi_start
     return {
         "structure": result.structure,
         "recordings": list(result.recordings),
@@ -164,13 +142,20 @@ def fit_document(result: FitResult, truth: Mapping[str, float], true_model: Line
         "fpe": finite_or_none(result.fpe),
         "condition": finite_or_none(result.condition),
         "trusted": result.trusted,
-        "whiteness": whiteness_rows(result),
-        "multi_start": multi_start_row(result),
+        "whiteness": [
+            {"output": output, "p_value": finite_or_none(p)}
+            for output, p in zip(outputs, result.whiteness, strict=True)
+        ],
+        "multi_start": None if starts is None else {**asdict(starts), "spread": finite_or_none(starts.spread)},
         "options": asdict(result.options),
         "parameters": parameter_rows(result, truth),
         "modes": mode_rows(result, true_model),
         "static_gain": gain_rows(result, true_model),
-        "fit_percent": fit_percent_rows(result),
+        "fit_percent": [
+            {"recording": recording, "output": output, "fit_percent": float(percent)}
+            for recording, percents in zip(result.recordings, result.fit_percent, strict=True)
+            for output, percent in zip(outputs, percents, strict=True)
+        ],
         "notes": list(result.notes),
     }
 
@@ -222,15 +207,12 @@ def summary_lines(document: Row) -> Iterator[Line]:
 
 def residuals_line(document: Row) -> str:
     """Return the whiteness of each output with its p-value, as text."""
-    words = []
     level = 0.01 / max(1, len(document["whiteness"]))  # shared by the outputs, as the fit shares it
-    for row in document["whiteness"]:
-        p = row["p_value"]
-        if p is None:
-            words.append(f"{row['output']} unknown")
-        else:
-            words.append(f"{row['output']} {'white' if p >= level else 'not white'} ({probability(p)})")
-    return ", ".join(words)
+
+    def word(p: float | None) -> str:
+        return "unknown" if p is None else f"{'white' if p >= level else 'not white'} ({probability(p)})"
+
+    return ", ".join(f"{row['output']} {word(row['p_value'])}" for row in document["whiteness"])
 
 
 def start_line(document: Row) -> str:
@@ -253,12 +235,11 @@ def starts_line(row: Row) -> str:
         f"{row['starts']} (seed {row['seed']}): {row['converged']} converged, {row['agreed']} ended at the best; "
         f"largest over smallest loss {spread}"
     )
-    minima = list(zip(row["minima"], row["minima_starts"], strict=True))
+    minima = [f"{loss:.5g} ({count})" for loss, count in zip(row["minima"], row["minima_starts"], strict=True)]
     if len(minima) < 2:
         return text
-    shown = ", ".join(f"{loss:.5g} ({count})" for loss, count in minima[:_MINIMA])
-    more = f", {len(minima) - _MINIMA} more" if len(minima) > _MINIMA else ""
-    return f"{text}; {len(minima)} minima, loss (starts): {shown}{more}"
+    more = [f"{len(minima) - _MINIMA} more"] if len(minima) > _MINIMA else []
+    return f"{text}; {len(minima)} minima, loss (starts): {', '.join([*minima[:_MINIMA], *more])}"
 
 
 # Heading, unit, entries of the row, and smallest number of decimals of a mode.
@@ -278,12 +259,12 @@ def fit_tables(title: str, document: Row) -> list[Table]:
     document : dict
         Document of `gbid.report.fit_tables.fit_document`.
     """
-    tables = [parameter_table(title, document["parameters"], document["trusted"])]
-    if document["modes"]:
-        tables.append(mode_table(document["modes"]))
-    if document["static_gain"]:
-        tables.append(gain_table(document["static_gain"]))
-    return [*tables, Table("", [Column(""), Column("", wrap=True)], list(summary_lines(document)))]
+    return [
+        parameter_table(title, document["parameters"], document["trusted"]),
+        *([mode_table(document["modes"])] if document["modes"] else []),
+        *([gain_table(document["static_gain"])] if document["static_gain"] else []),
+        Table("", [Column(""), Column("", wrap=True)], list(summary_lines(document))),
+    ]
 
 
 def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
@@ -298,7 +279,10 @@ def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
         estimate, spread = factor * row["estimate"], factor * (row["std"] or 0.0)
         exponent = exponent_of(max(abs(estimate), spread))
         std = Cell(None, "fixed") if row["fixed"] else _in_power(row["std"], 2, exponent, factor)
-        cells = [row["parameter"], _in_power(row["estimate"], _digits(estimate, spread), exponent, factor), std]
+        # Five significant digits, or enough to show the standard deviation.
+        fewer = estimate != 0 and abs(estimate) < spread
+        digits = max(1, 2 + floor(log10(abs(estimate))) - floor(log10(spread))) if fewer else 5
+        cells = [row["parameter"], _in_power(row["estimate"], digits, exponent, factor), std]
         if with_truth:
             off = formatted(row["deviation_percent"], "+.2f", "%")
             cells += [_in_power(row["truth"], 5, exponent, factor), off, row["deviation_std"]]
@@ -310,16 +294,14 @@ def mode_table(rows: Sequence[Row]) -> Table:
     """Return the table of natural frequencies and damping factors."""
     with_truth = any(row["true_frequency_hz"] is not None for row in rows)
     columns = [Column("mode")]
-    for heading, unit, *_, least in _MODE:
+    laid: list[list[Entry]] = [[str(row["mode"])] for row in rows]
+    for heading, unit, key, std, true, least in _MODE:
         form = f".{least}f"
         columns += [Column(heading, unit, form), Column("std", format=form)]
         columns += [Column("truth", format=form)] if with_truth else []
-    laid: list[list[Entry]] = []
-    for row in rows:
-        laid.append([str(row["mode"])])
-        for *_, key, std, true, least in _MODE:
-            own = f".{_decimals(row[std], least)}f"
-            laid[-1] += [formatted(row[name], own) for name in (key, std, *([true] if with_truth else []))]
+        for row, cells in zip(rows, laid, strict=True):  # two digits of the standard deviation
+            decimals = min(max(least, 1 - floor(log10(row[std]))), 7) if row[std] else least
+            cells += [formatted(row[name], f".{decimals}f") for name in (key, std, *([true] if with_truth else []))]
     return Table("", columns, laid)
 
 
@@ -342,19 +324,16 @@ def _in_power(value: float | None, digits: int, exponent: int, factor: float = 1
     return None if value is None else Cell(factor * value, engineering(factor * value, digits, exponent))
 
 
-def _digits(estimate: float, std: float) -> int:
-    """Return the number of significant digits of an estimate: five, or enough to show its standard deviation."""
-    if estimate == 0 or abs(estimate) >= std:
-        return 5
-    return max(1, 2 + floor(log10(abs(estimate))) - floor(log10(std)))
-
-
-def _decimals(std: float | None, least: int) -> int:
-    """Return the number of decimals that show two digits of a standard deviation."""
-    return least if not std else min(max(least, 1 - floor(log10(std))), 7)
+def keyed_table(
+    title: str, columns: Mapping[str, Column], rows: Iterable[Mapping[str, Any]], notes: Sequence[str] = ()
+) -> Table:
+    """Return the table of some values of rows, picked by the keys of the columns."""
+    return Table(title, list(columns.values()), [[row[key] for key in columns] for row in rows], notes)
 
 
 # ---- Tables of a campaign: states of the items of each stage, and a summary of the fits.
+
+_STATES = ("made", "kept", "failed", "not_converged")
 
 
 def campaign_document(experiment: Experiment, outcomes: Sequence[Outcome], table: FitTable | None = None) -> Row:
@@ -362,7 +341,7 @@ def campaign_document(experiment: Experiment, outcomes: Sequence[Outcome], table
     stages: dict[str, dict[str, int]] = {}
     for outcome in outcomes:
         if outcome.stage != "table":
-            counts = stages.setdefault(outcome.stage, {"made": 0, "kept": 0, "failed": 0, "not_converged": 0})
+            counts = stages.setdefault(outcome.stage, dict.fromkeys(_STATES, 0))
             counts[outcome.state] += 1
             counts["not_converged"] += outcome.state != "failed" and not outcome.converged
     return {
@@ -394,32 +373,27 @@ def _fit_of_campaign(table: FitTable, name: str) -> Row:
     }
 
 
-_STATES = ("made", "kept", "failed", "not_converged")
-_COUNTS = ("fits", "converged", "missing")
-
-
 def campaign_tables(document: Row) -> list[Table]:
     """Return the tables of the stages and of the fits of a campaign; empty tables are left out."""
-    heads = [Column("stage"), *(Column(state.replace("_", " "), format="d") for state in _STATES)]
-    stages = [[stage, *(counts[state] for state in _STATES)] for stage, counts in document["stages"].items()]
-    columns = [
-        Column("fit"),
-        *(Column(name, format="d") for name in _COUNTS),
-        Column("median", "%"),
-        Column("worst", "%", ".1f", missing=""),
-        Column("of", missing=""),
+    heads = {"stage": Column("stage")} | {key: Column(key.replace("_", " "), format="d") for key in _STATES}
+    stages = [{"stage": stage, **counts} for stage, counts in document["stages"].items()]
+    columns = {
+        "fit": Column("fit"),
+        **{key: Column(key, format="d") for key in ("fits", "converged", "missing")},
+        "median": Column("median", "%"),
+        "worst_fit_percent": Column("worst", "%", ".1f", missing=""),
+        "worst": Column("of", missing=""),
+    }
+    fits = [
+        {**row, "median": ", ".join(f"{output} {value:.1f}" for output, value in row["median_fit_percent"].items())}
+        for row in document["fits"]
     ]
-    fits = []
-    for row in document["fits"]:
-        medians = ", ".join(f"{output} {value:.1f}" for output, value in row["median_fit_percent"].items())
-        fits.append([row["fit"], *(row[name] for name in _COUNTS), medians, row["worst_fit_percent"], row["worst"]])
-    return [table for table in (Table("", heads, stages), Table("", columns, fits)) if table.rows]
+    return [table for table in (keyed_table("", heads, stages), keyed_table("", columns, fits)) if table.rows]
 
 
 # ---- Documents and tables of a cross-validation, for each pair and in summary, and of the nominal actuator.
 
 _POINTS = 30  # largest number of operating points that have their own rows
-_PERCENT = (Column("fit\n", "%", ".2f"), Column("+-\n", "%", ".2g"), Column("least\n", "%", ".2f"))
 
 
 def fit_href(fit: str, model: str) -> str:
@@ -429,23 +403,27 @@ def fit_href(fit: str, model: str) -> str:
 
 def crossval_table(title: str, rows: Sequence[Row]) -> Table:
     """Return the table of the fit percent of each model on each recording, and of the residual tests; by fit."""
-    columns = [
-        *map(Column, ("model of", "on", "output")),
-        Column("fit\n", "%", ".2f"),
-        Column("largest\nerror", format=2),
-        Column("residuals\nwhite", format="s"),
-        Column("follow"),
-    ]
-    missed = any(row["missed"] for row in rows)
-    laid: list[list[Entry]] = []
-    for row in rows:
-        cells: list[Entry] = [Cell(row["model"], href=fit_href(title, row["model"]))]
-        cells += [row[key] for key in ("recording", "output", "fit_percent")]
-        cells += [formatted(row["infinity_norm"], 2, row["unit"]), row["residuals_white"]]
-        cells += [", ".join(row["residuals_follow"]) or None]
-        cells += [f"below {row['minimum_percent']:g} %" if row["missed"] else ""] if missed else []
-        laid.append(cells)
-    return Table(f"{title}, cross-validation, simulated", [*columns, *([Column("")] if missed else [])], laid)
+    columns = {
+        "model": Column("model of"),
+        "recording": Column("on"),
+        "output": Column("output"),
+        "fit_percent": Column("fit\n", "%", ".2f"),
+        "error": Column("largest\nerror", format=2),
+        "residuals_white": Column("residuals\nwhite", format="s"),
+        "follow": Column("follow"),
+        **({"why": Column("")} if any(row["missed"] for row in rows) else {}),
+    }
+    cells = (
+        {
+            **row,
+            "model": Cell(row["model"], href=fit_href(title, row["model"])),
+            "error": formatted(row["infinity_norm"], 2, row["unit"]),
+            "follow": ", ".join(row["residuals_follow"]) or None,
+            "why": f"below {row['minimum_percent']:g} %" if row["missed"] else "",
+        }
+        for row in rows
+    )
+    return keyed_table(f"{title}, cross-validation, simulated", columns, cells)
 
 
 def summary_document(fit: str, summary: ValidationSummary, path: Path) -> Row:
@@ -469,26 +447,26 @@ def validation_table(document: Row, paper: Mapping[str, str] | None = None) -> T
     )
     columns = [
         *(Column(""), Column("output"), Column("pairs", format="d")),
-        *_PERCENT,
+        *(Column("fit\n", "%", ".2f"), Column("+-\n", "%", ".2g"), Column("least\n", "%", ".2f")),
         Column("largest\nerror", format=2),
         Column("worst pair", wrap=True),
         *([Column("paper", "%")] if paper else []),
     ]
-    outputs = list(enumerate(zip(document["output_names"], document["output_units"], strict=True)))
+    worst = {pair["output"]: pair for pair in reversed(document["worst"])}
+    points = document["points"] if 1 < len(document["points"]) <= _POINTS else ()
     rows: list[list[Entry]] = []
-    for j, (output, unit) in outputs:
-        worst = next((pair for pair in document["worst"] if pair["output"] == output), None)
-        numbers = (document["n_pairs"], *(document[name][j] for name in ("mean", "std", "least")))
-        largest = formatted(document["infinity_norm_max"][j], 2, unit)
-        words = f"{worst['model']} on {worst['recording']}" if worst else ""
-        pair = Cell(words, href=fit_href(document["fit"], worst["model"])) if worst else None
-        rows.append(["all" if j == 0 else "", output, *numbers, largest, pair, *([paper[output]] if paper else [])])
-    for point in document["points"] if 1 < len(document["points"]) <= _POINTS else ():
-        place = point_label(point["pressure_bar"], point["speed_rpm"])
-        for j, (output, unit) in outputs:
-            largest = formatted(point["infinity_norm"][j], 2, unit)
-            numbers = (point["n_pairs"], point["mean"][j], point["std"][j])
-            rows.append([place if j == 0 else "", output, *numbers, "", largest, "", *([""] if paper else [])])
+    for i, figures in enumerate(({**document, "infinity_norm": document["infinity_norm_max"]}, *points)):
+        every = i == 0
+        place = "all" if every else point_label(figures["pressure_bar"], figures["speed_rpm"])
+        for j, (output, unit) in enumerate(zip(document["output_names"], document["output_units"], strict=True)):
+            numbers = (figures["n_pairs"], figures["mean"][j], figures["std"][j], figures["least"][j] if every else "")
+            pair: Entry = None if every else ""
+            if every and output in worst:
+                model, recording = worst[output]["model"], worst[output]["recording"]
+                pair = Cell(f"{model} on {recording}", href=fit_href(document["fit"], model))
+            error = formatted(figures["infinity_norm"][j], 2, unit)
+            known = [paper[output] if every else ""] if paper else []
+            rows.append(["" if j else place, output, *numbers, error, pair, *known])
     return Table(title, columns, rows)
 
 
@@ -558,10 +536,11 @@ def lpv_document(item: str, fit: LPVFit, path: Path, *, published: bool) -> Row:
     published : bool
         Whether the machine is that of the paper; figures of the paper are then added.
     """
-    rows = [asdict(d) for d in fit.deviations]
-    for row in rows:
-        if not published:
-            row["published_rms"] = None
+    of_paper = {} if published else {"published_rms": None}
+
+    def by_parameter(values: FloatArray) -> Row:
+        return dict(zip(KEY_PARAMETERS, values.tolist(), strict=True))
+
     return {
         "item": item,
         "path": str(path),
@@ -571,15 +550,13 @@ def lpv_document(item: str, fit: LPVFit, path: Path, *, published: bool) -> Row:
         "status": fit.status,
         "success": fit.success,
         "options": dict(fit.options),
-        "deviations": rows,
+        "deviations": [asdict(d) | of_paper for d in fit.deviations],
         "published_largest_gain": PUBLISHED_LARGEST_GAIN if published else None,
         "orders": [{"order": s.order, "score": s.score, "why_not": s.why_not} for s in fit.orders],
         "coefficients": {key: list(fit.model.coefficients[key]) for key in KEY_PARAMETERS},
-        "coefficients_std": dict(
-            zip(KEY_PARAMETERS, np.sqrt(np.diag(fit.covariance)).reshape(-1, 6).tolist(), strict=True)
-        ),
-        "scatter_std": dict(zip(KEY_PARAMETERS, np.sqrt(np.diag(fit.scatter)).tolist(), strict=True)),
-        "lack_of_fit": dict(zip(KEY_PARAMETERS, fit.lack_of_fit.tolist(), strict=True)),
+        "coefficients_std": by_parameter(np.sqrt(np.diag(fit.covariance)).reshape(-1, 6)),
+        "scatter_std": by_parameter(np.sqrt(np.diag(fit.scatter))),
+        "lack_of_fit": by_parameter(fit.lack_of_fit),
         "outliers": [asdict(o) for o in fit.outliers],
         "left_out": list(fit.estimates.left_out),
         "notes": list(fit.notes),
@@ -594,19 +571,24 @@ def lpv_table(document: Row) -> Table:
     document : dict
         Document of `lpv_document`.
     """
-    with_paper = any(row["published_rms"] is not None for row in document["deviations"])
-    paper = [Column("rms,\npaper", format=".4g")] if with_paper else []
-    columns = [Column(""), Column("rms", format=".4g"), *paper, Column("largest", format=".4g")]
+    sizes = {"rms": "rms", "published_rms": "rms,\npaper", "largest": "largest"}
+    if all(row["published_rms"] is None for row in document["deviations"]):
+        del sizes["published_rms"]
     rows: list[list[Entry]] = []
     for row in document["deviations"]:
         factor, unit = shown_unit(row["unit"])
-        names = ("rms", *(["published_rms"] if with_paper else []), "largest")
-        rows.append([row["name"], *(factor * row[name] for name in names), unit, row["recording"]])
+        rows.append([row["name"], *(factor * row[key] for key in sizes), unit, row["recording"]])
     title = (
         f"{document['item']}: {document['recordings']} recordings at {document['operating_points']} operating points, "
         f"{document['options']['method']}, {document['status']}"
     )
-    return Table(title, [*columns, Column("unit"), Column("recording")], rows, ["", *_notes(document)])
+    columns = [
+        Column(""),
+        *(Column(name, format=".4g") for name in sizes.values()),
+        Column("unit"),
+        Column("recording"),
+    ]
+    return Table(title, columns, rows, ["", *_notes(document)])
 
 
 def _notes(document: Row) -> Iterator[str]:
@@ -632,40 +614,36 @@ SHOWN_SPIKES = 10
 
 def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> list[Row]:
     """Return documents of recordings that were made or imported; failed ones are left out."""
-    documents = []
-    for outcome in outcomes:
-        if outcome.stage in ("rig", "import") and outcome.state != "failed":
-            recording = load_recording(outcome.path)
-            documents.append(
-                {
-                    "name": recording.name,
-                    "kind": experiment.recordings[recording.name].kind,
-                    "samples": recording.n_samples,
-                    "sample_time_s": recording.sample_time,
-                    "duration_s": recording.duration,
-                    "conditions": dict(recording.conditions),
-                    "signals": {name: list(recording.channels[name]) for name in recording.signals},
-                    "state": outcome.state,
-                    "path": str(outcome.path),
-                }
-            )
-    return documents
+    made = [outcome for outcome in outcomes if outcome.stage in ("rig", "import") and outcome.state != "failed"]
+    return [
+        {
+            "name": recording.name,
+            "kind": experiment.recordings[recording.name].kind,
+            "samples": recording.n_samples,
+            "sample_time_s": recording.sample_time,
+            "duration_s": recording.duration,
+            "conditions": dict(recording.conditions),
+            "signals": {name: list(recording.channels[name]) for name in recording.signals},
+            "state": outcome.state,
+            "path": str(outcome.path),
+        }
+        for outcome in made
+        for recording in [load_recording(outcome.path)]
+    ]
 
 
 def recording_table(rows: Sequence[Row]) -> Table:
     """Return the table of recordings with their length and operating point."""
-    columns = [
-        Column("recording"),
-        Column("samples", format="d"),
-        Column("duration", "s", "g"),
-        Column("conditions"),
-        Column("state"),
-    ]
-    laid = []
-    for row in rows:
-        conditions = ", ".join(f"{key} {value:g}" for key, value in row["conditions"].items())
-        laid.append([row["name"], row["samples"], row["duration_s"], conditions, row["state"]])
-    return Table("recordings", columns, laid)
+    columns = {
+        "name": Column("recording"),
+        "samples": Column("samples", format="d"),
+        "duration_s": Column("duration", "s", "g"),
+        "where": Column("conditions"),
+        "state": Column("state"),
+    }
+    where = [", ".join(f"{key} {value:g}" for key, value in row["conditions"].items()) for row in rows]
+    cells = ({**row, "where": words} for row, words in zip(rows, where, strict=True))
+    return keyed_table("recordings", columns, cells)
 
 
 def channel_rows(channels: Iterable[FileChannel]) -> list[Row]:
@@ -688,21 +666,24 @@ def channel_rows(channels: Iterable[FileChannel]) -> list[Row]:
 
 def channel_table(name: str, rows: Sequence[Row]) -> Table:
     """Return the table of the channels of a file, from `channel_rows`."""
-    columns = [
-        Column("channel"),
-        Column("samples", format="d"),
-        Column("unit"),
-        Column("sample time", "s", ".6g"),
-        Column("rate", "Hz", ".6g"),
-        Column("first samples"),
-        Column("remark", wrap=True),
-    ]
-    laid = []
-    for row in rows:
-        first = " ".join(f"{value:.5g}" for value in row["first"]) or None
-        remark = row["remark"] or _rising(row)
-        laid.append([row["channel"], row["samples"], row["unit"], row["sample_time_s"], row["rate_hz"], first, remark])
-    return Table(name, columns, laid)
+    columns = {
+        "channel": Column("channel"),
+        "samples": Column("samples", format="d"),
+        "unit": Column("unit"),
+        "sample_time_s": Column("sample time", "s", ".6g"),
+        "rate_hz": Column("rate", "Hz", ".6g"),
+        "first": Column("first samples"),
+        "remark": Column("remark", wrap=True),
+    }
+    cells = (
+        {
+            **row,
+            "first": " ".join(f"{value:.5g}" for value in row["first"]) or None,
+            "remark": row["remark"] or _rising(row),
+        }
+        for row in rows
+    )
+    return keyed_table(name, columns, cells)
 
 
 def _rising(row: Row) -> str:
@@ -712,9 +693,10 @@ def _rising(row: Row) -> str:
     rate = ""
     with suppress(UsageError):
         rate = f": {1 / (row['step'] * conversion_factor(row['unit'], 's')):.6g} Hz" if row["unit"] else ""
-    if row["jitter_ppm"] is None:
-        return f"rises in even steps of {row['step']:.6g}{rate}"
-    return f"rises in steps of {row['step']:.6g}{rate}, with a jitter of {row['jitter_ppm']:.0f} ppm"
+    even, jitter = (
+        ("even ", "") if row["jitter_ppm"] is None else ("", f", with a jitter of {row['jitter_ppm']:.0f} ppm")
+    )
+    return f"rises in {even}steps of {row['step']:.6g}{rate}{jitter}"
 
 
 def layout_words(layout: Mapping[str, str | int | None]) -> str:
@@ -743,15 +725,10 @@ def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
     ]
 
 
-def position_unit(rows: Sequence[Row]) -> tuple[float, str]:
-    """Factor and unit in which rows of the prefilter are shown; as they are where the recordings differ in unit."""
-    units = list(dict.fromkeys(row["unit"] for row in rows))
-    return shown_unit(units[0]) if len(units) == 1 else (1.0, " or ".join(units))
-
-
 def prefilter_table(rows: Sequence[Row]) -> Table:
     """Return the table of the corrections by the prefilter, from `prefilter_rows`."""
-    factor, unit = position_unit(rows)
+    units = list(dict.fromkeys(row["unit"] for row in rows))
+    factor, unit = shown_unit(units[0]) if len(units) == 1 else (1.0, " or ".join(units))
     columns = [
         Column("recording"),
         Column("rms\nbefore\n", unit, ".3f"),
@@ -789,25 +766,26 @@ def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
     """
     if isinstance(result, PiezoCurve):
         steps = ~result.saturated
+        of_curve = ("hysteresis", "hysteresis_std", "hysteresis_at", "hysteresis_share", "uniformity")
         return {
             "name": name,
             "kind": "piezo",
             "recordings": [result.name],
             "channel": result.channel,
             "units": list(result.units),
-            "hysteresis": finite_or_none(result.hysteresis),
-            "hysteresis_std": finite_or_none(result.hysteresis_std),
-            "hysteresis_at": finite_or_none(result.hysteresis_at),
-            "hysteresis_share": finite_or_none(result.hysteresis_share),
+            **{name: finite_or_none(getattr(result, name)) for name in of_curve},
             "range": [float(result.position.min()), float(result.position.max())],
             "step_gain": finite_or_none(float(np.mean(result.step_gain[steps]))) if steps.any() else None,
-            "uniformity": finite_or_none(result.uniformity),
             "creep": finite_or_none(float(np.mean(result.creep[steps]))) if steps.any() else None,
             "steps": len(result.step),
             "saturated_steps": [int(i) + 1 for i in np.flatnonzero(result.saturated)],
             "notes": list(result.notes),
         }
     interval = result.interval()
+    figures = {
+        **{"gain": result.gain, "std": result.gain_std, "lower_95": interval[..., 0], "upper_95": interval[..., 1]},
+        **{key: getattr(result, key) for key in ("rms", "largest", "hysteresis", "hysteresis_std")},
+    }
     return {
         "name": name,
         "kind": "bearing",
@@ -820,14 +798,7 @@ def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
             {
                 "output": output,
                 "input": source,
-                "gain": finite_or_none(result.gain[i, j]),
-                "std": finite_or_none(result.gain_std[i, j]),
-                "lower_95": finite_or_none(interval[i, j, 0]),
-                "upper_95": finite_or_none(interval[i, j, 1]),
-                "rms": finite_or_none(result.rms[i, j]),
-                "largest": finite_or_none(result.largest[i, j]),
-                "hysteresis": finite_or_none(result.hysteresis[i, j]),
-                "hysteresis_std": finite_or_none(result.hysteresis_std[i, j]),
+                **{key: finite_or_none(values[i, j]) for key, values in figures.items()},
             }
             for i, output in enumerate(result.output_names)
             for j, source in enumerate(result.input_names)
@@ -856,12 +827,8 @@ def static_table(document: Row) -> Table:
         ]
         return Table(title, columns, rows, document["notes"])
     factor, unit = shown_unit(output)
-    names = {
-        "rms": "rms off\nlinear\n",
-        "largest": "largest\n",
-        "hysteresis": "hysteresis\n",
-        "hysteresis_std": "its std\n",
-    }
+    names = {"rms": "rms off\nlinear\n", "largest": "largest\n", "hysteresis": "hysteresis\n"}
+    names["hysteresis_std"] = "its std\n"
     columns = [Column("static gain"), Column("value", format=5), Column("std", format=2)]
     columns += [Column(name, unit, 3) for name in names.values()]
     gains = [

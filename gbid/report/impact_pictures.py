@@ -78,11 +78,10 @@ def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> npt.NDA
         if np.shape(curve) != np.shape(data.time):
             raise UsageError(f"curve {label!r} has shape {np.shape(curve)}, the time {np.shape(data.time)}")
     rows = 2 if data.forces else 1
-    ratios = {"height_ratios": [2, 1][:rows]}
     size = (TWO_COLUMNS, 1.1 + 1.35 * rows)
-    figure, axes = panels(ax, rows, 1, size=size, sharex=True, **ratios)
+    figure, axes = panels(ax, rows, 1, size=size, sharex=True, height_ratios=[2, 1][:rows])
     labels = list(dict.fromkeys([*data.responses, *data.forces]))
-    for curves, panel, scale in ((data.responses, axes[0], _MICROMETRES), (data.forces, axes[rows - 1], 1.0)):
+    for curves, panel, scale in ((data.responses, axes[0], _MICROMETRES), (data.forces, axes[-1], 1.0)):
         for label, curve in curves.items():
             style = series(labels.index(label), marker=None, linewidth=1.1)
             panel.plot(1e3 * data.time, scale * curve, label=label, **style)
@@ -90,11 +89,10 @@ def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> npt.NDA
     if data.forces:
         axes[1].set_ylabel("force [N]")
         letter(axes)
-    axes[rows - 1].set_xlabel("time [ms]")
-    axes[rows - 1].set_xlim(1e3 * data.time[0], 1e3 * data.time[-1])
+    axes[-1].set(xlabel="time [ms]", xlim=(1e3 * data.time[0], 1e3 * data.time[-1]))
     figure.align_ylabels(axes)
     legend_above(figure, axes[0], title=data.title)
-    return np.array(axes[:rows], dtype=object)
+    return axes
 
 
 def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal["x", "y"]) -> ImpactCurves:
@@ -121,9 +119,9 @@ def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal[
     j = "xy".index(axis)
     starts = {label: max(0, v.windows[0][0] - _BEFORE) for label, v in validations.items()}
     first = validations["open loop"]
-    length = min(
-        first.windows[0][1] - starts["open loop"], *(_until_next(v) - starts[k] for k, v in validations.items())
-    )
+    # Up to the second impact, or to the end.
+    ends = {k: v.windows[1][0] if len(v.windows) > 1 else len(v.time) for k, v in validations.items()}
+    length = min(first.windows[0][1] - starts["open loop"], *(ends[k] - starts[k] for k in starts))
     parts = {label: slice(start, start + length) for label, start in starts.items()}
     return ImpactCurves(
         first.time[parts["open loop"]] - first.time[first.windows[0][0]],
@@ -181,18 +179,13 @@ def validation_along(study: ImpactStudy, axis: str) -> ImpactValidation:
     raise UsageError(f"no impact along {axis} in {study.loop} loop; there is {axes}")
 
 
-def _until_next(validation: ImpactValidation) -> int:
-    """Return the sample at which the second impact begins, or the end."""
-    return validation.windows[1][0] if len(validation.windows) > 1 else len(validation.time)
-
-
-def _both_loops(axis: Literal["x", "y"], rotating: bool, results: Results) -> ImpactCurves:
+def _plot_both_loops(axis: Literal["x", "y"], rotating: bool, results: Results) -> npt.NDArray[np.object_]:
     loops = results.impacts_at(rotating)
-    return impact_data(loops["open"], loops["closed"], axis)
+    return plot_impact(impact_data(loops["open"], loops["closed"], axis))
 
 
-def _validated(axis: Literal["x", "y"], results: Results) -> ImpactCurves:
-    return impact_validation_data(results.impacts_at(False)["closed"], axis)
+def _plot_validation(axis: Literal["x", "y"], results: Results) -> npt.NDArray[np.object_]:
+    return plot_impact(impact_validation_data(results.impacts_at(False)["closed"], axis))
 
 
 _BEFORE_S = 5e-3
@@ -263,14 +256,11 @@ def _averaged(study: ImpactStudy, before: int, after: int) -> tuple[FloatArray, 
     mean, spread = np.full((2, before + after, 2), np.nan)
     for j, axis in enumerate("xy"):
         if any(v.axis == axis for v in study.validations):
-            impacts = _cut(validation_along(study, axis), j, before, after)
+            v = validation_along(study, axis)
+            motion = v.measured[:, j] - v.stationary[:, j]
+            impacts = np.array([motion[start - before : start + after] for start, _ in v.windows])
             mean[:, j], spread[:, j] = impacts.mean(axis=0), impacts.std(axis=0, ddof=min(1, len(impacts) - 1))
     return mean, spread
-
-
-def _cut(v: ImpactValidation, j: int, before: int, after: int) -> FloatArray:
-    motion = v.measured[:, j] - v.stationary[:, j]
-    return np.array([motion[start - before : start + after] for start, _ in v.windows])
 
 
 @styled
@@ -292,31 +282,26 @@ def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> np
     figure, axes = panels(ax, 2, 1, size=(TWO_COLUMNS, 4.4), sharex=True)
     for k, (label, mean) in enumerate(data.mean.items()):
         style = series(k, marker=None, linewidth=1.2)
-        for j, panel in enumerate(axes[:2]):
+        for j, panel in enumerate(axes):
             middle, half = _MICROMETRES * mean[:, j], _MICROMETRES * data.spread[label][:, j]
             panel.fill_between(1e3 * data.time, middle - half, middle + half, color=style["color"], alpha=0.2, lw=0)
             panel.plot(1e3 * data.time, middle, label=label, **style)
-    for j, axis in enumerate("xy"):
-        axes[j].set_ylabel(f"$p_{axis}$, impact along {axis} [µm]")
-    letter(axes[:2])
-    axes[1].set_xlabel("time [ms]")
-    axes[1].set_xlim(1e3 * data.time[0], 1e3 * data.time[-1])
-    figure.align_ylabels(axes[:2])
+    for axis, panel in zip("xy", axes, strict=True):
+        panel.set_ylabel(f"$p_{axis}$, impact along {axis} [µm]")
+    letter(axes)
+    axes[1].set(xlabel="time [ms]", xlim=(1e3 * data.time[0], 1e3 * data.time[-1]))
+    figure.align_ylabels(axes)
     legend_above(figure, axes[0], title=data.title)
-    return np.array(axes[:2], dtype=object)
-
-
-def _drawn(loops: Mapping[str, ImpactStudy]) -> npt.NDArray[np.object_]:
-    return plot_impact_loops(impact_loops_data(loops))
+    return axes
 
 
 FIGURES = (
-    NamedFigure("fig22_impact_x", partial(_both_loops, "x", False), plot_impact),
-    NamedFigure("fig23_impact_y", partial(_both_loops, "y", False), plot_impact),
-    NamedFigure("fig24_impact_model_x", partial(_validated, "x"), plot_impact),
-    NamedFigure("fig25_impact_model_y", partial(_validated, "y"), plot_impact),
-    NamedFigure("fig26_impact_turning_x", partial(_both_loops, "x", True), plot_impact),
-    NamedFigure("fig27_impact_turning_y", partial(_both_loops, "y", True), plot_impact),
-    NamedFigure("designs_impacts", lambda results: results.beside_at(False), _drawn),
-    NamedFigure("designs_impacts_turning", lambda results: results.beside_at(True), _drawn),
+    NamedFigure("fig22_impact_x", partial(_plot_both_loops, "x", False)),
+    NamedFigure("fig23_impact_y", partial(_plot_both_loops, "y", False)),
+    NamedFigure("fig24_impact_model_x", partial(_plot_validation, "x")),
+    NamedFigure("fig25_impact_model_y", partial(_plot_validation, "y")),
+    NamedFigure("fig26_impact_turning_x", partial(_plot_both_loops, "x", True)),
+    NamedFigure("fig27_impact_turning_y", partial(_plot_both_loops, "y", True)),
+    NamedFigure("designs_impacts", lambda r: plot_impact_loops(impact_loops_data(r.beside_at(False)))),
+    NamedFigure("designs_impacts_turning", lambda r: plot_impact_loops(impact_loops_data(r.beside_at(True)))),
 )

@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from gbid.control import sensitivity_data
 from gbid.control.assessment import TunedDesign
-from gbid.control.tuning.result import GainResult
 from gbid.core.arrays import ComplexArray, FloatArray, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
@@ -23,13 +22,14 @@ from gbid.report.canvas import (
     RED,
     SERIES,
     TWO_COLUMNS,
+    channel_pairs,
     ink,
     legend_above,
     letter,
+    one_panel,
     panels,
     series,
     styled,
-    symbol,
 )
 from gbid.report.named import NamedFigure
 from gbid.report.read import (
@@ -134,7 +134,7 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
     matplotlib Axes
         The axes; ``axes.figure`` is the figure.
     """
-    figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
+    figure, panel = one_panel(ax, (4.6, 3.1))
     grid = (data.pressure_bar, 1e-3 * data.speed_rpm, data.damping.T)
     shades = panel.contourf(*grid, levels=12, cmap="viridis")
     lines = panel.contour(*grid, levels=shades.levels, colors="white", linewidths=0.5)
@@ -143,22 +143,14 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
         panel.contourf(*grid, levels=[-np.inf, 0.0], colors="none", hatches=["////"])
         panel.contour(*grid, levels=[0.0], colors=RED, linewidths=1.4)
     if len(data.points):
-        look: dict[str, Any] = {
-            "color": BLACK,
-            "markersize": 4.5,
-            "markerfacecolor": "white",
-            "markeredgewidth": 0.8,
-            "clip_on": False,
-        }
-        panel.plot(data.points[:, 0], 1e-3 * data.points[:, 1], "o", **look)
+        look: dict[str, Any] = {"color": BLACK, "markersize": 4.5, "markerfacecolor": "white", "markeredgewidth": 0.8}
+        panel.plot(data.points[:, 0], 1e-3 * data.points[:, 1], "o", clip_on=False, **look)
     bar = figure.colorbar(shades, ax=panel, pad=0.02)
     bar.set_label("smallest damping factor [-]")
     bar.ax.tick_params(labelsize=8)
-    panel.set_xlabel("injection pressure [bar]")
-    panel.set_ylabel("speed [1000 rpm]")
+    panel.set(xlabel="injection pressure [bar]", ylabel="speed [1000 rpm]")
     panel.grid(False)
-    if data.title:
-        panel.set_title(data.title, loc="left", pad=6)
+    panel.set_title(data.title, loc="left", pad=6)
     return panel
 
 
@@ -217,7 +209,7 @@ def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: f
     matplotlib Axes
         The axes; ``axes.figure`` is the figure.
     """
-    figure, (panel, *_) = panels(ax, size=(4.6, 3.6))
+    figure, panel = one_panel(ax, (4.6, 3.6))
     for k, (label, poles) in enumerate(data.poles.items()):
         near = _hertz(poles)
         near = near[(np.abs(near) <= largest_hz) & (near.imag >= -1e-9)]
@@ -301,22 +293,20 @@ def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: floa
     matplotlib Axes
         The axes; ``axes.figure`` is the figure.
     """
-    figure, (panel, *_) = panels(ax, size=(5.2, 3.6))
+    figure, panel = one_panel(ax, (5.2, 3.6))
     poles = _hertz(data.poles)
     shown = (np.abs(poles) <= largest_hz) & (poles.imag >= -1e-9)
     factor = np.broadcast_to(data.factor[:, None], poles.shape)
     cloud = panel.scatter(poles.real[shown], poles.imag[shown], s=5, c=factor[shown], cmap="viridis", linewidths=0)
     for row, marker in ((0, "o"), (-1, "s")):
         at, near = poles[row], shown[row]
-        look: dict[str, Any] = {"color": ink(), "markersize": 5, "markerfacecolor": "none", "linestyle": "none"}
-        label = f"{data.factor[row]:g}"
-        panel.plot(at.real[near], at.imag[near], marker=marker, label=label, **look)
+        look: dict[str, Any] = {"color": ink(), "markersize": 5, "markerfacecolor": "none"}
+        panel.plot(at.real[near], at.imag[near], marker, label=f"{data.factor[row]:g}", **look)
     bar = figure.colorbar(cloud, ax=panel, pad=0.02)
     bar.set_label(data.label)
     _finish_plane(panel, largest_hz)
     panel.legend(loc="lower left", title="factor", title_fontsize=8)
-    if data.title:
-        panel.set_title(data.title, loc="left", pad=6)
+    panel.set_title(data.title, loc="left", pad=6)
     return panel
 
 
@@ -343,10 +333,8 @@ def _finish_plane(ax: Any, largest_hz: float) -> None:
             word = {"fontsize": 7, "color": "#666666", "textcoords": "offset points", "xytext": shift}
             ax.annotate(f"{zeta:g}", (-reach, reach * slope), **word, **look)
             written = written if at_edge else reach
-    ax.set_xlim(left, right)
-    ax.set_ylim(-0.02 * top, top)
-    ax.set_xlabel("real part / 2π [Hz]; dashed: equal damping factor")
-    ax.set_ylabel("imaginary part / 2π [Hz]")
+    ax.set(xlim=(left, right), ylim=(-0.02 * top, top))
+    ax.set(xlabel="real part / 2π [Hz]; dashed: equal damping factor", ylabel="imaginary part / 2π [Hz]")
 
 
 # ---- Magnitudes over frequency: sensitivities and Bode magnitudes of the loop (paper, Figs. 20 and 21).
@@ -440,42 +428,36 @@ def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> n
     for label, response in data.responses.items():
         if response.shape != shape:
             raise UsageError(f"response {label!r} has shape {response.shape}, expected {shape}")
-    rows, columns = shape[1:]
-    size = (TWO_COLUMNS, 0.7 + 1.9 * rows)
-    figure, axes = panels(ax, rows, columns, size=size, sharex=True, sharey=True)  # type: ignore[arg-type]
-    for i, output in enumerate(data.output_names):
-        for j, source in enumerate(data.input_names):
-            panel = axes[columns * i + j]
-            panel.axhline(0.0, color=GREY, linewidth=0.7)
-            for k, (label, response) in enumerate(data.responses.items()):
-                with np.errstate(divide="ignore"):
-                    level = 20 * np.log10(np.abs(response[:, i, j]))
-                level = np.where(np.isfinite(level), level, np.nan)
-                panel.semilogx(data.frequency_hz, level, label=label, **series(k, marker=None))
-            panel.set_title(f"{symbol(source)} to {symbol(output)}", loc="right", pad=4)
-            panel.set_xlim(data.frequency_hz[0], data.frequency_hz[-1])
-            if j == 0:
-                panel.set_ylabel("magnitude [dB re 1 m/m]")
-            if i == rows - 1:
-                panel.set_xlabel("frequency [Hz]")
+    figure, flat = panels(ax, *shape[1:], size=(TWO_COLUMNS, 0.7 + 1.9 * shape[1]), sharex=True, sharey=True)
+    axes = flat.reshape(shape[1:])
     with np.errstate(divide="ignore"):
-        top = 10 * np.ceil(max(2 * np.log10(np.abs(response).max()) for response in data.responses.values()))
-    axes[0].set_ylim(top - _RANGE_DB, top + 3)
-    letter(axes)
-    legend_above(figure, axes[0], title=data.title)
-    return np.array(axes[: rows * columns], dtype=object).reshape(rows, columns)
+        levels = {label: 20 * np.log10(np.abs(response)) for label, response in data.responses.items()}
+    for i, j, panel in channel_pairs(axes, data.output_names, data.input_names):
+        panel.axhline(0.0, color=GREY, linewidth=0.7)
+        for k, (label, level) in enumerate(levels.items()):
+            shown = np.where(np.isfinite(level[:, i, j]), level[:, i, j], np.nan)
+            panel.semilogx(data.frequency_hz, shown, label=label, **series(k, marker=None))
+        panel.set_xlim(data.frequency_hz[0], data.frequency_hz[-1])
+    for panel in axes[:, 0]:
+        panel.set_ylabel("magnitude [dB re 1 m/m]")
+    for panel in axes[-1]:
+        panel.set_xlabel("frequency [Hz]")
+    top = 10 * np.ceil(max(level.max() for level in levels.values()) / 10)
+    axes[0, 0].set_ylim(top - _RANGE_DB, top + 3)
+    letter(flat)
+    legend_above(figure, axes[0, 0], title=data.title)
+    return axes
 
 
-def _loop(
-    curves: Callable[[SensitivityData, str], MagnitudeCurves],
-    results: Results,
-) -> MagnitudeCurves:
-    """Return curves of the identified model in the loop with the published controller."""
+def _plot_published_loop(
+    curves: Callable[[SensitivityData, str], MagnitudeCurves], results: Results
+) -> npt.NDArray[np.object_]:
+    """Draw curves of the identified model in the loop with the published controller."""
     point = shown_point(results.identified)
     plant, d = results.identified.plant_at(*point), published_gains(results.published_machine)
     gains = f"$\\kappa_x$ = {d.kappa_x:g}, $\\kappa_y$ = {d.kappa_y:g} m/m, low-pass {d.lowpass_hz:g} Hz"
     data = sensitivity_data(plant, published_controller(results.published_machine))
-    return curves(data, f"{point_label(*point)}; {gains}")
+    return plot_magnitudes(curves(data, f"{point_label(*point)}; {gains}"))
 
 
 # ---- Pareto front of robustness and damping.
@@ -554,7 +536,7 @@ def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoCurves:
         results = [design.result, *(result for _, result in design.front)]
         label = design.performance[0].structure if design.performance else name
         label = name if label in fronts else label
-        fronts[label] = [_place(result) for result in results if result.success and result.peak_sensitivity is not None]
+        fronts[label] = [(q.peak_sensitivity, q.value) for q in results if q.success and q.peak_sensitivity is not None]
     first, marked = next(iter(chosen.values())), {}
     runs = first.result.sample_time is not None
     figures = ("sampled_peak_output", "sampled_damping") if runs else ("peak_output", "damping")
@@ -566,11 +548,6 @@ def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoCurves:
     if first.result.sample_time is not None:
         title += f", sampled at {1e3 * first.result.sample_time:g} ms"
     return pareto_data(fronts, marked, title)
-
-
-def _place(result: GainResult) -> tuple[float, float]:
-    assert result.peak_sensitivity is not None
-    return result.peak_sensitivity, result.value
 
 
 @styled
@@ -590,23 +567,20 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Axes:
         The axes; ``axes.figure`` is the figure.
     """
     many = len(data.peak_sensitivity) > len(SERIES)  # too many lines for a legend among them
-    _figure, (panel, *_) = panels(ax, size=(5.9 if many else 4.6, 3.1))
+    _figure, panel = one_panel(ax, (5.9 if many else 4.6, 3.1))
     for k, (label, peak) in enumerate(data.peak_sensitivity.items()):
         order = np.argsort(peak)
         values = np.asarray(data.damping[label], float)[order]
-        hollow: dict[str, Any] = (
-            {} if k % (2 * len(SERIES)) < len(SERIES) else {"markerfacecolor": "white"}
-        )  # colours come again
-        panel.plot(np.asarray(peak, float)[order], values, label=label, markersize=3.5, **series(k), **hollow)
+        again = k % (2 * len(SERIES)) >= len(SERIES)  # with the same colours
+        look = series(k, markersize=3.5, markerfacecolor="white" if again else None)
+        panel.plot(np.asarray(peak, float)[order], values, label=label, **look)
     for k, (label, (peak_so, damping)) in enumerate(data.designs.items()):
-        look: dict[str, Any] = {"color": ink(), "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.3}
-        panel.plot(peak_so, damping, "*sPX"[k % 4], label=label, **look)
-    panel.set_xlabel("peak of the output sensitivity $S_o$ [-]")
-    panel.set_ylabel("smallest damping factor [-]")
+        mark: dict[str, Any] = {"color": ink(), "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.3}
+        panel.plot(peak_so, damping, "*sPX"[k % 4], label=label, **mark)
+    panel.set(xlabel="peak of the output sensitivity $S_o$ [-]", ylabel="smallest damping factor [-]")
     panel.set_ylim(bottom=0.0)
     panel.legend(**({"loc": "center left", "bbox_to_anchor": (1.02, 0.5)} if many else {"loc": "best"}))
-    if data.title:
-        panel.set_title(data.title, loc="left", pad=4)
+    panel.set_title(data.title, loc="left", pad=4)
     return panel
 
 
@@ -637,7 +611,7 @@ def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = 
     robust = {name: design for name, design in designs.items() if design.promises}
     if not robust:
         raise DataError("no design is robust; write robust: {probability: 0.95, price: [0.5, 0.8]} in its section")
-    _, (panel, *_) = panels(ax, size=(4.6, 3.1))
+    _, panel = one_panel(ax, (4.6, 3.1))
     for k, (name, design) in enumerate(robust.items()):
         look = series(k)
         at = [p.probability for p in design.promises]
@@ -682,7 +656,8 @@ def plot_cycle(rows: Sequence[CycleRow], ax: Sequence[Axes] | None = None) -> Ax
     """
     if not rows:
         raise DataError("no rounds of a cycle; run `gbid cycle` or `gbid run`")
-    _, (damping, certainty, *_) = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.9))
+    damping: Axes
+    _, (damping, certainty) = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.9))
     points = list(dict.fromkeys((row.pressure_bar, row.speed_rpm) for row in rows))
     for i, point in enumerate(points):
         rounds = [row for row in rows if (row.pressure_bar, row.speed_rpm) == point]
@@ -692,9 +667,7 @@ def plot_cycle(rows: Sequence[CycleRow], ax: Sequence[Axes] | None = None) -> Ax
         reached, std = np.array([row.reached for row in rounds]).T
         bars = {**look, "linestyle": "none", "capsize": 2.5, "elinewidth": 0.9}
         damping.errorbar(at + away, reached, _INTERVAL * std, label=point_label(*point), **bars)
-        expected = [row.expected_damping for row in rounds]
-        line = {**look, "marker": None, "linewidth": 0.8}
-        damping.plot(at + away, expected, **line)
+        damping.plot(at + away, [row.expected_damping for row in rounds], **series(i, marker=None, linewidth=0.8))
         first = rounds[0]
         for name, mark in (("damping", "full"), ("frequency", "none")):
             stds = [_relative(row, name) / _relative(first, name) for row in rounds]
@@ -720,18 +693,13 @@ def _relative(row: CycleRow, name: str) -> float:
 
 
 FIGURES = (
-    NamedFigure("fig20_sensitivities", partial(_loop, sensitivity_curves), plot_magnitudes),
-    NamedFigure("fig21_bode", partial(_loop, bode_curves), plot_magnitudes),
-    NamedFigure("designs_pareto", lambda results: results.tuned, lambda tuned: plot_pareto(designs_pareto_data(tuned))),
-    NamedFigure(
-        "designs_robust",
-        lambda results: results.tuned,
-        plot_robustness_price,
-    ),
+    NamedFigure("fig20_sensitivities", partial(_plot_published_loop, sensitivity_curves)),
+    NamedFigure("fig21_bode", partial(_plot_published_loop, bode_curves)),
+    NamedFigure("designs_pareto", lambda results: plot_pareto(designs_pareto_data(results.tuned))),
+    NamedFigure("designs_robust", lambda results: plot_robustness_price(results.tuned)),
     NamedFigure(
         "cycle",
-        lambda results: results.cycle,
-        plot_cycle,
+        lambda results: plot_cycle(results.cycle),
         words="Rounds of the cycle: smallest damping of the loop on the rig with 95 % intervals, lines as expected "
         "from the surfaces of the round; standard deviations of the modes of the bearing, relative to round 0",
         section="cycle",

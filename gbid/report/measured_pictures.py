@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -103,12 +104,12 @@ def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None
                 panel.plot(number[k], values[k], "o", color=ink(), label=f"nominal, no. {k + 1}", **ring)
             panel.set_ylabel(f"${letters % axis}$ [{unit}]")
             panel.ticklabel_format(axis="y", useOffset=False)
-    for panel in axes[4:6]:
+    for panel in axes[4:]:
         panel.set_xlabel("recording")
     letter(axes)
     figure.align_ylabels(axes)
     legend_above(figure, axes[0])
-    return np.array(axes[:6], dtype=object).reshape(3, 2)
+    return axes.reshape(3, 2)
 
 
 def nominal_data(nominal: NominalActuator) -> ActuatorParameters:
@@ -178,7 +179,7 @@ def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = No
         The axes; ``axes.flat[0].figure`` is the figure.
     """
     _figure, axes = panels(ax, 1, len(data), size=(TWO_COLUMNS, 2.4), sharey=True)
-    for panel, histogram in zip(axes, data, strict=False):
+    for panel, histogram in zip(axes, data, strict=True):
         panel.stairs(histogram.counts, histogram.edges, fill=True, facecolor="#b9d3e6", edgecolor=BLACK, linewidth=0.8)
         panel.axvline(histogram.mean, color=RED, linestyle=(0, (5, 1.5)))
         decimals = 2 if histogram.std >= 0.01 else 4
@@ -187,13 +188,12 @@ def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = No
         place: dict[str, Any] = {"x": 0.03, "ha": "left"} if left else {"x": 0.97, "ha": "right"}
         panel.text(y=0.96, s=word, va="top", fontsize=8, transform=panel.transAxes, **place)
         panel.set_title(histogram.label, loc="right", pad=4)
-        panel.set_xlabel("fit [%]")
         panel.xaxis.set_major_locator(MaxNLocator(5))
         panel.ticklabel_format(axis="x", useOffset=False)
-        panel.set_ylim(0, 1.35 * max(h.counts.max() for h in data))
+        panel.set(xlabel="fit [%]", ylim=(0, 1.35 * max(h.counts.max() for h in data)))
     axes[0].set_ylabel("pairs")
     letter(axes)
-    return np.array(axes[: len(data)], dtype=object)
+    return axes
 
 
 def crossval_data(summary: ValidationSummary) -> list[Histogram]:
@@ -215,10 +215,6 @@ def crossval_data(summary: ValidationSummary) -> list[Histogram]:
         edges, counts = (np.asarray(values[j]) for values in (summary.edges, summary.counts))
         histograms.append(Histogram(label, edges, counts, float(summary.mean[j]), float(summary.std[j])))
     return histograms
-
-
-def _histogram(summary: ValidationSummary) -> npt.NDArray[np.object_]:
-    return plot_fit_histogram(crossval_data(summary))
 
 
 # ---- Staircases and hysteresis of single piezos, with and without PD control (paper, Figs. A.28 and A.29).
@@ -332,15 +328,14 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
         for direction, marker in ((rising, "^"), (~rising, "v")):
             look = series(k, linestyle="none", marker=marker, markersize=3.5, markerfacecolor="none")
             panel.plot(scale * command[direction], 1e6 * position[direction], **look)
-        panel.set_xlabel(f"command [{unit}]")
-        panel.set_ylabel("piezo position [µm]")
+        panel.set(xlabel=f"command [{unit}]", ylabel="piezo position [µm]")
         panel.legend(loc="upper left", fontsize=7.5)
         panel.set_title("△ rising  ▽ falling", loc="right", pad=4, fontsize=7.5)
-        axes[-1].plot(staircase.time, _share(staircase.command), label=plain_label(staircase.label), **line)
-    axes[-1].set_xlabel("time [s]")
-    axes[-1].set_ylabel("command [share of its range]")
+        share = (staircase.command - staircase.command.min()) / (np.ptp(staircase.command) or 1.0)
+        axes[-1].plot(staircase.time, share, label=plain_label(staircase.label), **line)
+    axes[-1].set(xlabel="time [s]", ylabel="command [share of its range]")
     letter(axes)
-    return np.array(axes, dtype=object)
+    return axes
 
 
 @styled
@@ -368,20 +363,13 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
             word = None if bool(up) in labelled else f"{plain_label(staircase.label)}, {'up' if up else 'down'}"
             labelled.add(bool(up))
             style = {"linewidth": 0.9, "linestyle": "-" if up else (0, (3, 1.5)), "alpha": 1.0 if k else 0.8}
-            axes[0].plot(1e3 * time, 1e6 * position, color=color, label=word, **style)  # type: ignore[arg-type]
+            axes[0].plot(1e3 * time, 1e6 * position, color=color, label=word, **style)
         axes[1].plot(staircase.time, 1e6 * staircase.position, color=color)
-    axes[0].set_xlabel("time from the step [ms]")
-    axes[0].set_ylabel("step of the position [µm]")
-    axes[1].set_xlabel("time [s]")
-    axes[1].set_ylabel("piezo position [µm]")
+    axes[0].set(xlabel="time from the step [ms]", ylabel="step of the position [µm]")
+    axes[1].set(xlabel="time [s]", ylabel="piezo position [µm]")
     letter(axes)
     legend_above(figure, axes[0], columns=4)
-    return np.array(axes[:2], dtype=object)
-
-
-def _share(command: FloatArray) -> FloatArray:
-    span = np.ptp(command)
-    return np.asarray((command - command.min()) / (span if span else 1.0))
+    return axes
 
 
 def piezo_data(
@@ -411,10 +399,6 @@ def piezo_data(
     label = "open loop" if curve.units[0] == "V" else "PD control"
     x = recording.signal(command)[:, source]
     return piezo_staircase_data(label, recording.time, x, y, curve.units[0])
-
-
-def _staircases(results: Results) -> list[PiezoStaircase]:
-    return [piezo_data(*parts) for parts in results.piezos]
 
 
 # ---- Signals of a recording over time, a panel for each signal.
@@ -458,22 +442,21 @@ def plot_recording(
     shown = (recording.time >= from_s) & (recording.time <= (recording.duration if to_s is None else to_s))
     if not shown.any():
         raise UsageError(f"from_s = {from_s:g} to to_s = {to_s}: no samples of recording {recording.name!r} in there")
-    size = (TWO_COLUMNS, 0.6 + 1.2 * len(names))
-    figure, given = panels(ax, len(names), 1, size=size, sharex=True)  # type: ignore[arg-type]  # arrays are flattened
+    figure, axes = panels(ax, len(names), 1, size=(TWO_COLUMNS, 0.6 + 1.2 * len(names)), sharex=True)
     time = recording.time[shown]
-    for axes, name in zip(given, names, strict=False):
+    for panel, name in zip(axes, names, strict=True):
         values, channels = recording.signal(name)[shown], recording.channels[name]
         factor, unit = unit_label(recording.units[name])
         for i, channel in enumerate(channels):
-            axes.plot(time, factor * values[:, i], label=channel, **series(i, marker=None, linewidth=0.9))
-        axes.set_ylabel(f"{symbol(name)} [{unit}]")
-        axes.margins(x=0)
+            panel.plot(time, factor * values[:, i], label=channel, **series(i, marker=None, linewidth=0.9))
+        panel.set_ylabel(f"{symbol(name)} [{unit}]")
+        panel.margins(x=0)
         if len(channels) > 1:  # beside the panel, where it covers no curve
-            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=2.2)
-    given[len(names) - 1].set_xlabel("time [s]")
+            panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=2.2)
+    axes[-1].set_xlabel("time [s]")
     if ax is None:
-        figure.align_ylabels(given)
-    return np.array(given[: len(names)], dtype=object)
+        figure.align_ylabels(axes)
+    return axes
 
 
 # ---- Figure of a residual test: autocorrelations, and cross-correlations with the inputs (paper, Sec. 3.8).
@@ -529,16 +512,20 @@ def residuals_data(test: ResidualTest) -> list[list[ResidualPanel]]:
         Row for each output: autocorrelation, then cross-correlation with each input.
     """
     milliseconds = 1e3 * float(test.time[-1]) / max(int(test.lags[-1]), 1)
-    rows = []
-    for j, output in enumerate(test.output_names):
-        autocorrelation, lags, cross = test.autocorrelation[j, 1:], test.lags[1:], test.cross_lags
-        row = [ResidualPanel(output, output, lags, np.asarray(milliseconds * lags), autocorrelation, test.band)]
-        for i, source in enumerate(test.input_names):
-            band = float(test.cross_band[j, i])
-            values = test.crosscorrelation[j, i]
-            row.append(ResidualPanel(output, source, cross, np.asarray(milliseconds * cross), values, band))
-        rows.append(row)
-    return rows
+
+    def panel(output: str, against: str, lags: IntArray, correlation: FloatArray, band: float) -> ResidualPanel:
+        return ResidualPanel(output, against, lags, np.asarray(milliseconds * lags), correlation, float(band))
+
+    return [
+        [
+            panel(output, output, test.lags[1:], test.autocorrelation[j, 1:], test.band),
+            *(
+                panel(output, source, test.cross_lags, test.crosscorrelation[j, i], test.cross_band[j, i])
+                for i, source in enumerate(test.input_names)
+            ),
+        ]
+        for j, output in enumerate(test.output_names)
+    ]
 
 
 def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
@@ -606,7 +593,12 @@ def plot_residuals(test: ResidualTest, ax: Sequence[Sequence[Axes]] | None = Non
             _say(panel_ax, f"{'follow' if source in test.follows[j] else 'independent'}, {probability(p)}")
         axes[j][0].set_ylabel(symbol(tests[0].output))
     for i, panel in enumerate(rows[0]):
-        _milliseconds_above(axes[0][i], panel)
+        scale = float(panel.time[-1] / panel.lags[-1])
+        above = axes[0][i].secondary_xaxis(
+            "top", functions=(partial(np.multiply, scale), partial(np.multiply, 1 / scale))
+        )
+        above.set_xlabel("lag [ms]", fontsize=8)
+        above.tick_params(labelsize=7.5)
         axes[0][i].set_title("autocorrelation" if i == 0 else f"correlation with {symbol(panel.against)}", pad=8)
         axes[len(rows) - 1][i].set_xlabel("lag [samples]")
     return np.array([list(row)[: len(rows[0])] for row in axes[: len(rows)]], dtype=object)
@@ -616,35 +608,16 @@ def _plot_panel(panel: ResidualPanel, ax: Axes) -> None:
     """Draw bars from zero; those outside the band have another colour and width."""
     ax.axhspan(-panel.band, panel.band, color=_BAND, linewidth=0)
     ax.axhline(0.0, color=_INSIDE, linewidth=0.6)
-    styles: tuple[tuple[Any, dict[str, Any]], ...] = (
-        (~panel.outside, {"color": _INSIDE, "linewidth": 0.9}),
-        (panel.outside, {"color": _OUTSIDE, "linewidth": 1.5}),
-    )
-    for chosen, style in styles:
-        ax.vlines(panel.lags[chosen], 0.0, panel.correlation[chosen], **style)
+    for chosen, color, linewidth in ((~panel.outside, _INSIDE, 0.9), (panel.outside, _OUTSIDE, 1.5)):
+        ax.vlines(panel.lags[chosen], 0.0, panel.correlation[chosen], color=color, linewidth=linewidth)
     edge = max(2.0 * panel.band, 1.15 * float(np.abs(panel.correlation).max()))
-    ax.set_ylim(-edge, 1.3 * edge)  # room for the text above
-    ax.set_xlim(panel.lags[0] - 1, panel.lags[-1] + 1)
+    ax.set(xlim=(panel.lags[0] - 1, panel.lags[-1] + 1), ylim=(-edge, 1.3 * edge))  # room for the text above
 
 
 def _say(ax: Axes, text: str) -> None:
     ax.text(
         0.98, 0.96, text, transform=ax.transAxes, horizontalalignment="right", verticalalignment="top", fontsize=7.5
     )
-
-
-def _milliseconds_above(ax: Axes, panel: ResidualPanel) -> None:
-    scale = float(panel.time[-1] / panel.lags[-1])
-
-    def to_time(lag: npt.ArrayLike) -> FloatArray:
-        return np.asarray(lag, float) * scale
-
-    def to_lag(time: npt.ArrayLike) -> FloatArray:
-        return np.asarray(time, float) / scale
-
-    above = ax.secondary_xaxis("top", functions=(to_time, to_lag))
-    above.set_xlabel("lag [ms]", fontsize=8)
-    above.tick_params(labelsize=7.5)
 
 
 # ---- Measured and simulated outputs, with the inputs below (paper, Fig. 7).
@@ -724,14 +697,11 @@ def plot_response(
     shown = _part(validation.time, from_s, to_s)
     time = validation.time[shown]
     n_outputs = len(validation.output_names)
-    if ax is None:
-        n_panels = n_outputs + (1 if validation.input_names else 0)
-        size = (mpl.rcParams["figure.figsize"][0], _FRAME_INCHES_RESPONSE + _PANEL_INCHES * n_panels)
-        _, axes = panels(None, n_panels, 1, size=size, sharex=True)
-    else:
-        axes = list(np.ravel(np.array(ax, dtype=object)))
-    if len(axes) < n_outputs:
-        raise UsageError(f"{len(axes)} axes for {n_outputs} outputs; give one for each, and one for the inputs")
+    n_panels = n_outputs + (1 if validation.input_names else 0)
+    if ax is not None and np.size(np.array(ax, dtype=object)) < n_panels:
+        n_panels = n_outputs  # the inputs are not drawn
+    size = (mpl.rcParams["figure.figsize"][0], _FRAME_INCHES_RESPONSE + _PANEL_INCHES * n_panels)
+    _, axes = panels(ax, n_panels, 1, size=size, sharex=True)
     for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
         scale, label = unit_label(unit)
         axes[i].plot(time, scale * validation.measured[shown, i], label="measured", **_MEASURED)
@@ -740,12 +710,10 @@ def plot_response(
         axes[i].set_title(f"fit {validation.fit_percent[i]:.1f} %", loc="right", pad=3)
     if len(axes) > n_outputs and validation.input_names:
         _plot_inputs(validation, axes[n_outputs], shown)
-    for ax, mark in zip(axes, "abcdefgh", strict=False):
-        ax.set_title(f"{mark})", loc="left", pad=3)
+    letter(axes)
     _legend_above(axes[0])
-    axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(time[0], time[-1])
-    return np.array(axes, dtype=object)
+    axes[-1].set(xlabel="time [s]", xlim=(time[0], time[-1]))
+    return axes
 
 
 def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray) -> None:
@@ -792,8 +760,8 @@ def _title(validation: Validation) -> str:
 _ZOOM = (1.2, 1.4)  # part of the recording that Fig. 7 shows [s]
 
 
-def _shown_response(results: Results) -> Validation:
-    """Return the validation of a bearing model on its own recording, at the paper's operating point or the first."""
+def _response_of_bearing(results: Results) -> Figure:
+    """Draw a bearing model on its own recording, at the paper's operating point or the first (Fig. 7)."""
     name = results.fit_with("rotor_bearing")
     made = [
         model
@@ -803,10 +771,7 @@ def _shown_response(results: Results) -> Validation:
     if not made:
         raise DataError(f"no model of fit {name!r} is there; run `gbid fit` or `gbid run`")
     model = next((m for m in made if m.startswith("p5_n6000_")), made[0])
-    return validate_pair(results.job, name, model, recordings_of(results.experiment, name, model)[0])
-
-
-def _zoomed(validation: Validation) -> Figure:
+    validation = validate_pair(results.job, name, model, recordings_of(results.experiment, name, model)[0])
     from_s, to_s = _ZOOM if validation.time[-1] >= _ZOOM[1] else (None, None)
     return response_figure(validation, from_s=from_s, to_s=to_s)
 
@@ -872,18 +837,13 @@ def plot_static_map(
             rms = float(np.sqrt(np.mean((sweep.p[:, i] - sweep.gain[i] * sweep.u - sweep.offset[i]) ** 2)))
             line = sweep.gain[i] * ends + sweep.offset[i]
             panel.plot(_MICROMETRES * ends, _MICROMETRES * line, color=ink(), linewidth=0.9, label="straight line")
-            for direction, marker, color, label in (
+            for chosen, marker, color, label in (
                 (sweep.rising, "^", BLUE, "rising"),
                 (~sweep.rising, "v", RED, "falling"),
             ):
-                points: dict[str, Any] = {
-                    "color": color,
-                    "markersize": 4,
-                    "markerfacecolor": "none",
-                    "linestyle": "none",
-                }
-                u, p = _MICROMETRES * sweep.u[direction], _MICROMETRES * sweep.p[direction, i]
-                panel.plot(u, p, marker=marker, label=label, **points)
+                points: dict[str, Any] = {"color": color, "markersize": 4, "markerfacecolor": "none"}
+                u, p = _MICROMETRES * sweep.u[chosen], _MICROMETRES * sweep.p[chosen, i]
+                panel.plot(u, p, marker, label=label, **points)
             text = f"$g_{{{output}{sweep.axis}}}$ = {sweep.gain[i]:z.3f} m/m, rms {_MICROMETRES * rms:.2g} µm"
             panel.set_title(text, loc="right", pad=4, fontsize=8)
             if j == 0:
@@ -892,7 +852,7 @@ def plot_static_map(
     letter(axes)
     figure.align_ylabels(axes)
     legend_above(figure, axes[0], title=title)
-    return np.array(axes[: 2 * columns], dtype=object).reshape(2, columns)
+    return axes.reshape(2, columns)
 
 
 def static_map_data(result: StaticMap) -> list[StaticSweep]:
@@ -925,15 +885,11 @@ def static_map_figure(result: StaticMap) -> npt.NDArray[np.object_]:
 
 
 FIGURES = (
-    NamedFigure(
-        "fig08_actuator_parameters",
-        lambda results: results.nominal,
-        lambda nominal: plot_actuator_parameters(nominal_data(nominal)),
-    ),
-    NamedFigure("fig09_crossval_bearing", lambda results: results.summary("rotor_bearing"), _histogram),
-    NamedFigure("fig10_crossval_actuators", lambda results: results.summary("piezo_pair"), _histogram),
-    NamedFigure("figA28_piezo_hysteresis", _staircases, plot_piezo_hysteresis),
-    NamedFigure("figA29_piezo_staircase", _staircases, plot_piezo_staircase),
-    NamedFigure("fig07_identification", _shown_response, _zoomed),
-    NamedFigure("fig05_static_map", lambda results: results.static_map, static_map_figure),
+    NamedFigure("fig08_actuator_parameters", lambda r: plot_actuator_parameters(nominal_data(r.nominal))),
+    NamedFigure("fig09_crossval_bearing", lambda r: plot_fit_histogram(crossval_data(r.summary("rotor_bearing")))),
+    NamedFigure("fig10_crossval_actuators", lambda r: plot_fit_histogram(crossval_data(r.summary("piezo_pair")))),
+    NamedFigure("figA28_piezo_hysteresis", lambda r: plot_piezo_hysteresis([piezo_data(*q) for q in r.piezos])),
+    NamedFigure("figA29_piezo_staircase", lambda r: plot_piezo_staircase([piezo_data(*q) for q in r.piezos])),
+    NamedFigure("fig07_identification", _response_of_bearing),
+    NamedFigure("fig05_static_map", lambda r: static_map_figure(r.static_map)),
 )

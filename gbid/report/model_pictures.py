@@ -31,7 +31,20 @@ from gbid.identify.uncertainty.curves import (
 from gbid.identify.uncertainty.spectra import MeasuredResponse
 from gbid.identify.uncertainty.uncertain_model import ModelLike, UncertainModel, as_uncertain
 from gbid.recording import Recording
-from gbid.report.canvas import GREY, RED, TWO_COLUMNS, ink, legend_above, panels, series, styled, symbol, unit_label
+from gbid.report.canvas import (
+    GREY,
+    RED,
+    TWO_COLUMNS,
+    channel_pairs,
+    ink,
+    legend_above,
+    one_panel,
+    panels,
+    series,
+    styled,
+    symbol,
+    unit_label,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -173,32 +186,20 @@ def plot_bode(
     kinds = ("magnitude", "phase", "coherence") if measured is not None else ("magnitude", "phase")
     heights = [_HEIGHTS[kind] for kind in kinds] * n_y
     size = (max(TWO_COLUMNS, 2.6 * n_u) if n_u > 1 else 4.6, 0.8 + sum(heights))
-    figure, given = panels(
-        ax,  # type: ignore[arg-type]
-        len(heights),
-        n_u,
-        size=size,
-        sharex=True,
-        gridspec_kw={"height_ratios": heights},
-    )
-    axes = np.array(given[: len(heights) * n_u], dtype=object).reshape(len(heights), n_u)
-    for i in range(n_y):
-        for j in range(n_u):
-            column = axes[len(kinds) * i : len(kinds) * (i + 1), j]
-            for k, (label, curve) in enumerate(curves.items()):
-                _draw(column[0], column[1], curve, i, j, level, label, series(k, marker=None))
-            if measured is not None:
-                _draw_measured(column, measured, next(iter(curves.values()), None), i, j)
-            column[0].set_title(
-                f"{symbol(shape.input_names[j])} to {symbol(shape.output_names[i])}", loc="right", pad=4
-            )
-            for panel, kind in zip(column, kinds, strict=True):
-                if j == 0:
-                    panel.set_ylabel("phase [°]" if kind == "phase" else kind)
-    for j, panel in enumerate(axes[-1]):
+    figure, flat = panels(ax, len(heights), n_u, size=size, sharex=True, height_ratios=heights)
+    axes = flat.reshape(len(heights), n_u)
+    for i, j, _ in channel_pairs(axes[:: len(kinds)], shape.output_names, shape.input_names):
+        column = axes[len(kinds) * i : len(kinds) * (i + 1), j]
+        for k, (label, curve) in enumerate(curves.items()):
+            _draw(column[0], column[1], curve, i, j, level, label, series(k, marker=None))
+        if measured is not None:
+            _draw_measured(column, measured, next(iter(curves.values()), None), i, j)
+    for panel, kind in zip(axes[:, 0], kinds * n_y, strict=True):
+        panel.set_ylabel("phase [°]" if kind == "phase" else kind)
+    for panel in axes[-1]:
         panel.set_xlabel("frequency [Hz]")
-        for each in axes[:, j]:
-            frequency_axis(each, shape.frequency_hz[0], shape.frequency_hz[-1])
+    for panel in flat:
+        frequency_axis(panel, shape.frequency_hz[0], shape.frequency_hz[-1])
     if len(curves) + (measured is not None) > 1 or any(curve.has_band for curve in curves.values()):
         legend_above(figure, axes[0, 0], columns=4)
     return axes
@@ -351,29 +352,19 @@ def plot_campbell(
         When there is no model.
     """
     data = models if isinstance(models, Campbell) else campbell_data(models)
-    _, (axes, *_) = panels(ax, size=(4.6, 3.4))
+    _, axes = one_panel(ax, (4.6, 3.4))
     for k, column in enumerate(data.frequency_hz.T):
-        style = series(k)
         half = quantile(level) * data.std_hz[:, k]
-        axes.errorbar(
-            data.speed_rpm,
-            column,
-            yerr=np.where(np.isfinite(half), half, 0.0),
-            capsize=2,
-            markersize=4,
-            clip_on=False,
-            **style,
-        )
+        look = series(k, capsize=2, markersize=4, clip_on=False)
+        axes.errorbar(data.speed_rpm, column, yerr=np.where(np.isfinite(half), half, 0.0), **look)
     top = 1.15 * float(np.nanmax(data.frequency_hz)) if np.isfinite(data.frequency_hz).any() else 1.0
     last = float(data.speed_rpm[-1])
     for order in orders:
         axes.plot([0, last], [0, order * last / 60], color=GREY, linewidth=0.9, zorder=0)
         at = min(last, 60 * top / order) if order else last
         axes.annotate(f"{order:g}X", (0.97 * at, 0.97 * order * at / 60), alpha=0.7, ha="right", va="bottom")
-    axes.set_ylim(0.0, top)
-    axes.set_xlim(min(0.0, float(data.speed_rpm[0])), 1.02 * last if last > 0 else 1.0)
-    axes.set_xlabel("speed [rpm]")
-    axes.set_ylabel("natural frequency [Hz]")
+    axes.set(xlabel="speed [rpm]", xlim=(min(0.0, float(data.speed_rpm[0])), 1.02 * last if last > 0 else 1.0))
+    axes.set(ylabel="natural frequency [Hz]", ylim=(0.0, top))
     return axes
 
 
@@ -399,7 +390,7 @@ def plot_iso_zones(loop: Sensitivities | SensitivityZones, ax: Axes | None = Non
         The axes; ``axes.figure`` is the figure.
     """
     data = loop if isinstance(loop, SensitivityZones) else sensitivity_zones(loop)
-    figure, (axes, *_) = panels(ax, size=(4.6, 3.2))
+    figure, axes = one_panel(ax, (4.6, 3.2))
     low, high = float(data.frequency_hz[0]), float(data.frequency_hz[-1])
     top = max(6.0, 1.1 * float(np.max(data.magnitude)))
     floor = 0.0
@@ -412,10 +403,8 @@ def plot_iso_zones(loop: Sensitivities | SensitivityZones, ax: Axes | None = Non
         label = f"{symbol(axis)}: peak {data.peak[k]:.2f}, zone {data.zone[k]}"
         axes.semilogx(data.frequency_hz, data.magnitude[:, k], label=label, **series(k, marker=None))
     frequency_axis(axes, low, high)
-    axes.set_ylim(0.0, top)
+    axes.set(xlabel="frequency [Hz]", ylabel="sensitivity [-]", ylim=(0.0, top))
     axes.grid(False)
-    axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel("sensitivity [-]")
     legend_above(figure, axes, columns=2)
     return axes
 
@@ -517,15 +506,14 @@ def plot_orbit(recording: Recording | Orbit, ax: Axes | None = None, *, signal: 
     """
     data = recording if isinstance(recording, Orbit) else orbit_data(recording, signal)
     factor, unit = unit_label(data.unit)
-    _, (axes, *_) = panels(ax, size=(3.6, 3.6))
+    _, axes = one_panel(ax, (3.6, 3.6))
     axes.plot(*(factor * data.xy.T), color=GREY, linewidth=0.5)
     if len(data.mean):
         closed = factor * np.vstack([data.mean, data.mean[:1]])
         axes.plot(*closed.T, **series(0, marker=None))
         axes.plot(*closed[0], "o", color=RED, markersize=5)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"{symbol(data.names[0])} [{unit}]")
-    axes.set_ylabel(f"{symbol(data.names[1])} [{unit}]")
+    axes.set(xlabel=f"{symbol(data.names[0])} [{unit}]", ylabel=f"{symbol(data.names[1])} [{unit}]")
     return axes
 
 
@@ -581,7 +569,7 @@ def plot_poles(sources: Sources, ax: Axes | None = None, *, level: float = LEVEL
         When the models differ in the number of channels.
     """
     data = pole_data(sources)
-    figure, (axes, *_) = panels(ax, size=(4.6, 3.6))
+    figure, axes = one_panel(ax, (4.6, 3.6))
     axes.axvline(0.0, color=GREY, linewidth=0.8)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     for k, (label, roots) in enumerate(data.items()):
@@ -591,8 +579,7 @@ def plot_poles(sources: Sources, ax: Axes | None = None, *, level: float = LEVEL
         if zeros and len(roots.zeros):
             axes.plot(roots.zeros.real, roots.zeros.imag, ring, color=color, markersize=6, fillstyle="none")
             _ellipses(axes, roots.zeros, roots.zero_covariance, level, color)
-    axes.set_xlabel("real part [1/s]")
-    axes.set_ylabel("imaginary part [rad/s]")
+    axes.set(xlabel="real part [1/s]", ylabel="imaginary part [rad/s]")
     if len(data) > 1:
         legend_above(figure, axes)
     return axes
@@ -708,23 +695,20 @@ def _plot(curves: dict[str, TimeResponse], ax: Axes | npt.ArrayLike | None, leve
     first = next(iter(curves.values()))
     n_y, n_u = first.value.shape[1:]
     size = (TWO_COLUMNS if n_u > 1 else 4.6, 0.8 + 1.8 * n_y)
-    figure, given = panels(ax, n_y, n_u, size=size, sharex=True)  # type: ignore[arg-type]
-    axes = np.array(given[: n_y * n_u], dtype=object).reshape(n_y, n_u)
-    for i in range(n_y):
-        for j in range(n_u):
-            panel = axes[i, j]
-            panel.axhline(0.0, color=GREY, linewidth=0.7)
-            for k, (label, curve) in enumerate(curves.items()):
-                style = series(k, marker=None)
-                panel.plot(curve.time_s, curve.value[:, i, j], label=label, **style)
-                if curve.has_band:
-                    low, high = (side[:, i, j] for side in curve.band(level))
-                    band = {"color": style["color"], "alpha": 0.25, "linewidth": 0}
-                    panel.fill_between(curve.time_s, low, high, label=f"{100 * level:g} %", **band)
-            panel.set_title(f"{symbol(first.input_names[j])} to {symbol(first.output_names[i])}", loc="right", pad=4)
-            panel.set_xlim(0.0, first.time_s[-1])
-            if j == 0:
-                panel.set_ylabel(f"{first.kind} response")
+    figure, flat = panels(ax, n_y, n_u, size=size, sharex=True)
+    axes = flat.reshape(n_y, n_u)
+    for i, j, panel in channel_pairs(axes, first.output_names, first.input_names):
+        panel.axhline(0.0, color=GREY, linewidth=0.7)
+        for k, (label, curve) in enumerate(curves.items()):
+            style = series(k, marker=None)
+            panel.plot(curve.time_s, curve.value[:, i, j], label=label, **style)
+            if curve.has_band:
+                low, high = (side[:, i, j] for side in curve.band(level))
+                band = {"color": style["color"], "alpha": 0.25, "linewidth": 0}
+                panel.fill_between(curve.time_s, low, high, label=f"{100 * level:g} %", **band)
+        panel.set_xlim(0.0, first.time_s[-1])
+    for panel in axes[:, 0]:
+        panel.set_ylabel(f"{first.kind} response")
     for panel in axes[-1]:
         panel.set_xlabel("time [s]")
     if len(curves) > 1 or first.has_band:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pkgutil import walk_packages
 from types import ModuleType
-from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -29,10 +28,8 @@ class NamedFigure:
     ----------
     name : str
         Of its files: number in the paper, or what it shows.
-    needs : callable
-        Takes the result that it needs out of `Results`; `DataError` where that is not there.
     draw : callable
-        Draws it from that result: a picture function, or one that returns a figure.
+        Draws it from `Results` and returns what a picture function returns; `DataError` where a result is missing.
     words : str
         What a reader who cannot see it should know; for the page.
     section : str
@@ -40,8 +37,7 @@ class NamedFigure:
     """
 
     name: str
-    needs: Callable[[Results], Any]
-    draw: Callable[[Any], Drawn]
+    draw: Callable[[Results], Drawn]
     words: str = ""
     section: str = ""
 
@@ -53,7 +49,7 @@ class NamedFigure:
         DataError, UsageError
             When the results do not allow it, with the reason.
         """
-        return figure_of(self.draw(self.needs(results)))
+        return figure_of(self.draw(results))
 
 
 @cache
@@ -71,11 +67,8 @@ def paper() -> ModuleType:
 
 def named_figures() -> dict[str, NamedFigure]:
     """Find the figures that the modules of this package list, by name in alphabetical order."""
-    return {figure.name: figure for figure in sorted(_listed(), key=lambda figure: figure.name)}
+    from gbid import report
 
-
-def _listed() -> Iterator[NamedFigure]:
-    from gbid import report as figures
-
-    for module in walk_packages(figures.__path__, f"{figures.__name__}."):
-        yield from getattr(import_module(module.name), "FIGURES", ())
+    modules = walk_packages(report.__path__, f"{report.__name__}.")
+    listed = [figure for module in modules for figure in getattr(import_module(module.name), "FIGURES", ())]
+    return {figure.name: figure for figure in sorted(listed, key=lambda figure: figure.name)}

@@ -25,13 +25,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from gbid.lpv import LPVModel
-    from gbid.structure import LinearModel
 
 
 Estimates = Mapping[str, npt.ArrayLike]
 _Speeds = Sequence[float]
 _PAIRS = ("xx", "xy", "yx", "yy")
-_MODES = {"frequency": "omega", "damping": "zeta"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +91,7 @@ def delays_data(
     list of PressurePanel
         Panels of ``tau_x`` and ``tau_y`` [samples].
     """
-    kilohertz = 1e-3 / sample_time
-    labels = {f"tau_{axis}": f"$\\tau_{axis}$ [samples at {kilohertz:g} kHz]" for axis in "xy"}
+    labels = {f"tau_{axis}": f"$\\tau_{axis}$ [samples at {1e-3 / sample_time:g} kHz]" for axis in "xy"}
     samples = {name: np.asarray(values, float) / sample_time for name, values in (estimates or {}).items()}
 
     def at(bar: float, rpm: float) -> Sequence[float]:
@@ -178,8 +175,7 @@ def static_gains_data(
     labels = {f"g_{i}{j}": f"static gain $g_{{{i}{j}}}$ [m/m]" for i in "xy" for j in "xy"}
 
     def at(bar: float, rpm: float) -> Sequence[float]:
-        bearing: LinearModel = model.at(bar, rpm)
-        return [float(gain) for gain in bearing.static_gain().ravel()]
+        return [float(gain) for gain in model.at(bar, rpm).static_gain().ravel()]
 
     return _panels(model, labels, at, speeds_rpm, points, estimates)
 
@@ -209,19 +205,15 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
             at_speed = quantity.points[:, 1] == speed
             if at_speed.any():
                 marks = series(k, linestyle="none", markersize=4.5, markerfacecolor="none", markeredgewidth=0.9)
-                panel.plot(
-                    quantity.points[at_speed, 0],
-                    quantity.estimates[at_speed],
-                    label=f"estimates, {speed:g} rpm",
-                    **marks,
-                )
+                bars, estimates = quantity.points[at_speed, 0], quantity.estimates[at_speed]
+                panel.plot(bars, estimates, label=f"estimates, {speed:g} rpm", **marks)
         panel.set_ylabel(quantity.label)
         if i >= len(data) - 2:
             panel.set_xlabel("injection pressure [bar]")
     if len(data) > 1:
         letter(axes[: len(data)])
     legend_above(figure, axes[0], columns=max(1, len(data[0].speed_rpm)))
-    return np.array(axes[: len(data)], dtype=object)
+    return axes[: len(data)]
 
 
 def _panels(
@@ -279,16 +271,17 @@ def fit_over_pressure_data(
     if what == "gain":
         estimates = {f"g_{pair}": values[f"g_{pair}"] for pair in _PAIRS}
         return static_gains_data(fit.model, speeds_rpm=speeds, points=points, estimates=estimates)
-    estimates = {f"{what}_{i}": values[f"{_MODES[what]}_{i}"] for i in (1, 2)}
+    greek = "omega" if what == "frequency" else "zeta"
+    estimates = {f"{what}_{i}": values[f"{greek}_{i}"] for i in (1, 2)}
     return modes_data(fit.model, what, speeds_rpm=speeds, points=points, estimates=estimates)
 
 
-def _panels_of(
-    what: Literal["delay", "frequency", "damping", "gain"], results: Results, only: str | None = None
-) -> list[PressurePanel]:
+def _plot_quantity(
+    what: Literal["delay", "frequency", "damping", "gain"], results: Results, only: str = ""
+) -> npt.NDArray[np.object_]:
     rig = results.experiment.spec.rig
     data = fit_over_pressure_data(results.surface_fit, what, sample_time=rig.sample_time_s if rig else 2e-4)
-    return [panel for panel in data if only in (None, panel.name)]
+    return plot_over_pressure([panel for panel in data if panel.name.startswith(only)])
 
 
 # ---- Key parameters over injection pressure and speed, with the estimates on stems (paper, Figs. 11 to 13).
@@ -413,7 +406,7 @@ def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> 
         _plot_surface(panel, surface)
     for panel in axes[len(data) :]:
         panel.set_axis_off()
-    return np.array(axes[: len(data)], dtype=object)
+    return axes[: len(data)]
 
 
 def _plot_surface(ax: Any, surface: Surface) -> None:
@@ -425,10 +418,8 @@ def _plot_surface(ax: Any, surface: Surface) -> None:
     for (bar, rpm), value, at in zip(surface.points, surface.estimates, surface.at_points, strict=True):
         x, y = [bar, bar], [1e-3 * rpm, 1e-3 * rpm]
         ax.plot(x, y, [scale * at, scale * value], color=RED, linewidth=0.8)
-        fill = RED if value >= at else "white"
-        ax.plot(
-            x[:1], y[:1], [scale * value], "o", markersize=3.2, color=RED, markerfacecolor=fill, markeredgewidth=0.8
-        )
+        mark = {"color": RED, "markerfacecolor": RED if value >= at else "white", "markeredgewidth": 0.8}
+        ax.plot(x[:1], y[:1], [scale * value], "o", markersize=3.2, **mark)
     unit = f"10{str(exponent).translate(_SUPERSCRIPTS)} {surface.unit}" if exponent else surface.unit
     ax.set_title(f"{symbol(surface.name)} [{unit}]", color=ink(), y=1.0, pad=0)
     ax.set_xlabel("pressure [bar]", labelpad=-4)
@@ -461,17 +452,13 @@ def fit_surfaces_data(fit: LPVFit, letter: Literal["k", "d", "b"]) -> list[Surfa
     return surfaces_data(fit.model, names, points=fit.estimates.points, estimates=estimates)
 
 
-def _drawn(letter: Literal["k", "d", "b"], fit: LPVFit) -> npt.NDArray[np.object_]:
-    return plot_surfaces(fit_surfaces_data(fit, letter))
-
-
 FIGURES = (
-    NamedFigure("fig14_delay_x", partial(_panels_of, "delay", only="tau_x"), plot_over_pressure),
-    NamedFigure("fig15_delay_y", partial(_panels_of, "delay", only="tau_y"), plot_over_pressure),
-    NamedFigure("fig16_natural_frequencies", partial(_panels_of, "frequency"), plot_over_pressure),
-    NamedFigure("fig17_damping_factors", partial(_panels_of, "damping"), plot_over_pressure),
-    NamedFigure("fig18_static_gains", partial(_panels_of, "gain"), plot_over_pressure),
-    NamedFigure("fig11_stiffness", lambda results: results.surface_fit, partial(_drawn, "k")),
-    NamedFigure("fig12_damping", lambda results: results.surface_fit, partial(_drawn, "d")),
-    NamedFigure("fig13_input_gain", lambda results: results.surface_fit, partial(_drawn, "b")),
+    NamedFigure("fig14_delay_x", partial(_plot_quantity, "delay", only="tau_x")),
+    NamedFigure("fig15_delay_y", partial(_plot_quantity, "delay", only="tau_y")),
+    NamedFigure("fig16_natural_frequencies", partial(_plot_quantity, "frequency")),
+    NamedFigure("fig17_damping_factors", partial(_plot_quantity, "damping")),
+    NamedFigure("fig18_static_gains", partial(_plot_quantity, "gain")),
+    NamedFigure("fig11_stiffness", lambda results: plot_surfaces(fit_surfaces_data(results.surface_fit, "k"))),
+    NamedFigure("fig12_damping", lambda results: plot_surfaces(fit_surfaces_data(results.surface_fit, "d"))),
+    NamedFigure("fig13_input_gain", lambda results: plot_surfaces(fit_surfaces_data(results.surface_fit, "b"))),
 )

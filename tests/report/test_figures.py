@@ -98,7 +98,7 @@ def test_other_units_and_one_input(validation):
 def test_a_part_outside_is_refused(validation):
     with pytest.raises(UsageError, match="has 0 samples"):
         response_figure(validation, from_s=3.0, to_s=4.0)
-    with pytest.raises(UsageError, match="1 axes for 2 outputs"):
+    with pytest.raises(UsageError, match="1 axes for 2 panels"):
         plot_response(validation, [Figure().subplots()])
 
 

@@ -33,8 +33,7 @@ def plot_poles(poles, ax=None) -> Figure:
 FIGURES = (
     NamedFigure(
         "poles_of_the_machine",
-        lambda results: results.machine.plant_at(6, 0).poles(),
-        plot_poles,
+        lambda results: plot_poles(results.machine.plant_at(6, 0).poles()),
         words="Poles of the machine behind the rig at 6 bar, 0 rpm",
         section="controller",
     ),
