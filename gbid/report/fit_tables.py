@@ -511,15 +511,7 @@ def nominal_table(document: Row) -> Table:
 
 # ---- Tables of the deviations of fits from the surfaces over pressure and speed.
 
-_PUBLISHED = "theisen2016"
 _OUTLIERS = 10  # largest number that is printed; the document contains all
-
-
-def lpv_documents(experiment: Experiment, outcomes: Sequence[Outcome], fits: Mapping[str, LPVFit]) -> list[Row]:
-    """Return documents of the surfaces of an experiment, with the paper's figures for the paper's machine."""
-    published = experiment.spec.rig is not None and experiment.spec.rig.model == _PUBLISHED
-    paths = {outcome.item: outcome.path for outcome in outcomes}
-    return [lpv_document(item, fit, paths[item], published=published) for item, fit in fits.items()]
 
 
 def lpv_document(item: str, fit: LPVFit, path: Path, *, published: bool) -> Row:

@@ -205,16 +205,19 @@ def render(title: str, name: str, sections: Sequence[PageSection], left_out: Seq
     str
         HTML text.
     """
-    page = environment(page_part).get_template("report.html.j2")
-    return page.render(
-        title=title or name,
-        name=name,
-        sections=sections,
-        left_out=left_out,
-        key=key,
-        version=__version__,
-        style=Markup(page_part("style.css")),
-        scripts=[script(page_part(name)) for name in SCRIPTS],
+    return (
+        environment(page_part)
+        .get_template("report.html.j2")
+        .render(
+            title=title or name,
+            name=name,
+            sections=sections,
+            left_out=left_out,
+            key=key,
+            version=__version__,
+            style=Markup(page_part("style.css")),
+            scripts=[script(page_part(name)) for name in SCRIPTS],
+        )
     )
 
 
@@ -246,10 +249,8 @@ def page_part(name: str) -> str:
 
 def script(text: str) -> Markup:
     """Return a script for a page, without the lines for programs outside of it."""
-    lines = text.splitlines()
-    return Markup(
-        "\n".join(line for line in lines if line != '"use strict";' and not line.startswith("if (typeof module"))
-    )
+    outside = ('"use strict";', "if (typeof module")
+    return Markup("\n".join(line for line in text.splitlines() if not line.startswith(outside)))
 
 
 def _embedded_render(value: Any) -> Markup:
@@ -389,15 +390,14 @@ def explorer_part(
         if isinstance(structure, PStructure) and structure.order == 1:
             corner = 1e3 * gains["lowpass_khz"] if structure.tune_corner else structure.lowpass_hz
             buttons.append((name, [gains["kappa_x"], gains["kappa_y"], corner]))
-    pressures, speeds = model.domain.pressure_bar, model.domain.speed_rpm
-    middle = [(low + high) / 2 for low, high in (pressures, speeds)]
+    pressures, speeds = ranges = model.domain.pressure_bar, model.domain.speed_rpm
+    middle = sum(pressures) / 2, sum(speeds) / 2
 
     def far(point: tuple[float, float]) -> float:
-        return abs(point[0] - middle[0]) / (pressures[1] - pressures[0] or 1) + abs(point[1] - middle[1]) / (
-            speeds[1] - speeds[0] or 1
-        )
+        parts = zip(point, middle, ranges, strict=True)
+        return sum(abs(value - centre) / (high - low or 1) for value, centre, (low, high) in parts)
 
-    start = min(points, key=far) if points else (middle[0], middle[1])
+    start = min(points, key=far, default=middle)
     gain_x, gain_y, lowpass = buttons[-1][1]
     controls = [
         ("pressure", "Injection pressure", "bar", *pressures, 0.05, start[0]),

@@ -80,9 +80,8 @@ def shown(value: Any, ax: Any = None, **options: Any) -> Any:
 
 
 plot.register(Recording, plot_recording)
-plot.register(LinearModel, plot_bode)
-plot.register(FitResult, plot_bode)
-plot.register(MeasuredResponse, plot_bode)
+for kind in (LinearModel, FitResult, MeasuredResponse):
+    plot.register(kind, plot_bode)
 plot.register(Validation, plot_response)
 plot.register(ResidualTest, plot_residuals)
 plot.register(Sensitivities, plot_iso_zones)

@@ -129,8 +129,7 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
         first = next(iter(group))
         for name, design in group.items():
             section = experiment.spec.controller[name]
-            plant, _ = design_plant(job, section)
-            sampled = section.design_for == "sampled"
+            plant, sampled = design_plant(job, section)[0], section.design_for == "sampled"
             conditions = plant, design.impact, design.sample_time, design.method, peak_cap(section), sampled
             for figures in design.performance[: None if name == first else 1]:
                 came = None if figures is design.performance[0] else published_design(experiment, section)
@@ -156,7 +155,9 @@ def assessed_alike(designs: Mapping[str, TunedDesign]) -> list[dict[str, TunedDe
     """Return the designs in groups with equal plant, operating points, impact and sampling."""
     groups: dict[tuple[object, ...], dict[str, TunedDesign]] = {}
     for name, design in designs.items():
-        groups.setdefault(_conditions(design), {})[name] = design
+        points = tuple(map(tuple, design.performance[0].points)) if design.performance else ()
+        conditions = design.plant, points, design.impact, design.sample_time, design.method
+        groups.setdefault(conditions, {})[name] = design
     return list(groups.values())
 
 
@@ -171,17 +172,8 @@ def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDes
     if not designs:
         raise DataError("there is no tuned design of the present settings and fits; run `gbid tune` or `gbid run`")
     group = assessed_alike(designs)[0]
-    first = next(iter(group.values()))
-    return {name: design for name, design in group.items() if _aim(design) == _aim(first)}
-
-
-def _conditions(design: TunedDesign) -> tuple[object, ...]:
-    points = tuple(map(tuple, design.performance[0].points)) if design.performance else ()
-    return design.plant, points, design.impact, design.sample_time, design.method
-
-
-def _aim(design: TunedDesign) -> tuple[object, ...]:
-    return design.result.objective, design.result.sample_time
+    aims = {name: (design.result.objective, design.result.sample_time) for name, design in group.items()}
+    return {name: design for name, design in group.items() if aims[name] == aims[next(iter(group))]}
 
 
 def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
@@ -328,18 +320,11 @@ def read_signals(job: Job, name: str) -> RecordingSignals:
     }
     meant = "speed" if planned.kind == "run_up" else ""  # the speed of a run-up changes by design
     problems = tuple(problem.text for problem in find_problems(recording, named) if problem.kind != meant)
+    pairs = (recording.signals[signal] for signal in ("r", "u") if signal in recording.signals)
+    moving = (values for values in pairs if values.shape[1] == 2 and values.std(axis=0).min() > 0)
+    alike = next((float(np.asarray(np.corrcoef(values.T))[0, 1]) for values in moving), None)
     size = recording.n_samples, recording.duration
-    units, alike = dict(recording.units), _alike(recording)
-    return RecordingSignals(name, planned.kind, planned.point, *size, signals, units, alike, problems)
-
-
-def _alike(recording: Recording) -> float | None:
-    """Return the correlation of the two channels of r, or of u."""
-    for signal in ("r", "u"):
-        values = recording.signals.get(signal)
-        if values is not None and values.shape[1] == 2 and values.std(axis=0).min() > 0:
-            return float(np.asarray(np.corrcoef(values.T))[0, 1])
-    return None
+    return RecordingSignals(name, planned.kind, planned.point, *size, signals, dict(recording.units), alike, problems)
 
 
 # ---- States of the result files of an experiment: existing, failed, missing, or made with other settings.
@@ -389,19 +374,18 @@ class StageResults(Generic[Value]):
 
 def read_standings(job: Job) -> tuple[Standing, ...]:
     """Return the states of recordings, prefiltered recordings and fits, in this order."""
+    standings = []
     work = [item for stage in (RIG, IMPORT, PREFILTER, FIT) for item in stage.work(job)]
-    return tuple(_standing(job, task) for task in work if isinstance(task, Task))
-
-
-def _standing(job: Job, task: Task) -> Standing:
-    try:
-        outcome = standing(job, task)
-    except UsageError:
-        return Standing(task.stage, task.item, "stale", "made with other settings or data, or by another gbid")
-    if outcome is None:
-        return Standing(task.stage, task.item, "missing", "not made yet")
-    state: State = "failed" if outcome.state == "failed" else "there"
-    return Standing(task.stage, task.item, state, outcome.text, outcome.converged)
+    for task in (item for item in work if isinstance(item, Task)):
+        state: tuple[State, str] | tuple[State, str, bool] = "missing", "not made yet"
+        try:
+            outcome = standing(job, task)
+            if outcome is not None:
+                state = "failed" if outcome.state == "failed" else "there", outcome.text, outcome.converged
+        except UsageError:
+            state = "stale", "made with other settings or data, or by another gbid"
+        standings.append(Standing(task.stage, task.item, *state))
+    return tuple(standings)
 
 
 def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task], Value]) -> StageResults[Value]:
@@ -512,10 +496,8 @@ class Results:
 
     def fit_with(self, structure: str) -> str:
         """Return the name of the first fit with a structure."""
-        for name, section in self.experiment.spec.fits.items():
-            if section.structure == structure:
-                return name
-        raise DataError(f"no fit with structure {structure!r}; add one to section 'fits'")
+        names = (name for name, section in self.experiment.spec.fits.items() if section.structure == structure)
+        return _first(names, f"no fit with structure {structure!r}; add one to section 'fits'")
 
     # ------------------------------------------------------------ cross-validation and nominal actuator
 
@@ -627,8 +609,8 @@ class Results:
     @property
     def loop_model(self) -> LPVModel | None:
         """Model for closed loops: the surfaces, else the model behind the rig, if they have actuators."""
-        models = [*(fit.model for fit in self.surfaces.values()), *([self.rig] if self.rig else [])]
-        return next((model for model in models if model.actuators), None)
+        models = (*(fit.model for fit in self.surfaces.values()), self.rig)
+        return next((model for model in models if model is not None and model.actuators), None)
 
     @cached_property
     def studies(self) -> StageResults[ImpactStudy]:

@@ -70,7 +70,15 @@ def fits_section(results: Results) -> PageSection:
         made = [q for q in results.fits if q.fit == name]
         if made:
             blocks += _overview(results, name, made)
-    blocks += _notes(results.fits)
+    carried: dict[str, list[MadeFit]] = {}  # each note once, with the fits that have it
+    for q in results.fits:
+        for note in q.result.notes:
+            carried.setdefault(f"{q.fit}: {note}", []).append(q)
+    items = [
+        Link(f"{text} ({len(noted)} {_fits(len(noted))})", fit_href(noted[0].fit, noted[0].model))
+        for text, noted in sorted(carried.items(), key=lambda item: -len(item[1]))
+    ]
+    blocks += [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])] if items else []
     data = fit_data(results)
     if data["fits"]:
         groups: dict[str, list[tuple[str, str]]] = {}
@@ -87,9 +95,7 @@ def lost_fits(results: Results) -> list[Standing]:
 
 def fit_data(results: Results) -> dict[str, Any]:
     """Return the data that the script of the page shows of each fit."""
-    fits: dict[str, Any] = {}
-    for q in results.fits:
-        fits[f"{q.fit}/{q.model}"] = {**_document(results, q), **_curves(results, q)}
+    fits = {f"{q.fit}/{q.model}": {**_document(results, q), **_curves(results, q)} for q in results.fits}
     for f in lost_fits(results):
         empty: dict[str, Any] = {"tables": [], "facts": [], "traces": [], "no_trace": ""}
         title = {"title": f.item, "label": f"{f.item.partition('/')[2]}: {f.state}", "state": "bad"}
@@ -107,8 +113,7 @@ def _place(results: Results, q: MadeFit) -> str:
 
 
 def _overview(results: Results, name: str, made: Sequence[MadeFit]) -> list[Block]:
-    outputs = made[0].result.model.output_names
-    focus = made[0].result.options.focus
+    outputs, focus = made[0].result.model.output_names, made[0].result.options.focus
     how = "one step ahead" if focus == "prediction" else focus
     by_point: dict[str, list[MadeFit]] = {}
     for q in made:
@@ -130,10 +135,8 @@ def _overview(results: Results, name: str, made: Sequence[MadeFit]) -> list[Bloc
     if len(made) > 2 * _NAMED:
         ordered = sorted(made, key=_smallest)
         for word, chosen in (("worst", ordered[:_NAMED]), ("best", ordered[: -_NAMED - 1 : -1])):
-            items = [
-                Link(f"{q.model}: {_smallest(q):.2f} % at {_place(results, q)}", fit_href(name, q.model))
-                for q in chosen
-            ]
+            words = (f"{q.model}: {_smallest(q):.2f} % at {_place(results, q)}" for q in chosen)
+            items = [Link(text, fit_href(name, q.model)) for text, q in zip(words, chosen, strict=True)]
             blocks.append(Fold(f"{name}: the {word} {_NAMED}", [Listed(items)]))
     stuck = [q for q in made if not q.result.success]
     if stuck:
@@ -142,31 +145,17 @@ def _overview(results: Results, name: str, made: Sequence[MadeFit]) -> list[Bloc
     return blocks
 
 
-def _notes(fits: Sequence[MadeFit]) -> list[Block]:
-    """Return the notes of the fits, each once, with the number of fits that have it."""
-    carried: dict[str, list[MadeFit]] = {}
-    for q in fits:
-        for note in q.result.notes:
-            carried.setdefault(f"{q.fit}: {note}", []).append(q)
-    if not carried:
-        return []
-    items = [
-        Link(f"{text} ({len(noted)} {'fit' if len(noted) == 1 else 'fits'})", fit_href(noted[0].fit, noted[0].model))
-        for text, noted in sorted(carried.items(), key=lambda item: -len(item[1]))
-    ]
-    return [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])]
-
-
 def _document(results: Results, q: MadeFit) -> dict[str, Any]:
     *tables, facts = fit_tables("", q.document)
-    names = ", ".join(q.result.recordings)
-    place = _place(results, q)
-    state = "bad" if not q.result.success else "warn" if q.result.notes else "good"
+    names, place = ", ".join(q.result.recordings), _place(results, q)
+    state, status = ("warn", "Converged, with notes below.") if q.result.notes else ("good", "Converged.")
+    if not q.result.success:
+        state, status = "bad", q.result.status[:1].upper() + q.result.status[1:]
     return {
         "title": f"{q.fit}, {q.model}: {place}" + (f" ({names})" if names != q.model else ""),
         "label": f"{place}: {q.model} ({_smallest(q):.2f} %)",
         "state": state,
-        "status": _status(q),
+        "status": status,
         "tables": [
             {"columns": [[c.heading, c.left] for c in table.columns], "rows": table.texts()} for table in tables
         ],
@@ -187,16 +176,11 @@ def _curves(results: Results, q: MadeFit) -> dict[str, Any]:
     return {"traces": traces, "no_trace": reason}
 
 
-def _status(q: MadeFit) -> str:
-    if not q.result.success:
-        return q.result.status[:1].upper() + q.result.status[1:]
-    return "Converged, with notes below." if q.result.notes else "Converged."
-
-
 # ---- Sections on the cross-validation and the nominal actuator.
 
 _PAPERS = {"rotor_bearing": "bearing", "piezo_pair": "actuator"}
 """Names of the fits of a structure in the list of the paper."""
+_OF_PAPER = "The paper's figures are those of 86 recordings of the real machine; noise and scatter of this rig differ."
 _HISTOGRAM = 6  # smallest number of pairs for a histogram
 _LISTED = 40
 
@@ -223,16 +207,11 @@ def _validated(
     document = summary_document(name, summary, results.job.path("crossval", name))
     blocks: list[Block] = [validation_table(document, published)]
     if published:
-        words = (
-            "The paper's figures are those of 86 recordings of the real machine; noise and scatter of this rig differ."
-        )
-        blocks.append(Words(words))
+        blocks.append(Words(_OF_PAPER))
     if summary.n_pairs >= _HISTOGRAM:
         means = "; ".join(f"{o} {m:.2f} %" for o, m in zip(summary.output_names, summary.mean, strict=True))
-        picture = pictures.picture(
-            plot_fit_histogram(crossval_data(summary)), f"{name}: histograms of the cross-validation fit, means {means}"
-        )
-        blocks.append(Shown(picture))
+        alt = f"{name}: histograms of the cross-validation fit, means {means}"
+        blocks.append(Shown(pictures.picture(plot_fit_histogram(crossval_data(summary)), alt)))
     missed = [row for row in rows if row.missed]
     if missed:
         text = f"{name}: {len(missed)} of {len(rows)} stay below the {missed[0].minimum_percent:g} % asked for."
@@ -283,46 +262,36 @@ WORSE = 1e-3
 
 def quality_section(results: Results) -> PageSection:
     """Return the section with the recordings, their problems, and the corrections by the prefilter."""
-    blocks: list[Block] = []
     recordings = results.recordings
     if not recordings:
-        blocks.append(Words("There is no excited recording yet."))
-        return PageSection("data", "Data quality", blocks)
+        return PageSection("data", "Data quality", [Words("There is no excited recording yet.")])
+    blocks: list[Block] = []
     problems = [text for q in recordings for text in q.problems]
     if problems:
         blocks += [Words(f"{len(problems)} problems found in {len(recordings)} recordings:", "bad"), Listed(problems)]
     else:
         text = f"{len(recordings)} excited recordings checked: no dead, saturated or swapped channel, no rub."
         blocks.append(Words(text, "good"))
-    alike = [q for q in recordings if q.alike is not None and abs(q.alike) > ALIKE]
-    for q in alike:
-        blocks.append(Words(f"{q.name}: the excitations of x and y are correlated ({q.alike:+.2f})", "warn"))
-    rows = []
+    signals = list(dict.fromkeys(signal for q in recordings for signal in q.signals))
+    rows: list[list[Entry]] = []
     for q in recordings:
-        spread = [
-            ", ".join(f"{channel} {in_units(rms, q.units[signal])}" for channel, rms, _ in q.signals[signal])
-            if signal in q.signals
-            else None
-            for signal in _signals(results)
-        ]
-        length = f"{q.duration:g} s, {q.n_samples}"
-        rows.append((q.name, point_words(results.experiment, q.name), length, *spread, q.alike))
-    headings = [f"{name}, rms" for name in _signals(results)]
-    table = Table(
-        "Excited recordings: rms about the mean of each channel, correlation of the two excitations",
-        [
-            *map(Column, ("recording", "operating point", "length, samples", *headings)),
-            Column("correlation x, y", format="+.3f"),
-        ],
-        rows,
-    )
-    blocks.append(Fold(f"Excitation of {len(rows)} recordings", [table]) if len(rows) > 12 else table)
-    blocks += _prefilter(results)
+        if q.alike is not None and abs(q.alike) > ALIKE:
+            blocks.append(Words(f"{q.name}: the excitations of x and y are correlated ({q.alike:+.2f})", "warn"))
+        rows.append([q.name, point_words(results.experiment, q.name), f"{q.duration:g} s, {q.n_samples}"])
+        for signal in signals:
+            channels = (f"{channel} {in_units(rms, q.units[signal])}" for channel, rms, _ in q.signals.get(signal, ()))
+            rows[-1].append(", ".join(channels) or None)
+        rows[-1].append(q.alike)
+    headings = ("recording", "operating point", "length, samples", *(f"{name}, rms" for name in signals))
+    title = "Excited recordings: rms about the mean of each channel, correlation of the two excitations"
+    table = Table(title, [*map(Column, headings), Column("correlation x, y", format="+.3f")], rows)
+    blocks += [_folded(f"Excitation of {len(rows)} recordings", table), *_prefilter(results)]
     return PageSection("data", "Data quality", blocks)
 
 
-def _signals(results: Results) -> list[str]:
-    return list(dict.fromkeys(signal for q in results.recordings for signal in q.signals))
+def _folded(title: str, table: Table) -> Block:
+    """Return a table, folded when it is long."""
+    return Fold(title, [table]) if len(table.rows) > 12 else table
 
 
 def _prefilter(results: Results) -> list[Block]:
@@ -336,7 +305,6 @@ def _prefilter(results: Results) -> list[Block]:
     median = "none" if section.median == 1 else f"{section.median} samples"
     spikes, mean = ("replaced" if section.spikes else "kept"), ("removed" if section.remove_mean else "kept")
     words = f"Run-out map: {section.method}; spikes: {spikes}; median: {median}; mean {mean}."
-    table = prefilter_table(rows)
     blocks: list[Block] = [Words(words)]
     if worse:
         names = ", ".join(dict.fromkeys(row["recording"] for row in worse))
@@ -348,8 +316,7 @@ def _prefilter(results: Results) -> list[Block]:
     every = len({row["recording"] for row in rows})
     if carried:
         blocks.append(Listed([f"{len(names)} of {every} recordings: {note}" for note, names in carried.items()]))
-    blocks.append(Fold(f"Prefilter, {len(rows)} channels", [table]) if len(rows) > 12 else table)
-    return blocks
+    return [*blocks, _folded(f"Prefilter, {len(rows)} channels", prefilter_table(rows))]
 
 
 # ---- Section on the static characterisation: map from piezos to disc, and hysteresis of the stacks.
@@ -404,49 +371,44 @@ def warnings(results: Results) -> list[Link]:
     ]
     lost = Counter(f.state for f in lost_fits(results))
     links += [Link(f"{n} {_fits(n)} {_LOST[state]}", "#fits") for state, n in lost.items()]
+
+    def add_if(present: object, words: str, href: str) -> None:
+        """Add a warning where there is something to warn of."""
+        links.extend([Link(words, href)] if present else [])
+
     problems = sum(len(q.problems) for q in results.recordings)
-    if problems:
-        links.append(Link(f"{problems} problems in the signals of the recordings", "#data"))
+    add_if(problems, f"{problems} problems in the signals of the recordings", "#data")
     stuck = sum(not q.result.success for q in results.fits)
-    if stuck:
-        links.append(Link(f"{stuck} {_fits(stuck)} did not converge", "#fits"))
+    add_if(stuck, f"{stuck} {_fits(stuck)} did not converge", "#fits")
     for name, (rows, summary) in results.crossval.items():
         missed = sum(row.missed for row in rows)
-        if missed:
-            links.append(Link(f"{name}: {missed} validations below the minimum asked for", "#validation"))
+        add_if(missed, f"{name}: {missed} validations below the minimum asked for", "#validation")
         coloured = sum(row.residuals_white is False for row in rows)
-        if coloured:
-            tested = sum(row.residuals_white is not None for row in rows)
-            links.append(Link(f"{name}: residuals of {coloured} of {tested} validations are not white", "#validation"))
+        tested = sum(row.residuals_white is not None for row in rows)
+        add_if(coloured, f"{name}: residuals of {coloured} of {tested} validations are not white", "#validation")
         links += [Link(f"{name}: {text}", "#validation") for text in summary.failed]
     for name in results.experiment.spec.crossval:
-        if name not in results.crossval:
-            links.append(Link(f"{name}: not validated with the present fits", "#validation"))
+        add_if(name not in results.crossval, f"{name}: not validated with the present fits", "#validation")
     if results.experiment.spec.nominal is not None:
-        links += _of_nominal(results)
-    if results.experiment.spec.lpv is not None and not results.surfaces:
-        links.append(Link("no surfaces were drawn with the present fits", "#surfaces"))
+        try:
+            outliers = len(results.nominal.outliers)
+            add_if(outliers, f"{outliers} actuator parameters lie off the others", "#actuator")
+        except GbidError as error:
+            links.append(Link(f"no nominal actuator: {error}", "#actuator"))
+    if results.experiment.spec.lpv is not None:
+        add_if(not results.surfaces, "no surfaces were drawn with the present fits", "#surfaces")
     for item, fit in results.surfaces.items():
-        if (fit.lack_of_fit < LACK).any():
-            links.append(Link(f"surfaces {item} miss the means of some parameters by more than chance", "#surfaces"))
-        if not fit.success:
-            links.append(Link(f"surfaces {item}: {fit.status}", "#surfaces"))
-        if fit.outliers:
-            links.append(Link(f"surfaces {item}: far off lie {len(fit.outliers)} of the estimates", "#surfaces"))
+        lack = (fit.lack_of_fit < LACK).any()
+        add_if(lack, f"surfaces {item} miss the means of some parameters by more than chance", "#surfaces")
+        add_if(not fit.success, f"surfaces {item}: {fit.status}", "#surfaces")
+        far = len(fit.outliers)
+        add_if(far, f"surfaces {item}: far off lie {far} of the estimates", "#surfaces")
     for design in results.assessed:
         links += [Link(f"controller {design.name}: {text}", "#controller") for text in design.warnings()]
     links += [Link(f"controller {name}: {text}", "#controller") for name, text in results.designs.missing.items()]
     for name, made in results.designs.found.items():
         links += [Link(f"controller {name}: {text}", "#controller") for text in held_back(made)]
     return links
-
-
-def _of_nominal(results: Results) -> list[Link]:
-    try:
-        outliers = results.nominal.outliers
-    except GbidError as error:
-        return [Link(f"no nominal actuator: {error}", "#actuator")]
-    return [Link(f"{len(outliers)} actuator parameters lie off the others", "#actuator")] if outliers else []
 
 
 _LOST = {"failed": "failed", "missing": "not made yet", "stale": "made with other settings or data"}

@@ -31,7 +31,7 @@ from gbid.report.fit_tables import (
     Row,
     crossval_table,
     fit_tables,
-    lpv_documents,
+    lpv_document,
     lpv_table,
     nominal_document,
     nominal_table,
@@ -44,7 +44,7 @@ from gbid.report.fit_tables import (
     summary_document,
     validation_table,
 )
-from gbid.report.read import read_fit
+from gbid.report.read import PUBLISHED, read_fit
 from gbid.validate import ValidationSummary
 
 _ROWS = 60  # of a cross-validation; more are in its CSV file only
@@ -110,8 +110,11 @@ def _nominal(job: Job, outcomes: Sequence[Outcome]) -> Document:
 
 
 def _surfaces(job: Job, outcomes: Sequence[Outcome]) -> Document:
-    surfaces = {o.item: load_lpv_fit(o.path) for o in _made(outcomes, "lpv") if o.path.suffix == ".yaml"}
-    return {"lpv": lpv_documents(job.experiment, [o for o in outcomes if o.stage == "lpv"], surfaces)}
+    """Return documents of the surfaces, with the paper's figures for the paper's machine."""
+    rig, paths = job.experiment.spec.rig, {o.item: o.path for o in _made(outcomes, "lpv") if o.path.suffix == ".yaml"}
+    published = rig is not None and rig.model == PUBLISHED
+    documents = (lpv_document(q, load_lpv_fit(path), path, published=published) for q, path in paths.items())
+    return {"lpv": list(documents)}
 
 
 def _impacts(job: Job, outcomes: Sequence[Outcome]) -> Document:
