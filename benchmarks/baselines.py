@@ -195,18 +195,23 @@ def fit_with_scipy(samples: Samples, start: Mapping[str, float]) -> Answer:
     lower[tau] = 5e-6 / theta_scale[tau]
     found = least_squares(errors, begin, bounds=(lower, np.inf), x_scale="jac", method="trf")
     wall, cpu = time.perf_counter() - began, time.process_time() - spent
-    return Answer(
-        time_s=wall,
-        cpu_s=cpu,
-        build_s=0.0,
-        build_cpu_s=0.0,
-        iterations=int(found.njev),
-        loss=2 * float(found.cost) * float(size) ** 2 / len(samples.p),
-        success=bool(found.success),
-    )
+    loss = 2 * float(found.cost) * float(size) ** 2 / len(samples.p)
+    return Answer(wall, cpu, 0.0, 0.0, int(found.njev), loss, bool(found.success))
 
 
 # ---- Baseline (b): the pattern of CasADi's documentation for identification (its example ``sysid``).
+
+
+def gauss_newton(V: ca.MX, errors: ca.MX, n: int, **limits: float) -> ca.Function:
+    """Return IPOPT for half the mean square of errors, with the Gauss-Newton Hessian from their Jacobian."""
+    J = ca.jacobian(errors, V)
+    none, sigma, multipliers = ca.MX.sym("p", 0), ca.MX.sym("sigma"), ca.MX.sym("lam_g", 0)
+    arguments, names = [V, none, sigma, multipliers], ["x", "p", "lam_f", "lam_g"]
+    hessian = ca.Function("nlp_hess_l", arguments, [sigma * ca.triu(J.T @ J) / n], names, ["triu_hess_gamma_x_x"])
+    nlp = {"x": V, "f": 0.5 * ca.dot(errors, errors) / n, "g": ca.MX(0, 1)}
+    ipopt = {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 100, **limits}
+    return ca.nlpsol("solver", "ipopt", nlp, {"hess_lag": hessian, "print_time": False, "ipopt": ipopt})
+
 
 _SQUARINGS = 8  # of a matrix whose norm, once balanced, is below 30
 _TERMS = 8
@@ -218,7 +223,9 @@ def fit_with_casadi(samples: Samples, start: Mapping[str, float]) -> Answer:
     n_theta, n = len(names()), len(samples.p)
     theta_scale = scales(start)
     first = np.array([start[name] for name in names()]) / theta_scale
-    state_scale = _state_scale(samples)
+    velocity = np.diff(samples.p, axis=0).std(axis=0) / SAMPLE_TIME
+    # Of positions, velocities and delay states (inputs held back by the time constant of the delay).
+    state_scale = np.concatenate([samples.p.std(axis=0), velocity, samples.u.std(axis=0) * SAMPLE_TIME])
     size = float(np.sqrt(np.mean(samples.p**2)))
     z = np.hstack([samples.u, np.vstack([samples.u[1:], samples.u[-1:]]), samples.p]) / size
     matrices = _step_matrices(theta_scale, state_scale, size)
@@ -233,41 +240,14 @@ def fit_with_casadi(samples: Samples, start: Mapping[str, float]) -> Answer:
     x0 = V[n_theta:]
     states = ca.horzcat(x0, all_samples(x0, z[:-1].T, ca.repmat(F_V, 1, n - 1), ca.repmat(G_V, 1, n - 1)))
     predicted = ca.diag(state_scale[:2] / size) @ states[:2, :]
-    e = ca.vec((samples.p.T / size) - predicted)
-    nlp = {"x": V, "f": 0.5 * ca.dot(e, e) / n, "g": ca.MX(0, 1)}
-
-    J = ca.jacobian(e, V)
-    H = ca.triu(J.T @ J) / n
-    sigma, multipliers, none = ca.MX.sym("sigma"), ca.MX.sym("lam_g", 0), ca.MX.sym("p", 0)
-    hessian = ca.Function(
-        "nlp_hess_l", [V, none, sigma, multipliers], [sigma * H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-    )
-    options = {
-        "hess_lag": hessian,
-        "print_time": False,
-        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 100},
-    }
-    solver = ca.nlpsol("solver", "ipopt", nlp, options)
+    solver = gauss_newton(V, ca.vec((samples.p.T / size) - predicted), n)
     built, spent = time.perf_counter(), time.process_time()
 
     found = solver(x0=np.concatenate([first, start_state(samples) / state_scale]))
     wall, cpu = time.perf_counter() - built, time.process_time() - spent
-    stats = solver.stats()
-    return Answer(
-        time_s=wall,
-        cpu_s=cpu,
-        build_s=built - began,
-        build_cpu_s=spent - began_cpu,
-        iterations=int(stats["iter_count"]),
-        loss=2 * float(found["f"]) * size**2,
-        success=bool(stats["success"]),
-    )
-
-
-def _state_scale(samples: Samples) -> FloatArray:
-    """Sizes of positions, velocities and delay states (inputs held back by the time constant of the delay)."""
-    velocity = np.diff(samples.p, axis=0).std(axis=0) / SAMPLE_TIME
-    return np.concatenate([samples.p.std(axis=0), velocity, samples.u.std(axis=0) * SAMPLE_TIME])
+    stats, loss = solver.stats(), 2 * float(found["f"]) * size**2
+    build = built - began, spent - began_cpu
+    return Answer(wall, cpu, *build, int(stats["iter_count"]), loss, bool(stats["success"]))
 
 
 def _step_matrices(theta_scale: FloatArray, state_scale: FloatArray, size: float) -> ca.Function:

@@ -10,7 +10,6 @@ the machine has nothing else to do: with the cores in use the table shows whethe
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import resource
@@ -23,7 +22,7 @@ from typing import Any, TypeVar
 
 from ruamel.yaml import YAML
 
-from benchmarks.running import about, finish
+from benchmarks.running import about, markdown, options_of, store, under
 from gbid.experiment.campaign import collect, working
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.load import load_experiment
@@ -103,28 +102,29 @@ def _spent() -> float:
 
 def bill_table(run: dict[str, Any]) -> str:
     """The numbers as Markdown, and how busy the workers were: far less than all cores means other work beside them."""
-    lines = ["| stage | processor time [s] | wall time [s] | cores in use |", "|---|---|---|---|"]
-    for key, text in ROWS.items():
-        if key in run["stages"]:
-            cpu, wall = (run["stages"][key][name] for name in ("cpu_s", "wall_s"))
-            lines.append(f"| {text} | {cpu:.1f} | {wall:.1f} | {cpu / wall:.1f} |")
-    about = f"{run['fits']} fits, {run['workers']} workers, {run['processor']}, {run['date']}, gbid {run['gbid']}."
-    return "\n".join([*lines, "", about])
+    times = ((text, run["stages"][key]) for key, text in ROWS.items() if key in run["stages"])
+    numbers = ((text, stage["cpu_s"], stage["wall_s"]) for text, stage in times)
+    rows = [(text, f"{cpu:.1f}", f"{wall:.1f}", f"{cpu / wall:.1f}") for text, cpu, wall in numbers]
+    head = ("stage", "processor time [s]", "wall time [s]", "cores in use")
+    return markdown(head, rows, under(run, f"{run['fits']} fits", f"{run['workers']} workers"))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(prog="benchmarks.campaign_bill", description="Time the campaign of the paper.")
-    parser.add_argument("--folder", type=Path, help="where results are and stay; a temporary folder by default")
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
-    parser.add_argument("--recordings", type=int, help="so many at the first point only, to see that it works")
-    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
-    options = parser.parse_args(arguments)
+    options = options_of(
+        __doc__,
+        arguments,
+        folder=(Path, "where results are and stay; a temporary folder by default"),
+        workers=(len(os.sched_getaffinity(0)), "processes"),
+        recordings=(int, "so many at the first point only, to see that it works"),
+    )
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         found = measure(folder, options.recordings, options.workers)
-    return finish(found, options.output, bill_table(found))
+    store(found, options.output)
+    print(bill_table(found))
+    return 0
 
 
 if __name__ == "__main__":

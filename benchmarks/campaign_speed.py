@@ -10,7 +10,6 @@ and that is no overhead.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import tempfile
@@ -23,7 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.running import about
+from benchmarks.running import about, markdown, options_of, stored, under
+from benchmarks.running import store as store_run
 from gbid.experiment.campaign import collect, run_campaign, working
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import writing_keyed
@@ -169,15 +169,16 @@ def run_engine(experiment: Experiment, engine: str, workers: int) -> dict[str, f
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(prog="benchmarks.campaign_speed", description="Time a campaign of small fits.")
-    parser.add_argument("--full", action="store_true", help=f"{FULL} fits")
-    parser.add_argument("--fits", type=int, help=f"number of fits; {SHORT} when not given")
-    parser.add_argument("--samples", type=int, default=1000, help="samples of a recording")
-    parser.add_argument("--engines", nargs="+", default=["serial", "pool", "dask"])
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
-    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file, beside runs of other lengths")
-    options = parser.parse_args(arguments)
+    options = options_of(
+        __doc__,
+        arguments,
+        full=(False, f"{FULL} fits"),
+        fits=(int, f"number of fits; {SHORT} when not given"),
+        samples=(1000, "samples of a recording"),
+        engines=(("serial", "pool", "dask"), "engines"),
+        workers=(2, "processes"),
+        json=(False, "print the numbers as JSON"),
+    )
     fits = options.fits or (FULL if options.full else SHORT)
     with tempfile.TemporaryDirectory() as folder:
         experiment = make_campaign(Path(folder), fits, options.samples)
@@ -196,22 +197,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def store(run: dict[str, Any], path: Path) -> None:
     """Write a run to a file; it takes the place of an earlier one of as many fits."""
-    there = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
-    runs = sorted([*(old for old in there if old["fits"] != run["fits"]), run], key=lambda each: int(each["fits"]))
-    path.write_text(json.dumps(runs, indent=2) + "\n", encoding="utf-8")
+    others = [old for old in stored(path, []) if old["fits"] != run["fits"]]
+    store_run(sorted([*others, run], key=lambda each: int(each["fits"])), path)
 
 
 def campaign_table(run: dict[str, Any]) -> str:
     """The numbers as Markdown."""
-    engines = run["engines"]
-    lines = [
-        f"| {run['fits']} fits of {run['samples']} samples | {' | '.join(row['engine'] for row in engines)} |",
-        "|---|" + "---|" * len(engines),
-    ]
-    for key, text in ROWS.items():
-        lines.append(f"| {text} | {' | '.join(f'{row[key]:.1f}' for row in engines)} |")
-    about = f"{run['workers']} workers, {run['processor']}, {run['date']}, gbid {run['gbid']}."
-    return "\n".join([*lines, "", about])
+    head = (f"{run['fits']} fits of {run['samples']} samples", *(row["engine"] for row in run["engines"]))
+    rows = [(text, *(f"{row[key]:.1f}" for row in run["engines"])) for key, text in ROWS.items()]
+    return markdown(head, rows, under(run, f"{run['workers']} workers"))
 
 
 def _processes(engine: Any) -> Any:

@@ -5,24 +5,21 @@
 
 from __future__ import annotations
 
-import argparse
-import datetime
 import json
-import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
 import gbid
-from benchmarks.running import store
+from benchmarks.running import about, markdown, options_of, run_study, stored, timed
 from gbid.control import p_controller
 from gbid.control.loop.close import sample_controller
-from gbid.core.arrays import FloatArray, one_blas_thread
+from gbid.core.arrays import FloatArray
 from gbid.identify.data import Record
 from gbid.identify.predictor import Predictor, build_predictor
 from gbid.identify.start.black_box import black_box
@@ -237,7 +234,6 @@ def _parts(values: np.ndarray) -> FloatArray:
 
 # ---- The study.
 
-STORED = Path(__file__).parents[1] / "docs" / "closed-loop.json"
 Found = tuple[Mapping[str, float], Mapping[str, float] | None, bool]
 """Estimates, standard deviations where the way has them, and whether it converged."""
 
@@ -291,26 +287,29 @@ WAYS: dict[str, Callable[[gbid.Recording], Found]] = {
 
 def measure(case: LoopCase, way: str, recordings: Sequence[gbid.Recording]) -> dict[str, Any]:
     """Return bias and scatter of the key parameters in percent, coverage and time of one way."""
-    rows, errors, failed, began = [], [], 0, time.process_time()
-    for recording in recordings:
-        try:
-            values, std, converged = WAYS[way](recording)
-        except gbid.core.errors.GbidError:
-            converged = False
+    rows, errors = [], []
+
+    def tried(recording: gbid.Recording) -> Found:
+        with suppress(gbid.core.errors.GbidError):
+            return WAYS[way](recording)
+        return {}, None, False
+
+    results, seconds = timed(lambda: [tried(recording) for recording in recordings])
+    for recording, (values, std, converged) in zip(recordings, results, strict=True):
         if not converged:
-            failed += 1
             continue
         true = case.linearised(recording)
         off = np.array([values[name] - true[name] for name in KEY_PARAMETERS])
         rows.append(off)
         if std is not None:
             errors.append(off / np.array([std[name] for name in KEY_PARAMETERS]))  # NaN without a std: outside
-    seconds = (time.process_time() - began) / len(recordings)
-    found: dict[str, Any] = {"recordings": len(recordings), "failed": failed, "seconds": seconds}
+    n = len(recordings)
+    found: dict[str, Any] = {"recordings": n, "failed": n - len(rows), "seconds": seconds / n}
     if not rows:
         return found
-    size = np.array([_size(case, name) for name in KEY_PARAMETERS])
-    off = np.array(rows) / size
+    # A parameter is compared with the largest of its kind.
+    size = [max(abs(case.truth[key]) for key in KEY_PARAMETERS if key[:2] == name[:2]) for name in KEY_PARAMETERS]
+    off = np.array(rows) / np.array(size)
     found["bias"] = float(100 * np.sqrt((off.mean(axis=0) ** 2).mean()))
     found["scatter"] = float(100 * np.sqrt(off.var(axis=0).mean()))
     found["biases"] = {name: float(100 * v) for name, v in zip(KEY_PARAMETERS, off.mean(axis=0), strict=True)}
@@ -318,11 +317,6 @@ def measure(case: LoopCase, way: str, recordings: Sequence[gbid.Recording]) -> d
         t = np.abs(np.array(errors))
         found |= {"within_2": float((t < 1.96).mean()), "within_3": float((t < 3).mean())}
     return found
-
-
-def _size(case: LoopCase, name: str) -> float:
-    """Return the size that a parameter is compared with: the largest of its kind."""
-    return max(abs(v) for key, v in case.truth.items() if key in KEY_PARAMETERS and key[:2] == name[:2])
 
 
 def price(case: LoopCase, seeds: Sequence[int]) -> dict[str, Any]:
@@ -356,24 +350,17 @@ def price_text(run: Mapping[str, Any], amplitude: float) -> str:
     """Return what the loop costs in precision, as a sentence and a table."""
     found = run["price"]
     ratios = found["std_ratio"]
-    return "\n".join(
-        [
-            f"References of {1e6 * amplitude:.1f} um in the loop move the disc as far as "
-            f"{1e6 * found['amplitude']:.1f} um without it. Standard deviation in the loop (direct method) over that "
-            "in open loop, median of "
-            f"{found['recordings']} pairs of recordings:",
-            "",
-            f"| {' | '.join(ratios)} |",
-            f"|{'---|' * len(ratios)}",
-            f"| {' | '.join(f'{v:.2f}' for v in ratios.values())} |",
-        ]
+    words = (
+        f"References of {1e6 * amplitude:.1f} um in the loop move the disc as far as "
+        f"{1e6 * found['amplitude']:.1f} um without it. Standard deviation in the loop (direct method) over that "
+        f"in open loop, median of {found['recordings']} pairs of recordings:"
     )
+    return f"{words}\n\n{markdown(list(ratios), [[f'{v:.2f}' for v in ratios.values()]])}"
 
 
 def study(seeds: int, cases: Sequence[LoopCase] = CASES) -> dict[str, Any]:
     """Run all ways on the recordings of all cases."""
-    run: dict[str, Any] = {"date": datetime.date.today().isoformat(), "gbid": gbid.__version__, "seeds": seeds}
-    run["cases"] = {}
+    run: dict[str, Any] = {**about(), "seeds": seeds, "cases": {}}
     for case in cases:
         recordings = [case.recording(seed) for seed in range(seeds)]
         run["cases"][case.name] = {}
@@ -387,35 +374,31 @@ def study(seeds: int, cases: Sequence[LoopCase] = CASES) -> dict[str, Any]:
 
 def study_table(run: Mapping[str, Any]) -> str:
     """Return the figures of all cases as Markdown."""
-    lines = [
-        "| recordings | way | bias % | scatter % | within 1.96 std | within 3 std | s a fit | failed |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    head = ("recordings", "way", "bias %", "scatter %", "within 1.96 std", "within 3 std", "s a fit", "failed")
+    rows = []
     for case, ways in run["cases"].items():
         for way, f in ways.items():
             size = [f"{f[key]:.2f}" if key in f else "" for key in ("bias", "scatter")]
             shares = [f"{100 * f[key]:.1f} %" if key in f else "" for key in ("within_2", "within_3")]
-            cells = [f"{case} ({f['recordings']})", way, *size, *shares, f"{f['seconds']:.1f}", str(f["failed"])]
-            lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*lines, "", f"Recordings of each case in brackets; {run['date']}, gbid {run['gbid']}."])
+            rows.append((f"{case} ({f['recordings']})", way, *size, *shares, f"{f['seconds']:.1f}", f["failed"]))
+    return markdown(head, rows, f"Recordings of each case in brackets; {run['date']}, gbid {run['gbid']}.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study."""
-    parser = argparse.ArgumentParser(prog="benchmarks.closed_loop_study", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=20, help="recordings of each case (default 20)")
-    parser.add_argument("--case", action="append", help="only this case; can be repeated")
-    parser.add_argument("--output", type=Path, help="write the figures to this JSON file (other cases stay)")
-    options = parser.parse_args(arguments)
-    cases = [case for case in CASES if not options.case or case.name in options.case]
-    with one_blas_thread():
-        run = study(options.seeds, cases)
-    print(study_table(run))
-    if options.output:
-        if options.output.is_file():  # other cases of an earlier run stay
-            run["cases"] = {**json.loads(options.output.read_text(encoding="utf-8"))["cases"], **run["cases"]}
-        store(run, options.output)
-    return 0
+    options = options_of(
+        __doc__,
+        arguments,
+        seeds=(20, "recordings of each case (default 20)"),
+        case=(tuple(case.name for case in CASES), "only these cases; others of an earlier run stay"),
+    )
+
+    def measured() -> dict[str, Any]:
+        run = study(options.seeds, [case for case in CASES if case.name in options.case])
+        earlier = stored(options.output, {}) if options.output else {}
+        return run | {"cases": earlier.get("cases", {}) | run["cases"]}
+
+    return run_study(measured, options.output, study_table)
 
 
 if __name__ == "__main__":

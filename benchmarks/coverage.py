@@ -5,19 +5,17 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
 import gbid
-from benchmarks.running import about, finish
-from gbid.core.arrays import FloatArray, one_blas_thread
+from benchmarks.running import about, markdown, options_of, run_study
+from gbid.core.arrays import FloatArray
 from gbid.structure import LinearStructure, Parameter, evaluate
 
 # ---- Oscillators and errors.
@@ -221,19 +219,17 @@ class Coverage(NamedTuple):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study."""
-    parser = argparse.ArgumentParser(prog="benchmarks.coverage", description="Coverage of the intervals of a fit.")
-    parser.add_argument("--bootstrap", action="store_true", help="robust standard deviations beside the bootstrap")
-    parser.add_argument("--quick", action="store_true", help="shortest recordings and few seeds, to see that it works")
-    parser.add_argument("--seeds", type=int, help="recordings of each kind (default 60, with --bootstrap 40)")
-    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
-    options = parser.parse_args(arguments)
-    seeds = 4 if options.quick else options.seeds or (40 if options.bootstrap else 60)
-    with one_blas_thread():
-        if options.bootstrap:
-            run = measure_bootstrap(BOOTSTRAPPED[:1] if options.quick else BOOTSTRAPPED, seeds)
-        else:
-            run = measure(LENGTHS[:1] if options.quick else LENGTHS, seeds)
-    return finish(run, options.output, (bootstrap_table if options.bootstrap else coverage_table)(run))
+    options = options_of(
+        __doc__,
+        arguments,
+        bootstrap=(False, "robust standard deviations beside the bootstrap"),
+        quick=(False, "shortest recordings and few seeds, to see that it works"),
+        seeds=(int, "recordings of each kind (default 60, with --bootstrap 40)"),
+    )
+    seeds, first = 4 if options.quick else options.seeds, 1 if options.quick else None
+    if options.bootstrap:
+        return run_study(lambda: measure_bootstrap(BOOTSTRAPPED[:first], seeds or 40), options.output, bootstrap_table)
+    return run_study(lambda: measure(LENGTHS[:first], seeds or 60), options.output, coverage_table)
 
 
 def measure(lengths: Sequence[int], seeds: int) -> dict[str, Any]:
@@ -294,25 +290,23 @@ def cell(oscillator: Oscillator, case: Case, n: int, seeds: int) -> Coverage:
 def coverage_table(run: dict[str, Any]) -> str:
     """Return the coverage of all kinds as Markdown, in percent; in brackets with the white standard deviations."""
     lengths = list(run["rows"][0]["cells"])
-    lines = [
-        "| oscillator | errors | fit | " + " | ".join(f"N = {int(n):,}".replace(",", " ") for n in lengths) + " |",
-        "|---|---|---|" + "---|" * len(lengths),
+    rows = [
+        [row[key] for key in ("oscillator", "errors", "options")]
+        + [_shown(Coverage(**row["cells"][n]), row["target"]) for n in lengths]
+        for row in run["rows"]
     ]
-    for row in run["rows"]:
-        cells = [_shown(Coverage(**row["cells"][n]), row["target"]) for n in lengths]
-        lines.append(f"| {row['oscillator']} | {row['errors']} | {row['options']} | " + " | ".join(cells) + " |")
-    lines += ["", f"{run['seeds']} recordings in each cell, {run['date']}, gbid {run['gbid']}."]
-    return "\n".join(lines)
+    head = ("oscillator", "errors", "fit", *(f"N = {int(n):,}".replace(",", " ") for n in lengths))
+    return markdown(head, rows, f"{run['seeds']} recordings in each cell, {run['date']}, gbid {run['gbid']}.")
 
 
 def missed(run: dict[str, Any]) -> list[str]:
     """Return the cells with a target that is not reached, in words."""
-    found = []
-    for row in run["rows"]:
-        for n, numbers in row["cells"].items():
-            if row["target"] and not TARGET[0] <= numbers["coverage"] <= TARGET[1]:
-                found.append(f"{row['oscillator']}, {row['errors']}, N = {n}: {100 * numbers['coverage']:.1f} %")
-    return found
+    return [
+        f"{row['oscillator']}, {row['errors']}, N = {n}: {100 * numbers['coverage']:.1f} %"
+        for row in run["rows"]
+        for n, numbers in row["cells"].items()
+        if row["target"] and not TARGET[0] <= numbers["coverage"] <= TARGET[1]
+    ]
 
 
 def _shown(found: Coverage, target: bool) -> str:
@@ -345,13 +339,13 @@ def bootstrap_cell(oscillator: Oscillator, case: Case, n: int, seeds: int) -> di
 
 def bootstrap_table(run: dict[str, Any]) -> str:
     """Return the coverage as Markdown, in percent."""
-    lines = ["| errors | N | robust | bootstrap | wider by |", "|---|---|---|---|---|"]
-    for row in run["rows"]:
-        shown = f"{100 * row['robust']:.1f} | {100 * row['bootstrap']:.1f} | {row['wider']:.2f}"
-        lines.append(f"| {row['errors']} | {row['samples']} | {shown} |")
+    rows = [
+        (q["errors"], q["samples"], f"{100 * q['robust']:.1f}", f"{100 * q['bootstrap']:.1f}", f"{q['wider']:.2f}")
+        for q in run["rows"]
+    ]
     failed = sum(row["failed"] for row in run["rows"])
-    lines += ["", f"{run['seeds']} recordings in each row ({failed} fits failed), {run['date']}, gbid {run['gbid']}."]
-    return "\n".join(lines)
+    note = f"{run['seeds']} recordings in each row ({failed} fits failed), {run['date']}, gbid {run['gbid']}."
+    return markdown(("errors", "N", "robust", "bootstrap", "wider by"), rows, note)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
 """Run the identification-for-control cycle of an experiment; print its rounds, store the numbers.
 
-``python -m benchmarks.cycle [EXPERIMENT] [--output FILE]``
+``python -m benchmarks.cycle [--experiment FILE] [--output FILE]``
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import gbid
-from benchmarks.running import store
+from benchmarks.running import options_of, store
 from gbid.core.tables import markdown_table
 from gbid.experiment.campaign import run_campaign, working
 from gbid.experiment.load import load_experiment
@@ -25,21 +24,17 @@ from gbid.report.control_tables import cycle_documents, cycle_summary
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study."""
-    parser = argparse.ArgumentParser(prog="benchmarks.cycle", description="Run the cycle of an experiment.")
-    parser.add_argument("experiment", type=Path, nargs="?", default=Path("experiments/cycle.yaml"))
-    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
-    options = parser.parse_args(arguments)
+    options = options_of(__doc__, arguments, experiment=("experiments/cycle.yaml", "the experiment"))
     with tempfile.TemporaryDirectory() as folder:
-        experiment = load_experiment(options.experiment, Path(folder) / "results")
+        experiment = load_experiment(Path(options.experiment), Path(folder) / "results")
         with working(experiment, engine="serial") as job:
             run_campaign(job)
             for stage in STAGES:
                 if not stage.early:
                     run_stage(job, stage)
             rows = made_rows(job)
-    if options.output:
-        run = {"gbid": gbid.__version__, "experiment": experiment.spec.name, "rows": [asdict(row) for row in rows]}
-        store(run, options.output)
+    run = {"gbid": gbid.__version__, "experiment": experiment.spec.name, "rows": [asdict(row) for row in rows]}
+    store(run, options.output)
     print(markdown_table(cycle_summary(cycle_documents(rows))))
     return 0
 

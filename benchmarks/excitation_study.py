@@ -5,22 +5,19 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import gbid
-from benchmarks.running import store
+from benchmarks.running import markdown, options_of, store
 from benchmarks.running import stored as stored_run
 from gbid.core.errors import DataError
 from gbid.excite import ExcitationLimits, KnownModel, expected_covariance, recording_length, rig_limits
 from gbid.rig import Machine, Played, Prbs, Scatter, SensorChain, Unbalance, record
 from gbid.structure import KEY_PARAMETERS, Plant, RotorBearing
 
-OUT = Path(__file__).parents[1] / "docs" / "excitation.json"
 POINTS = ((6.0, 0.0), (5.0, 6000.0), (3.0, 4000.0))
 DT, DURATION = 2e-4, 5.0
 NOISE_U, NOISE_P = 10e-9, 30e-9
@@ -30,6 +27,12 @@ QUIET = SensorChain(
     noise_p_m=NOISE_P, noise_u_m=NOISE_U, runout_amplitude_m=np.zeros((2, 1)), runout_phase_rad=np.zeros((2, 1)),
     offset_p_m=(0.0, 0.0), offset_u_m=(0.0, 0.0),
 )  # fmt: skip
+
+
+def truth_at(point: tuple[float, float]) -> dict[str, float]:
+    """Return the true parameters of bearing and actuators at an operating point."""
+    model = gbid.load_model("theisen2016")
+    return {name: float(v) for name, v in model.key_parameters(*point).items()} | model.actuators
 
 
 def known_at(truth: dict[str, float]) -> KnownModel:
@@ -52,20 +55,15 @@ def mean_relative(std: dict[str, float], truth: dict[str, float]) -> float:
 
 def of_point(point: tuple[float, float], seeds: int, draws: int) -> dict[str, Any]:
     """Return the study at one operating point."""
-    model = gbid.load_model("theisen2016")
-    conditions = {"pressure_bar": point[0], "speed_rpm": point[1]}
-    truth = {name: float(v) for name, v in model.key_parameters(*point).items()} | model.actuators
+    conditions, truth = {"pressure_bar": point[0], "speed_rpm": point[1]}, truth_at(point)
     known = known_at(truth)
     limits = ExcitationLimits(PEAKS, RADIUS)
     found: dict[str, Any] = {"pressure_bar": point[0], "speed_rpm": point[1], "seeds": seeds, "draws": draws}
     options: dict[str, Any] = {"duration": DURATION, "sample_time": DT, "focus": KEY_PARAMETERS}
     made = {kind: gbid.design_excitation(known, limits=limits, kind=kind, **options) for kind in ("multisine", "prbs")}
-    paper = []
-    for seed in range(5):
-        covariance = expected_covariance(known, scaled_prbs(known, 20e-3, seed), DT)
-        paper.append(
-            mean_relative(dict(zip(covariance.free, np.sqrt(np.diag(covariance.covariance)), strict=True)), truth)
-        )
+    expected = [expected_covariance(known, scaled_prbs(known, 20e-3, seed), DT) for seed in range(5)]
+    stds = (dict(zip(q.free, np.sqrt(np.diag(q.covariance)), strict=True)) for q in expected)
+    paper = [mean_relative(std, truth) for std in stds]
     found["mean_std_percent"] = {
         "multisine": mean_relative(made["multisine"].std, truth),
         "prbs": mean_relative(made["prbs"].std, truth),
@@ -88,19 +86,13 @@ def obtained(
     """Return the root mean square of the errors of fits over the standard deviation expected, by parameter."""
     machine = Machine.from_parameters(truth, truth, Unbalance(0.0), QUIET)
     played = Played(excitation.signals["r"], DT, "design")
-    errors = []
+    names, errors = [q.name for q in STRUCTURE.parameters], []
     for seed in range(seeds):
         recording = record(machine, played, conditions=conditions, seed=seed, name="designed")
-        fit = gbid.fit(STRUCTURE, recording, start=truth_of(truth))
+        fit = gbid.fit(STRUCTURE, recording, start={name: truth[name] for name in names})
         assert fit.success, fit.status
         errors.append([(fit.parameters[name] - truth[name]) / excitation.std[name] for name in fit.free])
-    names = [q.name for q in STRUCTURE.parameters]
     return dict(zip(names, np.sqrt(np.mean(np.square(errors), axis=0)).tolist(), strict=True)) if errors else {}
-
-
-def truth_of(truth: dict[str, float]) -> dict[str, float]:
-    """Return the parameters of the structure."""
-    return {q.name: truth[q.name] for q in STRUCTURE.parameters}
 
 
 def wall(truth: dict[str, float], conditions: dict[str, float], draws: int, options: dict[str, Any]) -> dict[str, Any]:
@@ -128,10 +120,8 @@ def wall(truth: dict[str, float], conditions: dict[str, float], draws: int, opti
 
 def of_length(seeds: int) -> dict[str, Any]:
     """Return how long a recording must be for given targets with the noise of the paper's rig, tried by fits."""
-    model = gbid.load_model("theisen2016")
-    point = {"pressure_bar": POINTS[0][0], "speed_rpm": POINTS[0][1]}
-    truth = {name: float(v) for name, v in model.key_parameters(*POINTS[0]).items()} | model.actuators
-    actuators = {name: truth[name] for name in model.actuators}  # known from other recordings, as in the paper
+    point, truth = {"pressure_bar": POINTS[0][0], "speed_rpm": POINTS[0][1]}, truth_at(POINTS[0])
+    actuators = {name: truth[name] for name in truth if name not in KEY_PARAMETERS}  # known from other recordings
     known = KnownModel(STRUCTURE, truth, np.array([45e-9, 45e-9, 0.65e-6, 0.5e-6]), fixed=tuple(actuators))
     limits = ExcitationLimits({name: value / 3 for name, value in PEAKS.items()}, {"p": RADIUS["p"] / 3})
     found = recording_length(
@@ -144,7 +134,8 @@ def of_length(seeds: int) -> dict[str, Any]:
     errors: dict[str, list[float]] = {name: [] for name in found.targets}
     for seed in range(seeds):
         recording = record(machine, played, conditions=point, seed=seed, name="length")
-        fit = gbid.fit(STRUCTURE, recording, start=truth_of(truth), fixed=actuators)
+        start = {q.name: truth[q.name] for q in STRUCTURE.parameters}
+        fit = gbid.fit(STRUCTURE, recording, start=start, fixed=actuators)
         assert fit.success, (fit.status, fit.notes)
         own = {f"damping_{i + 1}": z - modes[i] for i, (_, z) in enumerate(fit.model.modes())}
         own |= {name: fit.parameters[name] - truth[name] for name in ("tau_x", "tau_y")}
@@ -163,21 +154,18 @@ def of_length(seeds: int) -> dict[str, Any]:
 def length_summary(stored: dict[str, Any]) -> str:
     """Return the length for the targets as a sentence and a Markdown table."""
     length = stored["length"]
-    rows = ["| quantity | wanted std | expected | obtained |", "|---|---|---|---|"]
-    for name, wanted in length["targets"].items():
-        rows.append(f"| {name} | {wanted:.3g} | {length['expected'][name]:.3g} | {length['obtained'][name]:.3g} |")
+    columns = length["targets"], length["expected"], length["obtained"]
+    rows = [(name, *(f"{column[name]:.3g}" for column in columns)) for name in length["targets"]]
     text = (
         f"{length['duration_s']:g} s are needed, because of {length['decisive']}. Fits to {length['seeds']} recordings:"
     )
-    return text + "\n\n" + "\n".join(rows)
+    return f"{text}\n\n{markdown(('quantity', 'wanted std', 'expected', 'obtained'), rows)}"
 
 
 def summary(stored: dict[str, Any]) -> str:
     """Return the study as a Markdown table."""
-    heads = (
-        "point | mean std, multisine | designed PRBS | PRBS held 20 ms | gain | seeds | obtained / expected | touched"
-    )
-    rows = [f"| {heads} |", "|" + "---|" * (heads.count("|") + 1)]
+    head = ("point", "mean std, multisine", "designed PRBS", "PRBS held 20 ms", "gain", "seeds", "obtained / expected")
+    rows = []
     for point in stored["points"]:
         mean, ratio, wall_ = point["mean_std_percent"], list(point["obtained"]["multisine"].values()), point["wall"]
         cells = (
@@ -188,33 +176,27 @@ def summary(stored: dict[str, Any]) -> str:
             f"{np.mean(ratio):.3f} ({min(ratio):.2f} to {max(ratio):.2f})",
             f"{wall_['touched']} of {wall_['draws']}",
         )
-        rows.append("| " + " | ".join(cells) + " |")
-    return "\n".join(rows)
+        rows.append(cells)
+    return markdown((*head, "touched"), rows)
 
 
 def main() -> None:
     """Make the study and write it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=60)
-    parser.add_argument("--draws", type=int, default=334, help="at each operating point")
-    parser.add_argument("--only", choices=("points", "length"), help="make this part, and keep the other")
-    parser.add_argument("--out", type=Path, default=OUT)
-    arguments = parser.parse_args()
-    stored = stored_run(arguments.out, {})
-
-    def keep() -> None:
-        store(stored, arguments.out)
-
+    arguments = options_of(
+        __doc__,
+        output="excitation.json",
+        seeds=(60, "recordings"),
+        draws=(334, "machines at each operating point"),
+        only=(str, "points or length: make this part, and keep the other"),
+    )
+    stored = stored_run(arguments.output, {})
     if arguments.only != "points":
         stored["length"] = of_length(arguments.seeds)
-        keep()
         print(length_summary(stored))
     if arguments.only != "length":
-        stored["points"] = []
-        for point in POINTS:
-            stored["points"].append(of_point(point, arguments.seeds, arguments.draws))
-            keep()
+        stored["points"] = [of_point(point, arguments.seeds, arguments.draws) for point in POINTS]
         print(summary(stored))
+    store(stored, arguments.output)
 
 
 if __name__ == "__main__":

@@ -7,17 +7,17 @@ of the unbalance away with the run-out, and about an orbit the film is stiffer. 
 the paper's median reduces crests. Errors are those of the output alone.
 
 Each model of the first recording of an operating point is tried on two seconds of the second one. The machine scatters
-between recordings: ``--seeds`` are campaigns with other draws, and `benchmarks.film_study` looks at many more.
+between recordings: ``--seeds`` are campaigns with other draws. Whether the standard deviations of surfaces hold over
+many campaigns is tried by `benchmarks.surface_intervals`, without recordings.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,138 +25,20 @@ import numpy as np
 from ruamel.yaml import YAML
 
 import gbid
-from benchmarks.running import store
+from benchmarks.running import markdown, options_of, store
 from gbid.core.arrays import FloatArray
 from gbid.lpv import Estimates
-from gbid.rig import FilmStiffening, RotorBearingTruth, Scatter, scattered
+from gbid.rig import FilmStiffening
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.built_in import Film
 
-# ---- Chance in the surfaces of a campaign: how they would be if the machine had scattered otherwise.
-
-CAMPAIGNS = 200
 ENOUGH = 0.95  # share of the points within three standard deviations
-
-
-def luck(
-    fits: Sequence[gbid.FitResult],
-    points: Sequence[tuple[float, float]],
-    errors: FloatArray,
-    scatter: Scatter,
-    grid: tuple[FloatArray, FloatArray],
-    seed: int = 0,
-) -> dict[str, Any]:
-    """Return the mean share of points within three standard deviations, and how many campaigns have enough of them.
-
-    The errors over standard deviations are those at the operating points, rms over the campaigns: the least, the mean
-    and the largest of all points and parameters.
-
-    Parameters
-    ----------
-    fits : sequence of FitResult
-        Fits of a campaign, for their covariances.
-    points : sequence of (pressure [bar], speed [rpm])
-        Their operating points.
-    errors : (n_fits, 14) array
-        Estimates minus the parameters of the machine of each recording.
-    scatter : Scatter
-        Scatter between recordings.
-    grid : (n,) array, (n,) array
-        Points of the domain.
-    seed : int
-        Seed of the machines.
-    """
-    truth = gbid.load_model("theisen2016")
-    places = np.unique(np.array(points, float), axis=0).T
-    true, there, shares, squares = truth.key_parameters(*grid), truth.key_parameters(*places), [], []
-    for lpv in _campaigns(fits, points, lambda _: errors, scatter, seed):
-        found, std = lpv.model.key_parameters(*grid), np.sqrt(np.einsum("nii->ni", lpv.uncertainty_at(*grid)))
-        shares.append([np.mean(np.abs(found[k] - true[k]) < 3 * std[:, i]) for i, k in enumerate(KEY_PARAMETERS)])
-        at, own = lpv.model.key_parameters(*places), np.einsum("nii->ni", lpv.uncertainty_at(*places))
-        squares.append([(at[k] - there[k]) ** 2 / own[:, i] for i, k in enumerate(KEY_PARAMETERS)])
-    every, relative = np.array(shares), np.sqrt(np.mean(squares, axis=0))
-    return {
-        "campaigns": CAMPAIGNS,
-        "mean_within": dict(zip(KEY_PARAMETERS, every.mean(axis=0).tolist(), strict=True)),
-        "with_enough": dict(zip(KEY_PARAMETERS, (every >= ENOUGH).mean(axis=0).tolist(), strict=True)),
-        "rms_of_error_over_std": {
-            "least": float(relative.min()),
-            "mean": float(relative.mean()),
-            "most": float(relative.max()),
-        },
-        "with_enough_of_all": float((every >= ENOUGH).all(axis=1).mean()),
-    }
-
-
-def luck_at_best(
-    fits: Sequence[gbid.FitResult],
-    points: Sequence[tuple[float, float]],
-    scatter: Scatter,
-    grid: tuple[FloatArray, FloatArray],
-    seed: int = 0,
-) -> float:
-    """Return the share of campaigns in which all fourteen parameters have enough points, if nothing were wrong.
-
-    The fits have the errors that their covariances say, and the standard deviation of each surface at each point is
-    known exactly: it is the rms of its error over the campaigns. No method with honest intervals has a larger share.
-
-    Parameters
-    ----------
-    fits, points, scatter, grid, seed
-        As in `luck`.
-    """
-
-    def as_they_say(rng: np.random.Generator) -> FloatArray:
-        covariances = [_key_covariance(fit) for fit in fits]
-        return np.array([rng.multivariate_normal(np.zeros(len(one)), one) for one in covariances])
-
-    true = gbid.load_model("theisen2016").key_parameters(*grid)
-    errors = np.array(
-        [
-            [found[key] - true[key] for key in KEY_PARAMETERS]
-            for lpv in _campaigns(fits, points, as_they_say, scatter, seed)
-            for found in [lpv.model.key_parameters(*grid)]
-        ]
-    )
-    within = np.abs(errors) < 3 * np.sqrt(np.mean(errors**2, axis=0))
-    return float((within.mean(axis=2) >= ENOUGH).all(axis=1).mean())
-
-
-def _campaigns(
-    fits: Sequence[gbid.FitResult],
-    points: Sequence[tuple[float, float]],
-    errors_of: Callable[[np.random.Generator], FloatArray],
-    scatter: Scatter,
-    seed: int,
-) -> Iterator[gbid.LpvFit]:
-    """Return the surfaces of campaigns with new machines, to whose parameters errors of fits are added."""
-    truth, rng = gbid.load_model("theisen2016"), np.random.default_rng(seed)
-    known = gbid.fit_lpv(fits, points).estimates
-    machines = [
-        RotorBearingTruth.from_parameters({key: float(v) for key, v in truth.key_parameters(*point).items()})
-        for point in points
-    ]
-    for _ in range(CAMPAIGNS):
-        drawn = [scattered(machine, scatter, rng)[0].key_parameters() for machine in machines]
-        values = np.array([[own[key] for key in KEY_PARAMETERS] for own in drawn]) + errors_of(rng)
-        yield gbid.fit_lpv(Estimates(known.recordings, known.points, values, known.covariance))
-
-
-def _key_covariance(fit: gbid.FitResult) -> FloatArray:
-    own = [fit.free.index(key) for key in KEY_PARAMETERS]
-    return np.asarray(fit.covariance[np.ix_(own, own)])
-
-
-# ---- The study.
-
 ROOT = Path(__file__).parents[1]
-STORED = ROOT / "docs" / "film.json"
 RESULTS = Path("results") / "theisen2016"
 SLOW_ROLL = "p5_n200_still1"
 FITS: dict[str, Film] = {"linear": "linear", "film": "stiffening"}
 _HELD_OUT = 10_000  # samples of a cross-validation
 _GRID = 1000  # random points of the domain
-SEEDS = (2016, 2017)  # the first is that of the experiment
 _STEMS = ("pressure_bar", "speed_rpm")
 
 
@@ -197,14 +79,6 @@ def fitted(recordings: Mapping[str, gbid.Recording], folder: Path) -> None:
             gbid.save_fit(gbid.fit(structure, recording, criterion="trace"), file)
 
 
-def random_points(points: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
-    """Return pressures and speeds of random points of the domain."""
-    rng = np.random.default_rng(0)
-    low, high = np.min(points, axis=0), np.max(points, axis=0)
-    P, Omega = (rng.uniform(a, b, _GRID) for a, b in zip(low, high, strict=True))
-    return P, Omega
-
-
 def own_machines(recordings: Sequence[gbid.Recording]) -> FloatArray:
     """Return the key parameters of the machine of each recording, (n, 14)."""
     machines = [json.loads(recording.provenance["truth"]) for recording in recordings]
@@ -218,7 +92,8 @@ def surfaces(
 
     There are two truths: the surfaces of the rig, and those through the machines that it drew for the recordings.
     """
-    truth, lpv, (P, Omega) = gbid.load_model("theisen2016"), gbid.fit_lpv(fits, points), random_points(points)
+    truth, lpv, rng = gbid.load_model("theisen2016"), gbid.fit_lpv(fits, points), np.random.default_rng(0)
+    P, Omega = (rng.uniform(min(ends), max(ends), _GRID) for ends in zip(*points, strict=True))
     std = np.sqrt(np.einsum("nii->ni", lpv.uncertainty_at(P, Omega)))
     drawn = gbid.fit_lpv(Estimates(lpv.estimates.recordings, lpv.estimates.points, machines, lpv.estimates.covariance))
     found, true, mean = (model.key_parameters(P, Omega) for model in (lpv.model, truth, drawn.model))
@@ -257,8 +132,8 @@ def across(fits: Mapping[str, gbid.FitResult], recordings: Mapping[str, gbid.Rec
     return [gbid.cross_validate(fits[a], recordings[b][:_HELD_OUT]).fit_percent.ravel().tolist() for a, b in pairs]
 
 
-def study(results: Path, *, chance: bool = True) -> dict[str, Any]:
-    """Fit the recordings and return the figures; `chance` asks for those of many campaigns."""
+def study(results: Path) -> dict[str, Any]:
+    """Fit the recordings and return the figures."""
     recordings = prefiltered(results)
     fitted(recordings, results / "fits")
     at = [tuple(recording.conditions[key] for key in _STEMS) for recording in recordings.values()]
@@ -280,14 +155,8 @@ def study(results: Path, *, chance: bool = True) -> dict[str, Any]:
             np.array([[numbers[key] for key in KEY_PARAMETERS] for numbers in each])
             for each in zip(*((fit.parameters, fit.std) for fit in fits.values()), strict=True)
         )
-        errors = values - machines
-        size = np.sqrt(np.mean((errors / std) ** 2, axis=0))
+        size = np.sqrt(np.mean(((values - machines) / std) ** 2, axis=0))
         run[kind]["error_of_a_fit"] = dict(zip(KEY_PARAMETERS, size.tolist(), strict=True))
-        if chance:
-            scatter, grid = Scatter(share=rig["scatter"]["share"]), random_points(at)
-            run[kind]["chance"] = luck(list(fits.values()), at, errors, scatter, grid)
-            if kind == "film":
-                run[kind]["chance"]["at_best"] = luck_at_best(list(fits.values()), at, scatter, grid)
         if kind == "film":
             run["stiffening"] = stiffening(list(fits.values()), at, true)
     return run
@@ -298,28 +167,23 @@ COLUMNS = tuple((kind, truth) for truth in ("of_rig", "of_recordings") for kind 
 
 def table(run: Mapping[str, Any]) -> str:
     """Return the figures of the surfaces as a Markdown table."""
-    lines = [
-        "| parameter | linear, rig | film, rig | linear, machines drawn | film, machines drawn |",
-        "|---|---|---|---|---|",
-    ]
+    lines = []
     for key in KEY_PARAMETERS:
-        cells = []
+        cells = [key]
         for kind, truth in COLUMNS:
             row = run[kind]["surfaces"][truth][key]
             share = f"{100 * row['within']:.0f} %"
             marked = share if row["within"] >= ENOUGH else f"**{share}**"
             cells.append(f"{marked}, {100 * row['relative_error']:.1f} %")
-        lines.append(f"| {key} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append(cells)
+    head = ("parameter", "linear, rig", "film, rig", "linear, machines drawn", "film, machines drawn")
+    return markdown(head, lines)
 
 
 def summary(run: Mapping[str, Any]) -> str:
     """Return the other figures in sentences."""
     linear, film = (np.array(run[kind]["crossval_percent"]) for kind in FITS)
-    gain, of, chance = film - linear, run["stiffening"], {kind: run[kind]["chance"] for kind in FITS}
-    worst = {kind: min(own["mean_within"].items(), key=lambda row: row[1]) for kind, own in chance.items()}
-    ratio = chance["film"]["rms_of_error_over_std"]
-    rare = min(chance["film"]["with_enough"].items(), key=lambda row: row[1])
+    gain, of = film - linear, run["stiffening"]
     missed = [_missed(run, kind, truth) for kind, truth in COLUMNS]
     others = [
         f"- The same with seed {seed} of the rig, other draws of scatter and noise: linear "
@@ -334,19 +198,6 @@ def summary(run: Mapping[str, Any]) -> str:
             f"- Below 95 %, surfaces of the rig: linear {missed[0]}; film {missed[1]}.",
             f"- Below 95 %, surfaces through the machines drawn: linear {missed[2]}; film {missed[3]}.",
             *others,
-            f"- {chance['film']['campaigns']} campaigns with new draws of the scatter, and the errors that the fits "
-            "have here about the machine of their own recording. Points within three standard deviations, mean: "
-            f"film {100 * worst['film'][1]:.1f} % or more ({worst['film'][0]} has the least), linear "
-            f"{100 * worst['linear'][1]:.0f} % for {worst['linear'][0]}. A parameter of the film fits reaches 95 % in "
-            f"{100 * rare[1]:.0f} % of the campaigns or more ({rare[0]} in the fewest), and all fourteen do in "
-            f"{100 * chance['film']['with_enough_of_all']:.0f} %; of the linear fits all fourteen do in "
-            f"{100 * chance['linear']['with_enough_of_all']:.0f} %. With fits that err as their covariances say, and "
-            "with standard deviations of the surfaces that are known exactly, all fourteen would do in "
-            f"{100 * chance['film']['at_best']:.0f} %: more is not possible with intervals that hold what they say.",
-            "- At single operating points the rms of error over standard deviation, over these campaigns, is "
-            f"{ratio['least']:.2f} to {ratio['most']:.2f}, on average {ratio['mean']:.2f}. The "
-            "errors of the fits are the same in all these campaigns: what they have in common "
-            "at a point is a bias, which standard deviations do not contain.",
             f"- Stiffening: true {of['true'] / 1e8:.2f}, found {of['surface'] / 1e8:.2f} ± "
             f"{of['surface_std'] / 1e8:.2f} (1e8 1/m²).",
             f"- Cross-validation on another recording of the same point, {len(linear)} pairs, x and y: linear "
@@ -394,17 +245,18 @@ def plot_study(run: Mapping[str, Any]) -> Any:
 
 def main() -> None:
     """Run, print and store."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=Path, help="keeps recordings and fits; a temporary folder without")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, help="of the rig; the first is shown in full")
-    parser.add_argument("--output", type=Path, default=STORED)
-    options = parser.parse_args()
+    options = options_of(
+        __doc__,
+        output="film.json",
+        folder=(Path, "keeps recordings and fits; a temporary folder without"),
+        workers=(1, "processes of the recordings"),
+        seeds=((2016, 2017), "of the rig; the first, that of the experiment, is shown in full"),
+    )
     with tempfile.TemporaryDirectory() as scratch:
         folders = [(options.folder or Path(scratch)) / str(seed) for seed in options.seeds]
         for folder, seed in zip(folders, options.seeds, strict=True):
             recorded(folder, seed, options.workers)
-        run, *others = (study(folder / RESULTS, chance=folder == folders[0]) for folder in folders)
+        run, *others = (study(folder / RESULTS) for folder in folders)
     run["other_campaigns"] = {str(seed): other for seed, other in zip(options.seeds[1:], others, strict=True)}
     store(run, options.output)
     print(table(run), summary(run), sep="\n\n")

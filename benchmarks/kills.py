@@ -28,7 +28,6 @@ the command that follows is told a time that runs backwards.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import json
@@ -47,8 +46,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.running import options_of, store
+
 VERBS = {"run": 0.3, "batch": 0.06, "tune": 0.24, "report": 0.2, "figures": 0.2}
 """Share of the kills of each verb; `batch` has fewer, because its workers import everything anew."""
+_SERIAL = ("--engine", "serial")
+_ENGINES = {"run": _SERIAL, "tune": _SERIAL, "batch": ("--engine", "pool", "--workers", "2")}
 _MARK = "GBID_KILL_STUDY"
 _PATIENCE = 2.0  # time after which a process of a killed command is an orphan [s]
 _LONGEST = 300.0  # time after which a command counts as hanging [s]
@@ -87,22 +90,23 @@ structure = gbid.LinearStructure("spring", parameters, matrices)
 """
 
 
+_COUNTED = ("kills", "campaigns", "clocks", "full")
+_FAULTS = ("lost", "twice", "orphans", "left", "failed")
+
+
 @dataclass
 class Tally:
-    """What happened to one verb."""
+    """What happened to one verb: counts of kills and faults by name, signals, and the faults in words."""
 
-    kills: int = 0
-    campaigns: int = 0
-    clocks: int = 0
-    full: int = 0
-    lost: int = 0
-    twice: int = 0
-    orphans: int = 0
-    left: int = 0
-    failed: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
     longest_end_s: float = 0.0
     signals: Counter[str] = field(default_factory=Counter)
     faults: list[str] = field(default_factory=list)
+
+    def fault(self, kind: str, text: str, count: int = 1) -> None:
+        """Count a fault."""
+        self.counts[kind] += count
+        self.faults.append(text)
 
 
 @dataclass(frozen=True)
@@ -214,7 +218,7 @@ def left_over(folder: Path) -> list[str]:
     return [path.name for path in folder.rglob(".*")]
 
 
-def make_cases(folder: Path, kernels: Path) -> list[Case]:
+def make_cases(folder: Path) -> list[Case]:
     """Return the cases after an undisturbed run of each; `tune`, `report` and `figures` start from made results."""
     small, many = folder / "small", folder / "many"
     write_experiment(small, 2, _CONTROLLER)
@@ -228,19 +232,21 @@ def make_cases(folder: Path, kernels: Path) -> list[Case]:
             _here((earlier, str(template / "experiment.yaml"), "--engine", "serial"))
         if verb == "report":
             (template / "results/killed/report.html").unlink()
-        more = {"run": ("--engine", "serial"), "tune": ("--engine", "serial")}
-        arguments = ("--engine", "pool", "--workers", "2") if verb == "batch" else more.get(verb, ())
+        arguments = _ENGINES.get(verb, ())
         done = folder / f"{verb}_done"
         shutil.copytree(template, done)
         if verb != "batch":
             warm = folder / f"{verb}_warm"
             shutil.copytree(template, warm)
             _here((verb, str(warm / "experiment.yaml"), *arguments))
-        seconds = _undisturbed((verb, str(done / "experiment.yaml"), *arguments), folder)
+        log, began = folder / "log.txt", time.monotonic()
+        status = ended(begin((verb, str(done / "experiment.yaml"), *arguments), log, "undisturbed"), _LONGEST)
+        seconds = time.monotonic() - began
+        if status != 0:
+            raise SystemExit(f"gbid {verb}: status {status}\n{log.read_text()}")
         expected = {name: key for name, (key, _, _) in complete(done / "results/killed").items()}
         cases.append(Case(verb, template, arguments, expected, seconds))
         print(f"{verb}: {len(expected)} results, {seconds:.2f} s", flush=True)
-    assert kernels.is_dir()
     return cases
 
 
@@ -256,22 +262,13 @@ def _here(arguments: tuple[str, ...]) -> None:
             raise SystemExit(f"gbid {' '.join(arguments)}: {told.getvalue()}") from None
 
 
-def _undisturbed(arguments: tuple[str, ...], folder: Path) -> float:
-    began = time.monotonic()
-    status = ended(begin(arguments, folder / "log.txt", "undisturbed"), _LONGEST)
-    if status != 0:
-        raise SystemExit(f"gbid {' '.join(arguments)}: status {status}\n{(folder / 'log.txt').read_text()}")
-    return time.monotonic() - began
-
-
 def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most: int) -> None:
     """Run one campaign: kill and start again until the command ends by itself, or `most` kills are done."""
     shutil.copytree(case.template, folder)
     results, log = folder / "results/killed", folder / "log.txt"
     arguments = (case.verb, str(folder / "experiment.yaml"), *case.arguments)
-    clock = tally.campaigns % 2 == 1
-    tally.campaigns += 1
-    tally.clocks += clock
+    clock = tally.counts["campaigns"] % 2 == 1
+    tally.counts.update(campaigns=1, clocks=clock)
     seen: dict[str, tuple[str, int, int]] = {}
     for attempt in range(1000):
         mark = f"{os.getpid()}-{folder.name}-{attempt}"
@@ -279,7 +276,7 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
         largest = chance.randrange(2_000, 60_000) if full else 0
         process = begin(arguments, log, mark, clock and attempt > 0, largest)
         by_worker = case.verb == "batch" and attempt % 3 == 2
-        allowed = tally.kills < most and not full
+        allowed = tally.counts["kills"] < most and not full
         status = ended(process, chance.uniform(0.0, case.seconds) if allowed else _LONGEST)
         number = chance.choice(_SIGNALS)
         if status is None and allowed:
@@ -287,33 +284,29 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
             victim = chance.choice(workers) if workers else process
             with contextlib.suppress(ProcessLookupError):
                 os.kill(victim, signal.SIGKILL if workers else number)
-                tally.kills += 1
+                tally.counts["kills"] += 1
                 tally.signals["SIGKILL of a worker" if workers else number.name] += 1
             status = ended(process, _LONGEST if workers else 30.0)
         if status is None:
             os.kill(process, signal.SIGKILL)
             status = ended(process, 30.0)
-            tally.failed += 1
-            tally.faults.append(f"{folder.name}: hangs after {number.name}: {log.read_text()[-300:]}")
+            tally.fault("failed", f"{folder.name}: hangs after {number.name}: {log.read_text()[-300:]}")
         _check_orphans(mark, tally, folder)
         now = complete(results)
         for name, entry in seen.items():
             if name not in now:
-                tally.lost += 1
-                tally.faults.append(f"{folder.name}: {name} is gone")
+                tally.fault("lost", f"{folder.name}: {name} is gone")
             elif now[name][0] == entry[0] and now[name][1:] != entry[1:]:
-                tally.twice += 1
-                tally.faults.append(f"{folder.name}: {name} was made twice")
+                tally.fault("twice", f"{folder.name}: {name} was made twice")
         if status == 0:
             break
         code = os.waitstatus_to_exitcode(status or 0)
         if full and code == 3 and "may write (ulimit -f)" in log.read_text():
-            tally.full += 1
+            tally.counts["full"] += 1
             seen = now
             continue
         if code not in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGHUP, -signal.SIGINT, 130):
-            tally.failed += 1
-            tally.faults.append(f"{folder.name}: ends with {code}: {log.read_text()[-300:]}")
+            tally.fault("failed", f"{folder.name}: ends with {code}: {log.read_text()[-300:]}")
             if code == 2:
                 return
         if clock:
@@ -326,11 +319,9 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
     keys = {name: key for name, (key, _, _) in complete(results).items()}
     for name in sorted({*keys, *case.expected}):
         if keys.get(name) != case.expected.get(name):
-            tally.lost += 1
-            tally.faults.append(f"{folder.name}: {name} differs from the undisturbed run")
-    left = left_over(folder)
-    tally.left += len(left)
-    tally.faults += [f"{folder.name}: left over {name}" for name in left]
+            tally.fault("lost", f"{folder.name}: {name} differs from the undisturbed run")
+    for name in left_over(folder):
+        tally.fault("left", f"{folder.name}: left over {name}")
     shutil.rmtree(folder)
 
 
@@ -346,8 +337,7 @@ def _check_orphans(mark: str, tally: Tally, folder: Path) -> None:
     while there := processes_of(mark):
         waited = time.monotonic() - began
         if waited > _PATIENCE:
-            tally.orphans += len(there)
-            tally.faults.append(f"{folder.name}: {len(there)} processes outlive their runner")
+            tally.fault("orphans", f"{folder.name}: {len(there)} processes outlive their runner", len(there))
             for process in there:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(process, signal.SIGKILL)
@@ -364,52 +354,46 @@ def study(kills: int, minutes: float, seed: int, output: Path | None) -> dict[st
         kernels = folder / "kernels"
         kernels.mkdir(mode=0o700)
         os.environ["GBID_CACHE_DIR"] = str(kernels)
-        cases = make_cases(folder, kernels)
+        cases = make_cases(folder)
         tallies = {case.verb: Tally() for case in cases}
         deadline = time.monotonic() + 60 * minutes
         number, most = 0, {verb: round(share * kills) for verb, share in VERBS.items()}
-        while time.monotonic() < deadline and any(tallies[verb].kills < most[verb] for verb in VERBS):
-            for case in sorted(cases, key=lambda case: tallies[case.verb].kills / VERBS[case.verb])[:2]:
+        while time.monotonic() < deadline and any(tallies[verb].counts["kills"] < most[verb] for verb in VERBS):
+            for case in sorted(cases, key=lambda case: tallies[case.verb].counts["kills"] / VERBS[case.verb])[:2]:
                 number += 1
                 campaign(case, folder / f"{case.verb}{number}", chance, tallies[case.verb], most[case.verb])
-            done = sum(tally.kills for tally in tallies.values())
+            figures = _figures(seed, kills, tallies, ())
             faults = [fault for tally in tallies.values() for fault in tally.faults]
-            print(f"{done} kills, {len(faults)} faults {faults[-2:]}", flush=True)
-            if output is not None:
-                output.write_text(json.dumps(_figures(seed, kills, tallies, ()), indent=1) + "\n", encoding="utf-8")
+            print(f"{figures['kills']} kills, {len(faults)} faults {faults[-2:]}", flush=True)
+            store(figures, output)
         return _figures(seed, kills, tallies, left_over(kernels))
 
 
 def _figures(seed: int, kills: int, tallies: Mapping[str, Tally], stale: Sequence[str]) -> dict[str, Any]:
-    totals = ("kills", "campaigns", "clocks", "full", "lost", "twice", "orphans", "left", "failed")
+    verbs = {
+        verb: {word: tally.counts[word] for word in _COUNTED + _FAULTS} | {"faults": tally.faults}
+        for verb, tally in tallies.items()
+    }
     return {
         "seed": seed,
         "asked": kills,
-        **{word: sum(getattr(tally, word) for tally in tallies.values()) for word in totals},
+        **{word: sum(row[word] for row in verbs.values()) for word in _COUNTED + _FAULTS},
         "longest_end_s": round(max(tally.longest_end_s for tally in tallies.values()), 2),
         "left_in_cache": list(stale),
         "signals": dict(sum((tally.signals for tally in tallies.values()), Counter())),
-        "verbs": {
-            verb: {word: getattr(tally, word) for word in totals} | {"faults": tally.faults}
-            for verb, tally in tallies.items()
-        },
+        "verbs": verbs,
     }
 
 
 def main() -> None:
     """Run the study and write its figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=1000)
-    parser.add_argument("--minutes", type=float, default=240.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--output", type=Path)
-    given = parser.parse_args()
+    given = options_of(
+        __doc__, kills=(1000, "how many"), minutes=(240.0, "at most"), seed=(0, "of instants and signals")
+    )
     found = study(given.kills, given.minutes, given.seed, given.output)
-    text = json.dumps(found, indent=1)
-    print(text)
-    if given.output is not None:
-        given.output.write_text(text + "\n", encoding="utf-8")
-    raise SystemExit(bool(found["lost"] or found["twice"] or found["orphans"] or found["left"] or found["failed"]))
+    store(found, given.output)
+    print(json.dumps(found, indent=1))
+    raise SystemExit(any(found[word] for word in _FAULTS))
 
 
 if __name__ == "__main__":

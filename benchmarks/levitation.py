@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 import gbid
+from benchmarks.running import options_of, run_study
 from gbid.cli.templates import write_held_bearing
 from gbid.core.files import share_folder
 from gbid.structure import load_structure
@@ -27,16 +27,11 @@ _WAYS = {"unknown": ("structure", "prediction"), "known": ("loop", "simulation")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study."""
-    parser = argparse.ArgumentParser(prog="benchmarks.levitation", description="Identify a levitation in its loop.")
-    parser.add_argument("--recordings", type=int, default=60, help="number of recordings")
-    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
-    options = parser.parse_args(arguments)
-    run = {"gbid": gbid.__version__, "recordings": options.recordings, "rows": study(options.recordings)}
-    text = json.dumps(run, indent=2) + "\n"
-    if options.output:
-        options.output.write_text(text, encoding="utf-8")
-    print(text, end="")
-    return 0
+    count = options_of(__doc__, arguments, recordings=(60, "number of recordings"))
+    run = {"gbid": gbid.__version__, "recordings": count.recordings}
+    return run_study(
+        lambda: run | {"rows": study(count.recordings)}, count.output, lambda found: json.dumps(found, indent=2)
+    )
 
 
 def study(count: int) -> list[dict[str, Any]]:
@@ -71,9 +66,8 @@ def held(seed: int) -> gbid.Recording:
         write_held_bearing(path, seed)
         _, added, current, position = np.loadtxt(path, delimiter=",", skiprows=1).T
     signals = {"added": added[:, None], "current": current[:, None], "position": 1e-6 * position[:, None]}
-    return gbid.Recording(
-        signals, _SAMPLE_TIME, name=f"run{seed}", units={"added": "A", "current": "A", "position": "m"}
-    )
+    units = {"added": "A", "current": "A", "position": "m"}
+    return gbid.Recording(signals, _SAMPLE_TIME, name=f"run{seed}", units=units)
 
 
 if __name__ == "__main__":

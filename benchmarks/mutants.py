@@ -8,7 +8,6 @@ fault that changes no behaviour. Stored judgements are kept for the faults that 
 
 from __future__ import annotations
 
-import argparse
 import ast
 import importlib
 import json
@@ -33,7 +32,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.running import store
+from benchmarks.running import markdown, options_of, store
 from benchmarks.running import stored as stored_run
 
 # ---- Small faults that a test should notice: one operator, number, argument or statement of a source file changed.
@@ -196,17 +195,10 @@ def _faulty_calls(node: ast.Call, func: ast.expr, args: list[ast.expr], keywords
 # ---- The study.
 
 ROOT = Path(__file__).parents[1]
-STORED = ROOT / "docs" / "mutants.json"
 PACKAGES = ("identify", "lpv", "control", "prefilter", "validate")
 LIBRARIES = (
-    "numpy",
-    "scipy.signal",
-    "scipy.optimize",
-    "scipy.stats",
-    "casadi",
-    "h5py",
-    "pydantic",
-    "matplotlib.pyplot",
+    *("numpy", "scipy.signal", "scipy.optimize", "scipy.stats"),
+    *("casadi", "h5py", "pydantic", "matplotlib.pyplot"),
 )
 """Loaded before the forks; none of them is a plugin of pytest, which would load it itself."""
 NEEDED = ("gbid", "tests", "models", "experiments", "benchmarks", "docs", "pyproject.toml", "Makefile", "README.md")
@@ -274,8 +266,9 @@ def try_one(trees: Path, task: tuple[Mutant, list[str]]) -> dict[str, Any]:
         return {**found, "outcome": "untested"}
     tree = trees / str(os.getpid())
     if not tree.exists():
+        tree.mkdir(parents=True)
         for name in NEEDED:
-            (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, _made(tree) / name)
+            (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, tree / name)
     file = tree / mutant.file
     text = file.read_text(encoding="utf-8")
     file.write_text(mutant.apply(text), encoding="utf-8")
@@ -288,11 +281,6 @@ def try_one(trees: Path, task: tuple[Mutant, list[str]]) -> dict[str, Any]:
         file.write_text(text, encoding="utf-8")
     outcome = "survived" if code == 0 else "timeout" if code is None or code < 0 else "killed"
     return {**found, "outcome": outcome, "seconds": round(time.monotonic() - began, 1)}
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 def _in_a_fork(tree: Path, cpu_s: int = 150, wall_s: float = 900.0) -> int | None:
@@ -337,28 +325,28 @@ def sample(number: int, seed: int, packages: Sequence[str]) -> list[Mutant]:
 
 def summary(run: Sequence[Mapping[str, Any]]) -> str:
     """Return the study's table as Markdown: the mutants of each package, and the share that is killed."""
-    lines = ["| package | mutants | killed | equivalent | survived | share killed |", "|---|---|---|---|---|---|"]
+    lines = []
     packages = {entry["file"].split("/")[1] for entry in run}
     for name in (*sorted(packages), None):
         counts = Counter(verdict(entry) for entry in run if name in (None, entry["file"].split("/")[1]))
         n, same, killed = counts.total(), counts["equivalent"], counts["killed"]
         share = f"{100 * killed / max(n - same, 1):.1f} %"
         label = f"`gbid/{name}`" if name else "all"
-        lines.append(f"| {label} | {n} | {killed} | {same} | {n - same - killed} | {share} |")
-    return "\n".join(lines)
+        lines.append((label, n, killed, same, n - same - killed, share))
+    return markdown(("package", "mutants", "killed", "equivalent", "survived", "share killed"), lines)
 
 
 def survivors(run: Sequence[Mapping[str, Any]]) -> str:
     """Return the mutants that no test noticed as Markdown, with the reason of those that change no behaviour."""
-    lines = ["| where | was | became | equivalent |", "|---|---|---|---|"]
+    lines = []
     for entry in run:
         if verdict(entry) != "killed":
             old, new = (
                 f"`{shorten(entry[key], 70, placeholder=' ...')}`".replace("|", "\\|") for key in ("old", "new")
             )
             where = f"`{entry['file'].removeprefix('gbid/')}` {entry['line']}"
-            lines.append(f"| {where} | {old} | {new} | {entry.get('equivalent', 'no')} |")
-    return "\n".join(lines)
+            lines.append((where, old, new, entry.get("equivalent", "no")))
+    return markdown(("where", "was", "became", "equivalent"), lines)
 
 
 def verdict(entry: Mapping[str, Any]) -> str:
@@ -373,22 +361,20 @@ def _key(entry: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.mutants", description=__doc__)
-    parser.add_argument("--number", type=int, default=300, help="mutants in the sample")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument(
-        "--packages", nargs="+", default=list(PACKAGES), help="packages of gbid, tested by tests/PACKAGE"
+    options = options_of(
+        __doc__,
+        arguments,
+        "mutants.json",
+        number=(300, "mutants in the sample"),
+        seed=(1, "of the sample"),
+        packages=(PACKAGES, "packages of gbid, tested by tests/PACKAGE"),
+        jobs=(2, "processes"),
+        budget=(40.0, "time of the tests of one mutant [s]"),
+        work=(ROOT / "build" / "mutants", "folder of what is measured first"),
     )
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--budget", type=float, default=40.0, help="time of the tests of one mutant [s]")
-    parser.add_argument(
-        "--work", type=Path, default=ROOT / "build" / "mutants", help="folder of what is measured first"
-    )
-    parser.add_argument("--output", type=Path, default=STORED)
-    options = parser.parse_args(arguments)
-    _made(options.work)
+    options.work.mkdir(parents=True, exist_ok=True)
     if not (options.work / "durations.json").is_file():
-        call = f"m.measure(m.Path({str(options.work)!r}), {options.jobs}, {options.packages})"
+        call = f"m.measure(m.Path({str(options.work)!r}), {options.jobs}, {list(options.packages)})"
         code = f"import benchmarks.mutants as m; {call}"
         subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
     for name in LIBRARIES:  # once, before the forks
@@ -399,9 +385,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     judged = {_key(entry): entry["equivalent"] for entry in before if "equivalent" in entry}
     unharmed = replace(tasks[0][0], start=0, old="", new="")
     if try_one(options.work / "trees", (unharmed, tasks[0][1]))["outcome"] != "survived":
-        raise SystemExit(
-            "tests fail without a mutant: see log.txt in " + str(options.work / "trees" / str(os.getpid()))
-        )
+        raise SystemExit(f"tests fail without a mutant: see log.txt in {options.work / 'trees' / str(os.getpid())}")
     run: list[dict[str, Any]] = []
     with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("fork")) as pool:
         for entry in pool.map(partial(try_one, options.work / "trees"), tasks):

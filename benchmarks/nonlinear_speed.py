@@ -7,15 +7,13 @@ docs/nonlinear-speed.json. The baseline is the pattern of CasADi's documentation
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from statistics import median
 from typing import Any
 
@@ -23,9 +21,10 @@ import casadi as ca
 import numpy as np
 
 import gbid
-from benchmarks.running import store
+from benchmarks.baselines import gauss_newton
+from benchmarks.running import DOCS, markdown, options_of, run_study, stored, timed
 from gbid import NonlinearStructure, Parameter, Recording
-from gbid.core.arrays import FloatArray, one_blas_thread
+from gbid.core.arrays import FloatArray
 from gbid.structure import equations_of, nonlinear_model
 from gbid.structure.linear import symbolic_matrices
 
@@ -39,50 +38,14 @@ _INPUT = 1e-6
 _DELAY = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """A fit by the pattern, with its processor time.
-
-    Attributes
-    ----------
-    parameters : dict of str to float
-        All parameters.
-    initial_state : (6,) array
-        In SI units.
-    build_cpu_s, solve_cpu_s : float
-        Time to construct the functions, and to solve.
-    iterations : int
-        Of IPOPT.
-    status : str
-        Of IPOPT.
-    mean_square : float
-        Mean squared error, summed over the outputs [m^2].
-    """
-
-    parameters: dict[str, float]
-    initial_state: FloatArray
-    build_cpu_s: float
-    solve_cpu_s: float
-    iterations: int
-    status: str
-    mean_square: float
-
-    def figures(self) -> dict[str, Any]:
-        """Return what is stored."""
-        names = ("build_cpu_s", "solve_cpu_s", "iterations", "status", "mean_square")
-        return {name: getattr(self, name) for name in names}
-
-
 def fit_with_mapaccum(
     equations: ca.Function,
     recording: Recording,
     start: Mapping[str, float],
     free: Sequence[str],
     initial_state: FloatArray | None = None,
-    *,
-    tolerance: float = 1e-8,
-    most_s: float = 600.0,
-) -> Found:
+    **limits: float,
+) -> tuple[dict[str, float], FloatArray, dict[str, Any]]:
     """Return the fit of some of the parameters; the others keep their start values, as constants in the step.
 
     Parameters
@@ -97,15 +60,18 @@ def fit_with_mapaccum(
         Names of those to fit.
     initial_state : (6,) array, optional
         Where the first state begins; zero by default.
-    tolerance : float
-        Of IPOPT.
-    most_s : float
-        Limit of the solver's processor time.
+    **limits : float
+        Options of IPOPT.
 
     Returns
     -------
-    Found
-        The last iterate, also when the time was not enough.
+    dict of str to float
+        All parameters of the last iterate, also when the time was not enough.
+    (6,) array
+        Its initial state, in SI units.
+    dict
+        Processor times to construct the functions and to solve, iterations and status of IPOPT, and the mean squared
+        error, summed over the outputs [m^2].
     """
     began = time.process_time()
     u, y = recording.signal("u"), recording.signal("p")
@@ -124,32 +90,21 @@ def fit_with_mapaccum(
     every = step.mapaccum(n - 1)
     states = ca.horzcat(V[-6:], every(V[-6:], z_all[:, :-1], ca.repmat(V[:-6], 1, n - 1)))
     e = ca.vec(y.T / size_y - states[:2, :] * (x_scale[:2] / size_y))
-    J = ca.jacobian(e, V)
-    none, sigma, multipliers = ca.MX.sym("p", 0), ca.MX.sym("sigma"), ca.MX.sym("lam_g", 0)
-    hessian = ca.Function(
-        "nlp_hess_l",
-        [V, none, sigma, multipliers],
-        [sigma * ca.triu(J.T @ J) / n],
-        ["x", "p", "lam_f", "lam_g"],
-        ["triu_hess_gamma_x_x"],
-    )
-    limits = {"print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": 50, "max_cpu_time": most_s}
-    nlp = {"x": V, "f": 0.5 * ca.dot(e, e) / n, "g": ca.MX(0, 1)}
-    solver = ca.nlpsol("solver", "ipopt", nlp, {"hess_lag": hessian, "print_time": False, "ipopt": limits})
+    solver = gauss_newton(V, e, n, max_iter=50, **limits)
     built = time.process_time()
     first = np.zeros(6) if initial_state is None else initial_state / x_scale
     found = solver(x0=np.concatenate([np.array([start[name] for name in free]) / scale, first]))
     solved = time.process_time()
     stats, values = solver.stats(), np.asarray(found["x"])[:, 0]
-    return Found(
-        parameters={**start, **dict(zip(free, (values[:-6] * scale).tolist(), strict=True))},
-        initial_state=values[-6:] * x_scale,
-        build_cpu_s=built - began,
-        solve_cpu_s=solved - built,
-        iterations=int(stats["iter_count"]),
-        status=str(stats["return_status"]),
-        mean_square=2 * float(found["f"]) * size_y**2,
-    )
+    figures = {
+        "build_cpu_s": built - began,
+        "solve_cpu_s": solved - built,
+        "iterations": int(stats["iter_count"]),
+        "status": str(stats["return_status"]),
+        "mean_square": 2 * float(found["f"]) * size_y**2,
+    }
+    parameters = {**start, **dict(zip(free, (values[:-6] * scale).tolist(), strict=True))}
+    return parameters, values[-6:] * x_scale, figures
 
 
 def _sample(equations: ca.Function, h: float, x: ca.SX, z: ca.SX, p: ca.SX, size_y: float) -> ca.SX:
@@ -173,9 +128,8 @@ def _sample(equations: ca.Function, h: float, x: ca.SX, z: ca.SX, p: ca.SX, size
 
 # ---- The study.
 
-STORED = Path(__file__).parents[1] / "docs" / "nonlinear-speed.json"
+STORED = DOCS / "nonlinear-speed.json"
 SAMPLE_TIME = 2e-4
-SAMPLES = 25_000
 _TIMES = 7
 TRUTH = {
     **{"k_xx": -6.3e5, "k_xy": 4e4, "k_yx": 1.7e4, "k_yy": -6.5e5, "d_xx": -52.0, "d_xy": 20.0, "d_yx": -48.0},
@@ -213,46 +167,51 @@ def film(start: Mapping[str, float]) -> NonlinearStructure:
 
 def film_recording(n: int, **changes: float) -> Recording:
     """Return a recording of the bearing with measurement noise; `changes` replace true parameters."""
+    return recorded(nonlinear_model(film(TRUTH), {**TRUTH, **changes}, steps=8), n)
+
+
+def recorded(model: Any, n: int) -> Recording:
+    """Return a recording of a model from u to p, with measurement noise."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.choice([-1.0, 1.0], (n // 25 + 1, 2)), 25, axis=0)[:n] * 4e-6
-    truth = {**TRUTH, **changes}
-    y = nonlinear_model(film(TRUTH), truth, steps=8).simulate(u, SAMPLE_TIME, intersample="foh")
-    y = y + 1e-7 * rng.normal(size=y.shape)
+    y = model.simulate(u, SAMPLE_TIME, intersample="foh") + 1e-7 * rng.normal(size=u.shape)
     return Recording({"u": u, "p": y}, SAMPLE_TIME, name="film", channels={"u": ("x", "y"), "p": ("x", "y")})
 
 
-def linear_start(recording: Recording) -> tuple[dict[str, float], float]:
-    """Return start values from a fit of the linear bearing, without cubic stiffness and gains, and its time [s].
+def linear_start(recording: Recording) -> dict[str, float]:
+    """Return start values from a fit of the linear bearing, without cubic stiffness and gains.
 
     A start need not be exact: the paper's stopping rule will do, and no disturbance gain that cannot whiten the errors.
     """
-    began = time.process_time()
     linear = gbid.fit(LINEAR, recording, stop="paper")
-    return {**dict.fromkeys(TRUTH, 0.0), **{k: v for k, v in linear.parameters.items() if k in TRUTH}}, (
-        time.process_time() - began
-    )
+    return {**dict.fromkeys(TRUTH, 0.0), **{k: v for k, v in linear.parameters.items() if k in TRUTH}}
+
+
+def medians(*calls: Callable[[], Any]) -> tuple[list[Any], list[float]]:
+    """Return the last results of calls in turn, and the medians of their times without the first, which compiles."""
+    rounds = [[timed(call) for call in calls] for _ in range(_TIMES + 1)]
+    return [value for value, _ in rounds[-1]], [median(q[i][1] for q in rounds[1:]) for i in range(len(calls))]
+
+
+def figures_of(result: gbid.FitResult, truth: Mapping[str, float], cpu_s: float) -> dict[str, Any]:
+    """Return time, iterations and status of a fit, and how far its estimates are from the truth."""
+    off = [(result.parameters[name] - truth[name]) / result.std[name] for name in result.free]
+    rms = float(np.sqrt(np.mean(np.square(off))))
+    return {"cpu_s": cpu_s, "iterations": result.iterations, "rms_off_std": rms, "status": str(result.status)}
 
 
 def film_fit(n: int) -> dict[str, Any]:
     """Return the time of a fit from data alone, once compiled, and how far its estimates are from the truth."""
     recording = film_recording(n)
-    linear_s, film_s = [], []
-    for _ in range(_TIMES + 1):  # the first one compiles
-        start, spent = linear_start(recording)
-        began = time.process_time()
-        result = gbid.fit(film(start), recording)
-        film_s.append(time.process_time() - began)
-        linear_s.append(spent)
-    off = [(result.parameters[name] - TRUTH[name]) / result.std[name] for name in result.free]
+    structure = film(linear_start(recording))
+    calls = partial(linear_start, recording), partial(gbid.fit, structure, recording)
+    (_, result), (linear_s, film_s) = medians(*calls)
     return {
         "samples": n,
-        "linear_cpu_s": median(linear_s[1:]),
-        "cpu_s": median(film_s[1:]),
-        "iterations": result.iterations,
-        "steps": result.model.steps,  # type: ignore[union-attr]  # of a nonlinear structure
+        "linear_cpu_s": linear_s,
+        **figures_of(result, TRUTH, film_s),
+        "steps": result.model.steps,
         "mean_square": float(np.trace(result.error_covariance)),
-        "rms_off_std": float(np.sqrt(np.mean(np.square(off)))),
-        "status": str(result.status),
     }
 
 
@@ -260,23 +219,9 @@ def built_in_fit(n: int) -> dict[str, Any]:
     """Return the time of a fit of ``RotorBearing(film="stiffening")`` from data alone, once compiled."""
     structure = gbid.RotorBearing(film="stiffening")
     truth = {q.name: TRUTH.get(q.name, 0.0) for q in structure.parameters} | {"stiffening": FILM}
-    rng = np.random.default_rng(0)
-    u = np.repeat(rng.choice([-1.0, 1.0], (n // 25 + 1, 2)), 25, axis=0)[:n] * 4e-6
-    model = nonlinear_model(equations_of(structure), truth, steps=8)  # type: ignore[arg-type]  # of a film
-    y = model.simulate(u, SAMPLE_TIME, intersample="foh") + 1e-7 * rng.normal(size=u.shape)
-    recording = Recording({"u": u, "p": y}, SAMPLE_TIME, name="film", channels={"u": ("x", "y"), "p": ("x", "y")})
-    times = []
-    for _ in range(_TIMES + 1):
-        began = time.process_time()
-        result = gbid.fit(structure, recording)
-        times.append(time.process_time() - began)
-    off = [(result.parameters[name] - truth[name]) / result.std[name] for name in result.free]
-    return {
-        "cpu_s": median(times[1:]),  # the first one compiles
-        "iterations": result.iterations,
-        "rms_off_std": float(np.sqrt(np.mean(np.square(off)))),
-        "status": str(result.status),
-    }
+    recording = recorded(nonlinear_model(equations_of(structure), truth, steps=8), n)  # type: ignore[arg-type]  # of a film
+    (result,), (spent,) = medians(partial(gbid.fit, structure, recording))
+    return figures_of(result, truth, spent)
 
 
 def with_mapaccum(n: int, most_s: float) -> dict[str, Any]:
@@ -289,19 +234,15 @@ def with_mapaccum(n: int, most_s: float) -> dict[str, Any]:
     linear = gbid.fit(LINEAR, recording, criterion="trace")  # as the pattern weighs the outputs
     found = {**dict.fromkeys(TRUTH, 0.0), **{k: v for k, v in linear.start.items() if k in TRUTH}}
     own = [name for name in TRUTH if name in linear.free]
-    start = linear_start(recording)[0]
-    equations = nonlinear_model(film(start), start, steps=STEPS).function
-    film_alone = fit_with_mapaccum(equations, recording, start, list(TRUTH), most_s=most_s)
+    start = linear_start(recording)
+    by_pattern = partial(fit_with_mapaccum, nonlinear_model(film(start), start, steps=STEPS).function, recording)
+    *_, film_alone = by_pattern(start, list(TRUTH), max_cpu_time=most_s)
     # A start need not be exact: the solver may stop earlier, as gbid's linear fit does by the paper's rule.
-    before = fit_with_mapaccum(equations, recording, found, own, tolerance=1e-4, most_s=most_s)
-    after = fit_with_mapaccum(equations, recording, before.parameters, list(TRUTH), before.initial_state, most_s=most_s)
-    off = [(before.parameters[name] - linear.parameters[name]) / linear.std[name] for name in own]
-    return {
-        "film": film_alone.figures(),
-        "linear_before": before.figures(),
-        "film_after": after.figures(),
-        "linear_off_std": float(np.abs(off).max()),
-    }
+    parameters, state, before = by_pattern(found, own, tol=1e-4, max_cpu_time=most_s)
+    *_, after = by_pattern(parameters, list(TRUTH), state, max_cpu_time=most_s)
+    off = [(parameters[name] - linear.parameters[name]) / linear.std[name] for name in own]
+    stages = {"film": film_alone, "linear_before": before, "film_after": after}
+    return {**stages, "linear_off_std": float(np.abs(off).max())}
 
 
 def as_nonlinear(n: int) -> dict[str, Any]:
@@ -332,15 +273,13 @@ def as_nonlinear(n: int) -> dict[str, Any]:
         steps=2,
     )
     begin = {name: 1.01 * start[name] for name in names}
-    times: dict[str, list[float]] = {"linear": [], "nonlinear": []}
-    for structure, kind in ((bearing, "linear"), (other, "nonlinear")) * (_TIMES + 1):
-        began = time.process_time()
-        result = gbid.fit(structure, recording, start=begin, intersample="foh")  # type: ignore[arg-type]
-        times[kind].append(time.process_time() - began)
+    fits = [partial(gbid.fit, q, recording, start=begin, intersample="foh") for q in (bearing, other)]
+    results, (linear_s, nonlinear_s) = medians(*fits)
+    for result in results:
         if not result.success:
-            raise SystemExit(f"the {kind} fit ended with: {result.status}")
-    found = {f"{kind}_cpu_s": median(own[1:]) for kind, own in times.items()}  # the first one compiles
-    return {"samples": n, "steps": 2, **found, "ratio": found["nonlinear_cpu_s"] / found["linear_cpu_s"]}
+            raise SystemExit(f"the fit of {result.structure} ended with: {result.status}")
+    times = {"linear_cpu_s": linear_s, "nonlinear_cpu_s": nonlinear_s, "ratio": nonlinear_s / linear_s}
+    return {"samples": n, "steps": 2, **times}
 
 
 def memory(n: int) -> dict[str, Any]:
@@ -354,10 +293,8 @@ def own_memory(n: int) -> None:
     """Print the time of a fit and the memory of this process as JSON."""
     recording = film_recording(n)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    began = time.process_time()
-    result = gbid.fit(film({**TRUTH, "c_x": 0.0, "c_y": 0.0}), recording)
+    result, spent = timed(lambda: gbid.fit(film({**TRUTH, "c_x": 0.0, "c_y": 0.0}), recording))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    spent = time.process_time() - began
     figures = {"samples": n, "before_mb": before, "peak_mb": peak, "cpu_s": spent, "status": str(result.status)}
     sys.stdout.write(json.dumps(figures))
 
@@ -394,8 +331,7 @@ def table(run: Mapping[str, Any]) -> str:
         (f"memory, {each['samples']:,} samples", f"{each['peak_mb']:.0f} MB, {each['cpu_s']:.1f} s")
         for each in run["memory"]
     ]
-    lines = ["| what | processor time |", "|---|---|", *(f"| {a} | {b} |" for a, b in rows)]
-    return "\n".join(lines)
+    return markdown(("what", "processor time"), rows)
 
 
 def agrees(run: Mapping[str, Any]) -> bool:
@@ -411,22 +347,24 @@ def _whole(stage: Mapping[str, float]) -> float:
 
 def main() -> None:
     """Measure, print and store."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=SAMPLES)
-    parser.add_argument("--longest", type=int, default=1_000_000, help="samples of the longest recording; 0 for none")
-    parser.add_argument("--most", type=float, default=600.0, help="time limit of the baseline's solver [s]")
-    parser.add_argument("--output", type=Path, default=STORED)
-    options = parser.parse_args()
-    with one_blas_thread():
+    options = options_of(
+        __doc__,
+        output=STORED.name,
+        samples=(25_000, "samples of a recording"),
+        longest=(1_000_000, "samples of the longest recording; 0 for none"),
+        most=(600.0, "time limit of the baseline's solver [s]"),
+    )
+    n, longest = options.samples, options.longest
+    run: dict[str, Any] = {}
+
+    def measured() -> dict[str, Any]:
         # The kernel counts what the parent held before a process began as its own: the baseline comes last.
-        lengths = [options.longest // 4, options.longest // 2, options.longest] if options.longest else []
-        run: dict[str, Any] = {"memory": [memory(n) for n in lengths], "film": film_fit(options.samples)}
-        run["built_in"] = built_in_fit(options.samples)
-        run["as_nonlinear"] = as_nonlinear(options.samples)
-        run["mapaccum"] = with_mapaccum(options.samples, options.most)
-    store(run, options.output)
-    print(table(run))
-    if not agrees(run):
+        run["memory"] = [memory(m) for m in (longest // 4, longest // 2, longest) if m]
+        run.update(film=film_fit(n), built_in=built_in_fit(n), as_nonlinear=as_nonlinear(n))
+        return run | {"mapaccum": with_mapaccum(n, options.most)}
+
+    run_study(measured, options.output, table)
+    if not agrees(stored(options.output, {})):
         raise SystemExit("the baseline ended at other estimates: its time says nothing")
 
 

@@ -5,16 +5,13 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import gbid
-from benchmarks.running import about, finish
-from gbid.core.arrays import one_blas_thread
+from benchmarks.running import about, markdown, options_of, run_study, timed, under
 from gbid.rig import (
     FilmStiffening,
     FlexibleMode,
@@ -27,56 +24,43 @@ from gbid.rig import (
     record,
 )
 
-_N_RECORDINGS, _DURATION_S, _SETTLE_S = 86, 5.0, 0.5
-_POINTS = [(pressure, speed) for pressure in (3.0, 4.0, 5.0, 6.0, 7.0) for speed in (0.0, 4000.0, 6000.0)]
+_SETTLE_S = 0.5
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(prog="benchmarks.rig_speed", description="Time recordings of the virtual rig.")
-    parser.add_argument("--quick", action="store_true", help="two short recordings only, to see that it works")
-    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
-    options = parser.parse_args(arguments)
-    with one_blas_thread():
-        run = measure(2, 0.05) if options.quick else measure(_N_RECORDINGS, _DURATION_S)
-    return finish(run, options.output, rig_table(run))
+    options = options_of(__doc__, arguments, quick=(False, "two short recordings only, to see that it works"))
+    return run_study(lambda: measure(*((2, 0.05) if options.quick else (86, 5.0))), options.output, rig_table)
 
 
 def measure(n_recordings: int, duration_s: float) -> dict[str, Any]:
     """CPU time of recordings with nonlinear stacks and all effects, and of a linear one."""
     make(0, 0.02)  # compiles
-    began, wall = time.process_time(), time.perf_counter()
-    for i in range(n_recordings):
-        make(i, duration_s)
-    campaign, campaign_wall = time.process_time() - began, time.perf_counter() - wall
-    began = time.process_time()
-    make(0, duration_s, linear=True)
+    wall = time.perf_counter()
+    _, campaign = timed(lambda: [make(i, duration_s) for i in range(n_recordings)])
     return {
         **about(),
         "n_recordings": n_recordings,
         "duration_s": duration_s,
         "settle_s": _SETTLE_S,
         "campaign_cpu_s": campaign,
-        "campaign_wall_s": campaign_wall,
-        "linear_cpu_s": time.process_time() - began,
+        "campaign_wall_s": time.perf_counter() - wall,
+        "linear_cpu_s": timed(lambda: make(0, duration_s, linear=True))[1],
     }
 
 
 def make(i: int, duration_s: float, linear: bool = False) -> None:
     """One recording of the campaign, with all that the rig can do, or with what is linear only."""
-    pressure, speed = _POINTS[i % len(_POINTS)]
     model = gbid.load_model("theisen2016")
+    pressure, speed = model.operating_points[i % len(model.operating_points)]
     effects: dict[str, Any] = {
         "flexible_mode": FlexibleMode(),
         "stiffening": FilmStiffening(),
         "non_synchronous": NonSynchronous(),
         "process_noise": ProcessNoise(),
     }
-    machine = Machine.from_parameters(
-        model.key_parameters(pressure, speed),
-        model.actuators if linear else PiezoStacks.unequal(0.05, 1),
-        **({} if linear else effects),
-    )
+    actuators = model.actuators if linear else PiezoStacks.unequal(0.05, 1)
+    machine = Machine.from_parameters(model.key_parameters(pressure, speed), actuators, **({} if linear else effects))
     record(
         machine,
         Prbs(duration_s),
@@ -92,13 +76,12 @@ def make(i: int, duration_s: float, linear: bool = False) -> None:
 def rig_table(run: dict[str, Any]) -> str:
     """The numbers as Markdown."""
     length = f"{run['duration_s']:g} s + {run['settle_s']:g} s"
-    rows = [
-        (f"{run['n_recordings']} recordings of {length}, stacks and all effects, one core", run["campaign_cpu_s"]),
-        ("one of them", run["campaign_cpu_s"] / run["n_recordings"]),
-        (f"one of {length}, linear, closed form", run["linear_cpu_s"]),
-    ]
-    lines = ["| what | CPU time [s] |", "|---|---|", *(f"| {what} | {seconds:.3g} |" for what, seconds in rows)]
-    return "\n".join([*lines, "", f"{run['processor']}, {run['date']}, gbid {run['gbid']}."])
+    rows = {
+        f"{run['n_recordings']} recordings of {length}, stacks and all effects, one core": run["campaign_cpu_s"],
+        "one of them": run["campaign_cpu_s"] / run["n_recordings"],
+        f"one of {length}, linear, closed form": run["linear_cpu_s"],
+    }
+    return markdown(("what", "CPU time [s]"), [(what, f"{s:.3g}") for what, s in rows.items()], under(run))
 
 
 if __name__ == "__main__":

@@ -8,38 +8,29 @@ information of one recording at each of its 15 points, counted five or six times
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 import gbid
-from benchmarks.running import store
+from benchmarks.running import markdown, options_of, store, timed
 from benchmarks.running import stored as stored_run
 from gbid import Recording
 from gbid.lpv import LPVFit, regressors
 from gbid.rig import Course, Machine, Prbs, ScheduledRun, SensorChain, Stationary, record
 from gbid.structure import KEY_PARAMETERS
 
-STORED = Path(__file__).parents[1] / "docs" / "run-up.json"
 NOISE = {"noise_p_m": (0.65e-6, 0.5e-6), "noise_u_m": 45e-9}
 SLOW_RPM = 600.0
 PIECE_S = 0.2
+_THREE = ["run-up, 3 bar", "coast-down, 7 bar", "pressure ramp, 3000 rpm"]
 RUNS: dict[str, list[str]] = {
     "one recording": ["zigzag"],
-    "three recordings": ["run-up, 3 bar", "coast-down, 7 bar", "pressure ramp, 3000 rpm"],
-    "six recordings": [
-        "run-up, 3 bar",
-        "coast-down, 7 bar",
-        "pressure ramp, 3000 rpm",
-        "run-up, pressure falls",
-        "run-up, 5 bar",
-        "pressure ramp, 6000 rpm",
-    ],
+    "three recordings": _THREE,
+    "six recordings": [*_THREE, "run-up, pressure falls", "run-up, 5 bar", "pressure ramp, 6000 rpm"],
 }
 """Recordings of each fit."""
 
@@ -99,22 +90,30 @@ def grid() -> tuple[Any, Any]:
 
 def against_truth(fit: LPVFit) -> dict[str, float]:
     """Return errors over the rectangle in standard deviations, errors of frequencies, and standard deviations."""
-    pressure, speed = grid()
-    model = gbid.load_model("theisen2016")
-    truth = np.column_stack([model.key_parameters(pressure, speed)[key] for key in KEY_PARAMETERS])
+    truth = true_values()
     # A course that ends at 300 rpm leaves a margin of the rectangle.
-    found = regressors(pressure, speed) @ fit.coefficients.T
-    std = spread(fit.covariance)
+    found, std = regressors(*grid()) @ fit.coefficients.T, spread(fit.covariance)
     z = np.abs(found - truth) / std
     frequency = np.abs(frequencies(found) - frequencies(truth))
-    size = np.sqrt(np.mean(truth**2, axis=0))
     return {
         "within_3_std_percent": float(100 * np.mean(z <= 3)),
         "rms_std": float(np.sqrt(np.mean(z**2))),
         "largest_std": float(z.max()),
         "largest_frequency_error_hz": float(frequency.max()),
-        "relative_std_percent": float(100 * np.sqrt(np.mean((std / size) ** 2))),
+        "relative_std_percent": relative_std(fit.covariance),
     }
+
+
+def true_values() -> Any:
+    """Return the key parameters of the machine over the grid, (63, 14)."""
+    values = gbid.load_model("theisen2016").key_parameters(*grid())
+    return np.column_stack([values[key] for key in KEY_PARAMETERS])
+
+
+def relative_std(covariance: Any) -> float:
+    """Return the standard deviations over the grid, relative to the sizes of the key parameters [%]."""
+    size = np.sqrt(np.mean(true_values() ** 2, axis=0))
+    return float(100 * np.sqrt(np.mean((spread(covariance) / size) ** 2)))
 
 
 def spread(covariance: Any) -> Any:
@@ -136,11 +135,10 @@ def frequencies(values: Any) -> Any:
 
 def campaign(seed: int) -> float:
     """Return the relative standard deviation [%] of the surfaces of 86 recordings of 5 s at 15 points."""
-    model = gbid.load_model("theisen2016")
     bearing = gbid.RotorBearing(delay="exact", disturbance_gain="none")
-    counts = [6 if (p, n) not in _FIVE else 5 for p, n in _POINTS]
     A, none = np.zeros((84, 84)), np.zeros((2, 0))
-    for (pressure, speed), count in zip(_POINTS, counts, strict=True):
+    for pressure, speed in gbid.load_model("theisen2016").operating_points:
+        count = 5 if (pressure, speed) in _FIVE else 6
         machine = replace(the_machine(pressure, speed), unbalance=gbid.rig.Unbalance(0.0))
         machine = replace(machine, sensors=SensorChain(**NOISE, runout_amplitude_m=none, runout_phase_rad=none))
         point = {"pressure_bar": pressure, "speed_rpm": speed}
@@ -150,38 +148,35 @@ def campaign(seed: int) -> float:
         X = np.kron(np.eye(14), regressors([pressure], [speed]))
         A += count * X.T @ np.linalg.inv(found.covariance_white[np.ix_(own, own)]) @ X
     size = 1 / np.sqrt(np.diag(A))
-    covariance = np.linalg.inv(A * np.outer(size, size)) * np.outer(size, size)
-    pressure, speed = grid()
-    truth = np.column_stack([model.key_parameters(pressure, speed)[key] for key in KEY_PARAMETERS])
-    return float(100 * np.sqrt(np.mean((spread(covariance) / np.sqrt(np.mean(truth**2, axis=0))) ** 2)))
+    return relative_std(np.linalg.inv(A * np.outer(size, size)) * np.outer(size, size))
 
 
-_POINTS = [(float(p), float(n)) for p in (3, 4, 5, 6, 7) for n in (0, 4000, 6000)]
 _FIVE = {(6.0, 6000.0), (7.0, 0.0), (7.0, 4000.0), (7.0, 6000.0)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study and store its figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--duration", type=float, default=10.0, help="length of each recording [s]")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--runs", nargs="*", default=list(RUNS))
-    parser.add_argument("--campaign", action="store_true", help="also the reference of 86 recordings")
-    parser.add_argument("--output", type=Path, default=STORED)
-    given = parser.parse_args(arguments)
+    given = options_of(
+        __doc__,
+        arguments,
+        "run-up.json",
+        duration=(10.0, "length of each recording [s]"),
+        seed=(1, "of noise and excitation"),
+        runs=(tuple(RUNS), "which of them"),
+        campaign=(False, "also the reference of 86 recordings"),
+    )
     stored = stored_run(given.output, {"runs": {}})
     stored |= {"duration_s": given.duration, "piece_s": PIECE_S, "seed": given.seed}
     made: dict[str, Recording] = {}
     for word in given.runs:
         for name in RUNS[word]:
             made.setdefault(name, run_up(name, given.duration, given.seed))
-        began = time.process_time()
-        fit = surfaces([made[name] for name in RUNS[word]])
+        fit, spent = timed(partial(surfaces, [made[name] for name in RUNS[word]]))
         stored["runs"][word] = {
             **against_truth(fit),
             "recordings": len(RUNS[word]),
             "pieces": int(fit.options["pieces"]),
-            "cpu_s": time.process_time() - began,
+            "cpu_s": spent,
             "status": str(fit.status),
             "coefficients": fit.coefficients.tolist(),
             "covariance": [fit.covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6].tolist() for i in range(14)],
@@ -199,16 +194,15 @@ def table(stored: dict[str, Any]) -> str:
     """Return the figures as a Markdown table."""
     head = ["recordings", "time [s]", "within 3 std [%]", "rms [std]", "largest [std]"]
     head += ["largest frequency error [Hz]", "relative std [%]"]
-    rows = ["| " + " | ".join(head) + " |", "|---|---|---|---|---|---|---|"]
-    for word, run in stored["runs"].items():
-        rows.append(
-            f"| {word} | {run['recordings'] * stored['duration_s']:g} | {run['within_3_std_percent']:.1f} | "
-            f"{run['rms_std']:.2f} | {run['largest_std']:.2f} | {run['largest_frequency_error_hz']:.3f} | "
-            f"{run['relative_std_percent']:.3f} |"
-        )
+    formats = {"within_3_std_percent": ".1f", "rms_std": ".2f", "largest_std": ".2f"}
+    formats |= {"largest_frequency_error_hz": ".3f", "relative_std_percent": ".3f"}
+    rows = [
+        [word, f"{run['recordings'] * stored['duration_s']:g}", *(format(run[key], f) for key, f in formats.items())]
+        for word, run in stored["runs"].items()
+    ]
     if "campaign_relative_std_percent" in stored:
-        rows.append(f"| 86 at constant points | 430 | | | | | {stored['campaign_relative_std_percent']:.3f} |")
-    return "\n".join(rows)
+        rows.append(["86 at constant points", "430", *[""] * 4, f"{stored['campaign_relative_std_percent']:.3f}"])
+    return markdown(head, rows)
 
 
 def draw(stored: dict[str, Any]) -> Any:

@@ -7,18 +7,17 @@ docs/structures.json, of which the page on tuning makes a table and a picture.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Mapping
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import gbid
-from benchmarks.running import store
+from benchmarks.running import DOCS, markdown, store, timed
 from benchmarks.running import stored as stored_run
 from gbid.control import MaxDamping, PeakSensitivity
 from gbid.control.controllers.structures import controller_structure, with_schedule
 
-STORED = Path(__file__).parents[1] / "docs" / "structures.json"
+STORED = DOCS / "structures.json"
 CAPS = (1.5, 2.0, 2.6)
 STARTS = 3
 """Random starts of the design under the lowest cap; the others start from the design before."""
@@ -31,14 +30,8 @@ def designs_of(kind: str, model: gbid.LPVModel, caps: tuple[float, ...] = CAPS, 
     found: list[dict[str, Any]] = []
     start: Mapping[str, float] | None = None
     for cap in caps:
-        began = time.process_time()
-        result = gbid.tune(
-            model,
-            structure,
-            goals=[MaxDamping(), PeakSensitivity(cap)],
-            start=start,
-            starts=starts if start is None else 1,
-        )
+        more = {"goals": [MaxDamping(), PeakSensitivity(cap)], "start": start, "starts": 1 if start else starts}
+        result, spent = timed(partial(gbid.tune, model, structure, **more))
         start = result.gains if result.success else None
         found.append(
             {
@@ -47,7 +40,7 @@ def designs_of(kind: str, model: gbid.LPVModel, caps: tuple[float, ...] = CAPS, 
                 "peak": result.peak_sensitivity,
                 "control": result.peak_control,
                 "status": str(result.status),
-                "cpu_s": time.process_time() - began,
+                "cpu_s": spent,
                 "gains": dict(result.gains),
             }
         )
@@ -58,16 +51,14 @@ def structures_table(run: Mapping[str, Any]) -> str:
     """Return the table of a stored run as Markdown, the structures by rising damping at the middle cap."""
     caps = run["caps"]
     rows = sorted(run["structures"].items(), key=lambda item: item[1]["designs"][len(caps) // 2]["damping"])
-    lines = [
-        "| structure | gains | " + " | ".join(f"damping, peak {cap:g}" for cap in caps) + f" | K S_o at {caps[1]:g} |",
-        "|---|---|" + "---|" * (len(caps) + 1),
-    ]
+    head = ("structure", "gains", *(f"damping, peak {cap:g}" for cap in caps), f"K S_o at {caps[1]:g}")
+    lines = []
     for kind, entry in rows:
-        cells = [
+        cells = (
             f"{d['damping']:.3f}" + ("" if d["status"] == "optimal" else f" ({d['status']})") for d in entry["designs"]
-        ]
-        lines.append(f"| {kind} | {entry['gains']} | {' | '.join(cells)} | {entry['designs'][1]['control']:.1f} |")
-    return "\n".join(lines)
+        )
+        lines.append((kind, entry["gains"], *cells, f"{entry['designs'][1]['control']:.1f}"))
+    return markdown(head, lines)
 
 
 def main() -> None:

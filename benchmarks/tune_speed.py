@@ -5,10 +5,9 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import partial
 from time import process_time
 from typing import Any
 
@@ -17,9 +16,9 @@ from scipy.optimize import differential_evolution, minimize
 
 import gbid
 from benchmarks.known_loops import KnownLoop, delayed_pd, integrators, two_masses, two_masses_canonical
-from benchmarks.running import about, finish
+from benchmarks.running import about, markdown, options_of, run_study, timed, under
 from gbid.control import p_controller
-from gbid.core.arrays import FloatArray, one_blas_thread
+from gbid.core.arrays import FloatArray
 
 # ---- Two P gains by brute force, with nothing of gbid's tuner: a grid of 0.01 and Nelder-Mead from its best points.
 
@@ -104,16 +103,10 @@ def brute_force(loops: Loops, cap: float | None, floor: float, polish: int = 20)
     best, gains = (float(values[0]), grid[0]) if len(grid) else (-1.0, np.zeros(2))
     grid_value = best
     for start in grid[:polish]:
+        simplex = start + np.array([[0, 0], [0.01, 0], [0, 0.01]])
+        limits = {"xatol": 1e-9, "fatol": 1e-10, "maxfev": 250, "initial_simplex": simplex}
         found = minimize(
-            lambda g: -loops.value(g, cap, FINE if cap else COARSE),
-            start,
-            method="Nelder-Mead",
-            options={
-                "xatol": 1e-9,
-                "fatol": 1e-10,
-                "maxfev": 250,
-                "initial_simplex": start + np.array([[0, 0], [0.01, 0], [0, 0.01]]),
-            },
+            lambda g: -loops.value(g, cap, FINE if cap else COARSE), start, method="Nelder-Mead", options=limits
         )
         if -found.fun > best:
             best, gains = float(-found.fun), found.x
@@ -155,9 +148,8 @@ def compare(quick: bool) -> list[dict[str, Any]]:
     loops = [delayed_pd()] if quick else [two_masses(), two_masses_canonical(), delayed_pd(), integrators(5)]
     rows = []
     for loop in loops:
-        began = process_time()
-        ours = loop.tune(evaluations=50) if quick else loop.tune()
-        seconds, evaluations = process_time() - began, ours.history[-1].count
+        ours, seconds = timed(lambda loop=loop: loop.tune(**({"evaluations": 50} if quick else {})))  # type: ignore[misc]
+        evaluations = ours.history[-1].count
         row: dict[str, Any] = {"loop": loop.name, "best": loop.best, "gbid": ours.value, "status": str(ours.status)}
         row |= {"evaluations": evaluations, "cpu_s": seconds}
         for method in METHODS:
@@ -203,109 +195,79 @@ def _evolution_strategy(function: Limited, low: FloatArray, high: FloatArray, se
 
 def others_table(rows: list[dict[str, Any]]) -> str:
     """Share of the exact best decay that each method reaches, as Markdown."""
-    head = "| loop | evaluations | CPU s | gbid | " + " | ".join(f"{m}: evaluations | time" for m in METHODS) + " |"
-    lines = [head, "|" + "---|" * (4 + 2 * len(METHODS))]
+    limits = [(method, what) for method in METHODS for what in ("evaluations", "time")]
+    heads = (f"{method}: {what}" if what == "evaluations" else what for method, what in limits)
+    lines = []
     for row in rows:
-        found = [row["gbid"], *(row[f"{m}, {what}"] for m in METHODS for what in ("evaluations", "time"))]
-        shares = " | ".join(f"{100 * max(value, 0.0) / row['best']:.2f} %" for value in found)
-        lines.append(f"| {row['loop']} | {row['evaluations']} | {row['cpu_s']:.1f} | {shares} |")
-    return "\n".join(lines)
+        values = (row["gbid"], *(row[f"{method}, {what}"] for method, what in limits))
+        shares = (f"{100 * max(value, 0.0) / row['best']:.2f} %" for value in values)
+        lines.append((row["loop"], row["evaluations"], f"{row['cpu_s']:.1f}", *shares))
+    return markdown(("loop", "evaluations", "CPU s", "gbid", *heads), lines)
 
 
 # ---- The study.
 
 _ONE = [(6.0, 0.0)]
-_CAPS = (None, 2.6)
-_BIQUAD_CAPS = (2.0, 2.6)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; processor time, so that it holds beside other programs."""
-    parser = argparse.ArgumentParser(prog="benchmarks.tune_speed", description="Time the tuning of controllers.")
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="one operating point and cap, P gains in place of biquads: to see that it works",
+    """Run the benchmark."""
+    options = options_of(
+        __doc__,
+        arguments,
+        quick=(False, "one operating point and cap, P gains in place of biquads: to see that it works"),
+        polish=(5, "how many grid points brute force polishes (default 5)"),
     )
-    parser.add_argument("--polish", type=int, default=5, help="how many grid points brute force polishes (default 5)")
-    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
-    options = parser.parse_args(arguments)
-    with one_blas_thread():
-        run = measure(options.quick, 1 if options.quick else options.polish)
-    return finish(run, options.output, tune_table(run))
+    polish = 1 if options.quick else options.polish
+    return run_study(lambda: measure(options.quick, polish), options.output, tune_table)
 
 
 def measure(quick: bool, polish: int) -> dict[str, Any]:
     """Two P gains beside brute force, and a second-order filter per axis beside the P gains."""
     model = gbid.load_model("theisen2016")
-    every = list(model.operating_points)
-    gbid.tune(model, operating_points=_ONE)  # imports and first calls are not counted, here of grid and random starts
-    gbid.tune(model, operating_points=_ONE, starts=1)
+    plans = [_ONE] if quick else [_ONE, list(model.operating_points)]
+
+    def tuned(points: Any, cap: float | None, **more: Any) -> tuple[gbid.control.GainResult, dict[str, Any]]:
+        result, spent = timed(lambda: gbid.tune(model, operating_points=points, peak_sensitivity=cap, **more))
+        return result, {"n_points": len(points), "cap": cap, "damping": result.value, "cpu_s": spent}
+
+    tuned(_ONE, None)  # imports and first calls are not counted, here of grid and random starts
+    tuned(_ONE, None, starts=1)
     brute, biquad = [], []
-    for points in [_ONE] if quick else [_ONE, every]:
-        for cap in _CAPS[: 1 if quick else None]:
-            began = process_time()
-            ours = gbid.tune(model, operating_points=points, peak_sensitivity=cap)
-            middle = process_time()
+    for points in plans:
+        for cap in (None,) if quick else (None, 2.6):
+            ours, row = tuned(points, cap)
             # brute force is given a floor from the answer: without it, its grid alone takes far longer
-            theirs = brute_force(Loops(model, points), cap, ours.value - 0.03, polish)
-            times = {"cpu_s": middle - began, "brute_cpu_s": process_time() - middle}
-            brute.append(
-                {"n_points": len(points), "cap": cap, "damping": ours.value, "brute_damping": theirs.value, **times}
-            )
-    for points in [_ONE] if quick else [_ONE, every]:
-        for cap in _BIQUAD_CAPS[: 1 if quick else None]:
-            began = process_time()
-            ours = gbid.tune(
-                model,
-                operating_points=points,
-                controller="P" if quick else "biquad",
-                peak_sensitivity=cap,
-            )
-            spent = process_time() - began
-            plain = gbid.tune(model, operating_points=points, peak_sensitivity=cap)
-            biquad.append(
-                {"n_points": len(points), "cap": cap, "damping": ours.value, "p_damping": plain.value, "cpu_s": spent}
-            )
-    return {
-        **about(),
-        "polished": polish,
-        "proportional": brute,
-        "biquad": biquad,
-        "others": compare(quick),
-    }
+            theirs, spent = timed(partial(brute_force, Loops(model, points), cap, ours.value - 0.03, polish))
+            brute.append({**row, "brute_damping": theirs.value, "brute_cpu_s": spent})
+        for cap in (2.0,) if quick else (2.0, 2.6):
+            _, row = tuned(points, cap, controller="P" if quick else "biquad")
+            biquad.append({**row, "p_damping": tuned(points, cap)[0].value})
+    return {**about(), "polished": polish, "proportional": brute, "biquad": biquad, "others": compare(quick)}
 
 
 def tune_table(run: dict[str, Any]) -> str:
     """All numbers as Markdown."""
-    where = f"{run['processor']}, {run['date']}, gbid {run['gbid']}."
-    return "\n\n".join([proportional_table(run), biquad_table(run), others_table(run["others"]), where])
+    return "\n\n".join([proportional_table(run), biquad_table(run), others_table(run["others"]), under(run)])
 
 
 def proportional_table(run: dict[str, Any]) -> str:
     """Two P gains beside brute force."""
-    lines = [
-        "| P gains: points | cap | tune [CPU s] | brute force [CPU s] | ratio | damping | of brute force |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for row in run["proportional"]:
-        ratio = row["brute_cpu_s"] / row["cpu_s"]
-        lines.append(
-            f"| {row['n_points']} | {_cap(row)} | {row['cpu_s']:.2f} | {row['brute_cpu_s']:.1f} | {ratio:.0f} | "
-            f"{row['damping']:.6f} | {row['brute_damping']:.6f} |"
-        )
-    return "\n".join(lines)
+    head = ("P gains: points", "cap", "tune [CPU s]", "brute force [CPU s]", "ratio", "damping", "of brute force")
+    rows = []
+    for q in run["proportional"]:
+        times = f"{q['cpu_s']:.2f}", f"{q['brute_cpu_s']:.1f}", f"{q['brute_cpu_s'] / q['cpu_s']:.0f}"
+        rows.append((q["n_points"], _cap(q), *times, f"{q['damping']:.6f}", f"{q['brute_damping']:.6f}"))
+    return markdown(head, rows)
 
 
 def biquad_table(run: dict[str, Any]) -> str:
     """A second-order filter per axis beside P gains."""
-    lines = ["| biquad: points | cap | tune [CPU s] | damping | of P gains | ratio |", "|---|---|---|---|---|---|"]
-    for row in run["biquad"]:
-        lines.append(
-            f"| {row['n_points']} | {_cap(row)} | {row['cpu_s']:.1f} | {row['damping']:.4f} | "
-            f"{row['p_damping']:.4f} | {row['damping'] / row['p_damping']:.2f} |"
-        )
-    return "\n".join(lines)
+    rows = []
+    for q in run["biquad"]:
+        values = f"{q['damping']:.4f}", f"{q['p_damping']:.4f}", f"{q['damping'] / q['p_damping']:.2f}"
+        rows.append((q["n_points"], _cap(q), f"{q['cpu_s']:.1f}", *values))
+    return markdown(("biquad: points", "cap", "tune [CPU s]", "damping", "of P gains", "ratio"), rows)
 
 
 def _cap(row: dict[str, Any]) -> str:
