@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,7 +15,7 @@ from gbid.core.arrays import FloatArray, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.tables import exponent_of
-from gbid.lpv import CHARACTERISTICS, LPVFit
+from gbid.lpv import CHARACTERISTICS, LPVFit, characteristics
 from gbid.report.canvas import BLUE, RED, TWO_COLUMNS, ink, legend_above, letter, panels, series, styled, symbol
 from gbid.report.named import NamedFigure
 from gbid.report.read import Results
@@ -28,8 +28,16 @@ if TYPE_CHECKING:
 
 
 Estimates = Mapping[str, npt.ArrayLike]
-_Speeds = Sequence[float]
+Quantity = Literal["delay", "frequency", "damping", "gain"]
+_Speeds = Sequence[float] | FloatArray
 _PAIRS = ("xx", "xy", "yx", "yy")
+_QUANTITIES: Mapping[Quantity, Mapping[str, tuple[str, str]]] = {
+    "delay": {f"tau_{axis}": (f"tau_{axis}", f"$\\tau_{axis}$ [samples at {{:g}} kHz]") for axis in "xy"},
+    "frequency": {f"frequency_{i}": (f"omega_{i}", f"natural frequency $\\omega_{i}$ [Hz]") for i in (1, 2)},
+    "damping": {f"damping_{i}": (f"zeta_{i}", f"damping factor $\\zeta_{i}$ [-]") for i in (1, 2)},
+    "gain": {f"g_{pair}": (f"g_{pair}", f"static gain $g_{{{{{pair}}}}}$ [m/m]") for pair in _PAIRS},
+}
+"""Characteristic of an LPV model and label of each panel, by quantity and name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +99,7 @@ def delays_data(
     list of PressurePanel
         Panels of ``tau_x`` and ``tau_y`` [samples].
     """
-    labels = {f"tau_{axis}": f"$\\tau_{axis}$ [samples at {1e-3 / sample_time:g} kHz]" for axis in "xy"}
-    samples = {name: np.asarray(values, float) / sample_time for name, values in (estimates or {}).items()}
-
-    def at(bar: float, rpm: float) -> Sequence[float]:
-        values = model.key_parameters(bar, rpm)
-        return [float(values[name]) / sample_time for name in labels]
-
-    return _panels(model, labels, at, speeds_rpm, points, samples)
+    return _panels("delay", model, speeds_rpm, points, estimates, sample_time)
 
 
 def modes_data(
@@ -134,17 +135,7 @@ def modes_data(
     UsageError
         When the model has fewer than two modes at a point.
     """
-    greek, unit, index = ("\\omega", "Hz", 0) if what == "frequency" else ("\\zeta", "-", 1)
-    word = "natural frequency" if what == "frequency" else "damping factor"
-    labels = {f"{what}_{i}": f"{word} ${greek}_{i}$ [{unit}]" for i in (1, 2)}
-
-    def at(bar: float, rpm: float) -> Sequence[float]:
-        modes = model.at(bar, rpm).modes()
-        if len(modes) < 2:
-            raise UsageError(f"{model.name} at {point_label(bar, rpm)} has {len(modes)} modes; two are drawn")
-        return [mode[index] for mode in modes[:2]]
-
-    return _panels(model, labels, at, speeds_rpm, points, estimates)
+    return _panels(what, model, speeds_rpm, points, estimates)
 
 
 def static_gains_data(
@@ -172,12 +163,7 @@ def static_gains_data(
     list of PressurePanel
         Panel of each gain.
     """
-    labels = {f"g_{i}{j}": f"static gain $g_{{{i}{j}}}$ [m/m]" for i in "xy" for j in "xy"}
-
-    def at(bar: float, rpm: float) -> Sequence[float]:
-        return [float(gain) for gain in model.at(bar, rpm).static_gain().ravel()]
-
-    return _panels(model, labels, at, speeds_rpm, points, estimates)
+    return _panels("gain", model, speeds_rpm, points, estimates)
 
 
 @styled
@@ -217,21 +203,30 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
 
 
 def _panels(
+    what: Quantity,
     model: LPVModel,
-    labels: Mapping[str, str],
-    at: Callable[[float, float], Sequence[float]],
     speeds_rpm: _Speeds,
     points: npt.ArrayLike | None,
     estimates: Estimates | None,
+    unit: float = 1.0,
 ) -> list[PressurePanel]:
-    pressure = np.linspace(*model.domain.pressure_bar, 25)
-    speeds = np.asarray(speeds_rpm, float)
-    values = np.array([[at(float(bar), float(rpm)) for bar in pressure] for rpm in speeds])
-    parts = [_marked(name, points, estimates) for name in labels]
-    return [
-        PressurePanel(name, label, pressure, speeds, values[:, :, i], *parts[i])
-        for i, (name, label) in enumerate(labels.items())
-    ]
+    """Return the panels of a quantity, in units of `unit`."""
+    pressure, speeds = np.linspace(*model.domain.pressure_bar, 25), np.asarray(speeds_rpm, float)
+    at = [np.ravel(values) for values in np.meshgrid(pressure, speeds)]
+    keys = model.key_parameters(*at)
+    curves = dict(
+        zip(CHARACTERISTICS, characteristics(np.column_stack([keys[k] for k in KEY_PARAMETERS])).T, strict=True)
+    )
+    panels_of_quantity = []
+    for name, (characteristic, label) in _QUANTITIES[what].items():
+        values = curves[characteristic] / unit
+        if np.isnan(values).any():
+            point = point_label(*(column[np.isnan(values)][0] for column in at))
+            raise UsageError(f"{model.name} at {point} does not have two modes; two are drawn")
+        where, marks = _marked(name, points, estimates)
+        shown = values.reshape(len(speeds), -1), where, marks / unit
+        panels_of_quantity.append(PressurePanel(name, label.format(1e-3 / unit), pressure, speeds, *shown))
+    return panels_of_quantity
 
 
 def _marked(name: str, points: npt.ArrayLike | None, estimates: Estimates | None) -> tuple[FloatArray, FloatArray]:
@@ -243,9 +238,7 @@ def _marked(name: str, points: npt.ArrayLike | None, estimates: Estimates | None
     return (where if len(values) else np.zeros((0, 2))), values
 
 
-def fit_over_pressure_data(
-    fit: LPVFit, what: Literal["delay", "frequency", "damping", "gain"], *, sample_time: float = 2e-4
-) -> list[PressurePanel]:
+def fit_over_pressure_data(fit: LPVFit, what: Quantity, *, sample_time: float = 2e-4) -> list[PressurePanel]:
     """Return delays, modes or static gains with the estimates, for `plot_over_pressure` (Figs. 14 to 18).
 
     Parameters
@@ -263,22 +256,12 @@ def fit_over_pressure_data(
         Panels of the quantity.
     """
     values = dict(zip(CHARACTERISTICS, fit.characteristics[0].T, strict=True))
+    estimates = {name: values[characteristic] for name, (characteristic, _) in _QUANTITIES[what].items()}
     points = fit.estimates.points
-    speeds = [float(speed) for speed in np.unique(points[:, 1])]
-    if what == "delay":
-        estimates = {name: values[name] for name in ("tau_x", "tau_y")}
-        return delays_data(fit.model, sample_time=sample_time, speeds_rpm=speeds, points=points, estimates=estimates)
-    if what == "gain":
-        estimates = {f"g_{pair}": values[f"g_{pair}"] for pair in _PAIRS}
-        return static_gains_data(fit.model, speeds_rpm=speeds, points=points, estimates=estimates)
-    greek = "omega" if what == "frequency" else "zeta"
-    estimates = {f"{what}_{i}": values[f"{greek}_{i}"] for i in (1, 2)}
-    return modes_data(fit.model, what, speeds_rpm=speeds, points=points, estimates=estimates)
+    return _panels(what, fit.model, np.unique(points[:, 1]), points, estimates, sample_time if what == "delay" else 1.0)
 
 
-def _plot_quantity(
-    what: Literal["delay", "frequency", "damping", "gain"], results: Results, only: str = ""
-) -> npt.NDArray[np.object_]:
+def _plot_quantity(what: Quantity, results: Results, only: str = "") -> npt.NDArray[np.object_]:
     rig = results.experiment.spec.rig
     data = fit_over_pressure_data(results.surface_fit, what, sample_time=rig.sample_time_s if rig else 2e-4)
     return plot_over_pressure([panel for panel in data if panel.name.startswith(only)])
