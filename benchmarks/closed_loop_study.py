@@ -36,30 +36,6 @@ from gbid.rig import (
 )
 from gbid.structure import KEY_PARAMETERS, evaluate
 
-# ---- Stiffness of small motions about the orbit of the unbalance, in a film that stiffens.
-
-
-def about_the_orbit(
-    true: Mapping[str, Any], speed_rpm: FloatArray, inverse_square_length: float
-) -> dict[str, FloatArray]:
-    """Return the true parameters with the stiffness of small motions about the orbit of the unbalance.
-
-    The prefilter subtracts the orbit together with the run-out: both turn with the shaft. About a steady orbit the film
-    is stiffer, by the mean of its derivative over a turn.
-    """
-    unbalance, moved = Unbalance(), {key: np.array(value) for key, value in true.items()}
-    for i, speed in enumerate(speed_rpm * (np.pi / 30)):
-        K, D = (np.array([[true[f"{a}_{b}{c}"][i] for c in "xy"] for b in "xy"]) for a in "kd")
-        force = unbalance.eccentricity_m * speed**2 * np.array([1.0, -1j])
-        orbit = np.linalg.solve(-(speed**2) * np.eye(2) - 1j * speed * D - K, force)
-        product = np.real(np.outer(orbit, orbit.conj())) / 2
-        stiff = K + inverse_square_length * (K * np.trace(product) + 2 * K @ product)
-        for row, b in enumerate("xy"):
-            for column, c in enumerate("xy"):
-                moved[f"k_{b}{c}"][i] = stiff[row, column]
-    return moved
-
-
 # ---- Recordings of the closed-loop study: the published rotor under its published controller, by the virtual rig.
 
 SAMPLE_TIME = 2e-4
@@ -102,22 +78,19 @@ class LoopCase:
         """Return the true parameters for the motion in a recording: a film that stiffens is linearised over it.
 
         The stiffness is the mean derivative of the film's force over the orbit of the unbalance, which the prefilter
-        subtracts, and over the motion about it, as if that were normal.
+        subtracts with the run-out, as both turn with the shaft, and over the motion about it, as if that were normal.
         """
         film = self.parts.get("stiffening")
         if film is None:
             return self.truth
-        s = film.inverse_square_length
-        keys = {key: np.array([value]) for key, value in self.truth.items()}
-        orbit = about_the_orbit(keys, np.array([POINT[1]]), s)
+        K, D = (np.array([[self.truth[f"{a}_{b}{c}"] for c in "xy"] for b in "xy"]) for a in "kd")
+        speed = POINT[1] * (np.pi / 30)
+        force = Unbalance().eccentricity_m * speed**2 * np.array([1.0, -1j])
+        orbit = np.linalg.solve(-(speed**2) * np.eye(2) - 1j * speed * D - K, force)
         noise = np.diag(np.square(np.asarray(SENSORS.noise_p_m)))
-        motion = np.cov(recording.signal("p").T) - noise
-        moved = {key: float(value[0]) for key, value in orbit.items()}
-        for b in "xy":
-            own = np.array([self.truth[f"k_{b}{c}"] for c in "xy"])
-            more = s * (own * np.trace(motion) + 2 * own @ motion)
-            moved |= {f"k_{b}{c}": moved[f"k_{b}{c}"] + float(v) for c, v in zip("xy", more, strict=True)}
-        return moved
+        motion = np.real(np.outer(orbit, orbit.conj())) / 2 + np.cov(recording.signal("p").T) - noise
+        stiff = K + film.inverse_square_length * (K * np.trace(motion) + 2 * K @ motion)
+        return self.truth | dict(zip(("k_xx", "k_xy", "k_yx", "k_yy"), stiff.ravel().tolist(), strict=True))
 
     @property
     def machine(self) -> Machine:

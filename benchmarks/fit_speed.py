@@ -180,8 +180,8 @@ def measure(jobs: Sequence[_Job]) -> dict[str, Any]:
                 found[job.n_samples] = start
             fits.append({"n_samples": job.n_samples, "method": job.method, **answer})
         _say("compiler")
-        request = {"method": "compiled", "samples": str(paths[jobs[0].n_samples]), "repeats": 1, "start": {}}
-        fresh, again = (_ask(request, GBID_CACHE_DIR=str(Path(folder) / "new")) for _ in range(2))
+        request = {"method": "compiled", "samples": str(paths[jobs[0].n_samples]), "repeats": 2, "start": {}}
+        fresh = _ask(request, GBID_CACHE_DIR=str(Path(folder) / "new"))
     return {
         **about(),
         "versions": {
@@ -192,7 +192,7 @@ def measure(jobs: Sequence[_Job]) -> dict[str, Any]:
             "scipy": scipy.__version__,
         },
         "n_unknowns": N_UNKNOWNS,
-        "compile_s": fresh["time_s"] - again["time_s"],  # gcc is another process, so wall time
+        "compile_s": fresh["first_time_s"] - fresh["time_s"],  # gcc is another process, so wall time
         "fits": fits,
     }
 

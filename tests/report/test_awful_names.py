@@ -19,7 +19,7 @@ import gbid
 from gbid.cli.progress import LiveBar, ProgressReporter
 from gbid.core.errors import DataError
 from gbid.core.names import file_stem, printable
-from gbid.core.tables import Column, Table, csv_text, html_table, markdown_table, terminal_table
+from gbid.core.tables import csv_text, html_table, markdown_table, terminal_table
 from gbid.experiment.run import Outcome
 from gbid.export.chain import c_comment
 from gbid.export.matlab import save_mat
@@ -179,12 +179,3 @@ def test_a_description_of_a_unit_is_xml():
         awful = replace(model, name=name, title=name)
         text = model_description("unit", awful, unit_variables(model.domain, False, 1e-6), "g", (), 1e-4, name)
         assert ET.fromstring(text).attrib["description"] == " ".join(printable(name).split())
-
-
-def test_a_column_of_any_name_and_unit():
-    for name in AWFUL:
-        table = Table(name, [Column(name, name)], [[1.0]], [name])
-        console = Console(file=io.StringIO(), width=80)
-        console.print(terminal_table(table))
-        assert not acts_on_a_terminal(console.file.getvalue())
-        assert len(csv_text(table).split("\n")) == 4

@@ -386,10 +386,3 @@ def test_staircases_are_made_where_they_are_asked_for(tmp_path):
     path.write_text(text.replace("at: [{pressure_bar: 6.0", "at: [{pressure_bar: 7.0"))
     with pytest.raises(UsageError, match="no operating point of the rig"):
         load_experiment(path)
-
-
-@pytest.mark.parametrize("kind", ["pdf", "svg", "png"])
-def test_pictures_are_the_same_bytes_each_time(tmp_path, kind):
-    for name in ("a", "b"):
-        report.save_figure(report.plot_differential_pairing(), tmp_path / f"{name}.{kind}", note="content_key: 0")
-    assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from gbid.core.tables import Cell, csv_text, formatted
+from gbid.core.tables import csv_text
 from gbid.report.fit_tables import (
     campaign_tables,
     crossval_table,
@@ -126,9 +126,3 @@ def test_a_campaign_without_fits_has_one_table():
 def test_recordings_tell_length_and_operating_point():
     row = {"name": "run", "samples": 500, "duration_s": 0.5, "conditions": {"pressure_bar": 6.0}, "state": "made"}
     assert recording_table([row]).texts() == [["run", "500", "0.5", "pressure_bar 6", "made"]]
-
-
-def test_a_value_in_a_format_of_its_own():
-    assert formatted(None, 3) is None
-    assert formatted(float("nan"), ".2f") is None
-    assert formatted(2.5, ".1f", "%") == Cell(2.5, "2.5 %")
