@@ -124,7 +124,7 @@ def held_back(design: TunedDesign) -> list[str]:
 
 def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
     """Return blocks with the tuning result of each design, and all designs over robustness and damping."""
-    tuned = results.designs.found
+    tuned = results.designs.made
     blocks: list[Block] = [Words(f"{name}: {text}", "warn") for name, text in results.designs.missing.items()]
     if not tuned:
         return blocks
@@ -166,7 +166,7 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection:
     blocks: list[Block] = []
     if model is None and not designs:
         return PageSection("controller", TITLE, [Words(words, "warn")])
-    if not results.designs.found:
+    if not results.designs.made:
         text = "This experiment designed no controller; the gains shown are those that came with the machine."
         blocks.append(Words(text))
     for group in dict.fromkeys(design.group for design in designs):
@@ -270,7 +270,7 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
     """Return the section with the impact studies; None when the experiment has none."""
     if results.experiment.spec.impacts is None:
         return None
-    studies = results.studies.found
+    studies = results.studies.made
     paths = {name: results.job.path("impacts", name) for name in studies}
     blocks: list[Block] = []
     for loops in map(results.labelled, results.loops):

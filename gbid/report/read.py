@@ -362,13 +362,13 @@ class StageResults(Generic[Value]):
 
     Attributes
     ----------
-    found : dict of str to value
+    made : dict of str to value
         Existing results by name.
     missing : dict of str to str
         Reason for each missing result, by name.
     """
 
-    found: Mapping[str, Value]
+    made: Mapping[str, Value]
     missing: Mapping[str, str]
 
 
@@ -578,7 +578,7 @@ class Results:
         if not planned:
             raise DataError(f"no static characterisation with kind: {kind}; add one to section 'static'")
         _all_there({name: why for name, why in self.statics.missing.items() if name in planned})
-        return {name: q for name, q in self.statics.found.items() if isinstance(q, result)}
+        return {name: q for name, q in self.statics.made.items() if isinstance(q, result)}
 
     # ------------------------------------------------------------ designs and impacts
 
@@ -595,15 +595,15 @@ class Results:
         """Tuned designs by name, at least one."""
         if not self.experiment.spec.controller:
             raise DataError("no section 'controller'; add one")
-        if not self.designs.found:
+        if not self.designs.made:
             raise DataError("; ".join(f"design {name}: {why}" for name, why in self.designs.missing.items()))
-        return self.designs.found
+        return self.designs.made
 
     @cached_property
     def assessed(self) -> tuple[AssessedDesign, ...]:
         """Tuned designs and published controllers with their stored figures."""
         if self.experiment.spec.controller:
-            return assessed_designs(self.job, self.designs.found)
+            return assessed_designs(self.job, self.designs.made)
         return assessed_published(self.job, self.loop_model)
 
     @property
@@ -619,10 +619,12 @@ class Results:
             return StageResults({}, {})
         try:
             idle = loops_without_controller(self.experiment)
-            made = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda q: load(q.path, ImpactStudy))
+            studies = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda q: load(q.path, ImpactStudy))
         except UsageError as error:  # their controller or model is missing
             return StageResults({}, {"impacts": str(error)})
-        return StageResults(made.found, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **made.missing})
+        return StageResults(
+            studies.made, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **studies.missing}
+        )
 
     @cached_property
     def loop_costs(self) -> list[LoopCostRow]:
@@ -638,7 +640,7 @@ class Results:
     def loops(self) -> list[dict[str, ImpactStudy]]:
         """Impact studies by loop, for each operating point."""
         points: dict[tuple[float, float], dict[str, ImpactStudy]] = {}
-        for study in self.studies.found.values():
+        for study in self.studies.made.values():
             point = study.conditions["pressure_bar"], study.conditions["speed_rpm"]
             points.setdefault(point, {})[study.loop] = study
         return list(points.values())
@@ -677,7 +679,7 @@ class Results:
     def _need_impacts(self) -> None:
         if self.experiment.spec.impacts is None:
             raise DataError("no section 'impacts'; add one")
-        if not self.studies.found:
+        if not self.studies.made:
             _all_there(self.studies.missing)
 
 

@@ -334,7 +334,7 @@ def static_section(results: Results, pictures: Pictures) -> PageSection | None:
                 blocks += draw(results, pictures)
             except (DataError, UsageError) as error:
                 blocks.append(Words(str(error), "warn"))
-    blocks += [static_table(static_document(name, result)) for name, result in results.statics.found.items()]
+    blocks += [static_table(static_document(name, result)) for name, result in results.statics.made.items()]
     return PageSection("static", "Static characterisation", blocks)
 
 
@@ -406,7 +406,7 @@ def warnings(results: Results) -> list[Link]:
     for design in results.assessed:
         links += [Link(f"controller {design.name}: {text}", "#controller") for text in design.warnings()]
     links += [Link(f"controller {name}: {text}", "#controller") for name, text in results.designs.missing.items()]
-    for name, made in results.designs.found.items():
+    for name, made in results.designs.made.items():
         links += [Link(f"controller {name}: {text}", "#controller") for text in held_back(made)]
     return links
 
@@ -446,7 +446,7 @@ def not_done(results: Results) -> list[str]:
         ("lpv", spec.lpv is not None, "no surfaces over pressure and speed"),
     ]
     texts = [f"{text} (no section {name})" for name, done, text in missing if not done]
-    if not results.designs.found:
+    if not results.designs.made:
         texts.append("no controller was designed")
     if not results.assessed:
         texts.append("no controller was assessed")
