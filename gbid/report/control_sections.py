@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from gbid.control import HalfSine, close_loop, impact_response
+from gbid.control import HalfSine, PStructure, close_loop, impact_response
 from gbid.control.assessment import TunedDesign
 from gbid.control.loop.sensitivity import sensitivity_data
 from gbid.core.arrays import point_label
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.tables import Column, Entry, Table
 from gbid.experiment.controllers import published_machine
-from gbid.lpv import LPVFit
+from gbid.lpv import LPVFit, LPVModel
 from gbid.lpv.model import TERMS
 from gbid.report.control_tables import (
     comparison_table,
@@ -43,7 +43,7 @@ from gbid.report.loop_pictures import (
     root_locus_data,
     sensitivity_curves,
 )
-from gbid.report.page import Block, Fold, Gallery, Listed, PageSection, Pictures, Shown, Words, explorer_part
+from gbid.report.page import Block, Fold, Gallery, Listed, PageSection, Pictures, Shown, Templated, Words
 from gbid.report.read import AssessedDesign, Results, conditions_words, place_of
 from gbid.report.surface_pictures import modes_data, plot_over_pressure, plot_surfaces, surfaces_data
 from gbid.structure import KEY_PARAMETERS, LinearModel
@@ -245,6 +245,97 @@ def _by_point(design: AssessedDesign) -> Block:
     ]
     columns = [Column("operating point"), *(Column(name, unit, form) for name, unit, _, _, form in _BY_POINT)]
     return Fold(f"{design.name} at each operating point", [Table(design.name, columns, rows)])
+
+
+# ---- Data of the gain explorer in the page: numbers of the model, ranges, and gains at the start.
+
+PEAK_SENSITIVITY = 2.6
+"""Largest peak of S_o without a warning: the default cap of `gbid.tune`."""
+GAIN_RANGE = (-1.0, 3.0)
+CORNER_RANGE = (100.0, 2500.0)
+FREQUENCY_RANGE = (5.0, 1000.0)
+
+
+def explorer_model(model: LPVModel, impact: HalfSine) -> dict[str, Any]:
+    """Return the numbers from which the page computes the loop.
+
+    Parameters
+    ----------
+    model : LPVModel
+        Model with actuators.
+    impact : HalfSine
+        Impact; the page chooses its direction.
+
+    Returns
+    -------
+    dict
+        coefficients (Eq. 16), actuators (Eq. 12), pade_order, impact (peak [N], duration [s], mass [kg]),
+        frequency [Hz] (first and last), peak_sensitivity.
+    """
+    return {
+        "name": model.name,
+        "coefficients": {key: list(values) for key, values in model.coefficients.items()},
+        "actuators": dict(model.actuators),
+        "pade_order": model.pade_order,
+        "impact": {"peak": impact.peak_n, "duration": impact.duration_s, "mass": impact.mass_kg},
+        "frequency": list(FREQUENCY_RANGE),
+        "peak_sensitivity": PEAK_SENSITIVITY,
+    }
+
+
+def explorer_part(
+    model: LPVModel,
+    words: str,
+    points: Sequence[tuple[float, float]],
+    designs: Sequence[tuple[str, Any, Mapping[str, float]]],
+    impact: HalfSine,
+) -> Templated:
+    """Return the gain explorer as a block of the page.
+
+    Parameters
+    ----------
+    model : LPVModel
+        Model with actuators.
+    words : str
+        Description of the model.
+    points : sequence of (pressure_bar, speed_rpm)
+        Operating points [bar], [rpm]. The explorer starts at the one nearest to the middle of the domain.
+    designs : sequence of (name, structure, gains)
+        Designs. P controllers with a first-order low-pass become buttons; the explorer starts with the last of them.
+    impact : HalfSine
+        Impact of the response.
+    """
+    buttons: list[tuple[str, list[float | None]]] = [("no feedback", [0.0, 0.0, None])]
+    for name, structure, gains in designs:
+        if isinstance(structure, PStructure) and structure.order == 1:
+            corner = 1e3 * gains["lowpass_khz"] if structure.tune_corner else structure.lowpass_hz
+            buttons.append((name, [gains["kappa_x"], gains["kappa_y"], corner]))
+    pressures, speeds = ranges = model.domain.pressure_bar, model.domain.speed_rpm
+    middle = sum(pressures) / 2, sum(speeds) / 2
+
+    def far(point: tuple[float, float]) -> float:
+        parts = zip(point, middle, ranges, strict=True)
+        return sum(abs(value - centre) / (high - low or 1) for value, centre, (low, high) in parts)
+
+    start = min(points, key=far, default=middle)
+    gain_x, gain_y, lowpass = buttons[-1][1]
+    controls = [
+        ("pressure", "Injection pressure", "bar", *pressures, 0.05, start[0]),
+        ("speed", "Speed", "rpm", *speeds, 50, start[1]),
+        ("kappa_x", "Gain κx", "m/m", *GAIN_RANGE, 0.005, gain_x),
+        ("kappa_y", "Gain κy", "m/m", *GAIN_RANGE, 0.005, gain_y),
+        ("corner", "Low-pass corner", "Hz", *CORNER_RANGE, 10, lowpass or 1000.0),
+    ]
+    keys = ("name", "label", "unit", "low", "high", "step", "value")
+    return Templated(
+        "explorer.html.j2",
+        {
+            "words": words,
+            "model": explorer_model(model, impact),
+            "controls": [dict(zip(keys, control, strict=True)) for control in controls],
+            "buttons": buttons,
+        },
+    )
 
 
 # ---- Section on the identification-for-control cycle: its rounds.

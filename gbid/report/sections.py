@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from statistics import median
 from typing import Any
 
+import numpy as np
+
+from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import DataError, GbidError, UsageError
-from gbid.core.tables import Cell, Column, Entry, Table
-from gbid.experiment.experiment import recordings_of
+from gbid.core.tables import Cell, Column, Entry, Table, shown_unit
+from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
 from gbid.report.control_sections import LACK, held_back
 from gbid.report.fit_tables import (
@@ -46,12 +50,9 @@ from gbid.report.page import (
     Shown,
     Templated,
     Words,
-    in_units,
-    point_words,
-    trace,
 )
 from gbid.report.read import MadeFit, Results, Standing, place_of
-from gbid.validate import ValidationSummary
+from gbid.validate import Validation, ValidationSummary
 
 _NAMED = 5
 
@@ -176,6 +177,74 @@ def _curves(results: Results, q: MadeFit) -> dict[str, Any]:
     return {"traces": traces, "no_trace": reason}
 
 
+# ---- Measured and simulated curves of a fit, small enough for a page with hundreds of them.
+
+SAMPLES = 1200
+"""Number of samples in the part shown."""
+POINTS = 600
+"""Largest number of points of a curve."""
+BINS = 240
+"""Number of intervals of the whole recording for which the range of the error is stored."""
+_LARGEST = 32767
+
+
+def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]:
+    """Return a part of a validation, and the range of its error over the whole recording.
+
+    Parameters
+    ----------
+    validation : Validation
+        The validation.
+    from_s : float, optional
+        Start of the part [s]; by default a third of the recording, also when too few samples follow.
+
+    Returns
+    -------
+    dict
+        recording; start, step, duration [s]; outputs, each with name, unit, n, measured, simulated, and error_n,
+        error_low, error_high. Lengths are in micrometres. Curves are in the form of `packed`.
+    """
+    time, n = validation.time, len(validation.time)
+    first = n // 3 if from_s is None else int(np.searchsorted(time, from_s))
+    first = max(0, min(first, n - SAMPLES))
+    every = max(1, min(SAMPLES, n) // POINTS)
+    part = slice(first, first + SAMPLES, every)
+    edges = np.linspace(0, n, min(BINS, n) + 1).astype(int)[:-1]
+    outputs = []
+    for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
+        factor, shown = (1e6, "µm") if unit == "m" else (1.0, unit or "-")
+        measured, simulated = factor * validation.measured[:, i], factor * validation.simulated[:, i]
+        error = measured - simulated
+        outputs.append(
+            {
+                "name": name,
+                "unit": shown,
+                "n": len(measured[part]),
+                "measured": packed(measured[part]),
+                "simulated": packed(simulated[part]),
+                "error_n": len(edges),
+                "error_low": packed(np.minimum.reduceat(error, edges)),
+                "error_high": packed(np.maximum.reduceat(error, edges)),
+            }
+        )
+    step = float(time[1] - time[0]) if n > 1 else 0.0
+    return {
+        "recording": validation.recording,
+        "start": float(time[first]),
+        "step": every * step,
+        "duration": n * step,
+        "outputs": outputs,
+    }
+
+
+def packed(values: FloatArray) -> dict[str, Any]:
+    """Return a curve as base64 of little-endian 16-bit integers, and the factor from these to the values."""
+    largest = float(np.abs(values).max(initial=0.0))
+    scale = largest / _LARGEST if largest > 0 else 1.0
+    integers = np.round(values / scale).astype("<i2")
+    return {"scale": scale, "values": b64encode(integers.tobytes()).decode("ascii")}
+
+
 # ---- Sections on the cross-validation and the nominal actuator.
 
 _PAPERS = {"rotor_bearing": "bearing", "piezo_pair": "actuator"}
@@ -258,6 +327,21 @@ ALIKE = 0.5
 """Correlation of the two excitations above which their effects can hardly be separated."""
 WORSE = 1e-3
 """Share of the variance by which a run-out map may increase the position before the page lists it."""
+
+
+def point_words(experiment: Experiment, recording: str) -> str:
+    """Return the operating point of a recording as text."""
+    planned = experiment.recordings[recording]
+    known = planned.conditions
+    if "pressure_bar" in known and "speed_rpm" in known:
+        return point_label(known["pressure_bar"], known["speed_rpm"])
+    return ", ".join(f"{key} {value:g}" for key, value in known.items()) or "not stated"
+
+
+def in_units(value: float, unit: str) -> str:
+    """Return a value as text with three digits, in the unit of tables."""
+    factor, shown = shown_unit(unit)
+    return f"{factor * value:.3g} {shown}".rstrip()
 
 
 def quality_section(results: Results) -> PageSection:

@@ -9,11 +9,9 @@ from experiment_files import QUICK, write_quick
 from experiment_files import gbid as command
 
 from gbid import report as figures
-from gbid.core.errors import DataError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report.named import named_figures, paper
-from gbid.report.read import Results
 from gbid.report.write import write_report
 
 ONE_FILE = """\
@@ -58,12 +56,6 @@ def test_each_figure_of_the_paper_has_a_name():
     numbers = {name[3:5] for name in names if name.startswith("fig") and name[3:5].isdigit()}
     assert numbers == {f"{n:02d}" for n in range(3, 28)}
     assert {"figA28_piezo_hysteresis", "figA29_piezo_staircase", "designs_pareto"} < set(names)
-
-
-def test_a_figure_that_lacks_its_result_says_which(tmp_path):
-    results = Results(Job(load_experiment(write_quick(tmp_path, text=QUICK))))
-    with pytest.raises(DataError, match="no section 'lpv'; add one"):
-        named_figures()["fig11_stiffness"].make(results)
 
 
 def test_a_file_is_enough_for_verb_and_page(tmp_path, one_file, monkeypatch):

@@ -218,16 +218,6 @@ def test_estimates_stand_at_their_points(surfaces, what):
             for bar, rpm in panel.points
         ]
         assert panel.estimates == pytest.approx(on_curve, rel=0.2, abs=0.02)
-    if what == "frequency":
-        k = dict(zip(KEY_PARAMETERS, surfaces.estimates.values[0], strict=True))
-        A = np.block(
-            [
-                [np.zeros((2, 2)), np.eye(2)],
-                [np.array([[k[f"{c}_{p}"] for p in row] for row in (("xx", "xy"), ("yx", "yy"))]) for c in "kd"],
-            ]
-        )
-        expected = np.unique(np.round(np.abs(np.linalg.eigvals(A)) / (2 * np.pi), 9))
-        assert [panel.estimates[0] for panel in panels] == pytest.approx(expected)
 
 
 def test_surface_panels_are_the_estimates(surfaces):

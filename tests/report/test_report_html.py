@@ -25,9 +25,9 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.crossval import CROSSVAL, NOMINAL, validate_pair
 from gbid.experiment.stages.lpv import LPV
-from gbid.report.page import explorer_model, packed, trace
+from gbid.report.control_sections import explorer_model
 from gbid.report.read import Results
-from gbid.report.sections import fit_data, warnings
+from gbid.report.sections import fit_data, packed, trace, warnings
 from gbid.report.views import view_of
 from gbid.report.write import write_report
 
