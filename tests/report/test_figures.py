@@ -127,7 +127,7 @@ def residual_test():
         recording="two", lags=lags, time=1e-3 * lags, autocorrelation=0.01 * random.standard_normal((2, 21)), band=0.04,
         cross_lags=cross, crosscorrelation=crosscorrelation, cross_band=0.05 * two, p_white=0.3 * ones,
         p_independent=np.array([[0.5, 0.6], [1e-9, 0.7]]), outside=0 * two, infinity_norm=ones, rms=ones,
-        fit_percent=ones, input_names=("u_x", "u_y"), output_names=("p_x", "p_y"), verdict=(),
+        fit_percent=ones, input_names=("u_x", "u_y"), output_names=("p_x", "p_y"),
     )  # fmt: skip
 
 
