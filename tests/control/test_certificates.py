@@ -11,19 +11,8 @@ from gain_problems import damping_problem
 
 from benchmarks.known_loops import two_masses_canonical
 from gbid.control.tuning.certificate import certify
-from gbid.control.tuning.local import ascend
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.problem import GainProblem, Limits
-
-
-def test_a_smooth_top_is_certified_and_a_slope_is_not() -> None:
-    problem = damping_problem(lambda g: 0.5 - ca.sumsqr(g - 0.2), [-1.0] * 3, [1.0] * 3)
-    top, x = certify(problem, np.full(3, 0.2), np.ones(3))
-    assert top.holds
-    assert x == pytest.approx(np.full(3, 0.2))
-    low, y = certify(problem, np.full(3, 0.5), np.ones(3))
-    assert problem.score(y).value > problem.score(np.full(3, 0.5)).value
-    assert not low.holds or y == pytest.approx(np.full(3, 0.2), abs=0.01)
 
 
 @pytest.mark.parametrize("bound", [1.0, 0.1])
@@ -76,21 +65,3 @@ def test_two_eigenvalues_that_have_not_met_leave_room() -> None:
     assert 1e-4 < rise < certificate.room
     far, x = certify(parted(0.3), rest, np.ones(1))
     assert not far.holds or x[0] > 0.08
-
-
-def test_bfgs_climbs_a_curved_ridge_without_a_gradient() -> None:
-    """Nonsmooth Rosenbrock function of the paper: top 0 at (1, 1)."""
-
-    def evaluate(x: np.ndarray) -> tuple[float, np.ndarray]:
-        off = x[1] - x[0] ** 2
-        sign = np.sign(off)
-        value = -8 * abs(off) - (1 - x[0]) ** 2
-        return value, np.array([16 * sign * x[0] + 2 * (1 - x[0]), -8 * sign])
-
-    found = ascend(evaluate, np.array([-1.0, 2.0]), np.full(2, -3.0), np.full(2, 3.0), np.ones(2), max_evaluations=2000)
-    assert found.value > -1e-6
-    assert found.x == pytest.approx([1, 1], abs=1e-2)
-    bounded = ascend(
-        evaluate, np.array([-1.0, 2.0]), np.full(2, -3.0), np.array([0.5, 3.0]), np.ones(2), max_evaluations=2000
-    )
-    assert bounded.x == pytest.approx([0.5, 0.25], abs=1e-3)

@@ -54,20 +54,6 @@ def test_closed_loop_is_the_sensitivity_times_the_plant(
     assert closed.n_states == n_g + n_k
 
 
-def test_discrete_loop_sample_by_sample() -> None:
-    rng = np.random.default_rng(5)
-    plant, controller = random_model(rng, 3, 2, 2, 0.1), random_model(rng, 2, 2, 2, 0.1)
-    plant, controller = replace(plant, D=np.zeros((2, 2))), replace(controller, C=0.05 * controller.C)
-    w = rng.normal(size=(60, 2))
-    xg, xk, expected = np.zeros(3), np.zeros(2), []
-    for k in range(len(w)):
-        p = plant.C @ xg
-        r = w[k] + controller.C @ xk + controller.D @ p
-        expected.append(p)
-        xg, xk = plant.A @ xg + plant.B @ r, controller.A @ xk + controller.B @ p
-    np.testing.assert_allclose(close_loop(plant, controller).simulate(w), expected, rtol=1e-9, atol=1e-12)
-
-
 def test_sign_is_positive_feedback() -> None:
     """G = 1/(s + 1), K = k: the pole moves to -(1 - k), stable below k = 1."""
     plant = LinearModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])

@@ -9,7 +9,6 @@ from own_controller import own
 
 import gbid
 from gbid.control import (
-    PDStructure,
     PStructure,
     Scheduled,
     controller_at,
@@ -23,23 +22,6 @@ from gbid.structure import LinearModel
 
 FREQUENCIES = np.array([0.0, 10.0, 150.0, 900.0, 4000.0])
 S = 2j * np.pi * FREQUENCIES
-
-
-def lowpass(corner_hz: float, order: int) -> np.ndarray:
-    pole = 2 * np.pi * corner_hz
-    return (pole / (S + pole)) ** order
-
-
-def diagonal(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return x[:, None, None] * np.diag([1.0, 0.0]) + y[:, None, None] * np.diag([0.0, 1.0])
-
-
-@pytest.mark.parametrize("order", [1, 2, 4])
-def test_pd(order: int) -> None:
-    gains = {"kappa_x": 0.4, "kappa_y": -1.0, "kd_x": 1.2, "kd_y": -0.3}
-    response = controller_model(PDStructure(lowpass_hz=700.0, order=order), gains).frequency_response(FREQUENCIES)
-    expected = diagonal(0.4 + 1.2e-3 * S, -1.0 - 0.3e-3 * S) * lowpass(700.0, order)[:, None, None]
-    np.testing.assert_allclose(response, expected, rtol=1e-11, atol=1e-12)
 
 
 def test_tuned_corner_is_the_fixed_one() -> None:

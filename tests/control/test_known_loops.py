@@ -58,23 +58,6 @@ def test_no_random_problem_raises(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_no_exception_in_two_thousand_random_problems() -> None:
-    for seed in range(2000):
-        problem = random_problem(seed)
-        names = [f"g{i}" for i in range(problem.n_gains)]
-        gbid.maximise_damping(
-            problem.function,
-            names,
-            problem.lower,
-            problem.upper,
-            problem.objective,
-            starts=1,
-            seed=seed,
-            evaluations=60,
-        )
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_random_plants_against_an_evolution_strategy(seed: int) -> None:
     """Static gains of a stable plant of 4 to 20 states: no more than 1 % short with the status optimal."""

@@ -241,16 +241,3 @@ def test_power_sums_of_a_cluster_against_differences(centre: complex, size: int)
         ahead, behind = cluster(x + step * np.eye(3)[i]), cluster(x - step * np.eye(3)[i])
         assert here.mean_slope[i] == pytest.approx((ahead.mean - behind.mean) / (2 * step), abs=1e-6)
         assert here.powers_slope[:, i] == pytest.approx((ahead.powers - behind.powers) / (2 * step), abs=1e-6)
-
-
-def test_units_of_the_states_do_not_matter_to_power_sums() -> None:
-    # three eigenvalues that meet, in a basis of states from 1e-6 to 1e6
-    rng = np.random.default_rng(7)
-    T, units = np.linalg.qr(rng.normal(size=(6, 6)))[0], 2.0 ** np.array([-20, 12, 3, 20, -7, 0])
-    A = T @ (np.diag([-2.0, -2.0, -2.0, -5.0, -7.0, -9.0]) + np.diag([1.0, 1.0, 0.0, 0.0, 0.0], 1)) @ T.T
-    A, dA = (M * units[:, None] / units for M in (A, rng.normal(size=(3, 6, 6))))
-    three = InvariantSubspaces(A, dA).cluster(-2 + 0j, 3, 1.0)
-    assert three is not None
-    assert np.abs(three.powers).max() < 1e-13
-    plain = InvariantSubspaces(A * units / units[:, None], dA * units / units[:, None]).cluster(-2 + 0j, 3, 1.0)
-    np.testing.assert_allclose(three.powers_slope, plain.powers_slope, rtol=1e-9, atol=1e-9)

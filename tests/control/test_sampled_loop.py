@@ -82,21 +82,6 @@ def test_closed_loop_sample_by_sample(late: list[int], computation: int) -> None
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
-def test_modes_are_those_of_the_response() -> None:
-    """A mode's frequency and damping by the decay of the simulated loop, two samples apart."""
-    loop = sampled_loop(exact_plant(MACHINE, 6, 0), PAPER, TS)
-    values, vectors = np.linalg.eig(loop.closed.A)
-    frequency, damping = loop.modes[0]
-    k = np.abs(np.abs(np.log(values + 1e-300)) / TS - 2 * np.pi * frequency).argmin()
-    y = loop.closed.simulate(np.zeros((40, 2)), initial_state=vectors[:, k].real)[:, 0]
-    # any three samples of one mode obey y[n+1] = 2 Re(z) y[n] - |z|^2 y[n-1]
-    a, b = np.linalg.lstsq(np.column_stack([y[1:-1], y[:-2]]), y[2:], rcond=None)[0]
-    z = np.roots([1, -a, -b])[0]
-    s = np.log(z) / TS
-    assert abs(s) / (2 * np.pi) == pytest.approx(frequency, rel=1e-9)
-    assert -s.real / abs(s) == pytest.approx(damping, rel=1e-8)
-
-
 @pytest.mark.parametrize("point", [(6, 0), (3, 6000)])
 def test_fast_sampling_is_the_continuous_loop(point: tuple[float, float]) -> None:
     """Damping and peak come to the continuous ones as c1 h + c2 h^2: extrapolated twice they are the same.

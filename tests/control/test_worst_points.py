@@ -11,7 +11,6 @@ import pytest
 from gain_problems import DampedLoops
 
 from gbid.control.tuning.local import optimise_locally
-from gbid.control.tuning.plants import Uncertainty
 from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits
 from gbid.control.tuning.search import SearchTask
 from gbid.control.tuning.solve import TOLERANCE, GainSolution, add_worst_points, measure
@@ -84,17 +83,6 @@ def test_a_limit_that_a_point_inside_exceeds_holds_the_design_back() -> None:
     points = problem.families[0].points
     assert points is not None
     assert points[-1] == pytest.approx(TOP, rel=5e-4)
-
-
-def test_the_worst_of_all_plants_counts_at_a_point() -> None:
-    samples = np.zeros((2, 14))
-    samples[:, 0] = 0.1, -0.2  # what the first key parameter is off in two plants beside the model itself
-    loops = DampedLoops(lambda g, s: 0.5 + g + 0.01 * s[0] + s[2], Uncertainty(samples=samples))
-    problem = GainProblem((loops.family(CORNERS),), Limits(), np.array([-3.0]), np.array([3.0]), 1.0)
-    found = measure(problem, np.array([0.1]), loops, CORNERS)
-    lowest = 0.5 + 0.1 + 0.01 * CORNERS[:, 0] - 0.2
-    np.testing.assert_allclose(found[0], -lowest, rtol=1e-9)
-    np.testing.assert_allclose(found[1], problem.slowest - lowest, rtol=1e-9)
 
 
 def test_nothing_is_added_where_no_point_is_worse() -> None:

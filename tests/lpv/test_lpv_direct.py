@@ -10,12 +10,9 @@ from study_rig import PAPER, POINTS, truth_at
 import gbid
 from gbid.control import p_controller, sample_controller
 from gbid.core.errors import DataError, UsageError
-from gbid.identify.data import gather
-from gbid.identify.options import FitArguments
-from gbid.identify.problem.assemble import Ties, assemble, build_problem, full_start
 from gbid.lpv import LPVModel
 from gbid.rig import SampledController
-from gbid.structure import KEY_PARAMETERS, Parameter, Plant, RotorBearing
+from gbid.structure import KEY_PARAMETERS, Plant, RotorBearing
 
 
 @pytest.fixture(scope="module")
@@ -62,36 +59,6 @@ def _with_gusts(recording, seed):
     rng = np.random.default_rng(seed)
     gusts = np.cumsum(rng.normal(size=(recording.n_samples, 2)), axis=0) * 30e-9
     return replace(recording, signals={**recording.signals, "p": recording.signal("p") + gusts - gusts.mean(0)})
-
-
-def test_derivatives_by_tied_unknowns_are_those_of_differences(one_point):
-    data = gather(one_point, ("u",), ("p",), minimum=20)
-    structure = RotorBearing()
-    rng = np.random.default_rng(2)
-    truth = truth_at(5.0, 4000.0)
-    maps = rng.normal(size=(3, 14, 5)) * 0.01 * np.array([abs(truth[key]) for key in KEY_PARAMETERS])[:, None]
-    maps[:, :, 0] = [truth[key] for key in KEY_PARAMETERS]
-    lift = 0.01 * np.abs(maps[0][:, :2])
-    shared = tuple(Parameter(f"c_{i}", float(i == 0)) for i in range(5))
-    ties = Ties(KEY_PARAMETERS, shared, maps, (Parameter("off_1", 0.0), Parameter("off_2", 0.0)), lift)
-    begin = {q.name: truth.get(q.name, 0.0) for q in structure.parameters}
-    gains = dict.fromkeys(("bd_xx", "bd_xy", "bd_yx", "bd_yy"), "recording")
-    options = FitArguments(criterion="trace", local=gains, prior={"off_1": (0.0, 1.0)}, window=200)
-    assembly = assemble(structure, structure.parameters, begin, data, options, ties=ties)
-    full = full_start(assembly, begin) | {q.name: q.start for q in shared}
-    problem, x = build_problem(assembly, data, options, full)
-    assert problem.n_theta == 5 + 3 * 4 + 3 * 2
-    x = x + 1e-3 * rng.normal(size=len(x))
-    here = problem.at(x)
-    jacobian = np.zeros((problem.n_gaps, problem.n_unknowns))
-    jacobian[problem.jacobian_pattern.rows, problem.jacobian_pattern.columns] = here.jacobian
-    for _ in range(5):
-        direction = rng.normal(size=len(x))
-        up, down = problem.at(x + 1e-5 * direction), problem.at(x - 1e-5 * direction)
-        assert (up.cost - down.cost) / 2e-5 == pytest.approx(here.gradient @ direction, rel=1e-4)
-        np.testing.assert_allclose(
-            (up.gaps - down.gaps) / 2e-5, jacobian @ direction, rtol=1e-4, atol=1e-6 * np.abs(here.gaps).max() + 1e-8
-        )
 
 
 def test_delays_of_recordings_are_kept_from_below_zero(scattered, repeating):

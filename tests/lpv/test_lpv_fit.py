@@ -12,10 +12,8 @@ from gbid.core.errors import DataError, UsageError
 from gbid.lpv import Estimates, characteristics, regressors
 from gbid.lpv.estimates import _finite, chosen_exponents, orthonormal
 from gbid.lpv.regression import (
-    generalised,
     in_units_of_terms,
     lack_of_fit,
-    sandwich,
     solve_surfaces,
     with_scatter,
 )
@@ -105,21 +103,6 @@ def test_scatter_matrix_of_a_large_campaign_is_found():
     fit = gbid.fit_lpv(data)
     size = np.sqrt(np.diag(S))
     assert np.abs((fit.scatter - S) / np.outer(size, size)).max() < 4 * np.sqrt(2 / 600)  # of 105 entries
-
-
-def test_sandwich_does_not_believe_wrong_weights():
-    rng = np.random.default_rng(5)
-    n, draws = 60, 400
-    X = np.stack([np.ones(n), np.linspace(-1, 1, n)], axis=-1)[:, None, :]
-    sigma = 0.2 + 2 * np.linspace(-1, 1, n) ** 2
-    V = np.broadcast_to(np.eye(1), (n, 1, 1))
-    found, stated = [], []
-    for _ in range(draws):
-        y = (sigma * rng.normal(size=n))[:, None]
-        c = generalised(y, X, V).coefficients
-        found.append(c)
-        stated.append(np.diag(sandwich(y, X, V, c)))
-    np.testing.assert_allclose(np.mean(stated, axis=0), np.var(found, axis=0), rtol=0.2)
 
 
 def solved(estimates, order):

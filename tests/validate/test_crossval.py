@@ -54,19 +54,6 @@ def test_the_initial_state_of_an_exact_recording_is_found(hold):
     np.testing.assert_allclose(estimate_initial_state(every, u, y, H, hold), x0, rtol=1e-9)
 
 
-def test_the_initial_state_is_that_of_least_squares():
-    every = evaluate(EVERY, EVERY_AT)
-    u, y = smooth(60), smooth(60, seed=9)
-    found = estimate_initial_state(every, u, y, H)
-
-    def cost(x):
-        return np.sum((y - every.simulate(u, H, initial_state=x)) ** 2)
-
-    for direction in ([1e-3, 0], [0, 1e-3], [-1e-3, 1e-3]):
-        assert cost(found) < cost(found + direction)
-        assert cost(found) < cost(found - direction)
-
-
 def test_a_state_that_no_output_sees_is_left_at_zero():
     every = evaluate(EVERY, EVERY_AT)
     blind = replace(every, A=np.diag([-1.0, -2.0]), C=np.array([[1.0, 0.0], [2.0, 0.0]]), K=None)
@@ -102,17 +89,6 @@ def test_noise_leaves_its_own_part(model):
     found = cross_validate(model, rec)
     assert found.fit_percent[0] == pytest.approx(100 * (1 - np.sqrt(0.5)), abs=2)
     assert found.infinity_norm[0] == pytest.approx(np.abs(noise).max(), rel=0.1)
-
-
-def test_outputs_are_used_for_the_initial_state_alone(model):
-    """A wrong output does not bend the simulation beyond its start."""
-    rec = simulated(MODE, MODE_AT, levels(300, seed=7))
-    bent = rec.with_signals(y=rec.signal("y") + 5 * smooth(300, 1, seed=2))
-    straight, found = cross_validate(model, rec), cross_validate(model, bent)
-    free = found.simulated - straight.simulated
-    shift = found.initial_state - straight.initial_state
-    expected = model.model.simulate(np.zeros((300, 1)), H, initial_state=shift)
-    np.testing.assert_allclose(free, expected, atol=1e-8 * np.abs(found.simulated).max())
 
 
 def test_the_hold_and_the_channels_of_the_fit_are_kept():

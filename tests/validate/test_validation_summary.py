@@ -81,16 +81,12 @@ def test_many_at_once_agree_with_one_by_one(recordings, structure, options):
     data = [with_mean_removed(rec) for rec in recordings]
     results = [fit(structure, rec, **options) for rec in data[:2]]
     scores = cross_validate_many(results, data)
-    assert list(zip(scores.models, scores.recordings, strict=True)) == [
-        ("r0", "r1"),
-        ("r0", "r2"),
-        ("r1", "r0"),
-        ("r1", "r2"),
-    ]
-    ones = [cross_validate(results[i], data[j]) for i, j in ((0, 1), (0, 2), (1, 0), (1, 2))]
+    pairs = ((0, 1), (0, 2), (1, 0), (1, 2))
+    assert list(zip(scores.models, scores.recordings, strict=True)) == [(f"r{i}", f"r{j}") for i, j in pairs]
+    ones = [cross_validate(results[i], data[j]) for i, j in pairs]
     np.testing.assert_allclose(scores.fit_percent, [v.fit_percent for v in ones], rtol=0, atol=1e-9)
     np.testing.assert_allclose(scores.infinity_norm, [v.infinity_norm for v in ones], rtol=1e-9)
-    for (i, j), one in zip(((0, 1), (0, 2), (1, 0), (1, 2)), ones, strict=True):
+    for (i, j), one in zip(pairs, ones, strict=True):
         fit_of, norm, response, state = plainly(results[i], data[j])
         np.testing.assert_allclose(one.fit_percent, fit_of, rtol=0, atol=1e-9)
         np.testing.assert_allclose(one.infinity_norm, norm, rtol=1e-8)
