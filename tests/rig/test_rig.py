@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig_point import BARE, actuator, machine, modes, rotor_bearing
+from rig_point import BARE, actuator, machine, rotor_bearing
 from scipy.integrate import solve_ivp
-from scipy.signal import welch
 
 from gbid.core.errors import UsageError
 from gbid.rig import (
@@ -40,11 +39,6 @@ def with_delay(tau) -> RotorBearingTruth:
 
 
 # ---- exactness ----
-
-
-def test_errata_modes_of_the_test_point_hold():
-    truth = rotor_bearing(6.0, 0.0)
-    np.testing.assert_allclose(modes(truth), [(126.590, 132.110), (0.03523, 0.02914)], atol=6e-4)
 
 
 def brute_force(truth, piezos, reference, n_fine):
@@ -117,18 +111,10 @@ def test_a_delay_shifts_the_motion_by_exactly_itself(tau, oversampling):
     assert not later[:shift].any()
 
 
-def test_each_axis_has_its_own_delay():
-    reference = steps(200)
-    both = driven_motion(with_delay([3 * TS, 0]), actuator(), reference, TS).p
-    x = driven_motion(with_delay([0, 0]), actuator(), reference * [1, 0], TS).p
-    y = driven_motion(with_delay([0, 0]), actuator(), reference * [0, 1], TS).p
-    np.testing.assert_allclose(both[60:], x[:-60] + y[60:], rtol=0, atol=1e-17)
-
-
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=10)
 @given(tau=st.tuples(st.floats(0, 2e-3), st.floats(0, 2e-3)))
 def test_halving_the_step_changes_nothing(tau):
-    reference = steps(60)
+    reference = steps(30)
     coarse = driven_motion(with_delay(tau), actuator(), reference, TS, 20)
     fine = driven_motion(with_delay(tau), actuator(), reference, TS, 40)
     np.testing.assert_allclose(fine.time[::2], coarse.time, rtol=0, atol=1e-15)
@@ -143,7 +129,7 @@ def test_equal_actuator_poles_are_no_special_case():
     np.testing.assert_allclose(a, b, rtol=0, atol=1e-11)
 
 
-def test_unbalance_orbit_is_where_a_start_from_rest_ends():
+def test_unbalance_orbit_is_a_solution_that_repeats():
     truth, unbalance, speed = rotor_bearing(), Unbalance(), 200 * np.pi
 
     def rotor(t, s):
@@ -151,9 +137,11 @@ def test_unbalance_orbit_is_where_a_start_from_rest_ends():
         force = unbalance.eccentricity_m * speed**2 * np.array([np.cos(angle), np.sin(angle)])
         return np.concatenate([s[2:], truth.stiffness @ s[:2] + truth.damping @ s[2:] + force])
 
-    time = np.linspace(1.2, 1.22, 30)
-    solution = solve_ivp(rotor, (0, 1.22), np.zeros(4), t_eval=time, method="DOP853", rtol=1e-9, atol=1e-15)
+    time = np.linspace(0, 0.02, 30)
     orbit = unbalance_orbit(truth, unbalance, speed, speed * time + 0.4)
+    before, after = unbalance_orbit(truth, unbalance, speed, 0.4 + speed * np.array([-1e-6, 1e-6]))
+    start = np.concatenate([orbit[0], (after - before) / 2e-6])
+    solution = solve_ivp(rotor, (0, 0.02), start, t_eval=time, method="DOP853", rtol=1e-9, atol=1e-15)
     assert 2e-6 < np.hypot(*orbit.T).max() < 5e-6
     np.testing.assert_allclose(orbit, solution.y[:2].T, rtol=0, atol=1e-13)
 
@@ -262,18 +250,6 @@ def test_prbs_levels_are_random_binary_and_independent():
     for lag in range(1, 20):
         assert np.abs(levels[lag:].T @ levels[:-lag]).max() / len(levels) < bound
     assert abs(np.mean(levels[:, 0] * levels[:, 1])) < bound
-
-
-def test_prbs_spectrum_is_that_of_a_held_random_sequence():
-    hold = 20e-3
-    r = Prbs(hold_s=hold).reference(1_000_000, TS, np.random.default_rng(2))
-    frequency, density = welch(r, fs=1 / TS, nperseg=4000, axis=0, detrend=False)
-    band = (frequency > 5) & (frequency < 200)
-    expected = 2 * hold * 4.5e-6**2 * np.sinc(frequency * hold) ** 2
-    for low in range(5, 200, 50):
-        inside = band & (frequency >= low) & (frequency < low + 50)
-        ratio = density[inside].sum(axis=0) / expected[inside].sum()
-        np.testing.assert_allclose(ratio, 1.0, atol=0.12)
 
 
 @settings(deadline=None)

@@ -89,6 +89,15 @@ def test_open_loop_staircase_shows_the_papers_hysteresis():
     np.testing.assert_array_equal(np.unique(rec.signal("v")[:, 3]), np.arange(11.0))
 
 
+def test_without_creep_an_open_staircase_is_that_of_the_plays():
+    plain = tuple(replace(s, creep=0.0) for s in PiezoStacks().stacks)
+    rec = run(PiezoStacks(plain), controlled=False, hold_s=0.1)
+    volts = rec.signal("v")[:, 3]
+    plays = sum(play_by_hand(volts, rho) for rho in STACK.thresholds)
+    expected = STACK.spring * volts + STACK.play_weight * plays
+    np.testing.assert_allclose(rec.signal("y_p")[499::500, 3], expected[499::500], rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("stack", [1, 2, 3, 4])
 def test_controlled_staircase_has_less_than_a_tenth_of_it(stack):
     up, down = ends_of_steps(run(controlled=True, stack=stack), stack)

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from gbid.lpv import load_model
 from gbid.prefilter.filtering import prefilter
 from gbid.prefilter.runout_identification import identify_runout
-from gbid.rig import ActuatorTruth, Machine, Prbs, RotorBearingTruth, SensorChain, Stationary, Unbalance, record
+from gbid.rig import Machine, Prbs, SensorChain, Stationary, Unbalance, record
 
 PAPER = load_model("theisen2016")
 POINTS = [(p, n) for p in (3.0, 4.0, 5.0, 6.0, 7.0) for n in (0.0, 4000.0, 6000.0)]
@@ -23,14 +23,7 @@ def truth_at(pressure, speed):
 
 def machine_at(pressure, speed, noise=30e-9):
     t = truth_at(pressure, speed)
-    square = {a: np.array([[t[f"{a}_xx"], t[f"{a}_xy"]], [t[f"{a}_yx"], t[f"{a}_yy"]]]) for a in "kdb"}
-    axes = {name: np.array([t[f"{name}_x"], t[f"{name}_y"]]) for name in ("tau", "p1", "p2", "kappa")}
-    return Machine(
-        RotorBearingTruth(square["k"], square["d"], square["b"], axes["tau"]),
-        ActuatorTruth(axes["p1"], axes["p2"], axes["kappa"]),
-        Unbalance(),
-        SensorChain(noise_p_m=noise),
-    )
+    return Machine.from_parameters(t, t, Unbalance(), SensorChain(noise_p_m=noise))
 
 
 def prefiltered(pressure, speed, *, duration_s=5.0, seed=0, name="prbs", noise=30e-9):
