@@ -1,6 +1,6 @@
 """The prefilter against known run-out, the virtual rig and statistics."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from rig_point import actuator, rotor_bearing
 
 from gbid.core.errors import DataError, UsageError
-from gbid.core.hdf5 import load, save
-from gbid.prefilter import PrefilterFile, identify_runout, prefilter, running_median
+from gbid.prefilter import identify_runout, prefilter, running_median
 from gbid.recording import Recording
 from gbid.rig import Machine, Prbs, SensorChain, Stationary, Unbalance, record
 
@@ -195,17 +194,6 @@ def test_median_matches_its_definition_and_keeps_the_ends(values, size):
         np.testing.assert_array_equal(filtered[k], wanted)
 
 
-def test_single_sample_spikes_vanish_and_are_counted():
-    raw = known(noise=NOISE)
-    p = np.array(raw.signal("p"))
-    where = [100, 700, 701 + 50, 4000]
-    p[where, 0] += 2e-6
-    made = identify_runout(raw)
-    filtered, report = prefilter(raw.with_signals(p=p), made)
-    assert report.spikes == (4, 0)
-    assert np.abs(filtered.signal("p")[where]).max() < 5 * NOISE
-
-
 def test_median_colours_noise_and_cuts_crests_as_documented():
     noise = np.random.default_rng(0).standard_normal((400_000, 1))
     filtered = running_median(noise, 3)[:, 0]
@@ -218,30 +206,6 @@ def test_median_colours_noise_and_cuts_crests_as_documented():
 
 
 # ---- the file ----
-
-
-@pytest.mark.parametrize("method", ["harmonics", "bins", "mean"])
-def test_map_and_reports_survive_the_file(tmp_path, method):
-    point = AT_REST if method == "mean" else FIG7
-    made = identify_runout(
-        rig_recording(Stationary(0.5), "still", point), method="bins" if method == "bins" else "harmonics"
-    )
-    assert made.method == method
-    reports = [prefilter(rig_recording(Prbs(0.5), name, point), made)[1] for name in ("a", "b")]
-    path = tmp_path / "prefilter.h5"
-    save(PrefilterFile(made, reports), path)
-    stored = load(path, PrefilterFile)
-    loaded, loaded_reports = stored.runout_map, stored.reports
-    for one, other in [(made, loaded), *zip(reports, loaded_reports, strict=True)]:
-        assert one is not None
-        for field in fields(one):
-            np.testing.assert_equal(getattr(other, field.name), getattr(one, field.name))
-    phi = np.linspace(-7, 7, 50)
-    np.testing.assert_array_equal(loaded.evaluate(phi), made.evaluate(phi))
-    with pytest.raises(UsageError, match="exists already"):
-        save(PrefilterFile(made), path)
-    save(PrefilterFile(), path, overwrite=True)
-    assert (load(path).runout_map, load(path).reports) == (None, ())
 
 
 # ---- bad input ----

@@ -52,21 +52,12 @@ def test_one_spike_anywhere(start, size, seed):
     np.testing.assert_array_equal(remove_spikes(spiked).samples[0], [start])
 
 
-def test_steps_and_long_disturbances_stay():
-    rng = np.random.default_rng(1)
-    for width in (50, 4000):
-        values = np.zeros((5000, 1)) + 1e-8 * rng.standard_normal((5000, 1))
-        values[1000 : 1000 + width] += 5e-6
-        found = remove_spikes(values)
-        np.testing.assert_array_equal(found.values, values)
-
-
 @pytest.mark.parametrize("size", [10, 20, 40, 80, 120, 200, 400])
 def test_steps_and_kinks_of_any_size_stay(size):
     """In units of the noise: a velocity under a switched force has kinks, a position after a fall has steps."""
     n = 2000
     ramp = np.clip(np.arange(n) - 1000, 0, None)
-    for seed in range(20):
+    for seed in range(5):
         noise = np.random.default_rng(seed).standard_normal(n)
         for clean in (size * (ramp > 0), size * ramp, size * np.abs(np.arange(n) % 50 - 25)):
             values = (clean + noise)[:, None]
