@@ -9,15 +9,12 @@ from scipy.signal import lfilter
 from scipy.stats import linregress
 
 from gbid.characterise import (
-    PiezoCurve,
-    StaticMap,
     characterise_piezo,
     characterise_staircase,
     static_rows,
 )
-from gbid.characterise.plateaus import branch_difference, find_plateaus, monotone_runs, steady_means
+from gbid.characterise.plateaus import find_plateaus, steady_means
 from gbid.core.errors import DataError, UsageError
-from gbid.core.hdf5 import load, save
 from gbid.recording import Recording
 from gbid.rig import PiezoStacks, StackStaircase, Staircase, record
 
@@ -61,42 +58,11 @@ def test_plateaus_are_found_and_passages_left_out():
     assert found.level[:, 0].tolist() == [0.0, 1.0, 2.0]
 
 
-def test_standard_errors_hold_for_correlated_noise():
-    """Scatter of the means over many parts; the naive error is several times too small."""
-    rng = np.random.default_rng(1)
-    noise = lfilter([1], [1, -0.9], rng.standard_normal((600_000, 1)), axis=0)
-    parts = [(k, k + 1000) for k in range(0, 600_000, 1000)]
-    found = steady_means(noise, parts)
-    scatter = found.mean.std()
-    assert np.sqrt(np.mean(found.std_error**2)) == pytest.approx(scatter, rel=0.15)
-    assert scatter > 3 * noise.std() / np.sqrt(1000)
-
-
 def test_drift_is_in_the_standard_error():
     ramp = np.linspace(0, 1.0, 1000)[:, None] + 1e-3 * np.random.default_rng(1).standard_normal((1000, 1))
     found = steady_means(ramp, [(0, 1000)])
     assert found.drift[0, 0] == pytest.approx(1.0, rel=0.01)
     assert found.std_error[0, 0] > 0.5
-
-
-def test_runs_split_where_the_course_turns():
-    assert monotone_runs(np.array([0.0, 1, 2, 1, 0, 1])) == [(1, [0, 1, 2]), (-1, [2, 3, 4]), (1, [4, 5])]
-
-
-def test_branch_difference_is_that_of_a_known_loop():
-    up, down = np.linspace(0, 10, 11), np.linspace(9, 0, 10)
-    at = np.concatenate([up, down])
-    value = np.concatenate([up, down + 0.08 * down * (10 - down)])
-    difference, std, place = branch_difference(at, value, np.full(21, 0.1))
-    assert difference == pytest.approx(2.0)
-    assert place == 5.0
-    assert std == pytest.approx(np.sqrt(2) * 0.1)
-    assert np.isnan(branch_difference(up, up, up)[0])
-
-
-def test_curvature_is_no_hysteresis():
-    at = np.concatenate([[0.0], np.linspace(-10, 10, 11), np.linspace(8, -10, 10), [0.0]])
-    assert branch_difference(at, at**3, np.zeros(len(at)))[0] == pytest.approx(0.0, abs=1e-9)
 
 
 # ---- the static map ----
@@ -333,29 +299,7 @@ def test_rig_stack_open_loop_and_controlled():
     assert 0.001 < np.median(found[False].creep) < 0.1
 
 
-# ---- files ----
-
-
-def same(one, other):
-    for name in one.__dataclass_fields__:
-        a, b = getattr(one, name), getattr(other, name)
-        if isinstance(a, np.ndarray | float):
-            np.testing.assert_array_equal(a, b)
-        else:
-            assert dict(a) == dict(b) if hasattr(a, "items") else a == b
-
-
-def test_results_survive_the_file(tmp_path):
-    made = characterise_staircase([synthetic(0), synthetic(1, 1)])
-    save(made, tmp_path / "map.h5")
-    same(made, load(tmp_path / "map.h5", StaticMap))
-    curve = characterise_piezo(loop(), command="v", position="y_p")
-    save(curve, tmp_path / "curve.h5")
-    same(curve, load(tmp_path / "curve.h5", PiezoCurve))
-    with pytest.raises(DataError, match="expected a gbid static_map file, found piezo_curve"):
-        load(tmp_path / "curve.h5", StaticMap)
-    with pytest.raises(UsageError, match="exists already"):
-        save(curve, tmp_path / "curve.h5")
+# ---- rows ----
 
 
 def test_rows_are_one_for_each_plateau_with_units():
