@@ -143,16 +143,6 @@ def test_simulation_against_brute_force(holds, delay):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10)
 
 
-def test_a_delay_of_zero_is_a_plain_input():
-    late = LinearModel(A, B, MODEL.C, MODEL.D, B_delayed=LATE, delay=[0.0, 0.0])
-    plain = LinearModel(A, B + LATE, MODEL.C, MODEL.D)
-    u = smooth(50)
-    for hold in ("zoh", "foh"):
-        np.testing.assert_allclose(
-            late.simulate(u, H, intersample=hold), plain.simulate(u, H, intersample=hold), atol=1e-12
-        )
-
-
 def test_the_frequency_response_has_the_phase_of_the_delay():
     f = np.array([0.0, 0.1, 0.7, 3.0, 40.0])
     s = 2j * np.pi * f[:, None, None]
@@ -340,12 +330,7 @@ def test_derivatives_of_the_predictor_by_all_parameters(structure, values, h, ho
             assert (error <= 1e-6 * size + 20 * rounding).all(), f"d{letter} by {q.name}"
 
 
-def test_half_a_structure_with_a_delay_is_refused():
-    half = LinearStructure(
-        "half", [Parameter("a", 1.0)], lambda p: {"A": [[-p.a]], "B": [[1]], "C": [[1]], "delay": [1]}
-    )
-    with pytest.raises(UsageError, match="and B_delayed with delay; got A, B, C, delay"):
-        evaluate(half, {"a": 1.0})
+def test_a_structure_with_a_delay_of_another_shape_is_refused():
     wrong = LinearStructure(
         "wrong",
         [Parameter("a", 1.0)],

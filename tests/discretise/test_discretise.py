@@ -66,21 +66,6 @@ def test_exponential_of_any_matrix(n, exponent, seed):
         np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max(), rtol=0)
 
 
-def test_too_few_squarings_show_and_more_than_enough_do_no_harm():
-    Z = MATRICES["rotation"]  # undamped: what is wrong at first is not forgotten by the doublings
-    need = squarings_for([Z])
-
-    def error(squarings):
-        pairs = zip(exponentials(Z, squarings), reference(Z), strict=True)
-        return [np.abs(found - expected).max() / np.abs(expected).max() for found, expected in pairs]
-
-    assert need == 6  # 2^5 < 40 < 2^6
-    assert min(error(0)) > 1e6
-    assert min(error(need - 3)) > 1e-6
-    assert max(error(need)) < 1e-13
-    assert max(error(need + 4)) < 1e-12
-
-
 def test_squarings_are_those_of_the_worst_sample_and_do_not_see_the_scaling_of_states():
     A = rotor()[0] * 2e-4
     # Each doubling halves the matrix: twice the sample time costs one more.
@@ -149,56 +134,6 @@ def test_the_symbolic_first_order_hold_keeps_zero_columns_of_held_inputs():
     A, B = (ca.SX(m) for m in two_inputs())
     assert discretise(A, B, 2e-4, ("zoh", "foh"), 1).G_next[:, 0].nnz() == 0
     assert discretise(A, B, 2e-4, "zoh", 1).G_next.nnz() == 0
-
-
-def sampled_states(A, B, h, n, hold, u):
-    F, now, following = discretise(A, B, h, hold)
-    x, states = np.zeros(len(A)), []
-    for k in range(n + 1):
-        states.append(x)
-        x = F @ x + now @ u(k * h) + following @ u((k + 1) * h)
-    return np.array(states)
-
-
-def exact_states(A, B, generator, start, h, n):
-    """States driven by ``u = v_1`` with ``vd = generator v``: one exponential, no hold."""
-    m = len(generator)
-    drive = np.hstack([B, np.zeros((len(A), m - 1))])
-    step = expm(h * np.block([[A, drive], [np.zeros((m, len(A))), generator]]))
-    z, states = np.concatenate([np.zeros(len(A)), start]), []
-    for _ in range(n + 1):
-        states.append(z[: len(A)])
-        z = step @ z
-    return np.array(states)
-
-
-def test_a_held_input_and_a_ramp_are_exact_whatever_the_sample_time():
-    A, B = rotor()
-    h, n = 2e-3, 10
-
-    def close(found, expected):
-        assert (np.abs(found - expected).max(0) < 1e-10 * np.abs(expected).max(0)).all()
-
-    step = exact_states(A, B, np.zeros((1, 1)), [1e-6], h, n)
-    ramp = exact_states(A, B, np.array([[0, 1], [0, 0]]), [0, 1e-3], h, n)
-    for hold in ("zoh", "foh"):
-        close(sampled_states(A, B, h, n, hold, lambda t: np.array([1e-6])), step)
-    close(sampled_states(A, B, h, n, "foh", lambda t: np.array([1e-3 * t])), ramp)
-    held = sampled_states(A, B, h, n, "zoh", lambda t: np.array([1e-3 * t]))
-    assert np.abs(held - ramp).max() > 0.1 * np.abs(ramp).max()  # the ramp does tell the holds apart
-
-
-@pytest.mark.parametrize(("hold", "order"), [("zoh", 1), ("foh", 2)])
-def test_order_of_the_error_for_a_smooth_input(hold, order):
-    A, B = rotor()
-    w, T = 2 * np.pi * 90.0, 0.02
-    errors = []
-    for n in (200, 400, 800):
-        exact = exact_states(A, B, np.array([[0, 1], [-(w**2), 0]]), [0, w], T / n, n)
-        found = sampled_states(A, B, T / n, n, hold, lambda t: np.array([np.sin(w * t)]))
-        errors.append(np.abs((found - exact) / np.abs(exact).max(0)).max())
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert orders == pytest.approx([order, order], abs=0.08)
 
 
 def test_holds_are_checked():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gbid.discretise import Dual, constant, delayed_taps, discretise, exponentials, side_by_side
+from gbid.discretise import Dual, constant, delayed_taps, discretise, side_by_side
 
 STEP = 1e-6
 N_P = 3
@@ -85,14 +85,6 @@ def test_a_constant_has_no_derivatives():
     np.testing.assert_array_equal(found.value, X0["A"])
     assert found.slope.shape == (N_P, 3, 3)
     assert not found.slope.any()
-
-
-@pytest.mark.parametrize("squarings", [0, 3])
-def test_exponentials(squarings):
-    found = exponentials(dual_at("A", AT), squarings)
-    for i, part in enumerate(found):
-        expected = differences(lambda t, i=i: exponentials(value_at("A", t), squarings)[i], AT)
-        np.testing.assert_allclose(part.slope, expected, rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", ("zoh", "foh")])

@@ -1,4 +1,4 @@
-"""Pade delays against the closed form of the polynomials, and the properties of an all-pass."""
+"""Pade delays against the closed form of the polynomials, and their derivative."""
 
 from fractions import Fraction
 from math import factorial, pi
@@ -6,8 +6,6 @@ from math import factorial, pi
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from gbid.core.errors import UsageError
 from gbid.structure import pade_delay
@@ -35,67 +33,14 @@ def coefficients(n):
     ]
 
 
-def exact_value(n, s):
-    """The approximation at a rational point."""
-    terms = [c * s**k for k, c in enumerate(coefficients(n))]
-    return sum((-1) ** k * t for k, t in enumerate(terms)) / sum(terms)
-
-
-def solve_exactly(A, b):
-    """Gauss with fractions."""
-    rows = [[*map(Fraction, row), Fraction(v)] for row, v in zip(A, b, strict=True)]
-    for i in range(len(rows)):
-        pivot = next(r for r in range(i, len(rows)) if rows[r][i] != 0)
-        rows[i], rows[pivot] = rows[pivot], rows[i]
-        rows[i] = [v / rows[i][i] for v in rows[i]]
-        for r in range(len(rows)):
-            if r != i:
-                rows[r] = [v - rows[r][i] * w for v, w in zip(rows[r], rows[i], strict=True)]
-    return [row[-1] for row in rows]
-
-
 @pytest.mark.parametrize("order", ORDERS)
-def test_transfer_function_is_the_pade_approximation_exactly(order):
-    """A rational function of order n is settled by 2n + 1 points; entries of a unit delay are integers."""
-    A, B, C, D = (m.astype(int) for m in numbers(1.0, order))
-    for m, unit in zip((A, B, C, D), numbers(1.0, order), strict=True):
-        np.testing.assert_array_equal(m, unit)
-    for j in range(2 * order + 1):
-        s = Fraction(j + 1, 3)
-        system = [[(s if r == c else 0) - int(A[r, c]) for c in range(order)] for r in range(order)]
-        x = solve_exactly(system, [int(v) for v in B[:, 0]])
-        found = sum(int(c) * v for c, v in zip(C[0], x, strict=True)) + int(D[0, 0])
-        assert found == exact_value(order, s)
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_poles_are_the_roots_of_the_denominator_and_stable(order):
-    tau = 3e-4
-    poles = np.linalg.eigvals(numbers(tau, order)[0])
-    roots = np.roots([float(c) for c in reversed(coefficients(order))]) / tau
-    assert (poles.real < 0).all()
-    distance = np.abs(poles[:, None] - roots[None, :])
-    assert distance.min(0).max() < 1e-5 * np.abs(roots).max()
-    assert distance.min(1).max() < 1e-5 * np.abs(roots).max()
-
-
-@settings(max_examples=60, deadline=None)
-@given(order=st.integers(1, 8), tau=st.floats(1e-6, 1.0), omega_tau=st.floats(0, 1e3))
-def test_all_frequencies_pass_with_gain_one(order, tau, omega_tau):
-    assert abs(response(tau, order, omega_tau / tau)[0]) == pytest.approx(1, abs=1e-10)
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_the_phase_is_that_of_the_delay_to_order_2n_plus_1(order):
-    tau = 2e-4
-    # Small, but above rounding; the leading term is (n!)^2 / ((2n)! (2n+1)!) (omega tau)^(2n+1).
-    leading = factorial(order) ** 2 / (factorial(2 * order) * factorial(2 * order + 1))
-    top = (1e-9 / leading) ** (1 / (2 * order + 1))
-    x = top * np.array([0.7, 1.0])
-    error = np.abs(response(tau, order, x / tau) - np.exp(-1j * x))
-    slope = np.log(error[1] / error[0]) / np.log(x[1] / x[0])
-    assert slope == pytest.approx(2 * order + 1, abs=0.35)
-    assert error[0] == pytest.approx(leading * x[0] ** (2 * order + 1), rel=0.15)
+def test_transfer_function_is_the_pade_approximation_and_stable(order):
+    """A rational function of order n is settled by 2n + 1 points; the closed form is an all-pass by its signs."""
+    tau, omega_tau = 3e-4, np.linspace(0, 4 * order, 2 * order + 1)
+    terms = np.array([[float(c) * (1j * x) ** k for k, c in enumerate(coefficients(order))] for x in omega_tau])
+    expected = (terms * (-1.0) ** np.arange(order + 1)).sum(axis=1) / terms.sum(axis=1)
+    np.testing.assert_allclose(response(tau, order, omega_tau / tau), expected, rtol=1e-9)
+    assert (np.linalg.eigvals(numbers(tau, order)[0]).real < 0).all()
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 5])

@@ -73,14 +73,6 @@ def test_discretise_is_scipys_zero_order_hold() -> None:
     np.testing.assert_allclose(sampled.static_gain(), model.static_gain(), rtol=1e-9)
 
 
-def test_static_gain_is_where_a_step_ends() -> None:
-    model = oscillators()
-    steps = np.tile([1.0, -2.0], (20_000, 1))
-    end = model.simulate(steps, 0.002)[-1]
-    np.testing.assert_allclose(end, model.static_gain() @ [1.0, -2.0], rtol=1e-9)
-    np.testing.assert_allclose(static([[2.0, 3.0]]).static_gain(), [[2.0, 3.0]])
-
-
 def test_an_integrator_has_no_static_gain() -> None:
     model = LinearModel([[0, 1], [0, -5]], [[0], [1]], [[1, 0]], [[0]])
     for integrator in (model, model.discretise(0.1)):
@@ -101,14 +93,6 @@ def test_simulate_is_scipys_lsim(n_samples: int, hold: str) -> None:
         return
     _, expected, _ = signal.lsim(scipy_model(model), u, h * np.arange(n_samples), X0=x0, interp=hold == "foh")
     np.testing.assert_allclose(y, expected, rtol=1e-8, atol=1e-9)
-
-
-def test_simulate_with_one_hold_for_each_input() -> None:
-    model, h = oscillators(), 0.01
-    u = np.random.default_rng(8).normal(size=(90, 2))
-    first, second = u * [1, 0], u * [0, 1]
-    expected = model.simulate(first, h, intersample="foh") + model.simulate(second, h)
-    np.testing.assert_allclose(model.simulate(u, h, intersample=("foh", "zoh")), expected, atol=1e-12)
 
 
 def test_simulate_discrete_is_scipys_dlsim() -> None:

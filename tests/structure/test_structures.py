@@ -44,23 +44,6 @@ ARM = [Parameter("b1", 1.0), Parameter("K2", 1.0)]
 # ---- rotor-bearing ----
 
 
-def test_rotor_bearing_is_equation_10():
-    model = evaluate(RotorBearing(), {**KEY, **GAINS})
-    B, tau_x, tau_y = square("b"), KEY["tau_x"], KEY["tau_y"]
-    # First-order delays: u_tau = -u + 4/tau x_tau with unit input, whatever the scaling of x_tau.
-    assert model.A.shape == (6, 6)
-    np.testing.assert_array_equal(model.A[:2], np.hstack([np.zeros((2, 2)), np.eye(2), np.zeros((2, 2))]))
-    np.testing.assert_array_equal(model.A[2:4, :2], square("k"))
-    np.testing.assert_array_equal(model.A[2:4, 2:4], square("d"))
-    np.testing.assert_allclose(model.A[4:], np.diag([0, 0, 0, 0, -2 / tau_x, -2 / tau_y])[4:], rtol=1e-15)
-    np.testing.assert_array_equal(model.B[:2], np.zeros((2, 2)))
-    np.testing.assert_array_equal(model.B[2:4], -B)
-    np.testing.assert_allclose(model.A[2:4, 4:] @ model.B[4:], B @ np.diag([4 / tau_x, 4 / tau_y]), rtol=1e-14)
-    np.testing.assert_array_equal(model.C, np.eye(2, 6))
-    np.testing.assert_array_equal(model.D, np.zeros((2, 2)))
-    np.testing.assert_array_equal(model.K, [[0, 0], [0, 0], [11, 12], [13, 14], [0, 0], [0, 0]])
-
-
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_rotor_bearing_has_the_transfer_function_of_equations_5_to_9(order):
     model = evaluate(RotorBearing(pade_order=order), {**KEY, **GAINS})
@@ -220,6 +203,7 @@ def filled_entry_by_entry(p):
         (lambda p: {"A": [[0]], "B": [[1]], "C": [[1]], "K": [[1], [1]]}, r"K has shape \(2, 1\), expected \(1, 1\)"),
         (lambda p: {"B": [[1]], "C": [[1]]}, "B, D, K, x0, and B_delayed with delay; got B, C"),
         (lambda p: {}, "got nothing"),
+        (lambda p: {**arm(p), "delay": [1]}, "and B_delayed with delay; got A, B, C, delay"),
         (lambda p: {**arm(p), "E": [[1]]}, "got A, B, C, E"),
         (lambda p: {**arm(p), "B": [[0], [STRAY]]}, "B contains symbols that are not parameters: stray"),
         (lambda p: {**arm(p), "A": [[0, 1], [0]]}, "A is not a matrix"),
@@ -279,12 +263,6 @@ def test_wrong_lists_of_parameters_and_outputs():
 def test_wrong_parameters(arguments, text):
     with pytest.raises(UsageError, match=text):
         Parameter(**arguments)
-
-
-def test_parameters_may_start_on_a_bound_and_stay_as_they_are():
-    q = Parameter("k", 2.0, lower=2.0)
-    with pytest.raises(AttributeError):
-        q.start = 3.0
 
 
 def test_values_by_key_and_attribute():
