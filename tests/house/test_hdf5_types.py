@@ -17,7 +17,6 @@ from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import NOT_STORED, Stored, load, save
-from gbid.core.hdf5 import types as by_type
 from gbid.prefilter import PrefilterFile
 from gbid.structure import LinearModel
 
@@ -98,7 +97,6 @@ class Everything(hdf5.InFile):
 
 
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
-LINE = st.text(st.characters(codec="utf-8", exclude_characters="\0\n"), min_size=1, max_size=8)
 KEY = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=6)
 NUMBER = st.floats()
 WHOLE = st.integers(-(2**63), 2**63 - 1)
@@ -139,7 +137,7 @@ def everything(draw):
         level=draw(st.sampled_from(Level)),
         choice=draw(st.sampled_from("ab")),
         words=draw(tuples(TEXT)),
-        lines=draw(tuples(tuples(LINE))),
+        lines=draw(tuples(tuples(TEXT.filter(bool)))),
         spikes=draw(tuples(WHOLE)),
         colours=draw(tuples(st.sampled_from(Colour))),
         limits=draw(st.tuples(NUMBER, NUMBER)),
@@ -367,10 +365,3 @@ def test_flipped_bits_truncation_and_foreign_changes_are_noticed_before_the_libr
         file.attrs["mine"] = 1.0
     with pytest.raises(DataError, match="changed by another program"):
         load(path, type(value))
-
-
-@given(st.lists(st.lists(st.text(st.sampled_from("ab\\n\n \"'"), min_size=1), min_size=1), min_size=1))
-def test_lists_of_texts_keep_line_breaks_and_backslashes(texts: list[list[str]]) -> None:
-    """Several texts share one entry, one a line; a text with a line break must come back as one text."""
-    value = tuple(map(tuple, texts))
-    assert by_type._split(list(map(by_type._lines, value))) == value

@@ -528,16 +528,7 @@ def test_the_csv_of_the_file_format_page_is_read_by_its_mapping(tmp_path):
     np.testing.assert_allclose(rec.signals["p"], [[1.13e-7, -2.04e-7], [1.17e-7, -2.01e-7]], rtol=1e-14)
 
 
-# Size and real data
-
-
-def test_a_csv_of_25000_rows_is_read_to_the_last_digit(tmp_path):
-    values = np.random.default_rng(7).standard_normal((25_000, 10))
-    header = ",".join(f"c{k}" for k in range(10))
-    np.savetxt(tmp_path / "a.csv", values, delimiter=",", header=header, comments="", fmt="%.17g")
-    columns = [f"c{k}" for k in range(10)]
-    rec = import_recording(tmp_path / "a.csv", {"signals": {"s": {"columns": columns}}, "sample_time": DT})
-    np.testing.assert_array_equal(rec.signals["s"], values)
+# Real data
 
 
 def test_the_twin_mode_rig():

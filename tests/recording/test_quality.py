@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from places import MEASURED as DATA
 from rig_point import machine
-from scipy.stats import beta
 
 from gbid.recording import Recording, find_group_problems, find_problems, import_recording
 from gbid.recording.quality import (
-    _crossed,
-    _Response,
-    _response,
     find_rub,
 )
 from gbid.rig import (
@@ -114,13 +110,13 @@ def test_nothing_is_wrong_with_measured_rigs():
 # ---- swapped and dead ----
 
 
-@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("point", POINTS[::2])
 def test_swapped_channels_are_caught_by_name(point, prbs):
     for name in ("r", "u", "p"):
         assert found(swapped(prbs[point], name)) == [("swapped", name, "")]
 
 
-@pytest.mark.parametrize("point", POINTS)
+@pytest.mark.parametrize("point", POINTS[1::2])
 def test_dead_sensors_are_caught_by_name(point, prbs):
     for name in ("u", "p"):
         for number, channel in enumerate("xy"):
@@ -156,42 +152,6 @@ def test_faults_of_the_rig_are_caught():
     assert [p.kind for p in find_problems(rig(Prbs(1.0), faults=Faults(dead={"p.y": 1e-6})))] == ["constant"]
     assert [p.kind for p in find_problems(rig(Prbs(1.0), faults=Faults(sample_time_factor=1.25)))] == ["sample_time"]
     assert found(rig(Prbs(1.0), faults=Faults(spikes_per_s=20.0))) == []  # the median of three takes these out
-
-
-def test_gain_and_coherence_of_an_answer_that_is_known():
-    random = np.random.default_rng(1)
-    inputs = random.standard_normal((20_000, 2))
-    gain = np.array([[2.0, 0.5], [-0.3, 1.0]])
-    outputs = inputs @ gain.T
-    outputs[:, 1] += np.linalg.norm(gain[1]) * random.standard_normal(20_000)  # half of what is there
-    found = _response(inputs, outputs)
-    np.testing.assert_allclose(found.gain[0], gain[0], rtol=1e-6)
-    np.testing.assert_allclose(found.gain[1], [0.3, 1.0], atol=0.1)  # the noise adds to the rms
-    assert found.coherence[0] == pytest.approx(1.0, abs=1e-6)
-    assert found.coherence[1] == pytest.approx(0.5, abs=0.08)
-    assert found.chance == pytest.approx(beta.ppf(0.95, 2, 18))
-    still = _response(inputs * [0.0, 1.0], inputs[:, 1:] * [0.3, 1.0])
-    np.testing.assert_allclose(still.gain, [[np.nan, 0.3], [np.nan, 1.0]], rtol=1e-6)
-    assert _response(np.zeros((20_000, 2)), outputs) is None
-    assert _response(inputs[:499], outputs[:499]) is None
-    assert _response(inputs[:500], outputs[:500]) is not None
-
-
-@pytest.mark.parametrize(
-    ("gain", "coherence", "crossed"),
-    [
-        ([[1.0, 1.6], [1.6, 1.0]], (0.9, 0.9), True),
-        ([[1.0, 1.4], [1.4, 1.0]], (0.9, 0.9), False),  # within the factor
-        ([[1.0, 9.0], [0.9, 1.0]], (0.9, 0.9), False),  # one of two
-        ([[1.0, 1.6], [1.6, 1.0]], (0.9, 0.1), False),  # one of them dead
-        ([[1.0, np.nan], [1.6, np.nan]], (0.1, 0.9), True),  # one axis moves, the other answers
-        ([[1.0, np.nan], [1.4, np.nan]], (0.1, 0.9), False),
-        ([[1.0, np.nan], [1.6, np.nan]], (0.9, 0.1), False),
-        ([[np.nan, 1.6], [np.nan, 1.0]], (0.9, 0.1), True),
-    ],
-)
-def test_when_channels_count_as_crossed(gain, coherence, crossed):
-    assert _crossed(_Response(np.array(gain), np.array(coherence), 0.3)) is crossed
 
 
 # ---- rub ----
