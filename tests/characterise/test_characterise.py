@@ -31,12 +31,12 @@ def stairs(axis, n=10, amplitude=9e-6, hold=600):
     return r
 
 
-def synthetic(axis, seed=0, noise=100e-9, pole=0.9, cubic=0.0, offset=OFFSET):
+def synthetic(axis, seed=0, noise=100e-9, pole=0.9, cubic=0.0, hold=600):
     """Linear film with settled dynamics and correlated noise; the true gain is GAIN."""
     rng = np.random.default_rng(seed)
-    r = stairs(axis)
+    r = stairs(axis, hold=hold)
     u = lfilter([0.3], [1, -0.7], 1.86 * r, axis=0) + np.array([0.5e-6, -0.3e-6])
-    p = lfilter([0.1], [1, -0.9], u @ GAIN.T + cubic * (u / 17e-6) ** 3, axis=0) + offset
+    p = lfilter([0.1], [1, -0.9], u @ GAIN.T + cubic * (u / 17e-6) ** 3, axis=0) + OFFSET
     p[:100] = p[100]
     coloured = lfilter([np.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal((len(p) + 500, 2)), axis=0)[500:]
     return Recording(
@@ -93,7 +93,7 @@ def test_one_axis_alone_agrees_with_a_straight_line():
 def test_intervals_cover_the_truth():
     hits = []
     for seed in range(100):
-        interval = characterise_staircase([synthetic(0, 2 * seed), synthetic(1, 2 * seed + 1)]).interval()
+        interval = characterise_staircase([synthetic(axis, 2 * seed + axis, hold=300) for axis in (0, 1)]).interval()
         hits.append((interval[..., 0] < GAIN) & (interval[..., 1] > GAIN))
     cover = np.mean(hits, axis=0)
     assert cover.min() >= 0.90

@@ -184,7 +184,7 @@ def assert_same(a, b):
         assert a == b or (a != a and b != b)
 
 
-slow = settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+slow = settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 @slow

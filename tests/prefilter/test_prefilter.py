@@ -110,7 +110,7 @@ def test_error_of_a_coarse_encoder_is_slope_times_half_a_count():
 
 @pytest.mark.parametrize("method", ["harmonics", "bins"])
 def test_rig_at_6000_rpm_keeps_its_sensor_noise_only(method):
-    still, other = (rig_recording(Stationary(), name) for name in ("still", "other"))
+    still, other = (rig_recording(Stationary(2.0), name) for name in ("still", "other"))
     made = identify_runout(still, method=method)
     assert made.rms_before.min() > 2e-6
     assert made.rms_after.max() < 1.2 * NOISE
@@ -121,17 +121,18 @@ def test_rig_at_6000_rpm_keeps_its_sensor_noise_only(method):
 
 
 def test_run_out_and_unbalance_are_told_apart_from_the_response_to_the_piezos():
-    made = identify_runout(rig_recording(Stationary(), "still"))
+    made = identify_runout(rig_recording(Stationary(2.0), "still"))
     bare = SensorChain(
         noise_p_m=0.0, noise_u_m=0.0, runout_amplitude_m=np.zeros((2, 0)), runout_phase_rad=np.zeros((2, 0))
     )
-    clean = rig_recording(Prbs(), "prbs", sensors=bare, unbalance=Unbalance(0.0))
-    filtered, report = prefilter(rig_recording(Prbs(), "prbs"), made, median=1)
+    clean = rig_recording(Prbs(2.0), "prbs", sensors=bare, unbalance=Unbalance(0.0))
+    raw = rig_recording(Prbs(2.0), "prbs")
+    filtered, report = prefilter(raw, made, median=1)
     wanted = clean.signal("p") - clean.signal("p").mean(axis=0)
     assert wanted.std() > 2e-6
     assert (filtered.signal("p") - wanted).std(axis=0).max() < 1.2 * NOISE
     assert np.abs(filtered.signal("u").mean(axis=0)).max() < 1e-18
-    np.testing.assert_array_equal(filtered.signal("phi"), rig_recording(Prbs(), "prbs").signal("phi"))
+    np.testing.assert_array_equal(filtered.signal("phi"), raw.signal("phi"))
     np.testing.assert_allclose(report.rms_after["p"], wanted.std(axis=0), rtol=1e-3)
 
 

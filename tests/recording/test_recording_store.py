@@ -65,7 +65,7 @@ def recordings(draw):
     )
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(rec=recordings())
 def test_round_trip_of_anything_is_bit_exact(rec, tmp_path):
     path = tmp_path / "any.h5"

@@ -215,13 +215,8 @@ def test_same_seed_and_name_give_the_same_bits_and_others_are_independent():
 
 def test_noise_of_different_recordings_is_uncorrelated():
     at_rest = {"pressure_bar": 5.0, "speed_rpm": 0.0}
-    noise = np.hstack(
-        [
-            record(machine(), Stationary(1.0), conditions=at_rest, seed=0, name=name).signal(signal)
-            for name in ("a", "b")
-            for signal in ("u", "p")
-        ]
-    )
+    made = [record(machine(), Stationary(1.0), conditions=at_rest, seed=0, name=name) for name in "ab"]
+    noise = np.hstack([rec.signal(signal) for rec in made for signal in "up"])
     correlation = np.corrcoef(noise.T) - np.eye(8)
     assert np.abs(correlation).max() < 5 / np.sqrt(len(noise))
 

@@ -100,19 +100,19 @@ def test_without_creep_an_open_staircase_is_that_of_the_plays():
 
 @pytest.mark.parametrize("stack", [1, 2, 3, 4])
 def test_controlled_staircase_has_less_than_a_tenth_of_it(stack):
-    up, down = ends_of_steps(run(controlled=True, stack=stack), stack)
+    up, down = ends_of_steps(run(controlled=True, stack=stack, hold_s=0.3), stack)
     assert np.abs(down - up).max() < 0.84e-6
     assert np.diff(up)[1:].std() < 0.03 * np.diff(up)[1:].mean()
 
 
-def test_open_loop_step_creeps_by_a_few_percent_over_minutes():
+def test_open_loop_step_creeps_by_two_percent_in_half_a_minute():
     slow = tuple(replace(s, slow_pole=1000.0, fast_pole=3000.0) for s in PiezoStacks().stacks)
-    stairs = StackStaircase(steps=2, hold_s=120.0)
+    stairs = StackStaircase(steps=2, hold_s=30.0)
     made = record(rig(PiezoStacks(slow)), stairs, conditions=STILL, seed=0, name="c", sample_time=2e-3, settle_s=0)
-    y = made.signal("y_p")[60_000:120_000, 3]  # at 5 V, from 2 minutes on
-    after = y[[10, 500, 5000, 60_000 - 1]]
+    y = made.signal("y_p")[15_000:30_000, 3]  # at 5 V
+    after = y[[10, 500, 5000, 15_000 - 1]]
     share = after / after[0] - 1
-    expected = [sum(0.01 * (1 - np.exp(-t / tau)) for tau in (1, 10, 100)) for t in (0.02, 1, 10, 120)]
+    expected = [sum(0.01 * (1 - np.exp(-t / tau)) for tau in (1, 10, 100)) for t in (0.02, 1, 10, 30)]
     np.testing.assert_allclose(share, np.array(expected) - expected[0], rtol=0.03, atol=1e-5)
     assert 0.02 < share[-1] < 0.03
 

@@ -62,7 +62,7 @@ def p_controller(gain=(1.125, 0.99), corner_hz=1000.0, **more) -> SampledControl
 # ---- the same as in closed form ----
 
 
-@pytest.mark.parametrize("experiment", [Prbs(1.0), Stationary(0.5), Staircase(hold_s=0.05)])
+@pytest.mark.parametrize("experiment", [Prbs(0.5), Stationary(0.2), Staircase(hold_s=0.05)])
 def test_linear_parts_step_to_the_closed_form(experiment):
     made = {
         how: record(machine(), experiment, conditions=FIG7, seed=3, name="a", simulation=how)
@@ -104,7 +104,7 @@ def test_rotor_with_all_effects_matches_an_adaptive_integration():
             ]
         )
 
-    slope = 6000 * np.pi / 30 / 1.0
+    slope = 6000 * np.pi / 30 / 0.4
     first = {}
 
     def turning(t):
@@ -125,7 +125,7 @@ def test_rotor_with_all_effects_matches_an_adaptive_integration():
                 f += b.peak * np.sin(np.pi * (t - b.time) / b.duration) * along
         return f / rig.moving_mass
 
-    for experiment, force, end in ((RunUp(0, 6000, 1.0), turning, 1.0), (Hammer(impacts, 0.2), hammered, 0.2)):
+    for experiment, force, end in ((RunUp(0, 6000, 0.4), turning, 0.4), (Hammer(impacts, 0.1), hammered, 0.1)):
         made = record(rig, experiment, conditions=STILL, seed=1, name="a", settle_s=0)
         first["phi"] = made.signal("phi")[0, 0]
         solution = solve_ivp(
@@ -150,13 +150,13 @@ def test_rotor_with_all_effects_matches_an_adaptive_integration():
 @pytest.mark.parametrize(
     ("experiment", "controller"),
     [
-        (Prbs(1.0), None),
-        (Stationary(0.5), None),
-        (Staircase(hold_s=0.1), None),
-        (StackStaircase(hold_s=0.1), None),
-        (StackStaircase(controlled=True, hold_s=0.1), None),
+        (Prbs(0.4), None),
+        (Stationary(0.2), None),
+        (Staircase(hold_s=0.04), None),
+        (StackStaircase(hold_s=0.04), None),
+        (StackStaircase(controlled=True, hold_s=0.04), None),
         (Hammer((Impact(0.1, 10.0), Impact.along("y", 0.4, 10.0)), 0.8), p_controller()),
-        (RunUp(0, 6000, 1.0), None),
+        (RunUp(0, 6000, 0.5), None),
     ],
 )
 def test_halving_the_step_moves_no_recording_by_the_sensor_noise(experiment, controller):
@@ -283,14 +283,14 @@ def test_impact_gives_the_momentum_that_was_measured():
 
 def test_touch_down_is_refused_or_flagged():
     args = {"conditions": FIG7, "seed": 0, "name": "a"}
-    wild = Prbs(2.0, amplitude_m=6e-6, hold_s=4e-3)
+    wild = Prbs(0.5, amplitude_m=6e-6, hold_s=4e-3)
     for rig in (machine(), whole(stiffening=None)):
         with pytest.raises(DataError, match=r"recording 'a': the disc moves .* reaches the clearance"):
             record(rig, wild, **args)
         made = record(rig, wild, touch_down="flag", **args)
         spans = touch_downs(made)
         assert spans
-        assert all(0 <= a < b <= 2.0 for a, b in spans)
+        assert all(0 <= a < b <= 0.5 for a, b in spans)
         assert json.loads(made.provenance["touch_down"]) == [list(s) for s in spans]
         bare = record(replace(rig, sensors=BARE), wild, touch_down="flag", **args)
         radius = np.hypot(*bare.signal("p").T)
