@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, levels, simulated
+from fit_cases import EVERY, EVERY_AT, LATE, LATE_AT, MODE, MODE_AT, H, levels, simulated
 from scipy.signal import csd, welch
 
 from gbid.core.errors import DataError, UsageError
@@ -10,21 +10,7 @@ from gbid.core.tables import csv_text
 from gbid.identify import bode, fit, load_fit, measured_response, save_fit
 from gbid.identify.uncertainty.curves import response_slopes
 from gbid.recording import Recording
-from gbid.structure import LinearStructure, Parameter, evaluate
-
-LATE = LinearStructure(
-    "late",
-    [Parameter("a", 2.0, 0.0), Parameter("w", 4.0, 0.0), Parameter("b", 1.0), Parameter("tau", 0.3, 0.0, 1.0)],
-    lambda p: {
-        "A": [[0, 1], [-p.w * p.w, -p.a]],
-        "B": [[0, 0], [0, p.b]],
-        "B_delayed": [[0, 0], [p.b * p.w, 0]],
-        "delay": [p.tau, 0],
-        "C": [[1, 0], [0, p.a]],
-        "D": [[0, p.b], [0, 0]],
-    },
-)
-LATE_AT = {"a": 1.2, "w": 5.0, "b": 1.5, "tau": 0.234}
+from gbid.structure import evaluate
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +33,10 @@ def test_derivatives_are_those_of_the_response(structure, at, n_u):
 
 
 def test_bands_are_those_of_models_drawn_from_the_covariance(late):
-    f = np.geomspace(0.05, 4.0, 25)
+    f = np.geomspace(0.05, 4.0, 15)
     found = late.bode(f)
     random = np.random.default_rng(0)
-    draws = random.multivariate_normal([late.parameters[n] for n in late.free], 0.01 * late.covariance, size=800)
+    draws = random.multivariate_normal([late.parameters[n] for n in late.free], 0.01 * late.covariance, size=400)
     drawn = np.array([evaluate(LATE, dict(zip(late.free, row, strict=True))).frequency_response(f) for row in draws])
     moved = drawn / found.response
     np.testing.assert_allclose(10 * np.abs(drawn).std(0), found.magnitude_std, rtol=0.1)

@@ -5,7 +5,6 @@ import os
 import stat
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +26,10 @@ from fit_cases import (
 from places import SUPPORT
 
 from gbid.core import compiled as compiling
-from gbid.core import compiled as library
 from gbid.identify import fit
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import Segment, cut
-from gbid.identify.kernel.linear import CompiledLinearKernel, KernelPattern, PortableLinearKernel, kernel_source
+from gbid.identify.kernel.linear import CompiledLinearKernel, KernelPattern, PortableLinearKernel
 from gbid.identify.kernel.sums import Lagrangian, Moved
 from gbid.identify.predictor import build_predictor
 from gbid.structure import PiezoPair, Plant, RotorBearing
@@ -173,17 +171,6 @@ def test_the_compiled_kernel_is_the_portable_one(case, shape, fresh, cache):
     assert (np.abs(a - b) <= 1e-12 * np.abs(b).max(axis=(1, 2), keepdims=True)).all()
 
 
-def test_left_out_samples_do_not_count():
-    predictor, theta, blocks, starts, weight = problem("every", (130,), 20, (37, 58))
-    v = predictor.at(theta)
-    before = PORTABLE.sweep(v, blocks, starts, weight)
-    assert blocks.n_samples == 130 - 21
-    wild = np.where(blocks.used[:, :, None] > 0, blocks.y, 1e9)
-    # Their outputs do not matter for the cost; in prediction focus they would through the feedback, see `Segment`.
-    after = PORTABLE.sweep(v, replace(blocks, y=wild), starts, weight)
-    assert_same_sums(after, before, 1e-15)
-
-
 @NEEDS_COMPILER
 def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh, cache):
     fresh.setenv("GBID_CACHE_DIR", str(cache))
@@ -197,16 +184,6 @@ def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh, cache):
     kernel = CompiledLinearKernel(KernelPattern.of(at_zero))
     for v in (at_zero, at, at_zero):  # also back again, with the grown pattern
         assert_same_sums(kernel.sweep(v, blocks, starts, weight), PORTABLE.sweep(v, blocks, starts, weight))
-
-
-def test_patterns():
-    predictor, theta, *_ = problem("every")
-    full = KernelPattern.of(predictor.at(theta))
-    none = full._replace(F=np.zeros_like(full.F))
-    assert full.covers(none)
-    assert not none.covers(full)
-    assert none.union(full).covers(full)
-    assert kernel_source(none) != kernel_source(full)
 
 
 @NEEDS_COMPILER
@@ -239,7 +216,7 @@ def test_the_second_load_does_not_compile(fresh, tmp_path):
     def never(*_):
         raise AssertionError("compiled again")
 
-    fresh.setattr(library, "compile_source", never)
+    fresh.setattr(compiling, "compile_source", never)
     assert value_of(compiling.load_library(source), "twice") == 2.5
     assert list((tmp_path / "new" / "folder").glob("*.so")) == [built]
     # Another source has another name.
@@ -249,14 +226,14 @@ def test_the_second_load_does_not_compile(fresh, tmp_path):
 
 def _load_in_a_process(folder, source, log, ready, results):
     os.environ["GBID_CACHE_DIR"] = folder
-    compile_one = library.compile_source
+    compile_one = compiling.compile_source
 
     def counted(*arguments):
         with Path(log).open("a") as file:
             file.write("compiled\n")
         compile_one(*arguments)
 
-    library.compile_source = counted
+    compiling.compile_source = counted
     ready.wait(30)
     results.put(value_of(compiling.load_library(source), "race"))
 

@@ -30,18 +30,6 @@ def coupled(n, seed=0):
     return e[200:], root @ root.T
 
 
-def test_products_of_all_lags_are_the_sums_that_they_say():
-    random = np.random.default_rng(3)
-    stretches = [random.normal(size=(n, 2)) for n in (60, 5, 31)]
-    found, count = lag_products(stretches, 7)
-    expected = np.zeros((8, 8, 2, 2))
-    for e in stretches:
-        for k in range(7, len(e)):
-            expected += np.einsum("ia,jb->ijab", *2 * [e[k - np.arange(8)]])
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10)
-    assert count == 53 + 24
-
-
 def test_least_squares_of_one_order_are_numpys():
     e, _ = coupled(300)
     products, count = lag_products([e], 2)

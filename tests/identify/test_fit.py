@@ -269,9 +269,8 @@ def test_several_recordings_share_parameters_and_have_their_own_initial_states()
 
 
 def test_channels_can_be_picked():
-    rec = rotor_data(800)
-    mixed = Recording({"u": rec.signal("u"), "y": mode_data(800).signal("y")}, H)
-    mixed = mixed.with_signals(u=np.hstack([levels(800, seed=9), levels(800, seed=1)]))
+    u = np.hstack([levels(800, seed=9), levels(800, seed=1)])
+    mixed = Recording({"u": u, "y": mode_data(800).signal("y")}, H)
     result = fit(MODE, mixed, inputs="u.y", outputs="y", focus="simulation")
     assert np.abs(sigmas(result, MODE_AT, PHYSICAL)).max() < 4.5
     assert result.model.input_names == ("u_y",)
@@ -316,11 +315,10 @@ def test_the_covariance_is_that_of_the_jacobian_by_differences():
 
 
 @pytest.mark.parametrize("hold", [40, 100, 25])
-@pytest.mark.parametrize("noise", [0.0, 3e-8])
-def test_start_values_of_the_rotor_come_near_the_truth(hold, noise):
+def test_start_values_of_the_rotor_come_near_the_truth(hold):
     """A hold of 40 samples leaves the input without power at 125 Hz, between the two resonances."""
     u = piezo_motion(6000, hold=hold)
-    rec = simulated(RotorBearing(), {**KEY, **GAINS}, u, h=TS, hold="foh", noise=noise)
+    rec = simulated(RotorBearing(), {**KEY, **GAINS}, u, h=TS, hold="foh", noise=3e-8)
     start = fit(RotorBearing(), rec, max_iterations=1).start
     for name in ("k_xx", "k_yy", "b_xx", "b_yy"):
         assert start[name] == pytest.approx(KEY[name], rel=0.02), name
@@ -490,9 +488,8 @@ BAD_DATA = {
 }
 
 
-@pytest.mark.parametrize("what", BAD_DATA)
-def test_bad_data_is_refused_in_one_line(what):
-    recordings, options, text = BAD_DATA[what]
+@pytest.mark.parametrize(("recordings", "options", "text"), BAD_DATA.values(), ids=BAD_DATA)
+def test_bad_data_is_refused_in_one_line(recordings, options, text):
     with pytest.raises(DataError, match=text) as caught:
         fit(MODE, recordings, **options)
     assert "\n" not in str(caught.value)
@@ -517,9 +514,8 @@ WRONG_USE = {
 }
 
 
-@pytest.mark.parametrize("what", WRONG_USE)
-def test_wrong_use_is_refused_in_one_line(what):
-    options, text = WRONG_USE[what]
+@pytest.mark.parametrize(("options", "text"), WRONG_USE.values(), ids=WRONG_USE)
+def test_wrong_use_is_refused_in_one_line(options, text):
     with pytest.raises(UsageError, match=text) as caught:
         fit(MODE, GOOD, **options)
     assert "\n" not in str(caught.value)

@@ -124,9 +124,8 @@ LOCAL = {
 }
 
 
-@pytest.mark.parametrize("what", LOCAL)
-def test_wrong_local_parameters_are_refused(what):
-    options, kind, text = LOCAL[what]
+@pytest.mark.parametrize(("options", "kind", "text"), LOCAL.values(), ids=LOCAL)
+def test_wrong_local_parameters_are_refused(options, kind, text):
     with pytest.raises(kind, match=text):
         fit(LAG, [lag_data(name="r0"), lag_data(name="r1")], **options)
 
@@ -325,9 +324,8 @@ LEFT_OUT = {
 }
 
 
-@pytest.mark.parametrize("what", LEFT_OUT)
-def test_wrong_stretches_are_refused(what):
-    left_out, kind, text = LEFT_OUT[what]
+@pytest.mark.parametrize(("left_out", "kind", "text"), LEFT_OUT.values(), ids=LEFT_OUT)
+def test_wrong_stretches_are_refused(left_out, kind, text):
     with pytest.raises(kind, match=text):
         fit(MODE, mode_data(300), left_out=left_out)
 
@@ -352,9 +350,8 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("what", WRONG)
-def test_wrong_options_are_refused_in_one_line(what):
-    options, text = WRONG[what]
+@pytest.mark.parametrize(("options", "text"), WRONG.values(), ids=WRONG)
+def test_wrong_options_are_refused_in_one_line(options, text):
     with pytest.raises(UsageError, match=text) as caught:
         fit(MODE, mode_data(300), **options)
     assert "\n" not in str(caught.value)

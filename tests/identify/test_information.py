@@ -1,47 +1,16 @@
 """Information of records against sums that are written down."""
 
 import numpy as np
-import pytest
 from small_problem import small_problem
 
 from gbid.identify.uncertainty.covariance import (
     Estimate,
     RecordInformation,
-    information_over_records,
     profiled,
     record_information,
 )
 
-WEIGHT, SHAPED = np.array([[3.0]]), np.array([[0.25]])
-
-
-@pytest.mark.parametrize("window", [None, 64])
-def test_hessians_and_scores_of_two_records_are_the_sums_of_their_slopes(window):
-    problem, unknowns, record_window, slopes, errors = small_problem(window=window, records=2)
-    theta, starts = problem.unpack(unknowns)
-    starts = starts * 0  # the errors are those of records that begin at rest
-    if window:  # inner windows count for nothing: segments run from their first
-        starts[1] = 7.0
-    found = information_over_records(Estimate(problem, theta, starts, record_window), WEIGHT, block=50, shaped=SHAPED)
-    expected = np.zeros((3, 3))  # gain, then the two initial states
-    for i, own in enumerate(slopes):
-        places = np.ix_([0, 1 + i], [0, 1 + i])
-        expected[places] += own.T @ own
-    np.testing.assert_allclose(found.hessian, 3.0 * expected, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found.shaped, 0.25 * expected, rtol=1e-9, atol=1e-9)
-    assert found.observed is None
-    for i, (record, own, e) in enumerate(zip(found.sensitivities, slopes, errors, strict=True)):
-        np.testing.assert_array_equal(record.columns, [0, 1 + i])
-        np.testing.assert_allclose(record.psi[0].T, own, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(record.errors[:, 0], e, rtol=1e-9, atol=1e-9)
-        assert record.counted.all()
-
-
-def test_without_feedback_of_errors_a_linear_gain_leaves_nothing_out():
-    problem, unknowns, record_window, *_ = small_problem()
-    theta, starts = problem.unpack(unknowns)
-    found = information_over_records(Estimate(problem, theta, starts, record_window), WEIGHT, block=50, observed=True)
-    np.testing.assert_allclose(found.observed, found.hessian, rtol=1e-6)
+WEIGHT = np.array([[3.0]])
 
 
 def test_a_record_by_itself_has_the_same_with_the_sign_of_a_step():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, levels, simulated
+from fit_cases import EVERY, EVERY_AT, LATE, LATE_AT, MODE, MODE_AT, H, levels, simulated
 from scipy.signal import StateSpace, impulse, step, tf2ss
 
 from gbid.core.errors import DataError, UsageError
@@ -12,20 +12,6 @@ from gbid.identify.uncertainty.curves import _settling, ellipse, pole_zero, time
 from gbid.identify.uncertainty.spectra import estimate_delay
 from gbid.recording import Recording
 from gbid.structure import LinearModel, LinearStructure, Parameter, evaluate
-
-LATE = LinearStructure(
-    "late",
-    [Parameter("a", 2.0, 0.0), Parameter("w", 4.0, 0.0), Parameter("b", 1.0), Parameter("tau", 0.3, 0.0, 1.0)],
-    lambda p: {
-        "A": [[0, 1], [-p.w * p.w, -p.a]],
-        "B": [[0, 0], [0, p.b]],
-        "B_delayed": [[0, 0], [p.b * p.w, 0]],
-        "delay": [p.tau, 0],
-        "C": [[1, 0.3 * p.b], [0, p.a]],
-        "D": [[0, p.b], [0, 0]],
-    },
-)
-LATE_AT = {"a": 1.2, "w": 5.0, "b": 1.5, "tau": 0.234}
 
 
 @pytest.fixture(scope="module")

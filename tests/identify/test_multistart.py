@@ -117,9 +117,8 @@ class Fixed:
 
 
 def test_the_seed_settles_the_starts(rec, result):
-    again = fit_multistart(WIDE, rec, starts=8, seed=1, window=None)
-    np.testing.assert_array_equal(again.losses, result.losses)
-    assert again.best.start == result.best.start
+    again = fit_multistart(WIDE, rec, starts=3, seed=1, window=None)
+    np.testing.assert_array_equal(again.losses, result.losses[:3])
     other = fit_multistart(WIDE, rec, starts=3, seed=2, window=None)
     assert (other.losses[1:] != result.losses[1:3]).any()
     assert other.losses[0] == result.losses[0]

@@ -20,13 +20,12 @@ def masses():
 @pytest.mark.parametrize(
     "options",
     [
-        {},
         {"focus": "simulation", "trend": "offset"},
         {"local": {"b": "recording"}, "prior": {"d": (1.0, 0.05)}, "window": None},
         {"left_out": {"mass 1": [(500, 600)]}, "criterion": "trace"},
         {"trend": "random walk", "initial_state": "zero"},
     ],
-    ids=lambda o: " ".join(o) or "plain",
+    ids=" ".join,
 )
 def test_linear_equations_give_the_fit_of_the_linear_structure(masses, options):
     linear, other = (gbid.fit(SAME[kind], masses, **options) for kind in ("linear", "nonlinear"))

@@ -5,7 +5,6 @@ import pytest
 from fit_cases import ACTUATORS, EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, fit_data, piezo_motion, predicted, smooth
 from scipy.linalg import expm
 
-from gbid.core.errors import UsageError
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.linear import PortableLinearKernel
@@ -116,25 +115,6 @@ def test_several_points_at_once_are_each_by_itself(options):
     at, before, after = predictor.at_each(kink)
     assert at.shift == before.shift == after.shift
     np.testing.assert_allclose(before.G + after.G, 2 * at.G, rtol=0, atol=1e-12 * np.abs(at.G).max())
-
-
-def test_fixed_parameters_are_put_in_and_the_rest_is_free():
-    fixed = {"a": 0.8, "c": 0.7, "k": 1.2}
-    predictor = predictor_of(EVERY, fixed=fixed)
-    assert [q.name for q in predictor.free] == ["w", "b", "d"]
-    assert predictor.unused == ()
-    whole = predictor_of(EVERY)
-    part, full = predictor.at(theta_of(predictor, EVERY_AT)), whole.at(theta_of(whole, EVERY_AT))
-    index = [i for i, q in enumerate(whole.free) if q.name not in fixed]
-    for letter in "FGCH":
-        np.testing.assert_allclose(getattr(part, letter), getattr(full, letter), rtol=1e-13, atol=1e-15)
-        found, expected = getattr(part, "d" + letter), getattr(full, "d" + letter)[index]
-        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
-
-
-def test_nothing_to_estimate_is_refused():
-    with pytest.raises(UsageError, match="structure 'every': no free parameter to estimate"):
-        predictor_of(EVERY, fixed=EVERY_AT)
 
 
 def test_a_gain_of_zero_entries_is_no_feedback():

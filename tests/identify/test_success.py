@@ -21,26 +21,32 @@ from gbid.structure import LinearModel, evaluate
 WILD = {"k": -1000.0, "d": -1.0}
 
 
-@pytest.mark.parametrize("start", [WILD, {"d": -10.0}, {"k": -1e5, "d": -50.0}], ids=["k and d", "d", "far"])
-def test_an_unstable_start_is_moved_to_a_stable_one_and_said(start):
+def of_spring(**options):
     problem = start_problem("spring")
-    result = fit(problem.structure, problem.recording, start=start, focus="simulation")
-    best = fit(problem.structure, problem.recording, focus="simulation")
+    return fit(problem.structure, problem.recording, focus="simulation", **options)
+
+
+@pytest.fixture(scope="module")
+def best():
+    return of_spring()
+
+
+@pytest.mark.parametrize("start", [WILD, {"d": -10.0}, {"k": -1e5, "d": -50.0}], ids=["k and d", "d", "far"])
+def test_an_unstable_start_is_moved_to_a_stable_one_and_said(start, best):
+    result = of_spring(start=start)
     assert result.success
     assert result.loss == pytest.approx(best.loss, rel=1e-6)
     assert result.notes[0] == (
         "the start values are unstable: the fit began at values of a fit with a steady observer (Kalman filter) [GB112]"
     )
     assert {result.start_origin[name] for name in start} == {"data"}
-    assert np.linalg.eigvals(evaluate(problem.structure, result.start).A).real.max() < 0
+    assert np.linalg.eigvals(evaluate(start_problem("spring").structure, result.start).A).real.max() < 0
 
 
-@pytest.mark.parametrize("window", [None, 100])
-def test_an_unstable_start_in_windows_of_the_caller(window):
-    problem = start_problem("spring")
-    result = fit(problem.structure, problem.recording, start=WILD, focus="simulation", window=window)
+def test_an_unstable_start_in_windows_of_the_caller():
+    result = of_spring(start=WILD, window=100)
     assert result.success
-    assert result.options.window == window or window is None
+    assert result.options.window == 100
 
 
 @pytest.mark.parametrize("start", [WILD, {"d": -10.0}, {"k": -1e4, "d": -50.0}], ids=["k and d", "d", "far"])
@@ -48,9 +54,8 @@ def test_an_unstable_start_in_windows_of_the_caller(window):
 def test_a_fit_that_stays_at_an_unstable_model_is_no_success_and_not_white(start, window, monkeypatch):
     """Where no observer can be found, what stays is a status; whiteness is not believed."""
     monkeypatch.setattr(import_module("gbid.identify.restarts"), "observer_start", lambda _: None)
-    problem = start_problem("spring")
-    result = fit(problem.structure, problem.recording, start=start, focus="simulation", window=window)
-    variance = float(np.var(problem.recording.signal("y")))
+    result = of_spring(start=start, window=window)
+    variance = float(np.var(start_problem("spring").recording.signal("y")))
     assert result.success == (result.loss < variance and np.isfinite(list(result.std.values())).all())
     if result.loss > variance:
         assert not result.success
@@ -84,8 +89,7 @@ def test_an_undetermined_parameter_is_no_success_and_named():
 
 
 def test_a_parameter_on_a_bound_is_a_success_without_a_standard_deviation():
-    problem = start_problem("spring")
-    result = fit(problem.structure, problem.recording, focus="simulation", start={"d": 0.5}, bounds={"d": (0.0, 1.0)})
+    result = of_spring(start={"d": 0.5}, bounds={"d": (0.0, 1.0)})
     assert result.success
     assert np.isnan(result.std["d"])
 
@@ -116,9 +120,8 @@ def _distance_when_moved(shooting, box, theta):
     return distance_from_rest(shooting, solve(shooting, unknowns, lower, upper).unknowns, box)
 
 
-def test_a_solution_that_has_not_come_to_rest_is_solved_on(monkeypatch):
+def test_a_solution_that_has_not_come_to_rest_is_solved_on(best, monkeypatch):
     """A solver that takes the first step for rest is not believed."""
-    problem = start_problem("spring")
     calls, look = [], Watch.look
 
     def resting(self, *iterate):
@@ -128,11 +131,10 @@ def test_a_solution_that_has_not_come_to_rest_is_solved_on(monkeypatch):
         return ended or len(calls) == 2
 
     monkeypatch.setattr(Watch, "look", resting)
-    result = fit(problem.structure, problem.recording, start={"k": 1500.0}, focus="simulation")
-    monkeypatch.undo()
+    result = of_spring(start={"k": 1500.0})
     assert result.success
     assert result.optimality < 0.1
-    assert result.loss == pytest.approx(fit(problem.structure, problem.recording, focus="simulation").loss)
+    assert result.loss == pytest.approx(best.loss)
 
 
 def test_verdict_of_what_the_solver_calls_converged():
@@ -151,16 +153,15 @@ def test_verdict_of_what_the_solver_calls_converged():
 
 @pytest.mark.parametrize("start", [{"k": -1e7, "d": -1e4}, {"k": 1e12, "d": -3.0}, WILD])
 def test_nothing_is_printed_and_overflows_are_one_note(start, capfd):
-    problem = start_problem("spring")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        result = fit(problem.structure, problem.recording, start=start, focus="simulation", max_iterations=2)
+        result = of_spring(start=start, max_iterations=2)
     assert capfd.readouterr() == ("", "")
     assert sum("overflows at" in note for note in result.notes) <= 1
 
 
 def test_points_without_a_value_are_counted(monkeypatch):
-    problem, own, calls = start_problem("spring"), Predictor.at, []
+    own, calls = Predictor.at, []
 
     def at(self, theta):
         calls.append(1)
@@ -169,13 +170,13 @@ def test_points_without_a_value_are_counted(monkeypatch):
         return own(self, theta)
 
     monkeypatch.setattr(Predictor, "at", at)
-    result = fit(problem.structure, problem.recording, start={"k": 1100.0}, focus="simulation")
+    result = of_spring(start={"k": 1100.0})
     assert result.success
     assert any("overflows at" in note and "of the points that the solver tried" in note for note in result.notes)
 
 
 def test_a_defect_in_a_callback_is_raised(monkeypatch):
-    problem, own, calls = start_problem("spring"), Predictor.at, []
+    own, calls = Predictor.at, []
 
     def at(self, theta):
         calls.append(1)
@@ -185,7 +186,7 @@ def test_a_defect_in_a_callback_is_raised(monkeypatch):
 
     monkeypatch.setattr(Predictor, "at", at)
     with pytest.raises(TypeError, match="a defect"):
-        fit(problem.structure, problem.recording, start={"k": 1100.0}, focus="simulation")
+        of_spring(start={"k": 1100.0})
 
 
 def test_a_matrix_that_overflows_needs_no_squarings():

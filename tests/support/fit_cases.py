@@ -31,6 +31,22 @@ def _every_matrix(p):
 EVERY = LinearStructure("every", [Parameter(name) for name in "awbcdk"], _every_matrix, "u", "y")
 EVERY_AT = {"a": 0.8, "w": 3.0, "b": -0.5, "c": 0.7, "d": 0.15, "k": 1.2}
 
+# ---- a delayed input beside one that acts at once, also by a feedthrough ----
+
+LATE = LinearStructure(
+    "late",
+    [Parameter("a", 2.0, 0.0), Parameter("w", 4.0, 0.0), Parameter("b", 1.0), Parameter("tau", 0.3, 0.0, 1.0)],
+    lambda p: {
+        "A": [[0, 1], [-p.w * p.w, -p.a]],
+        "B": [[0, 0], [0, p.b]],
+        "B_delayed": [[0, 0], [p.b * p.w, 0]],
+        "delay": [p.tau, 0],
+        "C": [[1, 0.3 * p.b], [0, p.a]],
+        "D": [[0, p.b], [0, 0]],
+    },
+)
+LATE_AT = {"a": 1.2, "w": 5.0, "b": 1.5, "tau": 0.234}
+
 # ---- one mode and its gain: the smallest fit that is not linear in its parameters ----
 
 
