@@ -1,5 +1,4 @@
 import json
-import os
 import re
 import signal
 import subprocess
@@ -7,27 +6,12 @@ import sys
 import time
 
 import pytest
-from experiment_files import gbid, write_quick, write_spring, write_spring_data
-from json_keys import assert_keys
-from places import ROOT
+from campaign_files import ENVIRONMENT, command
+from experiment_files import files_in, gbid, write_quick, write_spring, write_spring_data
+from json_keys import KEYS, assert_keys
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
-
-
-def files_in(folder):
-    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
-
-
-def command(*arguments, **options):
-    """Run gbid as its own process."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "gbid.cli.main", *map(str, arguments)],
-        env=ENVIRONMENT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        **options,
-    )
+from gbid.experiment.campaign import locked
+from gbid.experiment.load import disk_space, load_experiment, peek_recordings
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +23,19 @@ def spring(tmp_path_factory):
     return path
 
 
-def test_help_imports_nothing_heavy_and_commands_nothing_they_may_not_need():
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    """The quick experiment with recordings and fits, one of them of the whole plant."""
+    plant = ("{structure: piezo_pair}", "{structure: piezo_pair}\n  plant: {structure: plant, trend: offset}")
+    path = write_quick(tmp_path_factory.mktemp("quick"), plant, ("figures:\n  bearing: {from_s: 0.2, to_s: 0.4}\n", ""))
+    assert gbid("run", path, "--quiet") == 0
+    return path
+
+
+def test_importing_gbid_is_cheap_and_gives_all_names_and_help_and_commands_load_what_they_need():
     code = (
-        "import sys\n"
+        "import sys, gbid\n"
+        "assert not {'casadi', 'numpy', 'matplotlib', 'scipy'} & set(sys.modules)\n"
         "from gbid.cli.main import app\n"
         "try:\n    app(['--help'], prog_name='gbid')\n"
         "except SystemExit:\n    pass\n"
@@ -52,14 +46,6 @@ def test_help_imports_nothing_heavy_and_commands_nothing_they_may_not_need():
         "heavy = ['matplotlib', *(f'scipy.{part}' for part in ('optimize', 'signal', 'stats', 'ndimage'))]\n"
         "found = [name for name in heavy if name in sys.modules]\n"
         "assert not found, found\n"
-    )
-    subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, check=True, stdout=subprocess.DEVNULL)
-
-
-def test_importing_gbid_is_cheap_and_gives_all_names():
-    code = (
-        "import sys, gbid\n"
-        "assert not {'casadi', 'numpy', 'matplotlib', 'scipy'} & set(sys.modules)\n"
         "for name in gbid.__all__: assert getattr(gbid, name), name\n"
         "assert 'matplotlib' not in sys.modules\n"
         "assert dir(gbid) == gbid.__all__\n"
@@ -70,7 +56,8 @@ def test_importing_gbid_is_cheap_and_gives_all_names():
         "assert prefilter is gbid.prefilter and control is gbid.control\n"
         "try:\n    gbid.nothing\nexcept AttributeError as error:\n    assert 'nothing' in str(error)\n"
     )
-    subprocess.run([sys.executable, "-W", "error", "-c", code], env=ENVIRONMENT, check=True)
+    words = [sys.executable, "-W", "error", "-c", code]
+    subprocess.run(words, env=ENVIRONMENT, check=True, stdout=subprocess.DEVNULL)
 
 
 @pytest.mark.parametrize("arguments", [["fits"], ["run"], ["run", "a.yaml", "--jsn"], ["new", "x", "--template", "y"]])
@@ -137,35 +124,15 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
     assert [r["model"] for r in found] == ["run1", "run2"]
     assert all(r["residuals_white"] and r["residuals_follow"] == [] for r in found)
     assert gbid("run", spring, "--json") == 0
-    assert set(document(capsys.readouterr().out)) == {
-        "experiment",
-        "results",
-        "prefilter",
-        "static",
-        "fits",
-        "crossval",
-        "crossval_summary",
-        "excite",
-        "cycle",
-        "loops",
-        "target",
-        "nominal",
-        "lpv",
-        "tuning",
-        "impacts",
-        "figures",
-        "report",
-        "outcomes",
-    }
+    assert set(document(capsys.readouterr().out)) == set(KEYS["run"])
 
 
-def test_rig_fit_table_has_truth_units_and_readable_numbers(tmp_path, capsys):
-    path = write_quick(tmp_path, ("crossval:\n  bearing: {on: cyclic, minimum_percent: 90}\n", ""))
-    assert gbid("rig", path) == 0
+def test_rig_fit_table_has_truth_units_and_readable_numbers(quick, capsys):
+    assert gbid("rig", quick) == 0
     captured = capsys.readouterr()
     assert "p5_n6000_still1" in captured.out
-    assert "rig p5_n6000_prbs1: made" in captured.err
-    assert gbid("fit", path) == 0
+    assert "rig p5_n6000_prbs1: kept" in captured.err
+    assert gbid("fit", quick) == 0
     out = capsys.readouterr().out
     k_xx = next(line for line in out.splitlines() if line.strip().startswith("k_xx")).split()
     assert k_xx[1].startswith("-62")
@@ -174,14 +141,14 @@ def test_rig_fit_table_has_truth_units_and_readable_numbers(tmp_path, capsys):
     assert re.search(r"^parameter +estimate +\((white|robust)\) +truth", out, re.MULTILINE)
     for word in ("residuals  p_x ", "start      14 from the data, 2 from the structure", ", condition "):
         assert word in out
-    assert out.count("N s/(kg m)") == 8
+    assert out.count("N s/(kg m)") == 16
     tau_x = next(line for line in out.splitlines() if line.strip().startswith("tau_x")).split()
     assert tau_x[-1] == "ms"
     assert tau_x[3] == "0.58565"
     assert "3078.0" in out  # the piezos' truth
     assert "u_x to p_x" in out
     assert "run-out" in out
-    assert gbid("fit", path, "--json", "--only", "piezos") == 0
+    assert gbid("fit", quick, "--json", "--only", "piezos") == 0
     found = document(capsys.readouterr().out)
     assert {f["fit"] for f in found["fits"]} == {"piezos"}
     assert_keys("prefilter", found)
@@ -189,26 +156,22 @@ def test_rig_fit_table_has_truth_units_and_readable_numbers(tmp_path, capsys):
     assert x_of_first["channel"] == "p_x"
     assert 0 < x_of_first["runout_share"] < 1
     assert x_of_first["rms_after"] < x_of_first["rms_before"]
-    assert gbid("fit", path, "--only", "piezo") == 2
+    assert gbid("fit", quick, "--only", "piezo") == 2
     assert "did you mean 'piezos'" in capsys.readouterr().err
 
 
-def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
-    """All that the quick experiment prints, notes wrapped below their own beginning."""
+def test_tables_fit_a_terminal_of_80_columns(quick, capsys):
+    """All that the experiment prints, notes wrapped below their own beginning."""
     from rich.console import Console
 
     from gbid.core.tables import terminal_table
-    from gbid.experiment.load import load_experiment
     from gbid.experiment.run import Job, run_stage
     from gbid.experiment.stages.crossval import CROSSVAL
     from gbid.experiment.stages.fit import FIT
     from gbid.experiment.stages.prefilter import PREFILTER
-    from gbid.experiment.stages.rig import RIG
     from gbid.report.views import view_of
 
-    path = write_quick(tmp_path, ("{structure: piezo_pair}", "{structure: plant, trend: offset}"))
-    job = Job(load_experiment(path))
-    run_stage(job, RIG)
+    job = Job(load_experiment(quick))
     tables = []
     for stage in (PREFILTER, FIT, CROSSVAL):
         view = view_of(stage)
@@ -224,6 +187,13 @@ def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
     notes = re.findall(r"^note       the residuals .*\n           \S", out, re.MULTILINE)
     assert len(notes) == len(re.findall(r"\(robust\)", out))
     assert re.search(r"^note +many standard deviations from the truth: .*tau_x \(\+\d\d\)", out, re.MULTILINE)
+
+
+def test_the_estimate_of_the_size_is_about_right(quick):
+    experiment = load_experiment(quick)
+    needed, _ = disk_space(experiment, peek_recordings(experiment)[0])
+    taken = sum(path.stat().st_size for path in experiment.results.rglob("*") if path.is_file())
+    assert 0.7 * taken < needed < 1.6 * taken
 
 
 def test_progress_says_where_the_solver_is(capsys):
@@ -343,22 +313,16 @@ def test_a_defect_of_ours_ends_with_1(spring, monkeypatch, capsys):
     assert document(captured.out)["error"]["exit_code"] == 1
 
 
-def test_new_experiments_are_in_order(tmp_path, capsys):
+def test_own_recordings_template_runs_as_it_is(tmp_path, capsys):
     folder = tmp_path / "mine"
-    assert gbid("new", folder) == 0
-    assert capsys.readouterr().out.splitlines() == [str(folder / name) for name in files_in(folder)]
-    assert gbid("check", folder / "experiment.yaml") == 0
-    before = files_in(folder)
+    folder.mkdir()  # an empty folder will do
+    assert gbid("new", folder, "--template", "own-recordings") == 0
+    written = files_in(folder)
+    assert capsys.readouterr().out.splitlines() == [str(folder / name) for name in written]
     assert gbid("new", folder) == 2
     assert "not empty" in capsys.readouterr().err
-    assert files_in(tmp_path) == [f"mine/{name}" for name in before]
-
-
-def test_own_recordings_template_runs_as_it_is(tmp_path, capsys):
-    (tmp_path / "mine").mkdir()  # an empty folder will do
-    assert gbid("new", tmp_path / "mine", "--template", "own-recordings") == 0
-    capsys.readouterr()
-    assert gbid("run", tmp_path / "mine" / "experiment.yaml", "--json") == 0
+    assert files_in(folder) == written
+    assert gbid("run", folder / "experiment.yaml", "--json") == 0
     found = document(capsys.readouterr().out)
     for fit in found["fits"]:
         assert fit["modes"][0]["frequency_hz"] == pytest.approx(40.0, abs=0.05)
@@ -367,11 +331,10 @@ def test_own_recordings_template_runs_as_it_is(tmp_path, capsys):
 
 
 def test_ctrl_c_ends_with_130_and_leaves_nothing_half_written(tmp_path):
-    # a fit on a long record and from many starts, so that it is under way for long
-    path = write_quick(tmp_path, ("duration_s: 1.0", "duration_s: 15.0"), ("stop: paper", "multi_start: {starts: 300}"))
+    path = write_spring(tmp_path, ("focus: simulation", "multi_start: {starts: 3000}"))  # under way for long
     process = command("run", path)
     for text in process.stderr:
-        if text.startswith("prefilter map p5_n6000: made"):
+        if text.startswith("import run2: made"):
             break
     time.sleep(0.15)
     process.send_signal(signal.SIGINT)
@@ -382,5 +345,27 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing_half_written(tmp_path):
     assert out == ""
     left = files_in(tmp_path)
     assert not [name for name in left if name.endswith(".part")]
-    assert "results/quick/recordings/p5_n6000_still1.h5" in left
+    assert "results/spring/recordings/run2.h5" in left
     assert not [name for name in left if "/fits/" in name]
+
+
+def test_verbs_that_look_need_no_lock_and_write_elsewhere(spring, tmp_path):
+    results = spring.parent / "results/spring"
+    with locked(results):
+        before = {path: path.stat().st_mtime_ns for path in spring.parent.rglob("*")}
+        assert gbid("check", spring) == 0
+        assert gbid("report", spring, "--output", tmp_path / "report.html") == 0
+        assert gbid("export", spring, "--to", "csv", "--output", tmp_path / "tables") == 0
+        assert {path: path.stat().st_mtime_ns for path in spring.parent.rglob("*")} == before
+    assert (tmp_path / "report.html").stat().st_size > 10_000
+    assert len(list((tmp_path / "tables").iterdir())) == 6
+
+
+def test_without_a_home_folder_there_are_no_lines_of_other_libraries(spring, tmp_path, monkeypatch):
+    for name in ("HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "MPLCONFIGDIR"):
+        monkeypatch.setitem(ENVIRONMENT, name, str(spring))  # a file
+    process = command("report", spring, "--output", tmp_path / "report.html")
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 0
+    said = [line.partition(" (")[0] for line in err.splitlines()]
+    assert said == ["report report.html: made", f"next: gbid export {spring} --to matlab"]

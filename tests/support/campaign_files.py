@@ -48,16 +48,19 @@ def write_springs(folder: Path, count: int, n: int = 400, fit: str = "focus: sim
     return path
 
 
-def batch(*arguments, **options) -> subprocess.Popen:
-    """`gbid batch` as its own process."""
+def command(*arguments, **options) -> subprocess.Popen:
+    """`gbid` as its own process."""
     return subprocess.Popen(
-        [sys.executable, "-m", "gbid.cli.main", "batch", *map(str, arguments)],
+        [sys.executable, "-m", "gbid.cli.main", *map(str, arguments)],
         env=ENVIRONMENT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         **options,
     )
+
+
+batch = partial(command, "batch")
 
 
 def workers_of(process: subprocess.Popen) -> list[int]:

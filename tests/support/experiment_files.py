@@ -69,6 +69,11 @@ def gbid(*arguments) -> int:
     return 0
 
 
+def files_in(folder: Path) -> list[str]:
+    """Paths of the files below a folder."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
 def write_quick(folder: Path, *changes: tuple[str, str], text: str = QUICK) -> Path:
     """The quick experiment with some of its text changed."""
     for old, new in changes:

@@ -3,6 +3,8 @@
 import re
 
 _TEXT = """
+run: crossval, crossval_summary, cycle, excite, experiment, figures, fits, impacts, loops, lpv, nominal, outcomes,
+    prefilter, report, results, static, target, tuning
 fits: aic, condition, fit, fit_percent, fpe, iterations, loss, model, modes, multi_start, notes, options, parameters,
     path, recordings, state, static_gain, status, structure, success, trusted, wall_time_s, whiteness
 fits.parameters: deviation_percent, deviation_std, estimate, fixed, parameter, start, start_origin, std, std_robust,
