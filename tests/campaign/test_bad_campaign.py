@@ -3,26 +3,17 @@
 import numpy as np
 import pytest
 from experiment_files import gbid
-from own_files import BY_TABLE, SIGNALS, columns_of, write_file
+from own_files import BY_NAME, SIGNALS, columns_of, write_file
 from rig_point import machine
 
 from gbid import load_table
 from gbid.rig import Faults, Prbs, Stationary, record
 
-EXPERIMENT = """\
-format: 1
-name: bad
-import:
-  data_folder: data
-  folder:
-    pattern: "p{{pressure_bar:g}}_n{{speed_rpm:d}}_{{kind}}{{nr:d}}.npz"
-    time: t
-    signals:
-{signals}
-prefilter: {{harmonics: 4}}
+FITS = """\
+prefilter: {harmonics: 4}
 fits:
-  bearing: {{structure: rotor_bearing, options: {{disturbance_gain: none}}, focus: simulation, stop: paper}}
-  piezos: {{structure: piezo_pair}}
+  bearing: {structure: rotor_bearing, options: {disturbance_gain: none}, focus: simulation, stop: paper}
+  piezos: {structure: piezo_pair}
 """
 GOOD = ("p5_n6000_prbs1", "p5_n6000_prbs2", "p6_n0_prbs1")
 BAD = {  # and what the check says of it
@@ -63,7 +54,7 @@ def folder(tmp_path_factory):
     (data / "p5_n6000_prbs7.npz").write_bytes(whole[: len(whole) // 2])
     (data / "p5_n6000_prbs8.npz").write_bytes((data / "p5_n6000_prbs1.npz").read_bytes())
     path = made / "experiment.yaml"
-    path.write_text(EXPERIMENT.format(signals=SIGNALS.rstrip()))
+    path.write_text(BY_NAME.format(ending="npz", clock="time: t", signals=SIGNALS.rstrip()) + FITS)
     return path
 
 
@@ -87,7 +78,7 @@ def test_each_fault_is_named_and_the_rest_is_fitted(folder, capsys):
     told = capsys.readouterr().err.splitlines()
     reasons = [line for line in told if line.startswith("gbid: error: import ")]
     assert len(reasons) == len(BAD)
-    table = load_table(folder.parent / "results" / "bad" / "table.h5")
+    table = load_table(folder.parent / "results" / "own" / "table.h5")
     assert len(table) == 2 * (len(GOOD) + len(BAD))
     for i in range(len(table)):
         name = str(table.model[i])
@@ -100,17 +91,3 @@ def test_each_fault_is_named_and_the_rest_is_fitted(folder, capsys):
             assert table.status[i].startswith(f"failed: import {name}: ")
             assert text in table.status[i]
             assert any(f"import {name}: " in line and text in line for line in reasons)
-
-
-def test_two_recordings_with_one_name(tmp_path, capsys):
-    (tmp_path / "data").mkdir()
-    rows = ["file,name,kind,pressure_bar,speed_rpm", "a.npz,run1,prbs,5,6000", "b.npz,run1,prbs,5,6000"]
-    (tmp_path / "data" / "runs.csv").write_text("\n".join(rows) + "\n")
-    for name in "ab":
-        np.savez(tmp_path / "data" / f"{name}.npz", phi=np.zeros(200))
-    path = tmp_path / "experiment.yaml"
-    path.write_text(BY_TABLE.format(signals="      phi: {columns: phi, unit: rad}") + "fits: {}\n")
-    assert gbid("check", path) == 2
-    (told,) = capsys.readouterr().err.splitlines()
-    assert "run1" in told
-    assert "runs.csv" in told

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 from experiment_files import gbid
-from own_files import BY_TABLE, COLUMNS, SIGNALS, columns_of, write_file
-from rig_point import machine
+from own_files import BY_NAME, BY_TABLE, CLOCK, COLUMNS, SIGNALS, columns_of, write_file
+from rig_point import machine, modes
 
 from gbid.core.errors import UsageError
 from gbid.experiment.load import load_experiment
@@ -15,17 +15,6 @@ from gbid.experiment.schema import name_pattern
 from gbid.rig import Prbs, Stationary, record
 from gbid.structure import KEY_PARAMETERS
 
-BY_NAME = """\
-format: 1
-name: own
-import:
-  data_folder: data
-  folder:
-    pattern: "p{{pressure_bar:g}}_n{{speed_rpm:d}}_{{kind}}{{nr:d}}.{ending}"
-    sample_time_s: 2.0e-4
-    signals:
-{signals}
-"""
 CAMPAIGN = """\
 prefilter: {harmonics: 10, median: 1}
 fits:
@@ -46,10 +35,10 @@ def measured():
     for seed, (pressure, speed) in enumerate(POINTS):
         conditions = {"pressure_bar": pressure, "speed_rpm": speed}
         rig, label = machine(pressure, speed), f"p{pressure:g}_n{speed:g}"
-        still = record(rig, Stationary(1.0), conditions=conditions, seed=seed, name="still")
+        still = record(rig, Stationary(0.6), conditions=conditions, seed=seed, name="still")
         found[f"{label}_still1"] = columns_of(still)
         for i in (1, 2):
-            made = record(rig, Prbs(1.0), conditions=conditions, seed=10 * seed + i, name="prbs")
+            made = record(rig, Prbs(0.6), conditions=conditions, seed=10 * seed + i, name="prbs")
             found[f"{label}_prbs{i}"] = columns_of(made)
     return found
 
@@ -59,7 +48,7 @@ def write_folder(folder, measured, ending="npz", text=BY_NAME, more=CAMPAIGN):
     for name, columns in measured.items():
         write_file(folder / "data" / f"{name}.{ending}", columns)
     path = folder / "experiment.yaml"
-    path.write_text(text.format(ending=ending, signals=SIGNALS.rstrip()) + more)
+    path.write_text(text.format(ending=ending, clock=CLOCK, signals=SIGNALS.rstrip()) + more)
     return path
 
 
@@ -95,8 +84,7 @@ def test_a_folder_runs_as_a_campaign(measured, tmp_path, capsys):
     found = {row["parameter"]: row["estimate"] for row in fits[2]["parameters"]}
     assert fits[2]["recordings"] == ["p6_n0_prbs1"]
     assert set(KEY_PARAMETERS) <= set(found)
-    modes = [row["frequency_hz"] for row in fits[2]["modes"]]
-    assert modes == pytest.approx(sorted(frequencies_of(known)), rel=0.03)
+    assert [row["frequency_hz"] for row in fits[2]["modes"]] == pytest.approx(modes(known)[0], rel=0.03)
 
     assert gbid("crossval", path, "--json", "--engine", "serial") == 0
     told = json.loads(capsys.readouterr().out)
@@ -134,12 +122,6 @@ def test_a_folder_runs_as_a_campaign(measured, tmp_path, capsys):
     assert len(less["crossval_summary"][1]["failed"]) == 3
     assert "`gbid fit` makes it" in captured.err
     assert less["nominal"]["left_out"][0].startswith("p6_n0_prbs1: ")
-
-
-def frequencies_of(truth):
-    A = np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]])
-    poles = np.linalg.eigvals(A)
-    return [abs(pole) / 2 / np.pi for pole in poles if pole.imag > 0]
 
 
 def test_a_table_gives_the_same_recordings(tmp_path):
@@ -207,11 +189,7 @@ def test_files_that_do_not_fit_are_named(tmp_path):
     ("old", "new", "says"),
     [
         ("_n{speed_rpm:d}", "_n{turns:d}", "has no field speed_rpm; write {speed_rpm:g} into it"),
-        (
-            "_n{speed",
-            "_s{speed",
-            "_s{speed_rpm:d}_{kind}{nr:d}.npz'; there is p5_n6000_prbs1.npz",
-        ),
+        ("_n{speed", "_s{speed", "_s{speed_rpm:d}_{kind}{nr:d}.npz'; there is p5_n6000_prbs1.npz"),
         ("{nr:d}", "", "file p5_n6000_prbs1.npz: unknown kind 'prbs1'"),
         ("{kind}{nr:d}", "{name}{nr:d}", "p5_n6000_prbs1.npz both give the name 'prbs'; without {name}"),
         (".npz", ".txt", "unknown ending '.txt'"),
@@ -224,7 +202,7 @@ def test_folders_that_make_no_sense(old, new, says, tmp_path):
     path = write_folder(tmp_path, small(), more="")
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
-    assert any(says in line for line in complaints(path)), complaints(path)
+    assert [line for line in complaints(path) if says in line]
 
 
 def test_a_word_for_a_kind_of_ones_own(tmp_path):
@@ -281,9 +259,8 @@ def test_rigs_without_an_operating_point(tmp_path):
     assert any("has no field pressure_bar" in line for line in complaints(path))
     path.write_text(text.replace("    sample_time", "    operating_point: false\n    sample_time"))
     assert [q.point for q in load_experiment(path).recordings.values()] == ["any", "any"]
-    path.write_text(
-        text.replace("    sample_time", "    conditions: {pressure_bar: 4.0, speed_rpm: 0}\n    sample_time")
-    )
+    conditions = "    conditions: {pressure_bar: 4.0, speed_rpm: 0}\n    sample_time"
+    path.write_text(text.replace("    sample_time", conditions))
     assert [q.point for q in load_experiment(path).recordings.values()] == ["p4_n0", "p4_n0"]
 
 

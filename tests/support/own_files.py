@@ -9,6 +9,18 @@ SIGNALS = """\
       p: {columns: [p_x, p_y], unit: um}
       phi: {columns: phi, unit: rad}
 """
+BY_NAME = """\
+format: 1
+name: own
+import:
+  data_folder: data
+  folder:
+    pattern: "p{{pressure_bar:g}}_n{{speed_rpm:d}}_{{kind}}{{nr:d}}.{ending}"
+    {clock}
+    signals:
+{signals}
+"""
+CLOCK = "sample_time_s: 2.0e-4"
 BY_TABLE = """\
 format: 1
 name: own
