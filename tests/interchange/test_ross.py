@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from experiment_files import gbid as run
 from scipy.linalg import expm
 
 import gbid
-from gbid.cli.main import app
 from gbid.core.errors import UsageError
 from gbid.export.ross import bearing_element, ross_package
 from gbid.structure import evaluate
@@ -220,11 +220,6 @@ def test_wrong_requests_of_an_element():
 
 
 def test_the_command_line_writes_files_that_ross_reads(tmp_path, capsys):
-    def run(*arguments):
-        with pytest.raises(SystemExit) as ended:
-            app([str(a) for a in arguments], prog_name="gbid")
-        return int(ended.value.code or 0)
-
     assert run("export", "theisen2016", "--to", "ross", "--output", tmp_path) == 2
     assert "give the modal mass with --mass KG" in capsys.readouterr().err
     assert run("export", "theisen2016", "--to", "ross", "--mass", 2.04, "--output", tmp_path) == 0
