@@ -59,12 +59,14 @@ def write(folder, signals, options):
 
 @pytest.mark.parametrize("how", GIVEN)
 def test_decays_are_fitted_from_the_yaml(tmp_path, how):
-    fitted(write(tmp_path, *GIVEN[how]), k=4000.0, d=3.0)
+    path = write(tmp_path, *GIVEN[how])
+    fitted(path, k=4000.0, d=3.0)
+    assert gbid("crossval", path) == 0
 
 
 def fitted(path, **true):
     """The fit to both decays, whose parameters are the true ones."""
-    assert gbid("run", path) == 0
+    assert gbid("import", path) == gbid("fit", path) == 0
     result = load_fit(path.parent / "results" / "fits" / "spring" / "together.h5")
     assert result.success
     for name, value in true.items():
@@ -84,5 +86,7 @@ def test_initial_states_of_the_structure_and_of_the_data(tmp_path):
 
 
 def test_a_gain_without_input_is_named(tmp_path, capsys):
-    assert gbid("run", write(tmp_path, OUTPUT, "inputs: []")) == 3
+    path = write(tmp_path, OUTPUT, "inputs: []")
+    assert gbid("import", path) == 0
+    assert gbid("fit", path) == 3
     assert "do not determine b" in "".join(capsys.readouterr())
