@@ -73,33 +73,29 @@ def test_every_goal_has_its_entry_and_its_arguments(tmp_path: Path) -> None:
     assert set(section["required"]) == {"goal", "limit"}
 
 
+IMPROPER = "{numerator: [1, 0], denominator: [1]}"
+STILL = "{goal: RmsPosition, limit_m: 1.0e-6, disturbance: stil}"
+
+
 @pytest.mark.parametrize(
     ("section", "line", "words"),
     [
-        ("{goals: [{goal: PeakSensitivty}]}", "goals[0]", "did you mean 'PeakSensitivity'"),
-        ("{goals: [{limit: 2}]}", "goals[0]", "expected a goal with its arguments"),
-        ("{goals: [{goal: MaxDamping}, {goal: RollOff, level: 1}]}", "goals[1].from_hz", "is missing"),
-        ("{goals: [{goal: PeakControl, limit: [[1, x]]}]}", "goals[0].limit", "breakpoints as [[frequency_hz, limit]"),
-        ("{goals: [{goal: PeakControl, limit: -1}]}", "goals[0]", "give a positive number"),
-        ("{goals: [{goal: PeakControl, limit: [[9, 1], [5, 2]]}]}", "goals[0]", "rising frequencies"),
-        (
-            "{goals: [{goal: PeakControl, limit: {numerator: [1, 0], denominator: [1]}}]}",
-            "goals[0]",
-            "of a higher order than the denominator",
-        ),
-        ("{goals: [{goal: MaxDamping}, {goal: MaxDecay}]}", "goals", "exclude each other"),
-        ("{goals: [{goal: PeakSensitivity, limit: 2}]}", "goals", "none of them is an objective"),
-        ("{goals: [{goal: MaxDamping}], objective: decay}", "objective", "write it as a goal, too"),
-        (
-            "{goals: [{goal: MaxDamping}, {goal: RmsPosition, limit_m: 1.0e-6, disturbance: stil}]}",
-            "goals[1].disturbance",
-            "no recording 'stil'",
-        ),
-        ("{goals: [{goal: MaxDamping}], robust: {}}", "robust", "needs the surfaces"),
+        ("[{goal: PeakSensitivty}]", "goals[0]", "did you mean 'PeakSensitivity'"),
+        ("[{limit: 2}]", "goals[0]", "expected a goal with its arguments"),
+        ("[{goal: MaxDamping}, {goal: RollOff, level: 1}]", "goals[1].from_hz", "is missing"),
+        ("[{goal: PeakControl, limit: [[1, x]]}]", "goals[0].limit", "breakpoints as [[frequency_hz, limit]"),
+        ("[{goal: PeakControl, limit: -1}]", "goals[0]", "give a positive number"),
+        ("[{goal: PeakControl, limit: [[9, 1], [5, 2]]}]", "goals[0]", "rising frequencies"),
+        (f"[{{goal: PeakControl, limit: {IMPROPER}}}]", "goals[0]", "of a higher order than the denominator"),
+        ("[{goal: MaxDamping}, {goal: MaxDecay}]", "goals", "exclude each other"),
+        ("[{goal: PeakSensitivity, limit: 2}]", "goals", "none of them is an objective"),
+        ("[{goal: MaxDamping}], objective: decay", "objective", "write it as a goal, too"),
+        (f"[{{goal: MaxDamping}}, {STILL}]", "goals[1].disturbance", "no recording 'stil'"),
+        ("[{goal: MaxDamping}], robust: {}", "robust", "needs the surfaces"),
     ],
 )
 def test_wrong_goals_are_named_with_their_place(tmp_path: Path, section: str, line: str, words: str) -> None:
-    path = write_quick(tmp_path, text=f"{RIG}  p: {section}\n")
+    path = write_quick(tmp_path, text=f"{RIG}  p: {{goals: {section}}}\n")
     with pytest.raises(UsageError) as caught:
         load_experiment(path)
     first = next(text for text in str(caught.value).splitlines() if f"controller.p.{line}: " in text)

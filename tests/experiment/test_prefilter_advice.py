@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from experiment_files import gbid as call
+from own_files import BY_NAME, CLOCK, SIGNALS, columns_of, write_file
 from study_rig import machine_at
 
 import gbid
@@ -16,26 +17,7 @@ from gbid.rig import Prbs, Stationary, record
 from gbid.validate.residuals import shaft_lines
 
 POINT = (5.0, 4000.0)
-EXPERIMENT = """\
-format: 1
-name: own
-import:
-  recordings:
-{recordings}
-prefilter: {{harmonics: {harmonics}}}
-fits: {{bearing: {{structure: rotor_bearing}}}}
-"""
-RECORDING = """\
-    - name: {name}
-      file: {name}.npz
-      kind: {kind}
-      sample_time_s: 2.0e-4
-      conditions: {{pressure_bar: 5.0, speed_rpm: 4000}}
-      signals:
-        u: {{columns: ["u[0]", "u[1]"], unit: m}}
-        p: {{columns: ["p[0]", "p[1]"], unit: m}}
-        phi: {{columns: phi, unit: rad}}
-"""
+FITS = "prefilter: {{harmonics: {}}}\nfits: {{bearing: {{structure: rotor_bearing}}}}\n"
 
 
 def recorded(what, name, order=13, size=60e-9):
@@ -49,7 +31,8 @@ def recorded(what, name, order=13, size=60e-9):
 
 @pytest.fixture(scope="module")
 def recordings():
-    return [recorded(Stationary(0.6), "still1"), recorded(Stationary(0.6), "still2"), recorded(Prbs(1.0), "prbs")]
+    whats = {"still1": Stationary(0.6), "still2": Stationary(0.6), "prbs1": Prbs(1.0)}
+    return [recorded(what, f"p5_n4000_{name}") for name, what in whats.items()]
 
 
 def test_what_a_map_leaves_is_named_with_order_and_size(recordings):
@@ -81,17 +64,17 @@ def test_lines_of_the_shaft_in_residuals(recordings):
 
 @pytest.mark.parametrize(("harmonics", "advised"), [("10", True), ("auto", False)])
 def test_an_experiment_says_so(recordings, harmonics, advised, tmp_path, capsys):
-    listed = []
+    (tmp_path / "data").mkdir()
     for rec in recordings:
-        np.savez(tmp_path / f"{rec.name}.npz", **{name: rec.signal(name) for name in ("u", "p", "phi")})
-        listed.append(RECORDING.format(name=rec.name, kind="excited" if rec.name == "prbs" else "stationary"))
+        write_file(tmp_path / "data" / f"{rec.name}.npz", columns_of(rec))
     path = tmp_path / "own.yaml"
-    path.write_text(EXPERIMENT.format(recordings="".join(listed).rstrip(), harmonics=harmonics), encoding="utf-8")
+    text = BY_NAME.format(ending="npz", clock=CLOCK, signals=SIGNALS.rstrip())
+    path.write_text(text + FITS.format(harmonics), encoding="utf-8")
     assert call("import", path, "--engine", "serial") == 0
     capsys.readouterr()
     assert call("fit", path, "--engine", "serial") == 0
     said = capsys.readouterr().err
-    result = gbid.load_fit(tmp_path / "results" / "own" / "fits" / "bearing" / "prbs.h5")
+    result = gbid.load_fit(tmp_path / "results" / "own" / "fits" / "bearing" / "p5_n4000_prbs1.h5")
     suspects = [note for note in result.notes if note.startswith("suspect")]
     assert bool(re.search(r"left over in p_x: \d+ nm rms of order 13", said)) == advised
     assert ("harmonics auto: harmonics, 15; rms residual on test data" in said) != advised

@@ -11,11 +11,10 @@ from typer.testing import CliRunner
 
 import gbid
 from gbid.cli.main import app
-from gbid.control import HalfSine, compare_designs
-from gbid.control.assessment import DesignFigures, TunedDesign
-from gbid.core.errors import DataError
+from gbid.control import compare_designs
+from gbid.control.assessment import TunedDesign
 from gbid.core.files import share_folder
-from gbid.core.hdf5 import load, save
+from gbid.core.hdf5 import load
 from gbid.experiment.controllers import controller_at, design_structure
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
@@ -121,21 +120,6 @@ def test_controller_file_has_the_gains_and_runs_in_the_impacts(tuned):
     np.testing.assert_array_equal(running.continuous.C, gbid.control.p_controller(0.5, 0.4).C)
 
 
-def test_changed_settings_stop_and_replace(tuned, tmp_path):
-    path, _ = tuned
-    other = write_quick(tmp_path, ("2.28317", "2.0"), ("    pareto: [2.6, 1.6]\n", ""), text=RIG + FEEDBACK)
-    results = path.parent / "results" / "designs"
-    refused = call("tune", other, "--results", results)
-    assert refused.exit_code == 2
-    assert "--overwrite" in refused.output
-    copied = tmp_path / "out" / "controller"
-    copied.mkdir(parents=True)
-    for file in (results / "controller").iterdir():
-        (copied / file.name).write_bytes(file.read_bytes())
-    assert call("tune", other, "--results", tmp_path / "out", "--overwrite").exit_code == 0
-    assert load(copied / "feedback.h5", TunedDesign).result.peak_sensitivity <= 2.0 * (1 + 1e-6)
-
-
 def test_limits_that_contradict_are_an_outcome_with_the_least_violating_design(tmp_path):
     path = write_quick(
         tmp_path,
@@ -216,35 +200,11 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
     assert "own.h5 was made with other settings" in call("tune", path).output
 
 
-def test_round_trip_of_a_design(tmp_path, tuned):
-    path, _ = tuned
-    stored = load(path.parent / "results" / "designs" / "controller" / "feedback.h5", TunedDesign)
-    save(stored, tmp_path / "again.h5")
-    again = load(tmp_path / "again.h5", TunedDesign)
-    assert again.result == stored.result
-    assert again.front == stored.front
-    assert len(stored.result.history) > 0
-    bare = TunedDesign("bare", "m", stored.result, (), (), HalfSine(), 2e-4)
-    save(bare, tmp_path / "bare.h5")
-    assert load(tmp_path / "bare.h5", TunedDesign).performance == ()
-    (tmp_path / "bad.h5").write_bytes((tmp_path / "again.h5").read_bytes()[:2000])
-    with pytest.raises(DataError, match=r"bad\.h5"):
-        load(tmp_path / "bad.h5", TunedDesign)
-
-
-def test_worst_figures_are_those_of_the_assessment():
-    gains = {"kappa_x": 1.125, "kappa_y": 0.99}
-    assessed = gbid.assess(MODEL, "P", gains, [(3, 0), (6, 0), (7, 6000)])
-    numbers = DesignFigures.of(assessed)
-    for name, (value, point) in numbers.worst.items():
-        expected, where = assessed.worst[name]
-        assert (value, point) == (expected, (where.pressure_bar, where.speed_rpm))
-
-
 @pytest.mark.parametrize(
     ("section", "words"),
     [
         ("{p: {structure: Q}}", ("controller.p.structure", "there is P, PD, PI, PID, PPF, biquad")),
+        ("{p: {structure: filter, options: {filter_ordr: 6}}}", ("controller.p.options", "option filter_ordr")),
         ("{p: {structure: 'a.py:b'}}", ("controller.p.structure", "no file")),
         ("{p: {model: lpv}}", ("controller.p.model", "no section 'lpv'")),
         ("{p: {model: nosuch}}", ("controller.p.model", "no model 'nosuch'")),
@@ -321,10 +281,20 @@ def test_design_on_the_surfaces_of_the_experiment_and_their_uncertainty(tmp_path
     assert "add lpv: actuators" in call("check", bare).output
 
 
-def test_schedule_without_a_model_at_hand_has_its_gains(tmp_path):
-    text = SURFACES.replace(
-        "uncertainty: {draws: 2, seed: 1}", "schedule: ['1', Omega], bounds: {kappa_x_Omega: [0, 1]}"
+def test_structures_by_name_with_options(tmp_path):
+    text = RIG + (
+        "controller:\n"
+        "  tall: {structure: filter, options: {filter_order: 6, frequency_khz: [0.05, 1.0]}}\n"
+        "  turning: {structure: resonant}\n"
+        "  coupled: {structure: full biquad}\n"
+        "  scheduled: {schedule: ['1', Omega], bounds: {kappa_x_Omega: [0, 1]}}\n"
     )
     experiment = load_experiment(write_quick(tmp_path, text=text))
-    structure = design_structure(experiment, experiment.spec.controller["robust"])
-    assert [q.name for q in structure.parameters] == ["kappa_x_1", "kappa_x_Omega", "kappa_y_1", "kappa_y_Omega"]
+    structures = {name: design_structure(experiment, s, MODEL.domain) for name, s in experiment.spec.controller.items()}
+    assert len(structures["tall"].parameters) == 2 * 13
+    assert next(p for p in structures["tall"].parameters if p.name == "frequency_2_x").upper == 1.0
+    assert isinstance(structures["turning"], gbid.control.Scheduled)
+    assert structures["turning"].domain == MODEL.domain
+    assert len(structures["coupled"].parameters) == 16
+    scheduled = [q.name for q in structures["scheduled"].parameters]
+    assert scheduled == ["kappa_x_1", "kappa_x_Omega", "kappa_y_1", "kappa_y_Omega"]
