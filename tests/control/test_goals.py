@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -68,6 +70,7 @@ def excess(goal: Goal, sampled: bool = False) -> np.ndarray:
     return problem.limits.measures[0].excess(problem.state(family, family.matrices(GAINS), GAINS))
 
 
+@cache
 def loops(sampled: bool = False) -> list[gbid.control.Sensitivities]:
     found = []
     for point in TWO:
@@ -79,7 +82,7 @@ def loops(sampled: bool = False) -> list[gbid.control.Sensitivities]:
     return found
 
 
-GRID = np.concatenate([[0.0], np.geomspace(0.1, 2400, 15001)])
+GRID = np.union1d([0.0, 10.0, 100.0, 400.0], np.geomspace(0.1, 2400, 6001))
 
 
 def largest(loop: gbid.control.Sensitivities, which: str, bound: object = None) -> float:
@@ -231,12 +234,12 @@ def test_gradients_are_those_of_differences(goal: Goal, sampled: bool) -> None:
     loop, value, gradient, _ = measure.pieces(state, np.inf)
     assert [value[loop == i].max() for i in range(2)] == pytest.approx(measure.excess(state).tolist(), abs=1e-9)
     which = int(np.argmax(value))
-    for i in range(len(GAINS)):
+    for direction in np.random.default_rng(0).choice([-1.0, 1.0], (3, len(GAINS))):
         ends = []
         for step in (1e-5, -1e-5):
-            x = GAINS + step * np.eye(len(GAINS))[i]
+            x = GAINS + step * direction
             ends.append(measure.excess(problem.state(family, family.matrices(x), x))[loop[which]])
-        assert gradient[which, i] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=2e-3, abs=2e-4)
+        assert gradient[which] @ direction == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=2e-3, abs=2e-4)
 
 
 def test_a_peak_alone_and_goals_are_the_same_design() -> None:
@@ -249,9 +252,9 @@ def test_a_peak_alone_and_goals_are_the_same_design() -> None:
 
 
 def test_limits_hold_at_their_edge() -> None:
-    free = gbid.tune(MODEL, operating_points=ONE, goals=[MaxDamping(), PeakSensitivity(2.6)])
+    free = gbid.tune(MODEL, operating_points=ONE, goals=[MaxDamping(), PeakSensitivity(2.6)], starts=1)
     goals = [MaxDamping(), PeakSensitivity(2.6), MinDiskMargin(0.9), PeakControl([(50.0, 5.0), (200.0, 1.2)])]
-    bound = gbid.tune(MODEL, operating_points=ONE, goals=goals)
+    bound = gbid.tune(MODEL, operating_points=ONE, goals=goals, starts=1)
     assert bound.success
     assert bound.value < free.value - 1e-3
     loop = sensitivities(MODEL.plant_at(6, 0), controller_at(bound.controller, bound.gains, 6, 0))
@@ -263,11 +266,12 @@ def test_limits_hold_at_their_edge() -> None:
 
 
 def test_objectives_other_than_damping() -> None:
-    best = gbid.tune(MODEL, operating_points=ONE, goals=[PeakSensitivity(1.0, soft=True), MinDamping(0.2)])
+    options = {"operating_points": ONE, "starts": 1}
+    best = gbid.tune(MODEL, goals=[PeakSensitivity(1.0, soft=True), MinDamping(0.2)], **options)
     assert best.objective == "goals"
     assert best.success
     assert best.worst.damping == pytest.approx(0.2, abs=1e-4)  # the least damping that is allowed costs the lowest peak
-    more = gbid.tune(MODEL, operating_points=ONE, goals=[MaxDamping(), PeakSensitivity(float(best.peak_sensitivity))])
+    more = gbid.tune(MODEL, goals=[MaxDamping(), PeakSensitivity(float(best.peak_sensitivity))], **options)
     assert more.value == pytest.approx(0.2, abs=2e-3)  # the same point of the front, from the other side
     assert best.value == pytest.approx(-np.log(best.peak_sensitivity), abs=1e-6)
 
@@ -275,7 +279,7 @@ def test_objectives_other_than_damping() -> None:
 def test_soft_goals_share_by_their_weights() -> None:
     def both(weight: float) -> gbid.GainResult:
         goals = [MaxDamping(), PeakSensitivity(2.0, soft=True, weight=weight), SlowestPole(0.0)]
-        return gbid.tune(MODEL, operating_points=ONE, goals=goals)
+        return gbid.tune(MODEL, operating_points=ONE, goals=goals, starts=1)
 
     lax, strict = both(1.0), both(1.2)
     assert strict.peak_sensitivity < lax.peak_sensitivity - 0.01

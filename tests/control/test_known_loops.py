@@ -9,7 +9,7 @@ from random_loops import KINDS, random_problem
 from scipy.optimize import differential_evolution
 
 import gbid
-from benchmarks.known_loops import delayed_pd, integrators, two_masses, two_masses_canonical
+from benchmarks.known_loops import delayed_pd, integrators, two_masses
 from gbid.control import GainStatus
 
 
@@ -25,7 +25,7 @@ def test_delayed_double_integrator_has_a_triple_eigenvalue(order: int, limit: fl
 
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_integrators_meet_at_their_mean(n: int) -> None:
-    result = integrators(n).tune()
+    result = integrators(n).tune(starts=1)
     assert result.status is GainStatus.OPTIMAL
     assert result.value == pytest.approx(1.0, rel=2e-3)
 
@@ -36,13 +36,6 @@ def test_two_masses_from_ten_seeds(limit: float) -> None:
     shares = np.array([two_masses(limit).tune(seed=seed).value / two_masses(limit).best for seed in range(10)])
     assert (shares > 0.98).sum() >= 8
     assert (shares <= 1 + 1e-9).all()
-
-
-@pytest.mark.slow
-def test_two_masses_in_canonical_form() -> None:
-    loop = two_masses_canonical()
-    for seed in range(3):
-        assert loop.tune(seed=seed).value > 0.99 * loop.best
 
 
 @pytest.mark.parametrize("seed", range(2 * len(KINDS)))

@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import minimize
 
 import gbid
+from benchmarks.known_loops import two_masses_canonical
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.plane import InvariantSubspaces
 from gbid.control.tuning.plants import TuneOptions, plants_of
@@ -41,16 +42,11 @@ def test_two_masses_and_a_spring_come_near_the_published_decay() -> None:
     # than sqrt(15)/5: in p(s) = sum q_k (s + r)^k the q are not negative when all roots lie left of -r, so that
     # c3 - 2 c5 = q3 + 4 r q4 + (10 r^2 - 2) q5 + 20 r^3 - 12 r is positive for r^2 > 3/5, and zero for (s + r)^6 with
     # r^2 = 3/5. Six eigenvalues meet there.
-    g = ca.SX.sym("g", 5)
-    x1, x0, y2, y1, y0 = ca.vertsplit(g)
-    A = ca.SX.zeros(6, 6)
-    A[:5, 1:] = ca.SX.eye(5)
-    A[5, :] = -ca.horzcat(y0, y1, 2 * x0 + y2, 2 * x1, 2 + x0, x1)
-    function = ca.Function("A", [g], [A])
-    best = np.sqrt(15) / 5
+    loop = two_masses_canonical()
+    function, best = loop.function, np.sqrt(15) / 5
     known = [6 * best, 15 * best**2 - 2, 15 * best**4 - 2 * (15 * best**2 - 2), 6 * best**5, best**6]
     assert np.poly(np.array(function(known))) == pytest.approx(np.poly([-best] * 6), rel=1e-9)
-    result = gbid.maximise_damping(function, ["x1", "x0", "y2", "y1", "y0"], -10, 10, "decay", starts=3)
+    result = loop.tune(starts=0)
     # rounding moves a root of multiplicity six by its sixth root, some thousandths
     assert 0.99 * best < result.value <= best + 1e-6
     assert list(result.gains.values()) == pytest.approx(known, rel=2e-2)

@@ -60,8 +60,8 @@ def test_no_frequency_has_more_gain_than_the_peak(
     peak = peak_gain(model)
     centre = np.abs(model.poles().imag) / (2 * np.pi)
     spread = np.abs(model.poles().real) / (2 * np.pi)
-    around = (centre[:, None] + spread[:, None] * np.linspace(-3, 3, 400)).ravel()
-    grid = np.concatenate([[0.0], np.geomspace(1e-4, 1e3, 4000) if dt is None else np.linspace(0, 2.5, 4000), around])
+    around = (centre[:, None] + spread[:, None] * np.linspace(-3, 3, 200)).ravel()
+    grid = np.concatenate([[0.0], np.geomspace(1e-4, 1e3, 1000) if dt is None else np.linspace(0, 2.5, 1000), around])
     grid = grid[(grid >= 0) & (grid <= (np.inf if dt is None else 2.5))]
     dense = np.linalg.svd(model.frequency_response(grid), compute_uv=False)[:, 0].max()
     assert dense <= peak.value * (1 + 3e-8)
@@ -92,7 +92,7 @@ def test_models_and_responses_agree_with_the_definitions(seed: int, dt: float | 
 def test_peaks_of_the_published_design() -> None:
     """Known of the paper's design: 2.283 at 6 bar and 0 rpm, 2.62 over the 15 points."""
     loop = gbid.sensitivities(MACHINE.plant_at(6, 0), PAPER)
-    dense = np.linspace(0, 400, 40001)
+    dense = np.linspace(0, 400, 10001)
     for name in NAMES:
         grid = largest_singular_values(loop.response(name, dense)).max()
         assert loop.peak(name).value == pytest.approx(grid, rel=1e-6)
@@ -106,7 +106,7 @@ def test_exact_delay_against_a_dense_grid_and_high_pade_orders() -> None:
     loop = gbid.sensitivities(plant, PAPER)
     with pytest.raises(UsageError, match="has exact delays: use response"):
         loop.model("output")
-    dense = largest_singular_values(loop.response("output", np.linspace(0, 200, 100001))).max()
+    dense = largest_singular_values(loop.response("output", np.linspace(0, 200, 20001))).max()
     assert loop.peak("output").value == pytest.approx(dense, rel=1e-9)
     pade = gbid.sensitivities(gbid.with_pade(plant, 8), PAPER).peak("output")
     assert loop.peak("output").value == pytest.approx(pade.value, rel=1e-7)
