@@ -99,9 +99,9 @@ def test_one_impact_tells_both_modes_where_they_are_coupled() -> None:
 
 @pytest.mark.parametrize("pole", [0.0, 0.8])
 def test_intervals_cover_the_truth(pole: float) -> None:
-    """95 % intervals over 24 seeds and four numbers, noise white and coloured."""
+    """95 % intervals over 16 seeds and four numbers, noise white and coloured."""
     hits = total = 0
-    for seed in range(24):
+    for seed in range(16):
         group = [recording(seed, a, starts=(0.06,), n=1100, pole=pole) for a in (0, 1)]
         found = gbid.fit_ringdown(group, lags=0)
         low, high = found.interval(0.95).T

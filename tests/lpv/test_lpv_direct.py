@@ -151,8 +151,8 @@ def test_recordings_in_open_and_in_closed_loop_share_surfaces(one_point):
 
 def test_each_recordings_own_estimate_is_that_of_its_single_fit():
     """One step from the shared solution arrives where a fit of the recording alone ends."""
-    rng, terms = np.random.default_rng(4), ("1", "P", "Omega", "Omega P")
-    points = np.repeat([(3.0, 0.0), (3.0, 6000.0), (7.0, 0.0), (7.0, 6000.0)], 6, axis=0).tolist()
+    rng, terms = np.random.default_rng(4), ("1", "P")
+    points = np.repeat([(3.0, 0.0), (7.0, 0.0)], 8, axis=0).tolist()
     recordings = [recorded(p, i, n=500, scatter=0.005, noise=1e-10, rng=rng) for i, p in enumerate(points)]
     fits = [gbid.fit(EXACT, r, focus="simulation", fixed=FIXED, criterion="trace") for r in recordings]
     two = gbid.fit_lpv(fits, points, order=terms, actuators=PAPER.actuators)
@@ -160,9 +160,9 @@ def test_each_recordings_own_estimate_is_that_of_its_single_fit():
     apart = np.abs(one.estimates.values - two.estimates.values) / np.sqrt(np.diag(two.scatter))
     assert apart.max() < 0.02
     again = gbid.fit_lpv(one.estimates, order=terms)
-    std = np.sqrt(np.diag(two.covariance)).reshape(14, 6)[:, :4]
-    assert np.abs((one.coefficients - again.coefficients)[:, :4] / std).max() < 0.05
-    assert (one.coefficients[:, 4:] == 0).all()
+    std = np.sqrt(np.diag(two.covariance)).reshape(14, 6)[:, :2]
+    assert np.abs((one.coefficients - again.coefficients)[:, :2] / std).max() < 0.05
+    assert (one.coefficients[:, 2:] == 0).all()
     assert one.orders == two.orders
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, nan, sin
 
 import numpy as np
@@ -183,8 +184,6 @@ def integrator_like(kp: float, ti: float) -> LinearModel:
 
 
 def without_gain(chain):
-    from dataclasses import replace
-
     states = tuple(tuple(t for t in terms if t.kind != "d") for terms in chain.states)
     return replace(chain, states=states)
 
