@@ -57,13 +57,13 @@ class Killer:
 
 
 def test_one_of_two_workers_is_killed(engine, tmp_path):
-    one, two = (write_springs(tmp_path / name, 10) for name in ("one", "two"))
+    one, two = (write_springs(tmp_path / name, 6) for name in ("one", "two"))
     assert gbid("batch", one, "--engine", "serial") == 0
     killer = Killer(engine)
     with working(load_experiment(two), engine="serial") as job:
         outcomes = run_campaign(Job(job.experiment, reporter=killer, engine=engine))
     assert killer.victim is not None
-    assert [o.state for o in outcomes] == ["made"] * 20
+    assert [o.state for o in outcomes] == ["made"] * 12
     assert gbid("batch", two, "--collect") == 0
     tables = [rows_of(path.parent / "results" / "springs" / "table.csv") for path in (one, two)]
     assert tables[0] == tables[1]
@@ -76,9 +76,13 @@ def test_a_scheduler_by_its_address(engine, tmp_path):
     assert len(rows_of(tmp_path / "results" / "springs" / "table.csv")) == 3
 
 
-def test_failures_of_tasks_are_outcomes(engine, tmp_path):
-    job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"), engine=engine)
+@pytest.fixture
+def job(engine, tmp_path):
     engine.client.register_plugin(FindTasks(), name="find-tasks")
+    return Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"), engine=engine)
+
+
+def test_failures_of_tasks_are_outcomes(job, tmp_path):
     kinds = {"a": files.write_number, "e": files.refuse, "f": files.defect}
     a, e, f = run_tasks(job, [task(tmp_path, item, write) for item, write in kinds.items()])
     assert (a.state, e.cause, f.cause) == ("made", "data", "defect")
@@ -86,14 +90,12 @@ def test_failures_of_tasks_are_outcomes(engine, tmp_path):
         run_tasks(job, [task(tmp_path, "b", files.full_disk)])
 
 
-def test_progress_counts_one_for_each_thread(engine, tmp_path):
-    job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"))
-    engine.client.register_plugin(FindTasks(), name="find-tasks")
+def test_progress_counts_one_for_each_thread(job, tmp_path):
     watcher = files.Watcher()
     tasks = [task(tmp_path, f"{i:x}", files.write_number) for i in range(16)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gbid.experiment.engines._JOURNEYS", 2)  # four tasks travel together
-        run_tasks(replace(job, reporter=watcher, engine=engine), tasks)
+        run_tasks(replace(job, reporter=watcher), tasks)
     assert [done for done, _ in watcher.seen] == list(range(1, 17))
     assert all(running <= 2 for _, running in watcher.seen)
     assert watcher.seen[0][1] == 2
@@ -101,9 +103,7 @@ def test_progress_counts_one_for_each_thread(engine, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_task_that_kills_its_workers_does_not_stop_the_others_of_its_journey(engine, tmp_path):
-    job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"), engine=engine)
-    engine.client.register_plugin(FindTasks(), name="find-tasks")
+def test_a_task_that_kills_its_workers_does_not_stop_the_others_of_its_journey(job, tmp_path):
     tasks = [task(tmp_path, f"{i:x}", files.write_number) for i in range(16)]
     tasks[3] = task(tmp_path, "3", files.die)
     with pytest.MonkeyPatch.context() as patch:
@@ -140,7 +140,7 @@ def test_workers_that_die_before_they_have_begun(deaths, monkeypatch):
     assert started == [2] * min(deaths + 1, ATTEMPTS)
 
 
-def test_a_scheduler_that_is_lost(engine, tmp_path, monkeypatch):
+def test_a_scheduler_that_is_lost(job, tmp_path, monkeypatch):
     class Lost:
         def add(self, future):
             pass
@@ -149,6 +149,5 @@ def test_a_scheduler_that_is_lost(engine, tmp_path, monkeypatch):
             raise CommClosedError("the stream\nis closed")
 
     monkeypatch.setattr("distributed.as_completed", Lost)
-    job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"), engine=engine)
     with pytest.raises(UsageError, match=r"scheduler is lost \(the stream is closed\); start it and run again"):
         run_tasks(job, [task(tmp_path, "a", files.write_number)])

@@ -4,7 +4,6 @@ import pytest
 from experiment_files import QUICK, SPRING, SPRING_STRUCTURE, write_quick, write_spring
 from places import EXPERIMENTS
 
-from gbid.core.errors import UsageError
 from gbid.experiment.experiment import figure_pairs, validation_pairs
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
@@ -199,11 +198,6 @@ def test_a_long_list_of_what_there_is_ends_early(tmp_path):
     (line,) = problems_of(path)
     assert "no recording matches 'other'; did you mean 'others'? there is cyclic, others, point, p3_n0_still1" in line
     assert line.endswith(" and 35 more")
-
-
-def test_missing_file_is_wrong_usage(tmp_path):
-    with pytest.raises(UsageError, match="no such file"):
-        load_experiment(tmp_path / "none.yaml")
 
 
 @pytest.mark.parametrize(
