@@ -248,14 +248,6 @@ def test_initial_states_zero_given_and_estimated():
     assert [r.options.initial_state for r in (estimated, given, zero)] == ["estimated", (3.0, -4.0), "zero"]
 
 
-def test_a_given_initial_state_holds_for_every_window_length_and_recording():
-    recs = [mode_data(n, seed=i, x0=[3.0, -4.0], name=f"r{i}") for i, n in enumerate((300, 250))]
-    results = [fit(MODE, recs, focus="simulation", initial_state=[3.0, -4.0], window=w) for w in (None, 60)]
-    for result in results:
-        np.testing.assert_allclose(result.initial_states, [[3.0, -4.0]] * 2, rtol=1e-12)
-    assert np.abs(away(results[0], results[1].parameters, PHYSICAL)).max() < 1e-3
-
-
 # ---- samples left out ----
 
 RUB = slice(400, 460)

@@ -9,6 +9,7 @@ from gbid.identify import FitStatus
 from gbid.recording import Recording
 
 NAMES = [("my u", "y"), ("a,b", "x;y"), ("p.x", "p.y"), ("[1]", "v[2]"), ("p", "p.x"), ("=SUM(A1)", "µ, °")]
+ASKED = {"trend": "offset", "local": {"g": "recording"}}
 
 
 def renamed(recording, source, target, name):
@@ -16,13 +17,20 @@ def renamed(recording, source, target, name):
     return Recording(signals, recording.sample_time, name=name)
 
 
+@pytest.fixture(scope="module")
+def plain():
+    return [simulated(MODE, MODE_AT, levels(300, seed=i), noise=0.3, seed=i, name=f"{i}") for i in range(2)]
+
+
+@pytest.fixture(scope="module")
+def reference(plain):
+    return gbid.fit(MODE, plain, **ASKED)
+
+
 @pytest.mark.parametrize(("source", "target"), NAMES)
-def test_any_name_comes_through(source, target, tmp_path):
-    plain = [simulated(MODE, MODE_AT, levels(300, seed=i), noise=0.3, seed=i, name=f"{i}") for i in range(2)]
+def test_any_name_comes_through(source, target, plain, reference, tmp_path):
     data = [renamed(r, source, target, f"run; {i}, [x] of 'me'") for i, r in enumerate(plain)]
-    asked = {"trend": "offset", "local": {"g": "recording"}}
-    found = gbid.fit(MODE, data, inputs=source, outputs=target, **asked)
-    reference = gbid.fit(MODE, plain, **asked)
+    found = gbid.fit(MODE, data, inputs=source, outputs=target, **ASKED)
     assert list(found.parameters.values()) == list(reference.parameters.values())
     assert found.units[f"offset_{target}[{data[0].name}]"] == ""
     assert found.start_origin[f"offset_{target}[{data[0].name}]"] == reference.start_origin["offset_y[0]"]
@@ -40,8 +48,7 @@ def test_any_name_comes_through(source, target, tmp_path):
         np.testing.assert_array_equal(tested.p_white, gbid.check_residuals(reference, plain[1]).p_white)
 
 
-def test_a_prior_finds_local_offsets_of_a_bracketed_signal():
-    plain = [simulated(MODE, MODE_AT, levels(300, seed=i), noise=0.3, seed=i, name=f"{i}") for i in range(2)]
+def test_a_prior_finds_local_offsets_of_a_bracketed_signal(plain):
     data = [renamed(r, "u", "v[2]", r.name) for r in plain]
     prior = {"offset_v[2]": (1.0, 1e-6)}
     found = gbid.fit(MODE, data, inputs="u", outputs="v[2]", trend="offset", prior=prior)

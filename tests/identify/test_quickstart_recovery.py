@@ -23,7 +23,7 @@ def machine():
 @pytest.fixture(scope="module")
 def recordings():
     """One recording with still piezos, two with independent PRBS."""
-    experiments = {"still": Stationary(), "one": Prbs(), "two": Prbs()}
+    experiments = {"still": Stationary(), "one": Prbs(2.5), "two": Prbs(2.5)}
     rig = machine()
     return [record(rig, e, conditions=POINT, seed=1, name=name) for name, e in experiments.items()]
 

@@ -151,7 +151,7 @@ def test_verdict_of_what_the_solver_calls_converged():
 # ---- callbacks ----
 
 
-@pytest.mark.parametrize("start", [{"k": -1e7, "d": -1e4}, {"k": 1e12, "d": -3.0}, WILD])
+@pytest.mark.parametrize("start", [{"k": 1e12, "d": -3.0}, WILD])
 def test_nothing_is_printed_and_overflows_are_one_note(start, capfd):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

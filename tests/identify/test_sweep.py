@@ -47,7 +47,7 @@ def windows_of(c):
             yield z[part], record.outputs[part], first + size < record.n_samples
 
 
-def by_hand(c, weight):
+def by_hand(c):
     """All sums by a loop over samples; state and sensitivities side by side."""
     v = c.predictor.at(c.theta)
     n, n_p, n_y = len(v.F), len(c.theta), len(v.C)
@@ -62,11 +62,11 @@ def by_hand(c, weight):
             psi = v.C @ s + (v.dC @ x + v.dH @ zk).T
             phi = v.C @ t
             total.error_products += np.outer(e, e)
-            total.gradient -= psi.T @ weight @ e
-            total.hessian += psi.T @ weight @ psi
-            g -= phi.T @ weight @ e
-            m += psi.T @ weight @ phi
-            h += phi.T @ weight @ phi
+            total.gradient -= psi.T @ WEIGHT @ e
+            total.hessian += psi.T @ WEIGHT @ psi
+            g -= phi.T @ WEIGHT @ e
+            m += psi.T @ WEIGHT @ phi
+            h += phi.T @ WEIGHT @ phi
             total.errors.append(e)
             s = v.F @ s + (v.dF @ x + v.dG @ zk).T
             x, t = v.F @ x + v.G @ zk, v.F @ t
@@ -75,13 +75,12 @@ def by_hand(c, weight):
     return total
 
 
-@pytest.mark.parametrize("weight", [np.eye(2), WEIGHT], ids=["unit", "full weight"])
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize(("focus", "values"), [("prediction", EVERY_AT), ("simulation", SLOW)], ids=["fast", "slow"])
-def test_the_pass_is_what_the_plain_loop_gives(size, weight, focus, values):
+def test_the_pass_is_what_the_plain_loop_gives(size, focus, values):
     c = case(*SIZES[size], focus, values)
-    found = KERNEL.sweep(c.predictor.at(c.theta), c.blocks, c.starts, weight)
-    expected = by_hand(c, weight)
+    found = KERNEL.sweep(c.predictor.at(c.theta), c.blocks, c.starts, WEIGHT)
+    expected = by_hand(c)
     assert c.blocks.n_windows == len(expected.end)
     linked = np.flatnonzero(expected.linked)
     for name in ("error_products", "gradient", "hessian", "gradient_start", "hessian_mixed", "hessian_start"):
@@ -99,48 +98,15 @@ def test_residuals_are_the_errors_in_the_order_of_the_samples(size):
     assert error.shape == c.blocks.y.shape
     rows = c.blocks.by_segment(error)
     assert [len(r) for r in rows] == [record.n_samples for record in c.data.records]
-    np.testing.assert_allclose(np.concatenate(rows), by_hand(c, np.eye(2)).errors, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(np.concatenate(rows), by_hand(c).errors, rtol=1e-9, atol=1e-10)
     assert not error.transpose(0, 1, 3, 2)[c.blocks.used == 0].any()
     assert c.blocks.used.sum() == c.data.n_samples == c.blocks.n_samples
 
 
-@pytest.mark.parametrize("window", [10, 33, 600])
-@pytest.mark.parametrize(("focus", "values"), [("prediction", EVERY_AT), ("simulation", SLOW)], ids=["fast", "slow"])
-def test_linked_windows_are_single_shooting(window, focus, values):
-    """With closed gaps, cost and total derivatives do not know the windows."""
-    single = case((1300,), None, focus, values)
-    v = single.predictor.at(single.theta)
-    many = case((1300,), window, focus, values)
-    # States along the one long window are the starts of the short ones.
-    size = many.blocks.length * many.blocks.per_window
-    z = single.predictor.regressors(single.data.records[0].inputs, single.data.records[0].outputs, ())
-    x, trajectory = single.starts[0], []
-    for k in range(1300):
-        if k % size == 0:
-            trajectory.append(x)
-        x = v.F @ x + v.G @ z[k]
-    whole = KERNEL.sweep(v, single.blocks, single.starts, WEIGHT)
-    parts = KERNEL.sweep(v, many.blocks, np.array(trajectory), WEIGHT)
-    linked = np.arange(many.blocks.n_windows - 1)
-    np.testing.assert_allclose(parts.end[linked], np.array(trajectory)[linked + 1], rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(parts.error_products, whole.error_products, rtol=1e-10)
-    # Condense: dx0_w/dtheta along the chain.
-    gradient, hessian = parts.gradient.copy(), parts.hessian.copy()
-    S = np.zeros_like(parts.end_theta[0])
-    for w in range(many.blocks.n_windows):
-        gradient += S.T @ parts.gradient_start[w]
-        cross = parts.hessian_mixed[w] @ S
-        hessian += cross + cross.T + S.T @ parts.hessian_start[w] @ S
-        S = parts.end_theta[w] + parts.end_start[w] @ S
-    np.testing.assert_allclose(gradient, whole.gradient, rtol=1e-8, atol=1e-9 * np.abs(whole.gradient).max())
-    np.testing.assert_allclose(hessian, whole.hessian, rtol=1e-8, atol=1e-10 * np.abs(whole.hessian).max())
-
-
-def test_windows_are_as_long_as_asked_or_rounded_up_to_whole_blocks():
-    for window in (2, 7, 100, 499, 512, 513, 777, 1024, 1200):
-        blocks = case((1200,), window).blocks
-        size = blocks.length * blocks.per_window
-        assert window <= size < window + blocks.per_window
-        assert blocks.n_windows == -(-1200 // size)
-        assert blocks.window_size.sum() == blocks.n_blocks
-    assert case((30, 50), 1000).blocks.n_windows == 2
+@pytest.mark.parametrize("window", [2, 7, 499, 512, 513, 1200])
+def test_windows_are_as_long_as_asked_or_rounded_up_to_whole_blocks(window):
+    blocks = case((1200,), window).blocks
+    size = blocks.length * blocks.per_window
+    assert window <= size < window + blocks.per_window
+    assert blocks.n_windows == -(-1200 // size)
+    assert blocks.window_size.sum() == blocks.n_blocks
