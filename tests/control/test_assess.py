@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import gbid
-from gbid.control import HalfSine, PStructure, scheduled
+from gbid.control import PStructure, scheduled
 from gbid.control.assessment import FIGURES
 from gbid.core.errors import UsageError
 
@@ -73,18 +71,6 @@ def test_scheduled_gains_are_taken_at_each_point() -> None:
     for point, kappa in zip(found.points, ((0.8, 1.0), (1.2, 0.8)), strict=True):
         fixed = gbid.assess(MACHINE, "P", dict(zip(GAINS, kappa, strict=True)), [(point.pressure_bar, 0)]).points[0]
         assert point.figures() == pytest.approx(fixed.figures(), rel=1e-9)
-
-
-def test_a_harder_impact_moves_everything_in_proportion() -> None:
-    impact = HalfSine()
-    one, two = (
-        gbid.assess(MACHINE, "P", GAINS, [(6, 0)], impact=replace(impact, peak_n=factor * impact.peak_n)).points[0]
-        for factor in (1, 3)
-    )
-    assert two.impact_p_m == pytest.approx(3 * one.impact_p_m, rel=1e-9)
-    assert two.stack_travel_m == pytest.approx(3 * one.stack_travel_m, rel=1e-9)
-    assert two.exceeds_travel
-    assert two.decay_time_s == pytest.approx(one.decay_time_s)
 
 
 def test_designs_side_by_side(paper: object) -> None:

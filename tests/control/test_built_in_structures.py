@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,8 @@ from gbid.core.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
 S = 2j * np.pi * np.array([3.0, 40.0, 120.0, 600.0])
+ARM = gbid.LinearModel([[0.0, 1.0], [-100.0, -0.4]], [[0.0], [100.0]], [[1.0, 0.0]], [[0.0]])
+ARM_PD = controller_structure("PD", axes=("",), lower=-2.0, upper=0.9, kd_limit_ms=60.0, lowpass_hz=20.0)
 LOW = 1 / (1 + S / (2 * np.pi * 1000))
 
 
@@ -130,15 +134,7 @@ def test_one_axis_has_plain_names() -> None:
 
 
 def test_a_plant_with_one_input_and_other_names_is_tuned() -> None:
-    arm = gbid.LinearModel(
-        [[0.0, 1.0], [-100.0, -0.4]],
-        [[0.0], [100.0]],
-        [[1.0, 0.0]],
-        [[0.0]],
-        input_names=("torque",),
-        output_names=("angle",),
-    )
-    form = controller_structure("PD", axes=("",), lower=-2.0, upper=0.9, kd_limit_ms=60.0, lowpass_hz=20.0)
+    arm, form = replace(ARM, input_names=("torque",), output_names=("angle",)), ARM_PD
     for sample_time in (None, 5e-3):
         result = gbid.tune(arm, form, goals=[MaxDamping(), PeakSensitivity(1.5)], inputs=["torque"], outputs=["angle"],
                            sample_time=sample_time)  # fmt: skip
@@ -155,7 +151,7 @@ def test_a_plant_with_one_input_and_other_names_is_tuned() -> None:
 
 
 def K_named(K: gbid.LinearModel, plant: gbid.LinearModel) -> gbid.LinearModel:
-    return gbid.LinearModel(K.A, K.B, K.C, K.D, input_names=plant.output_names, output_names=plant.input_names)
+    return replace(K, input_names=plant.output_names, output_names=plant.input_names)
 
 
 def test_a_list_of_models_is_designed_for_all_of_them() -> None:
@@ -169,8 +165,7 @@ def test_a_list_of_models_is_designed_for_all_of_them() -> None:
 
 
 def test_direct_feedthrough_of_a_plant_is_part_of_the_loop() -> None:
-    plant = gbid.LinearModel([[0.0, 1.0], [-100.0, -0.4]], [[0.0], [100.0]], [[1.0, 0.0]], [[0.2]])
-    form = controller_structure("PD", axes=("",), lower=-2.0, upper=0.9, kd_limit_ms=60.0, lowpass_hz=20.0)
+    plant, form = replace(ARM, D=np.array([[0.2]])), ARM_PD
     result = gbid.tune(plant, form, goals=[MaxDamping(), PeakSensitivity(2.0)])
     loop = gbid.sensitivities(plant, K_named(controller_model(form, result.gains), plant))
     assert gbid.control.smallest_damping(loop.model("output")) == pytest.approx(result.value, abs=1e-6)

@@ -82,10 +82,7 @@ def test_scheduled_matrices_take_symbols() -> None:
         (lambda: gbid.controller_structure("PD", order=0), "without a low-pass it is not proper"),
         (lambda: gbid.controller_structure("P", order=0, tune_corner=True), "tune_corner needs a low-pass"),
         (lambda: gbid.controller_structure("P", lowpass_hz=1e4, tune_corner=True), "it must start in 50 to 2500"),
-        (
-            lambda: gbid.controller_structure("biquad", damping=(1.0, 0.5)),
-            r"damping = \(1, 0.5\); give two numbers",
-        ),
+        (lambda: gbid.controller_structure("biquad", damping=(1.0, 0.5)), r"damping = \(1, 0.5\); give two numbers"),
         (lambda: gbid.controller_structure("biquad", gain_limit=0.0), "gain_limit = 0.0; give a number above 0"),
         (lambda: gbid.controller_structure("P", lower=2.0, upper=1.0), "'P': lower = 2.0 must be below upper = 1.0"),
         (lambda: gbid.controller_structure("PD", kd_limit_ms=-1.0), "kd_limit_ms = -1.0; give a number above 0"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,16 +30,7 @@ TS = 2e-4
 
 
 def with_delay(plant: LinearModel, delay: list[float]) -> LinearModel:
-    return LinearModel(
-        plant.A,
-        plant.B,
-        plant.C,
-        plant.D,
-        B_delayed=plant.B_delayed,
-        delay=delay,
-        input_names=plant.input_names,
-        output_names=plant.output_names,
-    )
+    return replace(plant, delay=np.array(delay))
 
 
 def fine_steps(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -217,14 +216,6 @@ def test_uncertain_plants_are_held_too() -> None:
         loop = gbid.close_loop(plant, p_controller(**result.gains))
         assert min(zeta for _, zeta in loop.modes()) >= result.value - 1e-9
         assert gbid.sensitivities(plant, p_controller(**result.gains)).peak("output").value <= 2.6 * (1 + 1e-6)
-
-
-def test_adding_loops_as_they_turn_out_worse_ends_where_all_at_once_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = designed("fifteen")
-    monkeypatch.setattr(import_module("gbid.control.tuning.solve"), "_MANY", 5)
-    added = gbid.tune(MODEL)
-    assert added.value == pytest.approx(whole.value, abs=1e-7)
-    assert added.verified_on == whole.verified_on
 
 
 def test_draws_follow_their_covariance() -> None:

@@ -39,7 +39,7 @@ def uncertainty(share: float = 0.02) -> Uncertainty:
     return Uncertainty(covariance, scatter=np.diag((share * size) ** 2))
 
 
-OPTIONS = {"uncertainty": uncertainty(), "operating_points": ONE}
+OPTIONS = {"uncertainty": uncertainty(), "operating_points": ONE, "starts": 1}
 
 
 def test_promise_holds_on_plants_that_nobody_has_seen() -> None:

@@ -50,18 +50,9 @@ def test_on_the_rig_the_chain_is_the_sampled_controller() -> None:
     matrices = SampledController(*parts, 2e-4, offset=zero)
     chain = chain_of(controller, options=ChainOptions(ramp_s=0.02, fade_s=0.02, zero_m=zero))
     program = ProgramController(CompiledChain(chain), 2e-4)
-    runs = [
-        record(
-            machine,
-            Hammer((Impact.along("x", 0.02),), 0.4),
-            conditions={"pressure_bar": 6.0, "speed_rpm": 0.0},
-            seed=1,
-            name="impact",
-            controller=each,
-            settle_s=0.2,
-        )
-        for each in (matrices, program)
-    ]
+    hammer = Hammer((Impact.along("x", 0.02),), 0.4)
+    options = {"conditions": {"pressure_bar": 6.0, "speed_rpm": 0.0}, "seed": 1, "name": "impact", "settle_s": 0.2}
+    runs = [record(machine, hammer, controller=each, **options) for each in (matrices, program)]
     assert runs[1].signal("r").std() > 1e-6
     for signal in ("r", "p", "u"):
         np.testing.assert_allclose(

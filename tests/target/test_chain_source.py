@@ -104,13 +104,8 @@ def test_misra_checker(kind: str, tmp_path: Path) -> None:
     if shutil.which("cppcheck") is None:
         pytest.skip("cppcheck is not installed")
     written(tmp_path, kind, "float", {"P": "bins", "biquad": "harmonics", "scheduled": "grid"}[kind], median=3)
-    ran = subprocess.run(
-        ["cppcheck", "--addon=misra", "--std=c99", "--enable=warning,style", "--inconclusive", "-q", "damper.c"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = ["cppcheck", "--addon=misra", "--std=c99", "--enable=warning,style", "--inconclusive", "-q", "damper.c"]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     if "Did not find addon" in ran.stdout + ran.stderr:
         pytest.skip("the misra addon of cppcheck is not installed")
     rules = set(re.findall(r"\[misra-c2012-([\d.]+)\]", ran.stderr))
