@@ -17,7 +17,6 @@ from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import NOT_STORED, Stored, load, save
-from gbid.prefilter import PrefilterFile
 from gbid.structure import LinearModel
 
 
@@ -96,6 +95,7 @@ class Everything(hdf5.InFile):
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("everything", "make it again")
 
 
+MODEL = LinearModel(np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)))
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
 KEY = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=6)
 NUMBER = st.floats()
@@ -126,7 +126,6 @@ NAMED = st.builds(Named, NUMBER, TEXT)
 def everything(draw):
     n, k = draw(st.integers(0, 3)), draw(st.integers(0, 3))
     names = draw(st.lists(KEY, unique=True, max_size=3))
-    model = LinearModel(np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)))
     return Everything(
         number=draw(NUMBER),
         measured=draw(NUMBER),
@@ -160,7 +159,7 @@ def everything(draw):
         several=draw(tuples(INNER, 12)),
         front=draw(tuples(NAMED)),
         capped=draw(tuples(NAMED)),
-        model=draw(st.sampled_from([None, model])),
+        model=draw(st.sampled_from([None, MODEL])),
     )
 
 
@@ -231,33 +230,12 @@ def test_types_that_cannot_be_stored_are_named(tmp_path):
 # ---- files that were tampered with ----
 
 
-def sample():
-    inner = Inner("w", 3, "a", 1.5, {"g": 1.0, "h": 2.0})
-    row = Row("r", 1, True, 0.5, Colour.RED, np.ones(2))
-    return Everything(
-        *(1.0, 2.0, 3, True, "w", Colour.RED, Level.LOW, "a", ("x", "y"), (("l",), ()), (1, 2), (Colour.RED,)),
-        *(
-            (0.0, 1.0),
-            ((0.0, 1.0),),
-            (1, 2),
-            np.ones((2, 3)),
-            np.ones(3),
-            np.ones(2, int),
-            np.ones(2, bool),
-            np.ones(4),
-        ),
-        *({"p": 1.0, "q": 2.0}, {"p": "data", "q": "user"}, {"c": 1.0}, {"s": "t"}, {"r": {"a": "b"}}),
-        *({"one": np.ones((2, 1))}, {"one": inner}, inner, (row, row), (inner, inner), (Named(1.0, "n"),)),
-        *((Named(2.0, "m"),), LinearModel(np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)))),
-    )
-
-
 VALUES = {
-    "everything": sample,
+    "everything": lambda: stored_values.small(Everything, origin={"pressure_bar": "data"}, model=MODEL, kept_out=None),
     "recording": stored_values.recording,
     "static_map": stored_values.static_map,
     "piezo_curve": stored_values.piezo_curve,
-    "prefilter": lambda: PrefilterFile(stored_values.runout_map(), (stored_values.report(),)),
+    "prefilter": stored_values.prefilter_file,
     "impact": stored_values.impact_study,
     "summary": stored_values.validation_summary,
     "table": stored_values.fit_table,
@@ -347,7 +325,7 @@ def test_a_file_that_was_tampered_with_is_refused_in_one_line(store, tmp_path):
 
 
 def test_flipped_bits_truncation_and_foreign_changes_are_noticed_before_the_library_reads(tmp_path):
-    value, path = sample(), tmp_path / "a.h5"
+    value, path = stored_values.fit_table(), tmp_path / "a.h5"
     save(value, path)
     whole = path.read_bytes()
     rng = np.random.default_rng(0)

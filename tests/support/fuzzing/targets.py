@@ -34,7 +34,6 @@ from gbid.core.tables import csv_text, plain_table
 from gbid.core.yaml_file import write_yaml
 from gbid.experiment.load import load_experiment
 from gbid.lpv import load_model, save_model
-from gbid.prefilter import PrefilterFile
 from gbid.recording.importing import list_channels
 from gbid.validate import load_actuators
 from gbid.validate.central import ACTUATORS_KIND
@@ -132,7 +131,7 @@ def _own_hdf5() -> list[FuzzTarget]:
         "recording": stored_values.recording(),
         "static map": stored_values.static_map(),
         "piezo curve": stored_values.piezo_curve(),
-        "prefilter": PrefilterFile(stored_values.runout_map(), (stored_values.report(),)),
+        "prefilter": stored_values.prefilter_file(),
         "impacts": stored_values.impact_study(),
         "validation": stored_values.validation_summary(),
         "table of fits": stored_values.fit_table(),
