@@ -1,8 +1,6 @@
 """The house keeps its rooms: no import circle between files, folders and files of a size that a reader can survey."""
 
 import ast
-import io
-import tokenize
 from collections import Counter
 
 from places import ROOT
@@ -13,7 +11,6 @@ LONGEST_MODULE, SHORT, SHORT_MODULES = 1000, 40, 20
 """Lines of a module; lines below which a module is short; number of short modules."""
 IMPORTS = 0.10
 """Part of the lines of code that are imports."""
-NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 
 
 def modules():
@@ -67,8 +64,8 @@ def lines_of(nodes):
 
 def code_lines(path, tree):
     """Lines of a file that are code: no comments, docstrings, blank lines."""
-    tokens = tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline)
-    lines = {n for t in tokens if t.type not in NO_CODE for n in range(t.start[0], t.end[0] + 1)}
+    written = enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+    lines = {n for n, line in written if line.strip() and not line.lstrip().startswith("#")}
     texts = [n for n in ast.walk(tree) if isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant)]
     return lines - lines_of(n for n in texts if isinstance(n.value.value, str))
 

@@ -81,7 +81,7 @@ def test_small_loops_follow_rayleigh():
 
 
 def test_open_loop_staircase_shows_the_papers_hysteresis():
-    rec = run(controlled=False)
+    rec = run(controlled=False, hold_s=0.3)
     up, down = ends_of_steps(rec)
     assert np.abs(down - up).max() == pytest.approx(8.4e-6, rel=0.05)
     assert 4 <= np.abs(down - up).argmax() <= 6
