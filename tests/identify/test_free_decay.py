@@ -158,9 +158,3 @@ def test_ring_down_takes_a_force_of_zero_as_a_decay(bearing_decays):
 def test_ring_down_refuses_lags_of_a_force_that_is_not_there(bearing_decays):
     with pytest.raises(UsageError, match="free decays have no force that acts through lags"):
         fit_ringdown(bearing_decays[1], force=(), lags=3)
-
-
-def test_gains_and_delays_of_a_bearing_that_only_decays_are_refused(bearing_decays):
-    structure, records, _, _ = bearing_decays
-    with pytest.raises(DataError, match="determine b_xx, b_xy, b_yx, b_yy, tau_x, tau_y;"):
-        fit(structure, records, inputs=())
