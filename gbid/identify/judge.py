@@ -128,8 +128,7 @@ def judge(optimum: Optimum) -> FitResult:
         start={name: problem.begin[name] for name in estimates},
         start_origin={name: _origin(optimum, short_name[name]) for name in estimates},
         notes=(
-            *_notes(optimum, on_bound, spread, trusted if coloured else None),
-            *_doubts(optimum, theta, spread),
+            *_notes(optimum, theta, on_bound, spread, trusted if coloured else None),
             *(may_cover_less(spread.models, model.modes(), data.sample_time, n) if coloured else ()),
             *(feedback_notes(data.records, by_record) if coloured and finite else ()),
             *((FitNote.PREDICTOR_AT_EDGE(_EDGE),) if at_edge else ()),
@@ -223,9 +222,14 @@ _EDGE = (
 _OVERFLOWS = "the model overflows at {} of the points that the solver tried; it stepped back"
 
 
-def _notes(optimum: Optimum, on_bound: BoolArray, spread: Covariance, coloured: StdKind | None) -> tuple[str, ...]:
-    """Return notes on the standard deviations; `coloured` is their kind where the residuals are not white."""
-    assembly, begin, reweighted = optimum.problem.assembly, optimum.problem.begin, optimum.reweighted
+def _notes(
+    optimum: Optimum, theta: FloatArray, on_bound: BoolArray, spread: Covariance, coloured: StdKind | None
+) -> tuple[str, ...]:
+    """Return notes on the standard deviations, and on parameters whose sign is open or whose deviation is suspicious.
+
+    `coloured` is the kind of the standard deviations where the residuals are not white.
+    """
+    structure, assembly, reweighted = optimum.problem.task.structure, optimum.problem.assembly, optimum.reweighted
     names = np.array([q.name for q in assembly.free])
     notes = [FitNote.ON_BOUND(f"{name} lies on a bound: no standard deviation") for name in names[on_bound]]
     notes += not_determined(spread.undetermined, names)
@@ -246,17 +250,10 @@ def _notes(optimum: Optimum, on_bound: BoolArray, spread: Covariance, coloured: 
         )
     if assembly.unused:
         notes.append(FitNote.NOT_USED(f"simulation focus does not use, set to 0: {', '.join(assembly.unused)}"))
-        held = [name for name in assembly.unused if begin[name] != 0]
+        held = [name for name in assembly.unused if optimum.problem.begin[name] != 0]
         notes += [FitNote.NOT_USED(f"their start values were not used: {', '.join(held)}")] if held else []
     if reweighted is not None and reweighted.outlying:
         notes.append(f"robust loss: {100 * reweighted.outlying:.2g} % of the samples count less than half")
-    return (*notes, *assembly.notes)
-
-
-def _doubts(optimum: Optimum, theta: FloatArray, spread: Covariance) -> tuple[str, ...]:
-    """Return notes on parameters whose sign is open, or whose robust standard deviation is suspiciously small."""
-    structure, assembly = optimum.problem.task.structure, optimum.problem.assembly
-    names = np.array([q.name for q in assembly.free])
     known, short_names = {q.name for q in structure.parameters}, assembly.own_names
     if scheduled := kind_of(structure).scheduled:  # a coefficient may well be zero, too
         known &= {q.name for q in scheduled.base.parameters}
@@ -264,7 +261,8 @@ def _doubts(optimum: Optimum, theta: FloatArray, spread: Covariance) -> tuple[st
     physical = np.array([short_names.get(name, name) in known for name in names], bool) & ~spread.open
     physical[list(optimum.shooting.noise)] = False
     white = spread.white[np.ix_(physical, physical)]
-    return (*hardly_determined(theta[physical], white, names[physical]), *far_below_white(spread, names))
+    sign_open = hardly_determined(theta[physical], white, names[physical])
+    return (*notes, *assembly.notes, *sign_open, *far_below_white(spread, names))
 
 
 _INVOLVED = 0.1  # smallest share of a parameter in a direction, of the largest share, for which it is named

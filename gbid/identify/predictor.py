@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import singledispatch
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -169,18 +168,6 @@ class PredictorValues(NamedTuple):
         return len(self.dF)
 
 
-class _WithoutErrors(NamedTuple):
-    """Structure in discrete time: matrices, initial state, and whole samples in the delays."""
-
-    F: Dual
-    drive: Dual
-    C: Dual
-    feed: Dual
-    Kd: Dual
-    x0: Dual
-    shift: list[int]
-
-
 @dataclass(frozen=True, eq=False)
 class Predictor(GeneralPredictor):
     """Predictor of a linear structure; see `GeneralPredictor`.
@@ -213,7 +200,7 @@ class Predictor(GeneralPredictor):
 
     def _parts(self, theta: FloatArray) -> tuple[tuple[Dual, ...], list[int]]:
         """Return F, G, C and H, and the whole samples in the delays."""
-        F, drive, C, feed, Kd, x0, shift = self._without_errors(theta)
+        (F, drive, C, feed, Kd), x0, shift = self._without_errors(theta)
         n_y = self.n_outputs
         if self._has_impulse:
             drive, feed = side_by_side([drive, F @ x0]), side_by_side([feed, C @ x0])
@@ -227,10 +214,11 @@ class Predictor(GeneralPredictor):
         values = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
         return _with_zero_states(values, self.spare) if self.spare else values
 
-    def _without_errors(self, theta: FloatArray) -> _WithoutErrors:
-        """Return the discrete-time structure before errors are fed back; of a loop with its controller closed.
+    def _without_errors(self, theta: FloatArray) -> tuple[LoopParts, Dual, list[int]]:
+        """Return the structure in discrete time before errors are fed back, its initial state, and samples in delays.
 
-        Drive and feed are the effects of the regressors on state and output, without impulse and measured outputs.
+        It is that of a loop with its controller closed. B and D are the effects of the regressors on state and output,
+        without impulse and measured outputs.
         """
         A, B, C, D, K, B_delayed, delay, x0, *law = self._evaluate(theta)
         n_p, n_y, n = len(self.free), self.n_outputs, A.shape[0]
@@ -260,7 +248,7 @@ class Predictor(GeneralPredictor):
         held = now.columns(slice(len(prompt), None))
         plant = LoopParts(F, side_by_side(drives), C, side_by_side(feeds), held)
         if self.feedback is None:
-            return _WithoutErrors(*plant, x0, shift)
+            return plant, x0, shift
         n_r = law[4].shape[1]
         gain = (
             held.columns(slice(n_r, None)) if self.feeds_back else constant(np.zeros((*F.value.shape[:-1], n_y)), n_p)
@@ -270,9 +258,8 @@ class Predictor(GeneralPredictor):
         F, drive, C, feed, Kd = self.feedback.close(plant._replace(K=gain), known)
         before = n - len(self.disturbances.walking)  # the states of random walks are the last
         order = [*range(before), *range(n, F.shape[0]), *range(before, n)]
-        return _WithoutErrors(
-            F.rows(order).columns(order), drive.rows(order), C.columns(order), feed, Kd.rows(order), x0, shift
-        )
+        ordered = F.rows(order).columns(order), drive.rows(order), C.columns(order), feed, Kd.rows(order)
+        return LoopParts(*ordered), x0, shift
 
     def _disturbing_columns(self, theta: FloatArray) -> Dual:
         """Return the matrix from the regressors of disturbances to the outputs: the last of the parameters."""
@@ -293,7 +280,7 @@ class Predictor(GeneralPredictor):
         # the states of random walks are the last, but for spare ones
         states = slice(self.n_states - self.spare - len(self.disturbances.walking))
         if self.feedback is not None:
-            A, B, C, D, K, _, _ = self._without_errors(theta)
+            (A, B, C, D, K), _, _ = self._without_errors(theta)
             B, D = (part.columns(slice(0, self.n_inputs)) for part in (B, D))
             B_delayed = constant(np.zeros(B.shape), len(self.free))
         return [
@@ -431,23 +418,6 @@ def build_predictor(
         _shapes=tuple(matrix.shape for matrix in matrices),
         feedback=m.feedback,
     )
-
-
-@singledispatch
-def predictor_of(
-    structure: Any,
-    fixed: Mapping[str, float],
-    begin: Mapping[str, float],  # noqa: ARG001
-    sample_time: float,
-    intersample: str | Sequence[str],
-    focus: Focus,
-    **more: Any,
-) -> GeneralPredictor:
-    """Return the predictor of a structure of any kind with constant parameters; see `build_predictor`.
-
-    `begin` are the start values, at which the number of steps of an integrator is chosen.
-    """
-    return build_predictor(structure, fixed, sample_time, intersample, focus, **more)
 
 
 def with_spare_states(predictor: Predictor, n_states: int) -> Predictor:

@@ -384,12 +384,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         UsageError
             When the fit has no bootstrap.
         """
-        of_kind = {
-            "white": self.covariance_white,
-            "robust": self.covariance_robust,
-            "bootstrap": self.covariance_bootstrap,
-        }
-        chosen = of_kind[kind]
+        chosen: FloatArray | None = getattr(self, f"covariance_{kind}")
         if chosen is None:
             raise UsageError("this fit has no bootstrap; fit with std='bootstrap'")
         sigma = dict(zip(self.free, np.sqrt(np.diag(chosen)).tolist(), strict=True))

@@ -201,12 +201,9 @@ class FitTable(Brief, hdf5.InFile):
             if fit not in self.fit:
                 raise UsageError(f"no fit {fit!r} in the table; there are {', '.join(dict.fromkeys(self.fit))}")
             keep = keep & (self.fit == fit)
-        if pressure_bar is not None:
-            keep = keep & np.isclose(self.pressure_bar, pressure_bar)
-        if speed_rpm is not None:
-            keep = keep & np.isclose(self.speed_rpm, speed_rpm)
-        if success is not None:
-            keep = keep & (self.success == success)
+        for name, value in {"pressure_bar": pressure_bar, "speed_rpm": speed_rpm, "success": success}.items():
+            if value is not None:
+                keep = keep & np.isclose(getattr(self, name), value)
         chosen = self._taken(n=np.flatnonzero(keep))
         blocks = {"k": chosen.values, "m": chosen.mode_frequency_hz, "g": chosen.static_gain, "q": chosen.fit_percent}
         known = {letter: np.flatnonzero(np.isfinite(block).any(axis=0)) for letter, block in blocks.items()}
@@ -399,17 +396,13 @@ def tabulate(entries: Sequence[TableEntry]) -> FitTable:
         ).reshape(len(entries), len(of_block))
         for block, of_block in {**labels, **dict.fromkeys(_MODE, modes)}.items()
     }
-    pressure, speed = (
-        np.array([entry.conditions.get(name, np.nan) for entry in entries], float)
-        for name in ("pressure_bar", "speed_rpm")
-    )
+    for name in ("pressure_bar", "speed_rpm"):
+        blocks[name] = np.array([entry.conditions.get(name, np.nan) for entry in entries], float)
     return FitTable(
         fit=np.array([entry.fit for entry in entries], dtype=str),
         model=np.array([entry.model for entry in entries], dtype=str),
         structure=np.array([r.structure if r else "" for r in results], dtype=str),
         recordings=tuple(tuple(entry.recordings) for entry in entries),
-        pressure_bar=pressure,
-        speed_rpm=speed,
         parameter_names=names,
         units=tuple(units[name] for name in names),
         covariance=covariance,

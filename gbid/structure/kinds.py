@@ -83,9 +83,9 @@ class Kind(ABC):
 
     @abstractmethod
     def model(
-        self, values: Mapping[str, float], inputs: Names = (), outputs: Names = (), steps: int = 1
+        self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()
     ) -> LinearModel | NonlinearModel:
-        """Return the model for given parameter values; `steps` of an integrator are for nonlinear ones."""
+        """Return the model for given parameter values; a nonlinear one with one step of its integrator in a sample."""
 
     @abstractmethod
     def without_inputs(self) -> AnyStructure:
@@ -117,13 +117,7 @@ class LinearKind(Kind):
         has_gain = m.K.nnz() > 0 or m.feedback is not None
         return Anatomy(m.n_states, len(every), _names([*parts, m.K]), _by_row(m.x0), has_gain, only)
 
-    def model(
-        self,
-        values: Mapping[str, float],
-        inputs: Names = (),
-        outputs: Names = (),
-        steps: int = 1,  # noqa: ARG002
-    ) -> LinearModel:
+    def model(self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()) -> LinearModel:
         """Return the model; see `Kind`."""
         return evaluate(self._structure, values, inputs, outputs)
 
@@ -155,11 +149,9 @@ class NonlinearKind(Kind):
         only = _names([e.K]) - _names([*acting, e.x0])
         return Anatomy(e.x.numel(), n_u, _names([*acting, e.K]), _by_row(e.x0), e.K.nnz() > 0, only)
 
-    def model(
-        self, values: Mapping[str, float], inputs: Names = (), outputs: Names = (), steps: int = 1
-    ) -> NonlinearModel:
+    def model(self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()) -> NonlinearModel:
         """Return the model; see `Kind`."""
-        return nonlinear_model(self._structure, values, inputs, outputs, steps=steps)
+        return nonlinear_model(self._structure, values, inputs, outputs)
 
     def without_inputs(self) -> AnyStructure:
         """Return the structure with inputs of zero; see `Kind`."""
@@ -194,13 +186,7 @@ class ScheduledKind(Kind):
             gain_only=renamed(base.gain_only),
         )
 
-    def model(
-        self,
-        values: Mapping[str, float],
-        inputs: Names = (),
-        outputs: Names = (),
-        steps: int = 1,  # noqa: ARG002
-    ) -> LinearModel:
+    def model(self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()) -> LinearModel:
         """Return the base in the middle of the range, where only the first coefficients count; see `Kind`."""
         structure = self._structure
         first = {key: values[coefficient_names(key, 1)[0]] for key in structure.surfaces}

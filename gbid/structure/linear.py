@@ -15,7 +15,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.discretise import Hold, discretise
 from gbid.structure.models import LinearModel
-from gbid.structure.parameter import Parameter, Values, once, set_fields
+from gbid.structure.parameter import Parameter, Values, as_vector, once, set_fields
 
 # ---- Closed loop of a plant and a controller whose state-space matrices are symbols, numbers or duals.
 
@@ -377,15 +377,12 @@ def evaluate(
 def model_function(structure: Structure) -> Callable[..., LinearModel]:
     """Return a function from values to the numeric model of a structure; its symbolic matrices are made once."""
     p, symbolic = symbolic_matrices(structure)
-    feedback, parameters = symbolic.feedback, structure.parameters
+    feedback = symbolic.feedback
     law = tuple(feedback.law) if feedback else ()
     function = ca.Function("matrices", [p], [ca.densify(m) for m in (*symbolic[:7], *law)])
 
     def model(values: Mapping[str, float], inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearModel:
-        missing = [parameter.name for parameter in parameters if parameter.name not in values]
-        if missing:
-            raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
-        numeric = function(ca.DM([float(values[parameter.name]) for parameter in parameters]))
+        numeric = function(ca.DM(as_vector(structure, values)))
         A, B, C, D, K, B_delayed, delay, *control_law = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
         if feedback:
             A, B, C, D, K = _in_samples(feedback, LoopParts(A, B, C, D, K), ControlLaw(*control_law))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
@@ -49,17 +50,112 @@ def channels(model: str, what: str, values: npt.ArrayLike, count: int, n_samples
     return signals
 
 
-def check_sample_time(model: str, sample_time: float) -> None:
-    """Refuse sample times that are not positive numbers."""
+def check_sample_time(model: str, sample_time: float | None) -> float:
+    """Return a sample time; refuse one that is missing or no positive number."""
+    if sample_time is None:
+        raise UsageError(f"model {model!r} is continuous: give the sample time [s]")
     if not (np.isfinite(sample_time) and sample_time > 0):
         raise UsageError(f"model {model!r}: sample time {sample_time} s; it must be a positive number")
+    return sample_time
+
+
+# ---- What every model answers, linear or not: simulations and predictions of sampled signals.
+
+
+class SampledSignals(ABC):
+    """Responses of a model, linear or not, to sampled signals."""
+
+    name: str
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+
+    def simulate(
+        self,
+        inputs: npt.ArrayLike,
+        sample_time: float | None = None,
+        *,
+        initial_state: npt.ArrayLike | None = None,
+        intersample: str | Sequence[str] = "zoh",
+    ) -> FloatArray:
+        """Return the response to sampled inputs.
+
+        Parameters
+        ----------
+        inputs : (n_samples, n_inputs) array
+            Input signals.
+        sample_time : float, optional
+            Time between samples [s]; a discrete model has its own.
+        initial_state : (n_states,) array, optional
+            State at the first sample; zero when not given.
+        intersample : {"zoh", "foh"} or sequence of these
+            Inter-sample behaviour of the inputs; for a discrete model it was fixed by its discretisation.
+
+        Returns
+        -------
+        (n_samples, n_outputs) array
+            Output signals; not finite from where a nonlinear model overflows.
+
+        Raises
+        ------
+        UsageError
+            When shapes do not fit, when an input is not finite, when the sample time is missing, not positive or
+            differs, or when `intersample` is given for a discrete model.
+        """
+        u = channels(self.name, "inputs", inputs, len(self.input_names))
+        return self._response(u, None, sample_time, initial_state, intersample)
+
+    def predict(
+        self,
+        inputs: npt.ArrayLike,
+        outputs: npt.ArrayLike,
+        sample_time: float | None = None,
+        *,
+        initial_state: npt.ArrayLike | None = None,
+        intersample: str | Sequence[str] = "zoh",
+    ) -> FloatArray:
+        """Return one-step-ahead predictions of the outputs from measured inputs and outputs (paper, Eq. 10).
+
+        Without a disturbance gain this is the simulation.
+
+        Parameters
+        ----------
+        inputs : (n_samples, n_inputs) array
+            Input signals.
+        outputs : (n_samples, n_outputs) array
+            Measured outputs.
+        sample_time : float, optional
+            Time between samples [s]; a discrete model has its own.
+        initial_state : (n_states,) array, optional
+            State at the first sample; zero when not given.
+        intersample : {"zoh", "foh"} or sequence of these
+            Inter-sample behaviour of the inputs.
+
+        Returns
+        -------
+        (n_samples, n_outputs) array
+            Predicted outputs.
+
+        Raises
+        ------
+        UsageError
+            As for `simulate`, or when the outputs do not fit.
+        """
+        u = channels(self.name, "inputs", inputs, len(self.input_names))
+        y = channels(self.name, "outputs", outputs, len(self.output_names), len(u))
+        return self._response(u, y, sample_time, initial_state, intersample)
+
+    @abstractmethod
+    def _response(
+        self, u: FloatArray, y: FloatArray | None, sample_time: float | None, initial_state: Any, intersample: Any
+    ) -> FloatArray:
+        """Return the outputs of a simulation, or with measured outputs their one-step-ahead predictions."""
 
 
 # ---- Linear model with numeric matrices: the result of a fit and the plant of a control loop.
 
 
 @dataclass(frozen=True, eq=False)
-class LinearModel(Brief, Pictured):
+class LinearModel(SampledSignals, Brief, Pictured):
     """State-space model ``xd = A x + B u + K e``, ``y = C x + D u + e``, or the same in discrete time.
 
     Parameters
@@ -263,82 +359,12 @@ class LinearModel(Brief, Pictured):
         n_u = self.B.shape[1]
         return replace(self, A=F, B=G[:, :n_u], K=None if self.K is None else G[:, n_u:], dt=sample_time)
 
-    def simulate(
-        self,
-        inputs: npt.ArrayLike,
-        sample_time: float | None = None,
-        *,
-        initial_state: npt.ArrayLike | None = None,
-        intersample: str | Sequence[str] = "zoh",
+    def _response(
+        self, u: FloatArray, y: FloatArray | None, sample_time: float | None, initial_state: Any, intersample: Any
     ) -> FloatArray:
-        """Return the response to sampled inputs.
-
-        Parameters
-        ----------
-        inputs : (n_samples, n_inputs) array
-            Input signals.
-        sample_time : float, optional
-            Time between samples [s]; a discrete model has its own.
-        initial_state : (n,) array, optional
-            State at the first sample; zero when not given.
-        intersample : {"zoh", "foh"} or sequence of these
-            Inter-sample behaviour of the inputs; for a discrete model it was fixed by its discretisation.
-
-        Returns
-        -------
-        (n_samples, n_outputs) array
-            Output signals.
-
-        Raises
-        ------
-        UsageError
-            When shapes do not fit, when an input is not finite, when the sample time is missing or differs, or when
-            `intersample` is given for a discrete model.
-        """
-        F, forcing, u, x0 = self._sampled_run(inputs, sample_time, initial_state, intersample)
-        return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
-
-    def _sampled_run(
-        self,
-        inputs: npt.ArrayLike,
-        sample_time: float | None,
-        initial_state: npt.ArrayLike | None,
-        intersample: str | Sequence[str],
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the recursion ``x[k+1] = F x[k] + f[k]`` of a simulation, after a check of its inputs.
-
-        Parameters
-        ----------
-        inputs : (n_samples, n_inputs) array
-            Input signals.
-        sample_time : float, optional
-            Time between samples [s]; a discrete model has its own.
-        initial_state : (n,) array, optional
-            State at the first sample; zero when not given.
-        intersample : {"zoh", "foh"} or sequence of these
-            Inter-sample behaviour of the inputs.
-
-        Returns
-        -------
-        F : (n, n) array
-            State transition.
-        f : (n_samples, n) array
-            Effect of the inputs on the state, with delayed inputs.
-        inputs : (n_samples, n_inputs) array
-            Inputs as a float array.
-        initial_state : (n,) array
-            State at the first sample.
-
-        Raises
-        ------
-        UsageError
-            As for `simulate`.
-        """
-        u = channels(self.name, "inputs", inputs, self.B.shape[1])
+        """Return the outputs of the recursion ``x[k+1] = F x[k] + f[k]``; see `SampledSignals`."""
         if self.dt is None:
-            if sample_time is None:
-                raise UsageError(f"model {self.name!r} is continuous: give the sample time [s]")
-            check_sample_time(self.name, sample_time)
+            sample_time = check_sample_time(self.name, sample_time)
             F, now, following = discretise(np.array(self.A), np.array(self.B), sample_time, intersample)
         else:
             if sample_time is not None and not np.isclose(sample_time, self.dt, rtol=1e-9):
@@ -353,7 +379,12 @@ class LinearModel(Brief, Pictured):
         forcing[:-1] += u[1:] @ following.T
         if self.delay is not None and sample_time is not None:
             forcing += self._delayed_forcing(u, sample_time, check_holds(intersample, u.shape[1]))
-        return F, forcing, u, x0
+        if y is not None and self.K is not None:
+            gain = np.array(self.K)
+            if self.dt is None and sample_time is not None:
+                gain = discretise(np.array(self.A), gain, sample_time, "zoh").G_now
+            F, forcing = F - gain @ self.C, forcing + (y - u @ self.D.T) @ gain.T
+        return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
 
     def _delayed_forcing(self, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
         """Return the effect of the delayed inputs on the state; before the record they have their first value."""
@@ -366,51 +397,6 @@ class LinearModel(Brief, Pictured):
                 rows = np.clip(np.arange(len(u)) - taps.shift + 1 - j, 0, len(u) - 1)
                 forcing += u[rows, i : i + 1] @ column.T
         return forcing
-
-    def predict(
-        self,
-        inputs: npt.ArrayLike,
-        outputs: npt.ArrayLike,
-        sample_time: float | None = None,
-        *,
-        initial_state: npt.ArrayLike | None = None,
-        intersample: str | Sequence[str] = "zoh",
-    ) -> FloatArray:
-        """Return one-step-ahead predictions of the outputs from measured inputs and outputs (paper, Eq. 10).
-
-        Without a disturbance gain this is the simulation.
-
-        Parameters
-        ----------
-        inputs : (n_samples, n_inputs) array
-            Input signals.
-        outputs : (n_samples, n_outputs) array
-            Measured outputs.
-        sample_time : float, optional
-            Time between samples [s]; a discrete model has its own.
-        initial_state : (n,) array, optional
-            State at the first sample; zero when not given.
-        intersample : {"zoh", "foh"} or sequence of these
-            Inter-sample behaviour of the inputs.
-
-        Returns
-        -------
-        (n_samples, n_outputs) array
-            Predicted outputs.
-
-        Raises
-        ------
-        UsageError
-            As for `simulate`, or when the outputs do not fit.
-        """
-        F, forcing, u, x0 = self._sampled_run(inputs, sample_time, initial_state, intersample)
-        y = channels(self.name, "outputs", outputs, len(self.C), len(u))
-        if self.K is not None:
-            gain = np.array(self.K)
-            if self.dt is None and sample_time is not None:
-                gain = discretise(np.array(self.A), gain, sample_time, "zoh").G_now
-            F, forcing = F - gain @ self.C, forcing + (y - u @ self.D.T) @ gain.T
-        return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
 
     def to_scipy(self) -> Any:
         """Return the model as ``scipy.signal.StateSpace``, without names and disturbance gain.

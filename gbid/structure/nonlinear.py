@@ -5,23 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from annotated_types import Ge, Le
 
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import NoValueAtStartError, UsageError
 from gbid.core.hdf5 import Stored
+from gbid.core.option_types import Allowed, Exact, check_options
 from gbid.discretise import Hold, IntegratorName, check_holds, one_step, step_inputs
 from gbid.structure.linear import as_names, in_one_line
-from gbid.structure.models import LinearModel, channels, check_sample_time
-from gbid.structure.parameter import Parameter, Values, once, set_fields
+from gbid.structure.models import LinearModel, SampledSignals, check_sample_time
+from gbid.structure.parameter import Parameter, Values, as_vector, once, set_fields
 
 MOST_STEPS = 256
 """Largest number of steps of an integrator in a sample."""
+_Steps = Annotated[
+    Annotated[int, Exact(), Ge(1), Le(MOST_STEPS)] | Literal["auto"],
+    Allowed(f"a number from 1 to {MOST_STEPS} or 'auto'"),
+]
 
 
 @dataclass(frozen=True)
@@ -89,7 +95,7 @@ class NonlinearStructure:
     delay: Callable[[Values], Any] | None = None
     x0: Callable[[Values], Any] | None = None
     integrator: IntegratorName = "rk4"
-    steps: int | Literal["auto"] = "auto"
+    steps: _Steps = "auto"
 
     def __init__(
         self,
@@ -116,14 +122,7 @@ class NonlinearStructure:
         for what in ("states", "outputs"):
             if not names[what]:
                 raise UsageError(f"{where}: no {what}")
-        optional = {"disturbance_gain": disturbance_gain, "delay": delay, "x0": x0}
-        for what, function in {"dynamics": dynamics, "output": output, **optional}.items():
-            if not (callable(function) or (function is None and what in optional)):
-                raise UsageError(f"{where}: {what} = {function!r} is no function; give one that returns expressions")
-        if integrator not in get_args(IntegratorName):
-            raise UsageError(f"{where}: integrator = {integrator!r}; choose 'rk4' or 'implicit'")
-        if steps != "auto" and not (isinstance(steps, int) and 1 <= steps <= MOST_STEPS):
-            raise UsageError(f"{where}: steps = {steps!r}; give 'auto' or a number from 1 to {MOST_STEPS}")
+        check_options(self, where)
 
 
 # ---- Equations of a nonlinear structure as CasADi expressions, checked.
@@ -290,7 +289,7 @@ def _expression(name: str, what: str, value: Callable[[], Any]) -> ca.SX:
 _RADIANS = 1.0  # that the fastest pole turns in a step of the explicit method, at the start
 
 
-def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float, equations: Equations) -> int:
+def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float) -> int:
     """Return the number of integrator steps in a sample: stated by the structure, or from its fastest pole.
 
     With ``steps="auto"`` the fastest pole at rest turns by a radian at most in one step.
@@ -303,8 +302,6 @@ def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float
         Values of all parameters.
     sample_time : float
         Time between samples [s].
-    equations : Equations
-        Its equations.
 
     Raises
     ------
@@ -313,10 +310,9 @@ def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float
     """
     if structure.steps != "auto":
         return structure.steps
-    slopes = ca.Function(
-        "slopes", [equations.x, equations.u, equations.p], [ca.densify(ca.jacobian(equations.dx, equations.x))]
-    )
-    A = np.asarray(slopes(np.zeros(equations.x.numel()), np.zeros(equations.u.numel()), p), float)
+    e = symbolic_equations(structure)
+    slopes = ca.Function("slopes", [e.x, e.u, e.p], [ca.densify(ca.jacobian(e.dx, e.x))])
+    A = np.asarray(slopes(np.zeros(e.x.numel()), np.zeros(e.u.numel()), p), float)
     if structure.integrator == "implicit" or not np.isfinite(A).all():
         return 1
     fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) * sample_time
@@ -353,7 +349,7 @@ _AT_ONCE = 4096  # samples of a simulation that CasADi holds at once
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearModel(Brief):
+class NonlinearModel(SampledSignals, Brief):
     """Nonlinear model ``xd = f(x, u) + K e``, ``y = h(x, u) + e`` with numbers for its parameters.
 
     Attributes
@@ -498,102 +494,25 @@ class NonlinearModel(Brief):
         """Return the static gain of the linear model at the working point; see `LinearModel.static_gain`."""
         return self.linearise().static_gain()
 
-    def simulate(
-        self,
-        inputs: npt.ArrayLike,
-        sample_time: float,
-        *,
-        initial_state: npt.ArrayLike | None = None,
-        intersample: str | Sequence[str] = "zoh",
+    def _response(
+        self, u: FloatArray, y: FloatArray | None, sample_time: float | None, initial_state: Any, intersample: Any
     ) -> FloatArray:
-        """Return the response to sampled inputs.
-
-        Parameters
-        ----------
-        inputs : (n_samples, n_inputs) array
-            Input signals.
-        sample_time : float
-            Time between samples [s].
-        initial_state : (n_states,) array, optional
-            State at the first sample; zero when not given.
-        intersample : {"zoh", "foh"} or sequence of these
-            Inter-sample behaviour of the inputs.
-
-        Returns
-        -------
-        (n_samples, n_outputs) array
-            Output signals; not finite from where the model overflows.
-
-        Raises
-        ------
-        UsageError
-            When shapes do not fit, an input is not finite, or the sample time is not positive.
-        """
-        u, holds, x = self._run(inputs, sample_time, initial_state, intersample)
-        none = np.zeros((len(u), len(self.output_names)))
-        return self._over(self._step(holds, feeds_back=False), x, u, none, sample_time)
-
-    def predict(
-        self,
-        inputs: npt.ArrayLike,
-        outputs: npt.ArrayLike,
-        sample_time: float,
-        *,
-        initial_state: npt.ArrayLike | None = None,
-        intersample: str | Sequence[str] = "zoh",
-    ) -> FloatArray:
-        """Return one-step-ahead predictions of the outputs; without a disturbance gain this is the simulation.
-
-        Parameters
-        ----------
-        inputs : (n_samples, n_inputs) array
-            Input signals.
-        outputs : (n_samples, n_outputs) array
-            Measured outputs.
-        sample_time : float
-            Time between samples [s].
-        initial_state : (n_states,) array, optional
-            State at the first sample; zero when not given.
-        intersample : {"zoh", "foh"} or sequence of these
-            Inter-sample behaviour of the inputs.
-
-        Returns
-        -------
-        (n_samples, n_outputs) array
-            Predicted outputs.
-
-        Raises
-        ------
-        UsageError
-            As for `simulate`, or when the outputs do not fit.
-        """
-        u, holds, x = self._run(inputs, sample_time, initial_state, intersample)
-        y = channels(self.name, "outputs", outputs, len(self.output_names), len(u))
-        return self._over(self._step(holds, feeds_back=True), x, u, y, sample_time)
-
-    def _run(
-        self, inputs: npt.ArrayLike, sample_time: float, initial_state: Any, intersample: str | Sequence[str]
-    ) -> tuple[FloatArray, tuple[Hold, ...], FloatArray]:
-        """Return the inputs around each sample as `step_function` takes them, their holds, and the first state."""
-        u = channels(self.name, "inputs", inputs, len(self.input_names))
-        check_sample_time(self.name, sample_time)
+        """Return the outputs of `step_function`, some samples at a time: more would take memory."""
+        h, (n, n_u) = check_sample_time(self.name, sample_time), u.shape
+        shift = np.zeros(n_u, int) if self.delay is None else np.floor(self.delay / h).astype(int)
+        rows = np.arange(n)[:, None, None] - shift[:, None] + [1, 0, -1]  # (n_samples, n_inputs, 3)
+        around = u[np.clip(rows, 0, n - 1), np.arange(n_u)[:, None]]
+        step = self._step(check_holds(intersample, n_u), feeds_back=y is not None)
         start = np.zeros(self.n_states) if initial_state is None else initial_state
-        shift = np.zeros(u.shape[1], int) if self.delay is None else np.floor(self.delay / sample_time).astype(int)
-        rows = np.arange(len(u))[:, None, None] - shift[:, None] + [1, 0, -1]  # (n_samples, n_inputs, 3)
-        around = u[np.clip(rows, 0, len(u) - 1), np.arange(u.shape[1])[:, None]]
-        holds = check_holds(intersample, u.shape[1])
-        return around, holds, self._sized("initial_state", start, self.n_states)
-
-    def _over(self, step: ca.Function, x: FloatArray, u: FloatArray, y: FloatArray, sample_time: float) -> FloatArray:
-        """Return the outputs of all samples, (n_samples, n_outputs), some samples at a time: more would take memory."""
-        n = len(u)
+        x = self._sized("initial_state", start, self.n_states)
+        y = np.zeros((n, len(self.output_names))) if y is None else y
         length = min(n, _AT_ONCE)
         run = step.mapaccum(length) if length > 1 else step
         samples = []
         for first in range(0, n, length):
             rows = np.minimum(np.arange(first, first + length), n - 1)
-            around = u[rows].transpose(1, 0, 2).reshape(u.shape[1], -1)
-            states, outputs = run(x, around, y[rows].T, self.parameters, sample_time)
+            inputs = around[rows].transpose(1, 0, 2).reshape(n_u, -1)
+            states, outputs = run(x, inputs, y[rows].T, self.parameters, h)
             x = np.asarray(states[:, -1], float).ravel()
             samples.append(np.array(outputs, float).T)
         return np.concatenate(samples)[:n]
@@ -680,10 +599,7 @@ def nonlinear_model(
     UsageError
         When a value is missing.
     """
-    if missing := [q.name for q in structure.parameters if q.name not in values]:
-        raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
-    e = symbolic_equations(structure)
-    p = np.array([float(values[q.name]) for q in structure.parameters])
+    e, p = symbolic_equations(structure), as_vector(structure, values)
     K = np.array(ca.Function("K", [e.p], [ca.densify(e.K)])(p), float)
     function = ca.Function("equations", [e.x, e.u, e.p], [e.dx, e.y])
     delay = np.array(ca.Function("delay", [e.p], [ca.densify(e.delay)])(p), float).ravel()

@@ -11,6 +11,9 @@ from functools import wraps
 from math import inf, isfinite, isnan
 from typing import Any, TypeVar
 
+import numpy as np
+
+from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 
 
@@ -102,6 +105,19 @@ def set_fields(made: Any, values: Mapping[str, Any]) -> None:
     names = [parameter.name for parameter in made.parameters]
     if twice := [name for name in names if names.count(name) > 1]:
         raise UsageError(f"structure {made.name!r}: parameter {min(twice)!r} is listed more than once")
+
+
+def as_vector(structure: Any, values: Mapping[str, float]) -> FloatArray:
+    """Return the values of all parameters of a structure in its order, (n_parameters,).
+
+    Raises
+    ------
+    UsageError
+        When a value is missing.
+    """
+    if missing := [q.name for q in structure.parameters if q.name not in values]:
+        raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}; give them in values")
+    return np.array([float(values[q.name]) for q in structure.parameters])
 
 
 def known_names(parameters: tuple[Parameter, ...], given: Mapping[str, Any], what: str) -> None:

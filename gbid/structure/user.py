@@ -10,14 +10,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
 from gbid.discretise import check_holds, delayed_taps, discretise, squarings_for
 from gbid.structure.kinds import AnyStructure, equations_of, kind_of
 from gbid.structure.linear import Structure, in_one_line, symbolic_matrices
 from gbid.structure.models import LinearModel, check_sample_time
 from gbid.structure.nonlinear import NonlinearStructure, first_steps, over_a_sample, symbolic_equations
-from gbid.structure.parameter import known_names
+from gbid.structure.parameter import as_vector, known_names
 from gbid.structure.scheduling import ScheduledStructure
 
 _REMEDY = "make it a gbid.LinearStructure or gbid.NonlinearStructure"
@@ -180,11 +179,11 @@ def _of_nonlinear(
 ) -> ModelFunctions:
     equations = symbolic_equations(structure)
     if steps is None:
-        steps = first_steps(structure, _numbers(structure, values), sample_time, equations)
+        steps = first_steps(structure, as_vector(structure, values), sample_time)
     n_u, holds = equations.u.numel(), check_holds(hold, equations.u.numel())
     shifts = [0] * n_u  # samples in the delay of each input
     if equations.delayed:
-        delays = ca.Function("d", [equations.p], [ca.densify(equations.delay)])(_numbers(structure, values))
+        delays = ca.Function("d", [equations.p], [ca.densify(equations.delay)])(as_vector(structure, values))
         shifts = [int(shift) for shift in np.floor(np.array(delays, float).ravel() / sample_time)]
     early = [equations.delay[i] / sample_time - shifts[i] if i in equations.delayed else None for i in range(n_u)]
     lags = max((shifts[i] + 1 for i in equations.delayed), default=0)
@@ -224,7 +223,7 @@ def _of_linear(
         raise UsageError(f"structure {structure.name!r}: its controller runs in samples; give the plant alone")
     n, n_u, n_y = m.A.shape[0], m.B.shape[1], m.C.shape[0]
     holds = check_holds(hold, n_u)
-    numbers = _numbers(structure, values)
+    numbers = as_vector(structure, values)
     A = np.array(ca.Function("A", [p], [ca.densify(m.A)])(numbers), float)
     delays = np.array(ca.Function("d", [p], [ca.densify(m.delay)])(numbers), float).ravel()
     squarings = squarings_for([A * sample_time]) + _HEADROOM
@@ -270,9 +269,3 @@ def _named(
 
 
 _Graph = tuple[list[ca.SX], list[ca.SX]]
-
-
-def _numbers(structure: AnyStructure, values: Mapping[str, float]) -> FloatArray:
-    if missing := [q.name for q in structure.parameters if q.name not in values]:
-        raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}; give them in values")
-    return np.array([float(values[q.name]) for q in structure.parameters])

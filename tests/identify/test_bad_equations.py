@@ -44,9 +44,9 @@ def test_what_is_wrong_with_the_equations_is_named(structure, text):
     ("change", "text"),
     [
         ({"integrator": "euler"}, "integrator = 'euler'; choose 'rk4' or 'implicit'"),
-        ({"steps": 0}, "steps = 0; give 'auto' or a number from 1 to 256"),
-        ({"disturbance_gain": [[1.0], [0.0]]}, "disturbance_gain = .* is no function"),
-        ({"delay": 0.1}, "delay = 0.1 is no function"),
+        ({"steps": 0}, "steps = 0; give a number from 1 to 256 or 'auto'"),
+        ({"disturbance_gain": [[1.0], [0.0]]}, "disturbance_gain = .*; give a function or None"),
+        ({"delay": 0.1}, "delay = 0.1; give a function or None"),
     ],
 )
 def test_options_of_a_structure_are_checked(change, text):

@@ -26,7 +26,7 @@ from gbid.core.errors import UsageError
 from gbid.discretise import Hold, IntegratorName, check_holds, one_step, step_inputs
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
-from gbid.identify.predictor import GeneralPredictor, predictor_of
+from gbid.identify.predictor import GeneralPredictor
 from gbid.structure import Parameter, kind_of
 from gbid.structure.nonlinear import NonlinearStructure, first_steps, jumps_in, symbolic_equations
 
@@ -292,7 +292,6 @@ class NonlinearPredictor(GeneralPredictor):
         return np.asarray(self._x0(theta, self.known), float).ravel()
 
 
-@predictor_of.register(NonlinearStructure)
 def build_nonlinear_predictor(
     structure: NonlinearStructure,
     fixed: Mapping[str, float],
@@ -388,7 +387,7 @@ def build_nonlinear_predictor(
         released=any(released),
         functions=sample_functions(equations),
         known=np.array([*(values[name] for name in others), *[0.0] * len(eq.delayed), sample_time]),
-        steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), sample_time, eq),
+        steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), sample_time),
         adapts=structure.steps == "auto",
         jumps=jumps_in(eq),
         _x0=ca.Function("x0", [theta, known], [ca.densify(x0_all)]),

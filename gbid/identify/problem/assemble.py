@@ -31,13 +31,13 @@ from gbid.identify.kernel.linear import (
     kernel_source,
 )
 from gbid.identify.kernel.nonlinear import MappedKernel, NonlinearKernel
-from gbid.identify.kernel.sample import NonlinearPredictor
+from gbid.identify.kernel.sample import NonlinearPredictor, build_nonlinear_predictor
 from gbid.identify.kernel.sums import Kernel, Sweep, tied
 from gbid.identify.options import FitArguments, Focus, RunEngine, Scope
-from gbid.identify.predictor import GeneralPredictor, Predictor, predictor_of, with_spare_states
+from gbid.identify.predictor import GeneralPredictor, Predictor, build_predictor, with_spare_states
 from gbid.identify.problem.nlp import ExtraTerms, Prior, RecordGroup, Shooting
 from gbid.identify.problem.states import InitialStates
-from gbid.structure import AnyStructure, Parameter, Values
+from gbid.structure import AnyStructure, Parameter, Values, kind_of
 from gbid.structure.linear import in_one_line
 
 # ---- Ties: parameters of a structure that are linear in unknowns shared by all recordings, as those of surfaces.
@@ -351,7 +351,8 @@ def assemble(
     def predictor_for(kind: Focus, released: tuple[bool, ...], model: int) -> GeneralPredictor:
         structure, hold = each[model]
         more: dict[str, Any] = {"disturbances": disturbances, "released": released}
-        built = predictor_of(structure, held, begin, data.sample_time, hold, kind, **more)
+        build = partial(build_nonlinear_predictor, begin=begin) if kind_of(structure).nonlinear else build_predictor
+        built = build(structure, held, sample_time=data.sample_time, intersample=hold, focus=kind, **more)
         return replace(built, free=tuple(known.get(q.name, q) for q in built.free))
 
     @cache

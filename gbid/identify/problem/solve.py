@@ -7,7 +7,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -429,11 +429,18 @@ class Interrupt:
     error: BaseException | None = None
 
 
+@dataclass(eq=False)
 class Watch:
     """Watch over the iterations of a run: it reports progress, applies the stopping rules, and ends it on Ctrl-C.
 
     Attributes
     ----------
+    problem, options, interrupt, box
+        Those of the run.
+    earlier : sequence of Progress
+        Iterations of the run before; empty for the first.
+    changes_over : bool
+        Whether the run may end for another method.
     history : list of Progress
         Iterations so far.
     status : FitStatus or None
@@ -444,29 +451,24 @@ class Watch:
         Last point at which the first-order optimality was looked at, and its value.
     """
 
-    def __init__(
-        self,
-        problem: Shooting,
-        options: FitArguments,
-        interrupt: Interrupt,
-        box: Box,
-        *,
-        earlier: Sequence[Progress] = (),
-        changes_over: bool = False,
-    ) -> None:
-        self._problem, self._options, self.interrupt, self._box = problem, options, interrupt, box
-        self._earlier, self._changes_over = tuple(earlier), changes_over
-        self.history: list[Progress] = []
-        self.status: FitStatus | None = None
-        self.creeping = False
-        self.rest = np.zeros(0), np.inf
-        self._unstable = self._stuck = 0
-        self._previous: FloatArray | None = None
-        self._sigma = np.inf
+    problem: Shooting
+    options: FitArguments
+    interrupt: Interrupt
+    box: Box
+    earlier: Sequence[Progress] = ()
+    changes_over: bool = False
+    history: list[Progress] = field(init=False, default_factory=list)
+    status: FitStatus | None = field(init=False, default=None)
+    creeping: bool = field(init=False, default=False)
+    rest: tuple[FloatArray, float] = field(init=False, default=(np.zeros(0), np.inf))
+    _unstable: int = field(init=False, default=0)
+    _stuck: int = field(init=False, default=0)
+    _previous: FloatArray | None = field(init=False, default=None)
+    _sigma: float = field(init=False, default=np.inf)
 
     def look(self, cost: float, x: FloatArray, g: FloatArray) -> bool:
         """Return whether an iterate with these constraints ends the run."""
-        problem, limit = self._problem, TOLERANCES
+        problem, limit = self.problem, TOLERANCES
         step = sigma = np.inf
         if self._previous is not None:
             moved, n_theta = x - self._previous, problem.n_theta
@@ -475,26 +477,26 @@ class Watch:
         gap = float(np.abs(g[: problem.n_gaps]).max(initial=0.0))
         if problem.extra is not None:
             gap = max(gap, problem.extra.violation(g[len(g) - len(problem.extra.size) :]))
-        done = max(len(self._earlier) - 1, 0)  # where the last solver ended is where this one starts
+        done = max(len(self.earlier) - 1, 0)  # where the last solver ended is where this one starts
         now = Progress(done + len(self.history), cost, gap, step, sigma)
         self.history.append(now)
-        if self._options.progress is not None and not (self._earlier and len(self.history) == 1):
+        if self.options.progress is not None and not (self.earlier and len(self.history) == 1):
             try:
-                self._options.progress(now)
+                self.options.progress(now)
             except BaseException as error:  # raised again outside of the solver
                 self.interrupt.error = error
                 return True
         small = sigma < limit.step and self._sigma < limit.step_before and gap < limit.gap
-        still = small and self._options.stop == "tolerance"
+        still = small and self.options.stop == "tolerance"
         at_rest = still and self._nothing_to_gain(x)
         self._stuck = self._stuck + 1 if still and not at_rest else 0
-        near = self._changes_over and sigma < limit.near and gap < limit.near_gap
+        near = self.changes_over and sigma < limit.near and gap < limit.near_gap
         creeps = near and _iterations_ahead(sigma, self._sigma) > limit.ahead
         self.creeping = creeps and problem.at(x).rate < 1
         self._previous, self._sigma = x, sigma
         self._unstable = self._unstable + 1 if problem.noise and problem.at(x).rate > 1 else 0
         reasons = {
-            FitStatus.CONVERGED_BY_PAPER_RULE: self._options.stop == "paper" and step < limit.paper and gap < limit.gap,
+            FitStatus.CONVERGED_BY_PAPER_RULE: self.options.stop == "paper" and step < limit.paper and gap < limit.gap,
             FitStatus.UNSTABLE_PREDICTOR: self._unstable >= limit.patience,
             FitStatus.STEPS_TOO_SMALL: self._stuck >= limit.patience,
             FitStatus.CONVERGED: at_rest,
@@ -511,9 +513,9 @@ class Watch:
         Small steps of the solver may mean a wrong Hessian or a line search that stalls, not a minimum. Near an unstable
         predictor there is no minimum, which the result reports.
         """
-        if any(self._problem.parts_at_edge(self._problem.unpack(x)[0])):
+        if any(self.problem.parts_at_edge(self.problem.unpack(x)[0])):
             return True
-        self.rest = x, distance_from_rest(self._problem, x, self._box)
+        self.rest = x, distance_from_rest(self.problem, x, self.box)
         return self.rest[1] < TOLERANCES.step_ahead
 
 
@@ -680,12 +682,9 @@ class _Runs:
 
     def at_rest(self, solution: Solution, most: int) -> Solution:
         """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
-        problem, known, limit = (
-            self.problem,
-            np.isfinite(solution.rest),
-            TOLERANCES,
-        )  # the watch may have looked already
-        rest = solution.rest if known else distance_from_rest(problem, solution.unknowns, self.box)
+        problem, rest, limit = self.problem, solution.rest, TOLERANCES
+        if not np.isfinite(rest):  # else the watch has looked already
+            rest = distance_from_rest(problem, solution.unknowns, self.box)
         at_edge = any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0]))
         if not solution.status.success or rest <= limit.rest or at_edge:
             return replace(solution, rest=rest)
