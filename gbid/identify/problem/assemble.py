@@ -351,7 +351,9 @@ def assemble(
     def predictor_for(kind: Focus, released: tuple[bool, ...], model: int) -> GeneralPredictor:
         structure, hold = each[model]
         more: dict[str, Any] = {"disturbances": disturbances, "released": released}
-        build = partial(build_nonlinear_predictor, begin=begin) if kind_of(structure).nonlinear else build_predictor
+        build: Callable[..., GeneralPredictor] = build_predictor
+        if kind_of(structure).nonlinear:
+            build = partial(build_nonlinear_predictor, begin=begin)
         built = build(structure, held, sample_time=data.sample_time, intersample=hold, focus=kind, **more)
         return replace(built, free=tuple(known.get(q.name, q) for q in built.free))
 
