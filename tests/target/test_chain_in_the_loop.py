@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -88,17 +87,3 @@ def test_the_key_knows_what_closes_the_loop(tmp_path: Path) -> None:
         experiment = Job(load_experiment(path)).experiment
         keys.append(recording_result(experiment, next(iter(planned_impacts(experiment).values()))).key)
     assert len(set(keys)) == 3
-
-
-@pytest.mark.slow
-def test_study_of_the_published_controller_in_the_loop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Damping by 20 impacts per axis, against the designed damping; prints the table."""
-    rows = []
-    for speed in (0, 2050, 6000):
-        found = run(tmp_path / f"n{speed}", controller="compiled", speed=speed, noise=30e-9, repeats=20, word="paper")
-        rows += [(speed, *row) for row in found]
-    with capsys.disabled():
-        for speed, f, d, f0, d0 in rows:
-            measured, designed = f"{f:7.2f} Hz {d:.4f}", f"{f0:7.2f} Hz {d0:.4f}"
-            sys.stdout.write(f"P {speed:5} rpm: {measured}, designed {designed}, {100 * (d / d0 - 1):+.2f} %\n")
-    assert all(abs(d / d0 - 1) < 0.01 for *_, d, _, d0 in rows)
