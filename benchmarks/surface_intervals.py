@@ -88,7 +88,7 @@ def errors(plan: Plan, campaigns: int, seed: int = 1) -> FloatArray:
         covariances = (
             mixed.covariance,
             sandwich(y, X, V, mixed.coefficients),
-            tempered_sandwich(y, X, V, mixed.coefficients).covariance,
+            tempered_sandwich(y, X, V, mixed.coefficients)[0],
         )
         error = terms @ mixed.coefficients.reshape(k, m).T
         blocks = [c.reshape(k, m, k, m)[np.arange(k), :, np.arange(k)] for c in covariances]

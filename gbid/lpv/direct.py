@@ -66,8 +66,8 @@ class Setting:
     ----------
     structures : tuple of OwnStructure
         Structure of each recording, with the behaviour of its inputs between samples.
-    options : FitArguments
-        Options of the programme and its solver.
+    options : DirectOptions
+        Options of the fit.
     parameters : tuple of Parameter
         Parameters of the structures, with the fixed ones marked.
     held : dict of str to float
@@ -89,7 +89,7 @@ class Setting:
     """
 
     structures: tuple[OwnStructure, ...]
-    options: FitArguments
+    options: DirectOptions
     parameters: tuple[Parameter, ...]
     held: Mapping[str, float]
     gains: tuple[str, ...]
@@ -126,13 +126,10 @@ class Setting:
 
 
 def set_up(
-    recordings: Sequence[Recording],
-    model: LPVModel,
-    structures: Sequence[Structure],
-    fixed: Mapping[str, float],
-    options: FitArguments,
+    recordings: Sequence[Recording], model: LPVModel, structures: Sequence[Structure], options: DirectOptions
 ) -> Setting:
     """Return the setting of a direct LPV fit: shared unknowns, their matrix to parameters, gains."""
+    fixed = options.fixed or {}
     for structure in structures:
         missing = [key for key in KEY_PARAMETERS if key not in [q.name for q in structure.parameters]]
         if missing:
@@ -237,8 +234,7 @@ def start_gains(setting: Setting, recordings: Sequence[Recording]) -> Gains:
     parameters. It is then fixed at zero.
     """
     nothing = dict.fromkeys(setting.gains, 0.0)
-    focus = setting.options.focus
-    if not setting.gains or focus == "simulation":
+    if not setting.gains or setting.options.focus == "simulation":
         return Gains([nothing for _ in recordings], np.zeros(len(recordings), dtype=bool))
     values, held = [], []
     for recording, (structure, hold), X in zip(recordings, setting.structures, setting.X, strict=True):
@@ -249,17 +245,10 @@ def start_gains(setting: Setting, recordings: Sequence[Recording]) -> Gains:
             continue
         known = {key: value for key, value in setting.held.items() if key in names}
         assert isinstance(structure, Structure)  # fit_lpv_direct refuses others
-        predictor = build_predictor(structure, known, recording.sample_time, hold, focus)
+        predictor = build_predictor(structure, known, recording.sample_time, hold, "prediction")
         surface = dict(zip(setting.names, (X @ setting.start).tolist(), strict=True))
-        result = fit(
-            structure,
-            recording,
-            focus=focus,
-            intersample=hold,
-            fixed={**surface, **known},
-            window=None,
-            max_iterations=_ITERATIONS,
-        )
+        fixed = {**surface, **known}
+        result = fit(structure, recording, intersample=hold, fixed=fixed, window=None, max_iterations=_ITERATIONS)
         estimates = np.array([result.parameters[q.name] for q in predictor.free])
         determined = result.success and not near_instability(predictor, estimates, CLEAR)
         gains = {name: result.parameters[name] for name in setting.gains if name in names}
@@ -279,12 +268,8 @@ class DirectSolution:
 
     Attributes
     ----------
-    shared : (n_shared,) array
-        Coefficients in orthogonal terms, then actuators.
-    values : (n, n_names) array
-        Parameters of each recording.
-    information : list of RecordInformation
-        Information of each recording on these parameters, with its gain and initial state eliminated.
+    surfaces : DirectEstimate
+        Shared unknowns, and the parameters that each recording alone would give, with their uncertainty.
     gains : Gains
         Disturbance gains of each recording.
     solution : Solution
@@ -293,9 +278,7 @@ class DirectSolution:
         Engine of the pass over the samples.
     """
 
-    shared: FloatArray
-    values: FloatArray
-    information: list[RecordInformation]
+    surfaces: DirectEstimate
     gains: Gains
     solution: Solution
     engine: str
@@ -313,7 +296,7 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
     parameters = tuple(q if q.fixed else replace(q, start=at_first.get(q.name, 0.0)) for q in setting.parameters)
     begin = {q.name: float(q.start or 0.0) for q in parameters}
     local: dict[str, Scope] = dict.fromkeys(setting.gains if options.focus == "prediction" else (), "recording")
-    limits = FitArguments(
+    programme = FitArguments(
         focus=options.focus,
         local=local,
         criterion="trace",
@@ -323,13 +306,13 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
         progress=options.progress,
     )
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        assembly = assemble(each, parameters, begin, data, limits, ties=ties)
+        assembly = assemble(each, parameters, begin, data, programme, ties=ties)
         full = full_start(assembly, begin, gains.values)
         full |= dict(zip((q.name for q in ties.shared), shared.tolist(), strict=True))
-        problem, unknowns = build_problem(assembly, data, limits, full)
+        problem, unknowns = build_problem(assembly, data, programme, full)
         lower, upper = unknown_bounds(problem, assembly)
         position = {q.name: i for i, q in enumerate(assembly.free)}
-        places = [[position[names[key]] for key in local if key in names] for names in assembly.record_names]
+        places = [{key: position[names[key]] for key in local if key in names} for names in assembly.record_names]
         part_of = np.searchsorted(problem.first_window, assembly.record_window, side="right") - 1
 
         def unstable(at: FloatArray) -> BoolArray:
@@ -338,13 +321,14 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
 
         def fix(chosen: BoolArray, value: float | None = None) -> None:
             """Fix the gains of the chosen recordings, at a value or at their start values."""
-            at = [place for of_record, fixed in zip(places, chosen, strict=True) if fixed for place in of_record]
+            at = [
+                place for of_record, fixed in zip(places, chosen, strict=True) if fixed for place in of_record.values()
+            ]
             unknowns[at] = unknowns[at] if value is None else value
             lower[at] = upper[at] = unknowns[at]
 
         def run() -> Solution:
-            first = np.clip(unknowns, lower, upper)
-            return solve(problem, first, lower, upper, options)
+            return solve(problem, np.clip(unknowns, lower, upper), lower, upper, programme)
 
         fix(gains.held)
         edge = unstable(unknowns) & ~gains.held
@@ -378,18 +362,15 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
     if given_up and solution.status.success:
         solution = replace(solution, status=FitStatus.CONVERGED_GAIN_HELD)
     ended = [
-        {**values, **{key: float(theta[position[names[key]]]) for key in local if key in names}}
-        for names, values in zip(assembly.record_names, gains.values, strict=True)
+        {**values, **{key: float(theta[place]) for key, place in of_record.items()}}
+        for of_record, values in zip(places, gains.values, strict=True)
     ]
+    shared = theta[: len(ties.shared)]
     off = np.array([[theta[position[names[q.name]]] for q in ties.own] for names in assembly.record_names])
-    return DirectSolution(
-        theta[: len(ties.shared)],
-        setting.X @ theta[: len(ties.shared)] + off.reshape(len(setting.X), -1) @ ties.lift.T,
-        [profiled(each_one, columns) for each_one, columns in zip(information, kept, strict=True)],
-        Gains(ended, held, tuple(notes)),
-        solution,
-        assembly.engine,
-    )
+    values = setting.X @ shared + off.reshape(len(setting.X), -1) @ ties.lift.T
+    alone = [profiled(record, columns) for record, columns in zip(information, kept, strict=True)]
+    surfaces = direct_estimate(setting, shared, values, alone)
+    return DirectSolution(surfaces, Gains(ended, held, tuple(notes)), solution, assembly.engine)
 
 
 # ---- Uncertainty of directly estimated surfaces.
@@ -408,49 +389,50 @@ def solve_for(setting: Setting, data: FitData, shared: FloatArray, scatter: Floa
 _WEAK = 1e-9  # largest scaled eigenvalue of a record's information in a direction that it does not determine
 
 
-class CoefficientUncertainty(NamedTuple):
-    """Uncertainty of directly estimated coefficients, in the units of the parameters.
+class DirectEstimate(NamedTuple):
+    """Directly estimated surfaces with their uncertainty, in the units of the parameters.
 
     Attributes
     ----------
+    shared : (m,) array
+        Coefficients in orthogonal terms, then actuators: with scatter the mean of the estimates of the recordings with
+        weights from the scatter and their covariances, otherwise those of the programme.
     covariance : (m, m) array
-        Covariance of the coefficients.
+        Covariance of these coefficients.
     scatter : (k, k) array
         Covariance of the deviations between recordings.
     single : (n, k) array
         Parameters that each recording alone would give.
     single_covariance : (n, k, k) array
         Covariance of these parameters.
-    refined : (m,) array
-        Coefficients with weights from the scatter and these covariances.
-    refined_covariance : (m, m) array
-        Covariance of the refined coefficients.
     """
 
+    shared: FloatArray
     covariance: FloatArray
     scatter: FloatArray
     single: FloatArray
     single_covariance: FloatArray
-    refined: FloatArray
-    refined_covariance: FloatArray
 
 
-def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInformation]) -> CoefficientUncertainty:
-    """Return the scatter and the covariance of the coefficients.
+def direct_estimate(
+    setting: Setting, shared: FloatArray, values: FloatArray, information: list[RecordInformation]
+) -> DirectEstimate:
+    """Return the scatter, and the coefficients with their covariance.
 
     Parameters
     ----------
-    X : (n, k, m) array
-        Matrix from coefficients to parameters of each record.
+    setting : Setting
+        Setting, with the matrix from coefficients to parameters of each record.
+    shared : (m,) array
+        Coefficients at the solution of the programme.
     values : (n, k) array
-        Parameters of each record at the estimate.
+        Parameters of each record there.
     information : list of RecordInformation, n
         Information on the k parameters, all other unknowns eliminated.
 
     Returns
     -------
-    CoefficientUncertainty
-        Scatter and covariances.
+    DirectEstimate
     """
     scale = rms_or_one(values)
     H = np.array([i.hessian for i in information]) * np.outer(scale, scale)
@@ -459,21 +441,18 @@ def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInfor
     inverse = np.array([_inverse(h) for h in H])
     step = np.einsum("ikl,il->ik", inverse, g)
     C = inverse @ _smoothed(H, J) @ inverse
-    scaled = X / scale[:, None]
+    scaled = setting.X / scale[:, None]
     y = values / scale + step
     mixed = with_scatter(y, scaled, C)
-    A = np.einsum("ikm,ikl,iln->mn", scaled, H, scaled, optimize=True)
-    middle = np.einsum("ikm,ikl,iln->mn", scaled, J + H @ mixed.scatter @ H, scaled, optimize=True)
-    onto = _inverse(A)
+    covariance = mixed.covariance
+    if setting.options.scatter:
+        shared = mixed.coefficients
+    else:
+        onto = _inverse(np.einsum("ikm,ikl,iln->mn", scaled, H, scaled, optimize=True))
+        middle = J + H @ mixed.scatter @ H
+        covariance = onto @ np.einsum("ikm,ikl,iln->mn", scaled, middle, scaled, optimize=True) @ onto
     outer = np.outer(scale, scale)
-    return CoefficientUncertainty(
-        onto @ middle @ onto,
-        mixed.scatter * outer,
-        y * scale,
-        C * outer,
-        mixed.coefficients,
-        mixed.covariance,
-    )
+    return DirectEstimate(shared, covariance, mixed.scatter * outer, y * scale, C * outer)
 
 
 def _smoothed(H: FloatArray, J: FloatArray) -> FloatArray:
@@ -558,16 +537,6 @@ class DirectOptions:
     name: str = ""
     progress: Callable[[Progress], None] | None = None
 
-    @property
-    def of_fit(self) -> FitArguments:
-        """Options of the programme and its solver."""
-        return FitArguments(
-            focus=self.focus,
-            intersample=self.intersample,
-            max_iterations=self.max_iterations,
-            progress=self.progress,
-        )
-
 
 @takes_options(DirectOptions)
 def fit_lpv_direct(recordings: Sequence[Recording], start: LPVFit | LPVModel, options: DirectOptions) -> LPVFit:
@@ -603,7 +572,7 @@ def fit_lpv_direct(recordings: Sequence[Recording], start: LPVFit | LPVModel, op
             f"structure {nonlinear[0]!r} is nonlinear: surfaces straight from the recordings are for linear "
             "structures; use fit_lpv on the fits"
         )
-    setting = set_up(recordings, model, structures, options.fixed or {}, options.of_fit)
+    setting = set_up(recordings, model, structures, options)
     channels = [Channels(as_names(each.inputs), as_names(each.outputs)) for each in structures]
     data = gather_own(recordings, channels, minimum=_SHORTEST)
     known = start.scatter if options.scatter and isinstance(start, LPVFit) else np.zeros((len(KEY_PARAMETERS),) * 2)
@@ -618,15 +587,15 @@ def fit_lpv_direct(recordings: Sequence[Recording], start: LPVFit | LPVModel, op
         iterations, ended = 0, ""
         for round_ in range(1, _ROUNDS + 1):
             solved = solve_for(setting, data, shared, S, gains)
-            uncertain = uncertainty(setting.X, solved.values, solved.information)
+            surfaces = solved.surfaces
             iterations += solved.solution.iterations
             if not (options.scatter and solved.solution.status.success):
                 break
-            if negative := _negative_delay(setting, uncertain.refined):
+            if negative := _negative_delay(setting, surfaces.shared):
                 ended = f"stopped after round {round_}, as the next would begin with {negative}"
                 break
-            change = np.abs(uncertain.refined - shared) / np.sqrt(np.diag(uncertain.refined_covariance))
-            shared, S, gains = uncertain.refined, uncertain.scatter, solved.gains
+            change = np.abs(surfaces.shared - shared) / np.sqrt(np.diag(surfaces.covariance))
+            shared, S, gains = surfaces.shared, surfaces.scatter, solved.gains
             if round_ > 1 and change.max() < _SETTLED:
                 break
     notes = [*solved.gains.notes, ended] if ended else list(solved.gains.notes)
@@ -634,14 +603,12 @@ def fit_lpv_direct(recordings: Sequence[Recording], start: LPVFit | LPVModel, op
         text = f"after {_ROUNDS} rounds the coefficients still moved by {change.max():.2g} standard deviations"
         notes.append(SurfaceNote.NOT_SETTLED(text))
     k, m = len(KEY_PARAMETERS), len(KEY_PARAMETERS) * len(setting.exponents)
-    shared, covariance = (
-        (uncertain.refined, uncertain.refined_covariance) if options.scatter else (solved.shared, uncertain.covariance)
-    )
-    actuators = {**model.actuators, **dict(zip(setting.names[k:], shared[m:].tolist(), strict=True)), **setting.held}
+    shared, S = surfaces.shared, surfaces.scatter[:k, :k]
+    fitted = dict(zip(setting.names[k:], shared[m:].tolist(), strict=True))
+    actuators = {**model.actuators, **fitted, **setting.held}
     names = tuple(record.name for record in data.records)
-    estimates = Estimates(names, setting.points, uncertain.single[:, :k], uncertain.single_covariance[:, :k, :k])
+    estimates = Estimates(names, setting.points, surfaces.single[:, :k], surfaces.single_covariance[:, :k, :k])
     residuals = estimates.values - (setting.X @ shared)[:, :k]
-    S = uncertain.scatter[:k, :k]
     return LPVFit(
         with_coefficients(
             model,
@@ -652,7 +619,7 @@ def fit_lpv_direct(recordings: Sequence[Recording], start: LPVFit | LPVModel, op
             operating_points=estimates.operating_points,
             actuators={key: actuators[key] for key in ACTUATOR_PARAMETERS if key in actuators},
         ),
-        in_units_of_terms(covariance[:m, :m], setting.back),
+        in_units_of_terms(surfaces.covariance[:m, :m], setting.back),
         S,
         estimates,
         outliers(names, residuals, standardised(residuals, estimates.covariance + S)),

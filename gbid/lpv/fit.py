@@ -54,7 +54,7 @@ from gbid.lpv.regression import (
 )
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.linear import Structure, as_names
-from gbid.structure.scheduling import Schedule, term_name
+from gbid.structure.scheduling import term_name
 
 _LACK = Stored("1", "probability that right surfaces miss the points' means as far", "k")
 _TRIES = 20  # largest number of draws for each requested model
@@ -487,11 +487,13 @@ def lpv_of(
         )
     if not result.success:
         raise UsageError(f"the fit did not converge ({result.status}); its surfaces cannot be used")
-    coefficients, covariance = _in_bar_and_rpm(result, schedule)
+    onto = in_terms(schedule.to_own_units, schedule.exponents)
+    names = [name for key in KEY_PARAMETERS for name in schedule.names(key)]
+    scaled = np.array([result.parameters[name] for name in names]).reshape(len(KEY_PARAMETERS), -1)
     fitted = {key: result.parameters[key] for key in ACTUATOR_PARAMETERS if key in result.parameters}
     model = LPVModel(
         name,
-        _rows(KEY_PARAMETERS, coefficients),
+        _rows(KEY_PARAMETERS, scaled @ onto.T),
         Domain(*zip(schedule.low, schedule.high, strict=True)),
         actuators=fitted if actuators is None else actuators,
         pade_order=schedule.pade_order,
@@ -501,7 +503,7 @@ def lpv_of(
     k = len(KEY_PARAMETERS)
     return LPVFit(
         model,
-        covariance,
+        in_units_of_terms(covariance_of(result, names), onto),
         np.zeros((k, k)),
         Estimates((), np.zeros((0, 2)), np.zeros((0, k)), np.zeros((0, k, k))),
         options={
@@ -514,15 +516,6 @@ def lpv_of(
         status=result.status,
         notes=result.notes,
     )
-
-
-def _in_bar_and_rpm(result: FitResult, schedule: Schedule) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients of the six terms, (14, 6), and their covariance, (84, 84)."""
-    onto = in_terms(schedule.to_own_units, schedule.exponents)
-    names = [schedule.names(key) for key in KEY_PARAMETERS]
-    scaled = np.array([[result.parameters[name] for name in row] for row in names])
-    covariance = covariance_of(result, [name for row in names for name in row])
-    return scaled @ onto.T, in_units_of_terms(covariance, onto)
 
 
 # ---- Surface fits in files: the model in YAML, its uncertainty in HDF5 beside it.

@@ -197,16 +197,9 @@ def sandwich(y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArr
     return np.asarray(scores.T @ scores)
 
 
-class LocalCovariance(NamedTuple):
-    """Covariance of coefficients (m, m), and rows whose residual says nothing, because they alone are fitted (n,)."""
-
-    covariance: FloatArray
-    alone: BoolArray
-
-
 def tempered_sandwich(
     y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArray, factors: tuple[float, float] = (1.0, 1.0)
-) -> LocalCovariance:
+) -> tuple[FloatArray, BoolArray]:
     """Return the covariance of generalised least-squares coefficients, where rows may scatter unequally.
 
     The sandwich of `sandwich` takes the covariance of each row from its own residual. Where few rows determine a value
@@ -223,6 +216,13 @@ def tempered_sandwich(
         Its solution.
     factors : (float, float)
         Factors on the covariance from residuals and on that from V, for data that are clipped.
+
+    Returns
+    -------
+    covariance : (m, m) array
+        Covariance of the coefficients.
+    alone : (n,) boolean array
+        Rows whose residual says nothing, because they alone are fitted.
     """
     inverse, weighted, pull = _leverage(X, V)
     leverage = np.einsum("ikk->i", pull) / y.shape[1]
@@ -232,7 +232,7 @@ def tempered_sandwich(
     from_residuals = (scores * share[:, None]).T @ scores
     from_model = inverse @ np.einsum("i,ikm,ikl->ml", 1 - share, X, weighted, optimize=True) @ inverse
     covariance = factors[0] * from_residuals + factors[1] * from_model
-    return LocalCovariance(0.5 * (covariance + covariance.T), alone)
+    return np.asarray(0.5 * (covariance + covariance.T)), np.asarray(alone)
 
 
 def _leverage(X: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -316,28 +316,7 @@ def outliers(
     return tuple(sorted(beyond, key=lambda o: -abs(o.standardised)))
 
 
-class HuberEstimate(NamedTuple):
-    """Huber's estimate.
-
-    Attributes
-    ----------
-    coefficients : (m,) array
-        Coefficients.
-    scatter : (k, k) array
-        Scatter, corrected for the clipping.
-    clipped : (n, k) array
-        Data with clipped residuals.
-    cost : float
-        Factor on the covariance of the coefficients that accounts for the clipping.
-    """
-
-    coefficients: FloatArray
-    scatter: FloatArray
-    clipped: FloatArray
-    cost: float
-
-
-def huber_estimate(y: FloatArray, X: FloatArray, C: FloatArray | None) -> HuberEstimate:
+def huber_estimate(y: FloatArray, X: FloatArray, C: FloatArray | None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return Huber's estimate by modified residuals, which are clipped at 1.345 standard deviations.
 
     Parameters
@@ -348,6 +327,15 @@ def huber_estimate(y: FloatArray, X: FloatArray, C: FloatArray | None) -> HuberE
         Regressors of each row.
     C : (n, k, k) array or None
         Covariance of the error of each row, to which scatter is added; None for rows of equal weight.
+
+    Returns
+    -------
+    coefficients : (m,) array
+        Coefficients.
+    scatter : (k, k) array
+        Scatter, corrected for the clipping.
+    clipped : (n, k) array
+        Data with clipped residuals.
     """
     n, k = y.shape
     S = np.zeros((k, k)) if C is None else with_scatter(y, X, C).scatter
@@ -367,7 +355,7 @@ def huber_estimate(y: FloatArray, X: FloatArray, C: FloatArray | None) -> HuberE
         coefficients = fit.coefficients
         if change.max() < _HUBER_SETTLED:
             break
-    return HuberEstimate(coefficients, S, clipped, _VARIANCE / CLIPPING_SLOPE**2)
+    return coefficients, S, clipped
 
 
 # ---- Order of the surfaces: cross-validation over operating points, and lack-of-fit test.
@@ -507,27 +495,25 @@ def solve_surfaces(estimates: Estimates, design: Orthonormal, weighting: Weighti
     X = kron_designs(design.columns, k)
     C = estimates.covariance / np.outer(scale, scale)
     notes: tuple[str, ...] = ()
-    S, cost = np.zeros((k, k)), 1.0
+    S, clipped = np.zeros((k, k)), y
     V = np.broadcast_to(np.eye(k), (n, k, k)) if weighting == "ordinary" else C
     if robust:
         if weighting == "fits":
             raise UsageError("robust = True needs weighting = 'scatter' or 'ordinary'")
-        huber = huber_estimate(y, X, C if weighting == "scatter" else None)
-        coefficients, S, clipped, cost = huber.coefficients, huber.scatter, huber.clipped, huber.cost
-        V = C + S if weighting == "scatter" else V
+        coefficients, S, clipped = huber_estimate(y, X, C if weighting == "scatter" else None)
     elif weighting == "scatter":
         mixed = with_scatter(y, X, C)
-        coefficients, S, clipped, V = mixed.coefficients, mixed.scatter, y, C + mixed.scatter
+        coefficients, S = mixed.coefficients, mixed.scatter
         if not mixed.settled:
             notes = (SurfaceNote.NOT_SETTLED(f"the scatter had not settled after {mixed.steps} steps"),)
     else:
-        coefficients, clipped = generalised(y, X, V).coefficients, y
+        coefficients = generalised(y, X, V).coefficients
+    V, slope, variance = V + S, *((CLIPPING_SLOPE, _VARIANCE) if robust else (1.0, 1.0))
     if weighting == "scatter":
-        factors = (1 / CLIPPING_SLOPE**2, cost) if robust else (1.0, 1.0)
-        covariance, alone = tempered_sandwich(clipped, X, V, coefficients, factors)
+        covariance, alone = tempered_sandwich(clipped, X, V, coefficients, (1 / slope**2, variance / slope**2))
         notes = (*notes, *_unchecked(estimates, alone))
     else:
-        covariance = sandwich(clipped, X, V, coefficients) / (CLIPPING_SLOPE**2 if robust else 1.0)
+        covariance = sandwich(clipped, X, V, coefficients) / slope**2
     residuals = y - X @ coefficients
     wide = np.repeat(scale, design.columns.shape[1])
     return SurfaceEstimate(
