@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copyreg
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -66,6 +68,14 @@ class Description:
         )
         also = f"<p><small>also: {html_text(', '.join(self.others))}</small></p>" if self.others else ""
         return f"<div><p><strong>{html_text(self.heading)}</strong></p><table><tbody>{rows}</tbody></table>{also}</div>"
+
+
+def _read_only(entries: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(entries)
+
+
+# Results hold read-only views of dicts, which pickle cannot store: they go to other processes as dicts.
+copyreg.pickle(MappingProxyType, lambda view: (_read_only, (dict(view),)))
 
 
 class Brief:

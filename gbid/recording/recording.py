@@ -401,13 +401,8 @@ class Recording(Brief, Pictured, hdf5.InFile):
         signals = {key: values[start:stop] for key, values in self.signals.items()}
         return replace(self, signals=signals, name=name or self.name)
 
-    # pickle cannot store the read-only views, so plain dicts are sent to worker processes.
-    def __getstate__(self) -> dict[str, Any]:
-        return {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in self.__dict__.items()}
-
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for key, value in state.items():
-            object.__setattr__(self, key, MappingProxyType(value) if isinstance(value, dict) else value)
+        self.__dict__.update(state)  # arrays come from another process writable
         for values in self.signals.values():
             values.setflags(write=False)
 

@@ -190,14 +190,6 @@ class GainResult(Brief):
         """
         return data_frame({"gain": list(self.gains), "value": list(self.gains.values())}, index="gain")
 
-    # A read-only view cannot be pickled: workers get a plain dict.
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "gains": dict(self.gains)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        object.__setattr__(self, "gains", MappingProxyType(state["gains"]))
-
 
 # ---- Verification of a design: eigenvalues, exact norms, and distance to instability.
 
