@@ -123,35 +123,7 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-# ---- Lines of progress in words: an iteration of a fit, a step of a search, the outcome of an item.
-
-
-class ProgressLine:
-    """Progress of one item; a fit may be tried from several starts or with several windows.
-
-    Parameters
-    ----------
-    label : str
-        Name of the item.
-    """
-
-    def __init__(self, label: str = "") -> None:
-        self.label, self._tries, self._began = label, 0, time.monotonic()
-
-    def of(self, progress: Progress) -> str:
-        """Return iteration, cost and step of the solver as text."""
-        self._tries += progress.iteration == 0
-        which = f", try {self._tries}" if self._tries > 1 else ""
-        step = f", step {progress.sigma:.1g} std" if math.isfinite(progress.sigma) else ""
-        where = f"iteration {progress.iteration}, cost {progress.cost:.5g}, gap {progress.gap:.0e}"
-        return f"{self.label}{which}: {where}{step}"
-
-    def of_search(self, step: SearchStep) -> str:
-        """Return stage, evaluations and best value of a search for gains as text."""
-        excess = f", limits exceeded by {100 * step.violation:.2g} %" if step.violation > 0 else ""
-        passed = time.monotonic() - self._began
-        pace = f" ({rate(step.count / passed)})" if passed > 1 else ""
-        return f"{self.label}: {step.stage}, {step.count} designs{pace}, best {step.value:.5g}{excess}"
+# ---- Outcome of an item in words.
 
 
 def outcome_line(outcome: Outcome) -> str:
@@ -314,7 +286,8 @@ class ProgressReporter(Reporter):
 
     def __init__(self, verbose: bool = False, bar: LiveBar | None = None) -> None:
         self._verbose, self._bar, self._say = verbose, bar, tell if bar is None else bar.say
-        self._line, self._tally, self._said, self._searched = ProgressLine(), Tally(), 0.0, 0.0
+        self._tally, self._said, self._searched = Tally(), 0.0, 0.0
+        self._label, self._tries, self._began = "", 0, time.monotonic()  # of the item in progress
         self._failed: list[Outcome] = []
         self._idle: list[Outcome] = []  # of one stage, not made because their input is missing; told in one line
 
@@ -330,22 +303,29 @@ class ProgressReporter(Reporter):
     def begin(self, stage: str, item: str) -> None:
         """Store the item to which the iterations belong."""
         self._flush(stage)
-        self._line = ProgressLine(f"{stage} {item}")
+        self._label, self._tries, self._began = f"{stage} {item}", 0, time.monotonic()
         self._tally.begin(stage, item)
-        self._show(f"{stage} {item}")
+        self._show(self._label)
 
     def iteration(self, progress: Progress) -> None:
         """Print every tenth iteration, or show each."""
-        text = self._line.of(progress)
+        self._tries += progress.iteration == 0
+        which = f", try {self._tries}" if self._tries > 1 else ""  # from several starts, or with several windows
+        step = f", step {progress.sigma:.1g} std" if math.isfinite(progress.sigma) else ""
+        where = f"iteration {progress.iteration}, cost {progress.cost:.5g}, gap {progress.gap:.0e}"
         often = progress.iteration and progress.iteration % EVERY == 0 and not self._tally.many
-        self._step(text, bool(often))
+        self._step(f"{self._label}{which}: {where}{step}", bool(often))
 
     def search(self, step: SearchStep) -> None:
         """Print a step of the search at intervals, or show each."""
         often = time.monotonic() - self._searched > SEARCH_PAUSE and not self._tally.many
         if often:
             self._searched = time.monotonic()
-        self._step(self._line.of_search(step), often)
+        excess = f", limits exceeded by {100 * step.violation:.2g} %" if step.violation > 0 else ""
+        passed = time.monotonic() - self._began
+        pace = f" ({rate(step.count / passed)})" if passed > 1 else ""
+        text = f"{self._label}: {step.stage}, {step.count} designs{pace}, best {step.value:.5g}{excess}"
+        self._step(text, often)
 
     def end(self, outcome: Outcome) -> None:
         """Print the outcome of an item; for many items only failures."""

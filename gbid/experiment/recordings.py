@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from gbid.experiment.controllers import closed_loop_settings, loop_settings, sta
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Result, file_digest, needed, stored_key
 from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
-from gbid.experiment.run import Job
+from gbid.experiment.run import Job, Made, Task
 from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
 from gbid.experiment.structures import fit_channels
 from gbid.lpv import load_model
@@ -132,6 +132,17 @@ def _rig_result(experiment: Experiment, name: str) -> Result:
     if planned.run[:1] == ("course",):
         settings["surfaces"] = {key: list(row) for key, row in rig_model(experiment).coefficients.items()}
     return experiment.result("rig", name, experiment.path(FOLDER, name), settings, sources)
+
+
+def recording_tasks(
+    job: Job,
+    result: Callable[[Experiment, PlannedRecording], Result],
+    write: Callable[..., Made | None],
+    chosen: Callable[[PlannedRecording], bool],
+) -> list[Task]:
+    """Return a task for each chosen recording, which makes its result by ``write(job, part, name=...)``."""
+    recordings = filter(chosen, job.experiment.recordings.values())
+    return [Task.of(result(job.experiment, q), partial(write, name=q.name), [q.name]) for q in recordings]
 
 
 def load_made(job: Job, planned: PlannedRecording) -> Recording:

@@ -13,10 +13,12 @@ from matplotlib.figure import Figure
 from gbid.control import Sensitivities
 from gbid.core.errors import DataError, UsageError
 from gbid.core.tables import write_csv
+from gbid.experiment.experiment import figure_pairs
 from gbid.experiment.fields import Result, content_key
 from gbid.experiment.run import Job, Outcome, produce
-from gbid.experiment.stages.crossval import bode_of_pair, drawn_pairs, pair_keys, residuals_of_pair, validate_pair
-from gbid.identify import FitResult
+from gbid.experiment.stages.crossval import data_key, model_and_recording, residuals_on, validate_pair
+from gbid.experiment.stages.fit import fit_result
+from gbid.identify import FitResult, measured_response
 from gbid.identify.uncertainty.spectra import MeasuredResponse
 from gbid.recording import Recording
 from gbid.report.canvas import save_figure, shown_by_pyplot
@@ -100,17 +102,19 @@ def draw_figures(job: Job) -> list[Outcome]:
     numbers as csv.
     """
     outcomes = []
-    for fit, model, recording in drawn_pairs(job):
+    experiment = job.experiment
+    pairs = [(fit, *pair) for fit in experiment.spec.figures for pair in figure_pairs(experiment, fit)]
+    for fit, model, recording in pairs:
         name = f"{fit}_{model}_on_{recording}"
         try:
-            sources = pair_keys(job, fit, model, recording)
+            sources = [fit_result(experiment, fit, model).key, data_key(experiment, fit, recording)]
         except (DataError, OSError) as error:
             outcomes.append(
                 Outcome("figure", name, job.path(FOLDER, name, ".png"), "failed", str(error), cause="input")
             )
             job.reporter.end(outcomes[-1])
             continue
-        section = job.experiment.spec.figures[fit]
+        section = experiment.spec.figures[fit]
         pictures = [(name, _response, section.model_dump(exclude={"residuals", "bode", "formats"}))]
         if section.residuals:
             pictures.append((f"{name}_residuals", _residuals, {"residuals": True}))
@@ -136,18 +140,20 @@ def _response(job: Job, fit: str, model: str, recording: str) -> Figure:
 def _residuals(job: Job, fit: str, model: str, recording: str) -> Figure:
     ahead = "one-step-ahead" if job.experiment.spec.fits[fit].focus == "prediction" else "simulation"
     title = f"{ahead} residuals of {fit}, model of {model} on {recording}"
-    return residuals_figure(residuals_of_pair(job, fit, model, recording), title=title)
+    return residuals_figure(residuals_on(job, fit, *model_and_recording(job, fit, model, recording)), title=title)
 
 
 def _bode(job: Job, fit: str, model: str, recording: str) -> Figure:
-    result, measured = bode_of_pair(job, fit, model, recording)
+    result, data = model_and_recording(job, fit, model, recording)
+    options = result.options
+    measured = measured_response(data, options.inputs, options.outputs, intersample=options.intersample)
     axes = plot_bode({f"model of {model}": result}, measured=measured)
     figure: Figure = axes[0, 0].figure
     return figure
 
 
 def _save_bode(job: Job, fit: str, model: str, recording: str, key: str, part: Path) -> None:
-    result, _ = bode_of_pair(job, fit, model, recording)
+    result, _ = model_and_recording(job, fit, model, recording)
     write_csv(result.bode().table(), part, (f"content_key: {key}",))
 
 

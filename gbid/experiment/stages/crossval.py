@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import groupby
@@ -16,7 +16,7 @@ import numpy as np
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import Value, csv_rows, plain_table, write_csv
-from gbid.experiment.experiment import SPECIAL, Experiment, figure_pairs, validation_pairs
+from gbid.experiment.experiment import SPECIAL, Experiment, validation_pairs
 from gbid.experiment.fields import Found, Result, nearest, needed, stored_key
 from gbid.experiment.run import (
     Cause,
@@ -33,7 +33,7 @@ from gbid.experiment.run import (
 from gbid.experiment.stages.fit import a_fit_is_named, fit_entries, fit_result, left_out_of, load_made_fit
 from gbid.experiment.stages.prefilter import fit_input, load_fit_input
 from gbid.experiment.structures import make_structure
-from gbid.identify import FitResult, MeasuredResponse, measured_response, tabulate
+from gbid.identify import FitResult, tabulate
 from gbid.recording import Recording
 from gbid.structure import kind_of
 from gbid.validate import (
@@ -98,32 +98,21 @@ def validate_pair(job: Job, name: str, model: str, recording: str) -> Validation
     DataError
         When the fit or the recording is missing, or their signals differ.
     """
-    result, data = _model_and_recording(job, name, model, recording)
+    result, data = model_and_recording(job, name, model, recording)
     return cross_validate(result, data, left_out_of(job, name, data))
 
 
-def residuals_of_pair(job: Job, name: str, model: str, recording: str) -> ResidualTest:
-    """Return the residual tests of one model of a fit on one recording.
+def model_and_recording(job: Job, name: str, model: str, recording: str) -> tuple[FitResult, Recording]:
+    """Return one model of a fit, with the local parameters of a recording, and the recording.
 
     Raises
     ------
     DataError
-        When the fit or the recording is missing, or their signals differ.
+        When the fit or the recording is missing.
     """
-    return residuals_on(job, name, *_model_and_recording(job, name, model, recording))
-
-
-def bode_of_pair(job: Job, name: str, model: str, recording: str) -> tuple[FitResult, MeasuredResponse]:
-    """Return one model of a fit, and the frequency response measured in one recording.
-
-    Raises
-    ------
-    DataError
-        When the fit or the recording is missing, or their signals differ.
-    """
-    result, data = _model_and_recording(job, name, model, recording)
-    options = result.options
-    return result, measured_response(data, options.inputs, options.outputs, intersample=options.intersample)
+    result = load_made_fit(job, name, model)
+    data = load_fit_input(job, job.experiment.recordings[recording])
+    return with_local(job, name, result, recording), data
 
 
 def residuals_on(job: Job, name: str, result: FitResult, data: Recording) -> ResidualTest:
@@ -134,23 +123,11 @@ def residuals_on(job: Job, name: str, result: FitResult, data: Recording) -> Res
     return check_residuals(result, data, lags=max(1, min(_LAGS, longest // 4)), left_out=left_out)
 
 
-def pair_keys(job: Job, name: str, model: str, recording: str) -> list[str]:
-    """Return the content keys of a model and of the recording on which it is validated."""
-    return [fit_result(job.experiment, name, model).key, data_key(job.experiment, name, recording)]
-
-
 def data_key(experiment: Experiment, name: str, recording: str) -> str:
     """Return the content key of a recording for validation, with the stretches that are left out."""
     key = fit_input(experiment, experiment.recordings[recording]).key
     left_out = experiment.spec.fits[name].left_out.get(recording)
     return f"{key} without {left_out}" if left_out else key
-
-
-def drawn_pairs(job: Job) -> Iterable[tuple[str, str, str]]:
-    """Yield fit, model and recording of each figure of the experiment."""
-    for name in job.experiment.spec.figures:
-        for model, recording in figure_pairs(job.experiment, name):
-            yield name, model, recording
 
 
 def with_local(job: Job, name: str, result: FitResult, recording: str) -> FitResult:
@@ -177,12 +154,6 @@ def with_local(job: Job, name: str, result: FitResult, recording: str) -> FitRes
     model = kind_of(structure).model(parameters, result.model.input_names, result.model.output_names)
     first, other = (result.local_names.get(name, {}) for name in (result.recordings[0], alike[0]))
     return replace(result, model=model, model_slopes=result.model_slopes if first == other else None)
-
-
-def _model_and_recording(job: Job, name: str, model: str, recording: str) -> tuple[FitResult, Recording]:
-    result = load_made_fit(job, name, model)
-    data = load_fit_input(job, job.experiment.recordings[recording])
-    return with_local(job, name, result, recording), data
 
 
 # ---- Rows of a cross-validation, and their table in CSV.
@@ -458,10 +429,10 @@ def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
         pairs = FitPairs(job, name)
         failed = _failed_pairs(job, pairs, _read_rows(job, name, outcome.path))
         work += [pairs.failed(pair, text, "data") for pair, text in failed.items()]
-        texts = _texts({**pairs.missing, **failed})
+        texts = [f"{model} on {recording}: {text}" for (model, recording), text in {**pairs.missing, **failed}.items()]
         for ending in (".h5", ".csv"):
             result = _summary_result(job, name, texts, pairs.table.key, ending)
-            work.append(Task.of(result, partial(_write_summary, name=name, ending=ending)))
+            work.append(Task.of(result, partial(_write_summary, name=name, failed=texts, ending=ending)))
     return work
 
 
@@ -472,15 +443,8 @@ def _summary_result(job: Job, name: str, failed: Sequence[str], rows_key: str, e
     return job.experiment.result("crossval", f"{item}{ending}", path, settings, [rows_key])
 
 
-def _texts(failed: dict[Pair, str]) -> list[str]:
-    return [f"{model} on {recording}: {text}" for (model, recording), text in failed.items()]
-
-
-def _write_summary(job: Job, part: Path, name: str, ending: str) -> None:
-    pairs = FitPairs(job, name)
-    rows = _read_rows(job, name, pairs.table.path)
-    failed = _texts({**pairs.missing, **_failed_pairs(job, pairs, rows)})
-    summary = summarise(_scores(job, rows), failed=failed)
+def _write_summary(job: Job, part: Path, name: str, failed: Sequence[str], ending: str) -> None:
+    summary = summarise(_scores(job, _read_rows(job, name, job.path(FOLDER, name, ".csv"))), failed=failed)
     if ending == ".h5":
         save(summary, part, overwrite=True)
     else:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from gbid.core.errors import DataError, GbidError, UsageError
@@ -15,6 +14,7 @@ from gbid.experiment.recordings import (
     driving_channels,
     mapping_of,
     recording_result,
+    recording_tasks,
     refuse_bad_signals,
     used_channels,
 )
@@ -58,12 +58,7 @@ _RANGE = ("samples", "from_s", "to_s", "piece")  # keys that say which samples o
 
 def import_tasks(job: Job) -> list[Task]:
     """Return the tasks of the import section, one for each recording."""
-    experiment = job.experiment
-    return [
-        Task.of(recording_result(experiment, planned), partial(_write_import, name=planned.name), [planned.name])
-        for planned in experiment.recordings.values()
-        if planned.imported is not None
-    ]
+    return recording_tasks(job, recording_result, _write_import, lambda planned: planned.imported is not None)
 
 
 def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:

@@ -12,7 +12,14 @@ from gbid.core.hdf5 import save
 from gbid.experiment.controllers import answered
 from gbid.experiment.experiment import NO_POINT, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Result, needed
-from gbid.experiment.recordings import driving_channels, load_made, recording_result, refuse_bad_signals, used_channels
+from gbid.experiment.recordings import (
+    driving_channels,
+    load_made,
+    recording_result,
+    recording_tasks,
+    refuse_bad_signals,
+    used_channels,
+)
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import PrefilterSection
 from gbid.prefilter import (
@@ -62,12 +69,7 @@ _HARMONICS_IN_LOOP = 10  # where their number is to be found from data
 
 def prefilter_tasks(job: Job) -> list[Task]:
     """Return the tasks of the prefilter section, one for each excited recording."""
-    experiment = job.experiment
-    return [
-        Task.of(prefiltered_result(experiment, planned), partial(_write_prefiltered, name=planned.name), [planned.name])
-        for planned in experiment.recordings.values()
-        if planned.excited
-    ]
+    return recording_tasks(job, prefiltered_result, _write_prefiltered, lambda planned: planned.excited)
 
 
 def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:

@@ -22,7 +22,7 @@ from gbid.experiment.controllers import (
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, InputError, Location, nearest, needed, refusal
 from gbid.experiment.machine import PlannedRun, machine_at, outside_domain, rig_experiment, rig_model, rig_run
-from gbid.experiment.recordings import recording_result
+from gbid.experiment.recordings import recording_result, recording_tasks
 from gbid.experiment.rig_schema import ControllerChoice, RigLoopSection, RigSection
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.prefilter import identified_map
@@ -282,12 +282,7 @@ def _sections(experiment: Experiment) -> tuple[RigSection, RigLoopSection]:
 
 def rig_tasks(job: Job) -> list[Task]:
     """Return the tasks of the rig section, one for each recording."""
-    experiment = job.experiment
-    return [
-        Task.of(recording_result(experiment, planned), partial(_write_recording, name=planned.name), [planned.name])
-        for planned in experiment.recordings.values()
-        if planned.imported is None
-    ]
+    return recording_tasks(job, recording_result, _write_recording, lambda planned: planned.imported is None)
 
 
 def _write_recording(job: Job, part: Path, name: str) -> None:
