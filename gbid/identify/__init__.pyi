@@ -1,0 +1,60 @@
+"""Public names of `gbid.identify`, and the files that define them: the one list."""
+
+from .data import (
+    select as select,
+)
+from .fit import (
+    FitProblem as FitProblem,
+    fit as fit,
+    fit_problem as fit_problem,
+)
+from .multistart import (
+    Minimum as Minimum,
+    MultiStart as MultiStart,
+    fit_multistart as fit_multistart,
+)
+from .options import (
+    FitOptions as FitOptions,
+    SettledOptions as SettledOptions,
+)
+from .problem.solve import (
+    Progress as Progress,
+)
+from .result import (
+    FitResult as FitResult,
+    FitStatus as FitStatus,
+    StartsTried as StartsTried,
+    load_fit as load_fit,
+    save_fit as save_fit,
+)
+from .table import (
+    FitTable as FitTable,
+    TableEntry as TableEntry,
+    load_table as load_table,
+    save_table as save_table,
+    tabulate as tabulate,
+)
+from .uncertainty.coloured import (
+    Whiteness as Whiteness,
+    correlation as correlation,
+    whiteness_test as whiteness_test,
+)
+from .uncertainty.curves import (
+    Bode as Bode,
+    PoleZero as PoleZero,
+    TimeResponse as TimeResponse,
+    bode as bode,
+    pole_zero as pole_zero,
+    time_response as time_response,
+)
+from .uncertainty.spectra import (
+    DelayEstimate as DelayEstimate,
+    MeasuredResponse as MeasuredResponse,
+    estimate_delay as estimate_delay,
+    measured_response as measured_response,
+)
+from .uncertainty.uncertain_model import (
+    ModelLike as ModelLike,
+    ModelSlopes as ModelSlopes,
+    UncertainModel as UncertainModel,
+)
