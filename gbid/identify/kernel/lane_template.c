@@ -1,6 +1,5 @@
 /* Written by gbid for one nonlinear structure: see gbid/identify/kernel/lanes.py. */
-typedef double v __attribute__((vector_size(64)));
-typedef double u __attribute__((vector_size(64), aligned(8)));
+@VECTORS@
 typedef long long m8 __attribute__((vector_size(64)));
 static inline v all(double a) { return (v){0} + a; }
 static inline v kept(v a, m8 live) { return (v)((m8)a & live); }
@@ -20,12 +19,6 @@ static inline v one(m8 is) { return kept(all(1.0), is); }
 #define PAD (((NC + 1 + TILE - 1)/TILE)*TILE) /* columns of the derivatives, then the error */
 #define MOST 256
 @PRODUCTS@
-
-static inline double total(v a) {
-  double s = 0;
-  for (int l = 0; l < 8; l++) s += a[l];
-  return s;
-}
 
 /* Parameters, the part of a sample that is one step, and what depends on them alone. */
 typedef struct {

@@ -1,11 +1,5 @@
 /* Written by gbid for one model structure: see gbid/identify/kernel/linear.py. */
-typedef double v __attribute__((vector_size(64)));
-typedef double u __attribute__((vector_size(64), aligned(8)));
-static inline double total(v a) {
-  double s = 0;
-  for (int l = 0; l < 8; l++) s += a[l];
-  return s;
-}
+@VECTORS@
 #define N @N@
 #define NZ @NZ@
 #define NY @NY@
