@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from gbid.identify.pose import Optimum
 from gbid.identify.problem.assemble import window_length
 from gbid.identify.problem.integration import at_working_point, with_integration_error
 from gbid.identify.problem.nlp import Shooting, extra_notes
+from gbid.identify.problem.solve import TOLERANCES, forces_of_bounds
 from gbid.identify.problem.states import decay_notes, released_states
 from gbid.identify.result import FitResult, FitStatus, StdKind
 from gbid.identify.start.scheduled_start import centre_tie
@@ -24,8 +26,7 @@ from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, Estimate,
 from gbid.structure import kind_of
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
-_NEAR = 1e-6  # largest distance from a bound at which a parameter lies on it, as a part of the parameter's scale
-_NEAR_IN_STD = 1e-3  # the same as a part of its standard deviation
+_NEAR = 1e-2  # of the range between both bounds, farther from which an estimate lies on none, wherever the data push it
 
 
 def judge(optimum: Optimum) -> FitResult:
@@ -131,7 +132,7 @@ def judge(optimum: Optimum) -> FitResult:
             *_notes(optimum, theta, on_bound, spread, trusted if coloured else None),
             *(may_cover_less(spread.models, model.modes(), data.sample_time, n) if coloured else ()),
             *(feedback_notes(data.records, by_record) if coloured and finite else ()),
-            *((FitNote.PREDICTOR_AT_EDGE(_EDGE),) if at_edge else ()),
+            *((FitNote.PREDICTOR_AT_EDGE(_AT_EDGE),) if at_edge else ()),
             *optimum.notes,
             *task.begin.notes,
             *task.states.notes,
@@ -163,28 +164,25 @@ def _uncertainty(
     optimum: Optimum, estimate: Estimate, products: FloatArray, coloured: bool, bootstrap: Bootstrap | None
 ) -> tuple[BoolArray, Covariance]:
     """Return which free parameters lie on a bound, (n_theta,), and the covariance of the others."""
-    theta, free = estimate.theta, optimum.problem.assembly.free
-    lower, upper = np.array([q.lower for q in free], float), np.array([q.upper for q in free], float)
-    nothing = np.full((len(theta), len(theta)), np.nan)
+    n_p = len(estimate.theta)
+    nothing, no_one = np.full((n_p, n_p), np.nan), np.zeros(n_p, bool)
+    none = Covariance(nothing, nothing, np.nan, np.zeros((0, n_p)), np.inf)
 
-    def on_bound(near: FloatArray) -> BoolArray:
-        return np.asarray((theta - lower <= near) | (upper - theta <= near))
-
-    def without(held: BoolArray) -> Covariance:
+    def without(held: BoolArray, **further: Any) -> Covariance:
         try:
-            spread = covariance(estimate, products, held, coloured=coloured, bootstrap=bootstrap)
+            return covariance(estimate, products, held, **further)
         except np.linalg.LinAlgError:
             return none
-        return spread if optimum.reweighted is None else spread.scaled(*optimum.reweighted.factors)
 
-    none = Covariance(nothing, nothing, np.nan, np.zeros((0, len(theta))), np.inf)
-    held = on_bound(_NEAR * estimate.problem.theta_scale)
     if not np.isfinite(products).all():
-        return held, none
-    spread = without(held)
-    pressed = held | on_bound(_NEAR_IN_STD * np.sqrt(np.diag(spread.white)))
-    # the solver stops slightly inside of an active bound
-    return (pressed, without(pressed)) if (pressed != held).any() else (held, spread)
+        return no_one, none
+    force, on_bound = forces_of_bounds(estimate.problem, optimum.solution.unknowns, optimum.problem.box), no_one
+    if force.any():  # a converged fit may have a step of so many standard deviations ahead, without any bound
+        lower, upper = np.array([(q.lower, q.upper) for q in optimum.problem.assembly.free]).T
+        near = np.minimum(estimate.theta - lower, upper - estimate.theta) <= _NEAR * (upper - lower)
+        on_bound = near & (force * np.sqrt(np.diag(without(no_one).white)) > TOLERANCES.rest)
+    spread = without(on_bound, coloured=coloured, bootstrap=bootstrap)
+    return on_bound, spread if optimum.reweighted is None else spread.scaled(*optimum.reweighted.factors)
 
 
 def _by_record(problem: Shooting, errors: list[FloatArray], first_windows: IntArray) -> list[FloatArray]:
@@ -215,7 +213,7 @@ def _origin(optimum: Optimum, name: str) -> str:
 
 # ---- Notes.
 
-_EDGE = (
+_AT_EDGE = (
     "the disturbance gain makes the predictor almost unstable: the record is too short to estimate it; "
     "fix it (fixed=...) or use focus='simulation'"
 )

@@ -234,14 +234,16 @@ def _sparsity(pattern: Pattern) -> ca.Sparsity:
 
 # ---- First-order optimality of a point of the shooting problem, in standard deviations of the estimates.
 #
-# The measure is the length of the Gauss-Newton step that would come next, with the linearised gaps closed and the
-# active bounds kept. It is zero at a stationary point, whatever the Hessian. It does not depend on units or scales.
+# The measure is the length of the Gauss-Newton step that would come next, with the linearised gaps closed and within
+# the bounds. It is zero at a stationary point, whatever the Hessian. It does not depend on units or scales.
 
 Box = tuple[FloatArray, FloatArray]
 """Lower and upper bounds of the unknowns, (n_unknowns,), scaled."""
 _ROUNDING = 1e-12  # of a curvature: for unknowns that the data do not tell
 _UNSEEN = 1e-10  # of the largest curvature
-_AT_BOUND = 1e-4  # scaled
+_AT_BOUND = 1e-4  # scaled; of constraints
+_SPRING = 1e8  # of an unknown's own curvature: half of the digits for the step, half for the force
+_MEETINGS = 10  # rounds in which a step meets further bounds
 
 
 def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: Box) -> float:
@@ -282,12 +284,47 @@ def in_standard_deviations(problem: Shooting, iterate: Iterate, moved: FloatArra
 
 
 def gauss_newton_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box) -> FloatArray:
-    """Return the step (n_unknowns,) from the sparse system of the optimality conditions."""
+    """Return the step (n_unknowns,) from the sparse system of the optimality conditions; it ends at the bounds."""
+    return _bounded_step(problem, iterate, x, box)[0]
+
+
+def forces_of_bounds(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray:
+    """Return the slope of the log-likelihood across the bounds that hold parameters, (n_p,) [1/unit]; else zero.
+
+    A force F holds a parameter with the standard deviation sigma: without its bound it would move on by ``F sigma^2``.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    unknowns : (n_unknowns,) array
+        Its solution, scaled.
+    box : (n_unknowns,) array, (n_unknowns,) array
+        Bounds, scaled.
+    """
+    nothing, iterate = np.zeros(problem.n_theta), problem.at(unknowns)
+    if not (np.isfinite(iterate.gradient).all() and np.isfinite(iterate.hessian).all()):
+        return nothing
+    try:
+        _, inward = _bounded_step(problem, iterate, unknowns, box)
+    except (RuntimeError, ValueError, MatrixRankWarning):  # singular
+        return nothing
+    below = unknowns - box[0] < box[1] - unknowns  # nearer to the lower bound, which presses up
+    outward = np.maximum(np.where(below, inward, -inward)[: problem.n_theta], 0.0)
+    return np.asarray(outward * problem.likelihood_size / problem.theta_scale)
+
+
+def _bounded_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box) -> tuple[FloatArray, FloatArray]:
+    """Return the Gauss-Newton step within the bounds, and the forces of the bounds that it meets, both (n_unknowns,).
+
+    The step is that of the optimality conditions. An unknown that would leave its bounds goes as far as its bound,
+    held there by a stiff spring, whose force is the multiplier of the bound.
+    """
     met, off = _active_rows(problem, iterate, x)
     active, columns = np.nonzero(met)
     n, m = problem.n_unknowns, problem.n_gaps + len(met)
     upper, across = problem.hessian_pattern, problem.jacobian_pattern
-    free = np.concatenate([(x > box[0] + _AT_BOUND) & (x < box[1] - _AT_BOUND), np.ones(m, dtype=bool)])
+    free = np.concatenate([box[0] < box[1], np.ones(m, dtype=bool)])
     # Each unknown in units of its own curvature, each constraint in units of its largest entry.
     beside = upper.rows != upper.columns
     size = np.zeros(n)
@@ -309,15 +346,29 @@ def gauss_newton_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: B
     rows, columns, entries = rows[kept], columns[kept], entries[kept]
     diagonal = np.concatenate([np.where(free[:n], diagonal + _ROUNDING, 1.0), np.full(m, -_ROUNDING)])
     places = np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])
-    matrix = coo_array((np.concatenate([entries, entries, diagonal]), places), shape=(n + m, n + m))
-    matrix.has_canonical_format = True  # each entry once: no search for others
-    matrix = matrix.tocsc()
-    matrix.has_canonical_format = matrix.has_sorted_indices = True  # the factorisation needs no order in a column
     slope = np.concatenate([iterate.gradient * size, np.concatenate([iterate.gaps, off]) / largest])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", MatrixRankWarning)
-        factors = splu(matrix)
-    return np.asarray(size * factors.solve(np.where(free, -slope, 0.0))[:n])
+    slope = np.where(free, -slope, 0.0)
+
+    def solved(spring: FloatArray, target: FloatArray) -> FloatArray:
+        stiff, pulled = np.pad(spring, (0, m)), np.pad(spring * target, (0, m))
+        matrix = coo_array((np.concatenate([entries, entries, diagonal + stiff]), places), shape=(n + m, n + m))
+        matrix.has_canonical_format = True  # each entry once: no search for others
+        matrix = matrix.tocsc()
+        matrix.has_canonical_format = matrix.has_sorted_indices = True  # the factorisation needs no order in a column
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", MatrixRankWarning)
+            return np.asarray(splu(matrix).solve(slope + pulled)[:n])
+
+    spring, target = np.zeros(n), np.zeros(n)
+    step = solved(spring, target)
+    for _ in range(_MEETINGS):
+        end = np.clip(x + size * step, *box)
+        beyond = free[:n] & (spring == 0) & (end != x + size * step)
+        if not beyond.any():
+            break
+        spring[beyond], target[beyond] = _SPRING, (end - x)[beyond] / size[beyond]
+        step = solved(spring, target)
+    return np.where(spring > 0, target, step) * size, spring * (target - step) / size
 
 
 def _active_rows(problem: Shooting, iterate: Iterate, x: FloatArray) -> tuple[FloatArray, FloatArray]:
