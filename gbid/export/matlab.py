@@ -91,6 +91,7 @@ def linear_contents(what: LinearModel | FitResult, units: Mapping[str, str] | No
         "StateName": cell(model.state_names),
         "InputUnit": cell([known.get(name, "") for name in model.input_names]),
         "OutputUnit": cell([known.get(name, "") for name in model.output_names]),
+        "InterSample": cell(model.holds() if model.dt is None else ()),
     }
     if isinstance(what, FitResult):
         contents |= {

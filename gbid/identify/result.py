@@ -182,7 +182,8 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     schedule : Schedule or None
         Terms of the surfaces of a scheduled structure; None for constant parameters.
     model : LinearModel
-        The structure at the estimates, in continuous time; with local parameters, those of the first recording.
+        The structure at the estimates, in continuous time; with local parameters, those of the first recording. It
+        simulates with the inter-sample behaviour of the fit.
     sample_time : float
         Time between samples [s].
     local_names : dict of str to dict
@@ -245,6 +246,11 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     ] = None
 
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("fit", "make the fit anew", 3)
+
+    def __post_init__(self) -> None:
+        """Give the model the inter-sample behaviour of the fit; that of a loop is sampled, and has it already."""
+        if self.model.intersample is None and getattr(self.model, "dt", None) is None:
+            object.__setattr__(self, "model", replace(self.model, intersample=self.options.intersample))
 
     def to_hdf5(self, group: h5py.Group) -> None:
         """Write this fit to the `group`, and whether it succeeded."""

@@ -16,7 +16,7 @@ from gbid.core.arrays import ComplexArray, FloatArray, oscillatory_modes, poles_
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.extras import Pictured, extra_package
-from gbid.core.hdf5 import Stored
+from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
 
 
@@ -68,6 +68,7 @@ class SampledSignals(ABC):
     name: str
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
+    intersample: tuple[Hold, ...] | None
 
     def simulate(
         self,
@@ -75,7 +76,7 @@ class SampledSignals(ABC):
         sample_time: float | None = None,
         *,
         initial_state: npt.ArrayLike | None = None,
-        intersample: str | Sequence[str] = "zoh",
+        intersample: str | Sequence[str] | None = None,
     ) -> FloatArray:
         """Return the response to sampled inputs.
 
@@ -87,8 +88,9 @@ class SampledSignals(ABC):
             Time between samples [s]; a discrete model has its own.
         initial_state : (n_states,) array, optional
             State at the first sample; zero when not given.
-        intersample : {"zoh", "foh"} or sequence of these
-            Inter-sample behaviour of the inputs; for a discrete model it was fixed by its discretisation.
+        intersample : {"zoh", "foh"} or sequence of these, optional
+            Inter-sample behaviour of the inputs; by default that of the model, `intersample`, or else zero-order hold.
+            For a discrete model it was fixed by its discretisation.
 
         Returns
         -------
@@ -102,7 +104,7 @@ class SampledSignals(ABC):
             differs, or when `intersample` is given for a discrete model.
         """
         u = channels(self.name, "inputs", inputs, len(self.input_names))
-        return self._response(u, None, sample_time, initial_state, intersample)
+        return self._response(u, None, sample_time, initial_state, self.holds(intersample))
 
     def predict(
         self,
@@ -111,7 +113,7 @@ class SampledSignals(ABC):
         sample_time: float | None = None,
         *,
         initial_state: npt.ArrayLike | None = None,
-        intersample: str | Sequence[str] = "zoh",
+        intersample: str | Sequence[str] | None = None,
     ) -> FloatArray:
         """Return one-step-ahead predictions of the outputs from measured inputs and outputs (paper, Eq. 10).
 
@@ -127,8 +129,8 @@ class SampledSignals(ABC):
             Time between samples [s]; a discrete model has its own.
         initial_state : (n_states,) array, optional
             State at the first sample; zero when not given.
-        intersample : {"zoh", "foh"} or sequence of these
-            Inter-sample behaviour of the inputs.
+        intersample : {"zoh", "foh"} or sequence of these, optional
+            Inter-sample behaviour of the inputs; by default as for `simulate`.
 
         Returns
         -------
@@ -142,11 +144,27 @@ class SampledSignals(ABC):
         """
         u = channels(self.name, "inputs", inputs, len(self.input_names))
         y = channels(self.name, "outputs", outputs, len(self.output_names), len(u))
-        return self._response(u, y, sample_time, initial_state, intersample)
+        return self._response(u, y, sample_time, initial_state, self.holds(intersample))
+
+    def holds(self, intersample: str | Sequence[str] | None = None) -> tuple[Hold, ...]:
+        """Return the inter-sample behaviour of each input: the one given, else the model's own, else zero-order hold.
+
+        Raises
+        ------
+        UsageError
+            When a name is unknown, or when the sequence has the wrong length.
+        """
+        chosen = self.intersample if intersample is None else intersample
+        return check_holds("zoh" if chosen is None else chosen, len(self.input_names))
 
     @abstractmethod
     def _response(
-        self, u: FloatArray, y: FloatArray | None, sample_time: float | None, initial_state: Any, intersample: Any
+        self,
+        u: FloatArray,
+        y: FloatArray | None,
+        sample_time: float | None,
+        initial_state: Any,
+        holds: tuple[Hold, ...],
     ) -> FloatArray:
         """Return the outputs of a simulation, or with measured outputs their one-step-ahead predictions."""
 
@@ -180,6 +198,9 @@ class LinearModel(SampledSignals, Brief, Pictured):
         Input matrix of the delayed inputs: ``xd = A x + B u + B_delayed u(t - delay)``.
     delay : (n_inputs,) array, optional
         Exact input delays [s]; continuous time only.
+    intersample : sequence of {"zoh", "foh"}, optional
+        Inter-sample behaviour of each input that simulations and `discretise` assume unless told otherwise; continuous
+        time only. The model of a fit has that of the fit.
 
     Raises
     ------
@@ -199,6 +220,7 @@ class LinearModel(SampledSignals, Brief, Pictured):
     name: str = "model"
     B_delayed: Annotated[FloatArray | None, Stored("SI", "B_delayed of the model")] = None
     delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
+    intersample: Annotated[tuple[Hold, ...] | None, NOT_STORED] = None
 
     def __post_init__(self) -> None:
         if self.dt is not None:
@@ -219,6 +241,10 @@ class LinearModel(SampledSignals, Brief, Pictured):
             raise UsageError(f"model {self.name!r}: give both delay and B_delayed, or neither")
         if "delay" in values and self.dt is not None:
             raise UsageError(f"model {self.name!r}: exact delays are possible in continuous time only")
+        if self.intersample is not None:
+            if self.dt is not None:
+                raise UsageError(f"model {self.name!r} is discrete: intersample is for continuous time only")
+            values["intersample"] = check_holds(self.intersample, n_u)
         if (values.get("delay", np.zeros(0)) < 0).any():
             raise UsageError(f"model {self.name!r}: delay = {values['delay'].tolist()} s; delays cannot be negative")
         for field, count, letter in (("input_names", n_u, "u"), ("output_names", n_y, "y"), ("state_names", n, "x")):
@@ -333,13 +359,21 @@ class LinearModel(SampledSignals, Brief, Pictured):
             raise UsageError(f"model {self.name!r} has a pole at one of the given frequencies") from None
         return np.asarray(self.C @ states + self.D)
 
-    def discretise(self, sample_time: float) -> LinearModel:
-        """Return the discrete-time model for zero-order hold of inputs and disturbance.
+    def discretise(self, sample_time: float, *, intersample: str | Sequence[str] | None = None) -> LinearModel:
+        """Return the discrete-time model, with zero-order hold of the disturbance.
 
         Parameters
         ----------
         sample_time : float
             Sample time [s].
+        intersample : {"zoh", "foh"} or sequence of these, optional
+            Inter-sample behaviour of the inputs; by default as for `simulate`. A plant behind a digital controller has
+            zero-order hold.
+
+        Notes
+        -----
+        With first-order hold, ``x[k+1] = F x[k] + G u[k] + H u[k+1]``, the state is ``x - H u``, and the feedthrough
+        ``D + C H`` (Franklin, Powell and Workman, Digital Control of Dynamic Systems, Sec. 6.3.2).
 
         Raises
         ------
@@ -355,21 +389,30 @@ class LinearModel(SampledSignals, Brief, Pictured):
             )
         check_sample_time(self.name, sample_time)
         B = self.B if self.K is None else np.hstack([self.B, self.K])
-        F, G, _ = discretise(np.array(self.A), B, sample_time, "zoh")
         n_u = self.B.shape[1]
-        return replace(self, A=F, B=G[:, :n_u], K=None if self.K is None else G[:, n_u:], dt=sample_time)
+        holds = [*self.holds(intersample), *["zoh"] * (B.shape[1] - n_u)]
+        F, now, following = discretise(np.array(self.A), B, sample_time, holds)
+        G, K, H = now[:, :n_u], now[:, n_u:], following[:, :n_u]
+        gain = None if self.K is None else K
+        sampled = {"A": F, "B": G + F @ H, "D": self.D + self.C @ H, "K": gain}
+        return replace(self, **sampled, dt=sample_time, intersample=None)
 
     def _response(
-        self, u: FloatArray, y: FloatArray | None, sample_time: float | None, initial_state: Any, intersample: Any
+        self,
+        u: FloatArray,
+        y: FloatArray | None,
+        sample_time: float | None,
+        initial_state: Any,
+        holds: tuple[Hold, ...],
     ) -> FloatArray:
         """Return the outputs of the recursion ``x[k+1] = F x[k] + f[k]``; see `SampledSignals`."""
         if self.dt is None:
             sample_time = check_sample_time(self.name, sample_time)
-            F, now, following = discretise(np.array(self.A), np.array(self.B), sample_time, intersample)
+            F, now, following = discretise(np.array(self.A), np.array(self.B), sample_time, holds)
         else:
             if sample_time is not None and not np.isclose(sample_time, self.dt, rtol=1e-9):
                 raise UsageError(f"model {self.name!r} has sample time {self.dt} s, not {sample_time} s")
-            if any(hold != "zoh" for hold in check_holds(intersample, self.B.shape[1])):
+            if any(hold != "zoh" for hold in holds):
                 raise UsageError(f"model {self.name!r} is discrete: its inputs cannot be interpolated")
             F, now, following = self.A, self.B, np.zeros_like(self.B)
         x0 = np.zeros(len(self.A)) if initial_state is None else np.asarray(initial_state, float)
@@ -378,7 +421,7 @@ class LinearModel(SampledSignals, Brief, Pictured):
         forcing = u @ now.T
         forcing[:-1] += u[1:] @ following.T
         if self.delay is not None and sample_time is not None:
-            forcing += self._delayed_forcing(u, sample_time, check_holds(intersample, u.shape[1]))
+            forcing += self._delayed_forcing(u, sample_time, holds)
         if y is not None and self.K is not None:
             gain = np.array(self.K)
             if self.dt is None and sample_time is not None:

@@ -15,9 +15,9 @@ from annotated_types import Ge, Le
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import NoValueAtStartError, UsageError
-from gbid.core.hdf5 import Stored
+from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.option_types import Allowed, Exact, check_options
-from gbid.discretise import Hold, IntegratorName, check_holds, one_step, step_inputs
+from gbid.discretise import Hold, IntegratorName, one_step, step_inputs
 from gbid.structure.linear import as_names, in_one_line
 from gbid.structure.models import LinearModel, SampledSignals, check_sample_time
 from gbid.structure.parameter import Parameter, Values, as_vector, once, set_fields
@@ -374,6 +374,8 @@ class NonlinearModel(SampledSignals, Brief):
         Steps of the integrator in a sample.
     delay : (n_inputs,) array or None
         Exact delays of the inputs [s]; None without them.
+    intersample : tuple of {"zoh", "foh"} or None
+        Inter-sample behaviour of each input that simulations assume unless told otherwise: that of the fit.
     """
 
     name: str
@@ -389,6 +391,7 @@ class NonlinearModel(SampledSignals, Brief):
     integrator: IntegratorName = "rk4"
     steps: int = 1
     delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
+    intersample: Annotated[tuple[Hold, ...] | None, NOT_STORED] = None
 
     def _brief(self) -> Description:
         return brief(
@@ -484,6 +487,7 @@ class NonlinearModel(SampledSignals, Brief):
             state_names=self.state_names,
             B_delayed=None if self.delay is None else np.where(delays > 0, B, 0.0),
             delay=self.delay,
+            intersample=self.intersample,
         )
 
     def modes(self) -> list[tuple[float, float]]:
@@ -495,14 +499,19 @@ class NonlinearModel(SampledSignals, Brief):
         return self.linearise().static_gain()
 
     def _response(
-        self, u: FloatArray, y: FloatArray | None, sample_time: float | None, initial_state: Any, intersample: Any
+        self,
+        u: FloatArray,
+        y: FloatArray | None,
+        sample_time: float | None,
+        initial_state: Any,
+        holds: tuple[Hold, ...],
     ) -> FloatArray:
         """Return the outputs of `step_function`, some samples at a time: more would take memory."""
         h, (n, n_u) = check_sample_time(self.name, sample_time), u.shape
         shift = np.zeros(n_u, int) if self.delay is None else np.floor(self.delay / h).astype(int)
         rows = np.arange(n)[:, None, None] - shift[:, None] + [1, 0, -1]  # (n_samples, n_inputs, 3)
         around = u[np.clip(rows, 0, n - 1), np.arange(n_u)[:, None]]
-        step = self._step(check_holds(intersample, n_u), feeds_back=y is not None)
+        step = self._step(holds, feeds_back=y is not None)
         start = np.zeros(self.n_states) if initial_state is None else initial_state
         x = self._sized("initial_state", start, self.n_states)
         y = np.zeros((n, len(self.output_names))) if y is None else y

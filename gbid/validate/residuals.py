@@ -205,11 +205,11 @@ def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple
     """Return the outputs without their disturbances, and their predictions."""
     u = select(recording, result.options.inputs)[0][stretch]
     y = select(recording, result.options.outputs)[0][stretch]
-    model, between = result.model, result.options.intersample
+    model = result.model
     overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     with np.errstate(over="ignore", invalid="ignore"):
         disturbances = result.disturbances
-        fitted = simulator_of(model, recording.sample_time, between, disturbances)
+        fitted = simulator_of(model, recording.sample_time, disturbances=disturbances)
         if isinstance(fitted, NonlinearSimulator) and result.options.focus == "prediction":
             fitted = replace(
                 fitted, predicts=bool(fitted.model.K.any()) and not disturbances.instead_of_walks(1).n_columns
@@ -222,7 +222,7 @@ def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple
         if result.options.focus == "prediction":
             model = disturbances.with_walks_as_states(model, result.parameters)
             state = np.concatenate([state, np.zeros(len(disturbances.walking))])
-            predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
+            predicted = model.predict(u, y, recording.sample_time, initial_state=state)
     if not np.isfinite(predicted).all():
         raise overflow
     return y, predicted

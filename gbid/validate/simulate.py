@@ -85,8 +85,8 @@ class Simulator:
         The model.
     sample_time : float
         Time between samples [s].
-    intersample : {"zoh", "foh"} or sequence of these
-        Inter-sample behaviour of the inputs.
+    intersample : {"zoh", "foh"} or sequence of these, optional
+        Inter-sample behaviour of the inputs; by default that of the model.
     disturbances : Disturbances
         Trends and hum of the outputs, estimated together with the initial state. A random walk counts as an offset.
     name : str
@@ -95,7 +95,7 @@ class Simulator:
 
     model: Any
     sample_time: float
-    intersample: str | Sequence[str] = "zoh"
+    intersample: str | Sequence[str] | None = None
     disturbances: Disturbances = UNDISTURBED
     name: str = "model"
 
@@ -227,7 +227,7 @@ def estimate_initial_state(
     inputs: FloatArray,
     outputs: FloatArray,
     sample_time: float,
-    intersample: str | Sequence[str] = "zoh",
+    intersample: str | Sequence[str] | None = None,
     *,
     disturbances: Disturbances = UNDISTURBED,
     counted: BoolArray | None = None,
@@ -244,8 +244,8 @@ def estimate_initial_state(
         Measured outputs.
     sample_time : float
         Time between samples [s].
-    intersample : {"zoh", "foh"} or sequence of these
-        Inter-sample behaviour of the inputs.
+    intersample : {"zoh", "foh"} or sequence of these, optional
+        Inter-sample behaviour of the inputs; by default that of the model.
     disturbances : Disturbances
         Trends and hum of the outputs, estimated together with the state.
     counted : (n_samples,) array of bool, optional
@@ -260,11 +260,11 @@ def estimate_initial_state(
     return fitted.explain(np.transpose(inputs), np.transpose(outputs), counted).initial_state
 
 
-def _modes(model: LinearModel, sample_time: float, intersample: str | Sequence[str]) -> Modes | None:
+def _modes(model: LinearModel, sample_time: float, intersample: str | Sequence[str] | None) -> Modes | None:
     """Return the modes of a sampled model; None when its eigenvectors are ill-conditioned or inputs are delayed."""
     if model.delay is not None:
         return None
-    F, now, following = discretise(np.array(model.A), np.array(model.B), sample_time, intersample)
+    F, now, following = discretise(np.array(model.A), np.array(model.B), sample_time, model.holds(intersample))
     if not np.isfinite(F).all():
         return None
     poles, vectors = np.linalg.eig(F)
@@ -371,7 +371,7 @@ def _lengths(counted: BoolArray, n_states: int) -> list[int]:
 def simulator_of(
     model: Any,
     sample_time: float,
-    intersample: str | Sequence[str] = "zoh",
+    intersample: str | Sequence[str] | None = None,
     disturbances: Disturbances = UNDISTURBED,
     name: str = "model",
 ) -> Simulator:
@@ -394,9 +394,7 @@ def refuse_scheduled(result: FitResult) -> None:
 def simulator(result: FitResult) -> Simulator:
     """Return a fitted model prepared for the simulation on many recordings."""
     refuse_scheduled(result)
-    return simulator_of(
-        result.model, result.sample_time, result.options.intersample, result.disturbances, ", ".join(result.recordings)
-    )
+    return simulator_of(result.model, result.sample_time, None, result.disturbances, ", ".join(result.recordings))
 
 
 # ---- Signals of a recording on which models are validated, and the samples that count.

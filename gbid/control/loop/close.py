@@ -282,7 +282,7 @@ def sample_controller(controller: LinearModel, sample_time: float, method: Metho
         When the method is unknown, when the controller is sampled already, or when the sample time is not positive.
     """
     if method == "zoh":
-        return controller.discretise(sample_time)
+        return controller.discretise(sample_time, intersample="zoh")
     if method != "tustin":
         raise UsageError(f"method = {method!r}; choose 'tustin' or 'zoh'")
     if controller.dt is not None:
@@ -296,7 +296,7 @@ def sample_controller(controller: LinearModel, sample_time: float, method: Metho
     C = np.linalg.solve((eye - h / 2 * A).T, controller.C.T).T
     D = controller.D + C @ controller.B * (h / 2)
     A, B, C, D = (np.asarray(matrix, np.float64) for matrix in (F, G, C, D))
-    return replace(controller, A=A, B=B, C=C, D=D, K=None, dt=h)
+    return replace(controller, A=A, B=B, C=C, D=D, K=None, dt=h, intersample=None)
 
 
 def _with_registers(
