@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid.core.arrays import BoolArray, FloatArray, is_whole
 from gbid.core.brief import Brief, Description, brief
-from gbid.core.errors import DataError, NoValueAtStartError, UsageError
+from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.notes import FitNote
 from gbid.identify.fit import fitted
 from gbid.identify.options import FitArguments
@@ -57,7 +57,8 @@ class MultiStart(Brief):
         did not converge.
     losses : (n_starts,) array
         Losses in the order of the starts: the structure's own, the one from the data unless the structure's own was
-        found there, random ones. It is nan for a start that overflowed or where the equations have no finite value.
+        found there, random ones. It is nan for a start that overflowed or failed, as where the equations have no finite
+        value.
     converged : (n_starts,) boolean array
         Whether each fit converged.
     same_optimum : int
@@ -149,13 +150,13 @@ def fit_multistart(
             half = reach * (abs(centre) if centre else 1.0)
             low, high = (lower, upper) if np.isfinite([lower, upper]).all() else (centre - half, centre + half)
             drawn[q.name] = float(np.clip(rng.uniform(low, high), lower, upper))
-        with suppress(NoValueAtStartError):
+        with suppress(GbidError):  # of this start alone: the first fit took the same options and recordings
             results[number] = fitted(structure, recordings, replace(arguments, start=drawn))
     return _summary(results, starts, seed)
 
 
 def _summary(results: Mapping[int, FitResult], starts: int, seed: int) -> MultiStart:
-    """Return the results of numbered starts; those that are missing had no finite value."""
+    """Return the results of numbered starts; those that are missing failed."""
     losses = np.array([results[i].loss if i in results else np.nan for i in range(starts)])
     converged = np.array([i in results and results[i].success for i in range(starts)])
     finite = np.isfinite(losses)

@@ -491,8 +491,14 @@ class NonlinearModel(SampledSignals, Brief):
         )
 
     def modes(self) -> list[tuple[float, float]]:
-        """Return the modes of the linear model at the working point; see `LinearModel.modes`."""
-        return self.linearise().modes()
+        """Return the modes of the linear model at the working point; see `LinearModel.modes`.
+
+        There are none where the derivatives are not finite, as in a fit that diverged.
+        """
+        try:
+            return self.linearise().modes()
+        except UsageError:
+            return []
 
     def static_gain(self) -> FloatArray:
         """Return the static gain of the linear model at the working point; see `LinearModel.static_gain`."""

@@ -3,15 +3,17 @@
 from dataclasses import replace
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 import pytest
 from fit_cases import MODE, MODE_AT, H, levels, simulated
+from scipy.integrate import solve_ivp
 
 from gbid.core.errors import DataError, UsageError
 from gbid.identify import FitStatus, fit, fit_multistart, load_fit, save_fit
 from gbid.identify.fit import fitted
 from gbid.recording import Recording
-from gbid.structure import LinearStructure, Parameter, evaluate
+from gbid.structure import LinearStructure, NonlinearStructure, Parameter, evaluate
 
 # One mode whose frequency is bounded widely: its cost has a dip at each multiple that the input excites.
 WIDE = LinearStructure(
@@ -179,6 +181,46 @@ def test_starts_that_fail_are_counted_as_such():
     assert not found.converged.all()
     assert found.converged[0]
     assert np.isfinite(found.spread)
+
+
+TANK = NonlinearStructure(
+    "tank",
+    [Parameter("inflow", 0.25), Parameter("outflow", 0.25)],
+    ["level"],
+    lambda x, u, p: p["inflow"] * u[0] - p["outflow"] * ca.sqrt(x[0]),
+    lambda x, u, p: x[0],
+    ["u"],
+    ["y"],
+)
+
+
+@pytest.fixture(scope="module")
+def filling():
+    """The level of a tank by the integrator of scipy."""
+    rng, n, h, x = np.random.default_rng(0), 400, 0.5, np.array([1.0])
+    u, y = np.repeat(rng.uniform(0.5, 1.5, n // 10), 10), np.empty(n)
+    for i in range(n):
+        y[i] = x[0]
+        x = solve_ivp(lambda _, z, u=u[i]: 0.3 * u - 0.3 * np.sqrt(z), (0, h), x, rtol=1e-9, atol=1e-11).y[:, -1]
+    return Recording({"u": u[:, None], "y": (y + 0.005 * rng.standard_normal(n))[:, None]}, h, name="filling")
+
+
+def test_a_start_that_empties_the_tank_costs_no_other_start(filling):
+    """Below an empty tank the root has no value, and at its level of zero no slope for a linear model."""
+    found = fit_multistart(TANK, filling, starts=6, seed=1, reach=3.0, window=None, focus="simulation")
+    assert found.converged[0]
+    assert np.isnan(found.losses).any()
+    assert not found.converged[np.isnan(found.losses)].any()
+    assert found.same_optimum >= 2
+    for name in ("inflow", "outflow"):
+        assert abs(found.best.parameters[name] - 0.3) < 4 * found.best.std[name]
+
+
+def test_a_nonlinear_fit_that_diverges_is_a_status(filling):
+    result = fit(TANK, filling, focus="simulation", window=None, start={"inflow": -0.5, "outflow": 0.3})
+    assert result.status is FitStatus.OVERFLOW
+    assert result.model.modes() == []
+    assert "overflows" in repr(result)
 
 
 def test_local_parameters_can_be_started_anew():
