@@ -178,8 +178,6 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
         unknown = [key for key in options if key not in known]
         if unknown:
             raise UsageError(f"{spec.structure} has no option {unknown[0]}; {nearest(unknown[0], known)}", "options")
-        if options.get("delay") == "exact" and "pade_order" in options:
-            raise UsageError("option pade_order is for delay: pade; remove one of the two", "options")
         with about("options"):
             return build(**options)
     if ":" not in spec.structure:

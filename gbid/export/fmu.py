@@ -99,8 +99,8 @@ def unit_equations(
     """
     if not model.actuators:
         raise UsageError(f"model {model.name!r} has no actuators; give them in its file under 'actuators'")
-    order = model.pade_order if pade_order is None else pade_order
-    plant = Plant(RotorBearing(order, delay=delay, disturbance_gain="none"), PiezoPair(), outputs=("u", "p"))
+    order = None if delay == "exact" else model.pade_order if pade_order is None else pade_order
+    plant = Plant(RotorBearing(order, disturbance_gain="none"), PiezoPair(), outputs=("u", "p"))
     every, matrices = symbolic_matrices(plant)
     key = ca.SX.sym("key", len(KEY_PARAMETERS))
     known: dict[str, float | ca.SX] = {**model.actuators, **dict(zip(KEY_PARAMETERS, ca.vertsplit(key), strict=True))}

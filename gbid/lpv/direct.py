@@ -505,7 +505,7 @@ class DirectOptions:
     Attributes
     ----------
     structure : Structure or dict of str to Structure, optional
-        By default `RotorBearing` with the Pade order of the model. Other choices are one with exact delays, or a
+        By default `RotorBearing`, with exact delays. Other choices are one with Pade filters, or a
         `Plant`, whose actuators are then shared by all recordings. Each recording has its own disturbance gains.
         A dict gives recordings structures of their own, by name; the others have the default. So recordings in open
         and in closed loop determine the same surfaces. The structures explain the same outputs, from inputs of their
@@ -566,7 +566,7 @@ def fit_lpv_direct(recordings: Sequence[Recording], start: LPVFit | LPVModel, op
         few operating points; or when a delay of the start is negative at an operating point.
     """
     model = start.model if isinstance(start, LPVFit) else start
-    structures = _structures_of(recordings, options.structure, RotorBearing(pade_order=model.pade_order))
+    structures = _structures_of(recordings, options.structure, RotorBearing())
     if nonlinear := [each.name for each in structures if kind_of(equations_of(each)).nonlinear]:
         raise UsageError(
             f"structure {nonlinear[0]!r} is nonlinear: surfaces straight from the recordings are for linear "

@@ -53,6 +53,7 @@ from gbid.lpv.regression import (
     with_covariance,
 )
 from gbid.structure import KEY_PARAMETERS
+from gbid.structure.built_in import EXACT_AS_PADE
 from gbid.structure.linear import Structure, as_names
 from gbid.structure.scheduling import term_name
 
@@ -272,7 +273,7 @@ def fit_lpv(
     order: Order = 2,
     robust: bool = False,
     actuators: Mapping[str, float] | None = None,
-    pade_order: int = 1,
+    pade_order: int = EXACT_AS_PADE,
     name: str = "lpv",
     title: str = "",
     source: str = "",
@@ -312,7 +313,8 @@ def fit_lpv(
     actuators : dict of str to float, optional
         Actuator parameters to store in the model of a gas bearing.
     pade_order : int
-        Order of the delays of the model of a gas bearing, equal to that of the fitted structure.
+        Order of the Pade filters of the model of a gas bearing: that of the fitted structure, or 3 in place of exact
+        delays.
     name, title, source : str
         Texts for the model.
 

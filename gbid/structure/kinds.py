@@ -237,7 +237,8 @@ def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
     bearing : RotorBearing
         The bearing, with ``film="stiffening"``.
     """
-    exact = bearing.delay == "exact"
+    order = bearing.pade_order
+    exact = order is None
 
     def dynamics(x: Any, u: Any, p: Values) -> Any:
         linear = bearing.matrices(p)
@@ -245,7 +246,7 @@ def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
         drive = linear["B"] + linear["B_delayed"] if exact else linear["B"]
         return linear["A"] @ x + drive @ u + ca.vertcat(ca.SX(2, 1), film, ca.SX(x.numel() - 4, 1))
 
-    filters = [] if exact else [f"late_{axis}{i}" for axis in AXES for i in range(bearing.pade_order)]
+    filters = [f"late_{axis}{i}" for axis in AXES for i in range(order or 0)]
     return NonlinearStructure(
         bearing.name,
         bearing.parameters,

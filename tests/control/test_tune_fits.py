@@ -32,7 +32,7 @@ def surfaces() -> LPVFit:
 
 
 def test_fits_of_two_recordings_share_a_design() -> None:
-    structure = gbid.Plant(gbid.RotorBearing(disturbance_gain="none"), gbid.PiezoPair(), outputs="p")
+    structure = gbid.Plant(gbid.RotorBearing(1, disturbance_gain="none"), gbid.PiezoPair(), outputs="p")  # as the model
     r = 4.5e-6 * np.random.default_rng(0).choice([-1.0, 1.0], (40, 2)).repeat(20, axis=0)
     fits = []
     for pressure in (5.0, 6.0):

@@ -268,8 +268,16 @@ def test_rotor_bearing_with_exact_delays():
 
 
 def test_wrong_words_for_a_delay_are_refused():
-    with pytest.raises(UsageError, match="delay = 'none'; choose 'pade' or 'exact'"):
+    with pytest.raises(UsageError, match="delay = 'none'; choose 'exact' or 'pade'"):
         RotorBearing(delay="none")
+    with pytest.raises(UsageError, match="pade_order is for delay = 'pade'; exact delays have no order"):
+        RotorBearing(delay="exact", pade_order=2)
+
+
+def test_delays_are_exact_unless_an_order_is_given():
+    assert RotorBearing() == RotorBearing(delay="exact")
+    assert Plant().bearing.delay == "exact"
+    assert RotorBearing(delay="pade") == RotorBearing(pade_order=1) != RotorBearing(pade_order=2)
 
 
 LAG = LinearStructure(

@@ -165,13 +165,13 @@ def test_states_that_are_soon_forgotten_begin_at_rest():
     corner, none = 2000.0 * np.eye(2), np.zeros((2, 2))
     low_pass = LinearModel(-corner, corner, 0.3 * np.eye(2), none, name="low-pass")
     integral = LinearModel(none, np.eye(2), np.eye(2), none, name="integral")
-    exact = gbid.RotorBearing(delay="exact")
+    exact, paper = gbid.RotorBearing(), gbid.RotorBearing(pade_order=1)
     at_rest = {
         "exact, u and p": gbid.ClosedLoop(gbid.Plant(exact), low_pass),  # 4 + 4 late + 4, 6 of delays, 2
         "exact, p": gbid.ClosedLoop(gbid.Plant(exact, outputs=("p",)), low_pass),  # 4 late + 4, 6, 2
         "exact, p, integral": gbid.ClosedLoop(gbid.Plant(exact, outputs=("p",)), integral),
-        "Pade, p": gbid.ClosedLoop(gbid.Plant(outputs=("p",)), low_pass),  # 4 + 4 + 2 of delays, 2
-        "Pade": gbid.ClosedLoop(gbid.Plant(), low_pass),
+        "Pade, p": gbid.ClosedLoop(gbid.Plant(paper, outputs=("p",)), low_pass),  # 4 + 4 + 2 of delays, 2
+        "Pade": gbid.ClosedLoop(gbid.Plant(paper), low_pass),
     }
     assert {name: list(loop.forgotten_states) for name, loop in at_rest.items()} == {
         "exact, u and p": [4, 5, 6, 7, *range(12, 18)],

@@ -78,7 +78,7 @@ def exact_plant(lpv: LPVModel, pressure_bar: float, speed_rpm: float) -> LinearM
 
 def exact_plant_of(values: Mapping[str, float]) -> LinearModel:
     """Plant from r to p with exact delays, from the parameters of actuators and bearing."""
-    structure = Plant(RotorBearing(delay="exact", disturbance_gain="none"), PiezoPair(), outputs=("p",))
+    structure = Plant(RotorBearing(disturbance_gain="none"), PiezoPair(), outputs=("p",))
     return evaluate(structure, values, ("r_x", "r_y"), ("p_x", "p_y"))
 
 
