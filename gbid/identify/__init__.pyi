@@ -34,11 +34,6 @@ from .table import (
     save_table as save_table,
     tabulate as tabulate,
 )
-from .uncertainty.coloured import (
-    Whiteness as Whiteness,
-    correlation as correlation,
-    whiteness_test as whiteness_test,
-)
 from .uncertainty.curves import (
     Bode as Bode,
     PoleZero as PoleZero,
@@ -46,6 +41,11 @@ from .uncertainty.curves import (
     bode as bode,
     pole_zero as pole_zero,
     time_response as time_response,
+)
+from .uncertainty.residual_tests import (
+    Whiteness as Whiteness,
+    correlation as correlation,
+    whiteness_test as whiteness_test,
 )
 from .uncertainty.spectra import (
     DelayEstimate as DelayEstimate,

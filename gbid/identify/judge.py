@@ -21,8 +21,9 @@ from gbid.identify.problem.solve import TOLERANCES, forces_of_bounds
 from gbid.identify.problem.states import decay_notes, released_states
 from gbid.identify.result import FitResult, FitStatus, StdKind
 from gbid.identify.start.scheduled_start import centre_tie
-from gbid.identify.uncertainty.coloured import Bootstrap, ErrorModel, whiteness_test
+from gbid.identify.uncertainty.coloured import Bootstrap, ErrorModel
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, Estimate, covariance, model_spreads
+from gbid.identify.uncertainty.residual_tests import whiteness_test
 from gbid.structure import kind_of
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs

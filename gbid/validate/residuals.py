@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import toeplitz
-from scipy.special import chdtrc, ndtri
+from scipy.special import ndtri
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import Pictured
 from gbid.identify import FitResult, correlation, select, whiteness_test
+from gbid.identify.uncertainty.residual_tests import FOLLOWS, input_test
 from gbid.prefilter.runout import turns_per_second
 from gbid.prefilter.runout_identification import power_of
 from gbid.recording import Recording
@@ -105,7 +105,7 @@ class ResidualTest(Brief, Pictured):
     def follows(self) -> tuple[tuple[str, ...], ...]:
         """Inputs that are correlated with the residuals of each output."""
         return tuple(
-            tuple(name for name, p in zip(self.input_names, row, strict=True) if p < 1 - _LEVEL)
+            tuple(name for name, p in zip(self.input_names, row, strict=True) if p < FOLLOWS)
             for row in self.p_independent
         )
 
@@ -166,32 +166,25 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     y, predicted = _predicted(result, recording, stretch)
     error = y - predicted
     e, v = error - error.mean(0), u - u.mean(0)
-    n, n_y, n_u = len(e), e.shape[1], v.shape[1]
+    n, pairs = len(e), list(np.ndindex(e.shape[1], v.shape[1]))
     quantile = float(ndtri(0.5 + _LEVEL / 2))
-    auto = np.array([correlation(e[:, j], e[:, j], lags) for j in range(n_y)])
-    cross = np.zeros((n_y, n_u, 2 * lags + 1))
-    band, independent = np.zeros((n_y, n_u)), np.zeros((n_y, n_u))
-    for j in range(n_y):
-        for i in range(n_u):
-            ahead = correlation(v[:, i], e[:, j], lags)
-            behind = correlation(e[:, j], v[:, i], lags)
-            cross[j, i] = np.concatenate([behind[:0:-1], ahead])
-            variance = _bartlett(e[:, j], v[:, i], lags)
-            band[j, i] = quantile * np.sqrt(variance[0] / n)
-            independent[j, i] = _independent(ahead, variance, n)
+    test = input_test(error, u, lags)
+    before = np.array([correlation(e[:, j], v[:, i], lags)[:0:-1] for j, i in pairs])
+    cross = np.concatenate([before.reshape(*test.statistic.shape, lags), test.correlation], axis=2)
+    band = quantile * np.sqrt(test.variance[:, :, 0] / n)
     outside = (np.abs(cross[:, :, lags:]) > band[:, :, None]).mean(axis=2)
     white = whiteness_test([error])
     return ResidualTest(
         recording=recording.name,
         lags=np.arange(lags + 1),
         time=recording.time[: lags + 1],
-        autocorrelation=auto,
+        autocorrelation=np.array([correlation(channel, channel, lags) for channel in e.T]),
         band=quantile / float(np.sqrt(n)),
         cross_lags=np.arange(-lags, lags + 1),
         crosscorrelation=cross,
         cross_band=band,
         p_white=white.p_value,
-        p_independent=independent,
+        p_independent=test.p_value,
         outside=outside,
         infinity_norm=np.abs(error).max(axis=0),
         rms=np.sqrt((error**2).mean(axis=0)),
@@ -235,27 +228,6 @@ def _longest(counted: BoolArray | None, n: int) -> slice:
     edges = np.flatnonzero(np.diff(counted, prepend=False, append=False)).reshape(-1, 2)
     start, stop = edges[np.argmax(edges[:, 1] - edges[:, 0])].tolist()
     return slice(start, stop)
-
-
-def _bartlett(residual: FloatArray, source: FloatArray, lags: int) -> FloatArray:
-    """Return n times the covariance of cross-correlations at lags 0, 1, ... `lags` apart, for independent signals.
-
-    It is ``sum_l rho_e(l) rho_u(l + k)`` (Bartlett), with a triangular window on the autocorrelation of the
-    residuals. The window reduces the noise of long lags and keeps the covariance positive.
-    """
-    most = 2 * lags
-    of_residual = correlation(residual, residual, most) * (1 - np.arange(most + 1) / (most + 1))
-    of_source = correlation(source, source, most + lags)
-    both = np.concatenate([of_residual[:0:-1], of_residual])
-    return np.array([both @ of_source[np.abs(np.arange(-most, most + 1) + k)] for k in range(lags + 1)])
-
-
-def _independent(cross: FloatArray, variance: FloatArray, n: int) -> float:
-    """Return the p-value of the correlations at all lags together."""
-    values, vectors = np.linalg.eigh(toeplitz(variance))
-    kept = values > 1e-6 * values[-1]
-    statistic = n * float(((vectors[:, kept].T @ cross) ** 2 / values[kept]).sum())
-    return float(chdtrc(int(kept.sum()), statistic))
 
 
 # ---- Lines of the shaft in the residuals of a fit: run-out that the prefilter left.

@@ -1,4 +1,4 @@
-"""Coloured residuals: their autoregressive model, the covariance of the gradient, bootstrap, test of whiteness."""
+"""Coloured residuals: their autoregressive model, the covariance of the gradient, bootstrap."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cho_factor, eigh, solve_triangular
-from scipy.special import chdtrc
 
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from gbid.identify.data import column_means
 from gbid.identify.predictor import PredictorValues
 
 _LONGEST = 150  # largest order of the model
@@ -530,81 +528,3 @@ def _drawn(root: FloatArray, t: Transform, random: np.random.Generator) -> Float
     white = rfft(random.normal(size=(t.size, root.shape[-1])), axis=0)
     e = irfft(np.einsum("fab,fb->fa", root, white), t.size, axis=0)[: len(t.errors)]
     return np.asarray(e * t.counted[:, None])
-
-
-# ---- Whiteness test of residuals.
-
-LAGS = 25
-"""Number of lags of the test."""
-_FEW = 64  # largest number of lags for which products are faster than transforms
-
-
-class Whiteness(NamedTuple):
-    """Result of the portmanteau test of residuals (Ljung and Box, 1978).
-
-    Attributes
-    ----------
-    statistic : (n_y,) array
-        Test statistic of each output.
-    p_value : (n_y,) array
-        Probability of a larger statistic for white residuals.
-    lags : int
-        Number of lags.
-    """
-
-    statistic: FloatArray
-    p_value: FloatArray
-    lags: int
-
-
-def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
-    """Return the correlation of two signals, ``sum_k a[k] b[k+l] / sqrt(sum a^2 sum b^2)``, for lags 0 to `lags`.
-
-    Parameters
-    ----------
-    first, second : (n_samples,) array
-        Signals; their means are not removed.
-    lags : int
-        Largest lag.
-
-    Returns
-    -------
-    (lags + 1,) array
-        Correlation at each lag.
-    """
-    alike = first is second
-    first = np.ascontiguousarray(first)
-    second = first if alike else np.ascontiguousarray(second)
-    if lags <= _FEW:
-        size = len(first)
-        product = np.array([first[: size - lag] @ second[lag:] if lag < size else 0.0 for lag in range(lags + 1)])
-    else:
-        n = next_fast_len(len(first) + lags + 1, real=True)
-        ahead = rfft(first, n)
-        behind = ahead if alike else rfft(second, n)
-        product = irfft(np.conj(ahead) * behind, n)[: lags + 1]
-    scale = np.sqrt(float(first @ first) * float(second @ second))
-    return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)
-
-
-def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
-    """Return the whiteness test of the residuals of one or several records.
-
-    Parameters
-    ----------
-    errors : list of (n_samples, n_y) array
-        Residuals of each record; records of at most twice as many samples as lags do not count.
-    lags : int
-        Number of lags.
-
-    Returns
-    -------
-    Whiteness
-        Statistic and p-value of each output.
-    """
-    statistic, used = np.zeros(errors[0].shape[1]), [record for record in errors if len(record) > 2 * lags]
-    for record in used:
-        n, centred = len(record), record - column_means(record)
-        rho = np.array([correlation(channel, channel, lags)[1:] for channel in centred.T])
-        statistic += n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum(axis=1)
-    return Whiteness(statistic, np.asarray(chdtrc(lags * max(1, len(used)), statistic)), lags)

@@ -1,0 +1,191 @@
+"""Tests of residuals: whether they are white, and whether they follow an input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import toeplitz
+from scipy.special import chdtrc
+
+from gbid.core.arrays import FloatArray
+from gbid.identify.data import column_means
+
+# ---- Whiteness.
+
+LAGS = 25
+"""Number of lags of the tests that a fit runs."""
+_FEW = 64  # largest number of lags for which products are faster than transforms
+
+
+class Whiteness(NamedTuple):
+    """Result of the portmanteau test of residuals (Ljung and Box, 1978).
+
+    Attributes
+    ----------
+    statistic : (n_y,) array
+        Test statistic of each output.
+    p_value : (n_y,) array
+        Probability of a larger statistic for white residuals.
+    lags : int
+        Number of lags.
+    """
+
+    statistic: FloatArray
+    p_value: FloatArray
+    lags: int
+
+
+def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
+    """Return the correlation of two signals, ``sum_k a[k] b[k+l] / sqrt(sum a^2 sum b^2)``, for lags 0 to `lags`.
+
+    Parameters
+    ----------
+    first, second : (n_samples,) array
+        Signals; their means are not removed.
+    lags : int
+        Largest lag.
+
+    Returns
+    -------
+    (lags + 1,) array
+        Correlation at each lag.
+    """
+    alike = first is second
+    first = np.ascontiguousarray(first)
+    second = first if alike else np.ascontiguousarray(second)
+    if lags <= _FEW:
+        size = len(first)
+        product = np.array([first[: size - lag] @ second[lag:] if lag < size else 0.0 for lag in range(lags + 1)])
+    else:
+        n = next_fast_len(len(first) + lags + 1, real=True)
+        ahead = rfft(first, n)
+        behind = ahead if alike else rfft(second, n)
+        product = irfft(np.conj(ahead) * behind, n)[: lags + 1]
+    scale = np.sqrt(float(first @ first) * float(second @ second))
+    return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)
+
+
+def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
+    """Return the whiteness test of the residuals of one or several records.
+
+    Parameters
+    ----------
+    errors : list of (n_samples, n_y) array
+        Residuals of each record; records of at most twice as many samples as lags do not count.
+    lags : int
+        Number of lags.
+
+    Returns
+    -------
+    Whiteness
+        Statistic and p-value of each output.
+    """
+    statistic, used = np.zeros(errors[0].shape[1]), [record for record in errors if len(record) > 2 * lags]
+    for record in used:
+        n, centred = len(record), record - column_means(record)
+        rho = np.array([correlation(channel, channel, lags)[1:] for channel in centred.T])
+        statistic += n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum(axis=1)
+    return Whiteness(statistic, np.asarray(chdtrc(lags * max(1, len(used)), statistic)), lags)
+
+
+# ---- Independence of the inputs.
+
+FOLLOWS = 0.01
+"""Probability below which residuals count as following an input."""
+
+
+class InputTest(NamedTuple):
+    """Result of the test whether residuals are independent of inputs.
+
+    Attributes
+    ----------
+    correlation : (n_y, n_u, n_lags + 1) array
+        Correlation of the residual behind the input, at lags from 0.
+    variance : (n_y, n_u, n_lags + 1) array
+        Number of samples times the covariance of correlations at lags 0, 1, ... apart, for independent signals.
+    statistic, freedom : (n_y, n_u) array
+        Test statistic over all lags together, and its degrees of freedom.
+    """
+
+    correlation: FloatArray
+    variance: FloatArray
+    statistic: FloatArray
+    freedom: FloatArray
+
+    @property
+    def p_value(self) -> FloatArray:
+        """Probability of a larger statistic for independent residuals, (n_y, n_u); one for an input that is still."""
+        return np.where(self.freedom > 0, chdtrc(np.maximum(self.freedom, 1), self.statistic), 1.0)
+
+
+def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: bool = False) -> InputTest:
+    """Return the test whether residuals of one record are independent of its inputs, at lags from 0.
+
+    Parameters
+    ----------
+    residuals : (n_samples, n_y) array
+        Residuals; their means do not count.
+    inputs : (n_samples, n_u) array
+        Inputs; their means do not count.
+    lags : int
+        Largest lag of the residual behind the input [samples].
+    white : bool
+        Whether the residuals are known to be white, so that their colour need not be estimated.
+
+    Returns
+    -------
+    InputTest
+
+    Notes
+    -----
+    The covariance of the correlations is ``sum_l rho_e(l) rho_u(l + k)`` (Bartlett), with a triangular window on the
+    autocorrelation of the residuals. The window reduces the noise of long lags and keeps the covariance positive. For
+    a slow input the correlations at neighbouring lags are almost equal: directions with hardly a variance do not count.
+    """
+    n, most = len(residuals), 0 if white else 2 * lags
+    e, u = (np.asarray(part - column_means(part)) for part in (residuals, inputs))
+    size_e, size_u = (np.sqrt(np.einsum("ki,ki->i", part, part)) for part in (e, u))
+    scale = np.where((size_e > 0)[:, None] & (size_u > 0), np.outer(size_e, size_u), np.inf)
+    e, u = np.ascontiguousarray(e.T), np.ascontiguousarray(u.T)
+    cross = np.array([e[:, lag:] @ u[:, : n - lag].T for lag in range(lags + 1)]).transpose(1, 2, 0)
+    cross /= scale[:, :, None]
+    of_source = np.array([correlation(channel, channel, most + lags) for channel in u])
+    window = 1 - np.arange(most + 1) / (most + 1)
+    of_residual = np.array([correlation(channel, channel, most) * window if most else [1.0] for channel in e])
+    both = np.concatenate([of_residual[:, :0:-1], of_residual], axis=1)
+    apart = np.abs(np.arange(-most, most + 1)[:, None] + np.arange(lags + 1))
+    variance = np.einsum("yl,ulk->yuk", both, of_source[:, apart])
+    statistic, freedom = np.zeros((2, *scale.shape))
+    for i in range(len(u)):
+        for j in range(len(e)):
+            if j == 0 or not white:  # for white residuals it is the same for all outputs
+                values, vectors = np.linalg.eigh(toeplitz(variance[j, i]))
+                kept = values > 1e-6 * values[-1]
+                spread = vectors[:, kept] / np.sqrt(values[kept])
+            statistic[j, i] = n * float(((cross[j, i] @ spread) ** 2).sum())
+            freedom[j, i] = spread.shape[1]
+    return InputTest(cross, variance, statistic, freedom)
+
+
+def followed(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], *, white: bool) -> FloatArray:
+    """Return the probability that residuals of several records depend on inputs so much by chance, (n_y, n_u).
+
+    Parameters
+    ----------
+    errors, inputs : sequence of (n_samples, n_y) and (n_samples, n_u) array
+        Residuals and inputs of each record; records of less than four times the lags do not count.
+    white : bool
+        Whether the residuals are known to be white.
+    """
+    shape = errors[0].shape[1], inputs[0].shape[1]
+    tests = [input_test(e, u, LAGS, white=white) for e, u in zip(errors, inputs, strict=True) if len(e) >= 4 * LAGS]
+    total = InputTest(
+        np.zeros((*shape, 0)),
+        np.zeros((*shape, 0)),
+        sum((test.statistic for test in tests), np.zeros(shape)),
+        sum((test.freedom for test in tests), np.zeros(shape)),
+    )
+    return total.p_value
