@@ -75,6 +75,7 @@ class FitNote(NoteKind):
     INTEGRATION = "GB120"
     FEEDBACK = "GB121"
     AT_REST = "GB122"
+    POLES_MEET = "GB129"
 
 
 class DataNote(NoteKind):

@@ -189,6 +189,7 @@ class StructureOptions(Section):
     delay: Literal["pade", "exact"] | None = None
     pade_order: Count | None = None
     disturbance_gain: Literal["full", "diagonal", "states", "none"] | None = None
+    poles: Literal["real", "any"] | None = None
     film: Literal["linear", "stiffening"] | None = None
     unbalance: Switch | None = None
     order: Annotated[int, Exact(), Ge(0), Le(2)] | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -123,8 +123,8 @@ def _conditions(experiment: Experiment, fit: str) -> dict[str, float]:
     return points[0] if points and all(point == points[0] for point in points) else {}
 
 
-def _plant(**options: Any) -> Structure:
-    return Plant(RotorBearing(**options))
+def _plant(poles: Literal["real", "any"] = "real", **options: Any) -> Structure:
+    return Plant(RotorBearing(**options), PiezoPair(poles=poles))
 
 
 def _scheduled(build: Callable[..., Structure], **options: Any) -> ScheduledStructure:
@@ -138,8 +138,8 @@ _OF_SCHEDULE = ("order", "piece_s")
 
 BUILT_IN: dict[str, tuple[Callable[..., Structure | ScheduledStructure], tuple[str, ...]]] = {
     "rotor_bearing": (RotorBearing, (*_OF_BEARING, "film")),
-    "piezo_pair": (PiezoPair, ("disturbance_gain",)),
-    "plant": (_plant, _OF_BEARING),
+    "piezo_pair": (PiezoPair, ("disturbance_gain", "poles")),
+    "plant": (_plant, (*_OF_BEARING, "poles")),
     "scheduled_rotor_bearing": (partial(_scheduled, RotorBearing), (*_OF_BEARING, *_OF_SCHEDULE)),
     "scheduled_plant": (partial(_scheduled, _plant), (*_OF_BEARING, *_OF_SCHEDULE)),
 }

@@ -27,6 +27,10 @@ from gbid.identify.uncertainty.residual_tests import whiteness_test
 from gbid.structure import kind_of
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
+_EQUAL = (
+    1e-3  # largest relative difference of parameters that meet; their difference has less information with its square
+)
+_NEARLY_ALL = 0.99  # smallest share of their difference in what the data do not determine
 _NEAR = 1e-2  # of the range between both bounds, farther from which an estimate lies on none, wherever the data push it
 
 
@@ -59,6 +63,7 @@ def judge(optimum: Optimum) -> FitResult:
     known_starts = np.hstack([task.states.known, np.zeros((n_records, weighted.n_states - n_states), bool)])
     estimate = Estimate(weighted, theta, starts, windows, known_starts)
     on_bound, spread = _uncertainty(optimum, estimate, products, coloured, drawn)
+    spread, meeting = _with_equal_poles(optimum, theta, spread)
     trusted: StdKind = "bootstrap" if drawn else "robust" if coloured else "white"
     chosen = {"white": spread.white, "robust": spread.robust, "bootstrap": spread.bootstrap}[trusted]
     if chosen is None:
@@ -134,6 +139,7 @@ def judge(optimum: Optimum) -> FitResult:
             *(may_cover_less(spread.models, model.modes(), data.sample_time, n) if coloured else ()),
             *(feedback_notes(data.records, by_record) if coloured and finite else ()),
             *((FitNote.PREDICTOR_AT_EDGE(_AT_EDGE),) if at_edge else ()),
+            *meeting,
             *optimum.notes,
             *task.begin.notes,
             *task.states.notes,
@@ -184,6 +190,36 @@ def _uncertainty(
         on_bound = near & (force * np.sqrt(np.diag(without(no_one).white)) > TOLERANCES.rest)
     spread = without(on_bound, coloured=coloured, bootstrap=bootstrap)
     return on_bound, spread if optimum.reweighted is None else spread.scaled(*optimum.reweighted.factors)
+
+
+def _with_equal_poles(optimum: Optimum, theta: FloatArray, spread: Covariance) -> tuple[Covariance, list[str]]:
+    """Return the covariance of exchangeable parameters that meet as that of equal ones, and notes on them.
+
+    Where two such parameters are equal, nothing changes when they part by little: their difference has no information,
+    or near there less than it needs. It is known nevertheless, for there what they can describe ends.
+    """
+    short, notes = optimum.problem.assembly.own_names, list[str]()
+    names = [q.name for q in optimum.problem.assembly.free]
+    for pair in getattr(kind_of(optimum.problem.task.structure).plant, "exchangeable", ()):
+        one, other = ([i for i, name in enumerate(names) if short.get(name, name) == each] for each in pair)
+        for i, j in zip(one, other, strict=False):  # none, where one is fixed
+            apart = np.zeros(len(theta))
+            apart[[i, j]] = np.sqrt(0.5), -np.sqrt(0.5)
+            shares, variance = spread.undetermined @ apart, float(apart @ spread.white @ apart)
+            lost = np.linalg.norm(shares) > _NEARLY_ALL
+            if abs(theta[i] - theta[j]) > _EQUAL * abs(theta[i]) or not (lost or (apart @ theta) ** 2 < variance):
+                continue
+            if lost:
+                _, sizes, axes = np.linalg.svd(spread.undetermined - np.outer(shares, apart), full_matrices=False)
+                spread = spread._replace(undetermined=axes[sizes > _INVOLVED])
+            else:
+                spread = spread.along(np.eye(len(theta)) - np.outer(spread.white @ apart, apart) / variance)
+            notes.append(
+                FitNote.POLES_MEET(
+                    f"{names[i]} and {names[j]} meet: complex poles may have a lower loss; fit PiezoPair(poles='any')"
+                )
+            )
+    return spread, notes
 
 
 def _by_record(problem: Shooting, errors: list[FloatArray], first_windows: IntArray) -> list[FloatArray]:

@@ -492,7 +492,8 @@ def lpv_of(
     onto = in_terms(schedule.to_own_units, schedule.exponents)
     names = [name for key in KEY_PARAMETERS for name in schedule.names(key)]
     scaled = np.array([result.parameters[name] for name in names]).reshape(len(KEY_PARAMETERS), -1)
-    fitted = {key: result.parameters[key] for key in ACTUATOR_PARAMETERS if key in result.parameters}
+    known = set(ACTUATOR_PARAMETERS) <= set(result.parameters)  # not those of PiezoPair(poles="any")
+    fitted = {key: result.parameters[key] for key in ACTUATOR_PARAMETERS} if known else {}
     model = LPVModel(
         name,
         _rows(KEY_PARAMETERS, scaled @ onto.T),

@@ -162,10 +162,14 @@ class PiezoPair(Brief):
     """Piezo pairs with the transfer function ``kappa / ((s/p1 + 1) (s/p2 + 1))`` per axis, from r to u (Eqs. 12 to 14).
 
     The input is the position reference r, the output the position difference u. The states are
-    ``[output of the slow pole, u]`` for x, then for y.
+    ``[output of the slow pole, u]`` for x, then for y; with `poles` "any" ``[ud / omega, u]``.
 
     Parameters
     ----------
+    poles : {"real", "any"}
+        ``"real"``: the poles p1 and p2 of the paper. An actuator whose damping factor is below one has complex poles;
+        its fit ends where p1 and p2 meet. ``"any"``: natural frequency omega [rad/s] and damping factor zeta describe
+        real and complex poles, ``kappa omega^2 / (s^2 + 2 zeta omega s + omega^2)``.
     disturbance_gain : {"none", "full"}
         ``"full"``: the disturbance d_a acts on the states of its own axis with gains to be estimated (Eq. 14).
         ``"none"``: it acts on the output only, as in the parameter list of Eq. 13.
@@ -176,21 +180,33 @@ class PiezoPair(Brief):
     inputs: tuple[str, ...] = ("r",)
     outputs: tuple[str, ...] = ("u",)
     intersample: Hold = "zoh"
+    poles: Literal["real", "any"] = "real"
 
     def __post_init__(self) -> None:
         if self.disturbance_gain not in ("none", "full"):
             raise UsageError(f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; choose 'none' or 'full'")
+        if self.poles not in ("real", "any"):
+            raise UsageError(f"{self.name}: poles = {self.poles!r}; choose 'real' or 'any'")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Slow pole p1, fast pole p2 and gain kappa of each axis."""
+        """Poles p1 and p2, or natural frequency omega and damping factor zeta, and gain kappa of each axis."""
         parameters = []
         for axis in AXES:
-            parameters += [Parameter(f"{pole}_{axis}", lower=1.0, upper=1e6, unit="rad/s") for pole in ("p1", "p2")]
+            if self.poles == "any":
+                parameters.append(Parameter(f"omega_{axis}", lower=1.0, upper=1e6, unit="rad/s"))
+                parameters.append(Parameter(f"zeta_{axis}", lower=1e-4, upper=500.0))  # of poles of 1 and 1e6 rad/s
+            else:
+                parameters += [Parameter(f"{pole}_{axis}", lower=1.0, upper=1e6, unit="rad/s") for pole in ("p1", "p2")]
             parameters.append(Parameter(f"kappa_{axis}", unit="m/m"))
         if self.disturbance_gain == "full":
             parameters += [Parameter(f"bd{i}_{axis}", 0.0, unit="1/s") for axis in AXES for i in (1, 2)]
         return tuple(parameters)
+
+    @property
+    def exchangeable(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of parameters that may be exchanged: the real poles of each axis."""
+        return () if self.poles == "any" else tuple((f"p1_{axis}", f"p2_{axis}") for axis in AXES)
 
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return A, B, C, D and K for parameters by name."""
@@ -198,9 +214,14 @@ class PiezoPair(Brief):
         return {letter: ca.diagcat(*(block[letter] for block in blocks)) for letter in "ABCDK"}
 
     def _axis(self, p: Values, axis: str) -> dict[str, ca.SX]:
-        slow, fast = p[f"p1_{axis}"], p[f"p2_{axis}"]
-        A = ca.vertcat(ca.horzcat(-slow, 0), ca.horzcat(fast, -fast))
-        B = ca.vertcat(slow * p[f"kappa_{axis}"], 0)
+        if self.poles == "any":
+            omega, zeta = p[f"omega_{axis}"], p[f"zeta_{axis}"]
+            A = ca.vertcat(ca.horzcat(-2 * zeta * omega, -omega), ca.horzcat(omega, 0))
+            B = ca.vertcat(omega * p[f"kappa_{axis}"], 0)
+        else:
+            slow, fast = p[f"p1_{axis}"], p[f"p2_{axis}"]
+            A = ca.vertcat(ca.horzcat(-slow, 0), ca.horzcat(fast, -fast))
+            B = ca.vertcat(slow * p[f"kappa_{axis}"], 0)
         K = ca.vertcat(*(p.get(f"bd{i}_{axis}", 0) for i in (1, 2)))
         return {
             "A": ca.sparsify(A),
@@ -256,6 +277,11 @@ class Plant(Brief):
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the actuators, then those of the rotor-bearing."""
         return (*self.actuators.parameters, *self.bearing.parameters)
+
+    @property
+    def exchangeable(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of parameters that may be exchanged: the real poles of the actuators."""
+        return self.actuators.exchangeable
 
     @property
     def forgotten_states(self) -> tuple[int, ...]:

@@ -164,7 +164,7 @@ def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = N
     if missing:
         raise UsageError(
             f"the fits are not actuator models, they have no {', '.join(missing)}; give fits of PiezoPair "
-            "(structure: piezo_pair)"
+            "with real poles (structure: piezo_pair)"
         )
     values = np.column_stack([table.parameter(name) for name in ACTUATOR])
     std = np.column_stack([table.std[:, table.parameter_names.index(name)] for name in ACTUATOR])

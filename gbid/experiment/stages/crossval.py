@@ -464,7 +464,7 @@ def nominal_is_an_actuator(experiment: Experiment) -> Found:
     """Yield problems of the nominal section: its fit must exist, have the parameters, and give several models."""
     section = needed(experiment.spec.nominal, "nominal")
     yield from a_fit_is_named(
-        experiment, ("nominal", "fit"), section.fit, ACTUATOR, "name a fit of piezo_pair or plant"
+        experiment, ("nominal", "fit"), section.fit, ACTUATOR, "name a fit of piezo_pair or plant with real poles"
     )
 
 

@@ -306,12 +306,17 @@ def forces_of_bounds(problem: Shooting, unknowns: FloatArray, box: Box) -> Float
     if not (np.isfinite(iterate.gradient).all() and np.isfinite(iterate.hessian).all()):
         return nothing
     try:
-        _, inward = _bounded_step(problem, iterate, unknowns, box)
+        step, inward = _bounded_step(problem, iterate, unknowns, box)
     except (RuntimeError, ValueError, MatrixRankWarning):  # singular
         return nothing
     below = unknowns - box[0] < box[1] - unknowns  # nearer to the lower bound, which presses up
     outward = np.maximum(np.where(below, inward, -inward)[: problem.n_theta], 0.0)
-    return np.asarray(outward * problem.likelihood_size / problem.theta_scale)
+    # A step to a bound that is farther than the standard deviation with all others known is one along a valley.
+    pattern, curvature = problem.hessian_pattern, np.zeros(problem.n_unknowns)
+    own = pattern.rows == pattern.columns
+    curvature[pattern.rows[own]] = iterate.hessian[own]
+    near = (step**2 * curvature * problem.likelihood_size <= 1.0)[: problem.n_theta]
+    return np.asarray(np.where(near, outward, 0.0) * problem.likelihood_size / problem.theta_scale)
 
 
 def _bounded_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box) -> tuple[FloatArray, FloatArray]:

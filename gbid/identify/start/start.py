@@ -232,8 +232,13 @@ def _(structure: PiezoPair, data: FitData, given: Mapping[str, float]) -> dict[s
     _check_channels(structure, data.records, 2, 2)
     values = dict.fromkeys((q.name for q in structure.parameters), 0.0)
     for i, axis in enumerate(AXES):
-        names = (f"p1_{axis}", f"p2_{axis}", f"kappa_{axis}")
-        values |= zip(names, lag_start(data.records, i, data.sample_time), strict=True)
+        slow, fast, kappa = lag_start(data.records, i, data.sample_time)
+        if structure.poles == "any":
+            omega = float(np.sqrt(slow * fast))
+            values |= {f"omega_{axis}": omega, f"zeta_{axis}": (slow + fast) / (2 * omega)}
+        else:
+            values |= {f"p1_{axis}": slow, f"p2_{axis}": fast}
+        values[f"kappa_{axis}"] = kappa
     return {**values, **given}
 
 

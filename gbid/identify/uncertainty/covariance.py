@@ -524,6 +524,12 @@ class Covariance(NamedTuple):
         bootstrap = None if self.bootstrap is None else self.bootstrap * robust
         return self._replace(white=self.white * white, robust=self.robust * robust, bootstrap=bootstrap)
 
+    def along(self, onto: FloatArray) -> Covariance:
+        """Return the covariances of the estimates after a projection ``onto`` (n_p, n_p)."""
+        bootstrap = None if self.bootstrap is None else onto @ self.bootstrap @ onto.T
+        white, robust = (onto @ each @ onto.T for each in (self.white, self.robust))
+        return self._replace(white=white, robust=robust, bootstrap=bootstrap)
+
 
 def covariance(
     at: Estimate,
