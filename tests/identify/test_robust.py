@@ -20,7 +20,7 @@ AT = np.array([MODE_AT[name] for name in NAMES])
 LOSSES = ("huber", "student")
 
 
-def data(seed, outliers=0.0, n=800):
+def data(seed, outliers=0.0, n=500):
     """White noise, and a share of samples that are twenty times off."""
     rec = simulated(MODE, MODE_AT, levels(n, seed=seed), noise=0.1, seed=seed)
     random = np.random.default_rng(1000 + seed)

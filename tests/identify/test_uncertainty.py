@@ -38,7 +38,8 @@ def lag_data(n, rho=0.0, seed=1, input_seed=1, name="data"):
 
 @cache
 def lag_fits(n, rho, count):
-    return [fit(LAG, lag_data(n, rho, 1000 + seed)) for seed in range(count)]
+    """Fits of few iterations, so that none is tried again from elsewhere: they converge at once."""
+    return [fit(LAG, lag_data(n, rho, 1000 + seed), max_iterations=20) for seed in range(count)]
 
 
 def theory(n, rho, input_seed=1, size=0.2):
