@@ -234,7 +234,7 @@ def test_gradients_are_those_of_differences(goal: Goal, sampled: bool) -> None:
     loop, value, gradient, _ = measure.pieces(state, np.inf)
     assert [value[loop == i].max() for i in range(2)] == pytest.approx(measure.excess(state).tolist(), abs=1e-9)
     which = int(np.argmax(value))
-    for direction in np.random.default_rng(0).choice([-1.0, 1.0], (3, len(GAINS))):
+    for direction in np.random.default_rng(0).choice([-1.0, 1.0], (1 if sampled else 3, len(GAINS))):
         ends = []
         for step in (1e-5, -1e-5):
             x = GAINS + step * direction

@@ -199,7 +199,7 @@ def test_round_trip(model: LPVModel, tmp_path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["mine.yaml"]
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(values=st.lists(st.floats(-1e300, 1e300), min_size=6, max_size=6), order=st.integers(1, 4))
 def test_round_trip_of_any_numbers(tmp_path_factory: pytest.TempPathFactory, values: list[float], order: int) -> None:
     coefficients = {key: tuple(values) for key in KEY_PARAMETERS}

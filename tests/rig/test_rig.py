@@ -221,7 +221,7 @@ def test_noise_of_different_recordings_is_uncorrelated():
     assert np.abs(correlation).max() < 5 / np.sqrt(len(noise))
 
 
-@pytest.mark.parametrize("pressure_bar", [3.0, 4.0, 5.0, 6.0, 7.0])
+@pytest.mark.parametrize("pressure_bar", [3.0, 7.0])
 def test_default_excitation_stays_clear_of_the_bearing(pressure_bar):
     for speed_rpm in (0.0, 4000.0, 6000.0):
         conditions = {"pressure_bar": pressure_bar, "speed_rpm": speed_rpm}
