@@ -73,8 +73,3 @@ def test_the_yaml_knows_it(lead, tmp_path: Path) -> None:
     path.write_text(QUICK + CONTROLLER.replace("structure: lead", "structure: leaf"), encoding="utf-8")
     with pytest.raises(UsageError, match="did you mean 'lead'"):
         load_experiment(path)
-
-
-def test_without_the_file_it_is_unknown() -> None:
-    with pytest.raises(UsageError, match=r"controller = 'lead'; choose 'P', .* or give a structure"):
-        gbid.controller_structure("lead")

@@ -314,7 +314,6 @@ def test_disturbance_of_a_recording() -> None:
         (lambda: [MaxDamping(), MinGainMargin(0.5)], "above 1"),
         (lambda: [MaxDamping(low_hz=50, high_hz=10)], "low < high"),
         (lambda: MaxDamping(), "give a list"),
-        (lambda: [MaxDamping(), MinPhaseMargin("40")], "degrees = '40'"),
         (lambda: [MaxDamping(), PiezoTravel(impact=20.0)], "give a HalfSine"),
         (lambda: [MaxDamping(), RollOff(100.0, 1.0, slope_db=1e9)], "0 to 200 dB"),
         (lambda: [RmsPosition(1e-6, DisturbanceSpectrum([0, 1], -np.ones((2, 1, 1))))], "negative eigenvalues"),

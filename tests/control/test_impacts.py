@@ -66,11 +66,6 @@ def off_by(found, true) -> np.ndarray:
     return (estimate - np.array([v for mode in true for v in mode])) / np.sqrt(np.diag(found.covariance))
 
 
-def test_one_moving_mass_for_rig_and_reference_impact() -> None:
-    """Disc and a third of the shaft, Table 1."""
-    assert HalfSine().mass_kg == Machine.moving_mass == pytest.approx(1.5 + 2.04 / 3)
-
-
 def test_ringing_modes_are_those_a_impact_excites() -> None:
     """The two of the bearing among all that a loop has, wherever filters put theirs."""
     everything = close_loop(MODEL.plant_at(*POINT), PAPER).modes()

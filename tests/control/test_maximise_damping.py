@@ -148,20 +148,6 @@ def test_wrong_arguments(arguments: tuple[object, ...], message: str) -> None:
         gbid.maximise_damping(*arguments)
 
 
-@pytest.mark.parametrize("name", ["seed", "starts", "evaluations"])
-def test_counts_are_whole_numbers(name: str) -> None:
-    for value in (-1, 1.5, True):
-        with pytest.raises(gbid.core.errors.UsageError, match=name):
-            gbid.maximise_damping(delayed_loop(1, 1), ["g"], 0, 1, **{name: value})
-
-
-def test_progress_and_history_agree() -> None:
-    seen: list[object] = []
-    result = gbid.maximise_damping(delayed_loop(1.0, 0.5), ["g"], 0, 8, "decay", progress=seen.append)
-    assert tuple(seen) == result.history
-    assert result.history[-1].value == pytest.approx(result.value)
-
-
 def paper_problem(controller: str, **limits: float) -> tuple[GainProblem, np.ndarray]:
     model = gbid.load_model("theisen2016")
     structure = gbid.controller_structure(controller)

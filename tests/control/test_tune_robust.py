@@ -110,9 +110,6 @@ def test_order_statistic_and_bound_are_known_ones() -> None:
         ({"uncertainty": Uncertainty(samples=np.zeros((3, 14)))}, "cannot be drawn anew"),
         ({"uncertainty": uncertainty(), "probability": 1.0}, "give 0.5 to 1"),
         ({"uncertainty": uncertainty(), "draws": 2}, "at least 10"),
-        ({"uncertainty": uncertainty(), "fresh": 0}, "fresh = 0"),
-        ({"uncertainty": uncertainty(), "seed": -1}, "seed = -1"),
-        ({"uncertainty": uncertainty(), "probability": "high"}, "probability = 'high'"),
     ],
 )
 def test_requests_that_make_no_sense_are_refused(options: dict[str, object], message: str) -> None:

@@ -242,17 +242,6 @@ def test_two_processes_at_once_compile_once(tmp_path):
     assert len(list((tmp_path / "cache").glob("*.so"))) == 1
 
 
-@NEEDS_COMPILER
-def test_the_cache_folder_is_the_users_unless_named(fresh, tmp_path):
-    fresh.delenv("GBID_CACHE_DIR", raising=False)
-    fresh.setenv("XDG_CACHE_HOME", str(tmp_path))
-    folder = compiling.cache_folder()
-    assert folder.name == "kernels"
-    assert "gbid" in folder.parts
-    fresh.setenv("GBID_CACHE_DIR", str(tmp_path / "mine"))
-    assert compiling.cache_folder() == tmp_path / "mine"
-
-
 # ---- machines without a compiler ----
 
 
