@@ -348,18 +348,38 @@ def file_digest(path: Path) -> str:
     OSError
         When the file cannot be read.
     """
-    stat = path.stat()
-    return _digest(path, stat.st_mtime_ns, stat.st_size)
+    return _digest(path, version_of(path))
 
 
 @lru_cache(maxsize=1024)
-def _digest(path: Path, _mtime_ns: int, _size: int) -> str:
+def _digest(path: Path, _version: tuple[int, ...]) -> str:
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
+def version_of(path: Path) -> tuple[int, ...]:
+    """Return numbers of a file that change when it is written or replaced: what was read under them is still true.
+
+    Raises
+    ------
+    OSError
+        When there is no such file.
+    """
+    stat = path.stat()
+    return stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns
+
+
 def stored_key(path: Path) -> str:
     """Return the content key in a result file; empty when the file has none, is damaged or cannot be read."""
+    try:
+        return _key_in(path, version_of(path))
+    except OSError:
+        return ""
+
+
+@lru_cache(maxsize=4096)
+def _key_in(path: Path, _version: tuple[int, ...]) -> str:
+    """Return the content key in a file; the stages ask for each key many times."""
     try:
         if path.suffix == ".h5":
             with opened(path) as file:

@@ -234,6 +234,34 @@ class Structure(Protocol):
 
 
 @dataclass(frozen=True)
+class OnBase:
+    """Structure with the inputs, outputs and inter-sample behaviour of the one that it stands on.
+
+    Attributes
+    ----------
+    base : Structure
+        Structure at one operating point.
+    """
+
+    base: Structure
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs of the base."""
+        return self.base.inputs
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs of the base."""
+        return self.base.outputs
+
+    @property
+    def intersample(self) -> Hold | tuple[Hold, ...]:
+        """Inter-sample behaviour of the inputs of the base."""
+        return self.base.intersample
+
+
+@dataclass(frozen=True)
 class LinearStructure(Brief):
     """Linear model structure defined by a user.
 

@@ -12,9 +12,8 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.discretise import Hold
 from gbid.structure.built_in import KEY_PARAMETERS
-from gbid.structure.linear import Structure
+from gbid.structure.linear import OnBase, Structure
 from gbid.structure.parameter import Parameter
 
 TERMS = ("1", "P", "Omega", "Omega P", "P^2", "Omega^2")
@@ -136,7 +135,7 @@ HIGHEST_ORDER = 3
 
 
 @dataclass(frozen=True)
-class ScheduledStructure(Brief):
+class ScheduledStructure(OnBase, Brief):
     """Linear structure whose parameters follow signals of the recording; made by `gbid.scheduled`.
 
     Attributes
@@ -153,7 +152,6 @@ class ScheduledStructure(Brief):
         Longest time with constant parameters [s].
     """
 
-    base: Structure
     scheduling: tuple[str, ...]
     surfaces: tuple[str, ...]
     order: int
@@ -163,21 +161,6 @@ class ScheduledStructure(Brief):
     def name(self) -> str:
         """Name of the structure."""
         return f"scheduled {self.base.name}"
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Inputs of the base."""
-        return self.base.inputs
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Outputs of the base."""
-        return self.base.outputs
-
-    @property
-    def intersample(self) -> Hold | tuple[Hold, ...]:
-        """Inter-sample behaviour of the inputs of the base."""
-        return self.base.intersample
 
     @property
     def exponents(self) -> Exponents:

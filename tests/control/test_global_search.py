@@ -44,15 +44,6 @@ def test_the_better_of_two_basins_is_found_from_a_start_in_the_other() -> None:
     assert all(a.value <= b.value and a.count < b.count for a, b in pairwise(steps))
 
 
-def test_a_start_that_is_given_is_climbed_as_well() -> None:
-    problem, neutral = damping_problem(two_basins, [-3.0], [3.0]), np.zeros(1)
-    assert searched(problem, neutral, starts=0).best.score.value == pytest.approx(0.32, abs=1e-6)
-    given = searched(problem, neutral, (np.array([1.5]),), starts=0).best
-    assert given.score.value == pytest.approx(0.72, abs=1e-6)
-    beyond = searched(problem, neutral, (np.array([7.0]),), starts=0).best  # moved to the bound at 3
-    assert beyond.x[0] <= 3.0
-
-
 def test_basin_hopping_crosses_ripples_that_hold_a_climb() -> None:
     """A hill of four gains with ripples along the first, 0.06 of 2 apart: the top is 0.6, at zero."""
 

@@ -234,7 +234,7 @@ def test_gradients_are_those_of_differences(goal: Goal, sampled: bool) -> None:
     loop, value, gradient, _ = measure.pieces(state, np.inf)
     assert [value[loop == i].max() for i in range(2)] == pytest.approx(measure.excess(state).tolist(), abs=1e-9)
     which = int(np.argmax(value))
-    for direction in np.random.default_rng(0).choice([-1.0, 1.0], (3, len(GAINS))):
+    for direction in np.random.default_rng(0).choice([-1.0, 1.0], (1 if sampled else 3, len(GAINS))):
         ends = []
         for step in (1e-5, -1e-5):
             x = GAINS + step * direction
@@ -314,7 +314,6 @@ def test_disturbance_of_a_recording() -> None:
         (lambda: [MaxDamping(), MinGainMargin(0.5)], "above 1"),
         (lambda: [MaxDamping(low_hz=50, high_hz=10)], "low < high"),
         (lambda: MaxDamping(), "give a list"),
-        (lambda: [MaxDamping(), MinPhaseMargin("40")], "degrees = '40'"),
         (lambda: [MaxDamping(), PiezoTravel(impact=20.0)], "give a HalfSine"),
         (lambda: [MaxDamping(), RollOff(100.0, 1.0, slope_db=1e9)], "0 to 200 dB"),
         (lambda: [RmsPosition(1e-6, DisturbanceSpectrum([0, 1], -np.ones((2, 1, 1))))], "negative eigenvalues"),

@@ -74,11 +74,11 @@ def test_static_output_feedback_of_a_helicopter() -> None:
         loops = A + (np.clip(gains, -10, 10) @ B.T)[..., :, None] * C[0]
         return -np.linalg.eigvals(loops).real.max(axis=-1)
 
-    axis = np.linspace(-10, 10, 201)
+    axis = np.linspace(-10, 10, 101)
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     brute = max(
         -minimize(lambda k: -decay(k), start, method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-12}).fun
-        for start in grid[np.argsort(-decay(grid))[:20]]
+        for start in grid[np.argsort(-decay(grid))[:8]]
     )
     assert result.success
     assert result.value == pytest.approx(brute, abs=1e-8)
@@ -86,7 +86,7 @@ def test_static_output_feedback_of_a_helicopter() -> None:
     # Gains without bounds: three eigenvalues tend to the zeros of (s I - A, B k, C), one to minus infinity.
     limit = max(
         -np.roots(np.polysub(np.poly(A - (B @ [np.cos(t), np.sin(t)])[:, None] * C), np.poly(A))[1:]).real.max()
-        for t in np.linspace(0, np.pi, 4001)
+        for t in np.linspace(0, np.pi, 401)
     )
     assert result.value < limit < 1.05 * result.value
 
@@ -146,20 +146,6 @@ def test_bounds_without_a_stabilising_gain_name_the_worst_mode() -> None:
 def test_wrong_arguments(arguments: tuple[object, ...], message: str) -> None:
     with pytest.raises(gbid.core.errors.UsageError, match=message):
         gbid.maximise_damping(*arguments)
-
-
-@pytest.mark.parametrize("name", ["seed", "starts", "evaluations"])
-def test_counts_are_whole_numbers(name: str) -> None:
-    for value in (-1, 1.5, True):
-        with pytest.raises(gbid.core.errors.UsageError, match=name):
-            gbid.maximise_damping(delayed_loop(1, 1), ["g"], 0, 1, **{name: value})
-
-
-def test_progress_and_history_agree() -> None:
-    seen: list[object] = []
-    result = gbid.maximise_damping(delayed_loop(1.0, 0.5), ["g"], 0, 8, "decay", progress=seen.append)
-    assert tuple(seen) == result.history
-    assert result.history[-1].value == pytest.approx(result.value)
 
 
 def paper_problem(controller: str, **limits: float) -> tuple[GainProblem, np.ndarray]:

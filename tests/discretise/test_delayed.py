@@ -4,9 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from fit_cases import ACTUATORS, KEY, TS, fit_data, piezo_motion, predicted, smooth
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from fit_cases import ACTUATORS, KEY, TS, fit_data, piezo_motion, smooth
 from scipy.linalg import expm
 
 from gbid.core.errors import UsageError
@@ -111,14 +109,6 @@ def test_a_whole_sample_is_a_shift_and_met_from_both_sides(hold, whole):
     np.testing.assert_allclose(by_lag(whole * H + 1e-9), at, atol=1e-7)
 
 
-@given(st.floats(0.0, 0.9), st.sampled_from(["zoh", "foh"]))
-@settings(max_examples=40, deadline=None)
-def test_a_constant_input_does_not_see_the_delay(delay, hold):
-    taps = delayed_taps(A, b, delay, H, hold)
-    held = discretise(A, b, H, "zoh").G_now
-    np.testing.assert_allclose(sum(taps.columns), held, rtol=1e-12, atol=1e-14)
-
-
 def test_a_negative_delay_is_refused():
     with pytest.raises(UsageError, match=r"delay = -0\.1 s; it must not be negative"):
         delayed_taps(A, b, -0.1, H, "zoh")
@@ -205,19 +195,6 @@ def test_prediction_is_the_plain_loop(holds):
     without = LinearModel(A, B, MODEL.C, MODEL.D, B_delayed=LATE, delay=DELAY)
     same = without.simulate(u, H, initial_state=x0, intersample=holds)
     np.testing.assert_array_equal(without.predict(u, y, H, initial_state=x0, intersample=holds), same)
-
-
-@pytest.mark.parametrize("holds", [("zoh", "zoh"), ("foh", "zoh")])
-def test_prediction_without_delays_is_the_plain_loop(holds):
-    model = LinearModel(A, B, MODEL.C, MODEL.D, K=[[0.8, 0.1], [-0.2, 1.1]])
-    u, y, x0 = smooth(60, seed=4), smooth(60, seed=5), np.array([0.5, -1.0])
-    expected = predicted(model, u, y, H, holds, x0, True)
-    np.testing.assert_allclose(
-        model.predict(u, y, H, initial_state=x0, intersample=holds), expected, rtol=1e-10, atol=1e-12
-    )
-    if holds == ("zoh", "zoh"):  # a discrete model says the same
-        sampled = model.discretise(H)
-        np.testing.assert_allclose(sampled.predict(u, y, initial_state=x0), expected, rtol=1e-10, atol=1e-12)
 
 
 WRONG = {

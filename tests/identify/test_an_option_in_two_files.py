@@ -60,7 +60,7 @@ assert len(keys) == 2
 
 
 def test_a_new_option_touches_its_definition_and_what_uses_it(tmp_path):
-    shutil.copytree(Path(gbid.__file__).parent, tmp_path / "gbid", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(Path(gbid.__file__).parent, tmp_path / "gbid")  # with what is compiled
     for folder in ("models", "experiments"):
         (tmp_path / folder).symlink_to(Path(gbid.__file__).parents[1] / folder)
     for name, changes in CHANGES.items():

@@ -18,7 +18,7 @@ from gbid.identify.uncertainty.coloured import (
 )
 
 
-def coloured(n=600, seed=1):
+def coloured(n=300, seed=1):
     quiet = simulated(MODE, MODE_AT, levels(n, seed=seed), seed=seed)
     e = 0.2 * lfilter([1.0], [1.0, -0.8], np.random.default_rng(seed).normal(size=n + 200))[200:]
     return quiet.with_signals(y=quiet.signal("y") + e[:, None])
@@ -26,14 +26,14 @@ def coloured(n=600, seed=1):
 
 @pytest.fixture(scope="module")
 def result():
-    return fit(MODE, coloured(), focus="simulation", std="bootstrap", bootstrap_draws=60)
+    return fit(MODE, coloured(), focus="simulation", std="bootstrap", bootstrap_draws=50)
 
 
 def test_it_is_a_kind_of_its_own(result):
     assert result.success
     assert result.trusted == "bootstrap"
     assert result.options.std == "bootstrap"
-    assert (result.options.bootstrap_draws, result.options.bootstrap_seed) == (60, 0)
+    assert (result.options.bootstrap_draws, result.options.bootstrap_seed) == (50, 0)
     assert result.std == result.std_with("bootstrap")
     np.testing.assert_array_equal(result.covariance, result.covariance_bootstrap)
     assert any("not white: standard deviations are those of the bootstrap" in note for note in result.notes)
@@ -59,8 +59,10 @@ def test_its_factors_leave_the_correlations_as_they_are(result):
 
 
 def test_the_seed_decides(result):
-    again = fit(MODE, coloured(), focus="simulation", std="bootstrap", bootstrap_draws=60, bootstrap_seed=0)
-    other = fit(MODE, coloured(), focus="simulation", std="bootstrap", bootstrap_draws=60, bootstrap_seed=1)
+    again, other = (
+        fit(MODE, coloured(), focus="simulation", std="bootstrap", bootstrap_draws=50, bootstrap_seed=seed)
+        for seed in (0, 1)
+    )
     np.testing.assert_array_equal(again.covariance, result.covariance)
     assert (np.diag(other.covariance) != np.diag(result.covariance)).all()
 
@@ -103,7 +105,7 @@ def test_for_a_mean_of_few_white_errors_it_is_students_quantile():
     white = ErrorModel(np.zeros((0, 1, 1)), np.eye(1))
     root = np.array([[1 / np.sqrt(n)]])
     estimator = Estimator(np.eye(1), root, root, np.zeros((1, 1)), np.zeros(1, bool))
-    (factor,) = bootstrap_factors([transformed(record, np.array([0]))], [white], estimator, Bootstrap(3000, 1))
+    (factor,) = bootstrap_factors([transformed(record, np.array([0]))], [white], estimator, Bootstrap(1000, 1))
     # Residuals lack a degree of freedom, of which the expected part is given back.
     assert factor == pytest.approx(student.ppf(0.975, n - 1) / 1.96, rel=0.03)
 
@@ -115,6 +117,6 @@ def test_directions_that_rounding_has_blurred_are_left_as_they_are():
     white = ErrorModel(np.zeros((0, 1, 1)), np.eye(1))
     root = np.diag(1 / np.sqrt((psi[0] ** 2).sum(axis=1)))
     estimator = Estimator(np.eye(1), root, root, np.zeros((2, 2)), np.array([False, True]))
-    factors = bootstrap_factors([transformed(record, np.arange(2))], [white], estimator, Bootstrap(400, 1))
+    factors = bootstrap_factors([transformed(record, np.arange(2))], [white], estimator, Bootstrap(200, 1))
     assert factors[0] == pytest.approx(1.0, abs=0.15)
     assert factors[1] == 1.0

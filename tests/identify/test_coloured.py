@@ -12,20 +12,16 @@ from gbid.identify.data import gather
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import FOUND, SUSPECTED, lower_elsewhere
 from gbid.identify.problem.assemble import assemble, build_problem
-from gbid.identify.problem.hessian import ExactHessian, held_up, in_one_window, in_windows
+from gbid.identify.problem.hessian import ExactHessian, in_one_window, in_windows
 from gbid.rig import FilmStiffening, ProcessNoise
 from gbid.structure import evaluate
 
 
 @pytest.fixture(scope="module")
-def noisy():
-    return [shaken(seed, process_noise=ProcessNoise(0.01)) for seed in (3, 4)]
-
-
-@pytest.fixture(scope="module")
-def fits(noisy):
+def fits():
+    noisy = shaken(process_noise=ProcessNoise(0.01))
     return {
-        gain: gbid.fit(gbid.RotorBearing(delay="exact", disturbance_gain=gain), noisy[0]) for gain in ("full", "states")
+        gain: gbid.fit(gbid.RotorBearing(delay="exact", disturbance_gain=gain), noisy) for gain in ("full", "states")
     }
 
 
@@ -43,7 +39,7 @@ def off(result):
     ids=["noise", "stiffening"],
 )
 def test_coloured_errors_converge_at_the_first_window_to_a_minimum(effect):
-    recording = shaken(**effect)
+    recording = shaken(seconds=2.5, **effect)
     structure = gbid.RotorBearing()
     result = gbid.fit(structure, recording)
     assert result.success
@@ -136,18 +132,6 @@ def test_no_other_gain_is_sought_where_errors_are_white_or_gains_are_known(probl
     quiet = gbid.fit(gbid.RotorBearing(), shaken(seconds=1.0))
     assert FOUND not in quiet.notes
     assert SUSPECTED not in quiet.notes
-
-
-def test_curvature_is_turned_over_and_kept_above_a_hundredth_of_gauss_newtons():
-    random = np.random.default_rng(5)
-    root = random.standard_normal((6, 4))
-    gauss_newton = root @ root.T  # two directions that it knows nothing of
-    ratio = np.diag([-3.0, -1.005, -0.9, 2.0])
-    left_out = root @ ratio @ root.T
-    cut = held_up(left_out, gauss_newton)
-    np.testing.assert_allclose(cut, root @ np.diag([1.0, -0.99, -0.9, 2.0]) @ root.T, atol=1e-9)
-    beside = left_out + np.linalg.svd(root)[0][:, 4:] @ random.standard_normal((2, 6))
-    np.testing.assert_allclose(held_up(beside + beside.T - left_out, gauss_newton), cut, atol=1e-9)
 
 
 def test_small_steps_of_a_wrong_hessian_are_not_taken_for_the_minimum(monkeypatch):

@@ -98,11 +98,13 @@ def test_the_gain_of_a_random_walk_is_that_of_kalman():
 
 def test_random_walks_do_not_spoil_the_standard_deviations():
     truth = {name: MODE_AT[name] for name in "wzg"}
-    fits = [fit(MODE, walking(seed, 0.02), trend="random walk", fixed={"l1": 0.0, "l2": 0.0}) for seed in range(12)]
+    fits = [
+        fit(MODE, walking(seed, 0.02, 2000), trend="random walk", fixed={"l1": 0.0, "l2": 0.0}) for seed in range(8)
+    ]
     assert all(each.success for each in fits)
     off = np.array([away(each, truth) for each in fits])
     assert 0.7 < np.sqrt((off**2).mean()) < 1.3
-    blind = fit(MODE, walking(0, 0.02), trend="offset", focus="simulation")
+    blind = fit(MODE, walking(0, 0.02, 2000), trend="offset", focus="simulation")
     assert blind.std["g"] > 2 * fits[0].std["g"]
 
 
@@ -174,7 +176,6 @@ def test_start_values_of_a_bearing_are_found_beside_a_drift():
     [
         ({"trend": "cubic"}, "trend = 'cubic'; give none, offset, linear, random walk, or a degree from 0 to 9"),
         ({"trend": 12}, "trend = 12; give"),
-        ({"trend": True}, "trend = True"),
         ({"trend": {"p": "linear"}}, "trend names 'p', which is no output of the fit; they are y"),
         ({"trend": "random walk", "focus": "simulation"}, "is for focus = 'prediction'"),
         ({"hum": 50.0}, "hum = 50.0 Hz; give frequencies above 0 and below 5 Hz"),

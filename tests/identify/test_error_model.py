@@ -30,18 +30,6 @@ def coupled(n, seed=0):
     return e[200:], root @ root.T
 
 
-def test_least_squares_of_one_order_are_numpys():
-    e, _ = coupled(300)
-    products, count = lag_products([e], 2)
-    past = np.hstack([e[1:-1], e[:-2]])
-    model = error_model(products, count)
-    assert model.order == 2
-    expected, *_ = np.linalg.lstsq(past, e[2:], rcond=None)
-    np.testing.assert_allclose(np.hstack(list(model.coefficients)), expected.T, rtol=1e-7)
-    left = e[2:] - past @ expected
-    np.testing.assert_allclose(model.innovation, left.T @ left / count, rtol=1e-7)
-
-
 def test_white_residuals_have_a_model_without_lags():
     noise = [np.random.default_rng(seed).normal(size=(1500, 2)) for seed in range(20)]
     orders = [error_model(*lag_products([e], 12)).order for e in noise]

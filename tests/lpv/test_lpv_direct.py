@@ -23,7 +23,7 @@ def one_point():
 @pytest.fixture(scope="module")
 def scattered():
     rng = np.random.default_rng(1)
-    return [recorded(p, i, scatter=0.01, rng=rng) for i, p in enumerate(np.repeat(POINTS, 2, axis=0).tolist())]
+    return [recorded(p, i, n=400, scatter=0.01, rng=rng) for i, p in enumerate(np.repeat(POINTS, 2, axis=0).tolist())]
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def test_recordings_in_open_and_in_closed_loop_share_surfaces(one_point):
 def test_each_recordings_own_estimate_is_that_of_its_single_fit():
     """One step from the shared solution arrives where a fit of the recording alone ends."""
     rng, terms = np.random.default_rng(4), ("1", "P")
-    points = np.repeat([(3.0, 0.0), (7.0, 0.0)], 8, axis=0).tolist()
+    points = np.repeat([(3.0, 0.0), (7.0, 0.0)], 6, axis=0).tolist()
     recordings = [recorded(p, i, n=500, scatter=0.005, noise=1e-10, rng=rng) for i, p in enumerate(points)]
     fits = [gbid.fit(EXACT, r, focus="simulation", fixed=FIXED, criterion="trace") for r in recordings]
     two = gbid.fit_lpv(fits, points, order=terms, actuators=PAPER.actuators)

@@ -160,7 +160,7 @@ def assert_covers_the_truth(fits, seed):
 
 
 def test_truth_lies_within_three_standard_deviations():
-    assert_covers_the_truth((surfaces(seed) for seed in range(10, 15)), seed=6)
+    assert_covers_the_truth((surfaces(seed) for seed in range(10, 13)), seed=6)
 
 
 @pytest.mark.parametrize("robust", [False, True])
@@ -242,12 +242,12 @@ def test_lack_of_fit_is_uniform_for_the_right_order_and_small_for_a_lower_one():
 
 def test_draws_have_the_stated_covariance_and_positive_delays():
     fit = surfaces()
-    drawn = np.array([surface_of(model, np.array([[4.5, 2500.0]]))[0] for model in fit.draw(2000, seed=1)])
+    drawn = np.array([surface_of(model, np.array([[4.5, 2500.0]]))[0] for model in fit.draw(1000, seed=1)])
     stated = fit.uncertainty_at(4.5, 2500.0)
     size = np.sqrt(np.diag(stated))
     assert np.abs(np.cov(drawn.T) / np.outer(size, size) - stated / np.outer(size, size)).max() < 0.15
-    wide = np.array([m.coefficients["k_xx"][0] for m in fit.draw(500, seed=2, scatter=True)])
-    narrow = np.array([m.coefficients["k_xx"][0] for m in fit.draw(500, seed=2)])
+    wide = np.array([m.coefficients["k_xx"][0] for m in fit.draw(200, seed=2, scatter=True)])
+    narrow = np.array([m.coefficients["k_xx"][0] for m in fit.draw(200, seed=2)])
     assert wide.std() > narrow.std()
     hopeless = replace(fit, covariance=fit.covariance * 1e8)
     with pytest.raises(UsageError, match="too uncertain to draw"):

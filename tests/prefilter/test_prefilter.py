@@ -93,13 +93,6 @@ def test_map_has_no_step_where_the_angle_wraps():
         np.testing.assert_allclose(before, after, atol=1e-13)
 
 
-def test_unwrapped_angle_gives_the_same_map():
-    wrapped = known()
-    unwrapped = wrapped.with_signals(phi=np.unwrap(wrapped.signal("phi"), axis=0))
-    a, b = identify_runout(wrapped), identify_runout(unwrapped)
-    np.testing.assert_allclose(a.cosine, b.cosine, atol=1e-16)
-
-
 def test_error_of_a_coarse_encoder_is_slope_times_half_a_count():
     counts = 64
     rec = known(counts=counts)

@@ -73,11 +73,6 @@ def test_the_yaml_knows_it(slip, tmp_path: Path) -> None:
         assert len(caught.value.problems) == 1
 
 
-def test_without_the_class_it_is_unknown() -> None:
-    with pytest.raises(UsageError, match="no effect 'frame_slip'; there is floor_vibration, mains_hum"):
-        rig_effect("frame_slip")
-
-
 def test_effects_that_ship() -> None:
     quiet = made(run=Stationary(0.4), simulation="stepping").signal("p")
     t = 2e-4 * np.arange(2000)

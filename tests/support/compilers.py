@@ -4,6 +4,7 @@ import ctypes
 import os
 import shutil
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -36,3 +37,18 @@ def forget_libraries():
     """Forget what this process has loaded, as another process would begin."""
     for function in (load_library, compiler.find_compiler):
         function.cache_clear()
+
+
+def load_in_a_process(folder, source, log, ready, results):
+    """Load a library named race once all are ready, and write to a log where it is compiled."""
+    os.environ["GBID_CACHE_DIR"] = folder
+    compile_one = compiler.compile_source
+
+    def counted(*arguments):
+        with Path(log).open("a") as file:
+            file.write("compiled\n")
+        compile_one(*arguments)
+
+    compiler.compile_source = counted
+    ready.wait(30)
+    results.put(value_of(load_library(source), "race"))

@@ -28,7 +28,7 @@ from gbid.validate.central import summary_csv_table
 @pytest.fixture(scope="module")
 def recordings():
     point = {"pressure_bar": 5.0, "speed_rpm": 6000.0}
-    return [record(machine(), Prbs(0.5), conditions=point, seed=i, name=f"r{i}") for i in range(3)]
+    return [record(machine(), Prbs(0.3), conditions=point, seed=i, name=f"r{i}") for i in range(3)]
 
 
 def with_mean_removed(rec):

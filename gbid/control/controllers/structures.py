@@ -11,10 +11,9 @@ from typing import Any, Protocol, runtime_checkable
 from gbid.control.controllers.built_in import INPUTS, NOT_OPTIONS, OUTPUTS, PerAxis, PStructure, built_in_structures
 from gbid.core.arrays import point_label
 from gbid.core.errors import UsageError
-from gbid.discretise import Hold
 from gbid.lpv import TERMS, Domain, basis
 from gbid.structure import LinearModel, LinearStructure, Parameter
-from gbid.structure.linear import Structure, model_function
+from gbid.structure.linear import OnBase, Structure, model_function
 from gbid.structure.parameter import Values
 
 # ---- Proportional controller as a linear model, from the disc position p to the piezo reference r.
@@ -152,7 +151,7 @@ class FollowsSpeed(Protocol):
 
 
 @dataclass(frozen=True)
-class Scheduled:
+class Scheduled(OnBase):
     r"""Controller whose gains are polynomials in pressure and speed (terms of Eq. 16).
 
     .. math:: g(P, \Omega) = \sum_j c_j\, t_j(\tilde P, \tilde \Omega), \quad
@@ -172,7 +171,6 @@ class Scheduled:
         Range of pressure and speed.
     """
 
-    base: Structure
     terms: tuple[str, ...]
     domain: Domain
 
@@ -188,21 +186,6 @@ class Scheduled:
     def name(self) -> str:
         """Name of the base structure with the terms."""
         return f"{self.base.name} scheduled over {', '.join(self.terms)}"
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Inputs of the base structure."""
-        return self.base.inputs
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Outputs of the base structure."""
-        return self.base.outputs
-
-    @property
-    def intersample(self) -> Hold | tuple[Hold, ...]:
-        """Inter-sample behaviour of the inputs of the base structure."""
-        return self.base.intersample
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
@@ -268,16 +268,16 @@ class FitPairs:
     def __init__(self, job: Job, name: str) -> None:
         self._job, self._name = job, name
         self._model = lru_cache(maxsize=_MODELS_IN_MEMORY)(self._load_model)
-        self._model_key = lru_cache(maxsize=None)(lambda model: fit_result(job.experiment, name, model).key)
-        self._data_key = lru_cache(maxsize=None)(lambda recording: data_key(job.experiment, name, recording))
+        self._model_key = cache(lambda model: fit_result(job.experiment, name, model).key)
+        self._data_key = cache(lambda recording: data_key(job.experiment, name, recording))
 
     @cached_property
     def missing(self) -> dict[Pair, str]:
         """Pairs whose model or recording is missing, with the reason."""
         experiment = self._job.experiment
         pairs = validation_pairs(experiment, self._name)
-        models = {m: _why_missing(fit_result(experiment, self._name, m)) for m, _ in pairs}
-        recordings = {r: _why_missing(fit_input(experiment, experiment.recordings[r])) for _, r in pairs}
+        models = {m: _why_missing(fit_result(experiment, self._name, m)) for m in {m for m, _ in pairs}}
+        recordings = {r: _why_missing(fit_input(experiment, experiment.recordings[r])) for r in {r for _, r in pairs}}
         return {(m, r): text for m, r in pairs if (text := models[m] or recordings[r])}
 
     @cached_property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
 from math import ceil, inf, nan
 from pathlib import Path
@@ -17,7 +17,7 @@ from gbid.core.errors import DataError, GbidError
 from gbid.core.hdf5 import read_attribute, read_dataset, reading
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
-from gbid.experiment.fields import Found, Location, Result, nearest, refusal
+from gbid.experiment.fields import Found, Location, Result, nearest, refusal, version_of
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.experiment.schema import FitSection
@@ -273,7 +273,14 @@ def load_made_fit(job: Job, name: str, model: str) -> FitResult:
     DataError
         When the result is missing or was made from other settings.
     """
-    return load_fit(fit_result(job.experiment, name, model).require())
+    path = fit_result(job.experiment, name, model).require()
+    return _load(path, version_of(path))
+
+
+@lru_cache(maxsize=256)
+def _load(path: Path, _version: tuple[int, ...]) -> FitResult:
+    """Return the fit in a file; cached, because the stages after the fits read the same ones."""
+    return load_fit(path)
 
 
 def fit_entries(job: Job, name: str) -> list[TableEntry]:
