@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -281,7 +282,7 @@ def observer_start(task: FitTask) -> dict[str, float] | None:
         Start values of all parameters; None when the outputs do not observe an unstable state, and for a structure that
         is not linear, in continuous time and with constant parameters.
     """
-    if isinstance(task.structure, ClosedLoop):
+    if kind_of(task.structure).plant is not task.structure:
         start = observer_start(_plant_alone(task.structure, task))
         return start and {**task.begin.values, **start}
     linear, data, values = kind_of(task.structure).linear, task.undisturbed, dict(task.begin.values)
@@ -314,7 +315,7 @@ def observer_start(task: FitTask) -> dict[str, float] | None:
     return {q.name: float(np.clip(values[q.name], q.lower, q.upper)) for q in task.parameters}
 
 
-def _plant_alone(loop: ClosedLoop, task: FitTask) -> FitTask:
+def _plant_alone(loop: Any, task: FitTask) -> FitTask:
     """Return the fit of the plant within a loop, from what the controller did at its start values."""
     gains = {gain.name: task.begin.values[gain.name] for gain in loop.gains}
     data = plant_data(loop, task.undisturbed, gains)
