@@ -76,6 +76,7 @@ class FitNote(NoteKind):
     FEEDBACK = "GB121"
     AT_REST = "GB122"
     POLES_MEET = "GB129"
+    PIECES = "GB131"
 
 
 class DataNote(NoteKind):

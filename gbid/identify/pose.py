@@ -23,10 +23,10 @@ from gbid.identify.problem.assemble import (
     unknown_bounds,
     with_extra_terms,
 )
-from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours
-from gbid.identify.problem.integration import integrated_finely
+from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours, starts_from
+from gbid.identify.problem.integration import AIM, ROUNDS, TOLERATED, integrated_finely
 from gbid.identify.problem.nlp import Shooting
-from gbid.identify.problem.solve import Solution, solve
+from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations, solve
 from gbid.identify.problem.states import (
     InitialStates,
     check_inputs_suffice,
@@ -91,33 +91,70 @@ class FitTask:
 
         `gain_held` fixes the parameters on which only the disturbance gain depends.
         """
-        options = replace(self.options, intersample=self.hold, window=window)
-        structure, parameters, ties = self.structure, self.parameters, None
+        parameters = self.parameters
         if gain_held:
-            gains = kind_of(structure).anatomy().gain_only
+            gains = kind_of(self.structure).anatomy().gain_only
             parameters = tuple(
                 replace(q, fixed=True) if q.name in gains and q.start is not None else q for q in parameters
             )
-        stated, begin = parameters, start
+        structure, begin, assembly = self._assembled(start, parameters, window)
+        full = full_start(
+            assembly, start, disturbance_starts(self.disturbances, structure, begin, self.data, self.hold)
+        )
+        shooting, unknowns = build_problem(assembly, self.data, self.options, full)
+        return self._posed(start, window, parameters, assembly, full, shooting, unknowns)
+
+    def cut_anew(self, problem: PosedProblem, unknowns: FloatArray) -> PosedProblem:
+        """Return a problem of another task with the courses of this one, at the same point and with the same scales.
+
+        Windows begin where the model passes at the given `unknowns`.
+        """
+        _, _, assembly = self._assembled(problem.start, problem.parameters, problem.window)
+        shooting = replace(problem.shooting, parts=assembly.parts, links=assembly.links, extra=None)
+        theta, starts = problem.shooting.unpack(unknowns)
+        begins = starts_from(problem.shooting, theta, starts, shooting)
+        return self._posed(
+            problem.start,
+            problem.window,
+            problem.parameters,
+            assembly,
+            problem.begin,
+            shooting,
+            shooting.pack(theta, begins),
+        )
+
+    def _assembled(
+        self, start: Mapping[str, float], parameters: tuple[Parameter, ...], window: int | None
+    ) -> tuple[AnyStructure, Mapping[str, float], Assembly]:
+        """Return the equations with constant parameters, their start values, and the assembly."""
+        structure, begin, ties, stated = self.structure, start, None, parameters
         if self.courses is not None and (scheduled := kind_of(structure).scheduled):
-            structure, parameters, begin, ties = tied_equations(scheduled, stated, start, self.courses)
+            structure, stated, begin, ties = tied_equations(scheduled, parameters, start, self.courses)
         assembly = assemble(
             structure,
-            parameters,
+            stated,
             begin,
             self.data,
-            options,
+            replace(self.options, intersample=self.hold, window=window),
             disturbances=self.disturbances,
             released=self.states.released,
             ties=ties,
         )
-        full = full_start(
-            assembly, start, disturbance_starts(self.disturbances, structure, begin, self.data, self.hold)
-        )
-        shooting, unknowns = build_problem(assembly, self.data, options, full)
-        shooting = with_extra_terms(shooting, assembly, self.data, self.states, stated, unknowns, options)
+        return structure, begin, assembly
+
+    def _posed(
+        self,
+        start: Mapping[str, float],
+        window: int | None,
+        parameters: tuple[Parameter, ...],
+        assembly: Assembly,
+        begin: dict[str, float],
+        shooting: Shooting,
+        unknowns: FloatArray,
+    ) -> PosedProblem:
+        shooting = with_extra_terms(shooting, assembly, self.data, self.states, parameters, unknowns, self.options)
         box = unknown_bounds(shooting, assembly, self.states)
-        return PosedProblem(self, start, window, stated, assembly, full, shooting, unknowns, box)
+        return PosedProblem(self, start, window, parameters, assembly, begin, shooting, unknowns, box)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +265,8 @@ class Optimum:
     solution : Solution
         Last iterate of the solver, with its status.
     integration_shift : (n_theta,) array or None
-        How far the estimates move when the step of the integrator is halved; None for a linear structure.
+        How far the estimates move when the step of the integrator of a nonlinear structure, or the pieces of a
+        scheduled one, are halved; None for any other structure.
     reweighted : Reweighted or None
         Weights of a robust loss; None for squared errors.
     notes : tuple of str
@@ -246,13 +284,13 @@ class Optimum:
 def minimise(problem: PosedProblem) -> Optimum:
     """Return the optimum of a posed problem.
 
-    The disturbance gain begins anew where that leads lower; a nonlinear structure is integrated as finely as its
-    estimates need; last come the weights of a robust loss.
+    The disturbance gain begins anew where that leads lower; a nonlinear structure is integrated, and a course cut, as
+    finely as the estimates need; last come the weights of a robust loss.
     """
     task, box = problem.task, problem.box
 
-    def run(start: FloatArray, shooting: Shooting = problem.shooting) -> Solution:
-        return solve(shooting, start, *box, task.options)
+    def run(start: FloatArray, shooting: Shooting | None = None) -> Solution:
+        return solve(shooting or problem.shooting, start, *box, task.options)
 
     notes, solution = tuple[str, ...](), run(np.clip(problem.unknowns, *box))
     for _ in range(_ROUNDS):
@@ -266,11 +304,74 @@ def minimise(problem: PosedProblem) -> Optimum:
         solution = replace(other if lower else solution, iterations=iterations + other.iterations)
         if not lower:
             break
-    shooting, solution, shift = integrated_finely(problem.shooting, solution, box, run)
+    if task.courses is not None:
+        problem, solution, shift = _cut_finely(problem, solution, task.courses)
+        shooting, box = problem.shooting, problem.box
+    else:
+        shooting, solution, shift = integrated_finely(problem.shooting, solution, box, run)
     reweighted = None
     if task.loss is not None and solution.status.success:
         reweighted, solution = reweighted_solution(shooting, solution, task.loss, run)
     return Optimum(problem, shooting, solution, shift, reweighted, notes)
+
+
+# ---- Pieces of a course with constant parameters, as short as the estimates need.
+#
+# The pieces are the steps of an integrator, and its criterion holds for them (`gbid.identify.problem.integration`).
+
+_MOST_PIECES = 300  # each takes a millisecond or more of a pass; `piece_s` may ask for more
+_MOST_CUTS = 8  # parts of a piece at once: the error of long pieces is of no order yet
+_ORDER = 2  # of the error in the length of a piece: the mean of a straight course is exact to first order
+
+
+def _cut_finely(
+    problem: PosedProblem, solution: Solution, courses: Courses
+) -> tuple[PosedProblem, Solution, FloatArray | None]:
+    """Return problem and solution with pieces of the courses so short that shorter ones do not move the estimates.
+
+    Returns
+    -------
+    PosedProblem, Solution
+        The last that converged.
+    (n_theta,) array or None
+        How far the estimates move when pieces are halved; None where no course changes.
+    """
+    shift = None
+    for remaining in reversed(range(ROUNDS + 1)):
+        largest = max(max(changes) for changes in courses.changes)
+        if not (largest > 0 and solution.status.success):
+            break
+        shift, off = _shift_with(problem, solution, courses.cut(largest / 2, shortest=1))
+        most = min(_MOST_CUTS, _MOST_PIECES / courses.schedule.pieces)
+        finer = courses.cut(largest / max(1.0, min((off / AIM) ** (1 / _ORDER), most)))
+        if not (remaining and off > TOLERATED and finer.schedule.pieces > courses.schedule.pieces):
+            break
+        posed = replace(problem.task, courses=finer).cut_anew(problem, solution.unknowns)
+        refined = solve(posed.shooting, np.clip(posed.unknowns, *posed.box), *posed.box, problem.task.options)
+        if not refined.status.success:
+            break
+        courses, problem = finer, posed
+        solution = replace(refined, iterations=solution.iterations + refined.iterations)
+    return problem, solution, shift
+
+
+def _shift_with(problem: PosedProblem, solution: Solution, courses: Courses) -> tuple[FloatArray, float]:
+    """Return how far the estimates move with other pieces, (n_theta,), and the same in standard deviations."""
+    here, at = problem.shooting, solution.unknowns
+    other = replace(problem.task, courses=courses).cut_anew(problem, at)
+    shooting, start, (lower, upper) = other.shooting, other.unknowns, other.box
+    iterate, estimates = shooting.at(start), np.arange(len(start)) < here.n_theta
+    held = np.where(estimates, start, lower), np.where(estimates, start, upper)
+    try:
+        before = gauss_newton_step(here, here.at(at), at, problem.box)
+        after = gauss_newton_step(shooting, iterate, start, other.box)
+        # Beside the motion of the estimates, the states close the gaps that the other pieces open.
+        closing = gauss_newton_step(shooting, iterate, start, held)
+    except (RuntimeError, ValueError):
+        return np.full(here.n_theta, np.inf), np.inf
+    # What is left of the way to the solution itself is no matter of the pieces.
+    off = in_standard_deviations(shooting, iterate, after - closing) - solution.rest
+    return (after[estimates] - before[: here.n_theta]) * here.theta_scale, max(off, 0.0)
 
 
 # ---- Other minima of the disturbance gain: where errors are strongly coloured, the first minimum need not

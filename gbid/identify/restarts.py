@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -33,8 +34,19 @@ from gbid.identify.options import FitArguments
 from gbid.identify.pose import FitTask, minimise, strongly_coloured
 from gbid.identify.problem.assemble import automatic_window
 from gbid.identify.problem.solve import solve
+from gbid.identify.problem.states import initial_states
 from gbid.identify.result import FitResult, FitStatus
-from gbid.structure import LinearModel, LinearStructure, Parameter, Structure, evaluate, kind_of, symbolic_matrices
+from gbid.identify.start.start import plant_data
+from gbid.structure import (
+    ClosedLoop,
+    LinearModel,
+    LinearStructure,
+    Parameter,
+    Structure,
+    evaluate,
+    kind_of,
+    symbolic_matrices,
+)
 
 
 @dataclass(frozen=True)
@@ -262,7 +274,7 @@ def observer_start(task: FitTask) -> dict[str, float] | None:
 
     The observer is a steady Kalman filter for assumed noise. With it the predictor is stable, whatever the start. It
     is computed anew, with a longer memory, at the estimates of each fit. Free parameters of the structure's own
-    disturbance gain come near to that of the observer.
+    disturbance gain come near to that of the observer. That of a loop observes its plant, whose inputs are known.
 
     Returns
     -------
@@ -270,8 +282,11 @@ def observer_start(task: FitTask) -> dict[str, float] | None:
         Start values of all parameters; None when the outputs do not observe an unstable state, and for a structure that
         is not linear, in continuous time and with constant parameters.
     """
+    if kind_of(task.structure).plant is not task.structure:
+        start = observer_start(_plant_alone(task.structure, task))
+        return start and {**task.begin.values, **start}
     linear, data, values = kind_of(task.structure).linear, task.undisturbed, dict(task.begin.values)
-    if linear is None or symbolic_matrices(linear)[1].feedback is not None:
+    if linear is None:
         return None
     spread = np.sqrt(np.mean([np.var(record.outputs, axis=0) for record in data.records], axis=0))
     known = task.states.known
@@ -298,6 +313,17 @@ def observer_start(task: FitTask) -> dict[str, float] | None:
     gain = observer_gain(evaluate(linear, values), data.sample_time, _NOISE * spread, _REACHES[-1])
     values |= {} if gain is None else gain_parameters(linear, task.parameters, values, gain)
     return {q.name: float(np.clip(values[q.name], q.lower, q.upper)) for q in task.parameters}
+
+
+def _plant_alone(loop: Any, task: FitTask) -> FitTask:
+    """Return the fit of the plant within a loop, from what the controller did at its start values."""
+    gains = {gain.name: task.begin.values[gain.name] for gain in loop.gains}
+    data = plant_data(loop, task.undisturbed, gains)
+    parameters = tuple(q for q in task.parameters if q.name not in gains)
+    states = initial_states(loop.structure, parameters, "estimated", [record.name for record in data.records])
+    return replace(
+        task, structure=loop.structure, parameters=parameters, data=data, undisturbed=data, states=states, courses=None
+    )
 
 
 def observer_gain(model: LinearModel, sample_time: float, noise: FloatArray, reach: float) -> FloatArray | None:

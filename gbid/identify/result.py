@@ -198,8 +198,8 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     covariance_bootstrap : (n_free, n_free) array or None
         Robust covariance with the standard deviations of the bootstrap; None where none was asked for.
     integration_shift : (n_free,) array or None
-        How far the estimates of a nonlinear structure move when the step of the integrator is halved, in standard
-        deviations; None for a linear structure, which is integrated exactly.
+        How far the estimates move, in standard deviations, when the step of the integrator of a nonlinear structure or
+        the pieces of a scheduled one are halved; None for any other structure, which is integrated exactly.
     """
 
     structure: str

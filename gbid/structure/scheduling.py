@@ -194,7 +194,7 @@ def scheduled(
 
     `gbid.fit` estimates the coefficients straight from recordings in which the scheduling variables change, such as
     run-ups. The parameters are constant in short pieces, those of the mean of the variables there, and the state passes
-    on from piece to piece.
+    on from piece to piece. The fit makes pieces shorter where the estimates need it.
 
     Parameters
     ----------

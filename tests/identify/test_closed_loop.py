@@ -180,3 +180,51 @@ def test_states_that_are_soon_forgotten_begin_at_rest():
         "Pade, p": [0, 1, 2, 3, *range(8, 12)],
         "Pade": [8, 9],
     }
+
+
+LEVITATION = {"a": 900.0, "d": 5.0, "b": 40.0}
+
+
+def levitated(seed, n=2000, h=2e-3):
+    """A magnetic levitation, held by a PD controller that acts one sample later: sample by sample, without gbid."""
+    random = np.random.default_rng(seed)
+    w = 20.0 * np.repeat(random.choice([-1.0, 1.0], n // 10), 10)
+    step = expm(h * np.array([[0, 1, 0], [LEVITATION["a"], -LEVITATION["d"], LEVITATION["b"]], [0, 0, 0]]))
+    corner, kp, kd = 400.0, 60.0, 2.0
+    slow = 1 / (1 + h * corner / 2)  # trapezoidal rule, by hand
+    x, z, force, y = np.zeros(2), 0.0, 0.0, np.zeros(n)
+    for k in range(n):
+        y[k] = x[0] + 0.01 * random.normal()
+        u, force = w[k] + force, kd * corner * slow * z - (kp + kd * corner * (1 - h * corner * slow / 2)) * y[k]
+        z = (2 * slow - 1) * z + h * slow * corner * y[k]
+        x = step[:2, :2] @ x + step[:2, 2] * u + 0.01 * random.normal(size=2) * [0.1, 1.0]
+    controller = LinearModel(
+        np.array([[-corner]]), np.array([[corner]]), np.array([[kd * corner]]), np.array([[-kp - kd * corner]])
+    )
+    return gbid.Recording({"w": w[:, None], "y": y[:, None]}, h, name="levitated"), controller
+
+
+@pytest.mark.parametrize("away", [1.0, 1.4])
+def test_loop_of_an_unstable_plant_starts_without_a_disturbance_gain(away):
+    """Prediction of an unstable plant needs a gain: that of an observer of the plant."""
+    start = {name: value * away for name, value in LEVITATION.items()}
+    plant = LinearStructure(
+        "levitation",
+        [*(Parameter(name, value) for name, value in start.items()), Parameter("g1", 0.0), Parameter("g2", 0.0)],
+        lambda p: {
+            "A": [[0, 1], [p.a, -p.d]],
+            "B": [[0], [p.b]],
+            "C": [[1, 0]],
+            "K": [[p.g1], [p.g2]],
+        },
+        "r",
+        "y",
+    )
+    for seed in range(3):
+        recording, controller = levitated(seed)
+        loop = gbid.ClosedLoop(plant, controller, sample_time=recording.sample_time, inputs="w", outputs="y")
+        result = gbid.fit(loop, recording, focus="prediction")
+        assert result.success
+        assert any("GB112" in note for note in result.notes)
+        for name, true in LEVITATION.items():
+            assert abs(result.parameters[name] - true) < 3.5 * result.std[name]

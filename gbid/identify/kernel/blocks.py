@@ -122,6 +122,14 @@ class Blocks:
         place = np.arange(self.per_window)
         return np.minimum(self.window_first[:, None] + place, self.n_blocks - 1), place < self.window_size[:, None]
 
+    @property
+    def window_samples(self) -> list[tuple[Segment, int]]:
+        """Segment of each window, and the number of its first sample in the record."""
+        blocks = self.window_first[self.segment_first]
+        of = np.searchsorted(self.segment_first, np.arange(self.n_windows), side="right") - 1
+        within = (self.window_first - blocks[of]) * self.length
+        return [(self.segments[i], self.segments[i].start + k) for i, k in zip(of, within.tolist(), strict=True)]
+
     def z(self, shift: tuple[int, ...]) -> FloatArray:
         """Return the regressors for the whole-sample parts of the delays, shape (n_groups, length, n_z, lanes)."""
         if shift not in self._regressors:

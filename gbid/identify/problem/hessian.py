@@ -65,6 +65,18 @@ def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> Flo
     return problem.pack(theta, np.concatenate(passed))
 
 
+def starts_from(problem: Shooting, theta: FloatArray, starts: FloatArray, other: Shooting) -> FloatArray:
+    """Return starts of all windows of another problem with the same records, (n_windows, n), where the model passes."""
+    passed: dict[int, FloatArray] = {}
+    for value, part, begin in problem.each(problem.values(theta), starts):
+        states = part.blocks.by_segment(part.kernel.predict(value, part.blocks, begin).states)
+        for segment, rows in zip(part.blocks.segments, states, strict=True):
+            whole = passed.setdefault(id(segment.outputs), np.zeros((len(segment.outputs), problem.n_states)))
+            whole[segment.start : segment.stop] = rows
+    first = [each for part in other.parts for each in part.blocks.window_samples]
+    return np.array([passed[id(segment.outputs)][sample] for segment, sample in first])
+
+
 # ---- Part of the Hessian that Gauss-Newton omits: the errors times the second derivatives of the predictor.
 
 # Step of a difference, in units in which the cost has curvature one. It is small, because states with little influence

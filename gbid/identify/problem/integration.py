@@ -21,10 +21,10 @@ from gbid.identify.result import FitResult
 from gbid.structure import NonlinearModel
 from gbid.structure.nonlinear import MOST_STEPS
 
-_TOLERATED = 0.1  # standard deviations
-_AIM = 0.05  # of a finer integration
+TOLERATED = 0.1  # standard deviations
+AIM = 0.05  # of a finer integration
 _ORDER = 3  # of the less accurate integrator
-_ROUNDS = 3
+ROUNDS = 3
 
 
 def integrated_finely(
@@ -56,13 +56,13 @@ def integrated_finely(
     if not isinstance(predictor, NonlinearPredictor):
         return problem, solution, None
     steps, shift = predictor.steps, _shift(problem, solution.unknowns, box)
-    for _ in range(_ROUNDS if predictor.adapts else 0):
+    for _ in range(ROUNDS if predictor.adapts else 0):
         if not solution.status.success:
             break
         off = in_standard_deviations(problem, problem.at(solution.unknowns), shift)
-        if off <= _TOLERATED:
+        if off <= TOLERATED:
             break
-        steps = steps * 4 if not np.isfinite(off) else ceil(steps * min(8.0, (off / _AIM) ** (1 / _ORDER)))
+        steps = steps * 4 if not np.isfinite(off) else ceil(steps * min(8.0, (off / AIM) ** (1 / _ORDER)))
         if steps > MOST_STEPS:
             break
         problem = with_steps(problem, steps)
@@ -80,13 +80,19 @@ def with_integration_error(result: FitResult, shift: FloatArray | None) -> FitRe
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = np.where(std > 0, shift / std, np.nan)
     result = replace(result, integration_shift=relative)
-    large = [f"{q} by {abs(off):.2g}" for q, off in zip(result.free, relative, strict=True) if abs(off) > _TOLERATED]
+    large = [f"{q} by {abs(off):.2g}" for q, off in zip(result.free, relative, strict=True) if abs(off) > TOLERATED]
     if not (large and result.success):
         return result
-    note = FitNote.INTEGRATION(
-        f"the error of the integration moves estimates, in standard deviations: {', '.join(large)}; take more "
-        "steps in a sample (steps=...), or integrator='implicit'"
-    )
+    if result.schedule is not None:
+        note = FitNote.PIECES(
+            f"{result.schedule.pieces} pieces with constant parameters are too few for the courses: with shorter ones "
+            f"estimates move, in standard deviations: {', '.join(large)}; make piece_s shorter, or fit fewer recordings"
+        )
+    else:
+        note = FitNote.INTEGRATION(
+            f"the error of the integration moves estimates, in standard deviations: {', '.join(large)}; take more "
+            "steps in a sample (steps=...), or integrator='implicit'"
+        )
     return replace(result, notes=(*result.notes, note))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -46,14 +47,43 @@ class Courses:
 
     @property
     def terms(self) -> list[FloatArray]:
-        """Mean of the terms in each piece of each recording, (n_pieces, n_terms).
+        """Mean of the terms over the time of each piece of each recording, (n_pieces, n_terms).
 
-        The mean of a term, not the term of the mean: a parameter that is linear in the terms has its mean there.
+        The mean of a term, not the term of the mean: a parameter that is linear in the terms has its mean there. A
+        piece lasts until the first sample of the next one, so that its own samples alone are half a sample early.
         """
         return [
-            np.add.reduceat(self.schedule.terms(values), [0, *edges]) / np.diff([0, *edges, len(values)])[:, None]
+            _time_means(self.schedule.terms(values), [0, *edges, len(values) - 1])
             for values, edges in zip(self.values, self.edges, strict=True)
         ]
+
+    @property
+    def changes(self) -> list[list[float]]:
+        """Change within each piece of each recording, of the term that changes most.
+
+        Twice the difference between the means of both halves: all of the change of a straight course, and little of the
+        noise of a measured one. Zero for a piece that is too short for halves.
+        """
+        changes = []
+        for values, edges in zip(self.values, self.edges, strict=True):
+            terms, own = self.schedule.terms(values), list[float]()
+            for a, b in itertools.pairwise([0, *edges, len(values) - 1]):
+                halves = _time_means(terms[a : b + 1], [0, (b - a) // 2, b - a]) if b - a > 1 else np.zeros((2, 1))
+                own.append(2 * float(np.abs(halves[1] - halves[0]).max()))
+            changes.append(own)
+        return changes
+
+    def cut(self, largest: float, shortest: int = 2) -> Courses:
+        """Return the courses with pieces cut so that no term changes by more than this in one, down to some samples."""
+        every = []
+        for values, edges, changes in zip(self.values, self.edges, self.changes, strict=True):
+            ends = itertools.pairwise([0, *edges, len(values) - 1])
+            starts = list[int]()
+            for (a, b), change in zip(ends, changes, strict=True):
+                count = max(1, min(ceil(change / largest), (b - a) // shortest))
+                starts += (a + np.arange(count) * (b - a) // count).tolist()
+            every.append(tuple(starts[1:]))
+        return replace(self, edges=tuple(every), schedule=replace(self.schedule, pieces=_number(every)))
 
     def ties(self, parameters: Sequence[Parameter]) -> Ties:
         """Return the map from coefficients to the parameters of each piece.
@@ -67,6 +97,17 @@ class Courses:
         maps = np.array([np.kron(np.eye(len(surfaces)), row) for row in np.concatenate(self.terms)])
         shared = tuple(known[name] for key in surfaces for name in self.schedule.names(key))
         return Ties(surfaces, shared, maps, (), np.zeros((len(surfaces), 0)), self.edges)
+
+
+def _time_means(terms: FloatArray, ends: Sequence[int]) -> FloatArray:
+    """Return means of terms (n_samples, n_terms) between samples `ends`, straight from sample to sample."""
+    between = (terms[:-1] + terms[1:]) / 2
+    return np.asarray(np.add.reduceat(between, ends[:-1]) / np.diff(ends)[:, None])
+
+
+def _number(edges: Sequence[Sequence[int]]) -> int:
+    """Return the number of pieces of all recordings."""
+    return sum(len(each) + 1 for each in edges)
 
 
 def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording]) -> Courses:
@@ -89,7 +130,7 @@ def read_courses(structure: ScheduledStructure, recordings: Sequence[Recording])
         tuple(together.max(axis=0).tolist()),
         structure.surfaces,
         structure.exponents,
-        sum(len(each) + 1 for each in edges),
+        _number(edges),
         pade_order_of(structure.base),
     )
     courses = Courses(schedule, values, edges)
