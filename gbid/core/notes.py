@@ -75,6 +75,8 @@ class FitNote(NoteKind):
     INTEGRATION = "GB120"
     FEEDBACK = "GB121"
     AT_REST = "GB122"
+    LEFT_OUT = "GB123"
+    HOLD = "GB124"
     POLES_MEET = "GB129"
     PIECES = "GB131"
 

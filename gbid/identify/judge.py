@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gbid.core.arrays import BoolArray, FloatArray, IntArray
+from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.notes import FitNote
 from gbid.discretise import check_holds
-from gbid.identify.data import Record, column_means
+from gbid.identify.bias import Bias, bias_of
+from gbid.identify.data import column_means
 from gbid.identify.options import DRAWS
 from gbid.identify.pose import Optimum
 from gbid.identify.problem.assemble import window_length
@@ -26,7 +27,6 @@ from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, Estimate,
 from gbid.identify.uncertainty.residual_tests import whiteness_test
 from gbid.structure import kind_of
 
-_COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
 _EQUAL = (
     1e-3  # largest relative difference of parameters that meet; their difference has less information with its square
 )
@@ -42,32 +42,37 @@ def judge(optimum: Optimum) -> FitResult:
     names = [q.name for q in free]
     theta, starts = shooting.unpack(solution.unknowns)
     windows = assembly.record_window
-    every = _by_record(shooting, shooting.errors(shooting.values(theta), starts), windows)  # outliers count in full
-    used = _by_record(shooting, [part.blocks.used[:, :, None] for part in shooting.parts], windows)
+    every = shooting.by_record(shooting.errors(shooting.values(theta), starts), windows)  # outliers count in full
+    used = shooting.by_record([part.blocks.used[:, :, None] for part in shooting.parts], windows)
     outputs = [r.outputs.compress(rows[:, 0] > 0, axis=0) for r, rows in zip(data.records, used, strict=True)]
     squares = np.asarray(sum(e.T @ e for e in every))
     weighted = shooting if optimum.reweighted is None else optimum.reweighted.problem
     residuals = weighted.errors(weighted.values(theta), starts)
     products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in residuals))
-    by_record = _by_record(weighted, residuals, windows)
+    by_record = weighted.by_record(residuals, windows)
     finite = bool(np.isfinite(products).all() and np.isfinite(theta).all())
     worse = finite and explains_nothing(weighted, squares, outputs)
     white = whiteness_test(by_record)
     sound = finite and not worse
-    coloured = not (sound and (white.p_value >= _COLOURED / len(white.p_value)).all())
+    noisy = np.diag(squares) > weighted.floors  # the rest are simulated outputs without noise: errors at rounding
+    coloured = not (sound and white.accepted[noisy].all())
     bootstrap = None
     if options.std == "bootstrap":
         bootstrap = Bootstrap(options.bootstrap_draws or DRAWS, options.bootstrap_seed or 0)
-    drawn = bootstrap if sound and solution.status.success else None
+    settled = sound and solution.status.success
+    drawn = bootstrap if settled else None
     n_records, n_states = task.states.known.shape
     known_starts = np.hstack([task.states.known, np.zeros((n_records, weighted.n_states - n_states), bool)])
     estimate = Estimate(weighted, theta, starts, windows, known_starts)
     on_bound, spread = _uncertainty(optimum, estimate, products, coloured, drawn)
     spread, meeting = _with_equal_poles(optimum, theta, spread)
-    trusted: StdKind = "bootstrap" if drawn else "robust" if coloured else "white"
-    chosen = {"white": spread.white, "robust": spread.robust, "bootstrap": spread.bootstrap}[trusted]
-    if chosen is None:
-        trusted, chosen = "robust", spread.robust
+    kind_of_std: StdKind = "bootstrap" if spread.bootstrap is not None else "robust" if coloured else "white"
+    sigma = np.where(on_bound | spread.open, np.nan, np.sqrt(np.diag(spread.of(kind_of_std))))
+    bias = bias_of(optimum, [e * noisy for e in by_record], sigma, white=not coloured) if settled else Bias()
+    told = _notes(optimum, theta, on_bound, spread, kind_of_std if coloured and not bias.explains_colour else None)
+    if bias.moved is not None and bias.widens:
+        spread = spread.widened(bias.moved)
+    chosen = spread.of(kind_of_std)
 
     estimates = {
         **problem.begin,
@@ -111,7 +116,7 @@ def judge(optimum: Optimum) -> FitResult:
         covariance_white=spread.white,
         covariance_robust=spread.robust,
         covariance_bootstrap=spread.bootstrap,
-        trusted=trusted,
+        trusted="none" if bias.left_out else kind_of_std,
         whiteness=white.p_value if finite else np.full(len(products), np.nan),
         modes_std=spreads.modes,
         static_gain_std=spreads.static_gain,
@@ -135,9 +140,9 @@ def judge(optimum: Optimum) -> FitResult:
         start={name: problem.begin[name] for name in estimates},
         start_origin={name: _origin(optimum, short_name[name]) for name in estimates},
         notes=(
-            *_notes(optimum, theta, on_bound, spread, trusted if coloured else None),
+            *told,
+            *bias.notes,
             *(may_cover_less(spread.models, model.modes(), data.sample_time, n) if coloured else ()),
-            *(feedback_notes(data.records, by_record) if coloured and finite else ()),
             *((FitNote.PREDICTOR_AT_EDGE(_AT_EDGE),) if at_edge else ()),
             *meeting,
             *optimum.notes,
@@ -163,6 +168,7 @@ def judge(optimum: Optimum) -> FitResult:
         sample_time=data.sample_time,
         local_names=local_names,
         model_slopes=spreads.slopes,
+        hold_shift=bias.moved,
     )
     return with_integration_error(result, optimum.integration_shift)
 
@@ -220,15 +226,6 @@ def _with_equal_poles(optimum: Optimum, theta: FloatArray, spread: Covariance) -
                 )
             )
     return spread, notes
-
-
-def _by_record(problem: Shooting, errors: list[FloatArray], first_windows: IntArray) -> list[FloatArray]:
-    """Return the errors in the order of the samples of each record, (n_samples, n_y); zero for left-out samples."""
-    by_window: dict[int, FloatArray] = {}
-    for e, part, first in zip(errors, problem.parts, problem.first_window[:-1], strict=True):
-        by_window |= zip((first + part.blocks.segment_first).tolist(), part.blocks.by_segment(e), strict=True)
-    chains = [problem.windows_from(first) for first in first_windows]
-    return [np.concatenate([by_window[window] for window in chain if window in by_window]) for chain in chains]
 
 
 def _fit_percent(errors: list[FloatArray], outputs: list[FloatArray]) -> FloatArray:
@@ -497,65 +494,3 @@ def verdict(
     if at_edge:
         return FitStatus.UNSTABLE_PREDICTOR
     return FitStatus.NOT_DETERMINED if undetermined.any() else status
-
-
-# ---- Test whether the errors of a fit come back in its inputs, as through a controller.
-
-_PAST_INPUTS, _PAST_ERRORS = 12, 4  # lags of the regressions
-_AT_ONCE = 1024  # rows
-_MOST = 8192  # samples of a record that are enough
-_SHARE = 0.02  # smallest share of what is new in an input that the errors must explain
-_CERTAIN = 50.0  # the same times the number of samples: far beyond chance for a few regressors
-
-
-def share_of_feedback(record: Record, errors: FloatArray) -> float:
-    """Return the share of an input's innovation that past errors explain, the largest of all inputs.
-
-    Parameters
-    ----------
-    record : Record
-        Inputs of the fit.
-    errors : (n_samples, n_outputs) array
-        Errors of the one-step prediction or of the simulation.
-
-    Returns
-    -------
-    float
-        Between 0 and 1; 0 where nothing is significant.
-
-    Notes
-    -----
-    Errors of the model depend on past inputs. What is new in an input is therefore tested: the part that past inputs do
-    not predict. Without feedback past errors cannot predict it either (Granger, Econometrica 37, 1969).
-    """
-    n = min(record.n_samples, len(errors), _MOST)
-    u, e = record.inputs[:n] - record.inputs[:n].mean(axis=0), errors[:n]
-    begin = max(_PAST_INPUTS, _PAST_ERRORS)
-    columns = (_PAST_INPUTS * u.shape[1], _PAST_ERRORS * e.shape[1])
-    if n - begin < 4 * sum(columns) or not u.any():
-        return 0.0
-    now = u / np.maximum(u[begin:].std(axis=0), np.finfo(float).tiny)
-    past = [(u, lag) for lag in range(1, _PAST_INPUTS + 1)] + [(e, lag) for lag in range(1, _PAST_ERRORS + 1)]
-    triangle = np.zeros((0, sum(columns) + u.shape[1]))
-    for first in range(begin, n, _AT_ONCE):  # QR decomposition of all rows, some at a time
-        last = min(first + _AT_ONCE, n)
-        rows = np.hstack([*(signal[first - lag : last - lag] for signal, lag in past), now[first:last]])
-        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
-    # In the columns of an input, the rows below those of some regressors are what these leave of it.
-    squares = triangle[:, sum(columns) :] ** 2
-    new, left = (squares[above:].sum(axis=0) for above in (columns[0], sum(columns)))
-    share = 1 - left / np.where(new > 0, new, 1.0)
-    largest = float(np.max(share[new > 1e-9 * (n - begin)], initial=0.0))  # known from its past: left out
-    return largest if largest * (n - begin) > _CERTAIN * columns[1] / 8 else 0.0
-
-
-def feedback_notes(records: Sequence[Record], errors: Sequence[FloatArray]) -> tuple[str, ...]:
-    """Return a note when errors that are not white come back in the inputs, none otherwise."""
-    share = max((share_of_feedback(record, e) for record, e in zip(records, errors, strict=True)), default=0.0)
-    if share < _SHARE:
-        return ()
-    text = (
-        f"past errors explain {100 * share:.0f} % of what is new in an input, as through a controller, and they are "
-        "not white: the estimates have a bias; free a disturbance gain (focus='prediction'), or fit a ClosedLoop"
-    )
-    return (FitNote.FEEDBACK(text),)

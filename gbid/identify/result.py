@@ -136,12 +136,14 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     free : tuple of str
         Estimated parameters, in the order of `covariance`.
     covariance : (n_free, n_free) array
-        Covariance to use: `covariance_white`, `covariance_robust` or `covariance_bootstrap`, as `trusted` says.
+        Covariance to use: `covariance_white`, `covariance_robust` or `covariance_bootstrap`, as `trusted` says; where
+        it says "none", the robust one.
     covariance_white, covariance_robust : (n_free, n_free) array
         Covariance for white residuals, and for coloured residuals.
-    trusted : {"white", "robust", "bootstrap"}
+    trusted : {"white", "robust", "bootstrap", "none"}
         Covariance that the whiteness test of the residuals selects; "bootstrap" where that was asked for. A fit that is
-        no estimate has no bootstrap, and its robust covariance.
+        no estimate has no bootstrap, and its robust covariance. "none" where residuals follow an input: the structure
+        leaves something out, and no covariance contains that.
     whiteness : (n_outputs,) array
         p-value of the whiteness test (Ljung-Box). Residuals count as coloured below 0.01 divided by the number of
         outputs.
@@ -200,6 +202,10 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     integration_shift : (n_free,) array or None
         How far the estimates move, in standard deviations, when the step of the integrator of a nonlinear structure or
         the pieces of a scheduled one are halved; None for any other structure, which is integrated exactly.
+    hold_shift : (n_free,) array or None
+        How far the estimates move, in their units, with exact delays and inputs on curves between samples. Where that
+        is more than half a standard deviation, the covariances contain it. None where delays are exact and inputs are
+        held, and where the data refute such curves.
     """
 
     structure: str
@@ -211,7 +217,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     covariance: Annotated[FloatArray, NOT_STORED]
     covariance_white: Annotated[FloatArray, _of_free("covariance_white", "covariance for white residuals")]
     covariance_robust: Annotated[FloatArray, _of_free("covariance_robust", "covariance for any residuals")]
-    trusted: StdKind
+    trusted: StdKind | Literal["none"]
     whiteness: Annotated[FloatArray, Stored("", "probability of less white residuals, per output", "outputs")]
     modes_std: Annotated[FloatArray, Stored("Hz and 1", "standard deviations of frequency and damping", "modes 2")]
     static_gain_std: Annotated[FloatArray, Stored("", "standard deviations of the static gain", "outputs inputs")]
@@ -245,6 +251,10 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         FloatArray | None, Stored("1", "shift of the free parameters with half the step of the integrator", "free")
     ] = None
 
+    hold_shift: Annotated[
+        FloatArray | None, Stored("SI", "shift of the free parameters with exact delays and inputs on curves", "free")
+    ] = None
+
     FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("fit", "make the fit anew", 3)
 
     def __post_init__(self) -> None:
@@ -261,7 +271,8 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     def from_hdf5(cls, group: h5py.Group) -> FitResult:
         """Return the fit in a `group` of `to_hdf5`, with the covariance that it trusts."""
         trusted = hdf5.read_text(group, "trusted")
-        covariance = hdf5.read_dataset(group, f"parameters/covariance_{trusted}")
+        kind = "robust" if trusted == "none" else trusted
+        covariance = hdf5.read_dataset(group, f"parameters/covariance_{kind}")
         return hdf5.read_fields(group, cls, covariance=covariance)
 
     def _brief(self) -> Description:

@@ -270,7 +270,8 @@ def fit_tables(title: str, document: Row) -> list[Table]:
 def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
     """Return the table of estimates, standard deviations and truth; the numbers of a row have one power of ten."""
     with_truth = any(row["truth"] is not None for row in rows)
-    columns = [Column("parameter"), Column("estimate", format=5), Column(f"std\n({trusted})", format=2)]
+    kind = "not trusted" if trusted == "none" else trusted
+    columns = [Column("parameter"), Column("estimate", format=5), Column(f"std\n({kind})", format=2)]
     if with_truth:
         columns += [Column("truth", format=5), Column("off by", format="+.2f"), Column("in std", format="+.1f")]
     laid: list[list[Entry]] = []

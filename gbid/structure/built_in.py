@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, Literal
 
@@ -342,3 +342,18 @@ def pade_order_of(structure: Any) -> int:
     bearing = structure.bearing if isinstance(structure, Plant) else structure
     order = bearing.pade_order if isinstance(bearing, RotorBearing) else None
     return EXACT_AS_PADE if order is None else order
+
+
+def exact_delays(structure: Any) -> tuple[RotorBearing | Plant, list[int]] | None:
+    """Return a rotor bearing or plant with exact delays in place of Pade filters, and where its states are now.
+
+    None for other structures, and where delays are exact already.
+    """
+    if isinstance(structure, Plant) and (inner := exact_delays(structure.bearing)):
+        bearing, motion = inner
+        assert isinstance(bearing, RotorBearing)
+        late = range(4) if "u" in structure.outputs else ()  # the actuators a second time, see `Plant.matrices`
+        return replace(structure, bearing=bearing), [*range(4), *late, *(4 + i for i in motion)]
+    if isinstance(structure, RotorBearing) and structure.pade_order is not None:
+        return replace(structure, delay="exact", pade_order=None), [*range(4)]
+    return None

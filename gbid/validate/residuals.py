@@ -13,7 +13,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import Pictured
 from gbid.identify import FitResult, correlation, select, whiteness_test
-from gbid.identify.uncertainty.residual_tests import FOLLOWS, input_test
+from gbid.identify.uncertainty.residual_tests import input_test
 from gbid.prefilter.runout import turns_per_second
 from gbid.prefilter.runout_identification import power_of
 from gbid.recording import Recording
@@ -105,7 +105,7 @@ class ResidualTest(Brief, Pictured):
     def follows(self) -> tuple[tuple[str, ...], ...]:
         """Inputs that are correlated with the residuals of each output."""
         return tuple(
-            tuple(name for name, p in zip(self.input_names, row, strict=True) if p < FOLLOWS)
+            tuple(name for name, p in zip(self.input_names, row, strict=True) if p < 1 - _LEVEL)
             for row in self.p_independent
         )
 

@@ -412,6 +412,14 @@ class Shooting:
         """Return the prediction errors of every part in blocks; zero for samples that are not in the cost."""
         return [part.kernel.predict(v, part.blocks, begin).errors for v, part, begin in self.each(values, starts)]
 
+    def by_record(self, errors: list[FloatArray], first_windows: IntArray) -> list[FloatArray]:
+        """Return errors of all parts in the order of the samples of each record, (n_samples, n_y); zero if left out."""
+        by_window: dict[int, FloatArray] = {}
+        for e, part, first in zip(errors, self.parts, self.first_window[:-1], strict=True):
+            by_window |= zip((first + part.blocks.segment_first).tolist(), part.blocks.by_segment(e), strict=True)
+        chains = [self.windows_from(first) for first in first_windows]
+        return [np.concatenate([by_window[window] for window in chain if window in by_window]) for chain in chains]
+
     def each(self, values: list[Any], starts: FloatArray) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
         """Return the predictor of each part, the part, and the starts of its windows."""
         return zip(values, self.parts, self.by_part(starts), strict=True)
@@ -430,7 +438,7 @@ class Shooting:
         if self.criterion == "trace":
             total = self.output_weights @ np.diag(error_products) + self._floor
             return np.asarray(np.diag(self.output_weights) / total)
-        return np.asarray(np.linalg.inv(error_products + np.diag(self._floors)))
+        return np.asarray(np.linalg.inv(error_products + np.diag(self.floors)))
 
     def cost(self, error_products: FloatArray) -> float:
         """Return half the logarithm of the weighted trace or determinant of ``sum e e'`` over the outputs' power.
@@ -440,7 +448,7 @@ class Shooting:
         if self.criterion == "trace":
             return 0.5 * float(np.log((self.output_weights @ np.diag(error_products) + self._floor) / self._power))
         units = np.sqrt(self.output_weights / self._power)
-        return 0.5 * float(np.linalg.slogdet((error_products + np.diag(self._floors)) * np.outer(units, units))[1])
+        return 0.5 * float(np.linalg.slogdet((error_products + np.diag(self.floors)) * np.outer(units, units))[1])
 
     def at(self, unknowns: FloatArray) -> Iterate:
         """Return the values at a point."""
@@ -536,7 +544,7 @@ class Shooting:
     @property
     def exact_cost(self) -> float:
         """Largest cost at which all errors are rounding, as for simulated data without noise."""
-        return self.cost(np.diag(self._floors) * _WELL_BELOW * self.n_samples / self.likelihood_size)
+        return self.cost(np.diag(self.floors) * _WELL_BELOW * self.n_samples / self.likelihood_size)
 
     @property
     def _power(self) -> float:
@@ -548,7 +556,8 @@ class Shooting:
         return _ROUNDING * self._power
 
     @property
-    def _floors(self) -> FloatArray:
+    def floors(self) -> FloatArray:
+        """Sums of squared errors of the outputs that count as rounding, (n_y,)."""
         return self._floor / self.output_weights
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space
@@ -519,6 +519,11 @@ class Covariance(NamedTuple):
         """Parameters that the data do not determine, (n_p,)."""
         return np.asarray((np.abs(self.undetermined) > _INVOLVED).any(axis=0))
 
+    def of(self, kind: Literal["white", "robust", "bootstrap"]) -> FloatArray:
+        """Return the covariance of a kind."""
+        chosen: FloatArray = getattr(self, kind)
+        return chosen
+
     def scaled(self, white: float, robust: float) -> Covariance:
         """Return the covariances times these factors."""
         bootstrap = None if self.bootstrap is None else self.bootstrap * robust
@@ -529,6 +534,12 @@ class Covariance(NamedTuple):
         bootstrap = None if self.bootstrap is None else onto @ self.bootstrap @ onto.T
         white, robust = (onto @ each @ onto.T for each in (self.white, self.robust))
         return self._replace(white=white, robust=robust, bootstrap=bootstrap)
+
+    def widened(self, bias: FloatArray) -> Covariance:
+        """Return the covariances with a bias (n_p,), whose size is known, as one more error."""
+        more = np.outer(bias, bias)
+        bootstrap = None if self.bootstrap is None else self.bootstrap + more
+        return self._replace(white=self.white + more, robust=self.robust + more, bootstrap=bootstrap)
 
 
 def covariance(

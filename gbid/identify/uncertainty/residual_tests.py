@@ -10,13 +10,15 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import toeplitz
 from scipy.special import chdtrc
 
-from gbid.core.arrays import FloatArray
+from gbid.core.arrays import BoolArray, FloatArray
 from gbid.identify.data import column_means
 
 # ---- Whiteness.
 
 LAGS = 25
 """Number of lags of the tests that a fit runs."""
+COLOURED = 0.01
+"""Significance level of the whiteness test, shared by the outputs."""
 _FEW = 64  # largest number of lags for which products are faster than transforms
 
 
@@ -36,6 +38,11 @@ class Whiteness(NamedTuple):
     statistic: FloatArray
     p_value: FloatArray
     lags: int
+
+    @property
+    def accepted(self) -> BoolArray:
+        """Whether the residuals of each output count as white, (n_y,)."""
+        return np.asarray(self.p_value >= COLOURED / len(self.p_value))
 
 
 def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
@@ -92,9 +99,6 @@ def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
 
 
 # ---- Independence of the inputs.
-
-FOLLOWS = 0.01
-"""Probability below which residuals count as following an input."""
 
 
 class InputTest(NamedTuple):

@@ -1,0 +1,337 @@
+"""Bias of a fit: by delay and hold, by what the structure leaves out, and by errors that come back in the inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from gbid.core.arrays import FloatArray
+from gbid.core.notes import FitNote
+from gbid.discretise import check_holds
+from gbid.identify.data import Record
+from gbid.identify.pose import Optimum
+from gbid.identify.problem.nlp import Shooting
+from gbid.identify.problem.solve import Box, gauss_newton_step
+from gbid.identify.problem.states import initial_states
+from gbid.identify.uncertainty.residual_tests import followed, whiteness_test
+from gbid.structure import AnyStructure
+from gbid.structure.built_in import exact_delays
+
+# ---- Bias of delay and hold.
+#
+# A measured input is known at its samples only. First-order hold draws straight lines between them, and a Pade filter
+# in place of a delay bends the phase. Both errors act on the estimates, and hardly on the residuals. Their size comes
+# from Gauss-Newton steps in a problem with exact delays and inputs on curves.
+
+TELLING = 0.5
+"""Standard deviations by which an estimate moves that is named: without it, an interval is wider by an eighth."""
+_DECISIVE = 4.5  # difference of log-likelihoods: three standard deviations of one parameter
+
+
+@dataclass(frozen=True, eq=False)
+class OtherHold:
+    """A fit's problem with exact delays and inputs on curves between samples, and the estimates there.
+
+    Attributes
+    ----------
+    shooting : Shooting
+        The problem.
+    theta, starts : (n_theta,) and (n_windows, n) array
+        Free parameters and window starts near its optimum.
+    moved : (n_theta,) array
+        How far the parameters are from those of the fit; not finite where they cannot be computed.
+    """
+
+    shooting: Shooting
+    theta: FloatArray
+    starts: FloatArray
+    moved: FloatArray
+
+
+def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
+    """Return the problem of a fit with exact delays and inputs on curves, and its estimates.
+
+    Parameters
+    ----------
+    optimum : Optimum
+        Optimum of the fit.
+    white : bool
+        Whether its residuals are white: then their likelihood can refute the other hold.
+
+    Returns
+    -------
+    OtherHold or None
+        None where delays are exact and inputs are held between samples, as references are, and where the data refute
+        inputs on curves. That an input is held is believed: data hardly tell it from one that is half a sample late.
+    """
+    task, unknowns = optimum.problem.task, optimum.solution.unknowns
+    given = optimum.shooting if optimum.reweighted is None else optimum.reweighted.problem
+    holds = check_holds(task.hold, len(task.data.input_names))
+    exact = exact_delays(task.structure)
+    if not (exact or "foh" in holds):
+        return None
+    theta, starts = given.unpack(unknowns)
+    posed: tuple[Shooting, FloatArray, Box] | None = (given, starts, optimum.problem.box)
+    if exact:
+        posed = _posed_anew(optimum, *exact)
+    if posed is None:
+        return None
+    other, starts, box = posed
+    other = _on_curves(other, [i for i, hold in enumerate(holds) if hold == "foh"])
+    x = np.clip(other.pack(theta, starts), *box)
+    try:
+        for _ in range(2 if exact else 1):  # the filters are further away
+            x = np.clip(x + gauss_newton_step(other, other.at(x), x, box), *box)
+        gain = (given.at(unknowns).cost - other.at(x).cost) * given.likelihood_size
+    except (RuntimeError, ValueError):
+        gain = np.nan
+    if white and gain < -_DECISIVE:
+        return None
+    found, at = other.unpack(x)
+    return OtherHold(other, found, at, found - theta if np.isfinite(gain) else np.full(len(theta), np.nan))
+
+
+def _posed_anew(
+    optimum: Optimum, structure: AnyStructure, states: Sequence[int]
+) -> tuple[Shooting, FloatArray, Box] | None:
+    """Return the problem with another structure, window starts of the fit for it, and its bounds.
+
+    `states` are the states of the fit that are those of the structure. None with further terms of the caller, which may
+    be for the states of the fit.
+    """
+    problem, task = optimum.problem, optimum.problem.task
+    given = optimum.shooting if optimum.reweighted is None else optimum.reweighted.problem
+    if given.extra is not None:
+        return None
+    choice = task.options.initial_state if isinstance(task.options.initial_state, str) else "estimated"
+    begins = initial_states(structure, task.parameters, choice, [record.name for record in task.data.records])
+    other = replace(task, structure=structure, states=begins)
+    names = [q.name for q in problem.assembly.free]
+    for gain_held in (False, True):
+        posed = other.problem(problem.start, problem.window, gain_held=gain_held)
+        if [q.name for q in posed.assembly.free] == names:
+            break
+    else:
+        return None
+    starts = given.unpack(optimum.solution.unknowns)[1]
+    walking = len(problem.assembly.parts[0].predictor.disturbances.walking)
+    starts = np.hstack([starts[:, list(states)], starts[:, starts.shape[1] - walking :]])
+    parts = [
+        replace(part, blocks=replace(part.blocks, used=weighted.blocks.used))
+        for part, weighted in zip(posed.shooting.parts, given.parts, strict=True)
+    ]
+    return replace(posed.shooting, parts=tuple(parts)), starts, posed.box
+
+
+def _on_curves(problem: Shooting, inputs: Sequence[int]) -> Shooting:
+    """Return the problem with these inputs on curves between samples.
+
+    Notes
+    -----
+    Over a sample, the mean of a parabola through three samples is ``d^2 u / 12`` below that of the straight line, where
+    d^2 u is the second difference. A model that is slow against a sample sees only that mean. So first-order hold of
+    ``u - d^2 u / 12`` acts as the curve through u does, up to the fourth order of the sample time; that of u itself is
+    off in the second.
+    """
+    parts = []
+    for part in problem.parts:
+        segments = []
+        for segment in part.blocks.segments:
+            u = segment.inputs.copy()
+            u[1:-1, inputs] -= np.diff(u[:, inputs], 2, axis=0) / 12
+            segments.append(replace(segment, inputs=u))
+        blocks = replace(part.blocks, segments=tuple(segments), _regressors={})
+        parts.append(replace(part, blocks=blocks))
+    return replace(problem, parts=tuple(parts))
+
+
+def hold_notes(names: Sequence[str], units: Sequence[str], moved: FloatArray, std: FloatArray) -> list[str]:
+    """Return a note on the free parameters that delay and hold move by more than `TELLING` standard deviations.
+
+    Parameters
+    ----------
+    names, units : sequence of str
+        Names of the free parameters, and their units.
+    moved : (n_theta,) array
+        How far they move.
+    std : (n_theta,) array
+        Their standard deviations without this bias.
+    """
+    if not np.isfinite(moved).all():
+        return [FitNote.HOLD("with exact delays and inputs on curves between samples the model overflows")]
+    each = [
+        f"{name} by {shift:+.2g} {unit}".rstrip() + f" ({shift / sigma:+.1f} std)"
+        for name, unit, shift, sigma in zip(names, units, moved, std, strict=True)
+        if abs(shift) > TELLING * sigma
+    ]
+    if not each:
+        return []
+    text = (
+        "the inputs are known at their samples only: with exact delays, and on curves between samples, estimates move, "
+        f"and their intervals are widened by that: {', '.join(each)}; fit from the references, which are held "
+        "(Plant, from r to u and p)"
+    )
+    return [FitNote.HOLD(text)]
+
+
+# ---- Test whether the errors of a fit come back in its inputs, as through a controller.
+
+_PAST_INPUTS, _PAST_ERRORS = 12, 4  # lags of the regressions
+_AT_ONCE = 1024  # rows
+_MOST = 8192  # samples of a record that are enough
+_SHARE = 0.02  # smallest share of what is new in an input that the errors must explain
+_CERTAIN = 50.0  # the same times the number of samples: far beyond chance for a few regressors
+
+
+def share_of_feedback(record: Record, errors: FloatArray) -> float:
+    """Return the share of an input's innovation that past errors explain, the largest of all inputs.
+
+    Parameters
+    ----------
+    record : Record
+        Inputs of the fit.
+    errors : (n_samples, n_outputs) array
+        Errors of the one-step prediction or of the simulation.
+
+    Returns
+    -------
+    float
+        Between 0 and 1; 0 where nothing is significant.
+
+    Notes
+    -----
+    Errors of the model depend on past inputs. What is new in an input is therefore tested: the part that past inputs do
+    not predict. Without feedback past errors cannot predict it either (Granger, Econometrica 37, 1969).
+    """
+    n = min(record.n_samples, len(errors), _MOST)
+    u, e = record.inputs[:n] - record.inputs[:n].mean(axis=0), errors[:n]
+    begin = max(_PAST_INPUTS, _PAST_ERRORS)
+    columns = (_PAST_INPUTS * u.shape[1], _PAST_ERRORS * e.shape[1])
+    if n - begin < 4 * sum(columns) or not u.any():
+        return 0.0
+    now = u / np.maximum(u[begin:].std(axis=0), np.finfo(float).tiny)
+    past = [(u, lag) for lag in range(1, _PAST_INPUTS + 1)] + [(e, lag) for lag in range(1, _PAST_ERRORS + 1)]
+    triangle = np.zeros((0, sum(columns) + u.shape[1]))
+    for first in range(begin, n, _AT_ONCE):  # QR decomposition of all rows, some at a time
+        last = min(first + _AT_ONCE, n)
+        rows = np.hstack([*(signal[first - lag : last - lag] for signal, lag in past), now[first:last]])
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
+    # In the columns of an input, the rows below those of some regressors are what these leave of it.
+    squares = triangle[:, sum(columns) :] ** 2
+    new, left = (squares[above:].sum(axis=0) for above in (columns[0], sum(columns)))
+    share = 1 - left / np.where(new > 0, new, 1.0)
+    largest = float(np.max(share[new > 1e-9 * (n - begin)], initial=0.0))  # known from its past: left out
+    return largest if largest * (n - begin) > _CERTAIN * columns[1] / 8 else 0.0
+
+
+# ---- Bias by what the structure leaves out: residuals that follow an input.
+
+_CHANCE = 1e-3  # that residuals which follow no input are said to: one campaign of 86 fits in ten has such a fit
+
+
+def left_out_notes(
+    optimum: Optimum, errors: Sequence[FloatArray], others: Sequence[FloatArray] | None, *, white: bool
+) -> list[str]:
+    """Return a note on errors that come back in the inputs, or on residuals that follow an input.
+
+    Parameters
+    ----------
+    optimum : Optimum
+        Optimum of the fit.
+    errors : sequence of (n_samples, n_y) array
+        Residuals of each record.
+    others : sequence of (n_samples, n_y) array, or None
+        Residuals with exact delays and inputs on curves: where they follow no input, delay and hold are the cause, and
+        have a note of their own.
+    white : bool
+        Whether the residuals are white.
+    """
+    data = optimum.problem.task.data
+    inputs = [record.inputs for record in data.records]
+    fed_back = False
+    if not white:
+        share = max(share_of_feedback(record, e) for record, e in zip(data.records, errors, strict=True))
+        fed_back = share >= _SHARE
+    if fed_back:
+        text = (
+            f"past errors explain {100 * share:.0f} % of what is new in an input, as through a controller, and they "
+            "are not white: the estimates have a bias; free a disturbance gain (focus='prediction'), or fit a "
+            "ClosedLoop"
+        )
+        return [FitNote.FEEDBACK(text)]
+    p = followed(errors, inputs, white=white)
+    if not (follows := p < _CHANCE / max(1, p.size)).any():
+        return []
+    if others is not None and not (followed(others, inputs, white=white) < _CHANCE / p.size).any():
+        return []
+    told = [
+        f"{output} follow {', '.join(name for name, too in zip(data.input_names, row, strict=True) if too)}"
+        for output, row in zip(data.output_names, follows, strict=True)
+        if row.any()
+    ]
+    text = (
+        f"the structure leaves something out: the residuals of {', those of '.join(told)} (p = {p.min():.1g}); the "
+        "estimates have a bias, which no standard deviation contains"
+    )
+    return [FitNote.LEFT_OUT(text)]
+
+
+class Bias(NamedTuple):
+    """What a fit's estimates are off by beside the noise.
+
+    Attributes
+    ----------
+    notes : tuple of str
+        Notes on it.
+    left_out : bool
+        Whether residuals follow an input, so that no standard deviation is to be trusted.
+    explains_colour : bool
+        Whether it may be why residuals are not white, and not the noise.
+    moved : (n_theta,) array or None
+        How far delay and hold move the estimates; None where they are known to be right.
+    widens : bool
+        Whether that matters for an interval.
+    """
+
+    notes: tuple[str, ...] = ()
+    left_out: bool = False
+    explains_colour: bool = False
+    moved: FloatArray | None = None
+    widens: bool = False
+
+
+def bias_of(optimum: Optimum, errors: Sequence[FloatArray], std: FloatArray, *, white: bool) -> Bias:
+    """Return the bias of a converged fit.
+
+    Parameters
+    ----------
+    optimum : Optimum
+        Optimum of the fit.
+    errors : sequence of (n_samples, n_y) array
+        Residuals of each record; zero for outputs whose errors are at rounding.
+    std : (n_theta,) array
+        Standard deviations of the free parameters; zero or nan for those on a bound or not determined.
+    white : bool
+        Whether the residuals are white.
+    """
+    if not optimum.problem.task.data.input_names:
+        return Bias()
+    other = other_hold(optimum, white=white)
+    others = None
+    if other is not None and np.isfinite(other.moved).all():
+        made = other.shooting.errors(other.shooting.values(other.theta), other.starts)
+        noisy = np.any([e.any(axis=0) for e in errors], axis=0)
+        others = [e * noisy for e in other.shooting.by_record(made, optimum.problem.assembly.record_window)]
+    notes = left_out_notes(optimum, errors, others, white=white)
+    left_out = any(FitNote.LEFT_OUT.value in note for note in notes)
+    if other is None:
+        return Bias((*notes,), left_out, left_out)
+    explains_colour = left_out or (not white and others is not None and bool(whiteness_test(others).accepted.all()))
+    free = optimum.problem.assembly.free
+    moved = np.where(std > 0, other.moved, 0.0)
+    told = hold_notes([q.name for q in free], [q.unit for q in free], moved, std)
+    widens = bool(told) and bool(np.isfinite(moved).all())
+    return Bias((*notes, *told), left_out, explains_colour, moved, widens)
