@@ -25,7 +25,7 @@ def test_delayed_double_integrator_has_a_triple_eigenvalue(order: int, limit: fl
 
 @pytest.mark.parametrize("n", [2, 3, pytest.param(4, marks=pytest.mark.slow)])
 def test_integrators_meet_at_their_mean(n: int) -> None:
-    result = integrators(n).tune(starts=0)
+    result = integrators(n).tune(starts=1)
     assert result.status is GainStatus.OPTIMAL
     assert result.value == pytest.approx(1.0, rel=2e-3)
 
