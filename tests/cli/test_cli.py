@@ -8,10 +8,18 @@ import time
 import pytest
 from campaign_files import ENVIRONMENT, command
 from experiment_files import files_in, gbid, json_of, printed_by, write_quick, write_spring, write_spring_data
+from figure_cases import BlankPictures
 from json_keys import KEYS, assert_keys
 
 from gbid.experiment.campaign import locked
 from gbid.experiment.load import disk_space, load_experiment, peek_recordings
+
+
+@pytest.fixture(scope="module", autouse=True)
+def blank_pictures():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbid.report.write.Pictures", BlankPictures)
+        yield
 
 
 @pytest.fixture(scope="module")

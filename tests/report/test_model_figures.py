@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from experiment_files import gbid, write_spring
+from figure_cases import BlankPictures
 from fit_cases import MODE, MODE_AT, levels, simulated
 from matplotlib.figure import Figure
 
@@ -64,7 +65,8 @@ def test_models_of_a_figure_need_the_same_channels(rec, result):
     assert set(report.bode_data([result, result.model])) == {"mode (1)", "mode (2)"}
 
 
-def test_the_figures_section_draws_bode_diagrams_with_their_numbers(tmp_path):
+def test_the_figures_section_draws_bode_diagrams_with_their_numbers(tmp_path, monkeypatch):
+    monkeypatch.setattr("gbid.report.write.Pictures", BlankPictures)
     path = write_spring(
         tmp_path,
         ("crossval:", "figures:\n  spring: {bode: true, formats: [pdf]}\ncrossval:"),
