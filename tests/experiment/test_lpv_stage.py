@@ -15,7 +15,8 @@ from gbid.experiment.run import InTurn, Job, run_stage
 from gbid.experiment.stages.crossval import CROSSVAL, NOMINAL
 from gbid.experiment.stages.lpv import LPV
 
-CAMPAIGN = SMALL.replace("lpv:", "  piezos: {structure: piezo_pair}\nlpv:").replace("2016}", "2016, direct: true}")
+PIEZOS = "  piezos: {structure: piezo_pair, recordings: p3*prbs*}\n"
+CAMPAIGN = SMALL.replace("lpv:", f"{PIEZOS}lpv:").replace("2016}", "2016, direct: true}")
 
 
 @pytest.fixture(scope="module")
