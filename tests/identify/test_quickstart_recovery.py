@@ -77,7 +77,7 @@ def test_the_plant_in_one_has_no_bias(recordings):
     """Held references, a third-order delay and no median: the truth within five standard deviations."""
     still, rec, _ = recordings
     unmedianed, _ = prefilter(rec, identify_runout(still), median=1)
-    result = fit(Plant(RotorBearing(pade_order=3)), unmedianed.slice(0, 5000), max_iterations=40)
+    result = fit(Plant(RotorBearing(pade_order=3)), unmedianed.slice(0, 5000))
     assert result.success
     for name, truth in {**TRUTH, **ACTUATORS}.items():
         assert abs(result.parameters[name] - truth) < 5 * result.std[name], name
