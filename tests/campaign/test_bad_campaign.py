@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from experiment_files import gbid
+from experiment_files import printed_by
 from own_files import BY_NAME, SIGNALS, columns_of, write_file
 from rig_point import machine
 
@@ -62,20 +62,17 @@ def test_each_fault_is_named_and_the_rest_is_fitted(folder, capsys):
     # What the experiment cannot do at all is said first.
     alone = folder.parent / "data" / "p7_n4000_prbs1.npz"
     write_file(alone, measure(alone.stem, 99))
-    assert gbid("check", folder) == gbid("batch", folder) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert len(told) == 2
-    assert all("no stationary recording at p7_n4000 (as 'p7_n4000_prbs1')" in line for line in told)
+    for verb in ("check", "batch"):
+        (line,) = printed_by(capsys, verb, folder, code=2).err.splitlines()
+        assert "no stationary recording at p7_n4000 (as 'p7_n4000_prbs1')" in line
     alone.unlink()
 
-    assert gbid("check", folder) == 3
-    told = capsys.readouterr().err.splitlines()
+    told = printed_by(capsys, "check", folder, code=3).err.splitlines()
     for name, text in BAD.items():
         assert any(name in line and text in line for line in told), name
     assert not [line for line in told if not any(name in line for name in BAD)]
 
-    assert gbid("batch", folder, "--engine", "serial") == 3
-    told = capsys.readouterr().err.splitlines()
+    told = printed_by(capsys, "batch", folder, "--engine", "serial", code=3).err.splitlines()
     reasons = [line for line in told if line.startswith("gbid: error: import ")]
     assert len(reasons) == len(BAD)
     table = load_table(folder.parent / "results" / "own" / "table.h5")

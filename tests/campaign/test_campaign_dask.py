@@ -38,7 +38,7 @@ class FindTasks(WorkerPlugin):
 
 
 class Killer:
-    """A reporter that kills one of the workers when the third fit is there."""
+    """A reporter that kills one of the workers when the second fit is there."""
 
     def __init__(self, engine):
         self.engine, self.fits, self.victim = engine, 0, None
@@ -51,19 +51,19 @@ class Killer:
 
     def end(self, outcome):
         self.fits += outcome.stage == "fit"
-        if self.fits == 3 and self.victim is None:
+        if self.fits == 2 and self.victim is None:
             self.victim = next(iter(self.engine.client.run(os.getpid).values()))
             os.kill(self.victim, signal.SIGKILL)
 
 
 def test_one_of_two_workers_is_killed(engine, tmp_path):
-    one, two = (write_springs(tmp_path / name, 6) for name in ("one", "two"))
+    one, two = (write_springs(tmp_path / name, 4) for name in ("one", "two"))
     assert gbid("batch", one, "--engine", "serial") == 0
     killer = Killer(engine)
     with working(load_experiment(two), engine="serial") as job:
         outcomes = run_campaign(Job(job.experiment, reporter=killer, engine=engine))
     assert killer.victim is not None
-    assert [o.state for o in outcomes] == ["made"] * 12
+    assert [o.state for o in outcomes] == ["made"] * 8
     assert gbid("batch", two, "--collect") == 0
     tables = [rows_of(path.parent / "results" / "springs" / "table.csv") for path in (one, two)]
     assert tables[0] == tables[1]

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from experiment_files import gbid, write_quick, write_spring
+from experiment_files import gbid, json_of, printed_by, write_quick, write_spring
 from places import ROOT
 from scipy.io import loadmat
 
@@ -43,8 +43,7 @@ def spring(tmp_path_factory):
 
 
 def test_help_lists_the_verbs_in_groups_with_whole_sentences(capsys):
-    assert gbid("-h") == 0
-    text = capsys.readouterr().out
+    text = printed_by(capsys, "-h").out
     shown = [line[:-1] for line in text.splitlines() if re.fullmatch(r"\w+:", line)]
     groups = [name for name in shown if name in GROUPS]
     assert groups == [name for name in GROUPS if name in groups]  # in the order of the work
@@ -58,8 +57,7 @@ def test_help_lists_the_verbs_in_groups_with_whole_sentences(capsys):
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_shows_examples_that_name_real_options(verb, capsys):
-    assert gbid(verb, "-h") == 0
-    text = capsys.readouterr().out
+    text = printed_by(capsys, verb, "-h").out
     examples = [line.strip() for line in text.partition("Examples:")[2].splitlines() if line.strip()]
     assert examples, verb
     assert len([line for line in examples if line.startswith(f"gbid {verb}")]) == len(examples)
@@ -68,13 +66,11 @@ def test_every_verb_shows_examples_that_name_real_options(verb, capsys):
 
 
 def test_new_lists_templates_and_says_what_comes_next(tmp_path, capsys):
-    assert gbid("new", "--list") == 0
-    lines, schema = capsys.readouterr().out.splitlines(), experiment_json_schema()
+    lines, schema = printed_by(capsys, "new", "--list").out.splitlines(), experiment_json_schema()
     assert [line.split()[0] for line in lines] == [template.value for template in Template]
     for line in lines:
         folder = tmp_path / line.split()[0]
-        assert gbid("new", folder, "--template", folder.name) == 0
-        captured = capsys.readouterr()
+        captured = printed_by(capsys, "new", folder, "--template", folder.name)
         assert f"next: gbid run {folder / 'experiment.yaml'}" in captured.err
         first, rest = (folder / "experiment.yaml").read_text().split("\n", 1)
         assert first == "# yaml-language-server: $schema=experiment.schema.json"
@@ -104,8 +100,7 @@ def test_shipped_experiments_hold_to_the_schema(path, validator):
 def test_schema_finds_what_the_check_finds(change, where, tmp_path, validator, capsys):
     path = write_quick(tmp_path, change)
     assert where in [e.json_path for e in validator.iter_errors(read_yaml(path).data)]
-    assert gbid("check", path) == 2
-    assert capsys.readouterr().err
+    assert printed_by(capsys, "check", path, code=2).err
 
 
 @pytest.mark.parametrize(
@@ -131,12 +126,9 @@ def test_schema_tells_what_keys_mean():
 
 def test_schema_goes_to_a_file_once(tmp_path, capsys):
     path = tmp_path / "schema.json"
-    assert gbid("schema", "--output", path) == 0
-    assert "yaml-language-server: $schema=schema.json" in capsys.readouterr().err
-    assert gbid("schema") == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(path.read_text())
-    assert gbid("schema", "--output", path) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "yaml-language-server: $schema=schema.json" in printed_by(capsys, "schema", "--output", path).err
+    assert json.loads(printed_by(capsys, "schema").out) == json.loads(path.read_text())
+    assert "exists already" in printed_by(capsys, "schema", "--output", path, code=2).err
 
 
 def test_completion_offers_experiments_and_folders(tmp_path, monkeypatch):
@@ -159,21 +151,18 @@ def test_bash_completes_verbs_and_files(tmp_path, monkeypatch, capsys, words, of
     monkeypatch.chdir(tmp_path)
     for name, value in (("_GBID_COMPLETE", "complete_bash"), ("COMP_WORDS", words), ("COMP_CWORD", words.count(" "))):
         monkeypatch.setenv(name, str(value))
-    assert gbid() == 0
-    assert capsys.readouterr().out.split() == [offered]
+    assert printed_by(capsys).out.split() == [offered]
 
 
 def test_export_writes_the_fits_of_an_experiment(spring, tmp_path, capsys):
     for kind, ending in (("matlab", "mat"), ("csv", "csv"), ("yaml", "yaml")):
-        assert gbid("export", spring, "--to", kind, "--output", tmp_path / kind, "--json") == 0
-        document = json.loads(capsys.readouterr().out)
+        document = json_of(capsys, "export", spring, "--to", kind, "--output", tmp_path / kind)
         assert document["left_out"] == []
         files = [Path(p) for p in document["files"]]
         assert all(p.is_file() for p in files)
         assert {"spring_run1", "spring_run2"} <= {p.stem.removesuffix("_parameters") for p in files}
         assert any(p.suffix == f".{ending}" for p in files)
-    assert gbid("export", spring, "--output", tmp_path / "matlab") == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "exists already" in printed_by(capsys, "export", spring, "--output", tmp_path / "matlab", code=2).err
     assert gbid("export", spring, "--output", tmp_path / "matlab", "--overwrite") == 0
     data = loadmat(tmp_path / "matlab" / "spring_run1.mat")
     numbers = dict(
@@ -187,8 +176,7 @@ def test_export_of_an_experiment_takes_its_lpv_models_along(spring, capsys):
     (results / "lpv").mkdir()
     published = (ROOT / "models" / "theisen2016.yaml").read_text()
     (results / "lpv" / "machine.yaml").write_text(published)
-    assert gbid("export", spring, "--overwrite") == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed_by(capsys, "export", spring, "--overwrite").out.splitlines()
     assert str(results / "export" / "machine.mat") in lines
     assert gbid("export", results / "fits" / "spring" / "run1.h5", "--output", results / "one") == 0
     assert (results / "one" / "spring_run1.mat").is_file()
@@ -236,7 +224,6 @@ def test_errors_end_in_what_to_do_next(arguments, text, hint, tmp_path, capsys):
     path = tmp_path / "a.yaml"
     if text is not None:
         path.write_text(text)
-    assert gbid(*arguments, path) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = printed_by(capsys, *arguments, path, code=2).err.splitlines()
     assert line.startswith("gbid: error: ")
     assert hint in line.rpartition(";")[2], line

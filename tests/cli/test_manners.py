@@ -3,7 +3,6 @@
 import contextlib
 import errno
 import io
-import json
 import os
 import signal
 import subprocess
@@ -15,7 +14,7 @@ import weakref
 import casadi as ca
 import pytest
 import typer
-from experiment_files import files_in, gbid, write_spring
+from experiment_files import files_in, gbid, json_of, printed_by, write_spring
 from places import ROOT
 
 from gbid.cli.guard import guarded
@@ -47,27 +46,22 @@ def test_the_package_runs_as_a_module():
 
 
 def test_quiet_says_nothing_beside_the_results(spring, capsys):
-    assert gbid("import", spring) == 0
-    loud = capsys.readouterr()
+    loud = printed_by(capsys, "import", spring)
     assert loud.err.splitlines() == ["import run1: kept", "import run2: kept", f"next: gbid fit {spring}"]
-    assert gbid("import", spring, "--quiet") == 0
-    quiet = capsys.readouterr()
+    quiet = printed_by(capsys, "import", spring, "--quiet")
     assert (quiet.out, quiet.err) == (loud.out, "")
-    assert gbid("rig", spring, "-q") == 2
-    assert "no section 'rig'" in capsys.readouterr().err
+    assert "no section 'rig'" in printed_by(capsys, "rig", spring, "-q", code=2).err
 
 
 def test_a_dry_run_counts_and_makes_nothing(spring, capsys):
     before = files_in(spring.parent)
-    assert gbid("run", spring, "--dry-run", "--json") == 0
-    plan = json.loads(capsys.readouterr().out)["plan"]
+    plan = json_of(capsys, "run", spring, "--dry-run")["plan"]
     assert [(row["stage"], row["to_make"], row["there"]) for row in plan] == [
         ("import", 0, 2),
         ("fit", 2, 0),
         ("crossval", None, None),
     ]
-    assert gbid("fit", spring, "--dry-run") == 0
-    assert "nothing is made" in capsys.readouterr().out
+    assert "nothing is made" in printed_by(capsys, "fit", spring, "--dry-run").out
     assert gbid("rig", spring, "--dry-run") == 2
     assert files_in(spring.parent) == before
 
@@ -90,11 +84,9 @@ def test_clean_removes_what_killed_runs_left_and_on_request_all(tmp_path, capsys
     os.utime(stale, (1e9, 1e9))
     (results / "mine.txt").write_text("mine")
     before = files_in(tmp_path)
-    assert gbid("clean", path, "--dry-run") == 0
-    assert "2 files would be removed" in capsys.readouterr().out
+    assert "2 files would be removed" in printed_by(capsys, "clean", path, "--dry-run").out
     assert files_in(tmp_path) == before
-    assert gbid("clean", path, "--json") == 0
-    assert len(json.loads(capsys.readouterr().out)["removed"]) == 2
+    assert len(json_of(capsys, "clean", path)["removed"]) == 2
     gone = {str(stale.relative_to(tmp_path)), "results/spring/failed/fit/x.json"}
     assert set(before) - set(files_in(tmp_path)) == gone
     assert gbid("clean", path, "--everything", "--quiet") == 0
@@ -212,16 +204,14 @@ def test_an_interruption_behind_the_failure_of_a_library_is_one(capsys):
 def test_doctor_has_a_verdict_on_everything(capsys, monkeypatch, tmp_path):
     from gbid.core.compiled import find_compiler
 
-    assert gbid("doctor", "--json") == 0
-    found = {row["what"]: row for row in json.loads(capsys.readouterr().out)["findings"]}
+    found = {row["what"]: row for row in json_of(capsys, "doctor")["findings"]}
     assert {"gbid", "packages", "C compiler", "compiled kernels", "this folder", "processors", "BLAS"} <= set(found)
     assert found["packages"]["verdict"] == "good"
     assert "casadi" in found["packages"]["found"]
     monkeypatch.setenv("CC", "no-such-compiler")
     find_compiler.cache_clear()
     try:
-        assert gbid("doctor") == 0
-        captured = capsys.readouterr()
+        captured = printed_by(capsys, "doctor")
     finally:
         find_compiler.cache_clear()
     assert "gbid: note: C compiler: fits run with the portable pass" in captured.err

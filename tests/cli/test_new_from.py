@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiment_files import gbid
+from experiment_files import gbid, printed_by
 
 from gbid import load_fit
 from gbid.cli import files as new
@@ -39,8 +39,7 @@ def measured(tmp_path):
 
 
 def test_one_speed_is_drafted_and_can_be_checked(measured, tmp_path, capsys):
-    assert gbid("new", tmp_path / "own", "--from", measured, "--controller", "biquad") == 0
-    said = capsys.readouterr()
+    said = printed_by(capsys, "new", tmp_path / "own", "--from", measured, "--controller", "biquad")
     text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
     assert 'pattern: "P{pressure_bar:g}_N{speed_rpm:d}_{kind}1.csv"' in text
     assert 'kinds: {"rauschen": excited, "ruhe": stationary}' in text
@@ -80,8 +79,7 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
         ("--pressure", ["--pressure", "5"]),
         ("--speed", ["--speed", "4000"]),
     ):
-        assert gbid("new", tmp_path / "own", "--from", tmp_path / "a", *flags) == 2
-        assert option in capsys.readouterr().err
+        assert option in printed_by(capsys, "new", tmp_path / "own", "--from", tmp_path / "a", *flags, code=2).err
         flags += more
     assert gbid("new", tmp_path / "own", "--from", tmp_path / "a", *flags) == 0
     given = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
@@ -93,8 +91,7 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
     assert asked == given.replace("name: own", "name: asked")
     assert gbid("new", tmp_path / "third", "--from", tmp_path / "a", "--signal", "u=c1") == 2
     assert "expected r, u or p with two columns" in capsys.readouterr().err
-    assert gbid("new", tmp_path / "third", "--from", tmp_path / "none") == 2
-    assert "no folder" in capsys.readouterr().err
+    assert "no folder" in printed_by(capsys, "new", tmp_path / "third", "--from", tmp_path / "none", code=2).err
     write(tmp_path / "still" / "p5_n4000.csv", False, names="t;u_x [um];u_y [um];p_x [um];p_y [um]")
     assert gbid("new", tmp_path / "third", "--from", tmp_path / "still") == 3
     assert "r and u move in no file" in capsys.readouterr().err

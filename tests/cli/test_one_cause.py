@@ -50,13 +50,6 @@ def test_the_exit_code_is_that_of_the_last_line(cause, word, code, capsys):
     )
 
 
-def test_many_causes_are_counted(capsys):
-    lines, _ = end_of([failed("import", f"run{i}", "bad", before=i == 1) for i in range(1, 101)], capsys)
-    assert len(lines) == 12
-    assert lines[-2] == "gbid: error: 89 more failed; `--json` lists all"
-    assert lines[-1] == "gbid: error: import run1: bad (failed in an earlier run; use --retry to try again)"
-
-
 def test_inputs_that_were_missing_before_have_a_line_for_each_stage(capsys):
     lines, code = end_of([*FITS, *PAIRS], capsys)
     assert code == 3

@@ -25,7 +25,7 @@ def test_delayed_double_integrator_has_a_triple_eigenvalue(order: int, limit: fl
 
 @pytest.mark.parametrize("n", [2, 3, pytest.param(4, marks=pytest.mark.slow)])
 def test_integrators_meet_at_their_mean(n: int) -> None:
-    result = integrators(n).tune(starts=0)
+    result = integrators(n).tune(starts=1)
     assert result.status is GainStatus.OPTIMAL
     assert result.value == pytest.approx(1.0, rel=2e-3)
 
@@ -38,7 +38,7 @@ def test_two_masses_from_ten_seeds(limit: float) -> None:
     assert (shares <= 1 + 1e-9).all()
 
 
-@pytest.mark.parametrize("seed", range(2 * len(KINDS)))
+@pytest.mark.parametrize("seed", range(len(KINDS)))
 def test_no_random_problem_raises(seed: int) -> None:
     problem = random_problem(seed)
     names = [f"g{i}" for i in range(problem.n_gains)]

@@ -76,15 +76,6 @@ def test_the_worst_mode_is_named() -> None:
         assert (found.frequency_hz, found.damping) == pytest.approx(expected[1:], rel=1e-9)
 
 
-def test_a_pole_that_grows_comes_before_the_smallest_damping() -> None:
-    g = ca.SX.sym("g")
-    grows = ca.Function("A", [g], [ca.SX(np.diag([0.5, -1.0]))])
-    rings = ca.Function("A", [g], [oscillator(0.01)])
-    problem = GainProblem(families_of([rings, grows], 1), Limits(), np.zeros(1), np.ones(1), 1.0)
-    found = worst_mode(problem, NOTHING)
-    assert (found.where, found.frequency_hz, found.damping) == ("A[1]", pytest.approx(0.5 / (2 * np.pi)), -1.0)
-
-
 def test_the_nearest_edge_of_stability() -> None:
     """Damping ``0.3 + a - 2 b`` is nothing at a = -0.3 and at b = 0.15, which is nearer."""
     problem = damping_problem(lambda g: 0.3 + g[0] - 2 * g[1], [-1.0, -1.0], [1.0, 1.0])

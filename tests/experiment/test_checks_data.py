@@ -1,12 +1,11 @@
 """What `gbid check` finds before hours are spent: in files, clocks, lengths and on the disk."""
 
-import json
 import shutil
 from collections import namedtuple
 
 import numpy as np
 import pytest
-from experiment_files import gbid, write_quick, write_spring, write_spring_data
+from experiment_files import gbid, json_of, printed_by, write_quick, write_spring, write_spring_data
 from own_files import BY_NAME, CLOCK, COLUMNS, SIGNALS, write_file
 
 from gbid.core.errors import DataError
@@ -54,8 +53,7 @@ def test_a_truncated_file_is_named_in_the_check(ending, tmp_path, capsys):
     assert code == 3
     assert len(texts) == 1
     assert f"experiment.yaml:6:5: {victim}" in texts[0]
-    assert gbid("check", path, "--quick") == 3
-    assert str(victim) in capsys.readouterr().err
+    assert str(victim) in printed_by(capsys, "check", path, "--quick", code=3).err
     victim.write_bytes(b"")
     assert problems(path)[1] == 3
 
@@ -103,8 +101,7 @@ def test_results_that_do_not_fit_on_the_disk(tmp_path, monkeypatch, capsys):
     assert code == 3
     assert "the results need about" in text
     assert "100 kB are free; make room, or write elsewhere with --results" in text
-    assert gbid("check", path, "--json") == 3
-    told = json.loads(capsys.readouterr().out)
+    told = json_of(capsys, "check", path, code=3)
     assert told["bytes_free"] == 10**5 < told["bytes_needed"]
 
 
@@ -116,8 +113,7 @@ def test_the_content_is_looked_at_unless_quick(tmp_path, capsys):
 
     write_spring_data(tmp_path / "data" / "run2.csv", 2, damage=dead)
     assert gbid("check", path, "--quick") == 0
-    assert gbid("check", path) == 3
-    assert "is constant" in capsys.readouterr().err
+    assert "is constant" in printed_by(capsys, "check", path, code=3).err
 
 
 @pytest.mark.parametrize("ending", ["mat", "npz", "csv"])
@@ -143,9 +139,7 @@ def test_stretches_left_out_of_a_fit_are_left_out_of_its_validation(tmp_path, ca
     write_spring_data(tmp_path / "data" / "run2.csv", 2, damage=knock)
     assert gbid("import", path) == 0
     assert gbid("fit", path) == 0
-    capsys.readouterr()
-    assert gbid("crossval", path, "--json") == 0
-    before = {r["model"]: r for r in json.loads(capsys.readouterr().out)["crossval"]}
+    before = {r["model"]: r for r in json_of(capsys, "crossval", path)["crossval"]}
     assert before["run1"]["fit_percent"] < 80
     assert before["run2"]["fit_percent"] < 98
     assert before["run1"]["residual_p"] is None
@@ -153,9 +147,7 @@ def test_stretches_left_out_of_a_fit_are_left_out_of_its_validation(tmp_path, ca
     write_spring(tmp_path, ("minimum_percent: 90", "residuals: pairs"), ("focus: simulation", left_out))
     write_spring_data(tmp_path / "data" / "run2.csv", 2, damage=knock)
     assert gbid("fit", path, "--overwrite") == 0
-    capsys.readouterr()
-    assert gbid("crossval", path, "--overwrite", "--json") == 0
-    after = {r["model"]: r for r in json.loads(capsys.readouterr().out)["crossval"]}
+    after = {r["model"]: r for r in json_of(capsys, "crossval", path, "--overwrite")["crossval"]}
     assert after["run1"]["recording"] == "run2"
     assert after["run1"]["fit_percent"] > 98
     assert after["run2"]["fit_percent"] > 98
@@ -166,9 +158,7 @@ def test_residuals_once_for_each_model(tmp_path, capsys):
     path = write_spring(tmp_path, ("on: cyclic, minimum_percent: 90", "on: [run1, run2], residuals: models"))
     for verb in ("import", "fit"):
         assert gbid(verb, path) == 0
-    capsys.readouterr()
-    assert gbid("crossval", path, "--json") == 0
-    rows = json.loads(capsys.readouterr().out)["crossval"]
+    rows = json_of(capsys, "crossval", path)["crossval"]
     assert [(r["model"], r["recording"], r["residual_p"] is None) for r in rows] == [
         ("run1", "run1", False),
         ("run1", "run2", True),

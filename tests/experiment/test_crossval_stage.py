@@ -1,14 +1,10 @@
 """Cross-validation as tasks: pairs that cannot be validated are remembered, the others are in the table."""
 
-import json
-
-from experiment_files import gbid, write_spring, write_spring_data
+from experiment_files import gbid, json_of, write_spring, write_spring_data
 
 
 def outcomes_of(path, capsys, *options):
-    capsys.readouterr()
-    assert gbid("crossval", path, "--json", *options) == 3
-    document = json.loads(capsys.readouterr().out)
+    document = json_of(capsys, "crossval", path, *options, code=3)
     return document, {o["item"]: o for o in document["outcomes"] if o["stage"] == "crossval"}
 
 

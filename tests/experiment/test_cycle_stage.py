@@ -29,7 +29,7 @@ format: 1
 name: small
 rig:
   operating_points: [{pressure_bar: 6.0, speed_rpm: 0}]
-  duration_s: 0.6
+  duration_s: 0.4
   settle_s: 0.2
   prbs: {recordings: 2}
   stationary: {recordings: 1}

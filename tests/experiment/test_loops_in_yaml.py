@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from experiment_files import gbid, write_quick
+from experiment_files import printed_by, write_quick
 
 import gbid as package  # the command line has its name
 from gbid.control import controller_structure, p_controller, sample_controller
@@ -144,8 +144,7 @@ def test_a_tuned_controller_is_known_before_it_is_tuned(tmp_path):
     ],
 )  # fmt: skip
 def test_problems_of_loops_name_place_and_remedy(tmp_path, capsys, changes, place, words):
-    assert gbid("check", _unstable(tmp_path, *changes)) == 2
-    said = " ".join("".join(capsys.readouterr()).split())
+    said = " ".join("".join(printed_by(capsys, "check", _unstable(tmp_path, *changes), code=2)).split())
     assert f" {place}: " in said
     assert words in said
 

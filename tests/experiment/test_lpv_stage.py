@@ -1,27 +1,22 @@
 """Surfaces in an experiment: section, stage, verb and files."""
 
-import json
 from contextlib import closing
 
 import numpy as np
 import pytest
-from experiment_files import SMALL, copy_results
+from experiment_files import SMALL, copy_results, json_of, printed_by
+from experiment_files import gbid as command
 from json_keys import assert_keys
-from typer.testing import CliRunner
 
 import gbid
-from gbid.cli.main import app
 from gbid.experiment.engines import ProcessPool
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import InTurn, Job, run_stage
 from gbid.experiment.stages.crossval import CROSSVAL, NOMINAL
 from gbid.experiment.stages.lpv import LPV
 
-CAMPAIGN = SMALL.replace("lpv:", "  piezos: {structure: piezo_pair}\nlpv:").replace("2016}", "2016, direct: true}")
-
-
-def call(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+PIEZOS = "  piezos: {structure: piezo_pair, recordings: p3*prbs*}\n"
+CAMPAIGN = SMALL.replace("lpv:", f"{PIEZOS}lpv:").replace("2016}", "2016, direct: true}")
 
 
 @pytest.fixture(scope="module")
@@ -30,16 +25,13 @@ def campaign(tmp_path_factory):
     path = folder / "experiment.yaml"
     path.write_text(CAMPAIGN)
     for verb in ("rig", "fit"):
-        result = call(verb, path, "--results", folder / "out", "--engine", "serial")
-        assert result.exit_code == 0, result.output
+        assert command(verb, path, "--results", folder / "out", "--engine", "serial") == 0
     return path, folder / "out"
 
 
-def test_verb_draws_and_keeps_surfaces(campaign):
+def test_verb_draws_and_keeps_surfaces(campaign, capsys):
     path, out = campaign
-    result = call("lpv", path, "--results", out, "--json")
-    assert result.exit_code == 0, result.output
-    document = json.loads(result.stdout)
+    document = json_of(capsys, "lpv", path, "--results", out)
     assert_keys("lpv", document)
     two, one = document["lpv"]
     assert (two["item"], one["item"]) == ("bearing", "bearing_direct")
@@ -48,10 +40,10 @@ def test_verb_draws_and_keeps_surfaces(campaign):
     assert two["deviations"][2]["published_rms"] == 1.13
     assert two["published_largest_gain"] == 0.016
     assert one["options"]["method"] == "direct"
-    again = json.loads(call("lpv", path, "--results", out, "--json").stdout)
+    again = json_of(capsys, "lpv", path, "--results", out)
     assert {o["state"] for o in again["outcomes"]} == {"kept"}
     assert again["lpv"] == document["lpv"]
-    shown = call("lpv", path, "--results", out).stdout
+    shown = printed_by(capsys, "lpv", path, "--results", out).out
     for word in ("two-step", "direct", "paper", "omega_1", "1.13", "0.0104", "0.088", "bearing_direct.yaml"):
         assert word in shown
 
@@ -78,26 +70,23 @@ def test_verb_draws_and_keeps_surfaces(campaign):
         ("{fit: bearing, order: 1, weighting: fits, robust: true}", ("lpv.robust", "needs weighting")),
     ],
 )
-def test_wrong_sections_are_named(tmp_path, section, words):
+def test_wrong_sections_are_named(tmp_path, section, words, capsys):
     path = tmp_path / "experiment.yaml"
     path.write_text(CAMPAIGN[: CAMPAIGN.index("lpv:")] + f"lpv: {section}\n")
-    result = call("check", path)
-    assert result.exit_code == 2
+    printed = printed_by(capsys, "check", path, code=2).err
     for word in words:
-        assert word in result.output
+        assert word in printed
 
 
-FILES = ("crossval/piezos.csv", "crossval/piezos_summary.csv", "nominal/piezos.yaml")
-FILES += ("lpv/bearing.yaml", "lpv/bearing_direct.yaml")
+FILES = ("crossval/piezos.csv", "crossval/piezos_summary.csv", "nominal/piezos.yaml", "lpv/bearing.yaml")
 
 
 def test_processes_give_the_same_files(campaign, tmp_path):
     """Tables, nominal actuator and surfaces made by worker processes and in this process are equal."""
     _, out = campaign
     path = tmp_path / "experiment.yaml"
-    path.write_text(
-        CAMPAIGN.replace("theisen2016", "nominal") + "crossval: {piezos: {on: point}}\nnominal: {fit: piezos}\n"
-    )
+    text = CAMPAIGN.replace("theisen2016, direct: true", "nominal")  # the direct ones take their time
+    path.write_text(text + "crossval: {piezos: {on: point}}\nnominal: {fit: piezos}\n")
     made = {}
     with closing(ProcessPool(1)) as pool:
         for name, engine in (("serial", InTurn()), ("pool", pool)):
@@ -110,13 +99,11 @@ def test_processes_give_the_same_files(campaign, tmp_path):
     assert made["serial"] == made["pool"]
 
 
-def test_a_missing_fit_is_no_fault_of_the_surfaces(tmp_path):
+def test_a_missing_fit_is_no_fault_of_the_surfaces(tmp_path, capsys):
     """It is not remembered: the surfaces are drawn as soon as the fits are there."""
     path = tmp_path / "experiment.yaml"
     path.write_text(CAMPAIGN)
-    done = call("lpv", path, "--json")
-    assert done.exit_code == 3
-    (outcome,) = json.loads(done.stdout)["outcomes"]
+    (outcome,) = json_of(capsys, "lpv", path, code=3)["outcomes"]
     assert (outcome["item"], outcome["cause"]) == ("bearing uncertainty", "input")
     assert "fit 'bearing' has no results" in outcome["text"]
     assert not (tmp_path / "results/small/failed").exists()

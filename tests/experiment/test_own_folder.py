@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from experiment_files import gbid
+from experiment_files import gbid, json_of, printed_by
 from own_files import BY_NAME, BY_TABLE, CLOCK, COLUMNS, SIGNALS, columns_of, write_file
 from rig_point import machine, modes
 
@@ -71,14 +71,12 @@ def complaints(path):
 
 def test_a_folder_runs_as_a_campaign(measured, tmp_path, capsys):
     path = write_folder(tmp_path, measured, "mat")
-    assert gbid("import", path, "--json") == 0
-    rows = json.loads(capsys.readouterr().out)["recordings"]
+    rows = json_of(capsys, "import", path)["recordings"]
     kinds = {"prbs1": "excited", "prbs2": "excited", "still1": "stationary"}
     expected = [(f"{label}_{word}", kind) for label in ("p5_n6000", "p6_n0") for word, kind in kinds.items()]
     assert [(row["name"], row["kind"]) for row in rows] == expected
     assert rows[0]["conditions"] == {"pressure_bar": 5.0, "speed_rpm": 6000.0}
-    assert gbid("fit", path, "--json", "--engine", "serial") == 0
-    fits = json.loads(capsys.readouterr().out)["fits"]
+    fits = json_of(capsys, "fit", path, "--engine", "serial")["fits"]
     assert len(fits) == 8
     known = machine(6.0, 0.0).rotor_bearing
     found = {row["parameter"]: row["estimate"] for row in fits[2]["parameters"]}
@@ -86,8 +84,7 @@ def test_a_folder_runs_as_a_campaign(measured, tmp_path, capsys):
     assert set(KEY_PARAMETERS) <= set(found)
     assert [row["frequency_hz"] for row in fits[2]["modes"]] == pytest.approx(modes(known)[0], rel=0.03)
 
-    assert gbid("crossval", path, "--json", "--engine", "serial") == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json_of(capsys, "crossval", path, "--engine", "serial")
     pairs = {(row["model"], row["recording"]) for row in told["crossval"] if row["fit"] == "bearing"}
     others = (("prbs1", "prbs2"), ("prbs2", "prbs1"))
     assert pairs == {(f"{label}_{a}", f"{label}_{b}") for label in ("p5_n6000", "p6_n0") for a, b in others}
@@ -108,15 +105,13 @@ def test_a_folder_runs_as_a_campaign(measured, tmp_path, capsys):
     again = json.loads(capsys.readouterr().out)
     assert {row["state"] for row in again["outcomes"]} == {"kept"}
     assert again["crossval"] == told["crossval"]
-    assert gbid("crossval", path) == 0
-    out = capsys.readouterr().out
+    out = printed_by(capsys, "crossval", path).out
     assert "piezos, cross-validation: 4 models, 4 recordings, 12 pairs" in out
     assert "piezos, nominal actuator" in out
     assert "of 4 models" in out
 
     (results / "fits" / "piezos" / "p6_n0_prbs1.h5").unlink()  # one model missing: the others are validated anew
-    assert gbid("crossval", path, "--overwrite", "--json") == 3
-    captured = capsys.readouterr()
+    captured = printed_by(capsys, "crossval", path, "--overwrite", "--json", code=3)
     less = json.loads(captured.out)
     assert less["crossval_summary"][1]["n_pairs"] == 9
     assert len(less["crossval_summary"][1]["failed"]) == 3

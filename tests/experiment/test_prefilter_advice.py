@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from experiment_files import gbid as call
+from experiment_files import printed_by
 from own_files import BY_NAME, CLOCK, SIGNALS, columns_of, write_file
 from study_rig import machine_at
 
@@ -71,9 +72,7 @@ def test_an_experiment_says_so(recordings, harmonics, advised, tmp_path, capsys)
     text = BY_NAME.format(ending="npz", clock=CLOCK, signals=SIGNALS.rstrip())
     path.write_text(text + FITS.format(harmonics), encoding="utf-8")
     assert call("import", path, "--engine", "serial") == 0
-    capsys.readouterr()
-    assert call("fit", path, "--engine", "serial") == 0
-    said = capsys.readouterr().err
+    said = printed_by(capsys, "fit", path, "--engine", "serial").err
     result = gbid.load_fit(tmp_path / "results" / "own" / "fits" / "bearing" / "p5_n4000_prbs1.h5")
     suspects = [note for note in result.notes if note.startswith("suspect")]
     assert bool(re.search(r"left over in p_x: \d+ nm rms of order 13", said)) == advised

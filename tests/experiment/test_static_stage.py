@@ -1,11 +1,10 @@
 """Static characterisation and the deeper prefilter as stages of an experiment and on the command line."""
 
 import csv
-import json
 
 import numpy as np
 import pytest
-from experiment_files import STAIRS, copy_results, gbid, write_quick
+from experiment_files import STAIRS, copy_results, json_of, printed_by, write_quick
 from json_keys import assert_keys
 
 from gbid.characterise import PiezoCurve, StaticMap
@@ -44,8 +43,7 @@ def stairs(tmp_path_factory):
 
 
 def test_static_writes_maps_and_tables(stairs, capsys):
-    assert gbid("static", stairs, "--json") == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json_of(capsys, "static", stairs)
     assert_keys("static", document)
     assert [entry["name"] for entry in document["static"]] == ["film", "stack4"]
     results = stairs.parent / "results" / "stairs" / "static"
@@ -64,8 +62,7 @@ def test_static_writes_maps_and_tables(stairs, capsys):
         lines = list(csv.DictReader(line for line in handle if not line.startswith("#")))
     assert len(lines) == len(made.command) == 50
     assert float(lines[3]["p_x [m]"]) == made.output_mean[3, 0]
-    assert gbid("static", stairs) == 0
-    printed, progress = capsys.readouterr()
+    printed, progress = printed_by(capsys, "static", stairs)
     assert progress.count(": kept") == 4
     for word in ("u_x to p_x", "rms off", "hysteresis", "creep per step", "%"):
         assert word in printed

@@ -5,7 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from experiment_files import SMALL, write_quick
+from experiment_files import SMALL, json_of, printed_by, write_quick
+from experiment_files import gbid as command
 from json_keys import assert_keys
 from typer.testing import CliRunner
 
@@ -48,14 +49,10 @@ structure = gbid.LinearStructure("same", [gbid.Parameter("k", 0.0, 0.0, 2.0)], m
 """
 
 
-def call(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
     path = write_quick(tmp_path_factory.mktemp("tuned"), text=RIG + FEEDBACK)
-    result = call("tune", path, "--json")
+    result = CliRunner().invoke(app, ["tune", str(path), "--json"])
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     assert_keys("tuning", document)
@@ -78,23 +75,22 @@ def test_the_papers_damping_at_the_papers_cap(tuned):
     assert low < document["value"] < high
 
 
-def test_table_is_that_of_compare_designs(tuned):
+def test_table_is_that_of_compare_designs(tuned, capsys):
     path, document = tuned
-    result = call("tune", path)
-    assert result.exit_code == 0, result.output
-    assert "kept" in result.stderr
+    result = printed_by(capsys, "tune", path)
+    assert "kept" in result.err
     structure = gbid.controller_structure("P")
     assessed = [
         gbid.assess(MODEL, structure, performance["gains"], [(6, 0)], name=performance["name"])
         for performance in document["performance"]
     ]
     compared = compare_designs(assessed)
-    lines = result.stdout.splitlines()
+    lines = result.out.splitlines()
     for i, heading in enumerate(compared.columns[1:], 1):
         line = next(entry for entry in lines if entry.startswith(heading))
         assert line.removeprefix(heading).split() == [row[i] for row in compared.rows]
     for word in ("damping 0.318", "peak of S_o at", "checked", "peak 1.6", "feedback.yaml"):
-        assert word in result.stdout
+        assert word in result.out
 
 
 def test_controller_file_has_the_gains_and_runs_in_the_impacts(tuned):
@@ -120,65 +116,60 @@ def test_controller_file_has_the_gains_and_runs_in_the_impacts(tuned):
     np.testing.assert_array_equal(running.continuous.C, gbid.control.p_controller(0.5, 0.4).C)
 
 
-def test_limits_that_contradict_are_an_outcome_with_the_least_violating_design(tmp_path):
+def test_limits_that_contradict_are_an_outcome_with_the_least_violating_design(tmp_path, capsys):
     path = write_quick(
         tmp_path,
         ("peak_sensitivity: 2.28317", "goals: [{goal: MaxDamping}, {goal: SlowestPole, rate: 2000}]"),
         text=RIG + FEEDBACK,
     )
-    result = call("tune", path, "--json")
-    assert result.exit_code == 4
-    assert "limits contradict" in result.stderr
-    document = json.loads(result.stdout)
+    result = printed_by(capsys, "tune", path, "--json", code=4)
+    assert "limits contradict" in result.err
+    document = json.loads(result.out)
     design, (found, file) = document["tuning"][0], document["outcomes"]
     assert not design["success"]
     assert design["violation"] > 0
     assert (found["converged"], found["state"], file["stage"]) == (False, "made", "controller")
     assert gbid.load_controller(design["controller"]).provenance["status"] == "limits contradict"
-    assert call("tune", path).exit_code == 4  # kept, and still said
+    assert command("tune", path) == 4  # kept, and still said
 
 
-def test_bounds_without_a_stabilising_gain_name_point_and_mode(tmp_path):
+def test_bounds_without_a_stabilising_gain_name_point_and_mode(tmp_path, capsys):
     text = RIG + (
         "controller:\n"
         "  none: {bounds: {kappa_x: [-3, -1], kappa_y: [-3, -1]}, operating_points: "
         "[{pressure_bar: 3, speed_rpm: 0}, {pressure_bar: 7, speed_rpm: 0}]}\n"
     )
     path = write_quick(tmp_path, text=text)
-    result = call("tune", path, "--json")
-    assert result.exit_code == 4
-    assert "no stabilising gains" in result.stderr
-    design = json.loads(result.stdout)["tuning"][0]
+    result = printed_by(capsys, "tune", path, "--json", code=4)
+    assert "no stabilising gains" in result.err
+    design = json.loads(result.out)["tuning"][0]
     poles = {n: gbid.close_loop(MODEL.plant_at(n, 0), gbid.control.p_controller(-1, -1)).poles() for n in (3, 7)}
     bar = max(poles, key=lambda n: poles[n].real.max())
     worst = poles[bar][poles[bar].real.argmax()]
     assert f"{bar} bar, 0 rpm" in design["notes"][-1]
     mode = f"{abs(worst) / (2 * np.pi):.4g} Hz and damping {-worst.real / abs(worst):.4g}"
     assert mode in design["notes"][-1]
-    printed = call("tune", path)
-    assert printed.exit_code == 4
-    assert design["notes"][-1] in " ".join(printed.stdout.split())
+    assert design["notes"][-1] in " ".join(printed_by(capsys, "tune", path, code=4).out.split())
 
 
-def test_unstable_open_loop_is_said(tmp_path):
+def test_unstable_open_loop_is_said(tmp_path, capsys):
     text = (share_folder("models") / "theisen2016.yaml").read_text(encoding="utf-8")
     assert text.count("d_xx: [-1.855e+05,") == 1
     (tmp_path / "growing.yaml").write_text(text.replace("d_xx: [-1.855e+05,", "d_xx: [-0.555e+05,"), encoding="utf-8")
     text = RIG + ("controller:\n  p: {model: growing.yaml, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}\n")
-    result = call("tune", write_quick(tmp_path, text=text))
-    assert result.exit_code == 0, result.output
-    assert "the open loop is not stable at 6 bar, 0 rpm" in result.stdout
+    printed = printed_by(capsys, "tune", write_quick(tmp_path, text=text)).out
+    assert "the open loop is not stable at 6 bar, 0 rpm" in printed
 
 
-def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
+def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path, capsys):
     text = RIG + (
         "controller:\n"
-        "  own: {structure: 'own.py:structure', goals: [{goal: MaxDamping}, {goal: PeakSensitivity, limit: 2.6}, "
-        "{goal: PiezoTravel, impact: {peak_n: 10.0}}], "
+        "  own: {structure: 'own.py:structure', starts: 1, goals: [{goal: MaxDamping}, "
+        "{goal: PeakSensitivity, limit: 2.6}, {goal: PiezoTravel, impact: {peak_n: 10.0}}], "
         "operating_points: [{pressure_bar: 6, speed_rpm: 0}]}\n"
-        "  follows: {schedule: ['1', P], operating_points: [{pressure_bar: 5, speed_rpm: 0}, "
+        "  follows: {schedule: ['1', P], starts: 1, operating_points: [{pressure_bar: 5, speed_rpm: 0}, "
         "{pressure_bar: 6, speed_rpm: 0}]}\n"
-        "  everywhere: {operating_points: domain, sample_time_s: 1e-4}\n"
+        "  everywhere: {operating_points: domain, starts: 1, sample_time_s: 1e-4}\n"
     )
     path = write_quick(tmp_path, text=text)
     (tmp_path / "own.py").write_text(OWN)
@@ -197,7 +188,7 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
     assert len(everywhere.result.points) >= 9
     # The text of a structure of one's own decides its design.
     (tmp_path / "own.py").write_text(OWN.replace("2.0)", "1.0)"))
-    assert "own.h5 was made with other settings" in call("tune", path).output
+    assert "own.h5 was made with other settings" in printed_by(capsys, "tune", path, code=2).err
 
 
 @pytest.mark.parametrize(
@@ -228,57 +219,53 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
         ),
     ],
 )
-def test_wrong_sections_are_named(tmp_path, section, words):
-    path = write_quick(tmp_path, text=f"{RIG}controller: {section}\n")
-    result = call("check", path)
-    assert result.exit_code == 2
-    assert len(result.stderr.splitlines()) == 1
+def test_wrong_sections_are_named(tmp_path, section, words, capsys):
+    (line,) = printed_by(
+        capsys, "check", write_quick(tmp_path, text=f"{RIG}controller: {section}\n"), code=2
+    ).err.splitlines()
     for word in words:
-        assert word in result.output
+        assert word in line
 
 
 DESIGNS = """\
 controller:
-  robust: {peak_sensitivity: 2.0, uncertainty: {draws: 2, seed: 1}}
+  robust: {peak_sensitivity: 2.0, starts: 1, uncertainty: {draws: 2, seed: 1}}
   sure:
+    starts: 1
     operating_points: [{pressure_bar: 6, speed_rpm: 0}]
     goals: [{goal: MaxDamping}, {goal: PeakSensitivity, limit: 2.0}]
     robust: {probability: 0.8, draws: 12, fresh: 40}
   each:
+    starts: 1
     operating_points: [{pressure_bar: 6, speed_rpm: 0}]
     goals: [{goal: MaxDamping}, {goal: MinDiskMargin, alpha: 0.7}]
     uncertainty: {plants: recordings}
 """
-SURFACES = SMALL + DESIGNS
+SURFACES = re.sub(".*speed_rpm: 6000}\n", "", SMALL).replace(", Omega, Omega P", "") + DESIGNS
 
 
-def test_design_on_the_surfaces_of_the_experiment_and_their_uncertainty(tmp_path):
+def test_design_on_the_surfaces_of_the_experiment_and_their_uncertainty(tmp_path, capsys):
     path = write_quick(tmp_path, text=SURFACES)
-    early = call("tune", path)
-    assert early.exit_code == 3
-    assert "no surfaces 'bearing' made from the present fits" in early.output
+    assert "no surfaces 'bearing' made from the present fits" in printed_by(capsys, "tune", path, code=3).err
     for verb in ("rig", "fit", "lpv"):
-        result = call(verb, path, "--engine", "serial")
-        assert result.exit_code == 0, result.output
-    result = call("tune", path, "--json")
-    assert result.exit_code == 0, result.output
-    document, sure, each = json.loads(result.stdout)["tuning"]
+        assert command(verb, path, "--engine", "serial") == 0
+    document, sure, each = json_of(capsys, "tune", path)["tuning"]
     assert document["plant"] == "small"
-    assert len(document["points"]) == 4
-    assert document["verified_on"].endswith("12 loops")  # four points, the surfaces and two drawn plants
+    assert len(document["points"]) == 2
+    assert document["verified_on"].endswith("6 loops")  # two points, the surfaces and two drawn plants
     assert document["performance"][1]["name"] == PUBLISHED
     assert document["performance"][0]["worst"]["peak_output"]["value"] <= 2.0 * (1 + 1e-6)
-    assert each["verified_on"].endswith("9 loops")  # one point, the surfaces and the fits of eight recordings
+    assert each["verified_on"].endswith("5 loops")  # one point, the surfaces and the fits of four recordings
     assert each["goals"][0]["excess"] <= 1e-6
     (promise,) = sure["promises"]
     assert 0 < promise["promised"] < promise["nominal"]
     assert (promise["probability"], promise["fresh"]) == (0.8, 40)
-    shown = call("tune", path)
-    assert re.search(r"^sure +0.8 ", shown.stdout[shown.stdout.index("Robust designs") :], re.MULTILINE)
+    shown = printed_by(capsys, "tune", path).out
+    assert re.search(r"^sure +0.8 ", shown[shown.index("Robust designs") :], re.MULTILINE)
     picture = plot_robustness_price({"sure": load(sure["path"], TunedDesign)})
     assert next(line.get_label() for line in picture.lines) == "sure"
     bare = write_quick(tmp_path / "bare", (", actuators: theisen2016", ""), text=SURFACES)
-    assert "add lpv: actuators" in call("check", bare).output
+    assert "add lpv: actuators" in printed_by(capsys, "check", bare, code=2).err
 
 
 def test_structures_by_name_with_options(tmp_path):

@@ -8,12 +8,11 @@ from gbid import fit
 
 
 @pytest.mark.parametrize("name", START_PROBLEMS)
-def test_two_random_starts_of_each_structure(name):
+def test_a_random_start_of_each_structure(name):
     problem, rng = start_problem(name), np.random.default_rng(1)
     reference = fit(problem.structure, problem.recording, start=problem.true, **problem.options)
     assert reference.success
-    for _ in range(2):
-        result = fit(problem.structure, problem.recording, start=random_start(problem, rng), **problem.options)
-        assert result.success, result.status
-        assert result.loss <= 1.01 * reference.loss
-        assert result.optimality < 0.1
+    result = fit(problem.structure, problem.recording, start=random_start(problem, rng), **problem.options)
+    assert result.success, result.status
+    assert result.loss <= 1.01 * reference.loss
+    assert result.optimality < 0.1

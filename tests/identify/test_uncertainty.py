@@ -64,7 +64,7 @@ def stds(result, kind):
 
 
 def test_for_white_noise_both_are_that_of_theory():
-    results = lag_fits(3000, 0.0, 20)
+    results = lag_fits(3000, 0.0, 10)
     expected = theory(3000, 0.0)
     white, robust = (np.array([stds(r, kind) for r in results]) for kind in ("white", "robust"))
     np.testing.assert_allclose(white, np.broadcast_to(expected, white.shape), rtol=0.12)

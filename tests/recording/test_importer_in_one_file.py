@@ -1,13 +1,12 @@
 """A new importer is one constant in formats.py: import, check, folder patterns and messages find it there."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from experiment_files import json_of
 
 import gbid
-from gbid.cli.main import app
 from gbid.core.errors import DataError
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
@@ -86,7 +85,5 @@ def test_without_the_constant_it_is_unknown(measured: Path, tmp_path: Path) -> N
 
 
 def test_its_channels_are_listed(dat, measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="0"):
-        app(["import", "--peek", str(measured), "--json"], prog_name="gbid")
-    listed = json.loads(capsys.readouterr().out)["channels"]
+    listed = json_of(capsys, "import", "--peek", str(measured))["channels"]
     assert [(row["channel"], row["samples"]) for row in listed] == [("t", 200), ("f", 200)]

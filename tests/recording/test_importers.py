@@ -400,20 +400,15 @@ def test_vectors_of_npz_are_not_turned_and_have_no_columns(tmp_path):
 
 @MAT_WRITERS
 def test_bad_struct_paths(tmp_path, write):
-    path = write(tmp_path / "a.mat", {"data": {"u": DATA}, "y": DATA})
+    path = write(tmp_path / "a.mat", {"data": {"u": DATA}, "y": DATA, "row": DATA[:, 0][None, :]})
     for column, words in [
         ("data.v[0]", "data has no field 'v'; there is u"),
         ("y.u[0]", "y is not a struct"),
         ("data.u.x", "data.u is not a struct"),
         ("data", "data is a dict"),
+        ("row[0]", "leave the index out: row"),
     ]:
         refused(path, {"signals": {"s": {"columns": [column]}}, "sample_time": DT}, words)
-
-
-@MAT_WRITERS
-def test_row_vectors_of_mat_have_no_columns(tmp_path, write):
-    path = write(tmp_path / "a.mat", {"row": DATA[:, 0][None, :]})
-    refused(path, {"signals": {"s": {"columns": ["row[0]"]}}, "sample_time": DT}, "leave the index out: row")
 
 
 def test_arrays_of_structs_and_cells_are_refused(tmp_path):

@@ -1,6 +1,5 @@
 """Files of loggers and of other programs: TDMS, MDF, Parquet, Feather, HDF5; their import and their listing."""
 
-import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -8,10 +7,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from experiment_files import json_of, printed_by
 from refusals import refused
 
 import gbid
-from gbid.cli.main import app
 from gbid.core.errors import DataError, UsageError
 from gbid.recording import importing
 from gbid.recording.importing import list_channels
@@ -69,19 +68,11 @@ def arrow_table():
     return pa.table([T, X, Y, pairs, when, holed, ["a"] * N], schema=pa.schema(fields))
 
 
-def write_parquet(path: Path) -> Path:
+def write_arrow(path: Path) -> Path:
     table = arrow_table()
-    import pyarrow.parquet
+    from pyarrow import feather, parquet
 
-    pyarrow.parquet.write_table(table, path)
-    return path
-
-
-def write_feather(path: Path) -> Path:
-    table = arrow_table()
-    import pyarrow.feather
-
-    pyarrow.feather.write_feather(table, path)
+    (parquet.write_table if path.suffix == ".parquet" else feather.write_feather)(table, path)
     return path
 
 
@@ -101,8 +92,8 @@ def write_hdf5(path: Path) -> Path:
 WRITERS: dict[str, Callable[[Path], Path]] = {
     ".tdms": write_tdms,
     ".mf4": write_mf4,
-    ".parquet": write_parquet,
-    ".feather": write_feather,
+    ".parquet": write_arrow,
+    ".feather": write_arrow,
     ".h5": write_hdf5,
 }
 STATED = {  # what a mapping of each has to say
@@ -127,9 +118,7 @@ def test_the_samples_are_those_that_were_written(tmp_path, kind):
 @KINDS
 def test_the_listing_has_names_units_and_rates(tmp_path, kind, capsys):
     path = WRITERS[kind](tmp_path / f"a{kind}")
-    with pytest.raises(SystemExit, match="0"):
-        app(["import", "--peek", str(path), "--json"], prog_name="gbid")
-    rows = {row["channel"]: row for row in json.loads(capsys.readouterr().out)["channels"]}
+    rows = {row["channel"]: row for row in json_of(capsys, "import", "--peek", str(path))["channels"]}
     for name in STATED[kind]["signals"]["p"]["columns"]:
         row = rows.get(name.removesuffix(" [um]")) or rows[f"fast/{name}"]
         assert (row["samples"], row["unit"]) == (N, "um")
@@ -142,9 +131,7 @@ def test_the_listing_has_names_units_and_rates(tmp_path, kind, capsys):
             if row["rate_hz"]:
                 mapping["sample_time_s"] = row["sample_time_s"]
             assert gbid.import_recording(path, mapping).n_samples == row["samples"]
-    with pytest.raises(SystemExit, match="0"):
-        app(["import", "--peek", str(path)], prog_name="gbid")
-    assert "rises in even steps of 0.0002" in capsys.readouterr().out or kind == ".tdms"
+    assert "rises in even steps of 0.0002" in printed_by(capsys, "import", "--peek", str(path)).out or kind == ".tdms"
 
 
 def test_the_listing_of_csv_npz_and_mat(tmp_path):
@@ -177,7 +164,7 @@ def test_rates_of_the_file_are_checked(tmp_path):
         refused(path, both, "different numbers of samples")
         again = {"signals": {"p": {"columns": ["fast/p_x"]}}, "time": "slow/p_x"}
         refused(path, again, "different numbers of samples")
-    path = write_parquet(tmp_path / "a.parquet")
+    path = write_arrow(tmp_path / "a.parquet")
     nothing = {"signals": {"p": {"columns": ["p_x", "p_y"]}}}
     refused(path, nothing, "neither sample_time_s nor time is given, and the file states no", error=UsageError)
 
@@ -219,7 +206,7 @@ def test_columns_that_are_not_there_or_no_numbers(tmp_path, kind, column, words)
 
 
 def test_times_and_lists_of_a_table(tmp_path):
-    for path in (write_parquet(tmp_path / "a.parquet"), write_feather(tmp_path / "a.feather")):
+    for path in (write_arrow(tmp_path / "a.parquet"), write_arrow(tmp_path / "a.feather")):
         recording = gbid.import_recording(
             path, {"signals": {"s": {"columns": ["u[0]", "u[1]"], "stored_unit": "um", "unit": "um"}}, "time": "when"}
         )
@@ -263,6 +250,4 @@ def test_a_package_that_is_not_installed(tmp_path, monkeypatch, capsys, kind, pa
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))  # see it in this process
     refused(path, STATED[kind], f"pip install 'gbid[{extra}]'", package, error=UsageError)
-    with pytest.raises(SystemExit, match="2"):
-        app(["import", "--peek", str(path)], prog_name="gbid")
-    assert f"pip install 'gbid[{extra}]'" in capsys.readouterr().err
+    assert f"pip install 'gbid[{extra}]'" in printed_by(capsys, "import", "--peek", str(path), code=2).err

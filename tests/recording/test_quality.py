@@ -8,9 +8,7 @@ from places import MEASURED as DATA
 from rig_point import machine
 
 from gbid.recording import Recording, find_group_problems, find_problems, import_recording
-from gbid.recording.quality import (
-    find_rub,
-)
+from gbid.recording.quality import find_rub
 from gbid.rig import (
     Faults,
     FilmStiffening,
@@ -133,13 +131,7 @@ def test_swapped_without_references_leaves_it_open(prbs):
 
 def test_texts_name_recording_channel_evidence_and_cure(prbs):
     (problem,) = [p for p in find_problems(dead(prbs[5.0, 0.0], "p", 1)) if p.kind == "dead"]
-    for word in (
-        "recording 'rec'",
-        "signal 'p' channel 'y' is dead",
-        "does not respond to 'r'",
-        "coherence 0.",
-        "cable",
-    ):
+    for word in ("recording 'rec'", "signal 'p' channel 'y' is dead", "not respond to 'r'", "coherence 0.", "cable"):
         assert word in problem.text
 
 

@@ -23,11 +23,7 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 def rec():
     rng = np.random.default_rng(1)
     return Recording(
-        {
-            "u": rng.standard_normal((N, 2)),
-            "p": rng.standard_normal((N, 2)),
-            "aux": rng.standard_normal((N, 3)),
-        },
+        {"u": rng.standard_normal((N, 2)), "p": rng.standard_normal((N, 2)), "aux": rng.standard_normal((N, 3))},
         sample_time=2e-4,
         conditions={"speed_rpm": 6000, "pressure_bar": 5, "gain": 0.5},
         name="prbs 1",

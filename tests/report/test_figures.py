@@ -1,23 +1,13 @@
-import subprocess
-import sys
 from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from places import ROOT
 
 from gbid.core.errors import UsageError
 from gbid.core.tables import engineering, exponent_of
-from gbid.report import (
-    plot_residuals,
-    plot_response,
-    residuals_data,
-    residuals_figure,
-    response_figure,
-    save_figure,
-)
+from gbid.report import plot_residuals, plot_response, residuals_data, residuals_figure, response_figure, save_figure
 from gbid.validate import ResidualTest, Validation
 
 
@@ -98,17 +88,18 @@ def test_a_part_outside_is_refused(validation):
         plot_response(validation, [Figure().subplots()])
 
 
-def test_files_are_the_same_each_time(validation, tmp_path):
+@pytest.mark.parametrize(("kind", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF-"), ("svg", b"<?xml")])
+def test_files_are_the_same_each_time(tmp_path, kind, begins):
     key = "content_key: " + 64 * "a"
-    for kind in ("png", "pdf", "svg"):
-        for name in ("a", "b"):
-            figure = response_figure(validation, from_s=1.2, to_s=1.3)
-            save_figure(figure, tmp_path / f"{name}.{kind}", note=key)
-        one, two = ((tmp_path / f"{name}.{kind}").read_bytes() for name in ("a", "b"))
-        assert one == two
-        assert key.encode() in one
-    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
-    assert (tmp_path / "a.pdf").read_bytes()[:5] == b"%PDF-"
+    for name in ("a", "b"):
+        figure = Figure(figsize=(2, 2))
+        figure.subplots().plot([0.0, 1.0], label="$p_x$")
+        figure.legend()
+        save_figure(figure, tmp_path / f"{name}.{kind}", note=key)
+    one, two = ((tmp_path / f"{name}.{kind}").read_bytes() for name in ("a", "b"))
+    assert one == two
+    assert one.startswith(begins)
+    assert key.encode() in one
 
 
 def test_no_global_state(validation):
@@ -169,19 +160,6 @@ def test_residual_figure_shows_what_it_should(residual_test):
     assert time == pytest.approx(1e3 * 1e-3 * lag)
     with pytest.raises(UsageError, match="2 rows of 3 axes"):
         plot_residuals(residual_test, [[Figure().subplots()]])
-
-
-def test_report_gives_figures_when_asked_and_not_before():
-    code = (
-        "import sys, gbid.report\n"
-        "assert 'matplotlib' not in sys.modules\n"
-        "from gbid.report import response_figure, residuals_figure, save_figure, plot_residuals\n"
-        "assert dir(gbid.report) == sorted(gbid.report.__all__)\n"
-        "for name in gbid.report.__all__: assert callable(getattr(gbid.report, name))\n"
-        "assert 'matplotlib.pyplot' not in sys.modules\n"
-        "try:\n    gbid.report.nothing\nexcept AttributeError as error:\n    assert 'nothing' in str(error)\n"
-    )
-    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=ROOT)
 
 
 def test_engineering_numbers_read_back():

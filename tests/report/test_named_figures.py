@@ -7,12 +7,13 @@ import sys
 import pytest
 from experiment_files import QUICK, write_quick
 from experiment_files import gbid as command
+from figure_cases import BlankPictures
 
 from gbid import report as figures
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
+from gbid.report import write as report_file
 from gbid.report.named import named_figures, paper
-from gbid.report.write import write_report
 
 ONE_FILE = """\
 from matplotlib.figure import Figure
@@ -63,7 +64,8 @@ def test_a_file_is_enough_for_verb_and_page(tmp_path, one_file, monkeypatch):
     path = write_quick(tmp_path, text=QUICK)
     found = {name: figure for name, figure in named_figures().items() if name == "poles_of_the_machine"}
     monkeypatch.setattr(paper(), "named_figures", lambda: found)  # the others take their time
+    monkeypatch.setattr(report_file, "Pictures", BlankPictures)
     assert command("figures", path) == 0
     assert (tmp_path / "results" / "quick" / "figures" / "poles_of_the_machine.pdf").is_file()
-    page = write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")
+    page = report_file.write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")
     assert "Poles of the machine behind the rig at 6 bar, 0 rpm" in page[page.index('id="controller"') :]

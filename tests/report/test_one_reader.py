@@ -10,7 +10,7 @@ from html import unescape
 
 import pytest
 from experiment_files import gbid as command
-from experiment_files import write_quick
+from experiment_files import printed_by, write_quick
 from figure_cases import BlankPictures
 from typer.testing import CliRunner
 
@@ -75,9 +75,7 @@ def test_the_conditions_are_those_of_the_experiment(document, expected):
 
 
 def test_terminal(made, expected, capsys):
-    capsys.readouterr()
-    command("tune", made)
-    out = capsys.readouterr().out
+    out = printed_by(capsys, "tune", made).out
     assert WORDS in " ".join(out.split())
     for heading, cells in expected.items():
         line = next(entry for entry in out.splitlines() if entry.startswith(heading))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from experiment_files import STAIRS, write_quick
+from experiment_files import STAIRS, json_of, printed_by, write_quick
 from experiment_files import gbid as command
 from figure_cases import BlankPictures
 
@@ -25,6 +24,7 @@ from gbid.report import write as report_file
 from gbid.report.control_sections import held_back
 from gbid.report.named import paper
 from gbid.report.read import Results, comparable_designs
+from gbid.report.sections import static_section
 from gbid.report.write import write_report
 
 YAML = """\
@@ -35,14 +35,15 @@ rig:
   prbs: {recordings: 0}
   stationary: {recordings: 0}
 controller:
-  feedback: {peak_sensitivity: 2.0, pareto: [1.6, 2.6], operating_points: [{pressure_bar: 6, speed_rpm: 0}]}
-  held: {bounds: {kappa_x: [0, 0.3]}, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}
-  elsewhere: {operating_points: [{pressure_bar: 7, speed_rpm: 0}]}
+  feedback: {peak_sensitivity: 2.0, starts: 1, pareto: [1.6, 2.6], operating_points: [{pressure_bar: 6, speed_rpm: 0}]}
+  held: {bounds: {kappa_x: [0, 0.3]}, starts: 1, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}
+  elsewhere: {starts: 1, operating_points: [{pressure_bar: 7, speed_rpm: 0}]}
 impacts:
   beside: {tuned: "tuned:feedback"}
   operating_points: [{pressure_bar: 6.0, speed_rpm: 0}]
   repeats: 2
   spacing_s: 0.25
+  lags: 1
 """
 
 
@@ -108,13 +109,10 @@ def test_impacts_of_each_loop_stand_beside(results) -> None:
 
 
 def test_reproduction_ends_with_what_the_paper_has_no_figures_for(made, capsys) -> None:
-    capsys.readouterr()
-    assert command("reproduce", made, "--json") == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json_of(capsys, "reproduce", made)
     titles = [table["title"] for table in document["past_the_paper"]]
     assert [title.split(" ")[0] for title in titles] == ["Designs", "The"]
-    assert command("reproduce", made) == 0
-    out = capsys.readouterr().out
+    out = printed_by(capsys, "reproduce", made).out
     assert "stack [um]" in out
     text = paper().reproduction_markdown(document)
     for table in document["past_the_paper"]:
@@ -159,8 +157,8 @@ def test_designs_of_other_settings_are_not_shown_as_present(made, tmp_path) -> N
 def test_report_shows_the_static_characterisation(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(report_file, "Pictures", BlankPictures)
     path = write_quick(tmp_path, text=STAIRS)
-    early = write_report(Job(load_experiment(path)))
-    assert "static film not there; run `gbid static`" in early.path.read_text(encoding="utf-8")
+    early = static_section(Results(Job(load_experiment(path))), BlankPictures())
+    assert "static film not there; run `gbid static`" in early.blocks[0].text
     for verb in ("rig", "static"):
         assert command(verb, path) == 0
     page = write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")

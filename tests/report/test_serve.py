@@ -11,6 +11,7 @@ from http.client import HTTPConnection
 import numpy as np
 import pytest
 from browser import find_chromium
+from figure_cases import BlankPictures
 
 import gbid
 from gbid.control import controller_model, controller_structure, sampled_loop, sensitivities
@@ -65,7 +66,8 @@ def refused(server, path):
     return caught.value.code, caught.value.read().decode()
 
 
-def test_the_state_and_the_page_follow_what_is_made(served):
+def test_the_state_and_the_page_follow_what_is_made(served, monkeypatch):
+    monkeypatch.setattr("gbid.report.write.Pictures", BlankPictures)
     server, folder = served
     before = json.loads(get(server, "state"))
     assert before["stages"]["rig"] == {"missing": 2}

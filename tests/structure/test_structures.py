@@ -15,7 +15,6 @@ from gbid.structure import (
     PiezoPair,
     Plant,
     RotorBearing,
-    Structure,
     Values,
     as_names,
     evaluate,
@@ -142,12 +141,6 @@ def test_plant_is_the_series_of_both(outputs, order):
     np.testing.assert_array_equal(model.K, K)
     assert not model.D.any()
     assert [q.name for q in plant.parameters] == [*ACTUATORS, *KEY_PARAMETERS, *GAINS]
-
-
-def test_structures_are_structures():
-    for structure in (RotorBearing(), PiezoPair(), Plant(), LinearStructure("arm", ARM, arm)):
-        assert isinstance(structure, Structure)
-    assert not isinstance(arm, Structure)
 
 
 # ---- a structure of one's own ----

@@ -8,10 +8,8 @@ import subprocess
 import sys
 import time
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 
-import pytest
 from experiment_files import SPRING_STRUCTURE, write_spring_data
 from places import ROOT
 
@@ -20,8 +18,6 @@ from gbid.core.errors import DataError, NoSpaceError
 from gbid.experiment.run import Made, Reporter, Task
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-
-NEEDS_DASK = pytest.mark.skipif(find_spec("distributed") is None, reason="distributed is not installed (gbid[dask])")
 
 ENTRY = """\
     - name: run{i}

@@ -1,5 +1,6 @@
 """Experiments for the tests, and the command line called within this process."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -67,6 +68,22 @@ def gbid(*arguments) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     return 0
+
+
+def printed_by(capsys, *arguments, code: int = 0):
+    """What a command line prints, to stdout and stderr; it ends with the exit code."""
+    capsys.readouterr()
+    assert gbid(*arguments) == code
+    return capsys.readouterr()
+
+
+def json_of(capsys, *arguments, code: int = 0) -> dict:
+    """The document that a command line prints with `--json`, without numbers that JSON does not know."""
+    return json.loads(printed_by(capsys, *arguments, "--json", code=code).out, parse_constant=_no_constants)
+
+
+def _no_constants(name: str) -> None:
+    raise AssertionError(f"{name} in JSON")
 
 
 def files_in(folder: Path) -> list[str]:

@@ -38,18 +38,10 @@ def grid_points():
     return np.array([(bar, rpm) for bar in (3, 4, 5, 6, 7) for rpm in (0, 4000, 6000)], float)
 
 
-def surfaces(names=("k_xx", "k_xy", "k_yx", "k_yy")):
-    points = grid_points()
+def surfaces():
+    names, points = ("k_xx", "d_xy", "b_yx", "b_yy"), grid_points()
     data = report.surfaces_data(machine(), names, points=points, estimates=estimates(names, points))
     return report.plot_surfaces(data)
-
-
-def damping_surfaces():
-    return surfaces(("d_xx", "d_xy", "d_yx", "d_yy"))
-
-
-def gain_surfaces():
-    return surfaces(("b_xx", "b_xy", "b_yx", "b_yy"))
 
 
 def delays():
@@ -58,16 +50,11 @@ def delays():
     return report.plot_over_pressure(report.delays_data(machine(), points=points, estimates=found))
 
 
-def modes(what="frequency"):
+def modes():
     points, random = grid_points(), np.random.default_rng(2)
-    index = 0 if what == "frequency" else 1
-    true = np.array([[mode[index] for mode in machine().at(*point).modes()[:2]] for point in points])
-    found = {f"{what}_{i + 1}": true[:, i] * (1 + 0.01 * random.standard_normal(len(points))) for i in range(2)}
-    return report.plot_over_pressure(report.modes_data(machine(), what, points=points, estimates=found))
-
-
-def damping_factors():
-    return modes("damping")
+    true = np.array([[frequency for frequency, _ in machine().at(*point).modes()[:2]] for point in points])
+    found = {f"frequency_{i + 1}": true[:, i] * (1 + 0.01 * random.standard_normal(len(points))) for i in range(2)}
+    return report.plot_over_pressure(report.modes_data(machine(), points=points, estimates=found))
 
 
 def static_gains():
@@ -116,10 +103,6 @@ def loop():
 
 def sensitivity():
     return report.plot_magnitudes(report.sensitivity_curves(sensitivity_data(*loop()), POINT))
-
-
-def bode():
-    return report.plot_magnitudes(report.bode_curves(sensitivity_data(*loop()), POINT))
 
 
 def impact():
@@ -260,10 +243,9 @@ def recorded():
 FIGURES = {
     case.__name__: case
     for case in (
-        surfaces, damping_surfaces, gain_surfaces, delays, modes, damping_factors, static_gains, histograms, actuators,
-        static_map, sensitivity, bode, impact, impact_loops, hysteresis, staircase, pareto, damping_map, eigenvalues,
-        root_locus, bode_diagram, bode_of_four, measured_alone, poles, steps, impulses, campbell, orbit, iso_zones,
-        recorded,
+        surfaces, delays, modes, static_gains, histograms, actuators, static_map, sensitivity, impact, impact_loops,
+        hysteresis, staircase, pareto, damping_map, eigenvalues, root_locus, bode_diagram, bode_of_four, measured_alone,
+        poles, steps, impulses, campbell, orbit, iso_zones, recorded,
     )
 }  # fmt: skip
 FIGURES |= {

@@ -150,18 +150,7 @@ def delayed_mode(rng):
     return _simulated(structure, true, _held_levels(2000, 15, rng), 0.01, 0.02, rng)
 
 
-_MADE = (
-    spring,
-    spring_with_gain,
-    lag,
-    two_masses,
-    motor,
-    cross_coupled,
-    maglev,
-    pendulum,
-    free_decay,
-    delayed_mode,
-)
+_MADE = (spring, spring_with_gain, lag, two_masses, motor, cross_coupled, maglev, pendulum, free_decay, delayed_mode)
 START_PROBLEMS = {make.__name__: make for make in _MADE}
 
 

@@ -32,11 +32,9 @@ SAMPLES = eventful_samples()
     [
         ("P", "none", {}),
         ("P", "mean", {"median": 3}),
-        ("P", "bins", {}),
         ("biquad", "harmonics", {"spike_limit_m": None}),
         ("biquad", "bins", {"median": 3, "spike_limit_m": None}),
         ("biquad", "grid", {"median": 3}),
-        ("scheduled", "harmonics", {}),
         ("scheduled", "grid", {}),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chain_cases import BIQUAD, design, runout_map
+from experiment_files import gbid as run
+from experiment_files import json_of, printed_by
 from figure_cases import BlankPictures
 from target_files import write_box
 
 import gbid
-from gbid.cli.main import app
 from gbid.control import ControllerDesign, controller_structure
 from gbid.core.errors import DataError, UsageError
 from gbid.export.chain import ChainOptions, c_comment, chain_of
@@ -22,12 +22,6 @@ from gbid.export.chain_c import CompiledChain, write_chain
 from gbid.recording import Recording
 from gbid.report import write as report_file
 from gbid.structure import LinearModel
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        app([str(a) for a in arguments], prog_name="gbid")
-    return int(ended.value.code or 0)
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +34,7 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_one_command_writes_the_chain_of_an_experiment(box: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("export", box, "--to", "c", "--json") == 0
-    files = [Path(name) for name in json.loads(capsys.readouterr().out)["files"]]
+    files = [Path(name) for name in json_of(capsys, "export", box, "--to", "c")["files"]]
     endings = (".h", ".c", "_selftest.c", "_notes.md")
     assert [file.name for file in files] == [f"controller_feedback{ending}" for ending in endings]
     header = files[0].read_text()
@@ -52,17 +45,15 @@ def test_one_command_writes_the_chain_of_an_experiment(box: Path, capsys: pytest
     assert "3 samples in a row beyond 1.5e-05 m: fault 4" in notes
     assert "ramp of 0.1 s" in notes
     assert "at 6 bar, 3000 rpm" in notes
-    assert run("export", box, "--to", "c") == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "exists already" in printed_by(capsys, "export", box, "--to", "c", code=2).err
     assert run("export", box, "--to", "c", "--number", "double", "--overwrite") == 0
     assert "typedef double controller_feedback_real;" in files[0].read_text()
 
 
 def test_at_chooses_the_map(box: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("export", box, "--to", "c", "--at", 6, 3000, "--output", tmp_path) == 0
-    capsys.readouterr()
-    assert run("export", box, "--to", "c", "--at", 5, 3000, "--output", tmp_path / "other") == 2
-    assert "no run-out map at this operating point; there are maps at 6 bar" in capsys.readouterr().err
+    printed = printed_by(capsys, "export", box, "--to", "c", "--at", 5, 3000, "--output", tmp_path / "other", code=2)
+    assert "no run-out map at this operating point; there are maps at 6 bar" in printed.err
 
 
 def test_a_target_section_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -76,8 +67,7 @@ def test_a_target_section_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureF
         path = write_box(tmp_path, section + "\n")
         if section.startswith("controller"):
             path = write_box(tmp_path, **{"  duration_s": f"  {section}\n  duration_s"})
-        assert run("check", path) == 2
-        assert words in capsys.readouterr().err
+        assert words in printed_by(capsys, "check", path, code=2).err
 
 
 def unstable() -> ControllerDesign:

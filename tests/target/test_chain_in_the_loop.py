@@ -35,6 +35,7 @@ impacts:
   loops: [closed]
   controller: {word}
   repeats: {repeats}
+  lags: 2
   operating_points: [{{pressure_bar: 6.0, speed_rpm: {speed}}}]
 """
 

@@ -53,8 +53,6 @@ def done(*command: object, folder: Path) -> str:
         ("P", "float", "none", {}),
         ("P", "double", "grid", {"median": 3}),
         ("biquad", "float", "harmonics", {"spike_limit_m": None}),
-        ("biquad", "double", "bins", {}),
-        ("scheduled", "float", "grid", {"median": 3, "spike_limit_m": None}),
         ("scheduled", "double", "bins", {"zero_m": (1e-7, -2e-7)}),
     ],
 )

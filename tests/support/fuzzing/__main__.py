@@ -11,11 +11,14 @@ import json
 import multiprocessing
 import os
 import platform
+import resource
+import signal
 import sys
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, deque
 from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -28,7 +31,7 @@ from fuzzing.zip_mutations import npz_bomb
 _FORK = multiprocessing.get_context("fork")
 _GRACE = 5.0  # beyond the time of one input, before its process is ended
 _ADDRESSES = 4 << 30  # most memory of a process of ours, beyond which python raises MemoryError
-_AT_ONCE = 50  # inputs that a process is asked for
+_AT_ONCE = 500  # inputs that a process reads
 _KEPT = 200  # most faults that are written
 
 
@@ -65,8 +68,8 @@ def main() -> int:
     npz_bomb()  # once, for all workers
     seed = int(time.time()) if given.seed is None else given.seed
     until = time.monotonic() + 60 * (given.minutes if given.minutes is not None else 1e9 if given.count else 60)
-    run = FuzzRun(targets, seed, given.count or sys.maxsize, until, given.jobs)
-    run.go()
+    run = FuzzRun(targets, seed, given.count or sys.maxsize, until)
+    run.go(given.jobs)
     document = run.document()
     print(json.dumps({**document, "faults": document["faults"][:20]}, indent=1))  # noqa: T201
     if given.output:
@@ -97,35 +100,30 @@ def _read_again(targets: list[FuzzTarget], figures: Path) -> int:
 
 
 class FuzzRun:
-    """Inputs from number 0 on, handed to worker processes; a worker that hangs or dies is replaced."""
+    """Inputs from number 0 on, handed to processes; one that hangs or dies is replaced."""
 
-    def __init__(self, targets: list[FuzzTarget], seed: int, count: int, until: float, jobs: int) -> None:
-        self._targets, self._seed, self._count, self._until, self._jobs = targets, seed, count, until, jobs
+    def __init__(self, targets: list[FuzzTarget], seed: int, count: int, until: float) -> None:
+        self._targets, self._seed, self._count, self._until = targets, seed, count, until
         self._next = 0
+        self._running: dict[Any, tuple[BaseProcess, deque[int]]] = {}
         self._counts: dict[str, Counter[str]] = {target.name: Counter() for target in targets}
         self._faults: list[dict[str, Any]] = []
         self._slowest = self._largest = 0.0
         self._began = time.monotonic()
 
-    def go(self) -> None:
+    def go(self, jobs: int) -> None:
         """Run until the count or the time is reached."""
-        workers = [FuzzWorker(self._targets, self._seed, self._take()) for _ in range(self._jobs)]
+        for _ in range(jobs):
+            self._start(deque())
         said = time.monotonic()
-        while workers:
-            wait([worker.pipe for worker in workers], timeout=1.0)
-            for worker in list(workers):
-                if worker.pipe.poll():
-                    self._receive(worker)
-                if worker.ended or time.monotonic() - worker.since > HANG + _GRACE or not worker.process.is_alive():
-                    rest = self._end(worker)
-                    workers.remove(worker)
-                    if rest or self._more():
-                        workers.append(FuzzWorker(self._targets, self._seed, rest or self._take()))
+        while self._running:
+            for pipe in wait(list(self._running)):
+                self._receive(pipe)
             if time.monotonic() - said > 30:
                 said = time.monotonic()
                 total: Counter[str] = sum(self._counts.values(), Counter())
-                rate = self._next / (said - self._began)
-                sys.stderr.write(f"{self._next} inputs, {rate:.0f}/s, {dict(total)}\n")
+                rate = total.total() / (said - self._began)
+                sys.stderr.write(f"{total.total()} inputs, {rate:.0f}/s, {dict(total)}\n")
 
     def document(self) -> dict[str, Any]:
         """Return the figures."""
@@ -147,36 +145,32 @@ class FuzzRun:
             "faults": self._faults[:_KEPT],
         }
 
-    def _more(self) -> bool:
-        return self._next < self._count and time.monotonic() < self._until
+    def _start(self, numbers: deque[int]) -> None:
+        """Start a process with the numbers that another one left, or with new ones while there are any."""
+        if not numbers and time.monotonic() < self._until:
+            numbers.extend(range(self._next, min(self._next + _AT_ONCE, self._count)))
+            self._next += len(numbers)
+        if numbers:
+            pipe, theirs = _FORK.Pipe(duplex=False)
+            process = _FORK.Process(target=_work, args=(theirs, self._targets, self._seed, list(numbers)))
+            process.start()
+            theirs.close()
+            self._running[pipe] = process, numbers
 
-    def _take(self) -> list[int]:
-        if not self._more():
-            return []
-        first, self._next = self._next, min(self._next + _AT_ONCE, self._count)
-        return list(range(first, self._next))
-
-    def _receive(self, worker: FuzzWorker) -> None:
-        while worker.pipe.poll() and not worker.ended:
-            try:
-                tried = worker.pipe.recv()
-            except (EOFError, OSError):
-                worker.ended = True
-                return
-            worker.since = time.monotonic()
-            self._note(worker.numbers.pop(0), tried)
-            if not worker.numbers:
-                worker.ask(self._take())
-
-    def _end(self, worker: FuzzWorker) -> list[int]:
-        worker.process.kill()
-        worker.process.join()
-        if worker.numbers:
-            late = time.monotonic() - worker.since > HANG
-            outcome = InputOutcome.HANG if late else InputOutcome.TRACEBACK
-            words = f"the process ended with code {worker.process.exitcode}"
-            self._note(worker.numbers[0], TriedInput(outcome, time.monotonic() - worker.since, 0, words))
-        return worker.numbers[1:]
+    def _receive(self, pipe: Any) -> None:
+        process, numbers = self._running[pipe]
+        try:
+            tried = pipe.recv()
+        except (EOFError, OSError):
+            del self._running[pipe]
+            process.join()
+            if numbers:
+                outcome = InputOutcome.HANG if process.exitcode == -signal.SIGALRM else InputOutcome.TRACEBACK
+                words = f"the process ended with code {process.exitcode}"
+                self._note(numbers.popleft(), TriedInput(outcome, HANG, 0, words))
+            self._start(numbers)
+        else:
+            self._note(numbers.popleft(), tried)
 
     def _note(self, number: int, tried: TriedInput) -> None:
         name = choose(self._targets, Random(f"{self._seed}/{number}")).name
@@ -190,34 +184,16 @@ class FuzzRun:
             sys.stderr.write(f"{again} {name}: {tried.outcome.value}: {tried.text.strip().splitlines()[-1:]}\n")
 
 
-class FuzzWorker:
-    """Process that reads the inputs that it is asked for."""
-
-    def __init__(self, targets: list[FuzzTarget], seed: int, numbers: list[int]) -> None:
-        self.pipe, theirs = _FORK.Pipe()
-        self.process = _FORK.Process(target=_work, args=(theirs, targets, seed), daemon=False)
-        self.process.start()
-        theirs.close()
-        self.ask(numbers)
-
-    def ask(self, numbers: list[int]) -> None:
-        """Hand over the numbers of inputs; none of them end the process."""
-        self.numbers, self.since = numbers, time.monotonic()
-        self.ended = not numbers
-        self.pipe.send(numbers)
-
-
-def _work(pipe: Connection, targets: list[FuzzTarget], seed: int) -> None:
-    import resource
-
+def _work(pipe: Connection, targets: list[FuzzTarget], seed: int, numbers: list[int]) -> None:
+    """Read the inputs of some numbers; the alarm ends the process when one of them takes too long."""
     now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (now + _ADDRESSES, resource.RLIM_INFINITY))
     os.chdir("/")
     with tempfile.TemporaryDirectory() as folder:
-        while numbers := pipe.recv():
-            for number in numbers:
-                target, content = made_input(targets, seed, number)
-                pipe.send(try_input(target, content, Path(folder)))
+        for number in numbers:
+            signal.setitimer(signal.ITIMER_REAL, HANG + _GRACE)
+            target, content = made_input(targets, seed, number)
+            pipe.send(try_input(target, content, Path(folder)))
 
 
 if __name__ == "__main__":

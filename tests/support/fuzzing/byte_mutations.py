@@ -6,20 +6,8 @@ import struct
 from random import Random
 
 _EXTREMES = (
-    0,
-    1,
-    0x7F,
-    0x80,
-    0xFF,
-    0x7FFF,
-    0xFFFF,
-    0x7FFFFFFF,
-    0x80000000,
-    0xFFFFFFFF,
-    1 << 40,
-    (1 << 63) - 1,
-    (1 << 64) - 1,
-)
+    0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1
+)  # fmt: skip
 
 
 def flip_bits(random: Random, content: bytes) -> bytes:
@@ -77,30 +65,13 @@ def swap(random: Random, content: bytes) -> bytes:
 
 def odd_file(random: Random, content: bytes) -> bytes:
     """Return something else under the name."""
-    return random.choice(
-        (
-            b"",
-            b"\0",
-            b"\x89HDF\r\n\x1a\n",
-            b"PK\x05\x06" + bytes(18),
-            content + content,
-            b"MATLAB 5.0 MAT-file" + content,
-        )
-    )
+    marks = (b"", b"\0", b"\x89HDF\r\n\x1a\n", b"PK\x05\x06" + bytes(18))
+    return random.choice((*marks, content + content, b"MATLAB 5.0 MAT-file" + content))
 
 
 BYTE_MUTATIONS = (
-    flip_bits,
-    flip_bits,
-    flip_bits,
-    overwrite,
-    extreme_number,
-    extreme_number,
-    truncate,
-    insert,
-    delete,
-    swap,
-)
+    flip_bits, flip_bits, flip_bits, overwrite, extreme_number, extreme_number, truncate, insert, delete, swap
+)  # fmt: skip
 
 
 def mutate_bytes(random: Random, content: bytes) -> bytes:

@@ -10,24 +10,12 @@ import h5py
 import numpy as np
 
 _VALUES: tuple[Any, ...] = (
-    *(0, -1, 3, 1.5, np.nan, np.inf, "", "text", "\x1b[31m", b"\xff\xfe", True, "é" * 1000, 1 << 62),
-    *(
-        np.zeros(0),
-        np.zeros((0, 3)),
-        np.ones(3),
-        np.ones((2, 2)),
-        np.ones((1, 1, 1)),
-        np.arange(5),
-        np.array([True, False]),
-    ),
-    *(
-        np.array([1 + 2j]),
-        np.array([b"a", b"b"]),
-        np.array([(1, 2.0)], dtype=[("a", "i4"), ("b", "f8")]),
-        np.full(4, np.nan),
-    ),
-    *(h5py.Empty("f8"), h5py.Empty(h5py.string_dtype()), np.float16(1), np.ones(3, ">f4"), np.ones(2, np.longdouble)),
-)
+    0, -1, 3, 1.5, np.nan, np.inf, "", "text", "\x1b[31m", b"\xff\xfe", True, "é" * 1000, 1 << 62,
+    np.zeros(0), np.zeros((0, 3)), np.ones(3), np.ones((2, 2)), np.ones((1, 1, 1)), np.arange(5),
+    np.array([True, False]), np.array([1 + 2j]), np.array([b"a", b"b"]), np.full(4, np.nan),
+    np.array([(1, 2.0)], dtype=[("a", "i4"), ("b", "f8")]), h5py.Empty("f8"), h5py.Empty(h5py.string_dtype()),
+    np.float16(1), np.ones(3, ">f4"), np.ones(2, np.longdouble),
+)  # fmt: skip
 
 
 def mutate_hdf5(random: Random, content: bytes) -> bytes:

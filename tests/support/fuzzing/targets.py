@@ -115,12 +115,10 @@ def _texts() -> list[FuzzTarget]:
     experiment = (share_folder("experiments") / "quickstart.yaml").read_bytes()
     own = FileOrigin.OWN
     return [
-        FuzzTarget("controller", ".yaml", own, found["p"], _with_notes(gbid.load_controller), mutate_tree, 10),
-        FuzzTarget(
-            "controller, biquad", ".yaml", own, found["biquad"], _with_notes(gbid.load_controller), mutate_text, 2
-        ),
-        FuzzTarget("LPV model", ".yaml", own, found["model"], _with_notes(load_model), mutate_tree, 5),
-        FuzzTarget("nominal actuators", ".yaml", own, found["actuators"], _warned(load_actuators), mutate_tree, 10),
+        FuzzTarget("controller", ".yaml", own, found["p"], _telling(gbid.load_controller), mutate_tree, 10),
+        FuzzTarget("controller, biquad", ".yaml", own, found["biquad"], _telling(gbid.load_controller), mutate_text, 2),
+        FuzzTarget("LPV model", ".yaml", own, found["model"], _telling(load_model), mutate_tree, 5),
+        FuzzTarget("nominal actuators", ".yaml", own, found["actuators"], _telling(load_actuators), mutate_tree, 10),
         FuzzTarget("table of results", ".csv", own, table, _read_text, mutate_text, 40),
         FuzzTarget("experiment", ".yaml", FileOrigin.FOREIGN, experiment, _plainly(_read_experiment), mutate_tree, 4),
     ]
@@ -189,24 +187,18 @@ def _foreign() -> list[FuzzTarget]:
     ]
 
 
-def _with_notes(load: Callable[[Path], Any]) -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
-    def read(path: Path) -> tuple[Any, tuple[str, ...]]:
-        value = load(path)
-        return value, value.notes
-
-    return read
-
-
 def _plainly(load: Callable[[Path], Any]) -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
     return lambda path: (load(path), ())
 
 
-def _warned(load: Callable[[Path], Any]) -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
+def _telling(load: Callable[[Path], Any]) -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
+    """Read with the notes of the value and the warnings about its file."""
+
     def read(path: Path) -> tuple[Any, tuple[str, ...]]:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ChangedFileWarning)
             value = load(path)
-        return value, tuple(str(each.message) for each in caught)
+        return value, (*getattr(value, "notes", ()), *(str(each.message) for each in caught))
 
     return read
 
