@@ -38,7 +38,6 @@ from gbid.identify.problem.states import initial_states
 from gbid.identify.result import FitResult, FitStatus
 from gbid.identify.start.start import plant_data
 from gbid.structure import (
-    ClosedLoop,
     LinearModel,
     LinearStructure,
     Parameter,
