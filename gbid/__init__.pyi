@@ -57,6 +57,7 @@ from .identify import (
     FitTable as FitTable,
     MeasuredResponse as MeasuredResponse,
     MultiStart as MultiStart,
+    Profile as Profile,
     Progress as Progress,
     estimate_delay as estimate_delay,
     fit_multistart as fit_multistart,
@@ -64,6 +65,7 @@ from .identify import (
     load_fit as load_fit,
     load_table as load_table,
     measured_response as measured_response,
+    profile as profile,
     save_fit as save_fit,
 )
 from .identify.fit import fit as fit

@@ -7,6 +7,7 @@ from .fit import (
     FitProblem as FitProblem,
     fit as fit,
     fit_problem as fit_problem,
+    profile as profile,
 )
 from .multistart import (
     Minimum as Minimum,
@@ -23,6 +24,7 @@ from .problem.solve import (
 from .result import (
     FitResult as FitResult,
     FitStatus as FitStatus,
+    Profile as Profile,
     StartsTried as StartsTried,
     load_fit as load_fit,
     save_fit as save_fit,

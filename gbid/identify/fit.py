@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import casadi as ca
@@ -11,14 +12,15 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray, one_blas_thread
 from gbid.core.brief import Brief, Description, brief
+from gbid.core.errors import UsageError
 from gbid.core.option_types import takes_options
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import PosedProblem, Recordings, pose
 from gbid.identify.problem.hessian import gauss_newton
 from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.restarts import best_attempt, windows_of
-from gbid.identify.result import FitResult
-from gbid.recording.recording import check_order
+from gbid.identify.result import FitResult, Profile
+from gbid.recording.recording import Recording, check_order
 from gbid.structure import AnyStructure, kind_of
 from gbid.structure.parameter import asked_once
 
@@ -32,6 +34,7 @@ def fitted(structure: AnyStructure, recordings: Recordings, options: FitArgument
         # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
         with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             result = best_attempt(task)
+    result = with_profiles(result, options.profile)
     return replace(result, wall_time_s=time.perf_counter() - began)
 
 
@@ -64,6 +67,93 @@ def fit(structure: AnyStructure, recordings: Recordings, options: FitArguments) 
         After Ctrl-C.
     """
     return fitted(structure, recordings, options)
+
+
+# ---- Profile likelihood of the estimates.
+
+
+def profile(
+    result: FitResult,
+    names: Sequence[str] | None = None,
+    *,
+    level: float = 0.95,
+    structure: AnyStructure | None = None,
+    recordings: Recordings | None = None,
+) -> dict[str, Profile]:
+    """Return the profile likelihoods of estimated parameters: which values of each the data do not contradict.
+
+    A standard deviation is the curvature of the likelihood at the estimate. It is wrong where the likelihood is no
+    parabola: short recordings, a delay near zero, a parameter near a bound, two modes that nearly meet. A profile is
+    the likelihood itself. The parameter is fixed at values that go outwards from the estimate, and all other unknowns
+    are estimated anew, until the likelihood ratio is above the quantile of the chi-square distribution.
+
+    Parameters
+    ----------
+    result : FitResult
+        Result of a fit that converged.
+    names : sequence of str, optional
+        Full names of the parameters; by default all that were estimated.
+    level : float
+        Probability of the intervals.
+    structure : Structure or NonlinearStructure, optional
+        For a result from a file: the structure of its fit.
+    recordings : Recording or sequence of Recording, optional
+        For a result from a file: the recordings of its fit. It is fitted again, from its estimates.
+
+    Returns
+    -------
+    dict of str to Profile
+        Curve, interval and verdict of each parameter. `gbid.report.plot_profile` draws them.
+
+    Raises
+    ------
+    UsageError
+        When a parameter was not estimated, the fit did not converge, or it was made from other recordings, by another
+        structure, or with functions that are not stored (`extra_cost`, `constraints`).
+
+    Notes
+    -----
+    The interval contains the values with ``2 (l(estimate) - l(value)) / c <= q`` with the log-likelihood l of normal
+    white errors, maximised over all other unknowns and the variance of the errors, and the quantile q (Pawitan, In All
+    Likelihood, 2001, Sec. 3.4; Raue et al., Bioinformatics 25, 2009, for the verdict). For coloured errors l is no
+    likelihood, and twice the difference is not chi-square distributed. The factor ``c = V / (H^-1)`` makes it so for
+    one parameter (Kent, Biometrika 69, 1982; Chandler and Bate, Biometrika 94, 2007): V is its variance in the
+    covariance that the fit trusts, the robust one for coloured errors, and ``H^-1`` the one that the curvature of l
+    gives alone. So the interval of a parabola is that of the standard deviation. For white errors c contains only the
+    degrees of freedom. A robust loss keeps the weights of the samples.
+    """
+    if (structure is None) != (recordings is None):
+        raise UsageError("give both structure and recordings, or none of them")
+    if structure is not None and recordings is not None:
+        result = _fitted_again(result, structure, recordings)
+    return {name: result.profile(name, level) for name in (result.free if names is None else names)}
+
+
+def with_profiles(result: FitResult, wanted: Sequence[str]) -> FitResult:
+    """Return a result with the profiles that its options ask for; a fit that did not converge gets none."""
+    if not (wanted and result.may_be_profiled):
+        return result
+    names = [q for q in result.free if wanted == "all" or {q, result.own_names.get(q)} & set(wanted)]
+    return replace(result, profiles=profile(result, names))
+
+
+_SAME_LIKELIHOOD = 0.1  # difference of log-likelihoods: far below what moves the end of an interval
+
+
+def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Recordings) -> FitResult:
+    """Return the fit of a stored result, made again from its estimates."""
+    stated, own = {q.name for q in structure.parameters}, result.own_names
+    start = {own.get(q, q): result.parameters[q] for q in result.free if own.get(q, q) in stated}
+    settled = {field.name: getattr(result.options, field.name) for field in fields(result.options)}
+    again = fitted(structure, recordings, FitArguments(**{**settled, "start": start, "profile": ()}))
+    n_samples = sum(rec.n_samples for rec in ([recordings] if isinstance(recordings, Recording) else recordings))
+    if again.free != result.free or not abs(np.log(again.loss / result.loss)) * n_samples < _SAME_LIKELIHOOD:
+        raise UsageError(
+            f"fitted again from its estimates, {', '.join(result.recordings)} have the loss {again.loss:.6g}, and the "
+            f"result {result.loss:.6g}: give the recordings and the structure of the fit; extra_cost and constraints "
+            "are not stored: for a fit with them take its own result"
+        )
+    return again
 
 
 # ---- The nonlinear programme of a fit as functions of CasADi.

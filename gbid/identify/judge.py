@@ -24,6 +24,7 @@ from gbid.identify.result import FitResult, FitStatus, StdKind
 from gbid.identify.start.scheduled_start import centre_tie
 from gbid.identify.uncertainty.coloured import Bootstrap, ErrorModel
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, Estimate, covariance, model_spreads
+from gbid.identify.uncertainty.profiles import Profiler
 from gbid.identify.uncertainty.residual_tests import whiteness_test
 from gbid.structure import kind_of
 
@@ -105,6 +106,7 @@ def judge(optimum: Optimum) -> FitResult:
     n, k = weighted.n_samples, len(theta) + int((~known_starts).sum())
     first_states = starts[windows] + released_states(weighted, theta, windows)
     log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
+    loss = float(np.trace(mean_square) if weighted.criterion == "trace" else np.linalg.det(mean_square))
     result = FitResult(
         structure=structure.name,
         recordings=tuple(record.name for record in data.records),
@@ -121,7 +123,7 @@ def judge(optimum: Optimum) -> FitResult:
         modes_std=spreads.modes,
         static_gain_std=spreads.static_gain,
         initial_states=first_states[:, : assembly.n_states],
-        loss=float(np.trace(mean_square) if weighted.criterion == "trace" else np.linalg.det(mean_square)),
+        loss=loss,
         error_covariance=mean_square,
         fit_percent=_fit_percent(every, outputs),
         aic=n * log_det + 2 * k,
@@ -169,6 +171,17 @@ def judge(optimum: Optimum) -> FitResult:
         local_names=local_names,
         model_slopes=spreads.slopes,
         hold_shift=bias.moved,
+        profiler=Profiler(
+            tuple(names),
+            estimate,
+            problem.box,
+            products,
+            on_bound,
+            np.where(on_bound | spread.open, np.nan, np.diag(chosen)),
+            np.diag(spread.curvature),
+            coloured or drawn is not None,
+            loss,
+        ),
     )
     return with_integration_error(result, optimum.integration_shift)
 
@@ -179,7 +192,7 @@ def _uncertainty(
     """Return which free parameters lie on a bound, (n_theta,), and the covariance of the others."""
     n_p = len(estimate.theta)
     nothing, no_one = np.full((n_p, n_p), np.nan), np.zeros(n_p, bool)
-    none = Covariance(nothing, nothing, np.nan, np.zeros((0, n_p)), np.inf)
+    none = Covariance(nothing, nothing, np.nan, np.zeros((0, n_p)), np.inf, curvature=nothing)
 
     def without(held: BoolArray, **further: Any) -> Covariance:
         try:

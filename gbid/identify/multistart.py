@@ -13,7 +13,7 @@ from gbid.core.arrays import BoolArray, FloatArray, is_whole
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.notes import FitNote
-from gbid.identify.fit import fitted
+from gbid.identify.fit import fitted, with_profiles
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import Recordings
 from gbid.identify.result import FitResult, FitStatus, StartsTried
@@ -128,7 +128,8 @@ def fit_multistart(
         raise UsageError(f"starts = {starts!r}; give a whole number of at least 1")
     if not isinstance(reach, float | int | np.number) or not 0 < reach < np.inf:
         raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")
-    arguments = FitArguments(**options)
+    asked = FitArguments(**options)
+    arguments = replace(asked, profile=())  # of the best only
     first = fitted(structure, recordings, arguments)
     results = {0: first}
     searched = not kind_of(structure).nonlinear  # start values are found in the data for linear ones only
@@ -152,7 +153,8 @@ def fit_multistart(
             drawn[q.name] = float(np.clip(rng.uniform(low, high), lower, upper))
         with suppress(GbidError):  # of this start alone: the first fit took the same options and recordings
             results[number] = fitted(structure, recordings, replace(arguments, start=drawn))
-    return _summary(results, starts, seed)
+    summary = _summary(results, starts, seed)
+    return replace(summary, best=with_profiles(summary.best, asked.profile))
 
 
 def _summary(results: Mapping[int, FitResult], starts: int, seed: int) -> MultiStart:

@@ -78,6 +78,9 @@ class FitOptions:
     bootstrap_draws, bootstrap_seed : int, optional
         Number of draws, at least 50 (default 200), and seed of the random numbers (default 0). The same seed gives the
         same standard deviations.
+    profile : sequence of str or "all"
+        Parameters of the structure whose profile likelihoods are computed and stored with the result, see
+        `gbid.profile`; "all" takes twelve times the time of the fit for 24 parameters.
     trend : {"none", "offset", "linear", "random walk"}, int or dict
         Trend of the outputs, estimated along for each recording: a polynomial of time of this degree (0 to 9), or an
         offset that is a random walk, whose gain is estimated. A dict has an entry for each output channel with a trend.
@@ -119,6 +122,7 @@ class FitOptions:
     std: StdName = "auto"
     bootstrap_draws: Annotated[int, Exact(), Ge(FEWEST_DRAWS)] | None = None
     bootstrap_seed: CountOrZero | None = None
+    profile: Annotated[Literal["all"] | Sequence[str], Allowed("names of parameters, or the word all")] = ()
     trend: Annotated[TrendName | Mapping[str, TrendName], Allowed(TRENDS)] = "none"
     hum: Annotated[Number | Sequence[Number], Allowed("frequencies [Hz]")] = ()
     initial_state: Annotated[InitialState, Allowed(STATES)] = "auto"

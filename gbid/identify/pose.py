@@ -234,7 +234,8 @@ def _with_options(parameters: tuple[Parameter, ...], options: FitArguments) -> t
     """Return the parameters with the start values, fixed values and bounds of the caller."""
     start = {} if isinstance(options.start, str) else options.start or {}
     fixed, bounds = options.fixed or {}, options.bounds or {}
-    for what, given in (("start", start), ("fixed", fixed), ("bounds", bounds)):
+    profiled = () if options.profile == "all" else options.profile
+    for what, given in (("start", start), ("fixed", fixed), ("bounds", bounds), ("profile", profiled)):
         known_names(parameters, given, what)
     changed = []
     for q in parameters:

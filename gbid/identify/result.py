@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import h5py
 import numpy as np
 import numpy.typing as npt
+from scipy.special import chdtri
 
 from gbid.core import hdf5
 from gbid.core.arrays import FloatArray
@@ -69,6 +70,58 @@ class FitStatus(StrEnum):
     def success(self) -> bool:
         """Whether the fit converged to an estimate."""
         return self.name.startswith("CONVERGED")
+
+
+# ---- Profile likelihood of a parameter.
+
+Verdict = Literal["identifiable", "one-sided", "flat", "not a minimum"]
+"""What a profile says of a parameter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile(Brief, Pictured):
+    """Profile likelihood of a parameter; `FitResult.profile` makes it.
+
+    Attributes
+    ----------
+    name, unit : str
+        Full name of the parameter, and its unit.
+    estimate, std : float
+        Estimate and standard deviation of the fit; of a parameter on a bound the one that it would have as a free one,
+        nan for one that the data do not determine.
+    level : float
+        Probability of the interval.
+    values : (n,) array
+        Values of the parameter, ascending, with the estimate among them.
+    ratios : (n,) array
+        Scaled likelihood ratio of the estimate to each value; `threshold` at the ends of the interval.
+    losses : (n,) array
+        Loss of the fit with the parameter fixed at each value, and all others estimated. With a prior or an extra cost
+        it contains theirs.
+    interval : (float, float)
+        Values whose ratio is below the threshold. An end is the bound of the parameter where the ratio is below the
+        threshold there, and infinite where it stays below.
+    verdict : {"identifiable", "one-sided", "flat", "not a minimum"}
+        "identifiable": the data limit the parameter on both sides. "one-sided": on one, the other is open or ends at a
+        bound. "flat": on none. "not a minimum": a constrained fit is better than the fit itself, which is to be begun
+        again (`gbid.fit_multistart`).
+    """
+
+    name: str
+    unit: str
+    estimate: float
+    std: float
+    level: float
+    values: Annotated[FloatArray, Stored("", "values of the parameter", "n")]
+    ratios: Annotated[FloatArray, Stored("1", "scaled likelihood ratio", "n")]
+    losses: Annotated[FloatArray, Stored("", "loss with the parameter fixed", "n")]
+    interval: tuple[float, float]
+    verdict: Verdict
+
+    @property
+    def threshold(self) -> float:
+        """Quantile of the chi-square distribution with one degree of freedom: 3.84 for the level 0.95."""
+        return float(chdtri(1, 1 - self.level))
 
 
 def _of_each(at: str, words: str) -> Stored:
@@ -206,6 +259,10 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         How far the estimates move, in their units, with exact delays and inputs on curves between samples. Where that
         is more than half a standard deviation, the covariances contain it. None where delays are exact and inputs are
         held, and where the data refute such curves.
+    profiles : dict of str to Profile
+        Profile likelihoods that the option `profile` asked for, by full name.
+    profiler : callable or None
+        Function of `profile`, which holds the samples of the recordings; None in a result that was loaded or pickled.
     """
 
     structure: str
@@ -250,6 +307,8 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     integration_shift: Annotated[
         FloatArray | None, Stored("1", "shift of the free parameters with half the step of the integrator", "free")
     ] = None
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
+    profiler: Annotated[Callable[[str, str, float], Profile] | None, NOT_STORED] = None
 
     hold_shift: Annotated[
         FloatArray | None, Stored("SI", "shift of the free parameters with exact delays and inputs on curves", "free")
@@ -352,6 +411,46 @@ class FitResult(Brief, Pictured, hdf5.InFile):
             When a frequency is not above zero, or when an undamped pole lies exactly on it.
         """
         return bode(self.uncertain_model, frequency_hz)
+
+    def profile(self, name: str, level: float = 0.95) -> Profile:
+        """Return the profile likelihood of an estimated parameter; `gbid.profile` returns those of several.
+
+        Parameters
+        ----------
+        name : str
+            Full name of the parameter, one of `free`.
+        level : float
+            Probability of the interval.
+
+        Returns
+        -------
+        Profile
+
+        Raises
+        ------
+        UsageError
+            When the parameter was not estimated, the fit did not converge, or the result was loaded from a file and
+            has no such profile.
+        """
+        if name not in self.free:
+            raise UsageError(f"{name} is no estimated parameter; there are {', '.join(self.free)}")
+        if not 0 < level < 1:
+            raise UsageError(f"level = {level!r}; give a probability between 0 and 1, such as 0.95")
+        if name in self.profiles and self.profiles[name].level == level:
+            return self.profiles[name]
+        if not self.may_be_profiled:
+            raise UsageError(f"a profile begins at a minimum, and this fit is {self.status}")
+        if self.profiler is None:
+            raise UsageError(
+                "a profile needs the recordings, which a result from a file or another process does not have; give "
+                "them: gbid.profile(result, structure=..., recordings=...)"
+            )
+        return self.profiler(name, self.units[name], level)
+
+    @property
+    def may_be_profiled(self) -> bool:
+        """Whether the fit ended at a minimum of the criterion, also where it is flat in some direction."""
+        return self.success or self.status is FitStatus.NOT_DETERMINED
 
     @property
     def own_names(self) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
@@ -120,7 +120,7 @@ def as_vector(structure: Any, values: Mapping[str, float]) -> FloatArray:
     return np.array([float(values[q.name]) for q in structure.parameters])
 
 
-def known_names(parameters: tuple[Parameter, ...], given: Mapping[str, Any], what: str) -> None:
+def known_names(parameters: tuple[Parameter, ...], given: Iterable[str], what: str) -> None:
     """Refuse names that are not parameters.
 
     Raises

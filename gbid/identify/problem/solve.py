@@ -334,7 +334,8 @@ def _bounded_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box) 
     beside = upper.rows != upper.columns
     size = np.zeros(n)
     size[upper.rows[~beside]] = iterate.hessian[~beside]
-    seen = size > _UNSEEN * size.max()  # the state in a stretch that is left out has no curvature of its own
+    most = size.max(where=free[:n], initial=0.0)
+    seen = size > _UNSEEN * most  # the state in a stretch that is left out has no curvature of its own
     size = np.where(seen, 1 / np.sqrt(np.where(seen, size, 1.0)), 1.0)
     bound = np.concatenate([across.rows, problem.n_gaps + active]), np.concatenate([across.columns, columns])
     slopes = np.concatenate([iterate.jacobian, met[active, columns]]) * size[bound[1]]

@@ -504,6 +504,8 @@ class Covariance(NamedTuple):
         Robust covariance with the standard deviations that a bootstrap gives.
     models : tuple of ErrorModel
         Model of the errors of each record; empty where the robust covariance is the white one.
+    curvature : (n_p, n_p) array
+        Inverse of the cost's Hessian with which the robust covariance is computed: what the curvature alone would give.
     """
 
     white: FloatArray
@@ -513,6 +515,7 @@ class Covariance(NamedTuple):
     condition: float
     bootstrap: FloatArray | None = None
     models: tuple[ErrorModel, ...] = ()
+    curvature: FloatArray = np.zeros((0, 0))
 
     @property
     def open(self) -> BoolArray:
@@ -532,8 +535,8 @@ class Covariance(NamedTuple):
     def along(self, onto: FloatArray) -> Covariance:
         """Return the covariances of the estimates after a projection ``onto`` (n_p, n_p)."""
         bootstrap = None if self.bootstrap is None else onto @ self.bootstrap @ onto.T
-        white, robust = (onto @ each @ onto.T for each in (self.white, self.robust))
-        return self._replace(white=white, robust=robust, bootstrap=bootstrap)
+        white, robust, curvature = (onto @ each @ onto.T for each in (self.white, self.robust, self.curvature))
+        return self._replace(white=white, robust=robust, bootstrap=bootstrap, curvature=curvature)
 
     def widened(self, bias: FloatArray) -> Covariance:
         """Return the covariances with a bias (n_p,), whose size is known, as one more error."""
@@ -617,7 +620,7 @@ def covariance(
 
     J_white = root.T @ J_white @ root
     white = robust = over_parameters(J_white, root)
-    drawn, models = None, list[ErrorModel]()
+    drawn, models, onto = None, list[ErrorModel](), root
     if modelled:
         # Unlike a generator, `map` does not hold the sensitivities while their transform is in use.
         transforms: Iterable[Transform] = map(
@@ -628,7 +631,6 @@ def covariance(
         J_known = root.T @ (known * unit)[kept] @ root
         J += J_known
         blurred = eigenvalues[~undetermined] < _RESOLVED * eigenvalues[-1]
-        onto = root
         if information.observed is not None:
             exact = root.T @ (information.observed + known)[kept] @ root
             curvatures, axes = np.linalg.eigh(_with_rounding(exact, blurred, np.eye(len(blurred))))
@@ -646,7 +648,9 @@ def covariance(
     # A direction of initial states alone does not concern the parameters.
     directions = directions[np.linalg.norm(directions, axis=1) > 1e-2]
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
-    return Covariance(white, robust, flatness, directions, condition, drawn, tuple(models))
+    curvature = np.zeros((n_p, n_p))
+    curvature[np.ix_(~held, ~held)] = (onto @ root.T)[:n_kept, :n_kept]
+    return Covariance(white, robust, flatness, directions, condition, drawn, tuple(models), curvature)
 
 
 def _known(at: Estimate) -> FloatArray:
