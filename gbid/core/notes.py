@@ -79,6 +79,7 @@ class FitNote(NoteKind):
     HOLD = "GB124"
     POLES_MEET = "GB129"
     PIECES = "GB131"
+    SHAFT = "GB132"
 
 
 class DataNote(NoteKind):

@@ -12,7 +12,7 @@ from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.notes import FitNote
 from gbid.discretise import check_holds
 from gbid.identify.bias import Bias, bias_of
-from gbid.identify.data import column_means
+from gbid.identify.data import FitData, column_means
 from gbid.identify.options import DRAWS
 from gbid.identify.pose import Optimum
 from gbid.identify.problem.assemble import window_length
@@ -101,6 +101,7 @@ def judge(optimum: Optimum) -> FitResult:
     model = kind.model({name: first[name] for name in stated}, data.input_names, data.output_names)
     if kind.nonlinear:
         model = at_working_point(model, weighted, theta, starts, data)
+    shaft = shaft_notes(model.modes(), data) if finite else ()
     tie = centre_tie(kind.scheduled, weighted.parts[0].predictor.free, names) if kind.scheduled else None
     spreads = model_spreads(estimate, chosen, model, stated, tie)
     n, k = weighted.n_samples, len(theta) + int((~known_starts).sum())
@@ -134,6 +135,7 @@ def judge(optimum: Optimum) -> FitResult:
             overflows=not finite,
             worse_than_constant=worse,
             at_edge=at_edge,
+            shaft=bool(shaft),
             undetermined=~on_bound & ~np.isfinite([std[name] for name in names]),
         ),
         optimality=solution.rest,
@@ -147,6 +149,7 @@ def judge(optimum: Optimum) -> FitResult:
             *(may_cover_less(spread.models, model.modes(), data.sample_time, n) if coloured else ()),
             *((FitNote.PREDICTOR_AT_EDGE(_AT_EDGE),) if at_edge else ()),
             *meeting,
+            *shaft,
             *optimum.notes,
             *task.begin.notes,
             *task.states.notes,
@@ -479,7 +482,13 @@ def explains_nothing(problem: Shooting, products: FloatArray, outputs: list[Floa
 
 
 def verdict(
-    status: FitStatus, *, overflows: bool, worse_than_constant: bool, at_edge: bool, undetermined: BoolArray
+    status: FitStatus,
+    *,
+    overflows: bool,
+    worse_than_constant: bool,
+    at_edge: bool,
+    shaft: bool,
+    undetermined: BoolArray,
 ) -> FitStatus:
     """Return the status of a fit, which is a success only for an estimate.
 
@@ -495,6 +504,8 @@ def verdict(
         Result of `explains_nothing`.
     at_edge : bool
         Whether the disturbance gain makes a predictor unstable or almost so, see `Shooting.parts_at_edge`.
+    shaft : bool
+        Whether a mode of the model is the rotation of the shaft, see `shaft_notes`.
     undetermined : (n_free,) boolean array
         Free parameters without a finite standard deviation that lie on no bound.
     """
@@ -506,4 +517,45 @@ def verdict(
         return FitStatus.WORSE_THAN_CONSTANT
     if at_edge:
         return FitStatus.UNSTABLE_PREDICTOR
+    if shaft:
+        return FitStatus.SHAFT_AS_MODE
     return FitStatus.NOT_DETERMINED if undetermined.any() else status
+
+
+_HARMONICS = 10  # multiples of the speed that a run-out has
+_APART = 10.0  # times the resolution between two multiples: else a mode is near one by chance
+
+
+def shaft_notes(modes: Sequence[tuple[float, float]], data: FitData) -> tuple[str, ...]:
+    """Return a note on each mode that is the rotation of the shaft: run-out or unbalance, taken for motion of a mode.
+
+    Parameters
+    ----------
+    modes : sequence of (frequency [Hz], damping factor)
+        Modes of the model.
+    data : FitData
+        Data of the fit. All recordings must state the same ``speed_rpm``, else there is no note.
+
+    Notes
+    -----
+    The lines of the shaft have no width. A mode counts as one of them if its half-width (frequency times damping
+    factor) and its distance from a multiple of the speed are both below the resolution 1 / T of the longest recording.
+    """
+    speeds = {float(record.conditions.get("speed_rpm", 0.0)) for record in data.records}
+    resolution = 1 / (max(record.n_samples for record in data.records) * data.sample_time)
+    line = speeds.pop() / 60
+    if speeds or abs(line) < _APART * resolution:
+        return ()
+    notes = []
+    for frequency, damping in modes:
+        multiple = round(frequency / abs(line))
+        sharp = abs(damping) * frequency < resolution
+        if sharp and 1 <= multiple <= _HARMONICS and abs(frequency - multiple * abs(line)) < resolution:
+            text = (
+                f"the mode of {frequency:.5g} Hz with damping factor {damping:.2g} is {multiple} times the speed of "
+                f"{60 * abs(line):g} rpm: run-out or unbalance, no mode of the rotor; subtract a map from a recording "
+                "with piezos at rest (gbid.identify_runout, gbid.prefilter), or give the unbalance as an input "
+                "(unbalance=True)"
+            )
+            notes.append(FitNote.SHAFT(text))
+    return tuple(notes)

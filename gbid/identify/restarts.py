@@ -199,7 +199,7 @@ class Restarts:
             if attempt.result is None:
                 return attempt
             tried.append((attempt, attempt.result))
-            if attempt.result.success:
+            if attempt.result.success or attempt.result.status is FitStatus.SHAFT_AS_MODE:
                 break
             if attempt.result.status is FitStatus.UNSTABLE_PREDICTOR and len(windows) > 1:
                 held = self.attempt(start, window, gain_held=True, unstable=True)
@@ -247,6 +247,9 @@ def _lowest(attempts: Sequence[Attempt]) -> FitResult:
     if result.loss > lowest[1].loss + POLICY.lower * abs(lowest[1].loss):
         text = f"another attempt ended lower, at a loss of {lowest[1].loss:.6g}, but did not converge"
         notes = (*notes, FitNote.OTHER_MINIMUM(text))
+    if result.success and any(other.status is FitStatus.SHAFT_AS_MODE for _, other in pairs):
+        text = "from other start values a mode becomes the rotation of the shaft: remove run-out and unbalance"
+        notes = (*notes, FitNote.SHAFT(text))
     if result.success and best.doubtful:
         text = (
             "neighbouring residuals are strongly correlated: this may be a minimum that is not the lowest; try "

@@ -64,6 +64,7 @@ class FitStatus(StrEnum):
         "not converged: the disturbance gain makes the predictor unstable, or almost so; hold it (fixed) or use "
         "focus = 'simulation'"
     )
+    SHAFT_AS_MODE = "wrong mode: one is the rotation of the shaft; remove run-out and unbalance as the notes say"
     SOLVER_FAILED = "not converged: the solver stopped for a reason of its own"
 
     @property

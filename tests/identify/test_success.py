@@ -5,6 +5,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from start_problems import start_problem
 
 from gbid import LinearStructure, Parameter, Recording, fit
@@ -136,12 +137,19 @@ def test_a_solution_that_has_not_come_to_rest_is_solved_on(best, monkeypatch):
 
 
 def test_verdict_of_what_the_solver_calls_converged():
-    good = {"overflows": False, "worse_than_constant": False, "at_edge": False, "undetermined": np.zeros(2, bool)}
+    good = {
+        "overflows": False,
+        "worse_than_constant": False,
+        "at_edge": False,
+        "shaft": False,
+        "undetermined": np.zeros(2, bool),
+    }
     assert verdict(FitStatus.CONVERGED, **good) is FitStatus.CONVERGED
     assert verdict(FitStatus.ITERATION_LIMIT, **good | {"worse_than_constant": True}) is FitStatus.ITERATION_LIMIT
     assert verdict(FitStatus.CONVERGED, **good | {"overflows": True}) is FitStatus.OVERFLOW
     assert verdict(FitStatus.CONVERGED, **good | {"worse_than_constant": True}) is FitStatus.WORSE_THAN_CONSTANT
     assert verdict(FitStatus.CONVERGED, **good | {"at_edge": True}) is FitStatus.UNSTABLE_PREDICTOR
+    assert verdict(FitStatus.CONVERGED, **good | {"shaft": True}) is FitStatus.SHAFT_AS_MODE
     dark = np.array([False, True])
     assert verdict(FitStatus.CONVERGED, **good | {"undetermined": dark}) is FitStatus.NOT_DETERMINED
 
@@ -185,3 +193,36 @@ def test_a_defect_in_a_callback_is_raised(monkeypatch):
     monkeypatch.setattr(Predictor, "at", at)
     with pytest.raises(TypeError, match="a defect"):
         of_spring(start={"k": 1100.0})
+
+
+def with_runout(size, seed=0, n=5000, h=2e-4):
+    """A mode of 130 Hz, seen by a sensor with run-out at 6000 rpm: exact steps, without gbid."""
+    random = np.random.default_rng(seed)
+    u, w = np.repeat(random.choice([-1.0, 1.0], n // 10), 10), 2 * np.pi * 130
+    step = expm(h * np.array([[0, 1, 0], [-w * w, -60, w * w], [0, 0, 0]]))
+    x, y = np.zeros(2), np.zeros(n)
+    for i in range(n):
+        y[i] = x[0]
+        x = step[:2, :2] @ x + step[:2, 2] * u[i]
+    seen = y + size * np.sin(2 * np.pi * 100 * h * np.arange(n) + 0.3) + 0.02 * random.normal(size=n)
+    return Recording({"u": u, "y": seen}, h, name="run", conditions={"speed_rpm": 6000.0})
+
+
+@pytest.mark.parametrize(("size", "success", "told"), [(0.0, True, False), (1.0, True, True), (20.0, False, True)])
+def test_rotation_of_the_shaft_is_no_mode(size, success, told):
+    """With run-out of 20 the fit converges to a mode of 100 Hz; of 1, from one of two starts."""
+    mode = LinearStructure(
+        "mode",
+        [Parameter("k", 4e5), Parameter("d", 30.0), Parameter("b", 6e5)],
+        lambda p: {"A": [[0, 1], [-p.k, -p.d]], "B": [[0], [p.b]], "C": [[1, 0]]},
+        "u",
+        "y",
+    )
+    result = fit(mode, with_runout(size), focus="simulation")
+    frequency = result.model.modes()[0][0]
+    assert result.success == success
+    assert any("GB132" in note for note in result.notes) == told
+    assert (abs(frequency - 130) < 1) == success
+    if not success:
+        assert result.status is FitStatus.SHAFT_AS_MODE
+        assert abs(frequency - 100) < 0.1
