@@ -78,6 +78,7 @@ class FitNote(NoteKind):
     LEFT_OUT = "GB123"
     HOLD = "GB124"
     POLES_MEET = "GB129"
+    MEANS = "GB130"
     PIECES = "GB131"
     SHAFT = "GB132"
 

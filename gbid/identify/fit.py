@@ -12,10 +12,11 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray, one_blas_thread
 from gbid.core.brief import Brief, Description, brief
-from gbid.core.errors import UsageError
+from gbid.core.errors import GbidError, UsageError
+from gbid.core.notes import FitNote
 from gbid.core.option_types import takes_options
 from gbid.identify.options import FitArguments
-from gbid.identify.pose import PosedProblem, Recordings, pose
+from gbid.identify.pose import FitTask, PosedProblem, Recordings, pose
 from gbid.identify.problem.hessian import gauss_newton
 from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.restarts import best_attempt, windows_of
@@ -35,6 +36,8 @@ def fitted(structure: AnyStructure, recordings: Recordings, options: FitArgument
         with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             result = best_attempt(task)
     result = with_profiles(result, options.profile)
+    if _means_may_matter(task, result):
+        result = replace(result, notes=(*result.notes, *_note_of_means(structure, recordings, options, result)))
     return replace(result, wall_time_s=time.perf_counter() - began)
 
 
@@ -154,6 +157,47 @@ def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Record
             "are not stored: for a fit with them take its own result"
         )
     return again
+
+
+# ---- Means of outputs that inputs do not explain: a second fit tells whether they move the estimates.
+
+_OF_MOTION = 0.05  # of the standard deviation of an output, below which its mean is no suspect
+_COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs: what a mean leaves is not white
+_CERTAIN = 4.0  # standard deviations of an offset, beyond chance for a few outputs and recordings
+_MOVED = 0.5  # standard deviations by which an estimate moves, from which its interval is a different one
+
+
+def _means_may_matter(task: FitTask, result: FitResult) -> bool:
+    """Return whether an output has a mean, none was estimated, and the residuals of a linear structure are coloured."""
+    if task.options.trend != "none" or kind_of(task.structure).linear is None:
+        return False
+    if (result.whiteness >= _COLOURED / len(result.whiteness)).all():
+        return False
+    return any((np.abs(r.outputs.mean(axis=0)) > _OF_MOTION * r.outputs.std(axis=0)).any() for r in task.data.records)
+
+
+def _note_of_means(
+    structure: AnyStructure, recordings: Recordings, options: FitArguments, result: FitResult
+) -> tuple[str, ...]:
+    """Return a note where offsets of the outputs, estimated along, are certain and move the estimates."""
+    plain = replace(options, std="auto", bootstrap_draws=None, bootstrap_seed=None, profile=(), progress=None)
+    try:
+        other = fitted(structure, recordings, replace(plain, trend="offset"))
+    except GbidError:  # the structure may be too large for the recordings with offsets
+        return ()
+    offsets = [name for name in other.free if name not in result.free and name.startswith("offset_")]
+    certain = [name for name in offsets if abs(other.parameters[name]) > _CERTAIN * other.std[name]]
+    both = [name for name in result.free if other.std.get(name, np.nan) > 0]
+    by = {name: abs(result.parameters[name] - other.parameters[name]) / other.std[name] for name in both}
+    if not (other.success and other.loss < result.loss and certain and max(by.values(), default=0.0) > _MOVED):
+        return ()
+    most = max(by, key=lambda name: by[name])
+    text = (
+        f"outputs have means that the inputs do not explain ({', '.join(certain)}): with trend='offset' the loss is "
+        f"{other.loss / result.loss:.2g} times this one, and {most} moves by {by[most]:.2g} standard deviations; "
+        "estimate the means along (trend='offset'), or subtract them first (gbid.prefilter)"
+    )
+    return (FitNote.MEANS(text),)
 
 
 # ---- The nonlinear programme of a fit as functions of CasADi.
