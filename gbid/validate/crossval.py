@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import log
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -402,8 +403,8 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
     Raises
     ------
     DataError
-        When the recording lacks a signal or has another sample time, when no sample counts, or when the simulation
-        overflows.
+        When the recording lacks a signal or has another sample time, when no sample counts, when the simulation
+        overflows, or when the model is unstable and would grow by more than 1000 over the recording.
     """
     check_order(result, "cross_validate(result, recording)")
     data, fitted = validation_data(result, recording, left_out), simulator(result)
@@ -478,7 +479,7 @@ def score(fitted: Simulator, data: ValidationData) -> tuple[FloatArray, FloatArr
     Raises
     ------
     DataError
-        When model and recording do not fit together, or when the simulation overflows.
+        When model and recording do not fit together, or when the simulation overflows or the model is unstable.
     """
     return _figures(_explain(fitted, data), data)
 
@@ -487,6 +488,9 @@ def _figures(explained: Explained, data: ValidationData) -> tuple[FloatArray, Fl
     rest = explained.residuals
     error = np.sqrt(np.einsum("ik,ik->i", rest, rest))
     return 100 * (1 - error / data.spread), np.abs(rest).max(axis=1)
+
+
+_GROWTH = 1e3  # over a recording: what is known to a thousandth of an output is as large as the output in the end
 
 
 def _explain(fitted: Simulator, data: ValidationData) -> Explained:
@@ -501,6 +505,13 @@ def _explain(fitted: Simulator, data: ValidationData) -> Explained:
             f"recording {data.name!r} gives the inputs {', '.join(data.input_names)} and the outputs "
             f"{', '.join(data.output_names)}; the model has {', '.join(model.input_names)} and "
             f"{', '.join(model.output_names)}: record the same channels"
+        )
+    grown = fitted.rate * data.sample_time * data.inputs.shape[1]
+    if grown > log(_GROWTH):
+        raise DataError(
+            f"the model of {fitted.name} is unstable: not simulated on recording {data.name!r}, where it would grow "
+            f"by a factor of 1e{grown / log(10):.0f}; test its predictions (check_residuals), or validate the loop "
+            "that keeps it stable (ClosedLoop)"
         )
     explained = fitted.explain(data.inputs, data.outputs, data.counted)
     if not np.isfinite(explained.residuals).all():

@@ -118,6 +118,11 @@ class Simulator:
         """
         raise NotImplementedError
 
+    @property
+    def rate(self) -> float:
+        """Rate at which a free response grows [1/s]; negative if the model is stable or nonlinear."""
+        return -np.inf
+
     def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
         """Return the simulated outputs without trend and hum, (n_outputs, n_samples).
 
@@ -183,6 +188,14 @@ class LinearSimulator(Simulator):
             shares = np.tensordot(free.basis, head, axes=((0, 1), (0, 1)))
             head -= np.tensordot(free.basis, shares, axes=(2, 0))
             return Explained(free.states @ shares, rest)
+
+    @property
+    def rate(self) -> float:
+        """Largest real part of the poles, in continuous time; see `Simulator.rate`."""
+        poles = np.linalg.eigvals(self.model.A)
+        if self.model.dt is not None:
+            return float(np.log(np.abs(poles).max(initial=np.finfo(float).tiny)) / self.model.dt)
+        return float(poles.real.max(initial=-np.inf))
 
     def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
         """Return the outputs, mode by mode where the eigenvectors allow it; see `Simulator.run`."""
@@ -261,8 +274,8 @@ def estimate_initial_state(
 
 
 def _modes(model: LinearModel, sample_time: float, intersample: str | Sequence[str] | None) -> Modes | None:
-    """Return the modes of a sampled model; None when its eigenvectors are ill-conditioned or inputs are delayed."""
-    if model.delay is not None:
+    """Return the modes of a model with held inputs; None for delays, sampled models, bad eigenvectors."""
+    if model.delay is not None or model.dt is not None:
         return None
     F, now, following = discretise(np.array(model.A), np.array(model.B), sample_time, model.holds(intersample))
     if not np.isfinite(F).all():

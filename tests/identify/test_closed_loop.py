@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 import gbid
 from gbid.control.loop.close import sample_controller, sample_plant
-from gbid.core.errors import UsageError
+from gbid.core.errors import DataError, UsageError
 from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.linear import PortableLinearKernel
 from gbid.identify.predictor import build_predictor
@@ -192,23 +192,22 @@ def levitated(seed, n=2000, h=2e-3):
     step = expm(h * np.array([[0, 1, 0], [LEVITATION["a"], -LEVITATION["d"], LEVITATION["b"]], [0, 0, 0]]))
     corner, kp, kd = 400.0, 60.0, 2.0
     slow = 1 / (1 + h * corner / 2)  # trapezoidal rule, by hand
-    x, z, force, y = np.zeros(2), 0.0, 0.0, np.zeros(n)
+    x, z, force, y, r = np.zeros(2), 0.0, 0.0, np.zeros(n), np.zeros(n)
     for k in range(n):
         y[k] = x[0] + 0.01 * random.normal()
         u, force = w[k] + force, kd * corner * slow * z - (kp + kd * corner * (1 - h * corner * slow / 2)) * y[k]
+        r[k] = u
         z = (2 * slow - 1) * z + h * slow * corner * y[k]
         x = step[:2, :2] @ x + step[:2, 2] * u + 0.01 * random.normal(size=2) * [0.1, 1.0]
     controller = LinearModel(
         np.array([[-corner]]), np.array([[corner]]), np.array([[kd * corner]]), np.array([[-kp - kd * corner]])
     )
-    return gbid.Recording({"w": w[:, None], "y": y[:, None]}, h, name="levitated"), controller
+    return gbid.Recording({"w": w, "r": r, "y": y}, h, name=f"levitated {seed}"), controller
 
 
-@pytest.mark.parametrize("away", [1.0, 1.4])
-def test_loop_of_an_unstable_plant_starts_without_a_disturbance_gain(away):
-    """Prediction of an unstable plant needs a gain: that of an observer of the plant."""
+def levitation(away=1.0):
     start = {name: value * away for name, value in LEVITATION.items()}
-    plant = LinearStructure(
+    return LinearStructure(
         "levitation",
         [*(Parameter(name, value) for name, value in start.items()), Parameter("g1", 0.0), Parameter("g2", 0.0)],
         lambda p: {
@@ -220,6 +219,12 @@ def test_loop_of_an_unstable_plant_starts_without_a_disturbance_gain(away):
         "r",
         "y",
     )
+
+
+@pytest.mark.parametrize("away", [1.0, 1.4])
+def test_loop_of_an_unstable_plant_starts_without_a_disturbance_gain(away):
+    """Prediction of an unstable plant needs a gain: that of an observer of the plant."""
+    plant = levitation(away)
     for seed in range(3):
         recording, controller = levitated(seed)
         loop = gbid.ClosedLoop(plant, controller, sample_time=recording.sample_time, inputs="w", outputs="y")
@@ -228,3 +233,14 @@ def test_loop_of_an_unstable_plant_starts_without_a_disturbance_gain(away):
         assert any("GB112" in note for note in result.notes)
         for name, true in LEVITATION.items():
             assert abs(result.parameters[name] - true) < 3.5 * result.std[name]
+
+
+def test_unstable_plant_is_not_simulated_in_cross_validation():
+    """It printed fits of -1e30 %; the loop around the plant is stable, and can be validated."""
+    (first, controller), (second, _) = levitated(0), levitated(1)
+    plant = gbid.fit(levitation(), first, inputs="r")
+    assert plant.success
+    with pytest.raises(DataError, match="unstable: not simulated on recording 'levitated 1'"):
+        gbid.cross_validate(plant, second)
+    loop = gbid.ClosedLoop(levitation(), controller, sample_time=first.sample_time, inputs="w", outputs="y")
+    assert gbid.cross_validate(gbid.fit(loop, first), second).fit_percent[0] > 90
