@@ -81,6 +81,10 @@ class FitNote(NoteKind):
     MEANS = "GB130"
     PIECES = "GB131"
     SHAFT = "GB132"
+    UNITS = "GB133"
+    TWINS = "GB134"
+    SPIKE = "GB135"
+    SAME_INPUTS = "GB136"
 
 
 class DataNote(NoteKind):

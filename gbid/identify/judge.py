@@ -13,6 +13,7 @@ from gbid.core.notes import FitNote
 from gbid.discretise import check_holds
 from gbid.identify.bias import Bias, bias_of
 from gbid.identify.data import FitData, column_means
+from gbid.identify.data_notes import data_notes
 from gbid.identify.options import DRAWS
 from gbid.identify.pose import Optimum
 from gbid.identify.problem.assemble import window_length
@@ -155,6 +156,7 @@ def judge(optimum: Optimum) -> FitResult:
             *task.states.notes,
             *((FitNote.OVERFLOWS(_OVERFLOWS.format(solution.overflows)),) if solution.overflows else ()),
             *decay_notes(data),
+            *data_notes(data, {q.name for q in task.parameters}, options.left_out or {}),
             *extra_notes(shooting, solution.unknowns),
         ),
         options=options.settled(

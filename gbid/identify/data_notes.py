@@ -1,0 +1,109 @@
+"""Notes on data with which a fit converges and is wrong: units, twins, spikes, inputs that are nearly the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+from itertools import combinations
+
+import numpy as np
+
+from gbid.core.arrays import FloatArray
+from gbid.core.notes import FitNote
+from gbid.identify.data import FitData, Record, column_means
+from gbid.structure.built_in import KEY_PARAMETERS
+
+_MOTION = 1e-3  # [m] the clearance of a gas bearing and the travel of a piezo are some ten micrometres
+_GAIN = 300.0  # that of a resonance with a damping factor of 0.0017; a prefix of a unit is a factor of 1000 or more
+_ABOVE = 20.0  # times the value that 99 % of the samples keep: 50 standard deviations of Gaussian noise
+_ALONE = 10.0  # times the samples around: a response that decays has neighbours of its size
+_BESIDE, _AROUND = 3, 20  # samples to both sides that may belong to a spike, and that show what is around it
+_MOST = 50  # spikes that are looked at
+_SAME = 1e-2  # part of an input that no other explains, below which standard deviations are a hundred times larger
+
+
+def data_notes(data: FitData, names: Set[str], left_out: Mapping[str, Sequence[tuple[int, int]]]) -> tuple[str, ...]:
+    """Return notes on the data of a fit that the fit itself cannot see.
+
+    Parameters
+    ----------
+    data : FitData
+        Data of the fit.
+    names : set of str
+        Parameters of the structure: with the key parameters of the paper all signals are motions in metres.
+    left_out : dict of str to sequence of (start, stop)
+        Samples of recordings that do not count.
+    """
+    bearing = set(KEY_PARAMETERS) <= names
+    notes = [*(_units(data) if bearing else ()), *_twins(data.records), *_same_inputs(data)]
+    for record in data.records:
+        notes += _spikes(record, data.output_names, left_out.get(record.name, ()))
+    return tuple(notes)
+
+
+def _units(data: FitData) -> Iterator[str]:
+    """Yield a note on motions that are no metres, by their size, and by the size of outputs over that of inputs."""
+    for record in data.records:
+        sizes = [
+            np.sqrt(np.ascontiguousarray(values[:, :2].T).var(axis=1)) for values in (record.inputs, record.outputs)
+        ]
+        largest = max(float(size.max(initial=0.0)) for size in sizes)
+        if largest > _MOTION:
+            yield FitNote.UNITS(
+                f"recording {record.name!r}: motions have a standard deviation of {largest:.2g} m, far more than the "
+                "clearance of a bearing: give metres, as gbid.import_recording makes them from unit: um"
+            )
+            return
+        into, out = (float(np.linalg.norm(size)) for size in sizes)
+        if into > 0 and not 1 / _GAIN < out / into < _GAIN:
+            yield FitNote.UNITS(
+                f"recording {record.name!r}: the outputs are {out / into:.2g} times the inputs, where a bearing has a "
+                "gain of about one: are both in metres"
+            )
+            return
+
+
+def _twins(records: Sequence[Record]) -> Iterator[str]:
+    """Yield a note on each recording with the same samples as another."""
+    for one, other in combinations(records, 2):
+        if np.array_equal(one.outputs, other.outputs) and np.array_equal(one.inputs, other.inputs):
+            yield FitNote.TWINS(
+                f"recordings {one.name!r} and {other.name!r} have the same samples: they tell nothing new, and make "
+                "standard deviations too small; leave one out"
+            )
+
+
+def _spikes(record: Record, names: Sequence[str], left_out: Sequence[tuple[int, int]]) -> Iterator[str]:
+    """Yield a note on each output with spikes: far beyond nearly all samples, and alone there."""
+    counts = np.ones(record.n_samples, bool)
+    for start, stop in left_out:
+        counts[start:stop] = False
+    for name, column in zip(names, record.outputs.T, strict=True):
+        size = np.abs(column - np.median(column))
+        usual = float(np.partition(size, int(0.99 * len(size)))[int(0.99 * len(size))])
+        found = [i for i in np.flatnonzero((size > _ABOVE * usual) & counts)[:_MOST].tolist() if _alone(size, i)]
+        if usual > 0 and found:
+            yield FitNote.SPIKE(
+                f"recording {record.name!r}: output {name!r} has a spike at sample {found[0]}, "
+                f"{size[found[0]] / usual:.0f} times what 99 % of the samples keep; remove it (gbid.prefilter, "
+                "left_out=...), or weight outliers less (robust=...)"
+            )
+
+
+def _alone(size: FloatArray, at: int) -> bool:
+    before, after = size[max(0, at - _AROUND) : max(0, at - _BESIDE)], size[at + _BESIDE + 1 : at + _AROUND + 1]
+    return bool(size[at] > _ALONE * np.concatenate([before, after]).max(initial=0.0))
+
+
+def _same_inputs(data: FitData) -> Iterator[str]:
+    """Yield a note on each pair of inputs that are nearly proportional in all recordings."""
+    centred = [record.inputs - column_means(record.inputs) for record in data.records]
+    products = np.asarray(sum(values.T @ values for values in centred))
+    size = np.sqrt(np.diag(products))
+    for i, j in combinations(np.flatnonzero(size > 0).tolist(), 2):
+        cosine = float(products[i, j] / (size[i] * size[j]))
+        apart = float(np.sqrt(max(0.0, 1 - cosine**2)))
+        if apart < _SAME:
+            yield FitNote.SAME_INPUTS(
+                f"inputs {data.input_names[i]!r} and {data.input_names[j]!r} are the same to {apart:.1g} of their "
+                "size: only their sum is known well; move them independently, or fit one of them"
+            )

@@ -1,0 +1,93 @@
+"""Data with which a fit converges and is wrong are named: units, twins, spikes, inputs that are nearly the same."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import gbid
+
+H = 2e-4
+
+
+def disc(seed, n=4000, micrometre=1e-6, second=None):
+    """A disc on two springs, driven by held steps: exact steps of 0.2 ms, without gbid. In metres."""
+    random = np.random.default_rng(seed)
+    u = np.repeat(random.choice([-5.0, 5.0], (n // 20, 2)), 20, axis=0) * micrometre
+    if second is not None:
+        u[:, 1] = u[:, 0] + second * u[:, 1]
+    w, d = 2 * np.pi * 120, 50.0
+    step = expm(H * np.array([[0, 1, 0], [-w * w, -d, w * w], [0, 0, 0]]))
+    x, p = np.zeros((2, 2)), np.zeros((n, 2))
+    for i in range(n):
+        p[i] = x[0]
+        x = step[:2, :2] @ x + np.outer(step[:2, 2], u[i])
+    return u, p + 0.05 * micrometre * random.normal(size=p.shape)
+
+
+def recording(u, p, name="run"):
+    return gbid.Recording({"u": u, "p": p}, H, name=name)
+
+
+def codes(result):
+    return {code for note in result.notes for code in ("GB133", "GB134", "GB135", "GB136") if code in note}
+
+
+def bearing(*recordings):
+    return gbid.fit(gbid.RotorBearing(disturbance_gain="none"), recordings, focus="simulation", max_iterations=3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_good_data_have_no_note(seed):
+    assert not codes(bearing(recording(*disc(seed), "one"), recording(*disc(seed + 10), "two")))
+
+
+@pytest.mark.parametrize(("of_u", "of_p"), [(1e6, 1e6), (1e6, 1.0), (1.0, 1e6), (1e3, 1.0), (1.0, 1e3)])
+def test_micrometres_and_millimetres_are_no_metres(of_u, of_p):
+    u, p = disc(0)
+    assert codes(bearing(recording(of_u * u, of_p * p))) == {"GB133"}
+
+
+def test_the_same_recording_twice_is_named():
+    u, p = disc(0)
+    found = codes(bearing(recording(u, p, "one"), recording(u.copy(), p.copy(), "two")))
+    assert found == {"GB134"}
+    again = disc(0)[1] + 1e-9
+    assert not codes(bearing(recording(u, p, "one"), recording(u, again, "two")))
+
+
+@pytest.mark.parametrize(("width", "height", "told"), [(1, 1000, True), (3, 200, True), (30, 200, False)])
+def test_a_spike_is_named_and_a_blow_is_not(width, height, told):
+    """A blow that rings for 30 samples is a response."""
+    u, p = disc(0)
+    ring = np.exp(-np.arange(width) / (width / 3)) if width > 3 else np.ones(width)
+    p[1000 : 1000 + width, 1] += height * p[:, 1].std() * ring
+    spiked = recording(u, p)
+    assert ("GB135" in codes(bearing(spiked))) == told
+    kept = gbid.fit(
+        gbid.RotorBearing(disturbance_gain="none"),
+        spiked,
+        focus="simulation",
+        max_iterations=3,
+        left_out={"run": [(995, 1005)]},
+    )
+    assert "GB135" not in codes(kept)
+
+
+@pytest.mark.parametrize(("second", "told"), [(1e-4, True), (0.1, False)])
+def test_two_inputs_that_are_nearly_the_same_are_named(second, told):
+    assert ("GB136" in codes(bearing(recording(*disc(0, second=second))))) == told
+
+
+def test_a_ship_may_move_by_metres():
+    """Only the structures of the paper know how far a disc moves."""
+    structure = gbid.LinearStructure(
+        "ship",
+        [gbid.Parameter("k", 5e5), gbid.Parameter("d", 40.0)],
+        lambda p: {"A": [[0, 1], [-p.k, -p.d]], "B": [[0], [p.k]], "C": [[1, 0]]},
+        "u.x",
+        "p.x",
+    )
+    u, p = disc(0)
+    result = gbid.fit(structure, recording(1e6 * u, 1e6 * p), focus="simulation")
+    assert result.success
+    assert not codes(result)
