@@ -305,17 +305,20 @@ def forces_of_bounds(problem: Shooting, unknowns: FloatArray, box: Box) -> Float
     nothing, iterate = np.zeros(problem.n_theta), problem.at(unknowns)
     if not (np.isfinite(iterate.gradient).all() and np.isfinite(iterate.hessian).all()):
         return nothing
-    try:
-        step, inward = _bounded_step(problem, iterate, unknowns, box)
-    except (RuntimeError, ValueError, MatrixRankWarning):  # singular
-        return nothing
-    below = unknowns - box[0] < box[1] - unknowns  # nearer to the lower bound, which presses up
-    outward = np.maximum(np.where(below, inward, -inward)[: problem.n_theta], 0.0)
-    # A step to a bound that is farther than the standard deviation with all others known is one along a valley.
+    # A bound that is farther than the standard deviation with all others known is met along a valley, if at all.
     pattern, curvature = problem.hessian_pattern, np.zeros(problem.n_unknowns)
     own = pattern.rows == pattern.columns
     curvature[pattern.rows[own]] = iterate.hessian[own]
-    near = (step**2 * curvature * problem.likelihood_size <= 1.0)[: problem.n_theta]
+    below, above = unknowns - box[0], box[1] - unknowns
+    near = np.minimum(below, above) * np.sqrt(curvature * problem.likelihood_size) <= 1.0
+    near = (near & (box[0] < box[1]))[: problem.n_theta]
+    if not near.any():
+        return nothing
+    try:
+        _, inward = _bounded_step(problem, iterate, unknowns, box)
+    except (RuntimeError, ValueError, MatrixRankWarning):  # singular
+        return nothing
+    outward = np.maximum(np.where(below < above, inward, -inward)[: problem.n_theta], 0.0)
     return np.asarray(np.where(near, outward, 0.0) * problem.likelihood_size / problem.theta_scale)
 
 
