@@ -85,6 +85,7 @@ class FitNote(NoteKind):
     TWINS = "GB134"
     SPIKE = "GB135"
     SAME_INPUTS = "GB136"
+    LIKELY_ELSEWHERE = "GB138"
 
 
 class DataNote(NoteKind):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,14 @@ from gbid.identify.problem.states import decay_notes, released_states
 from gbid.identify.result import FitResult, FitStatus, StdKind
 from gbid.identify.start.scheduled_start import centre_tie
 from gbid.identify.uncertainty.coloured import Bootstrap, ErrorModel
-from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, Estimate, covariance, model_spreads
+from gbid.identify.uncertainty.covariance import (
+    FLATTEST,
+    Covariance,
+    Estimate,
+    covariance,
+    filtered_records,
+    model_spreads,
+)
 from gbid.identify.uncertainty.profiles import Profiler
 from gbid.identify.uncertainty.residual_tests import whiteness_test
 from gbid.structure import kind_of
@@ -52,8 +60,15 @@ def judge(optimum: Optimum) -> FitResult:
     residuals = weighted.errors(weighted.values(theta), starts)
     products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in residuals))
     by_record = weighted.by_record(residuals, windows)
+    known_starts = task.states.in_shooting(weighted.n_states)
+    estimate = Estimate(weighted, theta, starts, windows, known_starts)
+    if optimum.weighted is not None:
+        estimate = replace(estimate, filters=optimum.weighted.filters)
+    if estimate.filters and solution.status is not FitStatus.GROWS:
+        by_record = [record.errors for record in filtered_records(estimate)]
+        products = np.asarray(sum(e.T @ e for e in by_record))
     finite = bool(np.isfinite(products).all() and np.isfinite(theta).all())
-    worse = finite and explains_nothing(weighted, squares, outputs)
+    worse = finite and optimum.weighted is None and explains_nothing(weighted, squares, outputs)
     white = whiteness_test(by_record)
     sound = finite and not worse
     noisy = np.diag(squares) > weighted.floors  # the rest are simulated outputs without noise: errors at rounding
@@ -63,9 +78,6 @@ def judge(optimum: Optimum) -> FitResult:
         bootstrap = Bootstrap(options.bootstrap_draws or DRAWS, options.bootstrap_seed or 0)
     settled = sound and solution.status.success
     drawn = bootstrap if settled else None
-    n_records, n_states = task.states.known.shape
-    known_starts = np.hstack([task.states.known, np.zeros((n_records, weighted.n_states - n_states), bool)])
-    estimate = Estimate(weighted, theta, starts, windows, known_starts)
     on_bound, spread = _uncertainty(optimum, estimate, products, coloured, drawn)
     spread, meeting = _with_equal_poles(optimum, theta, spread)
     kind_of_std: StdKind = "bootstrap" if spread.bootstrap is not None else "robust" if coloured else "white"
@@ -93,6 +105,7 @@ def judge(optimum: Optimum) -> FitResult:
     for i in np.flatnonzero(~(on_bound | spread.open)):
         std[names[i]] = float(np.sqrt(chosen[i, i]))
     mean_square = squares / weighted.n_samples
+    fed_back = not coloured and any(part.predictor.feeds_back for part in shooting.parts)
     at_edge = finite and any(weighted.parts_at_edge(theta))
     units = {q.name: q.unit for q in problem.parameters} | task.disturbances.units(data.output_units)
     short_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
@@ -109,6 +122,10 @@ def judge(optimum: Optimum) -> FitResult:
     first_states = starts[windows] + released_states(weighted, theta, windows)
     log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
     loss = float(np.trace(mean_square) if weighted.criterion == "trace" else np.linalg.det(mean_square))
+    per_sample = len(products) * (1 + float(np.log(2 * np.pi)))
+    if optimum.weighted is not None:  # likelihood and coefficients of the models of the errors
+        log_det = -2 * optimum.weighted.log_likelihood / n - per_sample
+        k += sum(f.model.coefficients.size for f in optimum.weighted.filters)
     result = FitResult(
         structure=structure.name,
         recordings=tuple(record.name for record in data.records),
@@ -129,6 +146,7 @@ def judge(optimum: Optimum) -> FitResult:
         error_covariance=mean_square,
         fit_percent=_fit_percent(every, outputs),
         aic=n * log_det + 2 * k,
+        log_likelihood=-0.5 * n * (log_det + per_sample),
         fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
         condition=spread.condition,
         status=verdict(
@@ -147,7 +165,7 @@ def judge(optimum: Optimum) -> FitResult:
         notes=(
             *told,
             *bias.notes,
-            *(may_cover_less(spread.models, model.modes(), data.sample_time, n) if coloured else ()),
+            *(() if fed_back else may_cover_less(spread.models, model.modes(), data.sample_time, n)),
             *((FitNote.PREDICTOR_AT_EDGE(_AT_EDGE),) if at_edge else ()),
             *meeting,
             *shaft,
@@ -176,7 +194,7 @@ def judge(optimum: Optimum) -> FitResult:
         local_names=local_names,
         model_slopes=spreads.slopes,
         hold_shift=bias.moved,
-        profiler=Profiler(
+        profiler=None if optimum.weighted else Profiler(
             tuple(names),
             estimate,
             problem.box,
@@ -187,6 +205,7 @@ def judge(optimum: Optimum) -> FitResult:
             coloured or drawn is not None,
             loss,
         ),
+        error_models=tuple(f.model for f in optimum.weighted.filters) if optimum.weighted else (),
     )
     return with_integration_error(result, optimum.integration_shift)
 
@@ -288,7 +307,7 @@ def _notes(
         notes.append(
             FitNote.NOT_WHITE(
                 f"the residuals are not white: standard deviations are {kind}, and do not contain the error of the "
-                "structure itself"
+                f"structure itself{weights_would_help(spread)}"
             )
         )
     if spread.flatness < FLATTEST:
@@ -319,8 +338,10 @@ _INVOLVED = 0.1  # smallest share of a parameter in a direction, of the largest 
 _PEAK = 5.0  # power of the errors at the frequency of a mode, over their mean power, for which they hide its motion
 _DECAYS = 25.0  # times that a mode decays in all records, below which its slow errors are seen too seldom
 _HARDLY_ONE = 2.0  # times of decay below which the records do not show whether the errors move the mode
+_UNSEEN = 1.0  # times of decay below which residuals do not show it at all
 _LIGHT = 0.1  # damping factor below which a mode counts as lightly damped
 _FREQUENCIES = 2048  # for the mean power
+_NARROWER = 0.8  # ratio of intervals below which a model of the errors is worth its time
 _FAR_BELOW = 1 / 3  # ratio of the standard deviations below which a note says so
 
 _MOST_DIRECTIONS = 3  # largest number of undetermined directions that are listed one by one
@@ -413,6 +434,21 @@ def far_below_white(estimate: Covariance, names: npt.NDArray[np.str_]) -> list[s
     return [FitNote.FAR_BELOW_WHITE(text)]
 
 
+def weights_would_help(spread: Covariance) -> str:
+    """Return the advice to weight the errors by their model, where its intervals are narrower by a fifth or more.
+
+    The intervals are compared by the geometric mean over the parameters. Recordings half as long again give as much.
+    """
+    if spread.weighted is None:
+        return ""
+    robust, weighted = np.diag(spread.robust), np.diag(spread.weighted)
+    known = (robust > 0) & (weighted > 0)
+    ratio = float(np.exp(0.5 * np.log(weighted[known] / robust[known]).mean())) if known.any() else 1.0
+    if not ratio < _NARROWER:
+        return ""
+    return f"; errors='ar' with focus='simulation' would make intervals narrower, {ratio:.2g} times as wide"
+
+
 def may_cover_less(
     models: Sequence[ErrorModel], modes: Sequence[tuple[float, float]], sample_time: float, n_samples: int
 ) -> list[str]:
@@ -433,8 +469,9 @@ def may_cover_less(
     -----
     The study of docs/uncertainty.md has low coverage where two things come together: the errors have a peak at the
     frequency of a lightly damped mode, and the records last few of its times of decay. Then the fit explains a part of
-    the errors as motion of the mode, and what is left says little of them. Below about one time of decay hardly a peak
-    is left, so that any power above the mean counts.
+    the errors as motion of the mode, and what is left says little of them. Below about two times of decay hardly a peak
+    is left, so that any power above the mean counts. Below one the fit explains all that errors move the mode: even
+    white residuals then do not show that they are sensor noise only, unless a disturbance gain was estimated.
     """
     grid = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
     coloured = [model for model in models if model.order]
@@ -454,6 +491,13 @@ def may_cover_less(
                 f"intervals may contain the truth less often than they state: at the mode of {frequency:.3g} Hz the "
                 f"errors have {max(peaks):.2g} times their mean power, and the recordings last {decays:.2g} of its "
                 "times of decay; record longer, or free a disturbance gain"
+            )
+            told.append(FitNote.MAY_COVER_LESS(text))
+        elif decays < _UNSEEN:
+            text = (
+                f"intervals may contain the truth less often than they state: the recordings last {decays:.2g} times "
+                f"of decay of the mode of {frequency:.3g} Hz, and do not show whether disturbances move it; record "
+                "longer, or free a disturbance gain"
             )
             told.append(FitNote.MAY_COVER_LESS(text))
     return told

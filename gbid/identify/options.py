@@ -17,6 +17,7 @@ Criterion = Literal["trace", "det"]
 Scope = Literal["recording", "operating_point"]
 LossName = Literal["huber", "student"]
 StdName = Literal["auto", "bootstrap"]
+ErrorsName = Literal["white", "ar"]
 Stop = Literal["tolerance", "paper"]
 RunEngine = Literal["compiled", "numpy"]
 HIGHEST_DEGREE = 9
@@ -71,6 +72,10 @@ class FitOptions:
     robust_threshold : float, optional
         Huber: errors in standard deviations up to which a sample counts in full. Student: degrees of freedom. By
         default the standard deviations are 2.6 % larger than with squared errors, when the errors are normal.
+    errors : {"white", "ar"}
+        Model of the errors of a simulation. "ar": a vector autoregression for each recording, whose order is Akaike's
+        choice, from the residuals. It filters errors and sensitivities, and is estimated again until the estimates are
+        at rest (generalised least squares). `criterion` is then that of the least squares at which this begins.
     std : {"auto", "bootstrap"}
         Standard deviations. "auto": those for white errors, or robust ones where the residuals are not white.
         "bootstrap": the robust ones times a factor for each parameter, so that 95 % intervals hold for errors that are
@@ -119,6 +124,7 @@ class FitOptions:
     local: Mapping[str, Scope] | None = None
     robust: LossName | None = None
     robust_threshold: Positive | None = None
+    errors: ErrorsName = "white"
     std: StdName = "auto"
     bootstrap_draws: Annotated[int, Exact(), Ge(FEWEST_DRAWS)] | None = None
     bootstrap_seed: CountOrZero | None = None
@@ -141,6 +147,12 @@ class FitOptions:
         ):
             if getattr(self, name) is not None and not needed:
                 raise UsageError(f"{name} is for {words}")
+        if self.errors == "ar":
+            if self.focus != "simulation":
+                raise UsageError("errors = 'ar' is for focus = 'simulation'; in a prediction, free a disturbance gain")
+            for name, standard in (("robust", None), ("output_weights", None), ("std", "auto")):
+                if getattr(self, name) != standard:
+                    raise UsageError(f"errors = 'ar' weights the errors itself; leave {name} out")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,6 +174,11 @@ class FitArguments(FitOptions):
     extra_cost: ExtraCost | None = None
     constraints: Constraints | None = None
     progress: Callable[[Any], None] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.errors == "ar" and (self.extra_cost or self.constraints):
+            raise UsageError("extra_cost and constraints are for errors = 'white'; give priors and bounds")
 
     def settled(self, **choices: Any) -> SettledOptions:
         """Return the options without the functions, with the choices of the fit."""

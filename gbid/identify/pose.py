@@ -14,6 +14,7 @@ from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import Disturbances, disturbances_of
+from gbid.identify.generalised_least_squares import Weighted, weighted_solution
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import (
     Assembly,
@@ -270,6 +271,8 @@ class Optimum:
         scheduled one, are halved; None for any other structure.
     reweighted : Reweighted or None
         Weights of a robust loss; None for squared errors.
+    weighted : Weighted or None
+        Filters of the errors; None without a model of the errors.
     notes : tuple of str
         Notes on other minima.
     """
@@ -279,6 +282,7 @@ class Optimum:
     solution: Solution
     integration_shift: FloatArray | None
     reweighted: Reweighted | None
+    weighted: Weighted | None
     notes: tuple[str, ...]
 
 
@@ -286,7 +290,8 @@ def minimise(problem: PosedProblem) -> Optimum:
     """Return the optimum of a posed problem.
 
     The disturbance gain begins anew where that leads lower; a nonlinear structure is integrated, and a course cut, as
-    finely as the estimates need; last come the weights of a robust loss.
+    finely as the estimates need; last come the weights of a robust loss, or a model of the
+    errors.
     """
     task, box = problem.task, problem.box
 
@@ -310,10 +315,15 @@ def minimise(problem: PosedProblem) -> Optimum:
         shooting, box = problem.shooting, problem.box
     else:
         shooting, solution, shift = integrated_finely(problem.shooting, solution, box, run)
-    reweighted = None
+    reweighted = weighted = None
     if task.loss is not None and solution.status.success:
         reweighted, solution = reweighted_solution(shooting, solution, task.loss, run)
-    return Optimum(problem, shooting, solution, shift, reweighted, notes)
+    if task.options.errors == "ar" and solution.status.success:
+        begin, names = np.clip(problem.unknowns, *box), [q.name for q in problem.assembly.free]
+        windows, known = problem.assembly.record_window, task.states.in_shooting(shooting.n_states)
+        weighted, solution = weighted_solution(shooting, solution, begin, box, windows, known, task.options, names)
+        notes = (*notes, *weighted.notes)
+    return Optimum(problem, shooting, solution, shift, reweighted, weighted, notes)
 
 
 # ---- Pieces of a course with constant parameters, as short as the estimates need.

@@ -188,7 +188,8 @@ class Restarts:
         optimum = minimise(problem)
         result = judge(optimum)
         unknowns = optimum.solution.unknowns
-        doubtful = result.trusted != "white" and strongly_coloured(optimum.shooting, unknowns)
+        doubtful = result.trusted != "white" and optimum.weighted is None
+        doubtful = doubtful and strongly_coloured(optimum.shooting, unknowns)
         return Attempt(result, optimum.shooting.rate(*optimum.shooting.unpack(unknowns)), doubtful)
 
     def in_turn(self, start: Mapping[str, float], windows: Sequence[int | None], *, unstable: bool = False) -> Attempt:

@@ -22,6 +22,7 @@ from gbid.core.hdf5 import AS_JSON, NOT_STORED, Stored
 from gbid.core.tables import Column, Entry, Table, html_table
 from gbid.identify.disturbances import Disturbances
 from gbid.identify.options import RunEngine, SettledOptions
+from gbid.identify.uncertainty.coloured import ErrorModel
 from gbid.identify.uncertainty.curves import Bode, bode
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes, UncertainModel
 from gbid.structure import LinearModel, NonlinearModel
@@ -65,6 +66,10 @@ class FitStatus(StrEnum):
         "focus = 'simulation'"
     )
     SHAFT_AS_MODE = "wrong mode: one is the rotation of the shaft; remove run-out and unbalance as the notes say"
+    GROWS = (
+        "not converged: the model grows over a recording, in which errors='ar' cannot weight its errors; "
+        "start from a stable model, or use errors='white'"
+    )
     SOLVER_FAILED = "not converged: the solver stopped for a reason of its own"
 
     @property
@@ -214,7 +219,12 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     fit_percent : (n_recordings, n_outputs) array
         ``100 (1 - |y - yhat| / |y - mean y|)`` for the predictions of the focus.
     aic, fpe : float
-        Akaike's information criterion and final prediction error.
+        Akaike's information criterion and final prediction error. With errors="ar" they count the coefficients of the
+        models of the errors.
+    log_likelihood : float
+        Gaussian log-likelihood of the errors; with errors="ar" for the models of the errors.
+    error_models : tuple of ErrorModel
+        Autoregression of the errors of each recording; empty for errors="white".
     condition : float
         Condition number of the scaled information matrix; large when the data hardly separate parameters.
     status : FitStatus
@@ -305,6 +315,8 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     covariance_bootstrap: Annotated[
         FloatArray | None, _of_free("covariance_bootstrap", "robust covariance with the bootstrap's deviations")
     ] = None
+    log_likelihood: Annotated[float, Stored("", "Gaussian log-likelihood of the errors")] = np.nan
+    error_models: tuple[ErrorModel, ...] = ()
     integration_shift: Annotated[
         FloatArray | None, Stored("1", "shift of the free parameters with half the step of the integrator", "free")
     ] = None
@@ -344,6 +356,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
             fit_percent=self.fit_percent,
             parameters=estimates(self.parameters, self.std, self.free),
             modes=[f"{f:.2f} +- {df:.2g} Hz, damping {z:.4f} +- {dz:.2g}" for (f, z), (df, dz) in modes],
+            errors=self.error_models and [f"autoregression of order {m.order}" for m in self.error_models],
             notes=self.notes,
         )
 

@@ -45,6 +45,10 @@ class InitialStates:
         """States that are no unknowns of their own, (n_records, n)."""
         return ~np.isnan(self.values) | self.released
 
+    def in_shooting(self, n_states: int) -> BoolArray:
+        """Return `known` with spare states, which are estimated, (n_records, n_states)."""
+        return np.pad(self.known, ((0, 0), (0, n_states - self.known.shape[1])))
+
     @property
     def shooting(self) -> FloatArray:
         """Fixed states of the shooting problem, (n_records, n); NaN where one is free, zero before an impulse."""

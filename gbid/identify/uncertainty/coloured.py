@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import cho_factor, eigh, solve_triangular
+from scipy.linalg import cho_factor, eigh, solve_discrete_lyapunov, solve_triangular
 
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from gbid.identify.predictor import PredictorValues
@@ -67,8 +68,9 @@ def lag_products(stretches: list[FloatArray], longest: int) -> tuple[FloatArray,
 
     Parameters
     ----------
-    stretches : list of (n_samples, n_y) array
-        Residuals; stretches that are not longer than `longest` do not count.
+    stretches : list of (n_samples, n_y) or (n_signals, n_samples, n_y) array
+        Residuals, or several signals over which the sums are added; stretches that are not longer than `longest` do not
+        count.
     longest : int
         Largest lag.
 
@@ -79,30 +81,39 @@ def lag_products(stretches: list[FloatArray], longest: int) -> tuple[FloatArray,
     int
         Number of these samples.
     """
-    n_y = stretches[0].shape[1]
+    n_y = stretches[0].shape[-1]
     total, count = np.zeros((longest + 1, longest + 1, n_y, n_y)), 0
     for e in stretches:
-        n = len(e)
-        if n <= longest:
-            continue
-        M = np.empty_like(total)
-        size = next_fast_len(n + longest, real=True)
-        now, all_of = (
-            rfft(np.ascontiguousarray(part.T), size) for part in (np.pad(e[longest:], ((longest, 0), (0, 0))), e)
-        )
-        M[0] = irfft(now[:, None] * all_of.conj(), size)[:, :, : longest + 1].transpose(2, 0, 1)
-        first, last = e[longest - 1 :: -1] if longest else e[:0], e[: n - longest - 1 : -1] if longest else e[:0]
-        M[1:, 0] = M[0, 1:].transpose(0, 2, 1)
-        # One lag more in both: one sample enters in front, and one leaves at the end.
-        every = np.stack([first.ravel(), last.ravel()])
-        for i, signed in enumerate(np.stack([first, -last], axis=2)):
-            change = (signed @ every).reshape(n_y, longest, n_y).transpose(1, 0, 2)
-            np.add(M[i, :-1], change, out=M[i + 1, 1:])
-        total, count = total + M, count + n - longest
+        n = e.shape[-2]
+        if n > longest:
+            total, count = total + _stretch_products(e.reshape(-1, n, n_y), longest), count + n - longest
     return total, count
 
 
-def error_model(products: FloatArray, count: int) -> ErrorModel:
+def _stretch_products(e: FloatArray, longest: int) -> FloatArray:
+    """Return the sums of `lag_products` for one stretch, added over several signals, (n_signals, n_samples, n_y)."""
+    n_signals, n, n_y = e.shape
+    M = np.empty((longest + 1, longest + 1, n_y, n_y))
+    size = next_fast_len(n + longest, real=True)
+    now, all_of = (
+        rfft(np.ascontiguousarray(part.transpose(0, 2, 1)), size)
+        for part in (np.concatenate([np.zeros((n_signals, longest, n_y)), e[:, longest:]], axis=1), e)
+    )
+    both = np.einsum("saf,sbf->abf", now, all_of.conj())
+    M[0] = irfft(both, size)[:, :, : longest + 1].transpose(2, 0, 1)
+    M[1:, 0] = M[0, 1:].transpose(0, 2, 1)
+    # One lag more in both: one sample enters in front, and one leaves at the end.
+    first = e[:, longest - 1 :: -1] if longest else e[:, :0]
+    last = e[:, : n - longest - 1 : -1] if longest else e[:, :0]
+    every = np.concatenate([first, last]).reshape(2 * n_signals, -1)
+    signed = np.concatenate([first, -last]).transpose(1, 2, 0)
+    for i, rows in enumerate(signed):
+        change = (rows @ every).reshape(n_y, longest, n_y).transpose(1, 0, 2)
+        np.add(M[i, :-1], change, out=M[i + 1, 1:])
+    return M
+
+
+def error_model(products: FloatArray, count: int, order: int | None = None) -> ErrorModel:
     """Return the model by least squares, its order by the corrected criterion of Akaike.
 
     Parameters
@@ -111,6 +122,8 @@ def error_model(products: FloatArray, count: int) -> ErrorModel:
         Sums from `lag_products`.
     count : int
         Number of samples in the sums.
+    order : int, optional
+        Order, in place of that of the criterion.
 
     Returns
     -------
@@ -147,7 +160,8 @@ def error_model(products: FloatArray, count: int) -> ErrorModel:
     _, logs = np.linalg.slogdet(np.array(covariances))
     with np.errstate(invalid="ignore"):
         criterion = count * logs + 2 * orders * n_y**2 * count / np.maximum(spare, 1e-3)
-    order = int(np.nanargmin(np.where(np.isfinite(criterion), criterion, np.inf)))
+    if order is None:
+        order = int(np.nanargmin(np.where(np.isfinite(criterion), criterion, np.inf)))
     k = order * n_y
     solved = solve_triangular(factor[:k, :k], whitened[:k], lower=True, trans="T") if order else whitened[:0]
     return ErrorModel(solved.reshape(order, n_y, n_y).transpose(0, 2, 1), covariances[order])
@@ -250,6 +264,95 @@ class RecordSensitivities(NamedTuple):
     feedback: tuple[PredictorValues, IntArray] | None = None
 
 
+# ---- Whitening: errors and sensitivities of a record, filtered by the model of its errors.
+
+
+class Whitening(NamedTuple):
+    """Filter that makes errors of an autoregression white and of unit power.
+
+    Attributes
+    ----------
+    model : ErrorModel
+        Stable model of the errors.
+    root : (n_y, n_y) array
+        Root of the covariance of the innovation.
+    first : (order * n_y, order * n_y) array
+        Root of the covariance of the first `order` samples of a stretch.
+    """
+
+    model: ErrorModel
+    root: FloatArray
+    first: FloatArray
+
+    def filtered(self, values: FloatArray) -> FloatArray:
+        """Return a stretch of rows, (n_y, m, n_samples), filtered.
+
+        The first samples are whitened by their covariance, so that none is lost and the likelihood is exact.
+        """
+        n_y, m, n = values.shape
+        p = min(self.model.order, n)
+        result = values[:, :, p:].copy()
+        for lag, a in enumerate(self.model.coefficients[: n - p if p < self.model.order else p], 1):
+            result -= np.tensordot(a, values[:, :, p - lag : n - lag], 1)
+        result = solve_triangular(self.root, result.reshape(n_y, -1), lower=True).reshape(result.shape)
+        rows = values[:, :, :p].transpose(2, 0, 1).reshape(p * n_y, m)
+        begin = solve_triangular(self.first[: p * n_y, : p * n_y], rows, lower=True) if p else rows
+        return np.concatenate([begin.reshape(p, n_y, m).transpose(1, 2, 0), result], axis=2)
+
+    def log_det(self, n: int) -> float:
+        """Return the log-determinant of the covariance of `n` samples."""
+        n_y = len(self.root)
+        p = min(self.model.order, n)
+        roots = np.concatenate([np.diag(self.first)[: p * n_y], np.tile(np.diag(self.root), n - p)])
+        return float(2 * np.log(roots).sum())
+
+
+def whitening(model: ErrorModel, n_samples: int) -> Whitening:
+    """Return the whitening filter of a model of the errors of a record of so many samples.
+
+    Least squares can give an autoregression with a pole outside of the unit circle. A record says nothing of memory
+    longer than itself, so all poles are drawn in to a memory of its length at most.
+    """
+    n_y, order = len(model.innovation), model.order
+    size = order * n_y
+    root = np.asarray(np.linalg.cholesky(model.innovation), float)
+    if not order:
+        return Whitening(model, root, np.zeros((0, 0)))
+    companion = np.eye(size, k=-n_y)
+    companion[:n_y] = model.coefficients.transpose(1, 0, 2).reshape(n_y, size)
+    shrink = min(1.0, (1 - 1 / n_samples) / float(np.abs(np.linalg.eigvals(companion)).max()))
+    lags = shrink ** np.arange(1, order + 1)
+    model = ErrorModel(model.coefficients * lags[:, None, None], model.innovation)
+    companion[:n_y] *= np.repeat(lags, n_y)
+    drive = np.zeros((size, size))
+    drive[:n_y, :n_y] = model.innovation
+    latest_first = solve_discrete_lyapunov(companion, drive, method="bilinear")
+    blocks = latest_first.reshape(order, n_y, order, n_y)[::-1, :, ::-1]
+    first = blocks.reshape(size, size)
+    return Whitening(model, root, np.asarray(np.linalg.cholesky((first + first.T) / 2), float))
+
+
+def whitened(record: RecordSensitivities, filter_: Whitening) -> RecordSensitivities:
+    """Return the record with errors and sensitivities filtered; a stretch that is left out ends the memory."""
+    both = np.concatenate([record.psi, record.errors.T[:, None]], axis=1)
+    for some in _stretches(record.counted):
+        both[:, :, some] = filter_.filtered(both[:, :, some])
+    return record._replace(psi=both[:, :-1], errors=np.ascontiguousarray(both[:, -1].T))
+
+
+def log_likelihood(record: RecordSensitivities, filter_: Whitening) -> float:
+    """Return the Gaussian log-likelihood of the errors of a whitened record."""
+    n, n_y = int(record.counted.sum()), record.errors.shape[1]
+    spread = sum(filter_.log_det(some.stop - some.start) for some in _stretches(record.counted))
+    return float(-0.5 * (n * n_y * np.log(2 * np.pi) + spread + (record.errors**2).sum()))
+
+
+def _stretches(counted: BoolArray) -> list[slice]:
+    """Return the stretches in which all samples count."""
+    edges = [0, *(np.flatnonzero(np.diff(counted)) + 1).tolist(), len(counted)]
+    return [slice(a, b) for a, b in pairwise(edges) if counted[a]]
+
+
 # ---- Covariance of the gradient for coloured errors: exact for a model of the errors of each record.
 
 _ROUNDS = 2  # rounds in which the part of the errors that the fit took away is given back
@@ -260,7 +363,7 @@ _LONG = 10_000  # samples of a record for which this part is negligible
 
 
 def score_covariance(
-    transforms: Iterable[Transform], weight: FloatArray, root: FloatArray
+    transforms: Iterable[Transform], weight: FloatArray, root: FloatArray, information: FloatArray | None = None
 ) -> tuple[FloatArray, list[ErrorModel]]:
     """Return the covariance of ``sum psi' W e`` for errors of the colour that the residuals have.
 
@@ -272,6 +375,8 @@ def score_covariance(
         Weight W of the errors.
     root : (n_kept, n) array
         Root R of the inverse of the Gauss-Newton Hessian, ``R R' = H^-1``.
+    information : (n_kept, n_kept) array, optional
+        Receives the information of generalised least squares with these models.
 
     Returns
     -------
@@ -296,6 +401,8 @@ def score_covariance(
         models.append(error_model(products, count))
         if len(transform.errors) > _LONG:
             _add(long, transform, models[i], weight)
+            if information is not None:
+                _add_information(information, transform, models[i])
         else:
             short.append((i, transform, products, count))
     J = _joined(long, root)
@@ -306,7 +413,33 @@ def score_covariance(
                 models[i] = error_model(products + _taken(transform, C, len(products) - 1), count)
             _add(total, transform, models[i], weight)
         J = _joined(total, root)
+    if information is not None:
+        for i, transform, _, _ in short:
+            _add_information(information, transform, models[i])
     return J, models
+
+
+def error_models(
+    transforms: Iterable[Transform], C: FloatArray, orders: Sequence[int] | None = None
+) -> list[ErrorModel]:
+    """Return the model of the errors of each record, with what the fit took from the residuals given back.
+
+    Parameters
+    ----------
+    transforms : iterable of Transform
+        Residuals of each record, and the transform of its sensitivities.
+    C : (n_kept, n_kept) array
+        Covariance of the estimates.
+    orders : sequence of int, optional
+        Orders, in place of those of Akaike's criterion.
+    """
+    models = []
+    for i, transform in enumerate(transforms):
+        products, count = _products(transform)
+        if len(transform.errors) <= _LONG:
+            products = products + _taken(transform, C, len(products) - 1)
+        models.append(error_model(products, count, None if orders is None else orders[i]))
+    return models
 
 
 def _joined(total: FloatArray, root: FloatArray) -> FloatArray:
@@ -374,12 +507,7 @@ def _feedback(
 
 def _products(record: Transform) -> tuple[FloatArray, int]:
     """Return the products of residuals at all pairs of lags, over the stretches in which all samples count."""
-    edges = np.flatnonzero(np.diff(record.counted)) + 1
-    stretches = [
-        e
-        for e, counted in zip(np.split(record.errors, edges), np.split(record.counted, edges), strict=True)
-        if counted[0]
-    ]
+    stretches = [record.errors[some] for some in _stretches(record.counted)]
     longest = longest_order(int(record.counted.sum()), record.errors.shape[1])
     longest = min(longest, max(map(len, stretches)) // 2)
     return lag_products(stretches, longest)
@@ -406,7 +534,19 @@ def _add(total: FloatArray, transform: Transform, model: ErrorModel, weight: Flo
             total[1][np.ix_(places, places)] += transform.counted.sum() * term[np.ix_(which, which)]
 
 
-def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> FloatArray:
+def _add_information(total: FloatArray, transform: Transform, model: ErrorModel) -> None:
+    """Add the information of a record in generalised least squares, without its first samples."""
+    psi, columns, size, n = transform.psi, transform.columns, transform.size, len(transform.errors)
+    n_y = len(psi)
+    lags = np.concatenate([np.eye(n_y)[None], -model.coefficients])
+    inverse_root = solve_triangular(np.linalg.cholesky(model.innovation), np.eye(n_y), lower=True)
+    onto = inverse_root @ rfft(lags, size, axis=0)
+    for row in onto.transpose(1, 2, 0):
+        filtered = irfft(np.einsum("bf,bmf->mf", row, psi, optimize=True), size)[:, model.order : n]
+        total[np.ix_(columns, columns)] += filtered @ filtered.T
+
+
+def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> ComplexArray:
     """Return ``L* W`` at each frequency, (n_y, n_y, n_frequencies), of half the power at frequency zero."""
     onto = np.einsum("fba,bc->acf", model.root(size).conj(), weight, optimize=True)
     onto[:, :, 0] /= np.sqrt(2)
@@ -421,10 +561,8 @@ def _taken(transform: Transform, C: FloatArray, longest: int) -> FloatArray:
     scale = np.sqrt(np.maximum(np.diag(C)[columns], np.finfo(float).tiny))
     values, axes = np.linalg.eigh(C[np.ix_(columns, columns)] / np.outer(scale, scale))
     part = (scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))).T @ psi
-    spectrum = np.einsum("amf,bmf->fab", part, part.conj(), optimize=True)
-    lags = irfft(spectrum, size, axis=0)[: longest + 1]  # sums of q[k] q[k - lag]'
-    i, j = np.indices((longest + 1, longest + 1))
-    return np.asarray(np.where((j >= i)[..., None, None], lags[abs(j - i)], lags[abs(j - i)].transpose(0, 1, 3, 2)))
+    moved = irfft(part, size)[..., : len(transform.counted)].transpose(1, 2, 0)
+    return lag_products([moved[:, some] for some in _stretches(transform.counted)], longest)[0]
 
 
 # ---- Bootstrap of the standard deviations: the whole way from errors to intervals, again and again, for drawn errors.

@@ -27,9 +27,11 @@ from gbid.identify.uncertainty.coloured import (
     Estimator,
     RecordSensitivities,
     Transform,
+    Whitening,
     bootstrap_factors,
     score_covariance,
     transformed,
+    whitened,
 )
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes, std_of
 
@@ -52,6 +54,8 @@ class Estimate:
         First window of each record.
     known_starts : (n_records, n) boolean array, optional
         Initial states that were given instead of estimated; by default none.
+    filters : tuple of Whitening
+        Filters of errors and sensitivities, for each record; empty where its errors count as they are.
     """
 
     problem: Shooting
@@ -59,6 +63,7 @@ class Estimate:
     starts: FloatArray
     record_window: IntArray
     known_starts: BoolArray | None = None
+    filters: tuple[Whitening, ...] = ()
 
     @property
     def n_all(self) -> int:
@@ -462,8 +467,25 @@ def information_by_windows(at: Estimate, weight: FloatArray, shaped: FloatArray)
     weight, shaped : (n_y, n_y) array
         Weights of the errors for the two Hessians.
     """
+    return _information_of(at, list(windowed_records(at)), weight, shaped)
+
+
+def information_of_filtered(at: Estimate, weight: FloatArray, shaped: FloatArray) -> Information:
+    """Return the information of all records with filtered errors and sensitivities, as `information_by_windows`."""
+    return _information_of(at, filtered_records(at), weight, shaped)
+
+
+def filtered_records(at: Estimate) -> list[RecordSensitivities]:
+    """Return errors and sensitivities of each record, filtered by the model of its errors."""
+    n_y = at.problem.parts[0].blocks.y.shape[2]
+    records = information_over_records(at, np.eye(n_y)).sensitivities
+    return [whitened(record, each) for record, each in zip(records, at.filters, strict=True)]
+
+
+def _information_of(
+    at: Estimate, records: list[RecordSensitivities], weight: FloatArray, shaped: FloatArray
+) -> Information:
     hessians = np.zeros((2, at.n_all, at.n_all))
-    records = list(windowed_records(at))
     for record in records:
         for total, W in zip(hessians, (weight, shaped), strict=True):
             products = np.einsum("yik,yz,zjk->ij", record.psi, W, record.psi, optimize=True)
@@ -506,6 +528,8 @@ class Covariance(NamedTuple):
         Model of the errors of each record; empty where the robust covariance is the white one.
     curvature : (n_p, n_p) array
         Inverse of the cost's Hessian with which the robust covariance is computed: what the curvature alone would give.
+    weighted : (n_p, n_p) array or None
+        Covariance that generalised least squares would have with these models; None where it cannot be used.
     """
 
     white: FloatArray
@@ -516,6 +540,7 @@ class Covariance(NamedTuple):
     bootstrap: FloatArray | None = None
     models: tuple[ErrorModel, ...] = ()
     curvature: FloatArray = np.zeros((0, 0))
+    weighted: FloatArray | None = None
 
     @property
     def open(self) -> BoolArray:
@@ -585,13 +610,17 @@ def covariance(
     adds its information to H, and to J as a measurement with its variance does.
     """
     problem, modelled = at.problem, coloured or bootstrap is not None
-    n_p, weight, estimated = problem.n_theta, problem.weight(error_products), ~at.given.ravel()
+    n_p, estimated = problem.n_theta, ~at.given.ravel()
+    unit_power = np.eye(len(error_products)) / problem.n_samples  # that of filtered errors
+    weight = unit_power if at.filters else problem.weight(error_products)
     freedom = max(1.0, problem.n_samples - (n_p + int(estimated.sum())) / len(weight))
     shaped = weight @ (error_products / freedom) @ weight
     share = float(np.trace(shaped)) / float(np.trace(weight))
     # Weighted by the inverse of the covariance of the errors, one pass gives both.
     alike = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
-    if grows(at):
+    if at.filters:
+        information, alike = information_of_filtered(at, weight, shaped), False
+    elif grows(at):
         information = information_by_windows(at, weight, shaped)
     else:
         information = information_over_records(at, weight, shaped=None if alike else shaped, observed=modelled)
@@ -620,14 +649,19 @@ def covariance(
 
     J_white = root.T @ J_white @ root
     white = robust = over_parameters(J_white, root)
-    drawn, models, onto = None, list[ErrorModel](), root
+    drawn, models, onto, weighted = None, list[ErrorModel](), root, None
     if modelled:
         # Unlike a generator, `map` does not hold the sensitivities while their transform is in use.
         transforms: Iterable[Transform] = map(
             partial(transformed, kept=np.flatnonzero(keep)), information.sensitivities
         )
         transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
-        J, models = score_covariance(transforms, weight, root)
+        usable = not at.filters and not any(part.predictor.feeds_back for part in problem.parts)
+        filtered = np.zeros_like(H) if usable else None
+        J, models = score_covariance(transforms, weight, root, filtered)
+        if filtered is not None:
+            inner = along.T @ ((filtered + _known(at)[kept]) / np.outer(scale, scale)) @ along
+            weighted = over_parameters(np.linalg.pinv(inner, hermitian=True), along / scale[:, None])
         J_known = root.T @ (known * unit)[kept] @ root
         J += J_known
         blurred = eigenvalues[~undetermined] < _RESOLVED * eigenvalues[-1]
@@ -650,7 +684,7 @@ def covariance(
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
     curvature = np.zeros((n_p, n_p))
     curvature[np.ix_(~held, ~held)] = (onto @ root.T)[:n_kept, :n_kept]
-    return Covariance(white, robust, flatness, directions, condition, drawn, tuple(models), curvature)
+    return Covariance(white, robust, flatness, directions, condition, drawn, tuple(models), curvature, weighted)
 
 
 def _known(at: Estimate) -> FloatArray:
