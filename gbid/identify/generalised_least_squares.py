@@ -37,7 +37,7 @@ _HALVINGS = 12
 _FLAT = 1e-13  # curvature of an undetermined direction, as a part of the largest
 
 
-class Weighted(NamedTuple):
+class WeightedErrors(NamedTuple):
     """Minimum of generalised least squares.
 
     Attributes
@@ -110,7 +110,7 @@ class _Normal(NamedTuple):
     log_likelihood: float
 
 
-class _Minimum(NamedTuple):
+class _Descended(NamedTuple):
     """Minimum of a descent: point, filters, normal equations, status, iterations, length of the next step."""
 
     z: FloatArray
@@ -130,7 +130,7 @@ def weighted_solution(
     known: BoolArray,
     options: FitArguments,
     names: Sequence[str],
-) -> tuple[Weighted, Solution]:
+) -> tuple[WeightedErrors, Solution]:
     """Return the minimum of generalised least squares.
 
     Parameters
@@ -154,7 +154,7 @@ def weighted_solution(
 
     Returns
     -------
-    Weighted
+    WeightedErrors
         Filters of the errors and the likelihood.
     Solution
         The solution, with the iterations of all rounds.
@@ -197,12 +197,12 @@ def weighted_solution(
         iterations=minimum.iterations,
         rest=minimum.rest,
     )
-    return Weighted(minimum.filters, minimum.normal.log_likelihood, notes), solution
+    return WeightedErrors(minimum.filters, minimum.normal.log_likelihood, notes), solution
 
 
 def _chosen(
-    minimum: _Minimum, other: _Minimum, names: Sequence[str], chance: float
-) -> tuple[_Minimum, tuple[str, ...]]:
+    minimum: _Descended, other: _Descended, names: Sequence[str], chance: float
+) -> tuple[_Descended, tuple[str, ...]]:
     """Return the minimum that counts, of that from least squares and the `other` from the start, and a note."""
     kept = minimum._replace(iterations=other.iterations)
     if not other.status.success:
@@ -221,14 +221,14 @@ def _chosen(
     return other, (FitNote.LIKELY_ELSEWHERE(text),)
 
 
-def _distance(minimum: _Minimum, z: FloatArray, n_theta: int) -> FloatArray:
+def _distance(minimum: _Descended, z: FloatArray, n_theta: int) -> FloatArray:
     """Return how far the parameters of a point are from a minimum, in its standard deviations, (n_theta,)."""
     variance = np.diag(_inverse(minimum.normal.hessian))[:n_theta]
     moved = np.abs(z - minimum.z)[:n_theta]
     return np.where(moved > 0, moved / np.sqrt(np.maximum(variance, np.finfo(float).tiny)), 0.0)
 
 
-def _descend(task: WeightedProblem, z: FloatArray, iterations: int) -> _Minimum:
+def _descend(task: WeightedProblem, z: FloatArray, iterations: int) -> _Descended:
     """Return the minimum that models of the errors and Gauss-Newton steps reach in turn from a point."""
     orders: list[int] | None = None
     C, status, rest = np.zeros((len(z), len(z))), FitStatus.ITERATION_LIMIT, np.inf
@@ -236,7 +236,7 @@ def _descend(task: WeightedProblem, z: FloatArray, iterations: int) -> _Minimum:
     for turn in range(_ROUNDS):
         at = task.estimate(z)
         if grows(at):
-            return _Minimum(z, filters, _nowhere(len(z)), FitStatus.GROWS, iterations, np.inf)
+            return _Descended(z, filters, _nowhere(len(z)), FitStatus.GROWS, iterations, np.inf)
         records = information_over_records(at, np.eye(len(task.shooting.output_weights))).sensitivities
         every = np.arange(at.n_all)
         models = error_models((transformed(record, every) for record in records), C, orders)
@@ -245,7 +245,7 @@ def _descend(task: WeightedProblem, z: FloatArray, iterations: int) -> _Minimum:
         filters = tuple(whitening(model, n) for model, n in zip(models, lengths, strict=True))
         before, normal = z, _normal(task, z, filters)
         if normal is None:
-            return _Minimum(z, filters, _nowhere(len(z)), FitStatus.GROWS, iterations, np.inf)
+            return _Descended(z, filters, _nowhere(len(z)), FitStatus.GROWS, iterations, np.inf)
         while iterations < task.options.max_iterations:
             step, rest = _step(task, z, normal)
             if rest < _AT_REST:
@@ -253,7 +253,7 @@ def _descend(task: WeightedProblem, z: FloatArray, iterations: int) -> _Minimum:
             lower = _lower(task, z, step, normal, filters)
             if lower is None:
                 if rest > _REST:
-                    return _Minimum(z, filters, normal, FitStatus.STEPS_TOO_SMALL, iterations, rest)
+                    return _Descended(z, filters, normal, FitStatus.STEPS_TOO_SMALL, iterations, rest)
                 break
             (z, normal), iterations = lower, iterations + 1
             if task.options.progress is not None:
@@ -267,7 +267,7 @@ def _descend(task: WeightedProblem, z: FloatArray, iterations: int) -> _Minimum:
             status = FitStatus.CONVERGED
             break
     assert normal is not None
-    return _Minimum(z, filters, normal, status, iterations, rest)
+    return _Descended(z, filters, normal, status, iterations, rest)
 
 
 def _samples(at: Estimate) -> list[int]:

@@ -194,7 +194,9 @@ def judge(optimum: Optimum) -> FitResult:
         local_names=local_names,
         model_slopes=spreads.slopes,
         hold_shift=bias.moved,
-        profiler=None if optimum.weighted else Profiler(
+        profiler=None
+        if optimum.weighted
+        else Profiler(
             tuple(names),
             estimate,
             problem.box,

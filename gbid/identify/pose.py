@@ -14,7 +14,7 @@ from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import Disturbances, disturbances_of
-from gbid.identify.generalised_least_squares import Weighted, weighted_solution
+from gbid.identify.generalised_least_squares import WeightedErrors, weighted_solution
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import (
     Assembly,
@@ -271,7 +271,7 @@ class Optimum:
         scheduled one, are halved; None for any other structure.
     reweighted : Reweighted or None
         Weights of a robust loss; None for squared errors.
-    weighted : Weighted or None
+    weighted : WeightedErrors or None
         Filters of the errors; None without a model of the errors.
     notes : tuple of str
         Notes on other minima.
@@ -282,7 +282,7 @@ class Optimum:
     solution: Solution
     integration_shift: FloatArray | None
     reweighted: Reweighted | None
-    weighted: Weighted | None
+    weighted: WeightedErrors | None
     notes: tuple[str, ...]
 
 

@@ -452,6 +452,8 @@ class FitResult(Brief, Pictured, hdf5.InFile):
             raise UsageError(f"level = {level!r}; give a probability between 0 and 1, such as 0.95")
         if name in self.profiles and self.profiles[name].level == level:
             return self.profiles[name]
+        if self.error_models:
+            raise UsageError("profiles are for errors='white'")
         if not self.may_be_profiled:
             raise UsageError(f"a profile begins at a minimum, and this fit is {self.status}")
         if self.profiler is None:

@@ -195,6 +195,8 @@ def test_it_is_stored_with_its_models_and_shown(coloured_fit, tmp_path):
         np.testing.assert_array_equal(stored.coefficients, made.coefficients)
         np.testing.assert_array_equal(stored.innovation, made.innovation)
     assert f"autoregression of order {coloured_fit.error_models[0].order}" in str(loaded)
+    with pytest.raises(UsageError, match="profiles are for errors='white'"):
+        coloured_fit.profile("a0")
 
 
 def test_likelihood_of_white_errors_is_that_of_the_normal_distribution():
