@@ -214,17 +214,18 @@ class Coverage(NamedTuple):
         The same with the standard deviations for white errors.
     stated : float
         Root mean square of the standard deviations over that of the errors, mean over the parameters.
-    noted : float
-        Share of the fits with the note that intervals may contain the truth less often than they state.
     failed : int
         Number of fits that did not converge; they do not count.
+    noted : float
+        Share of the fits with the note that intervals may contain the truth less often than they state; nan in a run
+        that did not count them.
     """
 
     coverage: float
     coverage_white: float
     stated: float
-    noted: float
     failed: int
+    noted: float = np.nan
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -317,8 +318,8 @@ def coverage_table(run: dict[str, Any]) -> str:
 def missed(run: dict[str, Any]) -> list[str]:
     """Return the cells with a target that is not reached, in words, and the share of their fits with a note."""
     return [
-        f"{row['oscillator']}, {row['errors']}, {row['options']}, N = {n}: {100 * numbers['coverage']:.1f} %; "
-        f"{100 * numbers['noted']:.0f} % of the fits have the note"
+        f"{row['oscillator']}, {row['errors']}, {row['options']}, N = {n}: {100 * numbers['coverage']:.1f} %"
+        + (f"; {100 * numbers['noted']:.0f} % of the fits have the note" if "noted" in numbers else "")
         for row in run["rows"]
         for n, numbers in row["cells"].items()
         if row["target"] and not TARGET[0] <= numbers["coverage"] <= TARGET[1]
