@@ -1,6 +1,6 @@
 """Count how often 95 % intervals of a fit contain the truth, for errors of many kinds; store the numbers.
 
-``python -m benchmarks.coverage [--bootstrap] [--quick] [--seeds N] [--output FILE]``
+``python -m benchmarks.coverage [--bootstrap | --profile] [--quick] [--seeds N] [--output FILE]``
 """
 
 from __future__ import annotations
@@ -234,12 +234,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         __doc__,
         arguments,
         bootstrap=(False, "robust standard deviations beside the bootstrap"),
+        profile=(False, "standard deviations beside profile likelihoods, where the likelihood is no parabola"),
         quick=(False, "shortest recordings and few seeds, to see that it works"),
-        seeds=(int, "recordings of each kind (default 60, with --bootstrap 40)"),
+        seeds=(int, "recordings of each kind (default 60, with --bootstrap 40, with --profile 100)"),
     )
     seeds, first = 4 if options.quick else options.seeds, 1 if options.quick else None
     if options.bootstrap:
         return run_study(lambda: measure_bootstrap(BOOTSTRAPPED[:first], seeds or 40), options.output, bootstrap_table)
+    if options.profile:
+        return run_study(lambda: measure_profiles(CURVED[:first], seeds or 100), options.output, profile_table)
     return run_study(lambda: measure(LENGTHS[:first], seeds or 60), options.output, coverage_table)
 
 
@@ -364,6 +367,131 @@ def bootstrap_table(run: dict[str, Any]) -> str:
     failed = sum(row["failed"] for row in run["rows"])
     note = f"{run['seeds']} recordings in each row ({failed} fits failed), {run['date']}, gbid {run['gbid']}."
     return markdown(("errors", "N", "robust", "bootstrap", "wider by"), rows, note)
+
+
+# ---- Coverage of profile likelihoods beside that of standard deviations, where the likelihood is no parabola.
+
+
+@dataclass(frozen=True)
+class CurvedCase:
+    """Small fit whose likelihood is no parabola.
+
+    Attributes
+    ----------
+    name : str
+        Name in the table.
+    structure : LinearStructure
+        Structure with the true values as start values.
+    samples : int
+        Number of samples.
+    noise : float
+        Standard deviation of the errors.
+    counted : sequence of str
+        Parameters whose intervals count.
+    pole : float
+        Pole of the errors, an autoregression; 0 for white ones.
+    hold : int
+        Number of samples for which the input stands; 0 for a step.
+    sample_time : float
+        Time between samples [s].
+    """
+
+    name: str
+    structure: LinearStructure
+    samples: int
+    noise: float
+    counted: Sequence[str]
+    pole: float = 0.0
+    hold: int = 7
+    sample_time: float = SAMPLE_TIME
+
+    @cached_property
+    def truth(self) -> dict[str, float]:
+        """True parameters."""
+        return {q.name: float(q.start or 0.0) for q in self.structure.parameters}
+
+    def recording(self, seed: int) -> gbid.Recording:
+        """Return a recording with its own input and errors, from rest."""
+        n, random = self.samples, np.random.default_rng([seed, 5])
+        levels = random.choice([-1.0, 1.0], -(-n // max(self.hold, 1)))
+        u = np.repeat(levels, self.hold)[:n, None] if self.hold else np.ones((n, 1))
+        e = lfilter([np.sqrt(1 - self.pole**2)], [1.0, -self.pole], random.normal(size=n + _SETTLE))[_SETTLE:]
+        y = evaluate(self.structure, self.truth).simulate(u, self.sample_time, intersample="zoh")
+        return gbid.Recording({"u": u, "y": y + self.noise * e[:, None]}, self.sample_time, name=f"run-{seed}")
+
+
+def _small(name: str, matrices: Callable[[Any], dict[str, Any]], lowest: float, **truth: float) -> LinearStructure:
+    parameters = [
+        Parameter(key, value, lower=lowest if key in ("d", "T", "tau") else -np.inf) for key, value in truth.items()
+    ]
+    return LinearStructure(name, parameters, matrices, inputs="u", outputs="y", intersample="zoh")
+
+
+def _mode(damping: float) -> LinearStructure:
+    truth = Oscillator("", damping, 0.0).truth
+    return _small("mode", lambda p: {"A": [[0, 1], [-p.w * p.w, -p.d]], "B": [[0], [p.b]], "C": [[1, 0]]}, 0.0, **truth)
+
+
+def _late(tau: float) -> LinearStructure:
+    def matrices(p: Any) -> dict[str, Any]:
+        return {"A": [[-1 / p.T]], "B": [[0]], "B_delayed": [[p.g / p.T]], "delay": [p.tau], "C": [[1]]}
+
+    return _small("late", matrices, 0.0, T=0.05, g=1.0, tau=tau)
+
+
+def _pair(one: float, other: float) -> LinearStructure:
+    def matrices(p: Any) -> dict[str, Any]:
+        product = p.p1 * p.p2
+        return {"A": [[0, 1], [-product, -p.p1 - p.p2]], "B": [[0], [p.g * product]], "C": [[1, 0]]}
+
+    return _small("pair", matrices, 0.0, p1=one, p2=other, g=1.0)
+
+
+_SLOW = _small("lag", lambda p: {"A": [[-1 / p.T]], "B": [[p.g / p.T]], "C": [[1]]}, 1e-3, T=3.0, g=1.0)
+CURVED = (
+    CurvedCase("5 % damping, 60 samples", _mode(0.05), 60, 0.5, ("w", "d", "b")),
+    CurvedCase("damping of one standard deviation, bound 0", _mode(0.01), 100, 1.0, ("d",)),
+    CurvedCase("damping 0 on its bound", _mode(0.0), 100, 1.0, ("d",)),
+    CurvedCase("delay of a tenth of a sample, bound 0", _late(0.001), 200, 0.2, ("tau",), hold=5, sample_time=0.01),
+    CurvedCase("delay 0 on its bound", _late(0.0), 200, 0.2, ("tau",), hold=5, sample_time=0.01),
+    CurvedCase("time constant of three recordings", _SLOW, 100, 0.03, ("T", "g"), hold=0, sample_time=0.01),
+    CurvedCase("poles of 10 and 18 1/s", _pair(10.0, 18.0), 300, 0.02, ("p1", "p2"), hold=20, sample_time=0.01),
+    CurvedCase("poles of 10 and 12 1/s", _pair(10.0, 12.0), 300, 0.02, ("p1", "p2"), hold=20, sample_time=0.01),
+    CurvedCase("5 % damping, 200 samples, AR(1), pole 0.9", _mode(0.05), 200, 0.3, ("w", "d", "b"), pole=0.9),
+)
+
+
+def measure_profiles(cases: Sequence[CurvedCase], seeds: int) -> dict[str, Any]:
+    """All cases, fitted from the truth with the initial state at rest."""
+    return {**about(), "seeds": seeds, "rows": [{"case": q.name, **profile_cell(q, seeds)} for q in cases]}
+
+
+def profile_cell(case: CurvedCase, seeds: int) -> dict[str, float]:
+    """Return the coverage of both, how often a profile is not two-sided, and the fits that failed.
+
+    A parameter without a standard deviation has no interval from it, and counts as missed.
+    """
+    inside, verdicts, failed = [], [], 0
+    for seed in range(seeds):
+        fitted = gbid.fit(case.structure, case.recording(seed), start=case.truth, initial_state="zero")
+        if not fitted.may_be_profiled:
+            failed += 1
+            continue
+        for name in case.counted:
+            profile, true = fitted.profile(name), case.truth[name]
+            near = abs(fitted.parameters[name] - true) < _QUANTILE * fitted.std[name]
+            inside.append([near, profile.interval[0] <= true <= profile.interval[1]])
+            verdicts.append(profile.verdict == "identifiable")
+    std, profiled = np.mean(inside, axis=0)
+    return {"std": float(std), "profile": float(profiled), "open": 1 - float(np.mean(verdicts)), "failed": failed}
+
+
+def profile_table(run: dict[str, Any]) -> str:
+    """Return the coverage as Markdown, in percent."""
+    rows = [[row["case"], *(f"{100 * row[key]:.1f}" for key in ("std", "profile", "open"))] for row in run["rows"]]
+    failed = sum(row["failed"] for row in run["rows"])
+    note = f"{run['seeds']} recordings in each row ({failed} fits failed), {run['date']}, gbid {run['gbid']}."
+    return markdown(("case", "standard deviation", "profile", "one-sided or flat"), rows, note)
 
 
 if __name__ == "__main__":

@@ -127,6 +127,21 @@ def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
     ]
 
 
+def profile_rows(result: FitResult) -> list[Row]:
+    """Return the intervals of the profile likelihoods that the fit was asked for; an open end is None."""
+    return [
+        {
+            "parameter": name,
+            "level": profile.level,
+            "lower": finite_or_none(profile.interval[0]),
+            "upper": finite_or_none(profile.interval[1]),
+            "verdict": profile.verdict,
+            "unit": profile.unit,
+        }
+        for name, profile in result.profiles.items()
+    ]
+
+
 def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
     """Return the document of a fit."""
     outputs, starts = result.model.output_names, result.multi_start
@@ -151,6 +166,7 @@ def fit_document(result: FitResult, truth: Mapping[str, float], true_model: Line
         "parameters": parameter_rows(result, truth),
         "modes": mode_rows(result, true_model),
         "static_gain": gain_rows(result, true_model),
+        "profiles": profile_rows(result),
         "fit_percent": [
             {"recording": recording, "output": output, "fit_percent": float(percent)}
             for recording, percents in zip(result.recordings, result.fit_percent, strict=True)
@@ -250,7 +266,7 @@ _MODE = (
 
 
 def fit_tables(title: str, document: Row) -> list[Table]:
-    """Return the tables of a fit: parameters, modes, static gain and summary.
+    """Return the tables of a fit: parameters, modes, static gain, profile likelihoods and summary.
 
     Parameters
     ----------
@@ -263,6 +279,7 @@ def fit_tables(title: str, document: Row) -> list[Table]:
         parameter_table(title, document["parameters"], document["trusted"]),
         *([mode_table(document["modes"])] if document["modes"] else []),
         *([gain_table(document["static_gain"])] if document["static_gain"] else []),
+        *([profile_table(document["profiles"])] if document["profiles"] else []),
         Table("", [Column(""), Column("", wrap=True)], list(summary_lines(document))),
     ]
 
@@ -318,6 +335,18 @@ def gain_table(rows: Sequence[Row]) -> Table:
             cells += [_in_power(row["truth"], 5, exponent)] if with_truth else []
             laid.append([f"{row['input']} to {row['output']}", *cells])
     return Table("", [*columns, *([Column("truth", format=5)] if with_truth else [])], laid)
+
+
+def profile_table(rows: Sequence[Row]) -> Table:
+    """Return the table of the intervals of profile likelihoods."""
+    laid: list[list[Entry]] = []
+    for row in rows:
+        factor, unit = shown_unit(row["unit"])
+        exponent = exponent_of(factor * max(abs(row[end] or 0.0) for end in ("lower", "upper")))
+        ends = [_in_power(row[end], 5, exponent, factor) for end in ("lower", "upper")]
+        laid.append([row["parameter"], *ends, row["verdict"], unit])
+    head = f"profile likelihood, {100 * rows[0]['level']:g} %"
+    return Table("", [Column(head), Column("from"), Column("to"), Column("verdict"), Column("unit")], laid)
 
 
 def _in_power(value: float | None, digits: int, exponent: int, factor: float = 1.0) -> Entry:

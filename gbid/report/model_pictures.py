@@ -14,7 +14,7 @@ from gbid.control import ISO_LIMITS, Sensitivities, SensitivityZones, sensitivit
 from gbid.core.arrays import ComplexArray, FloatArray, one_of_each_pair
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.identify import select
+from gbid.identify import Profile, select
 from gbid.identify.uncertainty.curves import (
     LEVEL,
     Bode,
@@ -590,6 +590,55 @@ def _ellipses(axes: Axes, places: ComplexArray, covariance: FloatArray, level: f
         if np.isfinite(cov).all():
             edge = ellipse(cov, level)
             axes.plot(place.real + edge[:, 0], place.imag + edge[:, 1], color=color, linewidth=0.8)
+
+
+# ---- Profile likelihoods of parameters.
+
+_HIGHEST = 1.6  # of the threshold, at the top of a panel
+
+
+@styled
+def plot_profile(
+    profiles: Profile | Mapping[str, Profile], ax: Axes | Sequence[Axes] | None = None
+) -> npt.NDArray[np.object_]:
+    """Draw profile likelihoods: the ratio over the parameter, the interval, and the parabola of the standard deviation.
+
+    Parameters
+    ----------
+    profiles : Profile or dict of str to Profile
+        Result of `FitResult.profile` or `gbid.profile`.
+    ax : matplotlib Axes or sequence of them, optional
+        Axes to draw into, one for each profile; a new figure when left out.
+
+    Returns
+    -------
+    array of matplotlib Axes
+        The axes; ``axes[0].figure`` is the figure.
+    """
+    each = [profiles] if isinstance(profiles, Profile) else list(profiles.values())
+    columns = min(4, len(each))
+    rows = -(-len(each) // columns)
+    figure, axes = panels(ax, rows, columns, size=(0.8 + 2.1 * columns, 0.7 + 1.9 * rows))
+    for panel in axes[len(each) :]:
+        panel.set_visible(False)
+    for panel, profile in zip(axes, each, strict=False):
+        factor, unit = unit_label(profile.unit)
+        shown = profile.ratios <= 2 * _HIGHEST * profile.threshold
+        values = factor * profile.values[shown]
+        panel.axhline(profile.threshold, color=GREY, linewidth=0.8)
+        low, high = (factor * end for end in profile.interval)
+        panel.axvspan(max(low, values[0]), min(high, values[-1]), color="0.5", alpha=0.15, linewidth=0)
+        if np.isfinite(profile.std):
+            grid = np.linspace(values[0], values[-1], 100)
+            parabola = ((grid / factor - profile.estimate) / profile.std) ** 2
+            panel.plot(grid, parabola, label="standard deviation", **series(1, marker=None))
+        panel.plot(values, profile.ratios[shown], label="profile", **series(0, marker="."))
+        panel.set(xlabel=f"{symbol(profile.name)} [{unit}]", ylim=(0.0, _HIGHEST * profile.threshold))
+        panel.set_title(profile.verdict, loc="right", pad=4)
+        panel.xaxis.set_major_locator(MaxNLocator(3))
+    axes[0].set_ylabel("likelihood ratio")
+    legend_above(figure, axes[0])
+    return axes[: len(each)]
 
 
 # ---- Step and impulse responses of models with confidence bands.

@@ -18,7 +18,7 @@ from gbid.experiment.fields import Result, content_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.experiment.stages.crossval import data_key, model_and_recording, residuals_on, validate_pair
 from gbid.experiment.stages.fit import fit_result
-from gbid.identify import FitResult, measured_response
+from gbid.identify import FitResult, Profile, measured_response
 from gbid.identify.uncertainty.spectra import MeasuredResponse
 from gbid.recording import Recording
 from gbid.report.canvas import save_figure, shown_by_pyplot
@@ -29,7 +29,7 @@ from gbid.report.measured_pictures import (
     residuals_figure,
     response_figure,
 )
-from gbid.report.model_pictures import plot_bode, plot_iso_zones
+from gbid.report.model_pictures import plot_bode, plot_iso_zones, plot_profile
 from gbid.structure import LinearModel
 from gbid.validate import ResidualTest, Validation
 
@@ -47,6 +47,7 @@ def plot(value: Any, ax: Any = None, **options: Any) -> Any:  # noqa: ARG001
     Recording                               `plot_recording`
     LinearModel, FitResult                  `plot_bode`
     MeasuredResponse                        `plot_bode`
+    Profile                                 `plot_profile`
     Validation                              `plot_response`
     ResidualTest                            `plot_residuals`
     Sensitivities                           `plot_iso_zones`
@@ -84,6 +85,7 @@ def shown(value: Any, ax: Any = None, **options: Any) -> Any:
 plot.register(Recording, plot_recording)
 for kind in (LinearModel, FitResult, MeasuredResponse):
     plot.register(kind, plot_bode)
+plot.register(Profile, plot_profile)
 plot.register(Validation, plot_response)
 plot.register(ResidualTest, plot_residuals)
 plot.register(Sensitivities, plot_iso_zones)

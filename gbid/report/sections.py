@@ -39,6 +39,7 @@ from gbid.report.measured_pictures import (
     plot_piezo_staircase,
     static_map_figure,
 )
+from gbid.report.model_pictures import plot_profile
 from gbid.report.named import paper
 from gbid.report.page import (
     Block,
@@ -57,7 +58,7 @@ from gbid.validate import Validation, ValidationSummary
 _NAMED = 5
 
 
-def fits_section(results: Results) -> PageSection:
+def fits_section(results: Results, pictures: Pictures) -> PageSection:
     """Return the section with a summary of the fits and each of them."""
     title = "Fits"
     if not results.experiment.spec.fits:
@@ -80,6 +81,10 @@ def fits_section(results: Results) -> PageSection:
         for text, noted in sorted(carried.items(), key=lambda item: -len(item[1]))
     ]
     blocks += [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])] if items else []
+    for q in (q for q in results.fits if q.result.profiles):
+        verdicts = ", ".join(f"{name} {profile.verdict}" for name, profile in q.result.profiles.items())
+        picture = pictures.picture(plot_profile(q.result.profiles), f"Profile likelihoods: {verdicts}")
+        blocks.append(Fold(f"{q.fit}, {q.model}: profile likelihoods", [Shown(picture)]))
     data = fit_data(results)
     if data["fits"]:
         groups: dict[str, list[tuple[str, str]]] = {}

@@ -76,7 +76,7 @@ def report_text(results: Results, key: str = "") -> str:
         summary_section(results, links),
         quality_section(results),
         static_section(results, pictures),
-        fits_section(results),
+        fits_section(results, pictures),
         loops_section(results),
         validation_section(results, pictures),
         nominal_section(results, pictures),

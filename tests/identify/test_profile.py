@@ -316,6 +316,24 @@ def test_what_has_no_profile():
 def test_the_option_in_a_yaml(tmp_path, capsys):
     path = write_spring(tmp_path, ("focus:", "profile: [k, d], focus:"))
     assert run_gbid("import", path) == run_gbid("fit", path) == 0
+    assert "profile likelihood, 95 %" in capsys.readouterr().out
     result = gbid.load(next(tmp_path.rglob("fits/spring/run1.h5")))
     assert list(result.profiles) == ["k", "d"]
     assert result.profile("k").verdict == "identifiable"
+    assert run_gbid("report", path) == 0
+    assert "Profile likelihoods: k identifiable, d identifiable" in next(tmp_path.rglob("report.html")).read_text()
+    path.write_text(path.read_text().replace("[k, d]", "[k, m]"))
+    assert run_gbid("check", path) == 2
+    assert "no parameter of spring" in capsys.readouterr().err
+
+
+def test_the_picture():
+    profiles = gbid.fit(OSCILLATOR, data(), profile="all").profiles
+    axes = gbid.report.plot_profile(profiles)
+    assert [ax.get_title(loc="right") for ax in axes] == ["identifiable"] * 3
+    parabola, curve = axes[1].lines[1:]
+    np.testing.assert_array_equal(curve.get_xdata(), profiles["d"].values)
+    np.testing.assert_array_equal(curve.get_ydata(), profiles["d"].ratios)
+    at = np.interp(profiles["d"].interval, parabola.get_xdata(), parabola.get_ydata())
+    assert at == pytest.approx(profiles["d"].threshold, rel=0.15)
+    assert len(np.ravel(profiles["w"].plot())) == 1

@@ -96,6 +96,9 @@ def _parameter_problems(experiment: Experiment, name: str, section: FitSection, 
                 yield (key, parameter), f"no parameter of {structure.name}; {nearest(parameter, known)}"
             elif key != "fixed" and gain in section.fixed:
                 yield (key, parameter), "the parameter is fixed; remove one of the two"
+    for i, parameter in enumerate(() if section.profile == "all" else section.profile):
+        if parameter not in known:
+            yield ("profile", i), f"no parameter of {structure.name}; {nearest(parameter, known)}"
     for parameter, (low, high) in section.bounds.items():
         lower, upper = -inf if low is None else low, inf if high is None else high
         start = starts.get(parameter, known[parameter].start) if parameter in known else None
