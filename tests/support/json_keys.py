@@ -6,7 +6,7 @@ _TEXT = """
 run: crossval, crossval_summary, cycle, excite, experiment, figures, fits, impacts, loops, lpv, nominal, outcomes,
     prefilter, report, results, static, target, tuning
 fits: aic, condition, fit, fit_percent, fpe, iterations, loss, model, modes, multi_start, notes, options, parameters,
-    path, recordings, state, static_gain, status, structure, success, trusted, wall_time_s, whiteness
+    path, profiles, recordings, state, static_gain, status, structure, success, trusted, wall_time_s, whiteness
 fits.parameters: deviation_percent, deviation_std, estimate, fixed, parameter, start, start_origin, std, std_robust,
     std_white, truth, unit
 fits.modes: damping, damping_std, frequency_hz, frequency_std_hz, mode, true_damping, true_frequency_hz
