@@ -251,22 +251,28 @@ def left_out_notes(
     """
     data = optimum.problem.task.data
     inputs = [record.inputs for record in data.records]
-    fed_back = False
-    if not white:
+    p = followed(errors, inputs, white=white)
+    follows = p < _CHANCE / max(1, p.size)
+    share = 0.0
+    if not white or follows.any():
         share = max(share_of_feedback(record, e) for record, e in zip(data.records, errors, strict=True))
-        fed_back = share >= _SHARE
-    if fed_back:
+    if share >= _SHARE and white:  # a controller without delay: the input of a sample contains its error
+        errors, inputs = [e[1:] for e in errors], [u[:-1] for u in inputs]
+        p = followed(errors, inputs, white=white)
+        follows = p < _CHANCE / p.size
+    elif share >= _SHARE:
         text = (
             f"past errors explain {100 * share:.0f} % of what is new in an input, as through a controller, and they "
             "are not white: the estimates have a bias; free a disturbance gain (focus='prediction'), or fit a "
             "ClosedLoop"
         )
         return [FitNote.FEEDBACK(text)]
-    p = followed(errors, inputs, white=white)
-    if not (follows := p < _CHANCE / max(1, p.size)).any():
+    if not follows.any():
         return []
-    if others is not None and not (followed(others, inputs, white=white) < _CHANCE / p.size).any():
-        return []
+    if others is not None:
+        others = [e[-len(u) :] for e, u in zip(others, inputs, strict=True)]
+        if not (followed(others, inputs, white=white) < _CHANCE / p.size).any():
+            return []
     told = [
         f"{output} follow {', '.join(name for name, too in zip(data.input_names, row, strict=True) if too)}"
         for output, row in zip(data.output_names, follows, strict=True)

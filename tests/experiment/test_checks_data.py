@@ -79,11 +79,11 @@ def test_one_clock_that_differs_is_named(tmp_path):
 
 
 def test_recordings_too_short_for_their_unknowns(tmp_path):
-    path = write_many(tmp_path, n=200)
+    path = write_many(tmp_path, n=190)
     texts, code = problems(path)
     assert code == 3
-    # 14 key parameters, 4 disturbance gains, 6 states
-    assert len([t for t in texts if "200 samples for the 24 unknowns of fit bearing" in t]) == 4
+    # 14 key parameters, 4 disturbance gains, 4 states
+    assert len([t for t in texts if "190 samples for the 22 unknowns of fit bearing" in t]) == 4
     assert not [t for t in texts if "piezos" in t]
     path.write_text(path.read_text().replace("rotor_bearing}", "rotor_bearing, options: {disturbance_gain: none}}"))
     assert problems(path) == ([], 0)

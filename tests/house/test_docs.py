@@ -78,7 +78,7 @@ def test_readme_python_runs_on_what_make_run_leaves(
     printed = capsys.readouterr().out
     assert all(re.search(rf"^{name} .*{re.escape(result.units[name])}$", printed, re.M) for name in result.parameters)
     percents = re.findall(r"[\d.]+", printed.rsplit("]:", 1)[1])
-    assert len(percents) == 2
+    assert len(percents) == 4
     assert min(map(float, percents)) > 90
 
     exec(compile(tuning, "README.md", "exec"), names)

@@ -55,7 +55,7 @@ def from_measured_inputs(structure, points, hold):
         result = gbid.fit(structure, recording(point, seed, hold))
         assert result.success
         assert "GB124" in codes(result)
-        assert codes(result) <= {"GB124", "GB119"}  # a gain that is held: no noise of the process
+        assert codes(result) <= {"GB124", "GB119", "GB106"}  # a gain that is held: no noise of the process; a colour
         stated.append(off(result, truth_at(point)))
         shifted.append(off(result, truth_at(point), shifted=True))
     return rms(stated), rms(shifted)
@@ -166,6 +166,29 @@ def test_clean_fits_are_hardly_ever_called_biased():
         noise = 0.2 * y.std() * np.random.default_rng(2000 + seed).standard_normal(y.shape)
         told += "GB123" in codes(gbid.fit(MODE, gbid.Recording({"u": u, "y": y + noise}, H), focus="simulation"))
     assert told <= 1
+
+
+def test_a_controller_without_delay_is_no_structure_left_out():
+    """Each input contains the error of its own sample, and the noise model is right: nothing is left out."""
+    rng = np.random.default_rng(4)
+    e, r, x = rng.standard_normal(3000), levels(3000, seed=6)[:, 0], 0.0
+    u, y = np.empty(3000), np.empty(3000)
+    for k in range(3000):
+        y[k] = x + e[k]
+        u[k] = 2 * r[k] - 0.8 * y[k]
+        x = 0.9 * x + 0.1 * u[k] + 0.3 * e[k]
+    lag = gbid.LinearStructure(
+        "lag",
+        [gbid.Parameter("a", 1.0, lower=0.0), gbid.Parameter("b", 1.0), gbid.Parameter("l", 0.0)],
+        lambda p: {"A": [[-p.a]], "B": [[p.b]], "C": [[1]], "K": [[p.l]]},
+        inputs="u",
+        outputs="y",
+    )
+    result = gbid.fit(lag, gbid.Recording({"u": u[:, None], "y": y[:, None]}, 0.1))
+    assert result.success
+    assert input_test((y - y.mean())[:, None], u[:, None], 25).p_value.min() < 1e-6
+    assert result.trusted == "white"
+    assert not codes(result)
 
 
 def test_the_short_form_for_white_residuals_is_the_test():

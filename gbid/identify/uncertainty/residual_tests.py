@@ -156,7 +156,7 @@ def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: b
     e, u = np.ascontiguousarray(e.T), np.ascontiguousarray(u.T)
     cross = np.array([e[:, lag:] @ u[:, : n - lag].T for lag in range(lags + 1)]).transpose(1, 2, 0)
     cross /= scale[:, :, None]
-    of_source = np.array([correlation(channel, channel, most + lags) for channel in u])
+    of_source = np.array([correlation(channel, channel, most + lags) for channel in u]).reshape(len(u), most + lags + 1)
     window = 1 - np.arange(most + 1) / (most + 1)
     of_residual = np.array([correlation(channel, channel, most) * window if most else [1.0] for channel in e])
     both = np.concatenate([of_residual[:, :0:-1], of_residual], axis=1)
