@@ -87,8 +87,8 @@ def test_recordings_too_short_for_their_unknowns(tmp_path):
     assert not [t for t in texts if "piezos" in t]
     path.write_text(path.read_text().replace("rotor_bearing}", "rotor_bearing, options: {disturbance_gain: none}}"))
     assert problems(path) == ([], 0)
-    shorter = ("duration_s: 1.0", "duration_s: 0.04"), ("hold_s: 20e-3", "hold_s: 2e-3")
-    quick = write_quick(tmp_path / "rig", *shorter, ("from_s: 0.2, to_s: 0.4", "to_s: 0.04"))
+    shorter = ("duration_s: 1.0", "duration_s: 0.036"), ("hold_s: 20e-3", "hold_s: 2e-3")
+    quick = write_quick(tmp_path / "rig", *shorter, ("from_s: 0.2, to_s: 0.4", "to_s: 0.036"))
     assert any("unknowns of fit bearing" in text for text in problems(quick)[0])
 
 
