@@ -330,7 +330,7 @@ def minimise(problem: PosedProblem) -> Optimum:
 #
 # The pieces are the steps of an integrator, and its criterion holds for them (`gbid.identify.problem.integration`).
 
-_MOST_PIECES = 300  # each takes a millisecond or more of a pass; `piece_s` may ask for more
+_MOST_SLOPES = 1000  # pieces times parameters of one, which set the time of a pass; `piece_s` may ask for more
 _MOST_CUTS = 8  # parts of a piece at once: the error of long pieces is of no order yet
 _ORDER = 2  # of the error in the length of a piece: the mean of a straight course is exact to first order
 
@@ -353,7 +353,7 @@ def _cut_finely(
         if not (largest > 0 and solution.status.success):
             break
         shift, off = _shift_with(problem, solution, courses.cut(largest / 2, shortest=1))
-        most = min(_MOST_CUTS, _MOST_PIECES / courses.schedule.pieces)
+        most = min(_MOST_CUTS, _MOST_SLOPES / (courses.schedule.pieces * len(problem.shooting.parts[0].predictor.free)))
         finer = courses.cut(largest / max(1.0, min((off / AIM) ** (1 / _ORDER), most)))
         if not (remaining and off > TOLERATED and finer.schedule.pieces > courses.schedule.pieces):
             break

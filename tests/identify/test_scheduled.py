@@ -106,7 +106,7 @@ def test_pieces_are_cut_as_finely_as_the_estimates_need(monkeypatch):
     for name, true in RUN_UP.items():
         assert abs(long.parameters[name] - short.parameters[name]) < 0.2 * short.std[name]
         assert abs(long.parameters[name] - true) < 3 * long.std[name]
-    monkeypatch.setattr("gbid.identify.pose._MOST_PIECES", 16)
+    monkeypatch.setattr("gbid.identify.pose._MOST_SLOPES", 48)
     coarse = gbid.fit(
         gbid.scheduled(BASE, "speed_rpm", surfaces=["k"], order=1, piece_s=0.1), run_up(0), focus="simulation"
     )
