@@ -24,7 +24,7 @@ from gbid.identify.problem.assemble import (
     unknown_bounds,
     with_extra_terms,
 )
-from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours, starts_from
+from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours, passed_on, simulated, starts_from
 from gbid.identify.problem.integration import AIM, ROUNDS, TOLERATED, integrated_finely
 from gbid.identify.problem.nlp import Shooting
 from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations, solve
@@ -35,6 +35,7 @@ from gbid.identify.problem.states import (
     initial_states,
     without_disturbances,
 )
+from gbid.identify.result import FitStatus
 from gbid.identify.robust import Reweighted, RobustLoss, reweighted_solution, robust_loss
 from gbid.identify.start.scheduled_start import Courses, read_courses, scheduled_start, tied_equations
 from gbid.identify.start.start import Begin, begin_values
@@ -299,6 +300,7 @@ def minimise(problem: PosedProblem) -> Optimum:
         return solve(shooting or problem.shooting, start, *box, task.options)
 
     notes, solution = tuple[str, ...](), run(np.clip(problem.unknowns, *box))
+    first = solution.history[0].cost if solution.history else np.nan
     for _ in range(_ROUNDS):
         start = lower_elsewhere(problem.shooting, solution.unknowns, box) if solution.status.success else None
         if start is None:
@@ -315,6 +317,8 @@ def minimise(problem: PosedProblem) -> Optimum:
         shooting, box = problem.shooting, problem.box
     else:
         shooting, solution, shift = integrated_finely(problem.shooting, solution, box, run)
+    if kind_of(task.structure).nonlinear:
+        solution = _without_gaps(shooting, np.clip(problem.unknowns, *box), solution, first)
     reweighted = weighted = None
     if task.loss is not None and solution.status.success:
         reweighted, solution = reweighted_solution(shooting, solution, task.loss, run)
@@ -383,6 +387,31 @@ def _shift_with(problem: PosedProblem, solution: Solution, courses: Courses) -> 
     # What is left of the way to the solution itself is no matter of the pieces.
     off = in_standard_deviations(shooting, iterate, after - closing) - solution.rest
     return (after[estimates] - before[: here.n_theta]) * here.theta_scale, max(off, 0.0)
+
+
+_SAME = 1e-3  # relative difference of losses below which the windows do not matter
+_NO_GAP = 1e-6  # of the states' size, as the solver's tolerance for one gap
+_EQUAL = 1e-9  # difference of costs that is rounding, where a fit begins at its solution
+
+
+def _without_gaps(shooting: Shooting, start: FloatArray, solution: Solution, first: float) -> Solution:
+    """Return a solution with a status for its whole records: gaps within the tolerance grow in a sensitive motion.
+
+    What did not converge has closed gaps, so that its loss is that of a simulation. It is no worse than the start,
+    whose cost in windows is `first`: simulated it costs no less.
+    """
+    cost, slack = max(shooting.at(solution.unknowns).cost, shooting.exact_cost), 0.5 * float(np.log1p(_SAME))
+    if solution.status.success and cost <= first and passed_on(shooting, solution.unknowns)[1] < _NO_GAP:
+        return solution
+    begun, at_start = simulated(shooting, start)
+    if shooting.extra is not None:  # the start need not meet the constraints of the caller
+        at_start = np.inf
+    whole, simulated_cost = simulated(shooting, solution.unknowns)
+    if solution.status.success and cost <= max(at_start, shooting.exact_cost) + _EQUAL:
+        sensitive = not simulated_cost <= cost + slack
+        return replace(solution, status=FitStatus.CONVERGED_IN_WINDOWS) if sensitive else solution
+    status = FitStatus.WORSE_THAN_START if solution.status.success else solution.status
+    return replace(solution, unknowns=whole if simulated_cost <= at_start else begun, status=status)
 
 
 # ---- Other minima of the disturbance gain: where errors are strongly coloured, the first minimum need not

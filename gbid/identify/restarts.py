@@ -9,7 +9,14 @@ no   start values                     windows                          gain   tr
 2    of a fit with a steady observer  as 1, 1a, 1b                     free   where 1 is unstable, fails or is doubtful
 2a   as 2                             tenfold growth at most           free   where the plant itself is unstable
 3    as 1                             tenfold growth at most           free   where 1 is unstable and 2 is not good
+4    of a fit in windows of 16        16                               free   nonlinear: where 1 fails or is doubtful
+     samples with open gaps
+4a   the same with 8, then 64         8, then 64                       free   where 4 neither is good nor agrees with 1
+5    as 1                             one                              free   nonlinear: where 4a neither is nor agrees
 ===  ===============================  ===============================  =====  ==========================================
+
+A structure is linear in 2 and 3. A nonlinear one with stated start values has only the usual length in 1. Of its
+attempts the one of lowest loss is the result; where that is doubtful, another must have ended there, too.
 
 Each attempt looks for other minima along the disturbance gain as well (`gbid.identify.pose.minimise`).
 """
@@ -26,6 +33,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from gbid.core.arrays import FloatArray
+from gbid.core.errors import GbidError
 from gbid.core.notes import FitNote
 from gbid.discretise import discretise
 from gbid.identify.disturbances import UNDISTURBED
@@ -33,7 +41,7 @@ from gbid.identify.judge import judge
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import FitTask, minimise, strongly_coloured
 from gbid.identify.problem.assemble import automatic_window
-from gbid.identify.problem.solve import solve
+from gbid.identify.problem.solve import solve, solve_apart
 from gbid.identify.problem.states import initial_states
 from gbid.identify.result import FitResult, FitStatus
 from gbid.identify.start.start import plant_data
@@ -63,6 +71,12 @@ class Policy:
         Samples in the shortest window.
     most_windows : int
         Largest number of windows for an unstable start: each has its own states, and more take minutes.
+    apart : tuple of int
+        Samples in the windows with open gaps. Short ones have no other minimum nearby: 16 are a third of a period of
+        what is sampled well, 8 of what is sampled badly, and 64 are for noise that hides what happens in 16.
+    most_states : int
+        Largest number of states at the starts of these windows, which are longer in long recordings: with ten thousand
+        the steps that judge the solution take a minute.
     lower : float
         Relative difference of losses that a note tells.
     enough_iterations : int
@@ -73,6 +87,8 @@ class Policy:
     runaway: float = 1e3
     shortest: int = 4
     most_windows: int = 3000
+    apart: tuple[int, ...] = (16, 8, 64)
+    most_states: int = 1500
     lower: float = 1e-3
     enough_iterations: int = 50
 
@@ -97,6 +113,12 @@ class Attempt:
     result: FitResult | None
     rate: float
     doubtful: bool = False
+
+    def agrees(self, others: Sequence[Attempt]) -> bool:
+        """Return whether it converged, and one of the others at the same loss."""
+        losses = [a.result.loss for a in (self, *others) if a.result is not None and a.result.success]
+        converged = self.result is not None and self.result.success
+        return converged and any(abs(other - losses[0]) <= POLICY.lower * losses[0] for other in losses[1:])
 
     @property
     def good(self) -> bool:
@@ -135,13 +157,16 @@ def windows_of(task: FitTask, rate: float = 1.0) -> tuple[int | None, ...]:
 def best_attempt(task: FitTask) -> FitResult:
     """Return the result of the attempt that converges, else the one with the smallest loss; notes tell of others."""
     restarts, stated, windows = Restarts(task), task.begin.values, windows_of(task)
-    first = restarts.bounded(restarts.in_turn(stated, windows))
-    result = first.result
     may_restart = task.options.max_iterations >= POLICY.enough_iterations and (
         "data" not in task.begin.origin.values() or bool(task.begin.notes)
     )
+    nonlinear = kind_of(task.structure).nonlinear and may_restart
+    first = restarts.bounded(restarts.in_turn(stated, windows[:1] if nonlinear else windows))
+    result = first.result
     if result is not None and (first.good or not may_restart or result.status is FitStatus.NOT_DETERMINED):
         return result
+    if nonlinear:
+        return _confirmed(restarts.in_other_windows(first))
     attempts = [first]
     if (start := observer_start(task)) is not None:
         other = restarts.in_turn(start, windows)
@@ -236,6 +261,49 @@ class Restarts:
         text = "the model is unstable: shooting windows were bounded by its growth"
         return again.noted(FitNote.WINDOWS_CHANGED(text))
 
+    def in_other_windows(self, first: Attempt) -> list[Attempt]:
+        """Return the first attempt and more of a nonlinear structure, until one is good or agrees with another."""
+        task, attempts, chosen = self.task, [first], self.task.options.window
+        states = kind_of(task.structure).anatomy().n_states
+        for length in POLICY.apart:
+            window = max(length, task.data.n_samples * states // POLICY.most_states)
+            try:
+                start = start_in_windows(task, window)
+                other = self.attempt(start, window if chosen == "auto" else chosen, unstable=True)
+            except GbidError:  # the equations may have no value there, or be stiff
+                continue
+            text = f"the fit began at values of a fit in windows of {window} samples with open gaps"
+            attempts.append(other.noted(FitNote.BEGUN_ELSEWHERE(text)))
+            if other.good or other.agrees(attempts[:-1]):
+                return attempts
+        if chosen == "auto":
+            text = "windows of other lengths did not converge to what is believed; this is the result with one"
+            one = self.attempt(task.begin.values, None, unstable=True)
+            attempts.append(one.noted(FitNote.WINDOWS_CHANGED(text)))
+        elif all(attempt.result is None for attempt in attempts):
+            attempts.append(self.attempt(task.begin.values, chosen, unstable=True))
+        return attempts
+
+
+def _confirmed(attempts: Sequence[Attempt]) -> FitResult:
+    """Return the result of lowest loss of nonlinear attempts, a success where it is good or another one agrees."""
+    pairs = [(attempt, attempt.result) for attempt in attempts if attempt.result is not None]
+    least = min((result.loss for _, result in pairs if np.isfinite(result.loss)), default=np.inf)
+    low = [pair for pair in pairs if not pair[1].loss > least * (1 + POLICY.lower)] or pairs
+    converged = [pair for pair in low if pair[1].success]
+    best, result = min(converged or low, key=lambda pair: round(pair[1].loss / least, 6))  # of equals the first
+    if not result.success or best.good:
+        return result
+    if not best.agrees([attempt for attempt, _ in pairs if attempt is not best]):
+        return replace(result, status=FitStatus.WINDOWS_DISAGREE)
+    return replace(result, notes=(*result.notes, FitNote.OTHER_MINIMUM(_DOUBTFUL)))
+
+
+_DOUBTFUL = (
+    "neighbouring residuals are strongly correlated: this may be a minimum that is not the lowest; try other start "
+    "values (fit_multistart)"
+)
+
 
 def _lowest(attempts: Sequence[Attempt]) -> FitResult:
     """Return the lowest result of those that converged, else the lowest; notes tell of one that is lower still."""
@@ -252,12 +320,27 @@ def _lowest(attempts: Sequence[Attempt]) -> FitResult:
         text = "from other start values a mode becomes the rotation of the shaft: remove run-out and unbalance"
         notes = (*notes, FitNote.SHAFT(text))
     if result.success and best.doubtful:
-        text = (
-            "neighbouring residuals are strongly correlated: this may be a minimum that is not the lowest; try "
-            "other start values (fit_multistart)"
-        )
-        notes = (*notes, FitNote.OTHER_MINIMUM(text))
+        notes = (*notes, FitNote.OTHER_MINIMUM(_DOUBTFUL))
     return replace(result, notes=notes)
+
+
+# ---- Start of a nonlinear fit from windows with open gaps.
+
+_ROUGHLY = 50  # iterations: start values need not be exact
+
+
+def start_in_windows(task: FitTask, window: int) -> dict[str, float]:
+    """Return start values from a fit in windows of this many samples that do not follow each other.
+
+    A parameter with local values begins at their mean.
+    """
+    problem = task.problem(task.begin.values, window)
+    begin = np.clip(problem.unknowns, *problem.box)
+    theta, _ = problem.shooting.unpack(solve_apart(problem.shooting, begin, problem.box, _ROUGHLY))
+    every: dict[str, list[float]] = {}
+    for q, value in zip(problem.assembly.free, theta.tolist(), strict=True):
+        every.setdefault(problem.assembly.own_names.get(q.name, q.name), []).append(value)
+    return {name: float(np.mean(every.get(name, [value]))) for name, value in task.begin.values.items()}
 
 
 # ---- Observer of a structure: the steady Kalman filter for assumed noise.
@@ -269,7 +352,6 @@ _LONGEST = 256  # samples of the observer's memory
 _FLAT = 1e-12  # smallest information on a state, as a part of the largest
 _REACHES = (0.3, 1.0, 3.0)  # memory of the observers, in time constants: the first one trusts the start values little
 _NOISE = 0.1  # assumed standard deviation of the noise, as a part of that of the output
-_ITERATIONS = 50  # start values need not be exact
 
 
 def observer_start(task: FitTask) -> dict[str, float] | None:
@@ -297,7 +379,7 @@ def observer_start(task: FitTask) -> dict[str, float] | None:
         task,
         data=data,
         options=FitArguments(
-            output_weights=(1 / spread**2).tolist(), left_out=task.options.left_out, max_iterations=_ITERATIONS
+            output_weights=(1 / spread**2).tolist(), left_out=task.options.left_out, max_iterations=_ROUGHLY
         ),
         states=replace(task.states, values=np.full(known.shape, np.nan), released=np.zeros(known.shape, bool)),
         disturbances=UNDISTURBED,

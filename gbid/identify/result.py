@@ -42,6 +42,10 @@ class FitStatus(StrEnum):
     CONVERGED_AT_ROUNDING = "converged: the errors are at rounding"
     CONVERGED_ACCEPTABLY = "converged to the solver's acceptable tolerance only"
     CONVERGED_GAIN_HELD = "converged, with the disturbance gain held"
+    CONVERGED_IN_WINDOWS = (
+        "converged, in windows only: the motion is so sensitive that the model, simulated from the first sample, "
+        "leaves the data"
+    )
     ITERATION_LIMIT = (
         "not converged: iteration limit reached; start nearer, hold or bound a parameter, or allow more iterations"
     )
@@ -54,6 +58,14 @@ class FitStatus(StrEnum):
     WORSE_THAN_CONSTANT = (
         "not converged: the errors are larger than about the mean of the outputs; try other start values "
         "(fit_multistart), or estimate offsets (trend='offset')"
+    )
+    WORSE_THAN_START = (
+        "not converged: the start values explain the data better than where the solver ended; try other start values "
+        "(fit_multistart)"
+    )
+    WINDOWS_DISAGREE = (
+        "not converged: fits in windows of other lengths end elsewhere, and the residuals of the best are strongly "
+        "correlated; try other start values (fit_multistart)"
     )
     NOT_DETERMINED = "not determined: a free parameter has no standard deviation; fix or bound what the notes name"
     STEPS_TOO_SMALL = "not converged: steps became too small; a parameter may not be determined"

@@ -526,7 +526,7 @@ class NonlinearModel(SampledSignals, Brief):
         samples = []
         for first in range(0, n, length):
             rows = np.minimum(np.arange(first, first + length), n - 1)
-            inputs = around[rows].transpose(1, 0, 2).reshape(n_u, -1)
+            inputs = around[rows].transpose(1, 0, 2).reshape(n_u, 3 * length)
             states, outputs = run(x, inputs, y[rows].T, self.parameters, h)
             x = np.asarray(states[:, -1], float).ravel()
             samples.append(np.array(outputs, float).T)

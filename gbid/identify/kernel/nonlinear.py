@@ -158,10 +158,8 @@ class NonlinearKernel(SampleKernel):
             S[:, :, :n_p] += onto
         return at[:, 0], S, yhat[:, 0], psi
 
-    def window_starts(
-        self, v: NonlinearValues, blocks: Blocks, weight: FloatArray, first: FloatArray
-    ) -> tuple[FloatArray, Sweep]:
-        """Return the least-squares state at the start of each window, and the sums of the pass from these states.
+    def window_starts(self, v: NonlinearValues, blocks: Blocks, weight: FloatArray, first: FloatArray) -> FloatArray:
+        """Return the least-squares state at the start of each window, (n_windows, n).
 
         Each window is a small least-squares problem of its own. Levenberg's and Marquardt's method solves all of them
         at once.
@@ -213,7 +211,7 @@ class NonlinearKernel(SampleKernel):
             least = np.minimum(least, reached)
             if fall <= _SETTLED * float(least[np.isfinite(least)].sum()) and better.mean() > 0.5:
                 break
-        return starts, self.sweep(v, blocks, starts, weight)
+        return np.asarray(starts)
 
     def _from_outputs(self, v: NonlinearValues, blocks: Blocks) -> FloatArray:
         """Return the smallest states with the outputs of the first sample of each window, to first order at zero."""

@@ -561,14 +561,30 @@ def _variances(outputs: FloatArray) -> FloatArray:
     return np.asarray(np.ascontiguousarray(outputs.T).var(axis=1))
 
 
+_AS_WELL = 4.0  # squares of the trajectory over those of windows: with twice their errors it has not lost the phase
+
+
 def _nonlinear_starts(
     problem: Shooting, values: list[Any], weight: FloatArray, first: FloatArray
 ) -> tuple[FloatArray, list[Sweep]]:
-    """Return the starts of all windows and the passes from there, see `NonlinearKernel.window_starts`."""
+    """Return the starts of all windows and the passes from there.
+
+    They are those of least squares in each window (`NonlinearKernel.window_starts`), or lie on the trajectory from the
+    first window, which has no gaps, where that explains the data about as well.
+    """
     starts, sweeps = [], []
     for v, part, guess in problem.each(values, first):
         assert isinstance(part.kernel, NonlinearKernel)
-        begin, sweep = part.kernel.window_starts(v, part.blocks, weight, guess)
+        begin, blocks = part.kernel.window_starts(v, part.blocks, weight, guess), part.blocks
+        if blocks.n_windows > len(blocks.segment_first):
+            passed = part.kernel.begin(v, blocks.by_whole_segments(), begin[blocks.segment_first])
+            on_course = np.ascontiguousarray(passed[:, blocks.window_first].T)
+            apart, whole = (
+                float(np.sum(part.kernel.products(v, blocks, each)[: blocks.n_blocks] * weight))
+                for each in (begin, on_course)
+            )
+            begin = on_course if whole <= _AS_WELL * apart else begin
+        sweep = part.kernel.sweep(v, blocks, begin, weight)
         starts.append(begin)
         sweeps.append(tied(sweep, part.tie))
     return np.concatenate(starts), sweeps

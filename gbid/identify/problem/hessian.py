@@ -77,6 +77,45 @@ def starts_from(problem: Shooting, theta: FloatArray, starts: FloatArray, other:
     return np.array([passed[id(segment.outputs)][sample] for segment, sample in first])
 
 
+def simulated(problem: Shooting, unknowns: FloatArray) -> tuple[FloatArray, float]:
+    """Return a point without gaps, and its cost: the model runs on from the first window of each segment.
+
+    The cost is infinite where the model overflows on the way.
+    """
+    joined, kept = in_one_window(problem)
+    cost = joined.at(unknowns[kept]).cost
+    return (in_windows(problem, joined, unknowns[kept]), cost) if np.isfinite(cost) else (unknowns, np.inf)
+
+
+def passed_on(problem: Shooting, unknowns: FloatArray) -> tuple[float, float]:
+    """Return how far small deviations get in any window, to first order and in units of the states' sizes.
+
+    The first is the largest growth of a deviation at the start of a segment; the second is what the gaps amount to.
+    Both are infinite where the problem has no value.
+    """
+    iterate, n = problem.at(unknowns), problem.n_states
+    if not iterate.sweeps:
+        return np.inf, np.inf
+    gaps = np.zeros((problem.n_windows, n))
+    gaps[problem.links[:, 0]] = iterate.gaps.reshape(-1, n)
+    growth = amount = 0.0
+    for sweep, part, own in zip(iterate.sweeps, problem.parts, problem.by_part(gaps), strict=True):
+        steps, edges = (
+            sweep.end_start / problem.state_scale[:, None] * problem.state_scale,
+            part.blocks.segment_first[1:],
+        )
+        for transitions, opened in zip(np.split(steps, edges), np.split(own, edges), strict=True):
+            passed = np.eye(n, n + 1)
+            for step, gap in zip(transitions[:-1], opened[:-1], strict=True):
+                passed = step @ passed
+                passed[:, n] += gap
+                growth, amount = (
+                    max(growth, float(np.abs(passed[:, :n]).max())),
+                    max(amount, float(np.abs(passed[:, n]).max())),
+                )
+    return growth, amount
+
+
 # ---- Part of the Hessian that Gauss-Newton omits: the errors times the second derivatives of the predictor.
 
 # Step of a difference, in units in which the cost has curvature one. It is small, because states with little influence

@@ -681,6 +681,19 @@ def solve(
     return _continued(first, replace(last, unknowns=in_windows(problem, joined, last.unknowns)))
 
 
+def solve_apart(problem: Shooting, start: FloatArray, box: Box, most: int) -> FloatArray:
+    """Return the unknowns (n_unknowns,) of least cost with the gaps between windows left open.
+
+    A short window ends before errors of the parameters have grown, so that the cost has few other minima, far from the
+    solution as well. The states that follow each other are not used, so that the estimates are rough: a start. The
+    paper's rule stops.
+    """
+    options = FitArguments(stop="paper", max_iterations=most)
+    with _interruptible() as interrupt:
+        runs = _Runs(replace(problem, links=problem.links[:0]), box, gauss_newton, options, interrupt)
+        return runs.run(start, most)[0].unknowns
+
+
 def _continued(first: Solution, last: Solution) -> Solution:
     """Return the last solution with the iterations of the first, which ended where the last one began."""
     return replace(

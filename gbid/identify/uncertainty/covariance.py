@@ -18,7 +18,7 @@ from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.kernel.sums import Lagrangian, Sweep, Traced, tied
 from gbid.identify.predictor import Predictor, PredictorValues
-from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_part
+from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_part, passed_on
 from gbid.identify.problem.integration import linearised
 from gbid.identify.problem.nlp import RecordGroup, Shooting
 from gbid.identify.uncertainty.coloured import (
@@ -94,8 +94,11 @@ class Estimate:
 def grows(at: Estimate) -> bool:
     """Return whether the model grows so much over a record that sensitivities have to be taken by windows."""
     longest = max(segment.outputs.shape[0] for part in at.problem.parts for segment in part.blocks.segments)
-    rate = at.problem.rate(at.theta, at.starts)
-    return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH))
+    problem, on_the_way = at.problem, 0.0
+    if isinstance(problem.parts[0].predictor, NonlinearPredictor):  # its growth may decay again
+        on_the_way, _ = passed_on(problem, problem.pack(at.theta, at.starts))
+    rate = problem.rate(at.theta, at.starts)
+    return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH)) or on_the_way > _GROWTH
 
 
 # ---- Information of records on parameters and initial states: Hessians of the cost and gradients of blocks.
