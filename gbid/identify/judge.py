@@ -105,6 +105,7 @@ def judge(optimum: Optimum) -> FitResult:
     for i in np.flatnonzero(~(on_bound | spread.open)):
         std[names[i]] = float(np.sqrt(chosen[i, i]))
     mean_square = squares / weighted.n_samples
+    error_models = tuple(f.model for f in optimum.weighted.filters) if optimum.weighted else ()
     fed_back = not coloured and any(part.predictor.feeds_back for part in shooting.parts)
     at_edge = finite and any(weighted.parts_at_edge(theta))
     units = {q.name: q.unit for q in problem.parameters} | task.disturbances.units(data.output_units)
@@ -165,7 +166,7 @@ def judge(optimum: Optimum) -> FitResult:
         notes=(
             *told,
             *bias.notes,
-            *(() if fed_back else may_cover_less(spread.models, model.modes(), data.sample_time, n)),
+            *(() if fed_back else may_cover_less(error_models or spread.models, model.modes(), data.sample_time, n)),
             *((FitNote.PREDICTOR_AT_EDGE(_AT_EDGE),) if at_edge else ()),
             *meeting,
             *shaft,
@@ -207,7 +208,7 @@ def judge(optimum: Optimum) -> FitResult:
             coloured or drawn is not None,
             loss,
         ),
-        error_models=tuple(f.model for f in optimum.weighted.filters) if optimum.weighted else (),
+        error_models=error_models,
     )
     return with_integration_error(result, optimum.integration_shift)
 
