@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
+import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
@@ -336,7 +336,7 @@ def _step(task: WeightedProblem, z: FloatArray, normal: _Normal) -> tuple[FloatA
         free = high > low
         rows, target = np.sqrt(values)[:, None] * vectors.T, across / np.sqrt(values)
         step = np.zeros(len(z))
-        step[free] = lsq_linear(rows[:, free], target, (low[free], high[free]), tol=1e-12).x
+        step[free] = scipy.optimize.lsq_linear(rows[:, free], target, (low[free], high[free]), tol=1e-12).x
         step /= unit
     return step, _length(step, normal)
 

@@ -76,8 +76,10 @@ const ExplorerMath = (() => {
 
   // ---------------------------------------------------------------- eigenvalues: balance, Hessenberg form, shifted QR
 
+  // Scale the states of A in place, by powers of two, so that rows and columns are of like size; return the scales.
   function balance(A) {
     const n = A.length;
+    const scales = new Float64Array(n).fill(1);
     for (let settled = false; !settled; ) {
       settled = true;
       for (let i = 0; i < n; i++) {
@@ -98,9 +100,11 @@ const ExplorerMath = (() => {
           settled = false;
           for (let j = 0; j < n; j++) A[i][j] /= f;
           for (let j = 0; j < n; j++) A[j][i] *= f;
+          scales[i] *= f;
         }
       }
     }
+    return scales;
   }
 
   function hessenberg(A) {
@@ -335,8 +339,11 @@ const ExplorerMath = (() => {
     return C;
   }
 
-  // exp(A t): Taylor series of the matrix scaled below one half, squared back.
-  function exponential(A, t) {
+  // exp(A t): Taylor series of the balanced matrix scaled below one half, squared back. Without balance a Pade filter of a short
+  // delay (coefficients of 1 / tau^order) would take tens of squarings, each of which doubles the rounding.
+  function exponential(matrix, t) {
+    const A = matrix.map((row) => Float64Array.from(row));
+    const scales = balance(A);
     const n = A.length;
     const size = Math.max(...A.map((row) => row.reduce((sum, v) => sum + Math.abs(v * t), 0)));
     const squarings = Math.max(0, Math.ceil(Math.log2(size)) + 1);
@@ -348,7 +355,7 @@ const ExplorerMath = (() => {
       sum = sum.map((row, i) => row.map((v, j) => v + term[i][j]));
     }
     for (let k = 0; k < squarings; k++) sum = multiply(sum, sum);
-    return sum;
+    return sum.map((row, i) => row.map((v, j) => (v * scales[i]) / scales[j]));
   }
 
   const apply = (M, x) => M.map((row) => row.reduce((sum, v, j) => sum + v * x[j], 0));

@@ -106,7 +106,7 @@ def test_schema_finds_what_the_check_finds(change, where, tmp_path, validator, c
 @pytest.mark.parametrize(
     "change",
     [("stop: paper", "window: one"), ("stop: paper", "inputs: u"), ("stop: paper", "intersample: [zoh, foh]"),
-     ("stop: paper", "initial_state: [0.0, 0, 0, 0, 0, 0]"), ("on: cyclic", "on: [p5_n6000_prbs1]")],
+     ("stop: paper", "initial_state: [0.0, 0, 0, 0]"), ("on: cyclic", "on: [p5_n6000_prbs1]")],
 )  # fmt: skip
 def test_schema_takes_what_the_check_takes(change, tmp_path, validator, capsys):
     path = write_quick(tmp_path, change)

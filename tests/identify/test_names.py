@@ -60,4 +60,4 @@ def test_statuses_read_as_text_and_know_success():
     assert f"{FitStatus.CONVERGED}" == "converged"
     assert {status.success for status in FitStatus if str(status).startswith("not converged")} == {False}
     assert {status.success for status in FitStatus if str(status).startswith("converged")} == {True}
-    assert sum(status.success for status in FitStatus) == 5
+    assert sum(status.success for status in FitStatus) == 6
