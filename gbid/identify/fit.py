@@ -168,12 +168,22 @@ _MOVED = 0.5  # standard deviations by which an estimate moves, from which its i
 
 
 def _means_may_matter(task: FitTask, result: FitResult) -> bool:
-    """Return whether an output has a mean, none was estimated, and the residuals of a linear structure are coloured."""
+    """Return whether residuals of a linear structure are coloured, and an output has a mean.
+
+    The mean is what the static gain of the model leaves of it; of an integrator it is the whole.
+    """
     if task.options.trend != "none" or kind_of(task.structure).linear is None:
         return False
     if (result.whiteness >= _COLOURED / len(result.whiteness)).all():
         return False
-    return any((np.abs(r.outputs.mean(axis=0)) > _OF_MOTION * r.outputs.std(axis=0)).any() for r in task.data.records)
+    try:
+        gain = result.linear_model.static_gain()
+    except UsageError:
+        gain = np.zeros((len(task.data.output_names), len(task.data.input_names)))
+    return any(
+        (np.abs(r.outputs.mean(axis=0) - gain @ r.inputs.mean(axis=0)) > _OF_MOTION * r.outputs.std(axis=0)).any()
+        for r in task.data.records
+    )
 
 
 def _note_of_means(
