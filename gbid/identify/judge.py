@@ -106,7 +106,6 @@ def judge(optimum: Optimum) -> FitResult:
         std[names[i]] = float(np.sqrt(chosen[i, i]))
     mean_square = squares / weighted.n_samples
     error_models = tuple(f.model for f in optimum.weighted.filters) if optimum.weighted else ()
-    fed_back = not coloured and any(part.predictor.feeds_back for part in shooting.parts)
     at_edge = finite and any(weighted.parts_at_edge(theta))
     units = {q.name: q.unit for q in problem.parameters} | task.disturbances.units(data.output_units)
     short_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
@@ -116,6 +115,8 @@ def judge(optimum: Optimum) -> FitResult:
     model = kind.model({name: first[name] for name in stated}, data.input_names, data.output_names)
     if kind.nonlinear:
         model = at_working_point(model, weighted, theta, starts, data)
+    # White residuals tell of disturbances where a gain takes them in; one that is held at zero does not.
+    fed_back = not coloured and model.K is not None and bool(model.K.any())
     shaft = shaft_notes(model.modes(), data) if finite else ()
     tie = centre_tie(kind.scheduled, weighted.parts[0].predictor.free, names) if kind.scheduled else None
     spreads = model_spreads(estimate, chosen, model, stated, tie)

@@ -1,9 +1,11 @@
 """Parameters that the data hardly determine are named, and stated as uncertain as they are."""
 
 import numpy as np
+import pytest
+from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from gbid.identify import fit
+from gbid.identify import FitStatus, fit
 from gbid.identify.judge import far_below_white, hardly_determined, may_cover_less
 from gbid.identify.uncertainty.coloured import ErrorModel
 from gbid.identify.uncertainty.covariance import Covariance
@@ -88,3 +90,28 @@ def test_errors_of_the_frequency_of_a_mode_in_short_records_are_said():
     for models in ([white], []):  # less than one time of decay: white residuals do not show what moves the mode
         (note,) = may_cover_less(models, [light], H, 1000)
         assert "do not show whether disturbances move it" in note
+
+
+@pytest.mark.parametrize("fixed", [{"k1": 0.0, "k2": 0.0}, {}], ids=["known", "held by the fit"])
+def test_white_residuals_do_not_vouch_for_a_mode_where_the_gain_is_zero(fixed):
+    """The mode decays once in the record, so that a fit explains all that disturbances move it."""
+    w, d, h, n = 2 * np.pi * 10, 0.34, 0.005, 1000
+    F = expm(h * np.array([[0.0, 1.0, 0.0], [-w * w, -d, w * w], [0.0, 0.0, 0.0]]))
+    random = np.random.default_rng(1)
+    u = np.repeat(random.choice([-1.0, 1.0], -(-n // 7)), 7)[:n]
+    x, y = np.zeros(2), np.empty(n)
+    for i in range(n):
+        y[i] = x[0] + 0.1 * random.standard_normal()
+        x = F[:2] @ [*x, u[i]]
+    mode = LinearStructure(
+        "mode",
+        [Parameter(name, value) for name, value in (("w", w), ("d", d), ("b", w * w), ("k1", 0.0), ("k2", 0.0))],
+        lambda p: {"A": [[0, 1], [-(p.w**2), -p.d]], "B": [[0], [p.b]], "C": [[1, 0]], "K": [[p.k1], [p.k2]]},
+        inputs="u",
+        outputs="y",
+        intersample="zoh",
+    )
+    result = fit(mode, Recording({"u": u[:, None], "y": y[:, None]}, h), fixed=fixed)
+    assert result.status is (FitStatus.CONVERGED if fixed else FitStatus.CONVERGED_GAIN_HELD)
+    assert result.trusted == "white"
+    assert any("GB105" in note for note in result.notes)
