@@ -21,6 +21,7 @@ from gbid.identify.problem.hessian import gauss_newton
 from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.restarts import best_attempt, windows_of
 from gbid.identify.result import FitResult, Profile
+from gbid.identify.uncertainty.residual_tests import COLOURED
 from gbid.recording.recording import Recording, check_order
 from gbid.structure import AnyStructure, kind_of
 from gbid.structure.parameter import asked_once
@@ -162,7 +163,6 @@ def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Record
 # ---- Means of outputs that inputs do not explain: a second fit tells whether they move the estimates.
 
 _OF_MOTION = 0.05  # of the standard deviation of an output, below which its mean is no suspect
-_COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs: what a mean leaves is not white
 _CERTAIN = 4.0  # standard deviations of an offset, beyond chance for a few outputs and recordings
 _MOVED = 0.5  # standard deviations by which an estimate moves, from which its interval is a different one
 
@@ -174,7 +174,7 @@ def _means_may_matter(task: FitTask, result: FitResult) -> bool:
     """
     if task.options.trend != "none" or kind_of(task.structure).linear is None:
         return False
-    if (result.whiteness >= _COLOURED / len(result.whiteness)).all():
+    if (result.whiteness >= COLOURED / len(result.whiteness)).all():  # what a mean leaves is not white
         return False
     try:
         gain = result.linear_model.static_gain()
