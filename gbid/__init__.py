@@ -4,6 +4,16 @@ The public names and packages are those of the stub beside this file, ``__init__
 first used, so that ``import gbid`` costs next to nothing.
 """
 
+import sys
+from itertools import pairwise
+from os.path import dirname
+
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:  # Python is looking for the module of `python -m MODULE`
+    _is_gbid = any(a[:1] == "-" and a[-1] == "m" and b.split(".")[0] == "gbid" for a, b in pairwise(sys.orig_argv))
+    # The current folder stands first then. Data may lie there, and a file such as json.py would be executed.
+    if _is_gbid and sys.path[0] != dirname(dirname(__file__)):  # noqa: PTH120  (pathlib would be looked up there)
+        del sys.path[0]
+
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -28,7 +28,12 @@ _SECONDS = 10.0  # longest time for a small file
 _BYTES_PER_SECOND = 5e6  # larger files have more
 _MEMORY = 1 << 30  # most memory for a small file, in bytes
 _MEMORY_PER_BYTE = 10
-_START = "from gbid.core.apart import serve; serve()"
+_START = """\
+import sys
+sys.path += [folder for folder in {!r} if folder not in sys.path]
+from gbid.core.apart import serve
+serve()
+"""
 
 
 def read_apart(read: Callable[..., T], path: Path, *arguments: Any) -> T:
@@ -52,9 +57,7 @@ def read_apart(read: Callable[..., T], path: Path, *arguments: Any) -> T:
     DataError
         When the reader fails in another way: it crashes, exceeds the limits, or raises an error of its library.
     """
-    size = path.stat().st_size
-    limits = ReaderLimits(_SECONDS + size / _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * size)
-    answer: T = _process(os.getpid()).ask(limits, read, path, arguments)
+    answer: T = _process(os.getpid()).ask(limits_for(path), read, path, arguments)
     return answer
 
 
@@ -63,6 +66,18 @@ class ReaderLimits(NamedTuple):
 
     seconds: float
     memory: int
+
+
+def limits_for(path: Path) -> ReaderLimits:
+    """Return the limits for a file by its size.
+
+    Raises
+    ------
+    OSError
+        When there is no such file.
+    """
+    size = path.stat().st_size
+    return ReaderLimits(_SECONDS + size / _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * size)
 
 
 class ReaderProcess:
@@ -122,10 +137,9 @@ def _process(_owner: int) -> ReaderProcess:  # a forked process has another numb
 
 def _started() -> subprocess.Popen[bytes]:
     # Arrow would reserve a gigabyte of addresses, which counts as memory.
-    search = os.pathsep.join(sys.path)
-    added = {"PYTHONPATH": search, "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+    added = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
     child = subprocess.Popen(
-        [sys.executable, "-c", _START],
+        [sys.executable, "-P", "-c", _START.format(_import_folders())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env={**os.environ, **added},
@@ -134,6 +148,16 @@ def _started() -> subprocess.Popen[bytes]:
     if child.stdout is not None:
         child.stdout.readline()  # it is ready: its start does not count
     return child
+
+
+def _import_folders() -> list[str]:
+    """Return the folders of this process from which another one may import what it finds nowhere else.
+
+    The current folder and that of a script are none of them: the data may lie there.
+    """
+    script = str(Path(sys.argv[0]).absolute().parent) if sys.argv else ""
+    package = str(Path(__file__).resolve().parents[2])
+    return [*(folder for folder in sys.path if folder not in ("", str(Path.cwd()), script)), package]
 
 
 def _answer(child: subprocess.Popen[bytes], request: tuple[Any, ...]) -> tuple[Any, BaseException | None] | None:

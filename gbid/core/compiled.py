@@ -117,7 +117,7 @@ def find_compiler() -> Compiler:
 
 
 def _packaged() -> list[list[str]]:
-    return [[sys.executable, "-m", "ziglang", "cc"]] if find_spec("ziglang") else []
+    return [[sys.executable, "-P", "-m", "ziglang", "cc"]] if find_spec("ziglang") else []
 
 
 def compile_source(compiler: Compiler, flags: Sequence[str], source: str, library: Path) -> None:

@@ -114,6 +114,7 @@ ATTEMPTS = 3
 """Number of times that a task may kill its worker before it counts as failed."""
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_OF_WORKERS = {**dict.fromkeys(ONE_THREAD, "1"), "PYTHONSAFEPATH": "1"}  # no module comes from the current folder
 _PATIENCE = 3.0  # longest time for a worker to end [s]
 
 
@@ -212,7 +213,7 @@ class ProcessPool:
         for _ in range(count - len(self._workers)):
             ours, theirs = context.Pipe()
             process = context.Process(target=serve, args=(theirs,), daemon=True, name="gbid worker")
-            with _environment(dict.fromkeys(ONE_THREAD, "1")), _without_interrupts():
+            with _environment(_OF_WORKERS), _without_interrupts():
                 process.start()
             theirs.close()
             self._workers.append(_Worker(process, ours))
@@ -292,7 +293,7 @@ _CALM = {  # Dask's own monitoring, which takes over a third of the time of shor
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
     # Dask's default contains MALLOC_TRIM_THRESHOLD_, with which each larger array is allocated anew by the system.
-    "distributed.nanny.pre-spawn-environ": dict.fromkeys(ONE_THREAD, 1),
+    "distributed.nanny.pre-spawn-environ": _OF_WORKERS,
 }
 _one_at_a_time = threading.Lock()  # in each worker process: the solver is not thread-safe
 
@@ -437,7 +438,7 @@ def _local_cluster(n_workers: int) -> Any:
     options = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0", "host": "127.0.0.1"}
     for trial in range(1, ATTEMPTS + 1):
         try:
-            with dask.config.set(_CALM):
+            with dask.config.set(_CALM), _environment(_OF_WORKERS):
                 return LocalCluster(n_workers=n_workers, **options)
         except RuntimeError as error:
             if trial == ATTEMPTS:

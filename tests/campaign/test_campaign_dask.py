@@ -24,10 +24,15 @@ pytestmark = [pytest.mark.filterwarnings("ignore:.*:ResourceWarning"), pytest.ma
 
 
 @pytest.fixture(scope="module")
-def engine():
-    made = make_engine("dask", 2)
+def engine(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    executed = files.poison(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)  # where workers start
+        made = make_engine("dask", 2)
     yield made
     made.close()
+    assert executed.read_text() == "", "Python files beside the data are executed"
 
 
 class FindTasks(WorkerPlugin):
