@@ -225,17 +225,27 @@ _EXPECTED = {
 
 
 def _location(data: Any, fault: ErrorDetails) -> Location:
-    """Return the location of a fault in the YAML; pydantic adds words for the form of a value, and for a key itself."""
-    location: list[str | int] = []
-    *_, last = fault["loc"] or ("",)
-    for key in fault["loc"]:
-        entries = range(len(data)) if isinstance(data, list) else data if isinstance(data, dict) else ()
-        if key in entries:
-            data = data[key]
-            location.append(key)
-        elif fault["type"] == "missing" and key == last:
-            location.append(key)
-    return tuple(location)
+    """Return the location of a fault in the YAML: that of pydantic without its words for the forms of a value.
+
+    Such a word (of a branch of a union, of a key itself) may be a key of the YAML, too. The right location is that of
+    the value that pydantic found faulty, which is the same object unless a validator made another one of it.
+    """
+    is_missing = fault["type"] == "missing"  # the value is then what lacks the key
+    keys = fault["loc"][:-1] if is_missing else fault["loc"]
+    location, _ = max(_ways(data, keys), key=lambda way: (way[1] is fault["input"], len(way[0])))
+    return (*location, fault["loc"][-1]) if is_missing else location
+
+
+def _ways(data: Any, keys: Location) -> Iterator[tuple[Location, Any]]:
+    """Yield the ways from a value along keys, some of which are left out, and the value where each ends."""
+    if not keys:
+        yield (), data
+        return
+    key, rest = keys[0], keys[1:]
+    if key in (range(len(data)) if isinstance(data, list) else data if isinstance(data, dict) else ()):
+        for location, value in _ways(data[key], rest):
+            yield (key, *location), value
+    yield from _ways(data, rest)
 
 
 def _keys_at(kind: Any, location: Location) -> list[str]:

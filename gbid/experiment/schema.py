@@ -537,7 +537,7 @@ def _named(value: Any) -> Any:
     """Return an entry of the list; refuse one without the name of a goal, and unknown names."""
     if not isinstance(value, dict) or "goal" not in value:
         raise ValueError(f"expected a goal with its arguments, such as {{goal: MaxDamping}}, found {value!r}")
-    if value["goal"] not in GOALS:
+    if str(value["goal"]) not in GOALS:
         raise ValueError(f"no goal {value['goal']!r}; {nearest(str(value['goal']), GOALS)}")
     return value
 

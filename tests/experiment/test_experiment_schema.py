@@ -1,12 +1,17 @@
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Union, get_args, get_origin
 
 import pytest
 from experiment_files import QUICK, SPRING, SPRING_STRUCTURE, write_quick, write_spring
 from places import EXPERIMENTS
+from pydantic import BaseModel
 
 from gbid.experiment.experiment import figure_pairs, validation_pairs
 from gbid.experiment.fields import ExperimentError
-from gbid.experiment.load import load_experiment
+from gbid.experiment.load import _parse, _without, load_experiment
+from gbid.experiment.schema import ExperimentFile
 
 
 def problems_of(path: Path) -> list[str]:
@@ -248,3 +253,59 @@ def test_shipped_experiments_load():
             assert load_experiment(path).spec.name == name
         else:  # without the data that is all that is wrong
             assert all("import" in line for line in problems_of(path))
+
+
+ODD = [None, -1, "a", [[]], {"a": {}}]
+ODD_FORMS = [True, 1.5, "6", [], [None], [{}], [1, "a"], {}, {"a": [None]}, {0.0: None, "k": 6}, {None: 1}, {True: 2}]
+
+
+def branches(kind) -> list:
+    """Forms of a type: those of a union, at any depth."""
+    while get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
+    if get_origin(kind) in (Union, UnionType):
+        return [form for each in get_args(kind) for form in branches(each) if form is not NoneType]
+    return [kind]
+
+
+def places(kind, value=lambda odd: odd, above=()):
+    """Each place of a type: its branches, and a function from an odd value to the YAML with this value there."""
+    yield branches(kind), value
+    for form in branches(kind):
+        origin, inside = get_origin(form), get_args(form)
+        if isinstance(form, type) and issubclass(form, BaseModel) and form not in above:
+            goal = {"goal": form.__name__.removesuffix("Section")} if "goal" in form.model_fields else {}
+            for name, field in form.model_fields.items():
+                key = field.alias or name
+                yield from places(field.annotation, lambda odd, k=key, g=goal: value({**g, k: odd}), (*above, form))
+        elif isinstance(origin, type) and issubclass(origin, Mapping):
+            yield from places(inside[1], lambda odd: value({"k": odd}), above)
+        elif isinstance(origin, type) and issubclass(origin, Sequence):
+            for i, each in enumerate(inside):
+                if each is not ...:
+                    yield from places(each, lambda odd, n=i + 1: value([odd] * n), above)
+
+
+def test_every_odd_value_is_a_fault_at_a_place_of_the_file():
+    """All places of the schema; where a union is, its branches by name, too, which pydantic adds to its locations."""
+    unions = 0
+    for forms, yaml_with in places(ExperimentFile):
+        union = len(forms) > 1
+        unions += union
+        named = [{name: {name: 1}} for form in forms if (name := getattr(form, "__name__", "word"))]
+        for odd in [*ODD, *(ODD_FORMS + named if union else [])]:
+            data = yaml_with(odd)
+            _, faults = _parse(data)
+            for location, text in faults.items():
+                node = data
+                for key in location[:-1] if text == "is missing; add it" else location:
+                    node = node[key]
+                assert "\n" not in text
+            _without(data, faults)
+    assert unions > 25
+
+
+def test_a_key_with_the_name_of_a_branch_is_found_where_it_stands():
+    _, faults = _parse({"controller": {"main": {"goals": [{"goal": "MaxDamping", "MaxDamping": {"MaxDamping": 1}}]}}})
+    assert ("controller", "main", "goals", 0, "MaxDamping") in faults
+    assert ("controller", "main", "goals", 0, "MaxDamping", "MaxDamping") not in faults
