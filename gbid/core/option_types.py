@@ -81,6 +81,20 @@ NotNegative = Annotated[float, Exact(finite=True), Ge(0)]
 Count = Annotated[int, Exact(), Ge(1)]
 CountOrZero = Annotated[int, Exact(), Ge(0)]
 
+
+def type_parts(hint: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Origin and arguments of a type behind its aliases, as ``typing.get_origin`` and ``get_args`` give them.
+
+    From numpy 2.5 on ``NDArray[np.float64]`` is such an alias, ``type NDArray[...] = ndarray[...]``; before, its
+    origin was ``ndarray``.
+    """
+    origin, args = get_origin(hint), get_args(hint)
+    value = getattr(hint if origin is None else origin, "__value__", None)
+    if value is None:
+        return origin, args
+    return type_parts(value if origin is None else value[args])
+
+
 # ---- Check of the values of a dataclass of options against the types of its fields.
 
 
@@ -117,7 +131,7 @@ def _types(made: Any) -> dict[str, Any]:
 
 def _allows(kind: Any, value: Any) -> bool:
     """Return whether a type allows a value."""
-    origin, args = get_origin(kind), get_args(kind)
+    origin, args = type_parts(kind)
     if origin is Annotated:
         return _allows(args[0], value) and all(_holds(bound, value) for bound in args[1:])
     if origin in (Union, UnionType):
@@ -158,7 +172,7 @@ def _holds(bound: Any, value: Any) -> bool:
 
 def _words(kind: Any) -> list[str]:
     """Return what a type allows, in words: each of its alternatives."""
-    origin, args = get_origin(kind), get_args(kind)
+    origin, args = type_parts(kind)
     if origin is Annotated:
         stated = [mark.text for mark in args[1:] if isinstance(mark, Allowed)]
         bounds = [_bound(mark) for mark in args[1:] if isinstance(mark, Gt | Ge | Le | Lt)]

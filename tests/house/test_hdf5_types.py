@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum, IntEnum
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
@@ -12,6 +12,7 @@ import stored_values
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from typing_extensions import TypeAliasType
 
 from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
@@ -343,3 +344,21 @@ def test_flipped_bits_truncation_and_foreign_changes_are_noticed_before_the_libr
         file.attrs["mine"] = 1.0
     with pytest.raises(DataError, match="changed by another program"):
         load(path, type(value))
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+Aliased = TypeAliasType("Aliased", np.ndarray[Any, np.dtype[Scalar]], type_params=(Scalar,))
+"""As numpy 2.5 has ``NDArray``; a pip user could not save a fit with it."""
+
+
+@dataclass(frozen=True)
+class WithAliases(hdf5.InFile):
+    values: Annotated[Aliased[np.float64], Stored("m", "values", "n")]
+    names: Annotated[Aliased[np.str_] | None, Stored("", "names", "k")]
+    FILE: ClassVar[hdf5.FileKind] = hdf5.FileKind("aliases", "make it again")
+
+
+def test_fields_of_aliased_types_are_stored(tmp_path):
+    save(WithAliases(np.array([1.0, 2.0]), np.array(["a"])), tmp_path / "aliases.h5")
+    read = load(tmp_path / "aliases.h5", WithAliases)
+    assert (read.values.tolist(), read.names.tolist()) == ([1.0, 2.0], ["a"])

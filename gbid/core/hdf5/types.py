@@ -48,7 +48,7 @@ from gbid.core.hdf5.file import (
     where,
     writing,
 )
-from gbid.core.option_types import plain
+from gbid.core.option_types import plain, type_parts
 
 # ---- Declaration of a stored field, written beside the field: unit, long name, shape and place in the HDF5 file.
 
@@ -420,7 +420,7 @@ record: Callable[[Any], DataclassGroup] = cache(_record)
 
 
 def _codec(hint: Any, stored: Stored | None) -> Codec:
-    origin, args = get_origin(hint), get_args(hint)
+    origin, args = type_parts(hint)
     if origin in (Union, UnionType):
         return OneOf(tuple(_codec(arg, stored) for arg in args if arg is not NoneType), NoneType in args)
     if stored is AS_JSON:
@@ -501,7 +501,7 @@ def _leaf(hint: Any, stored: Stored | None) -> Leaf | None:
 
 def _values(hint: Any) -> _ArrayCodec | None:
     """Return how values of a type are converted to arrays and back; None when they cannot be."""
-    origin, args = get_origin(hint), get_args(hint)
+    origin, args = type_parts(hint)
     if hint in _SCALARS:
         return _ArrayCodec(_SCALARS[hint], hint, (), _same)
     if isinstance(hint, type) and issubclass(hint, Enum):
@@ -509,7 +509,7 @@ def _values(hint: Any) -> _ArrayCodec | None:
     if origin is Literal:
         return _ArrayCodec(_SCALARS[type(args[0])], lambda value: _one_of(value, args), (), _same)
     if origin is np.ndarray:
-        kind = np.dtype(get_args(args[1])[0]).kind
+        kind = np.dtype(type_parts(args[1])[1][0]).kind
         return _ArrayCodec(kind, partial(np.array, dtype=str) if kind == "U" else _same, None, _same)
     if origin is not tuple or not args:
         return None
