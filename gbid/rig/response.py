@@ -17,10 +17,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from scipy.linalg import expm
 
-from gbid.core.arrays import FloatArray, one_blas_thread
+from gbid.core.arrays import FloatArray, one_blas_thread, recursion
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.rig.excitation import Hammer, Turning
@@ -274,4 +273,4 @@ def draw_whirl(machine: Machine, n: int, sample_time: float, random: np.random.G
     pole = np.exp(-2 * np.pi * rule.bandwidth_hz * sample_time)
     white = random.standard_normal((n + 1, 2)) @ np.array([1.0, 1j]) / np.sqrt(2)
     white[1:] *= np.sqrt(1 - pole**2)
-    return np.asarray(scipy.signal.lfilter([1.0], [1.0, -pole], white))
+    return recursion(pole, white)

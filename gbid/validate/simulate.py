@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
+from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, recursion
 from gbid.core.errors import DataError, UsageError
 from gbid.discretise import discretise
 from gbid.identify import FitResult, select
@@ -211,8 +211,8 @@ class LinearSimulator(Simulator):
             forcing = now @ inputs
             if following.any():
                 forcing[:-1] += following @ inputs[:, 1:]
-            at = np.array([first.real if simple else first])
-            mode, _ = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole.real if simple else -pole], forcing, zi=at)
+            begun = np.concatenate([[first.real if simple else first], forcing[:-1]])
+            mode = recursion(pole.real if simple else pole, begun)
             simulated += np.outer(weights.real, mode.real)
             if not simple:
                 simulated -= np.outer(weights.imag, mode.imag)

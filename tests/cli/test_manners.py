@@ -10,6 +10,7 @@ import sys
 import textwrap
 import time
 import weakref
+from functools import partial
 
 import casadi as ca
 import pytest
@@ -147,7 +148,10 @@ def test_an_interruption_that_python_ignores_comes_again(system, capsys, monkeyp
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_that_casadi_forgets_comes_again(number, capsys):
+def test_a_signal_that_casadi_forgets_comes_again(number, capsys, request):
+    if signal.getsignal(number) == signal.SIG_IGN:  # as under nohup, which gbid respects
+        request.addfinalizer(partial(signal.signal, number, signal.signal(number, signal.SIG_DFL)))
+
     class Sent:
         @property
         def shape(self):

@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from scipy.signal import cont2discrete
+from scipy.signal import cont2discrete, lfilter
 
+from gbid.core.arrays import recursion
 from gbid.core.errors import UsageError
 from gbid.discretise import check_holds, discretise, exponentials, propagate, squarings_for
 
@@ -167,6 +168,17 @@ def test_blocks_give_what_the_plain_loop_gives(n, n_samples, seed):
     # The last forcing belongs to a sample that is not asked for.
     w[-1] += 1e6
     np.testing.assert_array_equal(propagate(F, w, x0), found)
+
+
+@pytest.mark.parametrize(("pole", "kind"), [(0.9, 0.0), (0.9, 1j), (0.6 + 0.79j, 0.0), (-1.001, 1j), (0.0, 0.0)])
+@pytest.mark.parametrize("n", [1, 2, 3000])
+def test_recursion_of_one_pole_is_that_of_scipy(pole, kind, n):
+    real, imaginary = np.random.default_rng(n).normal(size=(2, n))
+    forcing = real + kind * imaginary if kind else real
+    found = recursion(pole, forcing)
+    expected = lfilter([1.0], [1.0, -pole], forcing)
+    assert found.dtype == expected.dtype
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_propagation_over_a_long_record_stays_exact():

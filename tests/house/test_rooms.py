@@ -2,6 +2,7 @@
 
 import ast
 from collections import Counter
+from functools import cache
 
 from places import ROOT
 
@@ -23,7 +24,12 @@ def modules():
 
 
 MODULES = modules()
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
+
+@cache
+def trees():
+    """Syntax trees of all files of gbid; each process that collects this file would parse them in vain."""
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 
 
 def imports(tree, known):
@@ -77,7 +83,7 @@ def test_a_circle_is_found():
 
 def test_no_file_imports_itself_by_way_of_others():
     known = set(MODULES)
-    assert circle_in({name: imports(tree, known) - {name} for name, tree in TREES.items()}) == []
+    assert circle_in({name: imports(tree, known) - {name} for name, tree in trees().items()}) == []
 
 
 def test_no_folder_is_crowded_or_deep():
@@ -95,10 +101,10 @@ def test_modules_are_neither_long_nor_crumbs():
 
 
 def test_a_tenth_of_the_code_at_most_are_imports():
-    code = sum(len(code_lines(path, TREES[name])) for name, path in MODULES.items())
+    code = sum(len(code_lines(path, trees()[name])) for name, path in MODULES.items())
     imported = sum(
         len(lines_of(n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)))
-        for tree in TREES.values()
+        for tree in trees().values()
     )
     assert imported <= IMPORTS * code
 
@@ -110,7 +116,7 @@ def test_only_the_room_of_structures_asks_for_their_kind():
     """Elsewhere `gbid.structure.kind_of` answers; a new kind is one class there."""
     asking = [
         f"{name}:{call.lineno}"
-        for name, tree in TREES.items()
+        for name, tree in trees().items()
         if not name.startswith("gbid.structure")
         for call in ast.walk(tree)
         if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "isinstance"
