@@ -7,6 +7,7 @@ find it by `file_formats`.
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -55,8 +56,10 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     The unit is in the metadata of a column (``unit``), or in its heading, ``u_x [um]``. The column is then named
     ``u_x``. A column of lists of fixed length is an array with several columns.
     """
-    kind = "parquet" if path.suffix.lower() in _PARQUET else "feather"
-    table = extra_package(f"pyarrow.{kind}", "arrow", f"{path}: a {kind.capitalize()} file").read_table(path)
+    is_parquet = path.suffix.lower() in _PARQUET
+    kind, verified = ("parquet", {"page_checksum_verification": True}) if is_parquet else ("feather", {})
+    package = extra_package(f"pyarrow.{kind}", "arrow", f"{path}: a {kind.capitalize()} file")
+    table = package.read_table(path, **verified)
 
     def stored(index: int) -> StoredArray:
         column, field = table.column(index), table.schema.field(index)
@@ -104,7 +107,13 @@ def read_csv(path: Path, references: Sequence[str], options: TextOptions | None 
         When the file is not text, when it has no header line or rows of different length, when a column is
         missing or occurs twice, or when a cell of a requested column is not a number.
     """
-    return _columns(read_table(path, options), references)
+    return _columns(_complete_table(path, options), references)
+
+
+def _complete_table(path: Path, options: TextOptions | None) -> TextTable:
+    """Return the table without a last row that may have been cut."""
+    table = read_table(path, options)
+    return replace(table, rows=table.rows[:-1]) if table.is_cut else table
 
 
 def peek_csv(
@@ -124,7 +133,7 @@ def peek_csv(
     DataError
         As for `read_csv`, as far as these rows show it.
     """
-    table = read_table(path, options)
+    table = _complete_table(path, options)
     if len(table.rows) < 2:
         raise DataError(f"{path}: expected a header line and rows of numbers, found one row; record longer")
     ends = replace(table, rows=(*table.rows[: min(SHOWN_FIRST, len(table.rows) - 1)], table.rows[-1]))
@@ -139,7 +148,7 @@ def csv_channels(path: Path, options: TextOptions | None = None) -> list[FileCha
     DataError
         When the file is not text, or when it has no header line or no rows.
     """
-    table = read_table(path, options)
+    table = _complete_table(path, options)
     columns = zip(short_names(table.headings), table.units, _listed_csv(table), strict=True)
     channels = ((FileChannel(name, len(table.rows), unit), values) for name, unit, values in columns)
     return [
@@ -165,14 +174,19 @@ def _listed_csv(table: TextTable) -> list[FloatArray | None]:
 
 def csv_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any]:
     """Return encoding, delimiter, decimal sign and header of a csv file, as plain values."""
-    return read_table(path, options).layout.stated()
+    table = read_table(path, options)
+    return {**table.layout.stated(), **({"last_line": _CUT} if table.is_cut else {})}
+
+
+_CUT = "left out: it has no line break, so the file may have been cut there"
 
 
 def _columns(table: TextTable, references: Sequence[str]) -> dict[str, FileColumn]:
     indices = [find_heading(table.path, table.headings, reference) for reference in references]
     values = table.columns(indices) if indices else np.zeros((len(table.rows), 0))
+    remark = f"the last line is {_CUT}" if table.is_cut else ""
     return {
-        reference: FileColumn(np.ascontiguousarray(values[:, k]), table.units[i])
+        reference: FileColumn(np.ascontiguousarray(values[:, k]), table.units[i], remark=remark)
         for k, (reference, i) in enumerate(zip(references, indices, strict=True))
     }
 
@@ -506,6 +520,9 @@ MDF = array_format((".mf4", ".mdf"), "MDF file", open_mdf, states_sample_time=Tr
 def open_npz(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     """Return a context with an npz archive; pickled objects are never loaded."""
     with path.open("rb") as handle, np.lib.npyio.NpzFile(handle, allow_pickle=False) as archive:
+        twice = [name for name, count in Counter(archive.files).items() if count > 1]
+        if twice:
+            raise DataError(f"{path}: holds variable {twice[0]!r} more than once; save it again with each name once")
 
         def get(name: str) -> StoredArray:
             if name not in archive.files:

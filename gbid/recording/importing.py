@@ -42,7 +42,8 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     -------
     Recording
         Known signals in SI units, others in the unit of the file. The provenance has ``source_file``,
-        ``source_sha256`` and ``source_samples``, and ``import_remarks`` on gaps, doubled samples and jitter.
+        ``source_sha256``, ``source_rows`` (their number, the first and the last), ``source_samples``, and
+        ``import_remarks`` on rows left out, gaps, doubled samples and jitter.
 
     Raises
     ------
@@ -67,6 +68,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     start, stop = sample_range(path, mapping, columns)
+    rows = _rows_in_words(columns)
     columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
     check_finite(path, columns, start)
     clock = read_clock(path, mapping, columns, start)
@@ -77,7 +79,8 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         signals[name], units[name] = _signal(path, name, signal, columns)
         if clock.time is not None:
             signals[name] = resampled(signals[name], units[name], clock.time, clock.sample_time)
-    remarks = {"import_remarks": "; ".join(clock.remarks)} if clock.remarks else {}
+    said = [text for text in (*dict.fromkeys(c.remark for c in columns.values()), *clock.remarks) if text]
+    remarks = {"import_remarks": "; ".join(said)} if said else {}
     try:
         return Recording(
             signals,
@@ -89,12 +92,24 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
             provenance={
                 "source_file": path.name,
                 "source_sha256": digest,
+                "source_rows": rows,
                 "source_samples": f"{first} to {last + 1}",
                 **remarks,
             },
         )
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
+
+
+def _rows_in_words(columns: Mapping[str, FileColumn]) -> str:
+    """Return the number of rows of a file, and the numbers of the first and the last one: they show a cut file."""
+    shown = list(columns.items())[:_SHOWN]
+    more = ", ..." if len(columns) > _SHOWN else ""
+    first, last = (", ".join(f"{name} = {c.values[k]:g}" for name, c in shown) + more for k in (0, -1))
+    return f"{len(shown[0][1].values)} rows; the first: {first}; the last: {last}"
+
+
+_SHOWN = 3  # columns of these rows
 
 
 def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:

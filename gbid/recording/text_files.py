@@ -348,11 +348,14 @@ class FileColumn(NamedTuple):
         Unit given by the file; None when the file gives none.
     sample_time : float or None
         Time between samples that the file states for this column [s]; None when it states none.
+    remark : str
+        What was left out of the file; empty where nothing was.
     """
 
     values: FloatArray
     unit: str | None = None
     sample_time: float | None = None
+    remark: str = ""
 
 
 def split_reference(reference: str) -> tuple[str, int | None]:
@@ -469,6 +472,9 @@ class TextTable:
         Unit of each column, from its heading or from the line of units.
     rows : tuple of NumberedLine
         Lines of the rows.
+    is_cut : bool
+        Whether the last row is the only line without line break, as in a file that was cut: its last number may be a
+        part of one.
     """
 
     path: Path
@@ -476,6 +482,7 @@ class TextTable:
     headings: tuple[str, ...]
     units: tuple[str | None, ...]
     rows: tuple[NumberedLine, ...]
+    is_cut: bool = False
 
     @cached_property
     def cells(self) -> list[list[str]]:
@@ -587,4 +594,5 @@ def read_table(path: Path, options: TextOptions | None = None) -> TextTable:
     for i, cell in enumerate(below[: len(headings)]):
         if units[i] is None and cell:
             units[i] = written_unit(cell.strip("[]() "))
-    return TextTable(path, layout, tuple(headings), tuple(units), rows)
+    is_cut = len(rows) > 1 and not text.endswith("\n") and rows[-1] == lines[-1]
+    return TextTable(path, layout, tuple(headings), tuple(units), rows, is_cut)

@@ -3,6 +3,7 @@
 import hashlib
 import pickle
 import re
+import zipfile
 from pathlib import Path
 
 import h5py
@@ -15,7 +16,7 @@ from ruamel.yaml import YAML
 
 from gbid.core.errors import UsageError
 from gbid.recording import ImportMapping, SignalMapping, import_recording, load_recording, save_recording
-from gbid.recording.importing import Peek, peek
+from gbid.recording.importing import Peek, peek, read_layout
 
 N, DT = 300, 2e-4
 RNG = np.random.default_rng(5)
@@ -448,6 +449,37 @@ def test_files_that_are_not_there_or_of_unknown_kind(tmp_path):
     refused(tmp_path / "dir.csv", mapping, "directory")
     refused(tmp_path / "a.xlsx", mapping, "unknown file ending '.xlsx'; expected one of", ".csv, ", ".npz, ")
     refused(tmp_path / "a", mapping, "unknown file ending ''")
+
+
+# Cut and damaged files
+
+
+def test_a_cut_csv_file_gives_no_wrong_number(tmp_path):
+    """Cut anywhere within its last lines: the last row is left out and said, or the cut is between two rows."""
+    whole, path = write_csv(tmp_path / "a.csv").read_bytes(), tmp_path / "b.csv"
+    for end in {*range(len(whole) - 120, len(whole), 6), whole.rstrip().rindex(b"\n") + 1}:
+        path.write_bytes(whole[:end])
+        rec = import_recording(path, {"signals": {"p": BOTH}, "time": "t"})
+        n = rec.n_samples
+        np.testing.assert_array_equal(rec.signals["p"], 1e-6 * DATA[:n, :2])
+        assert ("the last line is left out" in rec.provenance.get("import_remarks", "")) == (
+            whole[end - 1 : end] != b"\n"
+        )
+        assert rec.provenance["source_rows"].startswith(f"{n} rows; the first: t = 0, a = {DATA[0, 0]:g}, ")
+        assert f"; the last: t = {T[n - 1]:g}, " in rec.provenance["source_rows"]
+    assert read_layout(path)["last_line"].startswith("left out")
+
+
+def test_an_archive_with_a_variable_twice_is_refused(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, a=DATA[:, 0], b=DATA[:, 1])
+    with zipfile.ZipFile(path) as archive:
+        other = archive.read("b.npy")
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("a.npy", other)
+    refused(
+        path, {"signals": {"p": {"columns": ["a"], "unit": "um"}}, "sample_time": DT}, "variable 'a' more than once"
+    )
 
 
 # The mapping

@@ -251,3 +251,25 @@ def test_a_package_that_is_not_installed(tmp_path, monkeypatch, capsys, kind, pa
     monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))  # see it in this process
     refused(path, STATED[kind], f"pip install 'gbid[{extra}]'", package, error=UsageError)
     assert f"pip install 'gbid[{extra}]'" in printed_by(capsys, "import", "--peek", str(path), code=2).err
+
+
+def test_every_accepted_bit_flip_of_a_parquet_file_with_checksums_gives_the_same_numbers(tmp_path, monkeypatch):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))
+    path, p = tmp_path / "a.parquet", np.random.default_rng(3).normal(size=60)
+    parquet.write_table(pyarrow.table({"p": p}), path, write_page_checksum=True, compression="none")
+    good, refusals = path.read_bytes(), 0
+    mapping = {"sample_time": 1e-3, "signals": {"y": {"columns": ["p"], "unit": "m"}}}
+    for bit in range(8 * good.index(p.tobytes()[:8]), 8 * len(good), 61):
+        content = bytearray(good)
+        content[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(content)
+        try:
+            read = gbid.import_recording(path, mapping).signals["y"][:, 0]
+        except DataError:
+            refusals += 1
+        else:
+            np.testing.assert_array_equal(read, p)
+    assert refusals > 20

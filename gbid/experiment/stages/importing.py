@@ -139,7 +139,8 @@ def _content(experiment: Experiment, planned: PlannedRecording) -> str:
 def _write_import(job: Job, part: Path, name: str) -> Made:
     recording = read_import(job.experiment, job.experiment.recordings[name])
     save_recording(recording, part, overwrite=True)
-    return Made(recording.provenance.get("import_remarks", ""))
+    said = (recording.provenance.get(key, "") for key in ("source_rows", "import_remarks"))
+    return Made("; ".join(filter(None, said)))
 
 
 IMPORT = Stage("import", "import", (data_can_be_read,), import_tasks, early=True)
