@@ -325,7 +325,9 @@ def library_errors(path: Path, remedy: str = "save it again") -> Iterator[None]:
     except (GbidError, OSError):
         raise
     except MemoryError:
-        raise DataError(f"{path}: its reader needs more memory than the file can contain; {remedy}") from None
+        raise DataError(
+            f"{path}: its reader needs more memory than the file can contain or this process may use; {remedy}"
+        ) from None
     except Exception as error:
         words = in_one_line(error)
         raise DataError(f"{path}: cannot be read, damaged or of another format ({words}); {remedy}") from None

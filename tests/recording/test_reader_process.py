@@ -1,5 +1,7 @@
 """Readers in a process of their own: crashes, hangs, memory, and files that make libraries do that."""
 
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -11,6 +13,7 @@ import h5py
 import numpy as np
 import pytest
 from campaign_files import alive
+from places import ROOT, SUPPORT
 
 import gbid
 from gbid.core import apart as reader_process
@@ -41,20 +44,36 @@ def test_a_relative_path_counts_from_the_folder_of_the_request(file, monkeypatch
     ("reader", "words"),
     [
         (bad_readers.crashing, r"its reader crashed \(SIGABRT\); the file is damaged"),
-        (bad_readers.endless, "did not end within 1 s|computed for more than 1 s"),
-        (bad_readers.sleeping, "did not end within 1 s"),
+        (bad_readers.endless, "time-out: its reader computed for more than 1 s; a file of this size needs far less"),
+        (bad_readers.sleeping, "time-out: not read within 2 s; the drive answers late, or the machine is too busy"),
         (bad_readers.hungry, "needs more memory than the file can contain"),
         (bad_readers.raising, r"cannot be read, .*\(NotImplementedError: compression type 9\); save it again"),
         (bad_readers.ending, r"its reader ended \(exit code 7\)"),
     ],
 )
 def test_what_a_library_does_is_an_error_of_the_file(file, reader, words, monkeypatch):
-    monkeypatch.setattr(reader_process, "_SECONDS", 1.0 if "1 s" in words else 10.0)
+    monkeypatch.setattr(reader_process, "_SECONDS", 1.0 if reader is bad_readers.endless else 10.0)
+    monkeypatch.setattr(reader_process, "_WAIT", 2.0 if reader is bad_readers.sleeping else 60.0)
     with pytest.raises(DataError, match=words) as caught:
         read_apart(reader, file)
     assert str(caught.value).startswith(f"{file}: ")
     assert "\n" not in str(caught.value)
     assert read_apart(bad_readers.good, file, 3) == 3000  # the next file is read
+
+
+def test_only_processor_time_counts(file, monkeypatch):
+    """On a busy machine, or by a slow drive, a good file takes long."""
+    monkeypatch.setattr(reader_process, "_SECONDS", 0.5)
+    assert read_apart(bad_readers.waiting, file, 1.2) == 1000
+
+
+def test_limits_of_a_huge_file_are_those_of_the_machine(tmp_path):
+    path = tmp_path / "a.mat"
+    with path.open("wb") as made:
+        made.truncate(1 << 42)
+    limits = reader_process.limits_for(path)
+    assert limits.seconds == 600
+    assert limits.memory == reader_process.usable_memory() < 1 << 42
 
 
 def test_a_file_that_is_gone_and_its_own_errors_are_raised_as_they_are(tmp_path):
@@ -66,23 +85,54 @@ def test_a_file_that_is_gone_and_its_own_errors_are_raised_as_they_are(tmp_path)
         gbid.import_recording(path, {**MAPPING, "signals": {"y": {"columns": ["z"], "unit": "m"}}})
 
 
-def test_the_process_ends_with_the_one_that_asked(tmp_path):
-    path = tmp_path / "a.npz"
-    np.savez(path, y=np.sin(np.arange(200.0)))
-    code = (
-        "import gbid, os, signal, sys\n"
-        "from gbid.core import apart as r\n"
-        f"gbid.import_recording({str(path)!r}, {MAPPING!r})\n"
-        "print(r._process(os.getpid())._child.pid, flush=True)\n"
-        "os.kill(os.getpid(), signal.SIGKILL)\n"
+CALLER = """\
+import os, resource, signal, sys, threading, time
+from pathlib import Path
+resource.setrlimit(resource.RLIMIT_CPU, (9, 9))
+import bad_readers
+from gbid.core import apart
+path = Path(sys.argv[1])
+assert apart.read_apart(bad_readers.good, path, 1) == 1000
+print(apart._process(os.getpid())._child.pid, flush=True)
+if sys.argv[2] != "good":
+    threading.Thread(target=apart.read_apart, args=(getattr(bad_readers, sys.argv[2]), path)).start()
+    time.sleep(0.5)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("state", ["good", "sleeping", "holding"])
+def test_the_process_ends_with_the_one_that_asked_in_every_state(file, state):
+    """Idle, waiting, and within a library that lets no other thread run; within a hard limit of processor time, too."""
+    ended = subprocess.run(
+        [sys.executable, "-c", CALLER, file, state],
+        env={**os.environ, "PYTHONPATH": f"{ROOT}:{SUPPORT}"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.stdout, ended.stderr
     number = int(ended.stdout)
-    for _ in range(100):
+    for _ in range(60):
         if not alive(number):
             return
         time.sleep(0.05)
+    os.kill(number, signal.SIGKILL)
     pytest.fail(f"process {number} is still there")
+
+
+def test_a_session_with_little_processor_time_says_so(file):
+    code = CALLER[: CALLER.index("assert")].replace("9, 9", "2, 2") + "apart.read_apart(bad_readers.endless, path)"
+    ended = subprocess.run(
+        [sys.executable, "-c", code, file],
+        env={**os.environ, "PYTHONPATH": f"{ROOT}:{SUPPORT}"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert "time-out: its reader computed for more than the 2 s of processor time that this session" in ended.stderr
 
 
 def bomb_h5(path):

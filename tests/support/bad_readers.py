@@ -1,7 +1,9 @@
 """Readers that fail in the ways of libraries, for the process that runs them."""
 
 import os
+import re
 import sys
+import time
 
 import numpy as np
 
@@ -22,9 +24,17 @@ def endless(path):
 
 
 def sleeping(path):
-    import time
-
     time.sleep(60)
+
+
+def waiting(path, seconds):
+    time.sleep(seconds)
+    return len(path.read_bytes())
+
+
+def holding(path):
+    """Compute for ever within one call of C, which lets no other thread of Python run."""
+    return re.fullmatch("(a+)+", "a" * 64 + "b")
 
 
 def hungry(path):
