@@ -473,8 +473,8 @@ class TextTable:
     rows : tuple of NumberedLine
         Lines of the rows.
     is_cut : bool
-        Whether the last row is the only line without line break, as in a file that was cut: its last number may be a
-        part of one.
+        Whether the last row has all its cells, but is the only line without line break: if the file was cut there, its
+        last number is a part of one.
     """
 
     path: Path
@@ -594,5 +594,6 @@ def read_table(path: Path, options: TextOptions | None = None) -> TextTable:
     for i, cell in enumerate(below[: len(headings)]):
         if units[i] is None and cell:
             units[i] = written_unit(cell.strip("[]() "))
-    is_cut = len(rows) > 1 and not text.endswith("\n") and rows[-1] == lines[-1]
+    is_open = len(rows) > 1 and not text.endswith("\n") and rows[-1] == lines[-1]
+    is_cut = is_open and len(split_cells(rows[-1].text, layout.delimiter)) >= len(headings)  # fewer cells are an error
     return TextTable(path, layout, tuple(headings), tuple(units), rows, is_cut)
