@@ -5,12 +5,13 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+import scipy
 from random_loops import KINDS, random_problem
 from scipy.optimize import differential_evolution
 
 import gbid
 from benchmarks.known_loops import delayed_pd, integrators, two_masses
-from gbid.control import GainStatus
+from gbid.control import GainStatus, MaxDamping, PeakSensitivity, controller_at
 
 
 @pytest.mark.parametrize("order", [6, 10])
@@ -114,3 +115,32 @@ def test_limits_on_responses_need_the_responses() -> None:
     two = ca.Function("A", [g], [ca.blockcat([[0, 1], [-1, -g]]), ca.DM([0, 1])])
     with pytest.raises(gbid.core.errors.UsageError, match="it must give A, or A, B, C, D"):
         gbid.maximise_damping(two, ["g"], 0, 1)
+
+
+def free_rotor(flexible: bool) -> gbid.LinearModel:
+    """Free rotor of mass 1, with a flexible mode at 20 rad/s whose node lies between actuator and sensor."""
+    A, B, C = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+    if flexible:
+        mode = np.array([[0.0, 1.0], [-400.0, -0.8]])
+        A, B, C = scipy.linalg.block_diag(A, mode), np.vstack([B, B]), np.array([[1.0, 0.0, -0.5, 0.0]])
+    return gbid.LinearModel(A, B, C, np.zeros((1, 1)))
+
+
+@pytest.mark.parametrize("flexible", [False, True])
+@pytest.mark.parametrize("limits", [[], [PeakSensitivity(2.5)]])
+def test_a_free_rotor_is_stabilised(flexible: bool, limits: list[PeakSensitivity]) -> None:
+    """Its double pole at zero has no finite response, and is no stable start: 23 % of the box stabilises it."""
+    plant, structure = free_rotor(flexible), gbid.controller_structure("PD", axes=("",))
+    result = gbid.tune(plant, structure, goals=[MaxDamping(), *limits])
+    assert result.status is GainStatus.OPTIMAL
+    K = controller_at(structure, result.gains, 0, 0)
+    loop = np.block([[plant.A + plant.B @ K.D @ plant.C, plant.B @ K.C], [K.B @ plant.C, K.A]])
+    assert (np.linalg.eigvals(loop).real < 0).all()
+
+
+def test_a_pole_at_zero_is_no_stable_loop() -> None:
+    """No gain of P moves both poles of 1/s^2 to the left; the summary says so, and names the mode."""
+    result = gbid.tune(free_rotor(False), gbid.controller_structure("P", axes=("",)))
+    assert result.status is GainStatus.NO_STABILISING_GAINS
+    assert not result.success
+    assert result.worst.damping <= 0

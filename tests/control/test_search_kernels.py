@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 import gbid
 from benchmarks.known_loops import integrators
+from gbid.control.tuning.local import quadratic_programme
 from gbid.control.tuning.plane import Eigensystem, eigenvalues
 
 _KERNELS = tuple(f"gbid.control.tuning.{name}" for name in ("plane.kernels", "peaks.kernels"))
@@ -66,3 +68,17 @@ def test_a_design_without_kernels_is_the_same(without_kernels: Callable[[], None
     assert plain.status == fast.status
     assert plain.value == pytest.approx(fast.value, rel=1e-6)
     assert integrators(3).tune(starts=1).value == pytest.approx(1.0, rel=2e-3)
+
+
+def test_threads_design_as_one_does() -> None:
+    """Each thread has quadratic programmes of its own; with common arrays they crashed, or gave other gains."""
+    model = gbid.load_model("theisen2016")
+
+    def gains(bar: int) -> dict[str, float]:
+        return dict(gbid.tune(model, operating_points=[(bar, 0)], peak_sensitivity=2.2).gains)
+
+    bars = [3, 6]
+    with ThreadPoolExecutor(len(bars)) as threads:
+        assert list(threads.map(gains, bars)) == [gains(bar) for bar in bars]
+    with ThreadPoolExecutor(1) as other:
+        assert other.submit(quadratic_programme, 3, 2).result() is not quadratic_programme(3, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -71,10 +72,19 @@ class QuadraticProgramme:
         return (x, rows) if ended["success"] and np.isfinite(x).all() else None
 
 
-@lru_cache(maxsize=64)
+class _Solvers(threading.local):
+    """Solvers of one thread: each has arrays of its own, which two threads must not share."""
+
+    def __init__(self) -> None:
+        self.of_size = lru_cache(maxsize=64)(QuadraticProgramme)
+
+
+_SOLVERS = _Solvers()
+
+
 def quadratic_programme(n: int, m: int) -> QuadraticProgramme:
-    """Return the solver for n variables and m rows."""
-    return QuadraticProgramme(n, m)
+    """Return this thread's solver for n variables and m rows."""
+    return _SOLVERS.of_size(n, m)
 
 
 # ---- Step of the gains along the ridges between the functions near the worst one, by a quadratic programme.

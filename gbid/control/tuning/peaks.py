@@ -23,6 +23,8 @@ _ROUNDING = 1e-12
 """Relative rise of a peak that counts as rounding; its place then stays, as that of a flat one at zero frequency."""
 _AXIS = -1e-100
 """Rate of a pole on the imaginary axis, at whose frequency a response would be infinite."""
+HIGHEST = 1e100
+"""Height that stands for an infinite peak, so that designs with one can be compared."""
 _STEPS = np.linspace(0.0, 1.0, 9)
 _NEAR = 0.9
 """Share of a gain that matters which a grid point near a peak of that gain reaches."""
@@ -108,7 +110,7 @@ class ModalResponse:
         except np.linalg.LinAlgError:  # a pole on one of the frequencies
             return np.full(len(loops), np.inf)
         off = np.abs(self._of_modes(frequency, loops) - exact).max(axis=(1, 2, 3))
-        return np.asarray(off / np.abs(exact).max(axis=(1, 2, 3)))
+        return np.asarray(off / np.maximum(np.abs(exact).max(axis=(1, 2, 3)), 1e-300))
 
     def _form(self, loop: int) -> SchurResponse:
         """Return the Schur form of a loop with its inputs and outputs."""
@@ -119,6 +121,7 @@ class ModalResponse:
             self._forms[loop] = schur.form, schur.basis.conj().T @ B, C @ schur.basis
         return self._forms[loop]
 
+    @np.errstate(divide="ignore", invalid="ignore", over="ignore")  # the response at a pole is not finite
     def _without_modes(self, loop: int, frequency: FloatArray) -> ComplexArray:
         """Return the responses of one loop (k, f, n_y, n_d), from its Schur form by substitution at all frequencies."""
         form, B, C = self._form(loop)
@@ -140,7 +143,7 @@ def direct_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
 
 def _largest(responses: ComplexArray, _: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency."""
-    return largest_singular_values(responses)
+    return np.minimum(largest_singular_values(responses), HIGHEST)
 
 
 def find_peaks(
@@ -283,10 +286,12 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
     except np.linalg.LinAlgError:  # a pole on one of the frequencies
         system += 1e-9 * max(float(np.abs(system).max()), 1e-9) * np.eye(n)
         RB = np.linalg.solve(system, B)
-    U, values, Vh = np.linalg.svd(C @ RB + D)
+    response = C @ RB + D
+    finite = np.isfinite(response).all(axis=(1, 2))  # of an infinite peak there is no gradient
+    U, values, Vh = np.linalg.svd(np.where(finite[:, None, None], response, 0.0))
     u, v = U[:, :, 0].conj(), Vh[:, 0].conj()
     RBv = (RB @ v[:, :, None])[:, :, 0]
     uCR = np.asarray(np.linalg.solve(system.transpose(0, 2, 1), (u[:, None] @ C).transpose(0, 2, 1))[:, :, 0], complex)
     dS = bilinear(u, loops.dD[i][:, :, rows], v) + bilinear(u, loops.dC[i][:, :, rows], RBv)
     dS = dS + bilinear(uCR, loops.dB[i], v) + bilinear(uCR, loops.dA[i], RBv)
-    return dS.real, values[:, 0]
+    return np.where(finite[:, None], dS.real, np.nan), values[:, 0]

@@ -17,7 +17,7 @@ import numpy as np
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.tuning.kernels import IntArray
 from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
-from gbid.control.tuning.peaks import ModalResponse, Peaks, find_peaks, peak_slopes
+from gbid.control.tuning.peaks import HIGHEST, ModalResponse, Peaks, find_peaks, peak_slopes
 from gbid.control.tuning.plane import (
     Cluster,
     Eigensystem,
@@ -220,6 +220,10 @@ class ActiveFunctions:
     states: tuple[LoopState, ...] = ()
 
 
+FEASIBLE = 1e-6
+"""Largest relative violation of a limit that is tolerated."""
+STABLE = 1e-8
+"""Slowest decay of a stable loop in typical rates: poles at zero are computed with an error below it."""
 PENALTY = 10.0
 """Weight of the largest violation of a limit beside the objective."""
 
@@ -331,8 +335,8 @@ class GainProblem:
 
     @property
     def slowest(self) -> float:
-        """Rate that every eigenvalue must exceed [1/s]; slightly above zero, so that limit cases are stable."""
-        return max(self.limits.slowest_pole, 1e-7 * self.scale)
+        """Rate that every eigenvalue must exceed [1/s], so that a tolerated violation leaves a stable loop."""
+        return max(self.limits.slowest_pole, (STABLE + FEASIBLE) * self.scale)
 
     def score(self, x: FloatArray, worst: float = -np.inf, some: Sequence[IntArray] | None = None) -> Score:
         """Return the score of one design, without its peaks when its objective is below `worst`.
@@ -380,8 +384,12 @@ class GainProblem:
 
     def stable(self, x: FloatArray) -> bool:
         """Return whether all loops are stable."""
-        # NaN is not below zero
-        return all(bool((eigenvalues(family.states(x)).real < 0).all()) for family in self.families)
+        return all(bool(self.decays(family, eigenvalues(family.states(x))).all()) for family in self.families)
+
+    def decays(self, family: LoopFamily, values: ComplexArray) -> BoolArray:
+        """Return which eigenvalues of a family, of any shape, count as stable; those that are not finite do not."""
+        # half of the tolerance is for rounding: a design at the limit is computed again by another method
+        return true_rates(values, family.sample_time).real < -(STABLE / 2) * self.scale
 
     def aim(self, rates: ComplexArray, sample_time: float | None = None) -> FloatArray:
         """Return the objective of each mode from its rate: damping factor, or decay in units of the scale."""
@@ -540,7 +548,7 @@ class GainProblem:
         """Return the gradients (k, d) of functions of some loops: of the eigenvalue, or the peak, next to a place."""
         if kind in _RESPONSES:
             slopes, heights = peak_slopes(near, rows_of(self.families[f], kind), Peaks(loops, places.imag, places.imag))
-            return slopes / heights[:, None]
+            return slopes / np.where(heights > 0, heights, np.nan)[:, None]
         nearest = np.abs(system.values[loops] - places[:, None]).argmin(axis=1)
         slopes_of_values = system.slopes(loops, nearest, near.dA)
         return self._of_values(kind, f, system.values[loops, nearest], slopes_of_values)[1]
@@ -599,7 +607,8 @@ class GainProblem:
         if self.limits.static_amplification is not None:
             rest = np.zeros((len(loops.A), 1))
             response = ModalResponse(loops, system, rows_of(family, "static"))(rest)
-            peaks = Peaks(np.arange(len(rest)), rest[:, 0], largest_singular_values(response)[:, 0])
+            heights = np.minimum(largest_singular_values(response)[:, 0], HIGHEST)
+            peaks = Peaks(np.arange(len(rest)), rest[:, 0], heights)
             found.append(("static", peaks, self.limits.static_amplification))
         return found
 

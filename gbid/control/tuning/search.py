@@ -13,15 +13,12 @@ from gbid.control.tuning.kernels import IntArray
 from gbid.control.tuning.local import LocalOptimum, ascend, optimise_locally
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import eigenvalues, true_rates
-from gbid.control.tuning.problem import PENALTY, GainProblem, Limits, Score, SearchStep, merit
+from gbid.control.tuning.problem import FEASIBLE, PENALTY, GainProblem, Limits, Score, SearchStep, merit
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Count, CountOrZero, check_options
 
 # ---- Order of designs: first by their limits, then by the objective.
-
-FEASIBLE = 1e-6
-"""Largest relative violation of a limit that is tolerated."""
 
 
 def better(one: Score, other: Score) -> bool:

@@ -91,7 +91,7 @@ def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
         best = optimise_locally(problem, solution.best.x, max_iterations=200, radius=0.02)
         solution = replace(solution, problem=problem, best=best).noted("cut", task.progress)
     problem, best = solution.problem, _certified(solution.problem, solution.best)
-    if problem.uses_responses and not problem.stable(best.x):
+    if not problem.stable(best.x):
         best = _stable_instead(problem, best, task)
     return replace(solution, best=best).noted("certificate", task.progress)
 
@@ -99,7 +99,8 @@ def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
 def _stable_instead(problem: GainProblem, unstable: LocalOptimum, task: SearchTask) -> LocalOptimum:
     """Return a stable design in place of an unstable one, where there are stable ones.
 
-    The response of an unstable loop can exceed limits that nothing keeps by less than those of the stable ones.
+    The response of an unstable loop can exceed limits that nothing keeps by less than those of the stable ones, and a
+    pole that hardly grows costs less merit than the last of the damping is worth.
     """
     plain = replace(problem, limits=Limits("decay"), cuts=(), linear=())
     safe = search(plain, replace(task, first=(unstable.x,), progress=None)).best.x
