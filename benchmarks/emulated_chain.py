@@ -154,7 +154,7 @@ def main() -> int:
         ("scheduled biquad", scheduled(biquad)),
     ):
         gains = {p.name: half[p.name.split("_")[0]] * (p.name[-1] in "1xy" or 0.1) for p in structure.parameters}
-        design = ControllerDesign("chain", structure, gains)
+        design = ControllerDesign("chain", structure, gains, sample_time=2e-4)
         chain = chain_of(design, options=ChainOptions(number="float"))
         run = run_emulated(chain, selftest_rows(chain))
         rate = f"{run.largest_rate_hz / 1e3:.0f} kHz"

@@ -125,7 +125,6 @@ def _transfer_function(given: Mapping[str, Sequence[float]], what: str) -> Linea
 
 SURFACES = {"lpv": "", "lpv_direct": "_direct"}
 """Words for the surfaces of an experiment, and the suffixes of their files."""
-_SAMPLE_TIME_S = 2e-4
 
 
 def controller_section(experiment: Experiment, name: str) -> ControllerSection:
@@ -253,8 +252,11 @@ def sample_time(experiment: Experiment, section: ControllerSection) -> float:
 
 def rig_time(experiment: Experiment) -> float:
     """Return the sample time of controllers that state none: that of the rig [s]."""
-    rig = experiment.spec.rig
-    return rig.sample_time_s if rig is not None else _SAMPLE_TIME_S
+    if experiment.spec.rig is None:
+        raise UsageError(
+            "sample_time_s: no rig says the sample time of the target; give it in seconds", "sample_time_s"
+        )
+    return experiment.spec.rig.sample_time_s
 
 
 def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> PublishedMachine | None:

@@ -16,7 +16,7 @@ from annotated_types import Ge, Le
 from scipy.linalg import solve_discrete_are
 
 from gbid._version import __version__
-from gbid.control import ControllerDesign, Scheduled
+from gbid.control import ControllerDesign, GainResult, Scheduled
 from gbid.control.controllers.file import Point
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.brief import Brief
@@ -530,7 +530,7 @@ _ON_THE_CIRCLE = 1.0 + 1e-9
 
 
 def chain_of(
-    design: ControllerDesign,
+    design: ControllerDesign | GainResult,
     *,
     name: str | None = None,
     runout_maps: Sequence[RunoutMap] = (),
@@ -541,8 +541,9 @@ def chain_of(
 
     Parameters
     ----------
-    design : ControllerDesign
-        The controller; any fixed structure with two inputs and two outputs, scheduled or not.
+    design : ControllerDesign or GainResult
+        The controller; any fixed structure with two inputs and two outputs, scheduled or not. A result of `gbid.tune`
+        must be that of a sampled loop, whose sample time the chain has.
     name : str, optional
         Prefix of all names in C; by default that of the design.
     runout_maps : sequence of RunoutMap
@@ -565,6 +566,8 @@ def chain_of(
     DataError
         When the zero of the angle of a recording is not that of the map.
     """
+    if isinstance(design, GainResult):
+        design = design.design()
     name = c_name(name or design.name)
     options = options or ChainOptions()
     models, table = _controller_table(design)

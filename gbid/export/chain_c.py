@@ -21,6 +21,8 @@ from gbid.core.names import given_path
 from gbid.export.chain import Chain, c_comment, c_number, inverse_widths
 from gbid.export.chain_python import (
     FLOAT_TOLERANCE,
+    LARGEST_ANGLE,
+    WHOLE_TURN,
     ChainFault,
     ChainInput,
     ChainMode,
@@ -95,6 +97,7 @@ def _values(chain: Chain) -> dict[str, Any]:
         "schedules": [(name, table) for name, table in scheduled if table is not None and table.is_scheduled],
         "bins": bins,
         "turn": TURN,
+        "angle": {"per_turn": 1 / TURN, "turn": WHOLE_TURN, "largest": LARGEST_ANGLE},
         "bounds": chain.point_bounds,
         "steps": chain.point_steps,
         "uses_angle_sums": chain.n_orders > 0,

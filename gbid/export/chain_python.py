@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum, IntFlag
-from math import nan
+from math import floor, nan
 
 import numpy as np
 
 from gbid.export.chain import Chain, SumTerm
 from gbid.prefilter import OnlinePrefilter
+from gbid.prefilter.runout import QUARTER, TURN
 
+LARGEST_ANGLE = 1e10
+"""Angles of larger magnitude are faulty [rad]: 184 days of an encoder that counts up at 6 000 rpm."""
+WHOLE_TURN = (4 * QUARTER[0], 4 * QUARTER[1])
+"""A turn as a sum of two parts, as C subtracts it."""
 LARGEST = 1e6
 """Numbers beyond this magnitude are taken for faulty, as those that are not finite."""
 LONGEST_SPIKE = 3
@@ -146,9 +151,10 @@ class PythonChain:
             The sample.
         """
         chain, state, options = self._chain, self._state, self._chain.options
-        values = [*given.position, given.angle, given.pressure_bar, given.speed_rpm]
-        good = all(-LARGEST < v < LARGEST for v in values)
+        values = [*given.position, given.pressure_bar, given.speed_rpm]
+        good = all(-LARGEST < v < LARGEST for v in values) and -LARGEST_ANGLE < given.angle < LARGEST_ANGLE
         if good:
+            given = replace(given, angle=within_turn(given.angle))
             self._follow_point(given)
             self._filter(given)
         self._watch(given, good)
@@ -259,6 +265,14 @@ class PythonChain:
         return state.fade
 
 
+def within_turn(angle: float) -> float:
+    """Return a shaft angle within one turn [rad], by the operations of the C source."""
+    if 0.0 <= angle < TURN:
+        return angle
+    whole = float(floor(angle * (1 / TURN)))
+    return (angle - whole * WHOLE_TURN[0]) - whole * WHOLE_TURN[1]
+
+
 def _sum(terms: Sequence[SumTerm], row: Sequence[float], kinds: dict[str, list[float]]) -> float:
     """Return a sum of products, added one by one in their order."""
     if not terms:
@@ -303,13 +317,15 @@ class _Drive:
     repeat: int = 1
     faulty: bool = False
     dither: float = 1e-8
+    turns: int = 0
 
 
 def selftest_rows(chain: Chain, seed: int = 1) -> tuple[SelfTestRow, ...]:
     """Return the rows of the self-test.
 
-    They start the chain, fade the control in, move the disc at random while pressure and speed change, show it a spike,
-    a number that is none, a saturating position, a disc beyond the limit, a stuck sensor and the end of the control.
+    They start the chain, fade the control in, move the disc at random while pressure and speed change and the angle
+    counts many turns, show it a spike, a number that is none, a saturating position, a disc beyond the limit, a stuck
+    sensor and the end of the control.
 
     Parameters
     ----------
@@ -328,7 +344,7 @@ def selftest_rows(chain: Chain, seed: int = 1) -> tuple[SelfTestRow, ...]:
     bounds = chain.point_bounds
     for drive in _drives(chain, random):
         point = [float(random.uniform(*bound)) for bound in bounds]
-        angle = float(random.uniform(-1.0, 4.0))
+        angle = float(random.uniform(-1.0, 4.0)) + drive.turns * TURN
         values = (*drive.position, angle, 0.05, *point, drive.dither)
         given = tuple(float(np.float32(v)) if single else v for v in values)
         output = _repeated(twin, given, drive)
@@ -352,7 +368,7 @@ def _drives(chain: Chain, random: np.random.Generator) -> list[_Drive]:
         return _Drive((float(zero[0] + x), float(zero[1] + y)), **further)  # type: ignore[arg-type]  # fields of _Drive
 
     moves = 0.25 * options.disc_limit_m * np.cumsum(random.normal(size=(40, 2)) * 0.15, axis=0)
-    moving = [at(*move) for move in moves]
+    moving = [at(*move, turns=(0, 0, 10, -3, 500_000)[k // 5 % 5]) for k, move in enumerate(moves)]
     edge = 0.6 * options.disc_limit_m
     return [
         at(0, 0, mode=ChainMode.OFFSET, repeat=chain.ramp_samples + 5),

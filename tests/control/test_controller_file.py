@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ from typer.testing import CliRunner
 
 import gbid
 from gbid.cli.main import app
-from gbid.control import BiquadStructure, PStructure, controller_model, sample_controller, scheduled
+from gbid.control import BiquadStructure, GainStatus, PStructure, controller_model, sample_controller, scheduled
 from gbid.core.errors import UsageError
+from gbid.export.chain import chain_of
 
 GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}
 BIQUAD = dict(
@@ -59,8 +61,8 @@ def test_scheduled_round_trip(tmp_path: Path) -> None:
     gains = {p.name: 0.1 * i for i, p in enumerate(structure.parameters)}
     path = tmp_path / "scheduled.yaml"
     with pytest.raises(UsageError, match="give the operating points="):
-        gbid.save_controller(path, structure, gains)
-    gbid.save_controller(path, structure, gains, points=[(3, 0), (6, 2050)])
+        gbid.save_controller(path, structure, gains, sample_time=2e-4)
+    gbid.save_controller(path, structure, gains, points=[(3, 0), (6, 2050)], sample_time=2e-4)
     design = gbid.load_controller(path)
     assert design.structure == structure
     assert list(design.models) == [(3.0, 0.0), (6.0, 2050.0)]
@@ -72,7 +74,7 @@ def test_scheduled_round_trip(tmp_path: Path) -> None:
 def test_structure_of_ones_own(tmp_path: Path) -> None:
     gains = {"low": 1.25, "high": -0.5}
     path = tmp_path / "lead.yaml"
-    gbid.save_controller(path, own(), gains)
+    gbid.save_controller(path, own(), gains, sample_time=2e-4)
     expected = controller_model(own(), gains)
     bare, whole = gbid.load_controller(path), gbid.load_controller(path, own())
     assert bare.structure is None
@@ -83,11 +85,11 @@ def test_structure_of_ones_own(tmp_path: Path) -> None:
 
 def test_bad_files(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
-    gbid.save_controller(path, "P", GAINS)
+    gbid.save_controller(path, "P", GAINS, sample_time=2e-4)
     text = path.read_text().split("\n", 1)[1]  # without its checksum, as in a file of gbid 0.1
     with pytest.raises(UsageError, match="exists"):
-        gbid.save_controller(path, "P", GAINS)
-    gbid.save_controller(path, "P", GAINS, overwrite=True)
+        gbid.save_controller(path, "P", GAINS, sample_time=2e-4)
+    gbid.save_controller(path, "P", GAINS, overwrite=True, sample_time=2e-4)
     line = text.splitlines().index("  kappa_x:") + 2
     for old, new, message in (
         ("value: 1.125", "value: 1.2", r"continuous C is not what the gains and the sampling give"),
@@ -105,9 +107,9 @@ def test_bad_files(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no such file"):
         gbid.load_controller(tmp_path / "none.yaml")
     with pytest.raises(UsageError, match=r"ends in \.yaml"):
-        gbid.save_controller(tmp_path / "p.h5", "P", GAINS)
+        gbid.save_controller(tmp_path / "p.h5", "P", GAINS, sample_time=2e-4)
     with pytest.raises(UsageError, match="leave points= out"):
-        gbid.save_controller(tmp_path / "q.yaml", "P", GAINS, points=[(6, 0)])
+        gbid.save_controller(tmp_path / "q.yaml", "P", GAINS, points=[(6, 0)], sample_time=2e-4)
     path.write_text(text)
     with pytest.raises(UsageError, match="leave structure= out"):
         gbid.load_controller(path, own())
@@ -115,7 +117,7 @@ def test_bad_files(tmp_path: Path) -> None:
 
 def test_gains_changed_by_hand(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
-    gbid.save_controller(path, "P", GAINS)
+    gbid.save_controller(path, "P", GAINS, sample_time=2e-4)
     assert gbid.load_controller(path).notes == ()
     path.write_bytes(path.read_bytes().replace(b"value: 1.125", b"value: 1.2").replace(b"\n", b"\r\n"))
     design = gbid.load_controller(path)
@@ -127,7 +129,34 @@ def test_gains_changed_by_hand(tmp_path: Path) -> None:
     assert "continuous C is not what the gains" in design.notes[1]
     ran = CliRunner().invoke(app, ["export", str(path), "--to", "c", "--output", str(tmp_path)])
     assert "gbid: note: " in ran.stderr
-    gbid.save_controller(path, own(), {"low": 1.25, "high": -0.5}, overwrite=True)
+    gbid.save_controller(path, own(), {"low": 1.25, "high": -0.5}, overwrite=True, sample_time=2e-4)
     path.write_text(path.read_text().replace("1.25", "1.26", 1))
     assert "matrices are used as they are stored" in gbid.load_controller(path).notes[0]
     assert gbid.load_controller(path, own()).models[None].D[0, 0] != gbid.load_controller(path).models[None].D[0, 0]
+
+
+def test_a_tuned_design_is_saved_for_the_target_it_was_designed_for(tmp_path: Path) -> None:
+    """Structure and gains alone say no sample time: 0.4 ms became 0.2 ms, and the machine ran at it."""
+    model = gbid.load_model("theisen2016")
+    options = {"operating_points": [(6, 0)], "sample_time": 4e-4, "computation_s": 0.0}
+    tuned = gbid.tune(model, **options)
+    path = tmp_path / "tuned.yaml"
+    for forgotten in (lambda: gbid.save_controller(path, tuned.controller, tuned.gains), lambda: ended(tuned)):
+        with pytest.raises(UsageError):
+            forgotten()
+    with pytest.raises(UsageError, match=r"designed for sample_time = 0\.0004"):
+        gbid.save_controller(path, tuned, sample_time=2e-4)
+    saved = gbid.save_controller(path, tuned)
+    assert (saved.sample_time, saved.gains, saved.structure) == (4e-4, dict(tuned.gains), tuned.controller)
+    assert saved.provenance["status"] == "optimal"
+    assert gbid.load_controller(path).sample_time == 4e-4
+    assert chain_of(tuned, name="damper").sample_time == 4e-4
+    continuous = gbid.tune(model, operating_points=[(6, 0)])
+    with pytest.raises(UsageError, match="give sample_time"):
+        gbid.save_controller(tmp_path / "c.yaml", continuous)
+    assert gbid.save_controller(tmp_path / "c.yaml", continuous, sample_time=5e-4).sample_time == 5e-4
+
+
+def ended(result: gbid.GainResult) -> object:
+    """Save the result of a search that found nothing stable."""
+    return replace(result, status=GainStatus.NO_STABILISING_GAINS).design()

@@ -218,7 +218,9 @@ def test_verb_makes_tables_and_files(tmp_path, capsys) -> None:
 
 
 def test_controller_of_a_file_runs(tmp_path, capsys) -> None:
-    save_controller(tmp_path / "mine.yaml", controller_structure("P"), {"kappa_x": 0.5, "kappa_y": 0.4})
+    save_controller(
+        tmp_path / "mine.yaml", controller_structure("P"), {"kappa_x": 0.5, "kappa_y": 0.4}, sample_time=2e-4
+    )
     path = write_quick(tmp_path, ("paper", "mine.yaml"), ("  repeats", "  loops: [closed]\n  repeats"), text=YAML)
     assert command("impact", path, "--json") == 0
     document = json.loads(capsys.readouterr().out)["impacts"][0]
@@ -270,10 +272,10 @@ def save_beside(folder) -> None:
     """Save a biquad, and a P controller whose gains follow the pressure."""
     soft = {"b0": 0.9, "b1": -0.5, "b2": -1.0, "frequency": 0.5, "damping": 0.7}
     gains = {f"{name}_{axis}": value for name, value in soft.items() for axis in "xy"}
-    save_controller(folder / "soft.yaml", controller_structure("biquad"), gains)
+    save_controller(folder / "soft.yaml", controller_structure("biquad"), gains, sample_time=2e-4)
     follows = scheduled(controller_structure("P"), ("1", "P"), MODEL.domain)
     rising = {q.name: 0.5 if q.name.endswith("_1") else 0.1 for q in follows.parameters}
-    save_controller(folder / "follows.yaml", follows, rising, points=[POINT])
+    save_controller(folder / "follows.yaml", follows, rising, points=[POINT], sample_time=2e-4)
 
 
 def test_further_loops_run_sampled_on_the_rig(tmp_path, capsys) -> None:

@@ -145,13 +145,18 @@ def designs(folder: Path):
         structure = controller_structure(name)
         gains[name] = {p.name: p.start if p.start is not None else 0.5 for p in structure.parameters}
     for name, values in gains.items():
-        yield name, gbid.save_controller(folder / f"{name}.yaml", name, values, name=name, overwrite=True)
+        yield (
+            name,
+            gbid.save_controller(folder / f"{name}.yaml", name, values, name=name, overwrite=True, sample_time=2e-4),
+        )
     structure = scheduled(controller_structure("P"), ("1", "P", "Omega"), domain)
     values = {p.name: (0.9 if p.name.endswith("_1") else 0.15) for p in structure.parameters}
     points = [(6.0, 0.0)]
     yield (
         "scheduled",
-        gbid.save_controller(folder / "s.yaml", structure, values, name="s", points=points, overwrite=True),
+        gbid.save_controller(
+            folder / "s.yaml", structure, values, name="s", points=points, overwrite=True, sample_time=2e-4
+        ),
     )
 
 
@@ -173,7 +178,9 @@ def scheduled_over(folder, pressure_bar):
     structure = scheduled(controller_structure("P"), ("1", "P"), Domain(pressure_bar, (0.0, 6000.0)))
     values = {p.name: 0.5 if p.name.endswith("_1") else 0.1 for p in structure.parameters}
     point = [(pressure_bar[0], 0.0)]
-    return gbid.save_controller(folder / "over.yaml", structure, values, name="over", points=point, overwrite=True)
+    return gbid.save_controller(
+        folder / "over.yaml", structure, values, name="over", points=point, overwrite=True, sample_time=2e-4
+    )
 
 
 def test_a_schedule_narrows_the_domain_of_the_loop(folder):
@@ -187,7 +194,9 @@ def test_a_schedule_narrows_the_domain_of_the_loop(folder):
 
 
 def test_references_are_held_within_their_limit(folder):
-    design = gbid.save_controller(folder / "lim.yaml", "P", {"kappa_x": 1.1, "kappa_y": 1.0}, overwrite=True)
+    design = gbid.save_controller(
+        folder / "lim.yaml", "P", {"kappa_x": 1.1, "kappa_y": 1.0}, overwrite=True, sample_time=2e-4
+    )
     path = save_fmu(MODEL, folder / "limited.fmu", controller=design, limit_m=5e-6)
     w = held(9, 20e-6)
     found = simulate(path, {"w_x": w[:, 0], "w_y": w[:, 1]}, outputs=("r_x", "r_y"))
@@ -328,9 +337,13 @@ def test_the_command_line_writes_plants_and_loops(tmp_path, capsys):
     assert path.name == "theisen2016.fmu"
     assert validate_fmu(str(path)) == []
     design = tmp_path / "damper.yaml"
-    gbid.save_controller(design, "P", {"kappa_x": 1.0, "kappa_y": 0.9}, name="damper", plant="theisen2016")
+    gbid.save_controller(
+        design, "P", {"kappa_x": 1.0, "kappa_y": 0.9}, name="damper", plant="theisen2016", sample_time=2e-4
+    )
     assert run("export", design, "--to", "fmu", "--output", tmp_path) == 0
     assert Path(capsys.readouterr().out.strip()).name == "controller_damper_loop.fmu"
-    gbid.save_controller(design, "P", {"kappa_x": 1.0, "kappa_y": 0.9}, plant="no such", overwrite=True)
+    gbid.save_controller(
+        design, "P", {"kappa_x": 1.0, "kappa_y": 0.9}, plant="no such", overwrite=True, sample_time=2e-4
+    )
     assert run("export", design, "--to", "fmu", "--output", tmp_path) == 2
     assert "the plant 'no such' of controller" in capsys.readouterr().err

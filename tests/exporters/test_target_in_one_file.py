@@ -32,7 +32,7 @@ def test_a_new_target_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_controller_file_is_exported(to: str, tmp_path: Path, capsys) -> None:
     gains = {"kappa_x": 0.9, "kappa_y": 0.8}
     path = tmp_path / "damper.yaml"
-    design = gbid.save_controller(path, "P", gains, name="damper")
+    design = gbid.save_controller(path, "P", gains, name="damper", sample_time=2e-4)
     files = [Path(name) for name in json_of(capsys, "export", path, "--to", to, "--output", tmp_path / to)["files"]]
     assert all(file.is_file() and file.name.startswith("controller_damper") for file in files)
     if to == "matlab":
@@ -45,7 +45,7 @@ def test_a_scheduled_controller_is_exported_at_its_points_or_at_one(tmp_path: Pa
     structure = scheduled(controller_structure("P"))
     gains = {p.name: 0.5 if p.name.endswith("_1") else 0.1 for p in structure.parameters}
     path = tmp_path / "damper.yaml"
-    gbid.save_controller(path, structure, gains, name="damper", points=[(4, 0), (6.5, 3000)])
+    gbid.save_controller(path, structure, gains, name="damper", points=[(4, 0), (6.5, 3000)], sample_time=2e-4)
     names = {Path(line).name for line in printed_by(capsys, "export", path, "--output", tmp_path / "all").out.split()}
     assert {"controller_damper_p4_n0.mat", "controller_damper_p6_5_n3000.mat"} <= names
     assert run("export", path, "--at", 5, 1000, "--output", tmp_path / "one") == 0

@@ -16,7 +16,7 @@ MODEL = load_model("theisen2016")
 
 
 def controller(folder):
-    gbid.save_controller(folder / "p.yaml", "P", {"kappa_x": 1.125, "kappa_y": 0.99})
+    gbid.save_controller(folder / "p.yaml", "P", {"kappa_x": 1.125, "kappa_y": 0.99}, sample_time=2e-4)
     return [folder / "p.yaml"]
 
 

@@ -197,6 +197,7 @@ def test_the_gain_of_a_fast_filter_keeps_it_stable() -> None:
         "zero",
         gbid.controller_structure("biquad"),
         {**BIQUAD, **dict.fromkeys([f"b{i}_{a}" for i in range(3) for a in "xy"], 0.0)},
+        sample_time=2e-4,
     )
     outputs = PythonChain(chain_of(zero, options=ChainOptions(**QUICK))).run(moving(20))
     assert all(y.reference == (0.0, 0.0) for y in outputs)

@@ -86,11 +86,11 @@ def test_controllers_that_cannot_run() -> None:
         np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), input_names=("p",), output_names=("r",)
     )
     with pytest.raises(UsageError, match="1 inputs and 1 outputs; the chain needs"):
-        chain_of(ControllerDesign("one", None, {}, models={None: one}))
+        chain_of(ControllerDesign("one", None, {}, models={None: one}, sample_time=2e-4))
     model = design("P").at()
     points = {(3.0, 0.0): model, (5.0, 0.0): model, (3.0, 6000.0): model}
     with pytest.raises(UsageError, match="no full grid, 5 bar at 6000 rpm is missing"):
-        chain_of(ControllerDesign("three", None, {}, models=points))
+        chain_of(ControllerDesign("three", None, {}, models=points, sample_time=2e-4))
 
 
 @pytest.mark.parametrize("name", ["two words", "9lives", "a-b", "", "int", "x" * 51, "a\nb", "a*/b", "grün"])
@@ -173,7 +173,7 @@ def test_without_a_compiler_the_compiled_chain_says_what_to_do(monkeypatch: pyte
 
 def test_a_controller_file_has_no_map_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "damper.yaml"
-    gbid.save_controller(path, controller_structure("biquad"), BIQUAD, name="damper")
+    gbid.save_controller(path, controller_structure("biquad"), BIQUAD, name="damper", sample_time=2e-4)
     assert run("export", path, "--to", "c", "--output", tmp_path) == 0
     header = (tmp_path / "controller_damper.h").read_text()
     assert "it holds no run-out map. A shaft that turns needs one." in header

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -125,6 +125,10 @@ class PerAxis(ABC):
     axes : tuple of str
         Names of the axes, which end the names of gains, inputs and outputs. ``("",)`` is a controller of one input and
         one output, whose gains have plain names.
+    feedback : {"positive", "negative"}
+        Sign with which the output is added to the input of the plant: ``r = K p`` as in the paper, or ``r = -K p``.
+    gain_unit : str
+        Unit of an output of the controller over that of an input, such as ``"A/m"``.
     """
 
     lowpass_hz: Positive = 1000.0
@@ -135,6 +139,8 @@ class PerAxis(ABC):
     outputs: tuple[str, ...] = OUTPUTS
     intersample: Hold = "foh"
     axes: AxisNames = AXES
+    feedback: Literal["positive", "negative"] = "positive"
+    gain_unit: str = "m/m"
     crossed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -176,7 +182,7 @@ class PerAxis(ABC):
     def parameters(self) -> tuple[Parameter, ...]:
         """Gains of all axes, by kind; the corner frequency is last when it is tuned."""
         gains = [
-            Parameter(name, gain.start, gain.lower, gain.upper, unit=gain.unit)
+            Parameter(name, gain.start, gain.lower, gain.upper, unit=gain.unit.replace("m/m", self.gain_unit))
             for gain in self._axis_gains()
             for name in dict.fromkeys(self._gain_name(gain, to, of) for to in self.axes for of in self.axes)
         ]
@@ -196,10 +202,10 @@ class PerAxis(ABC):
             ]
             A, B = filters[0][:2]  # the filters to all outputs have the same
             columns.append((A, B, ca.vertcat(*(f[2] for f in filters)), ca.vertcat(*(f[3] for f in filters))))
-        join = ca.horzcat if self.crossed else ca.diagcat
+        join, sign = ca.horzcat if self.crossed else ca.diagcat, 1 if self.feedback == "positive" else -1
         return {
-            letter: (ca.diagcat if letter in "AB" else join)(*(column[i] for column in columns))
-            for i, letter in enumerate("ABCD")
+            letter: ca.diagcat(*rows) if letter in "AB" else sign * join(*rows)
+            for letter, rows in zip("ABCD", zip(*columns, strict=True), strict=True)
         }
 
 

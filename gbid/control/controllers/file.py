@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -15,7 +15,6 @@ from gbid._version import __version__
 from gbid.control.controllers.built_in import INPUTS, NOT_OPTIONS, OUTPUTS, built_in_structures
 from gbid.control.controllers.structures import (
     Scheduled,
-    channels_of,
     controller_at,
     controller_structure,
     scheduled,
@@ -33,6 +32,17 @@ from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
 
 Point = tuple[float, float]
+
+
+@runtime_checkable
+class Designed(Protocol):
+    """Result of a search that is a controller for a machine, as `gbid.GainResult` is."""
+
+    def design(
+        self, *, name: str = "", sample_time: float | None = None, method: Method | None = None, plant: str = ""
+    ) -> ControllerDesign:
+        """Return the controller with its sampling."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +81,7 @@ class ControllerDesign(Brief):
     name: str
     structure: Structure | Scheduled | None
     gains: Mapping[str, float]
-    sample_time: float = 2e-4
+    sample_time: float
     method: Method = "tustin"
     units: Mapping[str, str] = field(default_factory=dict)
     plant: str = ""
@@ -131,6 +141,13 @@ class ControllerDesign(Brief):
             As for `at`.
         """
         return sample_controller(self.at(pressure_bar, speed_rpm), self.sample_time, self.method)
+
+
+def required_rate(name: str, sample_time: float | None) -> float:
+    """Return the sample time of a controller [s]; an error where nobody said it."""
+    if sample_time is None:
+        raise UsageError(f"controller {name!r}: give sample_time=, the time between samples of the target in seconds")
+    return sample_time
 
 
 # ---- Schema of a controller file.
@@ -229,12 +246,12 @@ class ControllerFile(FileTable):
 
 def save_controller(
     path: str | Path,
-    structure: Structure | Scheduled | str,
-    gains: Mapping[str, float],
+    controller: Designed | Structure | Scheduled | str,
+    gains: Mapping[str, float] | None = None,
     *,
     name: str = "",
-    sample_time: float = 2e-4,
-    method: Method = "tustin",
+    sample_time: float | None = None,
+    method: Method | None = None,
     plant: str = "",
     points: Sequence[Point] = (),
     provenance: Mapping[str, str | float] | None = None,
@@ -248,20 +265,20 @@ def save_controller(
     ----------
     path : str or path
         The new file, ending in .yaml.
-    structure : Structure, Scheduled or str
-        Structure of the controller; see `controller_structure`.
-    gains : dict of str to float
-        A value for every parameter of the structure.
+    controller : GainResult, Structure, Scheduled or str
+        Result of `gbid.tune`, with its gains and its sampling; or a structure, see `controller_structure`.
+    gains : dict of str to float, optional
+        A value for every parameter of the structure; those of a result are its own.
     name : str
         Name of the design; by default that of the structure.
-    sample_time : float
-        Sample time T_s of the sampled matrices [s].
-    method : {"tustin", "zoh"}
-        Method of discretisation; see `gbid.control.sample_controller`.
+    sample_time : float, optional
+        Sample time T_s of the target [s]; that of a result that was designed for a sampled loop is its own.
+    method : {"tustin", "zoh"}, optional
+        Method of discretisation; see `gbid.control.sample_controller`. By default that of the result, or ``"tustin"``.
     plant : str
         Name of the model for which it was designed.
     points : sequence of (pressure_bar, speed_rpm)
-        Operating points whose matrices are written; required for a scheduled controller.
+        Operating points whose matrices are written; required for a scheduled controller, by default those of a result.
     provenance : dict of str to str or float, optional
         Additional information to store.
     overwrite : bool
@@ -275,16 +292,37 @@ def save_controller(
     Raises
     ------
     UsageError
-        When the file exists and `overwrite` is not set, when it has another ending, when gains do not fit, or when
-        `points` are missing for a scheduled controller or given for another one.
+        When the file exists and `overwrite` is not set, when it has another ending, when gains do not fit, when nobody
+        said the sample time, when a result was designed for another one or is unstable, or when `points` are missing
+        for a scheduled controller or given for another one.
     DataError
         When the file cannot be written.
     """
     path = given_path(path)
     if path.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{path}: a controller file ends in .yaml")
-    if not isinstance(structure, Scheduled):
-        structure = with_schedule(controller_structure(structure))
+    if isinstance(controller, Designed):
+        if gains is not None:
+            raise UsageError("save_controller: gains beside a result, which has its own; give its structure with them")
+        design = controller.design(name=name, sample_time=sample_time, method=method, plant=plant)
+        design = replace(design, provenance={**design.provenance, **(provenance or {})})
+        points = points or [point for point in design.models if point is not None]
+    else:
+        given = controller if isinstance(controller, Scheduled) else with_schedule(controller_structure(controller))
+        if gains is None:
+            raise UsageError(f"controller {given.name!r}: give its gains, or the result of gbid.tune")
+        design = ControllerDesign(
+            name or given.name,
+            given,
+            {key: float(value) for key, value in gains.items()},
+            required_rate(given.name, sample_time),
+            method or "tustin",
+            {parameter.name: parameter.unit for parameter in given.parameters},
+            plant,
+            dict(provenance or {}),
+        )
+    structure = design.structure
+    assert structure is not None
     if isinstance(structure, Scheduled) != bool(points):
         raise UsageError(
             f"controller {structure.name!r}: "
@@ -294,16 +332,6 @@ def save_controller(
                 else "give the operating points= to be written"
             )
         )
-    design = ControllerDesign(
-        name or structure.name,
-        structure,
-        {key: float(value) for key, value in gains.items()},
-        sample_time,
-        method,
-        {parameter.name: parameter.unit for parameter in structure.parameters},
-        plant,
-        dict(provenance or {}),
-    )
     keys: list[Point | None] = [(float(p), float(s)) for p, s in points] or [None]
     design = replace(design, models={key: design.at(*(key or ())) for key in keys})
     with atomic_path(path, overwrite) as part:
@@ -373,7 +401,6 @@ def _from_gains(design: ControllerDesign, differences: Sequence[str]) -> Control
 
 def _contents(design: ControllerDesign, structure: Structure | Scheduled) -> ControllerFile:
     base = structure.base if isinstance(structure, Scheduled) else structure
-    inputs, outputs = channels_of(base)
     built_in = next((kind for kind, cls in built_in_structures().items() if type(base) is cls), None)
     options = {k: v for k, v in vars(base).items() if k not in NOT_OPTIONS} if built_in else None
     return ControllerFile(
@@ -382,8 +409,8 @@ def _contents(design: ControllerDesign, structure: Structure | Scheduled) -> Con
         name=design.name,
         creator=f"gbid {__version__}",
         loop=LOOP,
-        inputs=inputs,
-        outputs=outputs,
+        inputs=next(iter(design.models.values())).input_names,
+        outputs=next(iter(design.models.values())).output_names,
         plant=design.plant,
         structure=StructureTable(built_in or "own", base.name, options),
         schedule=ScheduleTable(structure.terms, **structure.domain.ranges)

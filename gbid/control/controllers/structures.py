@@ -8,7 +8,7 @@ from functools import lru_cache
 from math import isfinite
 from typing import Any, Protocol, runtime_checkable
 
-from gbid.control.controllers.built_in import INPUTS, NOT_OPTIONS, OUTPUTS, PerAxis, PStructure, built_in_structures
+from gbid.control.controllers.built_in import AXES, NOT_OPTIONS, PerAxis, PStructure, built_in_structures
 from gbid.core.arrays import point_label
 from gbid.core.errors import UsageError
 from gbid.lpv import TERMS, Domain, basis
@@ -58,7 +58,7 @@ def controller_structure(kind: str | Structure, **options: Any) -> Structure:
         A built-in structure with one filter per axis, ``"P"``, ``"PD"``, ``"PI"``, ``"PID"``, ``"biquad"``,
         ``"filter"`` (any order), ``"lead-lag"``, ``"notch"``, ``"PPF"``, ``"observer"``, ``"resonant"``; one with
         cross-coupling, ``"full P"``, ``"full PD"``, ``"full biquad"``; or your own: a `gbid.LinearStructure` with its
-        gains as parameters, two inputs and two outputs.
+        gains as parameters, and any number of inputs and outputs.
     **options
         Options of a built-in structure: ``lowpass_hz``, ``order``, ``tune_corner``, ``axes`` and bounds. The table of
         structures is in the documentation (control).
@@ -113,12 +113,12 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
     Returns
     -------
     LinearModel
-        Continuous; inputs p_x, p_y, outputs r_x, r_y [m], or those of other axes.
+        Continuous; inputs and outputs have the names that the structure gives them.
 
     Raises
     ------
     UsageError
-        When a gain is missing, unknown or not finite, or when the structure does not have two inputs and two outputs.
+        When a gain is missing, unknown or not finite.
     """
     names = [parameter.name for parameter in structure.parameters]
     unknown = [name for name in gains if name not in names]
@@ -128,12 +128,17 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
         if name in gains and not isfinite(gains[name]):
             raise UsageError(f"controller {structure.name!r}: {name} = {gains[name]}; give a finite number")
     model_of = _of_built_in(structure) if isinstance(structure, PerAxis) else model_function(structure)
-    return model_of(gains, *channels_of(structure))
+    model = model_of(gains, (), ())
+    (n_r, n_p), (inputs, outputs) = model.D.shape, (structure.inputs, structure.outputs)
+    return replace(model, input_names=_channels(inputs, n_p), output_names=_channels(outputs, n_r))
 
 
-def channels_of(structure: Structure) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of inputs and outputs of a controller: those of its axes, or of x and y for your own."""
-    return (structure.inputs, structure.outputs) if isinstance(structure, PerAxis) else (INPUTS, OUTPUTS)
+def _channels(names: tuple[str, ...], count: int) -> tuple[str, ...]:
+    """Return the names of channels; of one signal with several channels they end with the axis, or with a number."""
+    if len(names) == count:
+        return names
+    ends = AXES if count == len(AXES) else range(1, count + 1)
+    return tuple(f"{names[0] if names else 'channel'}_{end}" for end in ends)
 
 
 # ---- Scheduled gains: polynomials in pressure and speed.

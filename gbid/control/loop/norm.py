@@ -82,8 +82,8 @@ def largest_singular_values(matrices: ComplexArray) -> FloatArray:
     It is infinite for a matrix that is not finite: the response at a pole on the imaginary axis.
     """
     if matrices.shape[-2:] != (2, 2):
-        finite = np.isfinite(matrices).all(axis=(-2, -1))
-        values = np.linalg.svd(np.where(finite[..., None, None], matrices, 0.0), compute_uv=False)[..., 0]
+        finite = np.asarray(np.isfinite(matrices).all(axis=(-2, -1)))
+        values = np.linalg.svd(np.where(finite[..., None, None], matrices, 0.0 + 0.0j), compute_uv=False)[..., 0]
         return np.asarray(np.where(finite, values, inf))
     a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
     squares = (matrices.real**2 + matrices.imag**2).sum(axis=(-2, -1))

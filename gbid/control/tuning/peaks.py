@@ -287,7 +287,7 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
         system += 1e-9 * max(float(np.abs(system).max()), 1e-9) * np.eye(n)
         RB = np.linalg.solve(system, B)
     response = C @ RB + D
-    finite = np.isfinite(response).all(axis=(1, 2))  # of an infinite peak there is no gradient
+    finite = np.asarray(np.isfinite(response).all(axis=(1, 2)))  # of an infinite peak there is no gradient
     U, values, Vh = np.linalg.svd(np.where(finite[:, None, None], response, 0.0))
     u, v = U[:, :, 0].conj(), Vh[:, 0].conj()
     RBv = (RB @ v[:, :, None])[:, :, 0]

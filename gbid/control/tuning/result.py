@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from gbid.control.controllers.file import ControllerDesign, required_rate
+from gbid.control.controllers.structures import Scheduled
+from gbid.control.loop.close import Method
 from gbid.control.loop.norm import largest_singular_values, peak_gain
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import damping_factors, eigenvalues, true_rates
 from gbid.control.tuning.problem import GainProblem, SearchStep, rows_of
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
+from gbid.core.errors import UsageError
 from gbid.core.extras import data_frame
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.structure import LinearModel
@@ -111,6 +115,8 @@ class GainResult(Brief):
     sample_time : float, optional
         Sample time of a design for the sampled loop [s]; value and peaks are of that loop. None for the continuous
         loop.
+    computation_s, method : float and str, optional
+        Computation time [s] and discretisation of a design for the sampled loop.
     history : tuple of SearchStep
         Progress of the search.
     points : tuple of (pressure_bar, speed_rpm)
@@ -150,6 +156,8 @@ class GainResult(Brief):
     certificate_gain: float | None = None
     certificate_radius: float | None = None
     certificate_room: float | None = None
+    computation_s: float | None = None
+    method: Method | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", MappingProxyType(dict(self.gains)))
@@ -158,6 +166,48 @@ class GainResult(Brief):
     def success(self) -> bool:
         """Whether the design is stable and keeps all limits, and the search ended by itself."""
         return self.status in (GainStatus.OPTIMAL, GainStatus.STALLED)
+
+    def design(
+        self, *, name: str = "", sample_time: float | None = None, method: Method | None = None, plant: str = ""
+    ) -> ControllerDesign:
+        """Return the controller of this result, with its structure, gains and sampling.
+
+        Parameters
+        ----------
+        name : str
+            Name of the design; by default that of the structure.
+        sample_time : float, optional
+            Sample time of the target [s], for a continuous design only.
+        method : {"tustin", "zoh"}, optional
+            Method of discretisation, for a continuous design only; by default ``"tustin"``.
+        plant : str
+            Name of the model for which it was designed.
+
+        Raises
+        ------
+        UsageError
+            When the design stabilises nothing, has no structure, or was made for another sample time or method; when
+            a continuous design gets no sample time.
+        """
+        structure = self.controller
+        if self.status is GainStatus.NO_STABILISING_GAINS or structure is None:
+            why = self.status if structure is not None else "a result without its structure"
+            raise UsageError(f"this design is no controller for a machine: {why}")
+        for what, given, own in (("sample_time", sample_time, self.sample_time), ("method", method, self.method)):
+            if given is not None and own is not None and given != own:
+                raise UsageError(f"{structure.name!r} was designed for {what} = {own}, not {given}; leave {what} out")
+        design = ControllerDesign(
+            name or structure.name,
+            structure,
+            dict(self.gains),
+            required_rate(structure.name, self.sample_time if sample_time is None else sample_time),
+            method or self.method or "tustin",
+            {parameter.name: parameter.unit for parameter in structure.parameters},
+            plant,
+            {"status": str(self.status), self.objective: self.value, "verified_on": self.verified_on},
+        )
+        keys = self.points if isinstance(structure, Scheduled) else ()
+        return replace(design, models={key: design.at(*(key or ())) for key in keys or (None,)})
 
     def _brief(self) -> Description:
         known = {

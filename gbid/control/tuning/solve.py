@@ -16,7 +16,7 @@ from gbid.control.tuning.certificate import Certificate, certify
 from gbid.control.tuning.local import LocalOptimum, optimise_locally
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.plants import Plants
-from gbid.control.tuning.problem import Cut, Evaluations, GainProblem, Limits, Objective, SearchStep
+from gbid.control.tuning.problem import FEASIBLE, Cut, Evaluations, GainProblem, Limits, Objective, SearchStep
 from gbid.control.tuning.result import (
     GainResult,
     GainStatus,
@@ -27,7 +27,6 @@ from gbid.control.tuning.result import (
     worst_mode,
 )
 from gbid.control.tuning.search import (
-    FEASIBLE,
     Progress,
     SearchOptions,
     SearchOutcome,

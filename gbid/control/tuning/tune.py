@@ -196,7 +196,7 @@ def tuned(
     used = solution.problem.families[0].points if isinstance(plants, LpvPlants) else None
     points = () if used is None else tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used))
     notes = notes_of(plants, solution, points)
-    more = {"points": points, "controller": structure, "sample_time": options.sample_time}
+    more = {"points": points, "controller": structure, **({} if plants.sampling is None else vars(plants.sampling))}
     return goal_figures(solution, summarise(solution, names, verified, notes, **more))
 
 

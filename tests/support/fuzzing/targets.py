@@ -101,10 +101,12 @@ def flat(value: Any) -> Any:
 def _texts() -> list[FuzzTarget]:
     with tempfile.TemporaryDirectory() as folder:
         places = {name: Path(folder) / f"{name}.yaml" for name in ("p", "biquad", "model", "actuators")}
-        gbid.save_controller(places["p"], "P", {"kappa_x": 1.125, "kappa_y": 0.99}, plant="theisen2016")
+        gbid.save_controller(
+            places["p"], "P", {"kappa_x": 1.125, "kappa_y": 0.99}, plant="theisen2016", sample_time=2e-4
+        )
         structure = gbid.controller_structure("biquad")
         gains = {p.name: 0.1 + 0.07 * i for i, p in enumerate(structure.parameters)}
-        gbid.save_controller(places["biquad"], structure, gains)
+        gbid.save_controller(places["biquad"], structure, gains, sample_time=2e-4)
         save_model(load_model("theisen2016"), places["model"])
         actuators = dict(load_model("theisen2016").actuators)
         write_yaml({"kind": ACTUATORS_KIND, "schema_version": 1, "actuators": actuators}, places["actuators"])
