@@ -28,12 +28,13 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from textwrap import shorten
-from typing import Any
-
-import pytest
+from typing import TYPE_CHECKING, Any
 
 from benchmarks.running import markdown, options_of, store
 from benchmarks.running import stored as stored_run
+
+if TYPE_CHECKING:
+    import pytest
 
 # ---- Small faults that a test should notice: one operator, number, argument or statement of a source file changed.
 
@@ -198,7 +199,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("identify", "lpv", "control", "prefilter", "validate")
 LIBRARIES = (
     *("numpy", "scipy.signal", "scipy.optimize", "scipy.stats"),
-    *("casadi", "h5py", "pydantic", "matplotlib.pyplot"),
+    *("casadi", "h5py", "pydantic", "matplotlib.pyplot", "pytest"),
 )
 """Loaded before the forks; none of them is a plugin of pytest, which would load it itself."""
 NEEDED = ("gbid", "tests", "models", "experiments", "benchmarks", "docs", "pyproject.toml", "Makefile", "README.md")
@@ -220,6 +221,8 @@ def measure(work: Path, jobs: int, packages: Sequence[str]) -> None:
     os.environ["COVERAGE_FILE"] = str(work / ".coverage")
     durations = Durations()
     options = ["--cov=gbid", "--cov-context=test", "--cov-report=", "-q", "-n", str(jobs), "--dist", "worksteal"]
+    import pytest
+
     pytest.main([*options, *(f"tests/{package}" for package in packages)], plugins=[durations])
     for test in [test for test, took in durations.of.items() if took == float("inf")]:
         print(f"left out, because it fails without a mutant: {test}", file=sys.stderr)
@@ -307,6 +310,8 @@ def _run_selected(tree: Path, cpu_s: int) -> None:
     log = os.open(tree / "log.txt", os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
     os.dup2(log, 1)
     os.dup2(log, 2)
+    import pytest  # the pages show stored mutants where pytest is not installed
+
     code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "@selected.txt"])
     os._exit(int(code))
 

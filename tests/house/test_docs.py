@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import re
@@ -109,6 +110,15 @@ def test_equation_labels_are_defined() -> None:
         text = path.read_text(encoding="utf-8")
         defined = set(re.findall(r"^\$\$ *\(([\w-]+)\)", text, re.MULTILINE))
         assert set(re.findall(r"\{eq\}`([\w-]+)`", text)) <= defined, relative(path)
+
+
+def test_benchmarks_need_no_package_of_the_tests_to_show_their_results() -> None:
+    """A fresh clone builds the pages in an environment with the extra docs alone, which has no pytest."""
+    for path in sorted((ROOT / "benchmarks").glob("*.py")):
+        for line in ast.parse(path.read_text(encoding="utf-8")).body:
+            first = line.module or "" if isinstance(line, ast.ImportFrom) else ""
+            names = [alias.name for alias in line.names] if isinstance(line, ast.Import) else [first]
+            assert not {name.split(".")[0] for name in names} & {"pytest", "hypothesis", "cma"}, relative(path)
 
 
 def test_every_page_is_in_a_toctree() -> None:

@@ -49,3 +49,12 @@ def test_each_file_of_the_project_is_in_the_source_archive():
     made = {"dist", "build", "results"}
     assert own - made <= {*sdist, "README.md", "LICENSE", "pyproject.toml"}
     assert all((ROOT / name).exists() for name in sdist)
+
+
+def test_the_readme_of_a_package_index_has_no_link_to_a_file_beside_it():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "](docs/" in text
+    for step in PROJECT["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
+        text = re.sub(step["pattern"], step["replacement"], text)
+    assert not re.findall(r"\]\((?!https?:)", text)
+    assert "Four ways in: rig engineers, MATLAB users" in text
