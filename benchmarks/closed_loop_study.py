@@ -126,7 +126,7 @@ class LoopCase:
 
 
 NOISE: dict[str, Any] = {"process_noise": ProcessNoise(0.03)}
-FILM = {**NOISE, "stiffening": FilmStiffening(0.3e-6)}  # as in experiments/theisen2016.yaml
+FILM = {**NOISE, "stiffening": FilmStiffening(0.3e-6)}
 CASES = (LoopCase("noise", NOISE), LoopCase("noise, film", FILM))
 
 

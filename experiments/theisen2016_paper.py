@@ -6,95 +6,37 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from math import isfinite, nan
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from theisen2016_comparison import (
+    KIND_WORDS,
+    ReproductionRow,
+    alternative_rows,
+    computation_rows,
+    counts,
+    reproduction,
+    sentences,
+)
 
-from gbid.control import GainResult, close_loop, sensitivities, tune
 from gbid.control.impact.study import response_rows
 from gbid.core.arrays import point_label
-from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError
-from gbid.core.tables import Column, Entry, Table, csv_text, finite_or_none, formatted, markdown_table, plain_table
-from gbid.core.yaml_file import read_yaml
+from gbid.core.errors import DataError, NoSpaceError, UsageError
+from gbid.core.tables import Column, Entry, Table, csv_text, formatted, markdown_table, plain_table
 from gbid.experiment.fields import Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, produce
-from gbid.lpv import CHARACTERISTICS, TERMS, characteristics
+from gbid.lpv import TERMS
 from gbid.report.canvas import save_figure
 from gbid.report.control_tables import comparison_table
 from gbid.report.named import NamedFigure, named_figures
-from gbid.report.read import POINT, Results, conditions_words, design_performances, published_controller
+from gbid.report.read import Results, conditions_words, design_performances
 from gbid.structure import KEY_PARAMETERS
-
-FILE = Path(__file__).with_name("theisen2016_numbers.yaml")
-
-
-@dataclass(frozen=True)
-class PaperNumber:
-    """One figure of the paper.
-
-    Attributes
-    ----------
-    id : str
-        Identifier.
-    where : str
-        Section, table or figure.
-    quantity, unit : str
-        Quantity and its unit.
-    value : float
-        Value in the paper.
-    scatter : float or None
-        Scatter that the paper gives for it; None when it gives none.
-    scatter_from : str
-        Source of the scatter.
-    at_most : bool
-        Whether the figure is a size of scatter or error; a smaller value is then not a deviation.
-    off : str
-        Explanation of a larger deviation of our value.
-    """
-
-    id: str
-    where: str
-    quantity: str
-    unit: str
-    value: float
-    scatter: float | None = None
-    scatter_from: str = ""
-    at_most: bool = False
-    off: str = ""
-
-
-def paper_numbers(path: Path = FILE) -> tuple[PaperNumber, ...]:
-    """Return the figures of the paper.
-
-    Raises
-    ------
-    UsageError
-        When the file is faulty: a key is unknown, an explanation is missing, or an id occurs twice.
-    """
-    file = read_yaml(path)
-    explanations: Mapping[str, str] = file.data["explanations"]
-    found: dict[str, PaperNumber] = {}
-    for i, row in enumerate(file.data["numbers"]):
-        where = file.position(("numbers", i))
-        off = row.get("off", "")
-        if off and off not in explanations:
-            raise UsageError(f"{where}: off: no explanation {off!r}; there is {', '.join(explanations)}")
-        try:
-            number = PaperNumber(**{**row, "off": " ".join(str(explanations[off]).split()) if off else ""})
-        except TypeError as error:
-            raise UsageError(f"{where}: {error}") from None
-        if number.id in found:
-            raise UsageError(f"{where}: id {number.id!r} occurs twice; remove one")
-        found[number.id] = number
-    return tuple(found.values())
-
 
 # ---- Tables of the paper from the results of an experiment: CSV for programs, Markdown for reports.
 
@@ -230,260 +172,39 @@ TABLES: dict[str, Callable[[Results], Table]] = {
 """Tables by name. Each raises `DataError` when its results are missing."""
 
 
-# ---- Comparison with the paper, row by row: its figures, ours, the deviation, and the reason of a large one.
-
-Verdict = Literal["within", "explained", "off", "missing"]
-Own = tuple[float, float]
-"""Value and its standard deviation, nan without one."""
-_SCALE = {"um": 1e6, "ms": 1e3}
-_PAIRS = ("xx", "xy", "yx", "yy")
-
-
-@dataclass(frozen=True)
-class ReproductionRow:
-    """Comparison of one figure of the paper with ours.
-
-    Attributes
-    ----------
-    number : PaperNumber
-        Figure of the paper.
-    ours, std : float
-        Our value and its standard deviation; nan without one.
-    verdict : {"within", "explained", "off", "missing"}
-        ``within``: the deviation is within the scatter of the paper. ``explained`` and ``off``: it is larger, with or
-        without explanation. ``missing``: there is no value of ours.
-    why : str
-        Explanation, or what is missing.
-    """
-
-    number: PaperNumber
-    ours: float
-    std: float
-    verdict: Verdict
-    why: str = ""
-
-    @property
-    def deviation(self) -> float:
-        """Our value minus that of the paper."""
-        return self.ours - self.number.value
-
-    def document(self) -> dict[str, Any]:
-        """Return plain values; None for missing ones."""
-        n = self.number
-        return {
-            "id": n.id,
-            "where": n.where,
-            "quantity": n.quantity,
-            "unit": n.unit,
-            "paper": n.value,
-            "ours": finite_or_none(self.ours),
-            "ours_std": finite_or_none(self.std),
-            "deviation": finite_or_none(self.deviation),
-            "deviation_percent": finite_or_none(100 * self.deviation / n.value) if n.value else None,
-            "scatter": n.scatter,
-            "scatter_from": n.scatter_from,
-            "at_most": n.at_most,
-            "verdict": self.verdict,
-            "why": self.why,
-        }
-
-
-def reproduction(results: Results) -> list[ReproductionRow]:
-    """Return the comparison of an experiment with the paper.
-
-    Parameters
-    ----------
-    results : Results
-        Results for the machine of the paper.
-
-    Returns
-    -------
-    list of ReproductionRow
-        Rows in the order of the paper.
-
-    Raises
-    ------
-    DataError
-        When the machine is another.
-    """
-    if not results.published:
-        raise DataError("the paper's figures are for its own machine: an experiment with rig: {model: theisen2016}")
-    own = dict(_values())
-    rows = []
-    for number in paper_numbers():
-        try:
-            ours, std = own[number.id](results)
-        except GbidError as error:
-            rows.append(ReproductionRow(number, nan, nan, "missing", str(error)))
-            continue
-        scale = _SCALE.get(number.unit, 1.0)
-        rows.append(judged(number, scale * ours, scale * std))
-    return rows
-
-
-def judged(number: PaperNumber, ours: float, std: float = nan) -> ReproductionRow:
-    """Return the row of a value; its verdict allows the scatter of the paper plus up to two own standard deviations."""
-    if not isfinite(ours):
-        return ReproductionRow(number, ours, std, "missing", "not a finite number")
-    over = ours - number.value if number.at_most else abs(ours - number.value)
-    allowed = (number.scatter or 0.0) + (2 * std if isfinite(std) else 0.0)
-    if over <= allowed + 1e-12 * abs(number.value):
-        return ReproductionRow(number, ours, std, "within")
-    return ReproductionRow(number, ours, std, "explained" if number.off else "off", number.off)
-
-
-def _values() -> Iterator[tuple[str, Callable[[Results], Own]]]:
-    """Yield for each id the function that returns our value in SI units (percents as such)."""
-    for k, pair in enumerate(_PAIRS):
-        yield f"static_rms_{pair}", partial(_static_rms, k)
-    yield "static_largest", _static_largest
-    yield "recordings", _models
-    for name in ("p1_x", "p2_x", "p1_y", "p2_y", "kappa_x", "kappa_y"):
-        yield f"actuator_{name}", partial(_actuator, name)
-    for word, structure in (("bearing", "rotor_bearing"), ("actuator", "piezo_pair")):
-        for j, axis in enumerate("xy"):
-            for what in ("mean", "std"):
-                yield f"{word}_{what}_{axis}", partial(_crossval, structure, what, j)
-    for j, name in enumerate(CHARACTERISTICS):
-        yield f"rms_{name}", partial(_rms, j)
-        yield f"surface_{name}", partial(_off_published, j)
-    yield "largest_gain", _largest_gain
-    for loop in ("open", "closed"):
-        for i in (1, 2):
-            for j, what in enumerate(("frequency", "damping")):
-                yield f"expected_{loop}_{what}_{i}", partial(_expected, loop, i - 1, j)
-                yield f"obtained_{loop}_{what}_{i}", partial(_obtained, loop, i - 1, what)
-    for i in (1, 2):
-        yield f"damping_factor_{i}", partial(_damping_factor, i - 1)
-    for loop in ("open", "closed"):
-        for i in (1, 2):
-            for j, what in enumerate(("frequency", "damping")):
-                yield f"model_{loop}_{what}_{i}", partial(_published_mode, loop, i - 1, j)
-    for i in (1, 2):
-        yield f"model_damping_factor_{i}", partial(_published_factor, i - 1)
-    tuned = lru_cache(maxsize=1)(_retuned)  # one search for all three rows
-    yield "tuned_damping", lambda results: (tuned(results).value, nan)
-    for axis in "xy":
-        yield f"tuned_kappa_{axis}", partial(_retuned_gain, tuned, f"kappa_{axis}")
-    yield "hysteresis", _hysteresis
-
-
-def _static_rms(k: int, results: Results) -> Own:
-    return float(results.static_map.rms.flat[k]), nan
-
-
-def _static_largest(results: Results) -> Own:
-    return float(np.nanmax(results.static_map.largest)), nan
-
-
-def _models(results: Results) -> Own:
-    """Return the number of recordings whose fits determine the surfaces."""
-    return float(len(results.surface_fit.estimates.recordings)), nan
-
-
-def _actuator(name: str, results: Results) -> Own:
-    return results.nominal.parameters[name], results.nominal.std[name]
-
-
-def _crossval(structure: str, what: Literal["mean", "std"], j: int, results: Results) -> Own:
-    summary = results.summary(structure)
-    return float((summary.mean if what == "mean" else summary.std)[j]), nan
-
-
-def _rms(j: int, results: Results) -> Own:
-    return results.surface_fit.deviations[j].rms, nan
-
-
-def _largest_gain(results: Results) -> Own:
-    return max(d.largest for d in results.surface_fit.deviations if d.name.startswith("g_")), nan
-
-
-def _off_published(j: int, results: Results) -> Own:
-    """Return the rms over the operating points of a characteristic of our surfaces minus that of the published ones."""
-    points = np.array(results.machine.operating_points, float)
-    ours, published = (
-        characteristics(np.column_stack([np.broadcast_to(p[key], len(points)) for key in KEY_PARAMETERS]))
-        for p in (
-            model.key_parameters(points[:, 0], points[:, 1]) for model in (results.surface_fit.model, results.machine)
-        )
-    )
-    return float(np.sqrt(np.mean((ours[:, j] - published[:, j]) ** 2))), nan
-
-
-def _expected(loop: str, i: int, j: int, results: Results) -> Own:
-    return results.impacts_at(False)[loop].expected[i][j], nan
-
-
-def _obtained(loop: str, i: int, what: str, results: Results) -> Own:
-    ring = results.impacts_at(False)[loop].ringdown
-    value, std = (ring.frequency_hz, ring.frequency_std) if what == "frequency" else (ring.damping, ring.damping_std)
-    return float(value[i]), float(std[i])
-
-
-def _damping_factor(i: int, results: Results) -> Own:
-    """Return the factor by which the controller increases a damping factor."""
-    return _expected("closed", i, 1, results)[0] / _expected("open", i, 1, results)[0], nan
-
-
-def _published_mode(loop: str, i: int, j: int, results: Results) -> Own:
-    """Return frequency or damping factor of a mode of the published model, with or without its controller."""
-    plant = results.machine.plant_at(*POINT)
-    if loop == "closed":
-        plant = close_loop(plant, published_controller(results.published_machine))
-    return plant.modes()[i][j], nan
-
-
-def _published_factor(i: int, results: Results) -> Own:
-    return _published_mode("closed", i, 1, results)[0] / _published_mode("open", i, 1, results)[0], nan
-
-
-def _retuned(results: Results) -> GainResult:
-    """Return gains tuned on the published model at the point of the paper, with the peak of S_o of its own gains."""
-    machine = results.machine
-    cap = sensitivities(machine.plant_at(*POINT), published_controller(results.published_machine)).peak("output").value
-    return tune(machine, operating_points=[POINT], peak_sensitivity=cap)
-
-
-def _retuned_gain(tuned: Callable[[Results], GainResult], name: str, results: Results) -> Own:
-    return tuned(results).gains[name], nan
-
-
-def _hysteresis(results: Results) -> Own:
-    for curve, *_ in results.piezos:
-        if curve.units[0] == "V":
-            return curve.hysteresis, curve.hysteresis_std
-    raise DataError("no piezo was characterised in open loop; add one to section 'static'")
-
-
-def counts(rows: list[ReproductionRow]) -> Mapping[str, int]:
-    """Return the number of rows by verdict."""
-    return {
-        verdict: sum(row.verdict == verdict for row in rows) for verdict in ("within", "explained", "off", "missing")
-    }
-
-
 # ---- The reproduction table, for a terminal and as Markdown.
 
 _COLUMNS = (
     Column("where"),
     Column("quantity", wrap=True),  # the only one with words enough to give way
+    Column("kind"),
     Column("unit"),
-    *(Column(name, format="g") for name in ("paper", "+-", "ours", "std", "off by")),
+    *(Column(name, format="g") for name in ("paper", "+-", "ours", "std", "off by", "predicted")),
     Column(""),
 )
-_LEGEND = "+-: how far by the paper's own account; less: a size of scatter or error, where less is no deviation"
+_LEGEND = (
+    "+-: how far by the paper's own account, for means and sizes of scatter two standard errors; within: no further, "
+    "with two of our standard deviations; predicted: what the numbered explanation computes for our value; see: it "
+    "agrees within two standard deviations; open: it does not, or there is none"
+)
 _COUNTED = {
-    "within": "within the paper's own scatter",
-    "explained": "further off or without a scatter to compare with, and explained",
-    "off": "off without an explanation",
+    "within": "within the paper's scatter",
+    "explained": "explained by a computation that predicts our value",
+    "open": "open",
     "missing": "missing",
 }
 _DIGITS = 3
-_WORDS = {"within": "within", "explained": "see", "off": "OFF", "missing": "missing"}
+_SENTENCES = (
+    Column("where"),
+    Column("sentence", wrap=True),
+    Column("kind"),
+    Column("here"),
+    Column("figure", wrap=True),
+)
 
 
 def reproduction_tables(document: Mapping[str, Any]) -> list[Table]:
-    """Table of the paper's figures and ours, with the explanations below, each once; then what goes past the paper.
+    """Table of the paper's figures and ours, with the explanations below, its sentences, and what goes past the paper.
 
     Parameters
     ----------
@@ -491,9 +212,11 @@ def reproduction_tables(document: Mapping[str, Any]) -> list[Table]:
         From `reproduction_document`.
     """
     rows, reasons = _laid_out(document)
-    notes = [_total(document), f"{_LEGEND}.", *(f"{i}. {reason}" for i, reason in enumerate(reasons, 1))]
+    notes = [*_totals(document), f"{_LEGEND}.", *(f"{i}. {reason}" for i, reason in enumerate(reasons, 1))]
     table = Table("the paper's figures and ours", _COLUMNS, rows, ["", *notes])
-    return [table, *map(_past, document.get("past_the_paper", ()))]
+    said = [[row[key] for key in ("where", "says", "kind", "answer", "figure")] for row in document["sentences"]]
+    spoken = Table("what the paper says without a figure", _SENTENCES, said)
+    return [table, spoken, *map(_past, document["past_the_paper"])]
 
 
 def reproduction_markdown(document: Mapping[str, Any]) -> str:
@@ -522,24 +245,26 @@ def _laid_out(document: Mapping[str, Any]) -> tuple[list[list[Entry]], list[str]
     rows: list[list[Entry]] = []
     reasons: list[str] = []
     for row in document["rows"]:
-        word = _WORDS[row["verdict"]]
+        word = "see" if row["verdict"] == "explained" else row["verdict"]
         if row["why"]:
             reasons += [] if row["why"] in reasons else [row["why"]]
             word = f"{word} {reasons.index(row['why']) + 1}"
-        scatter = "less" if row["at_most"] else _cell(row["scatter"], 2)
-        numbers = (_cell(row["paper"], 4), scatter, _cell(row["ours"], 4), _cell(row["ours_std"], 2), _off(row))
-        rows.append([row["where"], row["quantity"], row["unit"], *numbers, word])
+        ours, predicted = ((_cell(row[key], 4), _cell(row[f"{key}_std"], 2)) for key in ("ours", "predicted"))
+        numbers = (_cell(row["paper"], 4), _cell(row["allowed"], 2), *ours, _off(row), predicted[0])
+        rows.append([row["where"], row["quantity"], row["kind"], row["unit"], *numbers, word])
     return rows, reasons
 
 
-def _total(document: Mapping[str, Any]) -> str:
-    counts = ", ".join(f"{count} {_COUNTED[verdict]}" for verdict, count in document["counts"].items() if count)
-    return f"{len(document['rows'])} rows: {counts}"
+def _totals(document: Mapping[str, Any]) -> list[str]:
+    """Return the number of rows by verdict for each kind; only the independent ones are evidence."""
+    return [
+        f"{sum(verdicts.values())} rows {KIND_WORDS[kind]}: "
+        + ", ".join(f"{count} {_COUNTED[verdict]}" for verdict, count in verdicts.items() if count)
+        for kind, verdicts in document["counts"].items()
+    ]
 
 
 def _off(row: Mapping[str, Any]) -> Entry:
-    if row["deviation"] is None or (row["at_most"] and row["deviation"] <= 0):
-        return None
     if row["deviation_percent"] is None:
         return _cell(row["deviation"], 2)
     return formatted(row["deviation_percent"], "+.1f", "%")
@@ -556,6 +281,11 @@ def _cell(value: float | None, digits: int) -> Entry:
 FOLDER = "figures"
 KINDS = ("pdf", "svg", "png")
 """Formats of figures."""
+_LOOP_MODES = (
+    Column("closed loop, 6 bar, 0 rpm"),
+    *(Column(f"{what} {i}", unit, 4) for i in (1, 2) for what, unit in (("frequency", "Hz"), ("damping", ""))),
+)
+_READINGS = (Column("reading"), Column("open loop", "", 3), Column("published gains", "", 3))
 PAST = ("designs", "designs_impacts")
 """Tables without counterpart in the paper."""
 REPRODUCTION = "reproduction"
@@ -624,7 +354,7 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
     """
     results, sources = Results(job), _sources(job)
     rows = reproduction(results)
-    document = reproduction_document(rows, past_the_paper(results))
+    document = reproduction_document(rows, sentences(results), past_the_paper(results))
     writers: dict[str, Callable[[], str]] = {
         ".json": lambda: json.dumps(document, indent=1, allow_nan=False) + "\n",
         ".csv": lambda: csv_text(_as_table(rows)),
@@ -644,24 +374,41 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
 
 def past_the_paper(results: Results) -> list[Table]:
     """Return tables without counterpart in the paper, if the results allow them: tuned designs and their impacts."""
-    found = []
+    found = [
+        Table(
+            "the closed loop and the time for computation, which the paper does not give",
+            _LOOP_MODES,
+            computation_rows(results),
+        ),
+        Table(
+            "readings of d_yx at Omega^2: smallest damping factor over the 15 points",
+            _READINGS,
+            alternative_rows(results),
+        ),
+    ]
     for name in PAST:
         with suppress(DataError):
             found.append(TABLES[name](results))
     return found
 
 
-def reproduction_document(rows: list[ReproductionRow], past: Sequence[Table] = ()) -> dict[str, Any]:
-    """Return all rows as plain values, the number of rows by verdict, and tables without counterpart in the paper."""
+def reproduction_document(
+    rows: Sequence[ReproductionRow], said: Sequence[Mapping[str, str]] = (), past: Sequence[Table] = ()
+) -> dict[str, Any]:
+    """Return rows and sentences as plain values, the number of rows by kind and verdict, and tables past the paper."""
     return {
-        "counts": dict(counts(rows)),
+        "counts": counts(rows),
         "rows": [row.document() for row in rows],
+        "sentences": [dict(sentence) for sentence in said],
         "past_the_paper": [table.document() for table in past],
     }
 
 
-def _as_table(rows: list[ReproductionRow]) -> Table:
-    columns = ("where", "quantity", "unit", "paper", "ours", "ours_std", "deviation", "scatter", "verdict", "why")
+def _as_table(rows: Sequence[ReproductionRow]) -> Table:
+    columns = (
+        *("where", "quantity", "kind", "unit", "paper", "allowed", "ours", "ours_std", "deviation"),
+        *("verdict", "explanation", "predicted", "predicted_std", "why"),
+    )
     documents = [row.document() for row in rows]
     return plain_table(columns, [[document[name] for name in columns] for document in documents])
 

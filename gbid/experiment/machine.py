@@ -42,6 +42,7 @@ from gbid.rig import (
     scattered,
 )
 from gbid.rig import Experiment as RigExperiment
+from gbid.rig.piezo import ALLOCATION
 from gbid.rig.stepping import Surfaces
 from gbid.structure import (
     KEY_PARAMETERS,
@@ -283,8 +284,15 @@ def rig_run(experiment: Experiment, planned: PlannedRecording) -> PlannedRun:
 
 def _stacks(section: ActuatorSection) -> PiezoStacks:
     base = [
-        replace(stack, hysteresis=section.hysteresis_m, creep=section.creep, creep_times=section.creep_times_s)
-        for stack in PiezoStacks().stacks
+        replace(
+            stack,
+            slow_pole=stack.slow_pole * section.slow_pole_factors[axis],
+            fast_pole=stack.fast_pole * section.fast_pole_factors[axis],
+            hysteresis=section.hysteresis_m,
+            creep=section.creep,
+            creep_times=section.creep_times_s,
+        )
+        for stack, axis in zip(PiezoStacks().stacks, np.abs(ALLOCATION).argmax(axis=1), strict=True)
     ]
     return replace(PiezoStacks.unequal(section.spread, section.seed, base), offset=section.offset_m)
 

@@ -205,7 +205,8 @@ class ActuatorSection(Section):
     """Piezos: linear pairs as in the model, or four stacks; see `gbid.rig.PiezoStacks`.
 
     `spread` makes the stacks unequal, with random numbers of `seed`. `hysteresis_m`, `creep` and `creep_times_s` are
-    the values of all four stacks before that.
+    the values of all four stacks before that. `slow_pole_factors` and `fast_pole_factors` multiply the poles of the
+    stacks of x and of y; the controllers keep their zeros, which then no longer cancel the slow poles.
     """
 
     kind: Literal["linear", "stacks"] = "linear"
@@ -215,6 +216,8 @@ class ActuatorSection(Section):
     hysteresis_m: NotNegative = rig.PiezoStack.hysteresis
     creep: NotNegative = rig.PiezoStack.creep
     creep_times_s: tuple[Positive, ...] = rig.PiezoStack.creep_times
+    slow_pole_factors: tuple[Positive, Positive] = (1.0, 1.0)
+    fast_pole_factors: tuple[Positive, Positive] = (1.0, 1.0)
     record_stacks: Switch = False
 
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from gbid.core.arrays import FloatArray, oscillatory_modes, point_label
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import ExtrapolationWarning, UsageError
+from gbid.core.published import PUBLISHED_RMS
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
 from gbid.structure.linear import Structure, model_function
 from gbid.structure.scheduling import EXPONENTS, SCHEDULING, TERMS, Exponents, monomials, term_name
@@ -511,25 +512,8 @@ def _as_float(value: Any) -> Any:
 UNITS = {"tau": "s", "omega": "Hz", "zeta": "1", "g": "m/m"}
 """Unit by the name's first part."""
 
-PUBLISHED_RMS = {
-    "tau_x": 0.088e-3,
-    "tau_y": 0.041e-3,
-    "omega_1": 1.13,
-    "omega_2": 0.58,
-    "zeta_1": 0.0104,
-    "zeta_2": 0.0063,
-    "g_xx": 0.0031,
-    "g_xy": 0.0022,
-    "g_yx": 0.0027,
-    "g_yy": 0.0031,
-}
-"""Rms deviations that the paper gives for its 86 recordings (Sec. 4)."""
-
 CHARACTERISTICS = tuple(PUBLISHED_RMS)
 """Names in order: delays [s], natural frequencies [Hz], damping factors, static gains [m/m]."""
-
-PUBLISHED_LARGEST_GAIN = 0.016
-"""Largest deviation of a static gain in the paper [m/m] (Sec. 4)."""
 
 
 def characteristics(values: npt.ArrayLike) -> FloatArray:

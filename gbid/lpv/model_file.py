@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -100,12 +101,15 @@ class Correction(FileTable):
         Printed value and value that is used.
     reason : str
         Evidence for the error.
+    alternatives : tuple of float
+        Other values that the evidence does not exclude.
     """
 
     entry: str
     printed: Number
     corrected: Number
     reason: Annotated[str, Field(min_length=1)]
+    alternatives: tuple[Number, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -193,6 +197,9 @@ class PublishedMachine(Brief):
         Modes that the source gives.
     corrections : tuple of Correction
         Corrections of the tables of the source.
+    alternatives : dict of str to LPVModel
+        The model with each alternative of a correction, by ``"entry = value"`` in the unit of the table; the first one
+        is `model` itself. Designs can be assessed on each.
     """
 
     model: LPVModel
@@ -201,6 +208,7 @@ class PublishedMachine(Brief):
     piezo_controllers: PiezoControllers | None = None
     reference_modes: tuple[ReferenceModes, ...] = ()
     corrections: tuple[Correction, ...] = ()
+    alternatives: dict[str, LPVModel] = field(default_factory=dict)
 
 
 # ---- Schema of a model file, and application of its corrections.
@@ -277,14 +285,10 @@ def parse(file: YamlFile) -> PublishedMachine:
     table = ModelFile.read(file)
     _check_key_parameters(file, table.key_parameters)
     values = _correct(file, table)
-    scale = {group: values[f"scale[{group}]"] for group in SI_UNITS}
-    coefficients = {
-        key: tuple(scale[key.split("_")[0]] * values[f"{key}[{term}]"] for term in TERMS) for key in KEY_PARAMETERS
-    }
     try:
         model = LPVModel(
             name=table.name,
-            coefficients=coefficients,
+            coefficients=_coefficients(values),
             domain=Domain(table.domain.pressure_bar, table.domain.speed_rpm),
             actuators={name: values[name] for name in _actuator_values(table)},
             pade_order=table.pade_order,
@@ -295,9 +299,19 @@ def parse(file: YamlFile) -> PublishedMachine:
         )
     except UsageError as error:
         raise UsageError(f"{file.path}: {error}") from None
-    return PublishedMachine(
-        model, table.controller, table.rig, table.piezo_controllers, table.reference_modes, table.corrections
-    )
+    alternatives = {
+        f"{q.entry} = {value:g}": replace(model, coefficients=_coefficients(values | {q.entry: value}))
+        for q in table.corrections
+        for value in ((q.corrected, *q.alternatives) if q.alternatives else ())
+    }
+    published = table.piezo_controllers, table.reference_modes, table.corrections
+    return PublishedMachine(model, table.controller, table.rig, *published, alternatives)
+
+
+def _coefficients(values: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
+    """Return the coefficients in SI per kg from the entries of the table."""
+    scale = {group: values[f"scale[{group}]"] for group in SI_UNITS}
+    return {key: tuple(scale[key.split("_")[0]] * values[f"{key}[{term}]"] for term in TERMS) for key in KEY_PARAMETERS}
 
 
 def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:

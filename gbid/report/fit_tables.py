@@ -14,6 +14,7 @@ import numpy as np
 from gbid.characterise import PiezoCurve, StaticMap
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import UsageError
+from gbid.core.published import PUBLISHED_LARGEST_GAIN
 from gbid.core.tables import (
     Cell,
     Column,
@@ -32,7 +33,6 @@ from gbid.experiment.run import Outcome
 from gbid.identify import FitResult, FitTable
 from gbid.identify.result import StdKind
 from gbid.lpv import LPVFit
-from gbid.lpv.model import PUBLISHED_LARGEST_GAIN
 from gbid.prefilter import PrefilterReport
 from gbid.recording import load_recording
 from gbid.recording.readers import FileChannel

@@ -54,13 +54,24 @@ class NamedFigure:
 
 @cache
 def paper() -> ModuleType:
-    """Return the module with tables and comparison of the paper, which is shipped beside its experiment."""
-    path = share_folder("experiments") / "theisen2016_paper.py"
-    spec = spec_from_file_location(path.stem, path)
+    """Return the module with the tables of the paper, which is shipped beside its experiment."""
+    comparison()  # which it imports
+    return _shipped("theisen2016_paper")
+
+
+@cache
+def comparison() -> ModuleType:
+    """Return the module that compares the figures and sentences of the paper with results."""
+    return _shipped("theisen2016_comparison")
+
+
+def _shipped(name: str) -> ModuleType:
+    """Load a module of the folder of experiments."""
+    spec = spec_from_file_location(name, share_folder("experiments") / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = module_from_spec(spec)
-    sys.modules[path.stem] = module  # where dataclasses look for it
+    sys.modules[name] = module  # where dataclasses and the other module look for it
     spec.loader.exec_module(module)
     return module
 

@@ -40,7 +40,7 @@ from gbid.report.measured_pictures import (
     static_map_figure,
 )
 from gbid.report.model_pictures import plot_profile
-from gbid.report.named import paper
+from gbid.report.named import comparison
 from gbid.report.page import (
     Block,
     Fold,
@@ -300,7 +300,7 @@ def _validated(
 def _paper(structure: str, summary: ValidationSummary) -> dict[str, str]:
     """Return the fit percent in the paper for its 86 recordings (Sec. 3.8, Figs. 9 and 10), by output."""
     word = _PAPERS.get(structure)
-    known = {number.id: number.value for number in paper().paper_numbers()} if word else {}
+    known = {number.id: number.value for number in comparison().paper_numbers()} if word else {}
     ids = {output: [f"{word}_{what}_{output[-1]}" for what in ("mean", "std")] for output in summary.output_names}
     if not all(key in known for keys in ids.values() for key in keys):
         return {}

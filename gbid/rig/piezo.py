@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 import scipy
@@ -11,6 +12,7 @@ import scipy
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.files import share_folder
 from gbid.core.option_types import NotNegative, Positive, check_options
 
 N_PLAYS = 10
@@ -156,30 +158,39 @@ class StackRest:
     expansion: float
 
 
-# Table A.5 per stack: P, z; p_p is 101 rad/s for all.
-_TABLE_A5 = ((0.926, 1996.0), (0.927, 1983.0), (0.220, 8349.0), (0.640, 2945.0))
-_PD_POLE = 101.0
-# The zero cancels the slow pole, so the loop has two poles, p_p and omega_f. Table 2 gives p_1, p_2 and kappa of the
-# axis that the stack moves. They require omega_f = p_1 + p_2 - p_p and the loop gain p_1 p_2/omega_f - p_p.
-_TABLE_2 = {"x": (3078.0, 8143.0, 1.863), "y": (2452.0, 6494.0, 1.865)}
 _AXIS = ("y", "x", "y", "x")
 
 
+@cache
+def _published_tables() -> tuple[tuple[dict[str, float], ...], dict[str, float]]:
+    """Return Table A.5 (gain, zero and pole of each controller) and Table 2 from the model file of the machine."""
+    from gbid.core.yaml_file import read_yaml  # not at every import of the rig
+
+    machine = read_yaml(share_folder("models") / "theisen2016.yaml").data
+    return tuple(machine["piezo_controllers"]["piezos"]), machine["actuators"]
+
+
 def _published_stack(number: int) -> PiezoStack:
-    """Return the stack of a number 1 to 4, such that the closed pair has Table 2 for references of about 1 V."""
-    gain, zero = _TABLE_A5[number - 1]
-    p1, p2, kappa = _TABLE_2[_AXIS[number - 1]]
-    fast = p1 + p2 - _PD_POLE
-    loop = p1 * p2 / fast - _PD_POLE  # P c slope z
+    """Return the stack of a number 1 to 4, such that the closed pair has Table 2 for references of about 1 V.
+
+    The zero cancels the slow pole, so the loop has two poles, that of the controller p_p and omega_f. Table 2 gives
+    p_1, p_2 and kappa of the axis that the stack moves. They require omega_f = p_1 + p_2 - p_p and the loop gain
+    p_1 p_2/omega_f - p_p.
+    """
+    controllers, actuators = _published_tables()
+    gain, zero, pole = (float(controllers[number - 1][key]) for key in ("gain", "zero", "pole"))
+    p1, p2, kappa = (float(actuators[f"{name}_{_AXIS[number - 1]}"]) for name in ("p1", "p2", "kappa"))
+    fast = p1 + p2 - pole
+    loop = p1 * p2 / fast - pole  # P c slope z
     slope = _LOOP_SLOPE * 4.5e-6
     return PiezoStack(
         gain,
         zero,
-        _PD_POLE,
+        pole,
         loop / (gain * zero * slope),
         zero,
         _FAST * fast,
-        reference_gain=kappa / 2 * (1 + _PD_POLE / loop),
+        reference_gain=kappa / 2 * (1 + pole / loop),
     )
 
 

@@ -12,6 +12,9 @@ from gbid.experiment.experiment import figure_pairs, validation_pairs
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import _parse, _without, load_experiment
 from gbid.experiment.schema import ExperimentFile
+from gbid.experiment.load import load_experiment
+from gbid.experiment.machine import rig_run
+from gbid.rig import PiezoStacks
 
 
 def problems_of(path: Path) -> list[str]:
@@ -309,3 +312,11 @@ def test_a_key_with_the_name_of_a_branch_is_found_where_it_stands():
     _, faults = _parse({"controller": {"main": {"goals": [{"goal": "MaxDamping", "MaxDamping": {"MaxDamping": 1}}]}}})
     assert ("controller", "main", "goals", 0, "MaxDamping") in faults
     assert ("controller", "main", "goals", 0, "MaxDamping", "MaxDamping") not in faults
+
+
+def test_factors_of_the_poles_go_to_the_stacks_of_their_axis():
+    experiment = load_experiment(EXPERIMENTS / "theisen2016.yaml")
+    stacks = rig_run(experiment, experiment.recordings["p3_n0_prbs1"]).machine.actuator.stacks
+    for name, factors in (("slow_pole", (2.36, 0.93)), ("fast_pole", (0.4, 1.173))):
+        found = [getattr(a, name) / getattr(b, name) for a, b in zip(stacks, PiezoStacks().stacks, strict=True)]
+        assert found == pytest.approx([factors[1], factors[0], factors[1], factors[0]])  # 1 and 3 move y, 2 and 4 x

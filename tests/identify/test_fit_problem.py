@@ -136,3 +136,46 @@ def test_options_of_ipopt_replace_those_of_the_fit(mass):
     result = gbid.fit(SAME["linear"], mass, window=None, ipopt={"max_iter": 1})
     assert result.iterations <= 2
     assert not result.success
+
+
+@pytest.mark.parametrize(
+    "options", [{"criterion": "trace", "output_weights": (1.0, 9.0)}, {"criterion": "det"}], ids=str
+)
+def test_cost_and_derivatives_of_two_outputs_are_those_of_the_criterion(options):
+    """By hand: half the logarithm of the weighted trace, or of the determinant; gradient by differences; J' W J."""
+    u = np.sign(np.sin(0.37 * np.arange(200) ** 1.3))
+    y = np.column_stack([u, 0.3 * np.roll(u, 1)]) + 0.1 * np.random.default_rng(1).standard_normal((200, 2))
+    gains = [Parameter("a", 0.8), Parameter("b", 0.2)]
+    matrices = {"A": [[-1.0]], "B": [[1.0]], "C": [[0.0], [0.0]]}
+    structure = LinearStructure(
+        "gains", gains, lambda p: {**matrices, "D": [[p.a], [p.b]]}, inputs="u", outputs="y", intersample="zoh"
+    )
+    problem = gbid.fit_problem(structure, gbid.Recording({"u": u, "y": y}, 0.1, name="two"), window=200, **options)
+    free = [problem.names.index(name) for name in "ab"]
+
+    def errors(x):
+        return y - np.outer(u, (np.array(x) * problem.scale)[free])
+
+    def cost(x):
+        e, power = errors(x), (y - y.mean(axis=0)).var(axis=0)
+        if options["criterion"] == "trace":
+            w = np.array(options["output_weights"])
+            return 0.5 * np.log((w * (e**2).sum(axis=0)).sum() / (w * power).sum())
+        return 0.5 * np.linalg.slogdet(e.T @ e)[1]
+
+    at = np.array(problem.start)
+    steps = 1e-6 * np.eye(len(at))[free]
+    slopes = [(cost(at + h) - cost(at - h)) / 2e-6 for h in steps]
+    np.testing.assert_allclose(np.array(problem.gradient(at), float).ravel()[free], slopes, rtol=1e-5, atol=1e-8)
+    moved = at + 0.1 * np.eye(len(at))[free[0]]
+    assert float(problem.cost(moved) - problem.cost(at)) == pytest.approx(cost(moved) - cost(at), rel=1e-6)
+    e = errors(at)
+    J = [np.outer(u, np.eye(2)[i]) * problem.scale[free[i]] for i in (0, 1)]
+    W = np.linalg.inv(e.T @ e)
+    if options["criterion"] == "trace":
+        w = np.array(options["output_weights"])
+        W = np.diag(w) / (w * (e**2).sum(axis=0)).sum()
+    hessian = np.array(problem.hessian(at), float)
+    hessian = np.triu(hessian) + np.triu(hessian, 1).T
+    expected = [[(a @ W * b).sum() for b in J] for a in J]
+    np.testing.assert_allclose(hessian[np.ix_(free, free)], expected, rtol=1e-6)

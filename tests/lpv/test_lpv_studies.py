@@ -124,7 +124,7 @@ def test_campaign_of_full_length_recovers_the_truth():
 
 
 def test_one_shot_of_the_papers_campaign_on_recordings_held_out(tmp_path):
-    """As it is: a film that stiffens, whirl, noise and scatter. Of each point, the last recording is kept back."""
+    """As it is: whirl, noise and scatter. Of each point, the last recording is kept back."""
     sections = YAML(typ="safe").load(ROOT / "experiments" / "theisen2016.yaml")
     kept = {key: sections[key] for key in ("format", "name", "rig", "prefilter")}
     kept["rig"] = {key: value for key, value in kept["rig"].items() if "staircase" not in key}

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from gbid.lpv.model import deviations
 from gbid.lpv.regression import _VARIANCE, CLIPPING_SLOPE, HUBER, huber_estimate, threshold
 
 
@@ -44,3 +45,13 @@ def test_data_of_large_and_small_errors_are_clipped_alike() -> None:
     _, _, clipped = huber_estimate(y, np.ones((60, 1, 1)), std[:, None, None] ** 2)
     assert clipped[0, 0] < 0.2
     assert clipped[30, 0] == pytest.approx(0.5)
+
+
+def test_deviations_are_rms_about_zero_and_largest_values():
+    """A common offset counts: a standard deviation would not see it."""
+    surface = np.ones((4, 10))
+    away = np.outer([1.0, 1.0, -1.0, 3.0], np.arange(1.0, 11.0))
+    rows = deviations(surface + away, surface, ("a", "b", "c", "d"))
+    np.testing.assert_allclose([row.rms for row in rows], np.sqrt(3) * np.arange(1, 11))  # sqrt((1 + 1 + 1 + 9)/4)
+    np.testing.assert_allclose([row.largest for row in rows], 3.0 * np.arange(1, 11))
+    assert {row.recording for row in rows} == {"d"}

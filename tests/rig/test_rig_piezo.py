@@ -12,6 +12,7 @@ from scipy.signal import lsim
 import gbid
 from gbid.core.errors import UsageError
 from gbid.rig import PiezoStack, PiezoStacks, Prbs, SensorChain, StackStaircase, Stationary, record, saturations
+from gbid.rig.piezo import ALLOCATION, pair_difference
 
 TS = 2e-4
 STILL = {"pressure_bar": 6.0, "speed_rpm": 0.0}
@@ -34,7 +35,35 @@ def ends_of_steps(rec, stack=4):
     return ends[:11], ends[:9:-1]
 
 
+def test_u_is_the_difference_of_each_pair():
+    """Eq. 2, and the signs of Eq. 1 with it: r_x moves u_x by twice as much and not u_y, and the other way round."""
+    np.testing.assert_array_equal(pair_difference(np.array([10.0, 7.0, 1.0, 2.0])), [7 - 2, 10 - 1])
+    np.testing.assert_array_equal(pair_difference(5.0 + ALLOCATION @ [1.0, 0.0]), [2.0, 0.0])
+    np.testing.assert_array_equal(pair_difference(5.0 + ALLOCATION @ [0.0, 1.0]), [0.0, 2.0])
+
+
+def test_stacks_have_the_controllers_of_table_a5():
+    printed = [(0.926, 1996, 101), (0.927, 1983, 101), (0.220, 8349, 101), (0.640, 2945, 101)]
+    assert [(q.pd_gain, q.pd_zero, q.pd_pole) for q in PiezoStacks().stacks] == printed
+    assert [q.slow_pole for q in PiezoStacks().stacks] == [zero for _, zero, _ in printed]
+
+
+@pytest.mark.parametrize(("axis", "numbers"), [("x", (2, 4)), ("y", (1, 3))])
+def test_stacks_without_hysteresis_have_the_poles_and_gain_of_table_2(axis, numbers):
+    """The zero cancels the slow pole: controller and fast pole alone make the two poles of the pair."""
+    p1, p2, kappa = {"x": (3078.0, 8143.0, 1.863), "y": (2452.0, 6494.0, 1.865)}[axis]
+    for q in (PiezoStacks().stacks[i - 1] for i in numbers):
+        gain, fast = q.pd_gain * q.pd_scale * q.pd_zero * 0.72 * 4.5e-6, q.fast_pole / 1.26
+        np.testing.assert_allclose(sorted(-np.roots([1, q.pd_pole + fast, fast * (q.pd_pole + gain)])), [p1, p2])
+        assert 2 * q.reference_gain * gain / (q.pd_pole + gain) == pytest.approx(kappa)
+
+
 # ---- the hysteresis itself ----
+
+
+def test_plays_lag_by_half_a_step_and_whole_steps_of_the_voltage():
+    np.testing.assert_allclose(STACK.thresholds, [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5])
+    np.testing.assert_allclose(replace(STACK, voltage_limit=20.0).thresholds, 2 * STACK.thresholds)
 
 
 def play_by_hand(volts, threshold):

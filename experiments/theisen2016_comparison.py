@@ -1,0 +1,870 @@
+"""Theisen et al. (2016): its figures and sentences (`theisen2016_numbers.yaml`), our values, and checked explanations.
+
+`theisen2016_paper.py` shows and stores what this file compares.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from math import hypot, isfinite, nan, sqrt
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy import stats
+
+import gbid
+from gbid.control import GainResult, close_loop, p_controller, sample_controller, sensitivities, tune
+from gbid.control.impact.study import ringing_modes
+from gbid.control.loop.sampled import exact_plant
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.published import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
+from gbid.core.tables import finite_or_none
+from gbid.core.yaml_file import read_yaml
+from gbid.experiment.controllers import sample_time
+from gbid.experiment.machine import rig_run
+from gbid.experiment.schema import ControllerSection
+from gbid.lpv import CHARACTERISTICS, LPVModel, characteristics, load_machine
+from gbid.report.read import POINT, Results, published_controller
+from gbid.rig import Prbs, SensorChain, record
+from gbid.structure import KEY_PARAMETERS, LinearModel
+
+FILE = Path(__file__).with_name("theisen2016_numbers.yaml")
+Kind = Literal["set", "found again", "independent"]
+KIND_WORDS: dict[Kind, str] = {
+    "independent": "independent",
+    "found again": "the rig's own truth found again",
+    "set": "set by the rig",
+}
+
+
+@dataclass(frozen=True)
+class PaperNumber:
+    """One figure of the paper, or one that the paper's model implies.
+
+    Attributes
+    ----------
+    id : str
+        Identifier.
+    where : str
+        Section, table or figure.
+    quantity, unit : str
+        Quantity and its unit.
+    kind : {"set", "found again", "independent"}
+        What decides our value: a setting of the rig, the truth of the rig, or neither.
+    value : float or None
+        Value in the paper; None where it gives none.
+    scatter : float or None
+        Scatter of the value by the paper's own account; None when it gives none.
+    scatter_from : str
+        Source of the scatter.
+    samples : float or None
+        Number of values behind the figure. For a mean, `scatter` is then the standard deviation of these values. For a
+        standard deviation or an rms no scatter is needed.
+    off : str
+        Name of the explanation of a deviation.
+    why : str
+        Its words.
+    """
+
+    id: str
+    where: str
+    quantity: str
+    unit: str
+    kind: Kind
+    value: float | None = None
+    scatter: float | None = None
+    scatter_from: str = ""
+    samples: float | None = None
+    off: str = ""
+    why: str = ""
+
+    @property
+    def allowed(self) -> float | None:
+        """How far a value may lie off: the scatter; for means and sizes of scatter two standard errors."""
+        if self.value is None or self.samples is None:
+            return self.scatter
+        if self.scatter is None:  # of a standard deviation: s / sqrt(2 (n - 1))
+            return 2 * self.value / sqrt(2 * (self.samples - 1))
+        return 2 * self.scatter / sqrt(self.samples)
+
+
+def paper_numbers(path: Path = FILE) -> tuple[PaperNumber, ...]:
+    """Return the figures of the paper.
+
+    Raises
+    ------
+    UsageError
+        When the file is faulty: a key is unknown, an explanation or a kind is missing, or an id occurs twice.
+    """
+    file = read_yaml(path)
+    explanations: Mapping[str, str] = file.data["explanations"]
+    known, found = _elsewhere(), dict[str, PaperNumber]()
+    for i, row in enumerate(file.data["numbers"]):
+        where = file.position(("numbers", i))
+        off = row.get("off", "")
+        if off and off not in explanations:
+            raise UsageError(f"{where}: off: no explanation {off!r}; there is {', '.join(explanations)}")
+        row = {"value": known.get(row["id"]), **row}
+        row["scatter"] = known.get(str(row.get("scatter")), row.get("scatter"))
+        try:
+            number = PaperNumber(**row, why=" ".join(str(explanations[off]).split()) if off else "")
+        except TypeError as error:
+            raise UsageError(f"{where}: {error}") from None
+        if number.kind not in KIND_WORDS:
+            raise UsageError(f"{where}: kind = {number.kind!r}; choose {', '.join(KIND_WORDS)}")
+        if number.id in found:
+            raise UsageError(f"{where}: id {number.id!r} occurs twice; remove one")
+        found[number.id] = number
+    return tuple(found.values())
+
+
+def _elsewhere() -> dict[str, float]:
+    """Return the figures that stand in the model file or in `gbid.core.published`, by id, in the unit of the row."""
+    machine = load_machine("theisen2016")
+    controller = machine.controller
+    assert controller is not None
+    found = {f"actuator_{name}": value for name, value in machine.model.actuators.items()}
+    found |= {f"tuned_kappa_{axis}": getattr(controller, f"kappa_{axis}") for axis in "xy"}
+    found |= {f"rms_{name}": (1e3 if "tau" in name else 1.0) * rms for name, rms in PUBLISHED_RMS.items()}
+    found["largest_gain"] = PUBLISHED_LARGEST_GAIN
+    for modes in machine.reference_modes:
+        for word in {"expected": ("expected", "model"), "measured": ("obtained",)}.get(modes.kind, ()):
+            for i, (frequency, damping) in enumerate(modes.modes, 1):
+                found |= {f"{word}_{modes.loop}_frequency_{i}": frequency, f"{word}_{modes.loop}_damping_{i}": damping}
+    return found
+
+
+# ---- Our value of each figure, with its standard deviation.
+
+Own = tuple[float, float]
+"""Value and its standard deviation, nan without one."""
+_SCALE = {"um": 1e6, "ms": 1e3}
+_PAIRS = ("xx", "xy", "yx", "yy")
+_ACTUATORS = ("p1_x", "p2_x", "p1_y", "p2_y", "kappa_x", "kappa_y")
+_LOOPS = ("open", "closed")
+_DRAWS = 200
+"""Models drawn for a standard deviation, which they give to 5 %."""
+
+
+def _values() -> Iterator[tuple[str, Callable[[Results], Own]]]:
+    """Yield for each id the function that returns our value in SI units (percents as such)."""
+    for k, pair in enumerate(_PAIRS):
+        yield f"static_rms_{pair}", partial(_static_rms, k)
+    yield "static_largest", _static_largest
+    yield "recordings", _models
+    for name in _ACTUATORS:
+        yield f"actuator_{name}", partial(_actuator, name)
+    for word, structure in (("bearing", "rotor_bearing"), ("actuator", "piezo_pair")):
+        for j, axis in enumerate("xy"):
+            for what in ("mean", "std"):
+                yield f"{word}_{what}_{axis}", partial(_crossval, structure, what, j)
+    for j, name in enumerate(CHARACTERISTICS):
+        yield f"rms_{name}", partial(_rms, j)
+        yield f"surface_{name}", partial(_off_published, j)
+    yield "largest_gain", _largest_gain
+    for loop in _LOOPS:
+        for i in (1, 2):
+            for j, what in enumerate(("frequency", "damping")):
+                yield f"expected_{loop}_{what}_{i}", partial(_expected, loop, i - 1, j)
+                yield f"obtained_{loop}_{what}_{i}", partial(_obtained, loop, i - 1, j)
+                yield f"model_{loop}_{what}_{i}", partial(_published_mode, loop, i - 1, j)
+    for i in (1, 2):
+        yield f"damping_factor_{i}", partial(_damping_factor, i - 1)
+        yield f"model_damping_factor_{i}", partial(_published_factor, i - 1)
+    yield "tuned_damping", lambda results: (_retuned(results).value, nan)
+    for axis in "xy":
+        yield f"tuned_kappa_{axis}", partial(_retuned_gain, f"kappa_{axis}")
+    yield "hysteresis", _hysteresis
+
+
+def _static_rms(k: int, results: Results) -> Own:
+    return float(results.static_map.rms.flat[k]), nan
+
+
+def _static_largest(results: Results) -> Own:
+    return float(np.nanmax(results.static_map.largest)), nan
+
+
+def _models(results: Results) -> Own:
+    """Return the number of recordings whose fits determine the surfaces."""
+    return float(len(results.surface_fit.estimates.recordings)), nan
+
+
+def _actuator(name: str, results: Results) -> Own:
+    """Return a parameter of the nominal actuator, and its standard deviation between recordings: it is one of them."""
+    nominal = results.nominal
+    return nominal.parameters[name], float(nominal.values[:, nominal.parameter_names.index(name)].std(ddof=1))
+
+
+def _crossval(structure: str, what: Literal["mean", "std"], j: int, results: Results) -> Own:
+    """Return mean or standard deviation of the fit percent; pairs of one recording count as one value."""
+    summary = results.summary(structure)
+    std, n = float(summary.std[j]), summary.n_recordings
+    return (float(summary.mean[j]), std / sqrt(n)) if what == "mean" else (std, std / sqrt(2 * (n - 1)))
+
+
+def _rms(j: int, results: Results) -> Own:
+    rms = results.surface_fit.deviations[j].rms
+    return rms, rms / sqrt(2 * _left_over(results))
+
+
+def _left_over(results: Results) -> int:
+    """Return the number of recordings less the number of terms of a surface."""
+    return len(results.surface_fit.estimates.recordings) - int(results.surface_fit.coefficients.shape[1])
+
+
+def _largest_gain(results: Results) -> Own:
+    return max(d.largest for d in results.surface_fit.deviations if d.name.startswith("g_")), nan
+
+
+def _of_points(model: LPVModel, points: FloatArray) -> FloatArray:
+    """Return the characteristics of a model at operating points, shape (n, 10)."""
+    keys = model.key_parameters(points[:, 0], points[:, 1])
+    return characteristics(np.column_stack([np.broadcast_to(keys[key], len(points)) for key in KEY_PARAMETERS]))
+
+
+def _points(results: Results) -> FloatArray:
+    return np.array(results.machine.operating_points, float)
+
+
+def _off_published(j: int, results: Results) -> Own:
+    """Return the rms over the operating points of a characteristic of our surfaces minus that of the published ones."""
+    ours, published = (_of_points(q, _points(results)) for q in (results.surface_fit.model, results.machine))
+    return float(np.sqrt(np.mean((ours[:, j] - published[:, j]) ** 2))), nan
+
+
+def _expected(loop: str, i: int, j: int, results: Results) -> Own:
+    return results.impacts_at(False)[loop].expected[i][j], float(_drawn(results, False)[loop][i, j])
+
+
+def _obtained(loop: str, i: int, j: int, results: Results) -> Own:
+    """Return a mode from the ring-downs; its std contains the scatter between recordings, which one fit cannot show."""
+    ring = results.impacts_at(False)[loop].ringdown
+    value, std = ((ring.frequency_hz, ring.frequency_std), (ring.damping, ring.damping_std))[j]
+    return float(value[i]), hypot(float(std[i]), float(_drawn(results, True)[loop][i, j]))
+
+
+def _damping_factor(i: int, results: Results) -> Own:
+    """Return the factor by which the controller increases a damping factor."""
+    (closed, closed_std), (opened, opened_std) = (_expected(loop, i, 1, results) for loop in ("closed", "open"))
+    return closed / opened, closed / opened * hypot(closed_std / closed, opened_std / opened)
+
+
+def _published_mode(loop: str, i: int, j: int, results: Results) -> Own:
+    """Return frequency or damping factor of a mode of the published model, with or without its controller."""
+    return _modes(results.machine, results)[loop][i, j], nan
+
+
+def _published_factor(i: int, results: Results) -> Own:
+    return _published_mode("closed", i, 1, results)[0] / _published_mode("open", i, 1, results)[0], nan
+
+
+@lru_cache(maxsize=4)
+def _retuned(results: Results) -> GainResult:
+    """Return gains tuned on the published model at the point of the paper, with the peak of S_o of its own gains."""
+    machine = results.machine
+    cap = sensitivities(machine.plant_at(*POINT), published_controller(results.published_machine)).peak("output").value
+    return tune(machine, operating_points=[POINT], peak_sensitivity=cap)
+
+
+def _retuned_gain(name: str, results: Results) -> Own:
+    return _retuned(results).gains[name], nan
+
+
+def _hysteresis(results: Results) -> Own:
+    for curve, *_ in results.piezos:
+        if curve.units[0] == "V":
+            return curve.hysteresis, curve.hysteresis_std
+    raise DataError("no piezo was characterised in open loop; add one to section 'static'")
+
+
+# ---- Modes of loops: of the paper's continuous one, and of the rig's sampled one.
+
+
+def _modes(model: LPVModel, results: Results) -> dict[str, FloatArray]:
+    """Return frequency [Hz] and damping factor of two modes, (2, 2), of the continuous loops of the paper."""
+    plant = model.plant_at(*POINT)
+    closed = close_loop(plant, published_controller(results.published_machine))
+    return {"open": np.array(ringing_modes(plant)), "closed": np.array(ringing_modes(closed))}
+
+
+def _running(model: LPVModel, results: Results, computation_s: float | None = None) -> dict[str, FloatArray]:
+    """Return the same of the loops with exact delays and the sampled controller; one sample of computation if None."""
+    plant, rate = exact_plant(model, *POINT), sample_time(results.experiment, ControllerSection())
+    sampled = sample_controller(published_controller(results.published_machine), rate)
+    closed = ringing_modes(plant, sampled, computation_s=computation_s)
+    return {"open": np.array(ringing_modes(model.plant_at(*POINT))), "closed": np.array(closed)}
+
+
+@lru_cache(maxsize=8)
+def _drawn(results: Results, running: bool) -> dict[str, FloatArray]:
+    """Return standard deviations of modes, (2, 2), over models drawn from the surfaces.
+
+    With `running` the models have the scatter between recordings, and the loops are those of the rig; else the models
+    have the error of the surfaces alone, and the loops are the paper's.
+    """
+    models = results.surface_fit.draw(_DRAWS, seed=1, scatter=running)
+    actuators = results.identified.actuators
+    loops = [(_running if running else _modes)(replace(q, actuators=actuators), results) for q in models]
+    return {loop: np.std([modes[loop] for modes in loops], axis=0, ddof=1) for loop in _LOOPS}
+
+
+# ---- Explanations. Each is a computation that predicts our value, and its standard deviation, without that value.
+
+
+def _of_plateaus(number: PaperNumber, results: Results) -> Own:
+    """Return the noise of the plateaus about a straight line; nothing else is left of a linear rig."""
+    static = results.static_map
+    shown = static.output_std[static.axis >= -1]
+    if number.id == "static_largest":
+        return _largest_of(float(np.sqrt(np.mean(shown**2, axis=0)).max()), shown.size)
+    i, j = divmod([f"static_rms_{pair}" for pair in _PAIRS].index(number.id), 2)
+    rows = static.output_std[(static.axis == j) | (static.axis == -1), i]
+    predicted = float(np.sqrt(np.mean(rows**2)))
+    return predicted, predicted / sqrt(2 * (len(rows) - 2))
+
+
+def _largest_of(std: float, n: int) -> Own:
+    """Return median and standard deviation of the largest of n absolute normal values."""
+    low, middle, high = stats.norm.isf(0.5 * (1 - np.array([0.025, 0.5, 0.975]) ** (1 / n)))
+    return float(std * middle), float(std * (high - low) / 4)
+
+
+@lru_cache(maxsize=4)
+def _quiet_actuators(results: Results) -> dict[str, float]:
+    """Return the actuator fitted to a recording of the rig's stacks without any noise."""
+    planned = next(q for q in results.experiment.recordings.values() if q.excited)
+    run = rig_run(results.experiment, planned)
+    sensors = SensorChain(noise_p_m=0.0, noise_u_m=0.0)
+    machine = replace(run.machine, sensors=sensors, non_synchronous=None)
+    section = results.experiment.spec.rig
+    assert section is not None
+    prbs = Prbs(2.0, section.prbs.amplitude_m, section.prbs.hold_s)
+    quiet = record(machine, prbs, conditions=planned.conditions, seed=1, name="quiet stacks")
+    return dict(gbid.fit(gbid.PiezoPair(), gbid.prefilter(quiet)[0]).parameters)
+
+
+def _of_stacks(number: PaperNumber, results: Results) -> Own:
+    """Return the linear model of the nonlinear stacks, without noise."""
+    name = number.id.removeprefix("actuator_")
+    return _quiet_actuators(results)[name], _actuator(name, results)[1]
+
+
+@lru_cache(maxsize=4)
+def _std_of_fits(results: Results) -> FloatArray:
+    """Return the standard deviation of each characteristic of each fit, (n, 10), by its covariance."""
+    estimates = results.surface_fit.estimates
+    return np.array([_propagated(v, c) for v, c in zip(estimates.values, estimates.covariance, strict=True)])
+
+
+def _propagated(values: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the standard deviations of the characteristics, (10,), from the covariance of the key parameters."""
+    steps = 1e-3 * np.sqrt(np.diag(covariance))
+    ends = [characteristics(values + sign * np.diag(steps)) for sign in (1.0, -1.0)]
+    slopes = (ends[0] - ends[1]) / (2 * steps[:, None])
+    return np.asarray(np.sqrt(np.einsum("ai,ab,bi->i", slopes, covariance, slopes)))
+
+
+def _set_scatter(j: int, results: Results) -> float:
+    """Return the rms off a surface that the scatter of the rig and the errors of the fits make."""
+    scatter = results.experiment.spec.rig.scatter if results.experiment.spec.rig else None
+    if scatter is None:
+        raise DataError("the rig has no scatter between recordings")
+    drawn = (*scatter.delay_s, *scatter.frequency_hz, *scatter.damping, *scatter.static_gain)[j] * scatter.share
+    n = len(results.surface_fit.estimates.recordings)
+    return float(np.sqrt((drawn**2 + np.mean(_std_of_fits(results)[:, j] ** 2)) * _left_over(results) / n))
+
+
+def _of_share(number: PaperNumber, results: Results) -> Own:
+    """Return the scatter that the rig draws with the errors of the fits."""
+    if number.id == "largest_gain":
+        gains = range(CHARACTERISTICS.index("g_xx"), len(CHARACTERISTICS))
+        sizes = [_set_scatter(j, results) for j in gains]
+        return _largest_of(max(sizes), sum(size > 0.9 * max(sizes) for size in sizes) * _left_over(results))
+    predicted = _set_scatter(CHARACTERISTICS.index(number.id.removeprefix("rms_")), results)
+    return predicted, predicted / sqrt(2 * _left_over(results))
+
+
+def _of_surfaces(number: PaperNumber, results: Results) -> Own:
+    """Return the standard deviations that the surfaces state; six terms make about six independent errors."""
+    points, fit = _points(results), results.surface_fit
+    keys = fit.model.key_parameters(points[:, 0], points[:, 1])
+    values = np.column_stack([np.broadcast_to(keys[key], len(points)) for key in KEY_PARAMETERS])
+    stds = np.array([_propagated(v, c) for v, c in zip(values, fit.uncertainty_at(*points.T), strict=True)])
+    predicted = float(np.sqrt(np.mean(stds[:, CHARACTERISTICS.index(number.id.removeprefix("surface_"))] ** 2)))
+    return predicted, predicted / sqrt(2 * fit.coefficients.shape[1])
+
+
+def _of_actuators(number: PaperNumber, results: Results) -> Own:
+    """Return the published bearing behind our nominal actuators."""
+    modes = _modes(replace(results.machine, actuators=results.identified.actuators), results)
+    if number.id.startswith("damping_factor"):
+        i = int(number.id[-1]) - 1
+        return float(modes["closed"][i, 1] / modes["open"][i, 1]), _damping_factor(i, results)[1]
+    loop, at = _place(number)
+    return float(modes[loop][at]), _expected(loop, *at, results)[1]
+
+
+def _of_rig(number: PaperNumber, results: Results) -> Own:
+    """Return the modes of the rig's own loop as it runs; the obtained value has the only standard deviation."""
+    loop, at = _place(number)
+    return float(_running(results.machine, results)[loop][at]), 0.0
+
+
+def _place(number: PaperNumber) -> tuple[str, tuple[int, int]]:
+    """Return the loop of a row of Tables 3 and 4, and the place of its figure among the modes."""
+    _, loop, what, i = number.id.split("_")
+    return loop, (int(i) - 1, ("frequency", "damping").index(what))
+
+
+_EQUAL = 0.0005
+"""Half of the last digit of a damping factor in Table 4."""
+
+
+def _of_flat(_: PaperNumber, results: Results) -> Own:
+    """Return the gains whose damping is the best to its last printed digit, by eigenvalues on a grid under the cap."""
+    plant, best = results.machine.plant_at(*POINT), _retuned(results)
+    known = results.published_machine.controller
+    assert known is not None
+    cap = sensitivities(plant, published_controller(results.published_machine)).peak("output").value
+    equal = []
+    for gain in np.linspace(0.9, 1.1, 81) * known.kappa_x:
+        law = p_controller(gain, best.gains["kappa_y"], known.lowpass_hz, known.lowpass_order)
+        damping = min(zeta for _, zeta in close_loop(plant, law).modes())
+        if damping > best.value - _EQUAL and sensitivities(plant, law).peak("output").value < cap * (1 + 1e-3):
+            equal.append(gain)
+    if not equal or not min(equal) <= known.kappa_x <= max(equal):
+        return nan, nan
+    return float(np.mean(equal)), (max(equal) - min(equal)) / 4
+
+
+EXPLANATIONS: dict[str, Callable[[PaperNumber, Results], Own]] = {
+    "plateaus": _of_plateaus,
+    "stacks": _of_stacks,
+    "share": _of_share,
+    "surfaces": _of_surfaces,
+    "actuators": _of_actuators,
+    "rig": _of_rig,
+    "flat": _of_flat,
+}
+"""Predictions of our values in SI units, by the name that `off` gives."""
+
+
+# ---- The comparison.
+
+Verdict = Literal["within", "explained", "open", "missing"]
+VERDICTS: tuple[Verdict, ...] = ("within", "explained", "open", "missing")
+
+
+@dataclass(frozen=True)
+class ReproductionRow:
+    """Comparison of one figure of the paper with ours.
+
+    Attributes
+    ----------
+    number : PaperNumber
+        Figure of the paper.
+    ours, std : float
+        Our value and its standard deviation; nan without one.
+    verdict : {"within", "explained", "open", "missing"}
+        ``within``: the deviation is within the scatter of the paper and ours. ``explained``: it is not, or the paper
+        gives no value, and the prediction of the explanation agrees with our value. ``open``: neither. ``missing``:
+        there is no value of ours.
+    why : str
+        Explanation that holds or fails, or what is missing.
+    predicted, predicted_std : float
+        What the explanation predicts for our value, and its standard deviation; nan without one.
+    """
+
+    number: PaperNumber
+    ours: float
+    std: float
+    verdict: Verdict
+    why: str = ""
+    predicted: float = nan
+    predicted_std: float = nan
+
+    @property
+    def deviation(self) -> float:
+        """Our value minus that of the paper; nan where the paper gives none."""
+        return nan if self.number.value is None else self.ours - self.number.value
+
+    def document(self) -> dict[str, Any]:
+        """Return plain values; None for missing ones."""
+        n = self.number
+        return {
+            "id": n.id,
+            "where": n.where,
+            "quantity": n.quantity,
+            "unit": n.unit,
+            "kind": n.kind,
+            "paper": n.value,
+            "ours": finite_or_none(self.ours),
+            "ours_std": finite_or_none(self.std),
+            "deviation": finite_or_none(self.deviation),
+            "deviation_percent": finite_or_none(100 * self.deviation / n.value) if n.value else None,
+            "allowed": n.allowed,
+            "scatter_from": n.scatter_from,
+            "verdict": self.verdict,
+            "explanation": n.off if self.verdict in ("explained", "open") else "",
+            "predicted": finite_or_none(self.predicted),
+            "predicted_std": finite_or_none(self.predicted_std),
+            "why": self.why,
+        }
+
+
+def reproduction(results: Results) -> list[ReproductionRow]:
+    """Return the comparison of an experiment with the paper.
+
+    Parameters
+    ----------
+    results : Results
+        Results for the machine of the paper.
+
+    Returns
+    -------
+    list of ReproductionRow
+        Rows in the order of the paper.
+
+    Raises
+    ------
+    DataError
+        When the machine is another.
+    """
+    if not results.published:
+        raise DataError("the paper's figures are for its own machine: an experiment with rig: {model: theisen2016}")
+    own = dict(_values())
+    rows = []
+    for number in paper_numbers():
+        scale = _SCALE.get(number.unit, 1.0)
+        try:
+            ours, std = (scale * v for v in own[number.id](results))
+            row = judged(number, ours, std)
+            if row.verdict == "open" and number.off:
+                row = explained(row, *(scale * v for v in EXPLANATIONS[number.off](number, results)))
+        except GbidError as error:
+            row = ReproductionRow(number, nan, nan, "missing", str(error))
+        rows.append(row)
+    return rows
+
+
+def judged(number: PaperNumber, ours: float, std: float = nan) -> ReproductionRow:
+    """Return the row of a value: within what the paper allows and two own standard deviations, or open."""
+    if not isfinite(ours):
+        return ReproductionRow(number, ours, std, "missing", "not a finite number")
+    row = ReproductionRow(number, ours, std, "open")
+    if number.value is None or number.allowed is None:
+        return row
+    allowed = hypot(number.allowed, 2 * std if isfinite(std) else 0.0)
+    return replace(row, verdict="within") if abs(row.deviation) <= allowed + 1e-12 * abs(number.value) else row
+
+
+def explained(row: ReproductionRow, predicted: float, std: float) -> ReproductionRow:
+    """Return a row with the prediction of its explanation, which must lie within two standard deviations of our value.
+
+    A prediction that is not finite is one that failed.
+    """
+    allowed = 2 * hypot(std, row.std if isfinite(row.std) else 0.0)
+    verdict: Verdict = "explained" if abs(row.ours - predicted) <= allowed else "open"
+    return replace(row, verdict=verdict, why=row.number.why, predicted=predicted, predicted_std=std)
+
+
+def counts(rows: Sequence[ReproductionRow]) -> dict[str, dict[str, int]]:
+    """Return the number of rows by kind and verdict."""
+    found = Counter((row.number.kind, row.verdict) for row in rows)
+    return {kind: {verdict: found[kind, verdict] for verdict in VERDICTS} for kind in KIND_WORDS}
+
+
+# ---- Sentences of the paper without a figure: yes, no, or not testable here, with the figure of ours that says so.
+
+Answer = tuple[bool | None, str]
+"""Whether the sentence holds here (None: not testable), and the figure."""
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """One sentence of the paper; `where` is its section or figure."""
+
+    id: str
+    where: str
+    says: str
+    kind: Kind
+
+
+def sentences(results: Results, path: Path = FILE) -> list[dict[str, str]]:
+    """Return the sentences of the paper as plain values: where, what it says, kind, answer, figure."""
+    documents = []
+    for sentence in (Sentence(**row) for row in read_yaml(path).data["sentences"]):
+        try:
+            holds, figure = ANSWERS[sentence.id](results)
+        except GbidError as error:
+            holds, figure = None, str(error)
+        answer = {True: "yes", False: "no", None: "not testable"}[holds]
+        documents.append({**vars(sentence), "answer": answer, "figure": figure})
+    return documents
+
+
+def _linear(results: Results) -> Answer:
+    off = 1e6 * float(np.nanmax(results.static_map.largest))
+    return None, f"the rig is linear by its equations; off a line by up to {off:.2g} um, which is noise"
+
+
+def _coupling(results: Results) -> Answer:
+    g = np.abs(_of_points(results.surface_fit.model, _points(results))[:, -4:])
+    ratio = float((g[:, [0, 3]].min(axis=1) / g[:, [1, 2]].max(axis=1)).min())
+    return ratio >= 10, f"smallest ratio of a direct to a cross gain over the 15 points: {ratio:.1f}"
+
+
+def _runout(results: Results) -> Answer:
+    turning = {name for name, q in results.experiment.recordings.items() if q.conditions.get("speed_rpm")}
+    rows = [row for row in results.prefiltered if row["recording"] in turning]
+    if not rows:
+        return None, "no prefiltered recording with a turning shaft"
+    before, after = (1e6 * float(np.median([row[key] for row in rows])) for key in ("rms_before", "rms_after"))
+    words = f"shaft turning, piezos moving: {before:.2g} um rms before, {after:.2g} after (medians)"
+    return bool(2 * after**2 < before**2), words  # what is removed has more energy than what stays
+
+
+def _constant_actuators(results: Results) -> Answer:
+    nominal = results.nominal
+    conditions = [results.experiment.recordings[name.rpartition("/")[2]].conditions for name in nominal.models]
+    where = np.array([[c["pressure_bar"], c["speed_rpm"]] for c in conditions])
+    if not where.std(axis=0).all():
+        return None, "pressure or speed do not change"
+    r = np.corrcoef(where.T, np.clip(nominal.z, -3, 3).T)[:2, 2:]
+    least = float(min(stats.pearsonr(a, b).pvalue for a in where.T for b in np.clip(nominal.z, -3, 3).T))
+    limit = 0.05 / r.size  # twelve comparisons
+    return (
+        least > limit,
+        f"largest of twelve correlations {np.abs(r).max():.2f} (p = {least:.2g})",
+    )
+
+
+def _outliers(results: Results) -> Answer:
+    n = len({outlier.model for outlier in results.nominal.outliers})
+    return n > 0, f"{n} of {len(results.nominal.models)} models beyond {results.nominal.limit:.1f} robust std"
+
+
+def _coloured(results: Results) -> Answer:
+    rows = results.crossval[results.fit_with("rotor_bearing")][0]
+    coloured = sum(row.residuals_white is False for row in rows)
+    follow = sum(bool(row.residuals_follow) for row in rows)
+    return coloured + follow > 0, f"of {len(rows)} outputs {coloured} not white, {follow} follow an input"
+
+
+def _small_residuals(results: Results) -> Answer:
+    largest = 1e6 * results.summary("rotor_bearing").infinity_norm_max
+    return None, f"the paper prints no limit; largest residual {largest[0]:.2g} um in x, {largest[1]:.2g} in y"
+
+
+def _horizontal_actuators(results: Results) -> Answer:
+    nominal, mean = results.nominal, results.summary("piezo_pair").mean
+    spread = nominal.values.std(axis=0, ddof=1) / nominal.values.mean(axis=0)
+    x, y = (
+        float(np.mean([s for s, q in zip(spread, nominal.parameter_names, strict=True) if q[-1] == a])) for a in "xy"
+    )
+    words = (
+        f"fit {mean[0]:.2f} and {mean[1]:.2f} %, mean relative std of the parameters {100 * x:.2g} and {100 * y:.2g} %"
+    )
+    return bool(mean[0] < mean[1] and x > y), words
+
+
+def _longer_delay(results: Results) -> Answer:
+    tau = _of_points(results.surface_fit.model, _points(results))[:, :2]
+    n = int((tau[:, 0] > tau[:, 1]).sum())
+    return n == len(tau), f"at {n} of {len(tau)} points"
+
+
+def _falling_delay(results: Results) -> Answer:
+    points = _points(results)
+    tau = _of_points(results.surface_fit.model, points)[:, :2]
+    falls = [
+        tau[b] < tau[a]
+        for a in range(len(points))
+        for b in range(len(points))
+        if points[b, 0] == points[a, 0] + 1 and points[b, 1] == points[a, 1]
+    ]
+    x, y = np.sum(falls, axis=0)
+    return bool(x + y == 2 * len(falls)), f"in {x} (x) and {y} (y) of {len(falls)} steps of 1 bar"
+
+
+def _uncertain_damping(results: Results) -> Answer:
+    relative = [
+        d.rms / abs(float(column.mean()))
+        for d, column in zip(results.surface_fit.deviations, results.surface_fit.characteristics[1].T, strict=True)
+    ]
+    f, zeta = (100 * max(relative[i] for i in at) for at in ((2, 3), (4, 5)))
+    return zeta > f, f"rms off the surface, relative: damping {zeta:.2g} %, frequencies {f:.2g} %"
+
+
+def _four_krpm(results: Results) -> Answer:
+    estimated, surface = results.surface_fit.characteristics
+    away = (estimated - surface)[:, 4:6]
+    there = results.surface_fit.estimates.points[:, 1] == 4000
+    ratio = float((away[there] ** 2).mean() / (away[~there] ** 2).mean())
+    limit = float(stats.f.isf(0.05, 2 * int(there.sum()), 2 * int((~there).sum())))
+    return (
+        ratio > limit,
+        f"variance of damping factors there over elsewhere {ratio:.2f}; chance: up to {limit:.2f}",
+    )
+
+
+def _sensitivity(results: Results) -> Answer:
+    machine = results.published_machine
+    loop = sensitivities(machine.model.plant_at(*POINT), published_controller(machine))
+    at = np.abs(loop.response("output", [1.0, *(f for f, _ in machine.model.at(*POINT).modes())]))
+    low, resonances = float(at[0, 0, 0]), at[1:].diagonal(axis1=1, axis2=2).max()
+    words = f"published model: |S_o,xx| at 1 Hz {low:.2f}, diagonal of S_o at the resonances up to {resonances:.2f}"
+    return bool(low > 1 > resonances), words
+
+
+def _peak_gain(results: Results) -> Answer:
+    machine = results.published_machine
+    plant = machine.model.plant_at(*POINT)
+    opened, closed = (
+        gbid.control.peak_gain(q).value for q in (plant, close_loop(plant, published_controller(machine)))
+    )
+    return closed < opened / 2, f"published model: largest singular value {opened:.2f}, closed {closed:.2f} m/m"
+
+
+def _more_damping(results: Results) -> Answer:
+    opened, closed = (_obtained(loop, 0, 1, results)[0] for loop in _LOOPS)
+    return closed > 2 * opened, f"damping factor 1 from the ring-downs {opened:.3f}, closed {closed:.3f}"
+
+
+def _little_coupling(results: Results) -> Answer:
+    shares = []
+    for loop in _LOOPS:
+        study = results.impacts_at(False)[loop]
+        for v in study.validations:
+            along = "xy".index(v.axis)
+            rows = np.concatenate([np.arange(*w) for w in v.windows])
+            rms = np.sqrt(np.mean((v.measured - v.stationary)[rows] ** 2, axis=0))
+            noise = study.ringdown.residual_rms
+            size = np.sqrt(np.maximum(rms**2 - noise**2, 0.0))
+            shares.append(float(size[1 - along] / size[along]))
+    n = len(shares) // 2
+    opened, closed = max(shares[:n]), max(shares[n:])
+    return closed < opened / 2, f"motion across an impact over motion along it: {opened:.2f}, closed {closed:.2f}"
+
+
+def _factor_two(results: Results) -> Answer:
+    ratios = []
+    for loop in _LOOPS:
+        study = results.impacts_at(False)[loop]
+        ratios += [a / b for a, b in zip(np.ravel(study.ringdown.modes()), np.ravel(study.expected), strict=True)]
+    worst = max(max(q, 1 / q) for q in ratios)
+    return (
+        bool(worst <= 2),
+        f"obtained over expected, eight figures: at most a factor {worst:.2f}",
+    )
+
+
+def _agreement(results: Results) -> Answer:
+    fits = [v.along_percent for v in results.impacts_at(False)["closed"].validations]
+    return None, f"the paper prints no figure; fit along the impact {', '.join(f'{q:.1f} %' for q in fits)}"
+
+
+def _orbits(results: Results) -> dict[str, FloatArray]:
+    """Return the amplitudes in x and y of the motion synchronous with the shaft [um], by loop."""
+    loops = results.impacts_at(True)
+    parts = {loop: np.concatenate([v.stationary for v in loops[loop].validations]) for loop in _LOOPS}
+    return {loop: 1e6 * np.sqrt(2) * part.std(axis=0) for loop, part in parts.items()}
+
+
+def _unbalance(results: Results) -> Answer:
+    x, y = _orbits(results)["open"]
+    words = f"synchronous with the shaft, open loop: {x:.2f} um in x, {y:.2f} in y, run-out included"
+    return bool(x > 1.1 * y), words
+
+
+def _larger_orbit(results: Results) -> Answer:
+    orbits = _orbits(results)
+    (a, b), (c, d) = orbits["open"], orbits["closed"]
+    return bool(c > a and d > b), f"{a:.2f} and {b:.2f} um (x, y) without, {c:.2f} and {d:.2f} with the gains"
+
+
+def _turning(results: Results) -> Answer:
+    loops = results.impacts_at(True)
+    opened, closed = (1e3 * max(q.decay_s for q in loops[loop].figures) for loop in _LOOPS)
+    return closed < opened / 2, f"95 % of the energy has gone after {opened:.0f} ms, closed {closed:.0f} ms"
+
+
+def _controlled_stack(results: Results) -> Answer:
+    curves = {curve.units[0]: curve for curve, *_ in results.piezos}
+    opened, closed = curves["V"], curves["m"]
+    creep = [100 * float(np.abs(c.creep[~c.saturated]).mean()) for c in (opened, closed)]
+    words = (
+        f"hysteresis {1e6 * opened.hysteresis:.2g} and {1e6 * closed.hysteresis:.2g} um, "
+        f"creep {creep[0]:.2g} and {creep[1]:.2g} %, without and with the controller"
+    )
+    return bool(closed.hysteresis < opened.hysteresis / 2 and creep[1] < creep[0] / 2), words
+
+
+ANSWERS: dict[str, Callable[[Results], Answer]] = {
+    "linear": _linear,
+    "coupling": _coupling,
+    "runout": _runout,
+    "constant_actuators": _constant_actuators,
+    "outliers": _outliers,
+    "coloured": _coloured,
+    "small_residuals": _small_residuals,
+    "horizontal_actuators": _horizontal_actuators,
+    "longer_delay": _longer_delay,
+    "falling_delay": _falling_delay,
+    "uncertain_damping": _uncertain_damping,
+    "four_krpm": _four_krpm,
+    "sensitivity": _sensitivity,
+    "peak_gain": _peak_gain,
+    "more_damping": _more_damping,
+    "little_coupling": _little_coupling,
+    "factor_two": _factor_two,
+    "agreement": _agreement,
+    "unbalance": _unbalance,
+    "larger_orbit": _larger_orbit,
+    "turning": _turning,
+    "controlled_stack": _controlled_stack,
+}
+"""Answers to the sentences, by id."""
+
+
+# ---- Tables that the paper has no figures for: assumptions of ours, with what each choice gives.
+
+
+def computation_rows(results: Results) -> list[list[str | float]]:
+    """Return the closed-loop modes at the point of the paper: printed, and of its model by time of computation."""
+    rate = sample_time(results.experiment, ControllerSection())
+    machine = results.published_machine
+    rows: list[list[str | float]] = []
+    for kind in ("expected", "measured"):
+        for modes in machine.reference_modes:
+            if modes.kind == kind and modes.loop == "closed":
+                rows.append([f"paper, {kind}", *np.ravel(modes.modes)])
+    rows.append(["published model, continuous", *_modes(machine.model, results)["closed"].ravel()])
+    for words, seconds in (("no time", 0.0), ("one sample", rate)):
+        running = _running(machine.model, results, seconds)["closed"]
+        rows.append([f"published model, sampled, {words} for computation", *running.ravel()])
+    return rows
+
+
+def alternative_rows(results: Results) -> list[list[str | float]]:
+    """Return the smallest damping over the operating points for each reading of a coefficient, by loop."""
+    machine = results.published_machine
+    rows: list[list[str | float]] = []
+    laws: dict[str, LinearModel | None] = {"open": None, "published gains": published_controller(machine)}
+    for name, model in machine.alternatives.items():
+        plants = [model.plant_at(*point) for point in model.operating_points]
+        loops = [[p if law is None else close_loop(p, law) for p in plants] for law in laws.values()]
+        rows.append([name, *(min(_smallest(q) for q in loop) for loop in loops)])
+    return rows
+
+
+def _smallest(model: LinearModel) -> float:
+    """Return the smallest damping factor of a model; negative when it is unstable."""
+    poles = model.poles()
+    return float((-poles.real / np.abs(poles)).min())
