@@ -11,9 +11,8 @@ from pydantic import BaseModel
 from gbid.experiment.experiment import figure_pairs, validation_pairs
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import _parse, _without, load_experiment
-from gbid.experiment.schema import ExperimentFile
-from gbid.experiment.load import load_experiment
 from gbid.experiment.machine import rig_run
+from gbid.experiment.schema import ExperimentFile
 from gbid.rig import PiezoStacks
 
 
