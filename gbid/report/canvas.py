@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TextIO, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+from matplotlib.backend_bases import get_registered_canvas_class
 from matplotlib.figure import Figure
 
 from gbid.core.errors import UsageError
@@ -70,7 +71,31 @@ def save_figure(figure: Drawn, path: Path, *, kind: str | None = None, note: str
     }
     metadata: Mapping[str, str | None] = notes.get(kind, {})
     with mpl.rc_context(rc={"svg.hashsalt": "gbid"}, fname=STYLE), missing_letters_as_boxes():
-        figure_of(figure).savefig(path, format=kind, metadata=dict(metadata))
+        print_figure(figure_of(figure), path, kind, metadata)
+
+
+def print_figure(figure: Figure, target: Path | TextIO, kind: str, metadata: Mapping[str, str | None]) -> None:
+    """Write a figure; `Figure.savefig` would draw it twice, the first time only for its layout.
+
+    Parameters
+    ----------
+    figure : matplotlib Figure
+    target : path or text buffer
+    kind : {"png", "pdf", "svg"}
+    metadata : mapping of str to str or None
+        Entries of the file; None leaves out one that matplotlib would write.
+    """
+    canvas, dpi, paper = figure.canvas, figure.dpi, figure.get_facecolor()
+    printing: Any = get_registered_canvas_class(kind)(figure)
+    try:
+        figure.dpi = mpl.rcParams["savefig.dpi"]
+        if mpl.rcParams["savefig.facecolor"] != "auto":
+            figure.set_facecolor(mpl.rcParams["savefig.facecolor"])
+        getattr(printing, f"print_{kind}")(target, metadata=dict(metadata))
+    finally:
+        figure.set_facecolor(paper)
+        figure.dpi = dpi
+        figure.set_canvas(canvas)
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from markupsafe import Markup
 from gbid._version import __version__
 from gbid.core.names import printable
 from gbid.core.tables import Table, html_table
-from gbid.report.canvas import STYLE, Drawn, figure_of, missing_letters_as_boxes
+from gbid.report.canvas import STYLE, Drawn, figure_of, missing_letters_as_boxes, print_figure
 
 # ---- Figures of matplotlib as SVG in a page.
 
@@ -68,7 +68,7 @@ class Pictures:
         outlines = mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": "gbid"})
         nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
         with mpl.rc_context(fname=STYLE), outlines, missing_letters_as_boxes():
-            figure_of(figure).savefig(buffer, format="svg", metadata=nothing)
+            print_figure(figure_of(figure), buffer, "svg", nothing)
         return Picture(_embedded(buffer.getvalue(), f"g{next(self._numbers)}-", alt), caption or alt)
 
 

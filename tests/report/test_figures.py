@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from gbid.core.errors import UsageError
 from gbid.core.tables import engineering, exponent_of
 from gbid.report import plot_residuals, plot_response, residuals_data, residuals_figure, response_figure, save_figure
+from gbid.report.canvas import STYLE
 from gbid.validate import ResidualTest, Validation
 
 
@@ -100,6 +101,22 @@ def test_files_are_the_same_each_time(tmp_path, kind, begins):
     assert one == two
     assert one.startswith(begins)
     assert key.encode() in one
+
+
+@pytest.mark.parametrize("paper", ["auto", "black"])
+def test_a_figure_is_drawn_once_and_looks_as_that_of_matplotlib(tmp_path, monkeypatch, paper):
+    monkeypatch.setitem(mpl.rcParams, "savefig.facecolor", paper)
+    figure = Figure(figsize=(2, 2), layout="constrained")
+    figure.subplots().set(xlabel="time [s]", title="a figure")
+    draw, drawn = Figure.draw, []
+    monkeypatch.setattr(Figure, "draw", lambda *arguments: [drawn.append(arguments), draw(*arguments)])
+    before = figure.canvas, figure.dpi, figure.get_facecolor(), figure.get_layout_engine()
+    save_figure(figure, tmp_path / "a.png")
+    assert len(drawn) == 1
+    assert (figure.canvas, figure.dpi, figure.get_facecolor(), figure.get_layout_engine()) == before
+    with mpl.rc_context(fname=STYLE):
+        figure.savefig(tmp_path / "b.png", metadata={"Comment": ""})
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_no_global_state(validation):
