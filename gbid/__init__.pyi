@@ -55,6 +55,7 @@ from .identify import (
     FitProblem as FitProblem,
     FitResult as FitResult,
     FitTable as FitTable,
+    FrequencyData as FrequencyData,
     MeasuredResponse as MeasuredResponse,
     MultiStart as MultiStart,
     Profile as Profile,

@@ -219,13 +219,15 @@ class FitSection(OptionsSection, FitOptions, frozen=True):
 
     `left_out`: by name of a recording, stretches ``[from, to]`` [s] from the first sample; the sample at ``to`` is used
     again. `local` needs `together`. ``inputs: []`` is a free decay. `loop`: the recordings were made under a
-    controller; the structure is then that of the loop, from what was injected.
+    controller; the structure is then that of the loop, from what was injected. `responses`: CSV files of frequency
+    responses (`gbid.FrequencyData.read`), fitted in one criterion with the recordings.
     """
 
     structure: Text
     options: StructureOptions = StructureOptions()
     loop: Annotated[LoopSection | None, BeforeValidator(given)] = None
     recordings: Names | None = None
+    responses: Names = ()
     together: Switch = False
     multi_start: MultiStartSection | None = None
     # Options of `gbid.fit` that have another form in the YAML.

@@ -17,7 +17,7 @@ from gbid.core.names import given_path
 from gbid.core.tables import Table, Value, plain_table, write_csv
 from gbid.core.yaml_file import write_yaml
 from gbid.export.matlab import Exportable
-from gbid.identify import FitResult
+from gbid.identify import FitResult, FrequencyData
 from gbid.lpv import LPVModel, save_model
 from gbid.lpv.model import TERMS
 from gbid.lpv.model_file import SI_UNITS
@@ -37,8 +37,8 @@ def save_csv(
 
     Parameters
     ----------
-    what : LinearModel, FitResult or LPVModel
-        The model to export.
+    what : LinearModel, FitResult, LPVModel or FrequencyData
+        The model to export, or measured frequency responses, which `FrequencyData.read` reads again.
     path : path
         The new file.
     frequency_hz : (n,) array, optional
@@ -60,6 +60,8 @@ def save_csv(
     """
     path = given_path(path)
     if frequency_hz is not None:
+        if isinstance(what, FrequencyData):
+            raise UsageError(f"{path}: measured responses have frequencies of their own; leave frequency_hz out")
         if isinstance(what, LPVModel):
             raise UsageError(
                 f"{path}: an LPV model has a frequency response at one operating point only; "
@@ -71,6 +73,8 @@ def save_csv(
         table = _coefficients(what)
     elif isinstance(what, FitResult):
         table = _parameters(what)
+    elif isinstance(what, FrequencyData):
+        table = what.table()
     else:
         table = _matrices(what)
     with atomic_path(path, overwrite) as part:
@@ -134,8 +138,8 @@ def save_yaml(what: Exportable, path: str | Path, *, overwrite: bool = False) ->
 
     Parameters
     ----------
-    what : LinearModel, FitResult or LPVModel
-        The model to export.
+    what : LinearModel, FitResult, LPVModel or FrequencyData
+        The model to export, or measured frequency responses, which `FrequencyData.read` reads again.
     path : path
         The new file.
     overwrite : bool

@@ -9,6 +9,9 @@ from .fit import (
     fit_problem as fit_problem,
     profile as profile,
 )
+from .frequency_data import (
+    FrequencyData as FrequencyData,
+)
 from .multistart import (
     Minimum as Minimum,
     MultiStart as MultiStart,

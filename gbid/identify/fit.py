@@ -15,8 +15,9 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.notes import FitNote
 from gbid.core.option_types import takes_options
+from gbid.identify.frequency_fit import fitted_to_responses
 from gbid.identify.options import FitArguments
-from gbid.identify.pose import FitTask, PosedProblem, Recordings, pose
+from gbid.identify.pose import FitTask, Measured, PosedProblem, Recordings, apart, pose, with_options
 from gbid.identify.problem.hessian import gauss_newton
 from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.restarts import best_attempt, windows_of
@@ -27,11 +28,17 @@ from gbid.structure import AnyStructure, kind_of
 from gbid.structure.parameter import asked_once
 
 
-def fitted(structure: AnyStructure, recordings: Recordings, options: FitArguments) -> FitResult:
+def fitted(structure: AnyStructure, recordings: Measured, options: FitArguments) -> FitResult:
     """Return the fit of a structure to recordings; see `fit`."""
     began = time.perf_counter()
     check_order(structure, "fit(structure, recordings)")
     with asked_once():
+        in_time, responses = apart(recordings)
+        if responses and not in_time:
+            with one_blas_thread():
+                parameters = with_options(structure.parameters, options)
+                result = fitted_to_responses(structure, parameters, responses, options)
+            return replace(result, wall_time_s=time.perf_counter() - began)
         task = pose(structure, recordings, options)
         # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
         with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -43,7 +50,7 @@ def fitted(structure: AnyStructure, recordings: Recordings, options: FitArgument
 
 
 @takes_options(FitArguments)
-def fit(structure: AnyStructure, recordings: Recordings, options: FitArguments) -> FitResult:
+def fit(structure: AnyStructure, recordings: Measured, options: FitArguments) -> FitResult:
     """Return the fit of a structure to recordings by prediction errors (paper, Eq. 15) with multiple shooting.
 
     Parameters
@@ -51,8 +58,9 @@ def fit(structure: AnyStructure, recordings: Recordings, options: FitArguments) 
     structure : Structure or NonlinearStructure
         `RotorBearing`, `PiezoPair`, `Plant`, or a user's `LinearStructure` or `NonlinearStructure`; what
         `scheduled` makes of linear ones, for recordings in which scheduling variables change.
-    recordings : Recording or sequence of Recording
+    recordings : Recording, FrequencyData or sequence of these
         Recordings to fit. They share all parameters except those in `local`; each has its own initial state.
+        Frequency responses are weighted by their standard deviations, alone or in one criterion with recordings.
     **options
 
     Returns
@@ -187,7 +195,7 @@ def _means_may_matter(task: FitTask, result: FitResult) -> bool:
 
 
 def _note_of_means(
-    structure: AnyStructure, recordings: Recordings, options: FitArguments, result: FitResult
+    structure: AnyStructure, recordings: Measured, options: FitArguments, result: FitResult
 ) -> tuple[str, ...]:
     """Return a note where offsets of the outputs, estimated along, are certain and move the estimates."""
     plain = replace(options, std="auto", bootstrap_draws=None, bootstrap_seed=None, profile=(), progress=None)

@@ -15,7 +15,7 @@ from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.notes import FitNote
 from gbid.identify.fit import fitted, with_profiles
 from gbid.identify.options import FitArguments
-from gbid.identify.pose import Recordings
+from gbid.identify.pose import Measured
 from gbid.identify.result import FitResult, FitStatus, StartsTried
 from gbid.structure import AnyStructure, kind_of
 
@@ -88,7 +88,7 @@ class MultiStart(Brief):
 
 def fit_multistart(
     structure: AnyStructure,
-    recordings: Recordings,
+    recordings: Measured,
     *,
     starts: int = 10,
     seed: int = 0,
@@ -102,7 +102,7 @@ def fit_multistart(
     structure : Structure or NonlinearStructure
         Structure to fit.
     recordings : Recording or sequence of Recording
-        Recordings to fit.
+        Recordings, or frequency responses, to fit.
     starts : int
         Number of starts, with the structure's own and the one from the data.
     seed : int

@@ -14,6 +14,7 @@ from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import Disturbances, disturbances_of
+from gbid.identify.frequency_data import FrequencyData, check_linear
 from gbid.identify.generalised_least_squares import WeightedErrors, weighted_solution
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import (
@@ -43,6 +44,7 @@ from gbid.recording import Recording
 from gbid.structure import AnyStructure, Parameter, as_names, equations_of, kind_of, known_names
 
 Recordings = Recording | Sequence[Recording]
+Measured = Recordings | FrequencyData | Sequence[Recording | FrequencyData]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +71,8 @@ class FitTask:
         Start values, and where they come from.
     courses : Courses or None
         Scheduling variables of a scheduled structure.
+    responses : tuple of FrequencyData
+        Frequency responses that are fitted together with the recordings.
     """
 
     structure: AnyStructure
@@ -81,6 +85,7 @@ class FitTask:
     disturbances: Disturbances
     begin: Begin
     courses: Courses | None
+    responses: tuple[FrequencyData, ...] = ()
 
     @property
     def loss(self) -> RobustLoss | None:
@@ -154,7 +159,9 @@ class FitTask:
         shooting: Shooting,
         unknowns: FloatArray,
     ) -> PosedProblem:
-        shooting = with_extra_terms(shooting, assembly, self.data, self.states, parameters, unknowns, self.options)
+        shooting = with_extra_terms(
+            shooting, assembly, self.data, self.states, parameters, unknowns, self.options, self.responses
+        )
         box = unknown_bounds(shooting, assembly, self.states)
         return PosedProblem(self, start, window, parameters, assembly, begin, shooting, unknowns, box)
 
@@ -196,7 +203,14 @@ class PosedProblem:
     box: tuple[FloatArray, FloatArray]
 
 
-def pose(structure: AnyStructure, recordings: Recordings, options: FitArguments) -> FitTask:
+def apart(measured: Measured) -> tuple[list[Recording], list[FrequencyData]]:
+    """Return the recordings and the frequency responses of what a fit was given."""
+    several = [measured] if isinstance(measured, Recording | FrequencyData) else list(measured)
+    responses = [each for each in several if isinstance(each, FrequencyData)]
+    return [each for each in several if not isinstance(each, FrequencyData)], responses
+
+
+def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -> FitTask:
     """Return the task of a fit: names and data checked, start values found.
 
     Raises
@@ -204,12 +218,12 @@ def pose(structure: AnyStructure, recordings: Recordings, options: FitArguments)
     UsageError, DataError
         As for `gbid.fit`.
     """
-    recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    recordings, responses = apart(recordings)
     inputs = as_names(structure.inputs if options.inputs is None else options.inputs)
     outputs = as_names(structure.outputs if options.outputs is None else options.outputs)
     hold = structure.intersample if options.intersample is None else options.intersample
     from_data = options.start == "data"
-    parameters = _with_options(structure.parameters, options)
+    parameters = with_options(structure.parameters, options)
     data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10)
     options = replace(options, inputs=inputs, outputs=outputs)
     stated, structure = structure, equations_of(structure)
@@ -217,7 +231,8 @@ def pose(structure: AnyStructure, recordings: Recordings, options: FitArguments)
     courses = read_courses(scheduled, recordings) if scheduled else None
     if courses is not None and not inputs:
         raise UsageError(f"{structure.name}: inputs=() is for structures with constant parameters")
-    check_inputs_suffice(structure, data, parameters, no_inputs=not inputs)
+    if not responses:  # which may show what recordings at rest do not
+        check_inputs_suffice(structure, data, parameters, no_inputs=not inputs)
     names = [record.name for record in data.records]
     states = initial_states(structure, parameters, options.initial_state, names)
     disturbances = disturbances_of(options, data.output_names, data.sample_time)
@@ -229,10 +244,24 @@ def pose(structure: AnyStructure, recordings: Recordings, options: FitArguments)
         else:
             begin = begin_values(stated, parameters, undisturbed, hold, given, from_data=from_data)
     structure = structure if inputs else kind_of(structure).without_inputs()
-    return FitTask(structure, parameters, data, undisturbed, options, hold, states, disturbances, begin, courses)
+    if responses:
+        check_linear(structure)
+    return FitTask(
+        structure,
+        parameters,
+        data,
+        undisturbed,
+        options,
+        hold,
+        states,
+        disturbances,
+        begin,
+        courses,
+        tuple(each.channels(inputs, outputs) for each in responses),
+    )
 
 
-def _with_options(parameters: tuple[Parameter, ...], options: FitArguments) -> tuple[Parameter, ...]:
+def with_options(parameters: tuple[Parameter, ...], options: FitArguments) -> tuple[Parameter, ...]:
     """Return the parameters with the start values, fixed values and bounds of the caller."""
     start = {} if isinstance(options.start, str) else options.start or {}
     fixed, bounds = options.fixed or {}, options.bounds or {}

@@ -319,6 +319,24 @@ class Predictor(GeneralPredictor):
         return result
 
 
+def matrices_with_slopes(predictor: Predictor, theta: FloatArray) -> tuple[list[Dual], list[FloatArray], float | None]:
+    """Return the matrices of a structure, its slopes as in `ModelSlopes`, and the sample time of a loop.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        The structure.
+    theta : (n_free,) array
+        Values of its free parameters.
+    """
+    matrices = predictor.matrices(theta)
+    A, B, C, D, K, B_delayed, delays = matrices
+    delay = np.zeros((len(theta), predictor.n_inputs))
+    delay[:, list(predictor.delayed)] = delays.slope[:, :, 0]
+    slopes = [A.slope, B.slope, C.slope, D.slope, B_delayed.slope, delay, K.slope]
+    return matrices, slopes, predictor.feedback.sample_time if predictor.feedback else None
+
+
 def build_predictor(
     structure: Structure,
     fixed: Mapping[str, float],

@@ -15,6 +15,7 @@ from gbid.core.arrays import ComplexArray, FloatArray, one_of_each_pair
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.identify import Profile, select
+from gbid.identify.frequency_data import FrequencyData
 from gbid.identify.uncertainty.curves import (
     LEVEL,
     Bode,
@@ -138,26 +139,27 @@ def _common_grid(models: Mapping[str, UncertainModel]) -> FloatArray:
 
 @styled
 def plot_bode(
-    sources: Sources | MeasuredResponse,
+    sources: Sources | FrequencyData,
     ax: Axes | npt.ArrayLike | None = None,
     *,
     frequency_hz: npt.ArrayLike | None = None,
-    measured: MeasuredResponse | None = None,
+    measured: FrequencyData | None = None,
     level: float = LEVEL,
 ) -> npt.NDArray[np.object_]:
     """Draw magnitude and phase of models with confidence bands, and a measured response with its coherence over them.
 
     Parameters
     ----------
-    sources : LinearModel or FitResult, sequence of them, or dict of str to them; or MeasuredResponse
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them; or FrequencyData
         The models. Those of a fit have confidence bands. A measured response may stand alone.
     ax : array of matplotlib Axes, optional
-        Axes with a column for each input, and for each output a row of magnitudes and one of phases; with `measured`
-        also one of coherences. A new figure when left out.
+        Axes with a column for each input, and for each output a row of magnitudes and one of phases; for a
+        `MeasuredResponse` also one of coherences. A new figure when left out.
     frequency_hz : (n,) array, optional
         Frequencies above zero [Hz]; by default those that show the poles, within the band of the measurement.
-    measured : MeasuredResponse, optional
-        Result of `gbid.measured_response`. Values with a standard deviation above half their magnitude are left out.
+    measured : FrequencyData, optional
+        Data, or the result of `gbid.measured_response`, which has the coherence. Values with a standard deviation above
+        half their magnitude are left out.
     level : float
         Probability of the confidence bands.
 
@@ -171,8 +173,8 @@ def plot_bode(
     UsageError
         When there are too few axes, or when the measurement has other channels than the models.
     """
-    shape: Bode | MeasuredResponse
-    if isinstance(sources, MeasuredResponse):
+    shape: Bode | FrequencyData
+    if isinstance(sources, FrequencyData):
         measured, curves, shape = sources, {}, sources
     else:
         curves = bode_data(sources, _within(measured, sources) if frequency_hz is None else frequency_hz)
@@ -183,7 +185,8 @@ def plot_bode(
             f"the measured response has {' x '.join(map(str, measured.response.shape[1:]))} outputs and inputs, the "
             f"models have {n_y} x {n_u}"
         )
-    kinds = ("magnitude", "phase", "coherence") if measured is not None else ("magnitude", "phase")
+    coherent = isinstance(measured, MeasuredResponse)
+    kinds = ("magnitude", "phase", "coherence") if coherent else ("magnitude", "phase")
     heights = [_HEIGHTS[kind] for kind in kinds] * n_y
     size = (max(TWO_COLUMNS, 2.6 * n_u) if n_u > 1 else 4.6, 0.8 + sum(heights))
     figure, flat = panels(ax, len(heights), n_u, size=size, sharex=True, height_ratios=heights)
@@ -223,7 +226,7 @@ def _draw(
     phase.fill_between(f, np.maximum(low, middle - 180), np.minimum(high, middle + 180), **band)
 
 
-def _within(measured: MeasuredResponse | None, sources: Sources) -> FloatArray | None:
+def _within(measured: FrequencyData | None, sources: Sources) -> FloatArray | None:
     """Return frequencies that show the poles of all models within the band of a measurement [Hz]."""
     if measured is None:
         return None
@@ -233,7 +236,7 @@ def _within(measured: MeasuredResponse | None, sources: Sources) -> FloatArray |
 
 
 def _draw_measured(
-    column: npt.NDArray[np.object_], measured: MeasuredResponse, model: Bode | None, i: int, j: int
+    column: npt.NDArray[np.object_], measured: FrequencyData, model: Bode | None, i: int, j: int
 ) -> None:
     f, value = measured.frequency_hz, measured.response[:, i, j]
     clear = measured.std[:, i, j] < 0.5 * np.abs(value)
@@ -247,8 +250,9 @@ def _draw_measured(
         phase = phase + 360 * np.round((near - phase) / 360)  # on the turn of the model
     column[1].semilogx(f[clear], phase[clear], **look)
     _degrees(column[1])
-    column[2].semilogx(f, measured.coherence[:, i], color=GREY, linewidth=0.9)
-    column[2].set_ylim(0.0, 1.05)
+    if isinstance(measured, MeasuredResponse):
+        column[2].semilogx(f, measured.coherence[:, i], color=GREY, linewidth=0.9)
+        column[2].set_ylim(0.0, 1.05)
 
 
 def _degrees(ax: Axes) -> None:

@@ -19,7 +19,7 @@ from gbid.experiment.run import Job, Outcome, produce
 from gbid.experiment.stages.crossval import data_key, model_and_recording, residuals_on, validate_pair
 from gbid.experiment.stages.fit import fit_result
 from gbid.identify import FitResult, Profile, measured_response
-from gbid.identify.uncertainty.spectra import MeasuredResponse
+from gbid.identify.frequency_data import FrequencyData
 from gbid.recording import Recording
 from gbid.report.canvas import save_figure, shown_by_pyplot
 from gbid.report.measured_pictures import (
@@ -46,7 +46,7 @@ def plot(value: Any, ax: Any = None, **options: Any) -> Any:  # noqa: ARG001
     ======================================  ==================
     Recording                               `plot_recording`
     LinearModel, FitResult                  `plot_bode`
-    MeasuredResponse                        `plot_bode`
+    FrequencyData, MeasuredResponse         `plot_bode`
     Profile                                 `plot_profile`
     Validation                              `plot_response`
     ResidualTest                            `plot_residuals`
@@ -83,7 +83,7 @@ def shown(value: Any, ax: Any = None, **options: Any) -> Any:
 
 
 plot.register(Recording, plot_recording)
-for kind in (LinearModel, FitResult, MeasuredResponse):
+for kind in (LinearModel, FitResult, FrequencyData):
     plot.register(kind, plot_bode)
 plot.register(Profile, plot_profile)
 plot.register(Validation, plot_response)

@@ -89,3 +89,18 @@ def test_a_gain_without_input_is_named(tmp_path, capsys):
     path = write(tmp_path, OUTPUT, "inputs: []")
     assert gbid("import", path) == 0
     assert "do not determine b" in "".join(printed_by(capsys, "fit", path, code=3))
+
+
+def test_frequency_responses_are_fitted_with_the_decays(tmp_path, capsys):
+    path = write(tmp_path, GIVEN["input of zero"][0], "responses: [frf.csv]")
+    f = np.linspace(2, 30, 40)
+    s = 2j * np.pi * f
+    rows = [f"{hz},{g.real},{g.imag},1e-6" for hz, g in zip(f, 7.0 / (s**2 + 3.0 * s + 4000.0), strict=True)]
+    (tmp_path / "frf.csv").write_text("\n".join(["frequency_hz,real,imaginary,std", *rows]))
+    assert gbid("run", str(path)) == 0
+    result = load_fit(tmp_path / "results/fits/spring/together.h5")
+    for name, value in (("d", 3.0), ("b", 7.0)):  # the decays alone do not determine b
+        assert abs(result.parameters[name] - value) < 5 * result.std[name]
+    assert result.std["d"] < 0.01
+    (tmp_path / "frf.csv").write_text("frequency_hz\n1\n")
+    assert "magnitude_std, std or coherence" in printed_by(capsys, "check", str(path), code=2).err

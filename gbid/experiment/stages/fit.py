@@ -17,7 +17,7 @@ from gbid.core.errors import DataError, GbidError
 from gbid.core.hdf5 import read_attribute, read_dataset, reading
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
-from gbid.experiment.fields import Found, Location, Result, nearest, refusal, version_of
+from gbid.experiment.fields import Found, Location, Result, file_digest, nearest, refusal, version_of
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.experiment.schema import FitSection
@@ -31,7 +31,7 @@ from gbid.experiment.structures import (
     structure_or_none,
     structure_settings,
 )
-from gbid.identify import FitOptions, FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
+from gbid.identify import FitOptions, FitResult, FrequencyData, TableEntry, fit, fit_multistart, load_fit, save_fit
 from gbid.identify.problem.states import initial_states
 from gbid.recording import ProblemKind, Recording
 from gbid.structure import AnyStructure, kind_of
@@ -47,6 +47,7 @@ def fits_can_be_made(experiment: Experiment) -> Found:
             *_recording_problems(experiment, name, section),
             *_local_problems(experiment, name, section),
             *_left_out_problems(experiment, name, section),
+            *_response_problems(experiment, section),
         ]
         if structure is not None:
             problems += _parameter_problems(experiment, name, section, structure)
@@ -77,6 +78,14 @@ def _recording_problems(experiment: Experiment, name: str, section: FitSection) 
             yield ("recordings",), f"no recording matches {pattern!r}; {nearest(pattern, experiment.recordings)}"
     if section.recordings is None and experiment.recordings and not experiment.fit_recordings(name):
         yield (), "there are no excited recordings; name the recordings to fit"
+
+
+def _response_problems(experiment: Experiment, section: FitSection) -> Found:
+    """Yield a problem for each file of a frequency response that cannot be read."""
+    for i, file in enumerate(section.responses):
+        yield from refusal(("responses", i), partial(FrequencyData.read, experiment.folder / file))
+    if section.responses and section.local:
+        yield ("local",), "frequency responses need parameters that all recordings share; leave one of the two out"
 
 
 def _parameter_problems(experiment: Experiment, name: str, section: FitSection, structure: AnyStructure) -> Found:
@@ -246,10 +255,12 @@ def fit_tasks(job: Job, only: str | None = None) -> list[Task]:
 def fit_result(experiment: Experiment, name: str, model: str) -> Result:
     """Return the result file of one model of a fit."""
     section, recordings = experiment.spec.fits[name], recordings_of(experiment, name, model)
-    settings = section.model_dump(exclude={"structure", "options", "loop", "recordings", "together"})
+    settings = section.model_dump(exclude={"structure", "options", "loop", "recordings", "together", "responses"})
     settings["left_out"] = {recording: settings["left_out"].get(recording) for recording in recordings}
     settings["structure"] = structure_settings(experiment, name)
     settings["recordings"] = recordings
+    if section.responses:
+        settings["responses"] = [file_digest(experiment.folder / file) for file in section.responses]
     sources = [fit_input(experiment, experiment.recordings[recording]) for recording in recordings]
     path = experiment.path(f"{FOLDER}/{name}", model)
     return experiment.result("fit", f"{name}/{model}", path, settings, sources)
@@ -362,11 +373,13 @@ def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
         refuse_bad_signals(planned, data[-1], [*inputs, *outputs], kinds=kinds, driving=inputs)
     structure, section = make_structure(job.experiment, name), job.experiment.spec.fits[name]
     arguments = fit_arguments(job.experiment, name, data)
+    measured: list[Recording | FrequencyData] = [*data]
+    measured += (FrequencyData.read(job.experiment.folder / file) for file in section.responses)
     if section.multi_start is None:
-        result = fit(structure, data, progress=job.reporter.iteration, **arguments)
+        result = fit(structure, measured, progress=job.reporter.iteration, **arguments)
     else:
         options = section.multi_start.model_dump()
-        result = fit_multistart(structure, data, **options, progress=job.reporter.iteration, **arguments).best
+        result = fit_multistart(structure, measured, **options, progress=job.reporter.iteration, **arguments).best
     result = replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
     save_fit(result, part, overwrite=True)
     return Made(result.status, result.success, _smallest(result.fit_percent))

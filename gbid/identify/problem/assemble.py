@@ -20,6 +20,7 @@ from gbid.core.notes import FitNote
 from gbid.discretise import Hold
 from gbid.identify.data import FitData, Record
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
+from gbid.identify.frequency_data import FrequencyData, ResponseErrors
 from gbid.identify.kernel.blocks import LANES, LONGEST_BLOCK, Segment, cut
 from gbid.identify.kernel.lanes import LanesKernel
 from gbid.identify.kernel.linear import (
@@ -656,8 +657,9 @@ def with_extra_terms(
     parameters: Sequence[Parameter],
     start: FloatArray,
     options: FitArguments,
+    responses: Sequence[FrequencyData] = (),
 ) -> Shooting:
-    """Return a problem with the extra cost and the constraints of a caller.
+    """Return a problem with the extra cost and the constraints of a caller, and measured frequency responses.
 
     Parameters
     ----------
@@ -671,14 +673,21 @@ def with_extra_terms(
         Start, scaled; there the size of each constraint is taken.
     options : FitArguments
         Options with the extra cost and the constraints.
+    responses : sequence of FrequencyData
+        Frequency responses that are fitted together with the recordings.
 
     Raises
     ------
     UsageError
         When a function fails, or returns what is no expression in the parameters and initial states.
     """
-    if options.extra_cost is None and options.constraints is None:
+    if options.extra_cost is None and options.constraints is None and not responses:
         return problem
+    part, n_theta, errors = problem.parts[0], problem.n_theta, tuple[ResponseErrors, ...]()
+    if responses:
+        if len(problem.parts) > 1 or options.local or not isinstance(part.predictor, Predictor):
+            raise UsageError("frequency responses are fitted together with recordings that share all parameters")
+        errors = tuple(ResponseErrors(each, part.predictor, part.index, n_theta) for each in responses)
     theta = [ca.SX.sym(q.name) for q in assembly.free]
     columns = {r.name: ca.SX.sym(f"x0[{r.name}]", problem.n_states) for r in data.records}
     p = Values({q.name: ca.SX(q.start) for q in parameters if q.fixed and q.start is not None})
@@ -697,6 +706,7 @@ def with_extra_terms(
         limits = _limits(_called("constraints", options.constraints, p, x0), names)
     rows = ca.vertcat(*(each for _, each, _ in limits)) if limits else ca.SX(0, 1)
     used = np.flatnonzero(np.array(ca.DM(ca.jacobian_sparsity(ca.vertcat(cost, rows), symbols), 1.0)).any(axis=0))
+    used = np.union1d(np.arange(n_theta), used) if errors else used
     v, lam = symbols[used.tolist()] if len(used) else ca.SX(0, 1), ca.SX.sym("lam", rows.numel())
     H, g = ca.hessian(cost, v)
     bent = ca.hessian(ca.dot(lam, rows), v)[0] if limits else ca.SX(len(used), len(used))
@@ -714,6 +724,7 @@ def with_extra_terms(
         np.array([lower for lower, _, _ in limits], float),
         np.array([upper for _, _, upper in limits], float),
         tuple(str(each) for _, each, _ in limits),
+        errors,
     )
     problem = replace(problem, extra=terms)
     size = np.linalg.norm(terms.at(*problem.unpack(start)).slopes * problem.extra_places[1], axis=1)

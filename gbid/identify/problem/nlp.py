@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.core.arrays import FloatArray, IntArray
+from gbid.identify.frequency_data import ResponseErrors
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sums import Kernel, Lagrangian, Sweep, spectral_radius, tied
 from gbid.identify.options import Criterion
@@ -207,6 +208,8 @@ class ExtraTerms:
         Bounds of the constraints, divided by it.
     names : tuple of str
         Constraints as the caller wrote them.
+    responses : tuple of ResponseErrors
+        Errors of measured frequency responses, whose parameters are the first that are used.
     """
 
     cost: ca.Function
@@ -218,16 +221,22 @@ class ExtraTerms:
     lower: FloatArray
     upper: FloatArray
     names: tuple[str, ...]
+    responses: tuple[ResponseErrors, ...] = ()
 
     def at(self, theta: FloatArray, starts: FloatArray) -> ExtraValues:
         """Return the values for parameters (n_p,) and window starts (n_windows, n)."""
         v = self._point(theta, starts)
-        cost, gradient, hessian = (np.asarray(m, float) for m in self.cost(v))
+        value, gradient, hessian = (np.asarray(m, float) for m in self.cost(v))
         rows, slopes = (np.asarray(m, float) for m in self.rows(v))
-        slopes = slopes.reshape(len(self.size), len(self.used))
-        return ExtraValues(
-            float(cost.item()), gradient.ravel(), hessian, rows.ravel() / self.size, slopes / self.size[:, None]
-        )
+        slopes, cost, gradient = slopes.reshape(len(self.size), len(self.used)), float(value.item()), gradient.ravel()
+        for each in self.responses:
+            sums, n = each.sums(theta), len(theta)
+            cost, gradient[:n], hessian[:n, :n] = (
+                cost + sums.cost,
+                gradient[:n] + sums.gradient,
+                hessian[:n, :n] + sums.hessian,
+            )
+        return ExtraValues(cost, gradient, hessian, rows.ravel() / self.size, slopes / self.size[:, None])
 
     def bent(self, theta: FloatArray, starts: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the Hessian of the constraints times these multipliers, (n_used, n_used)."""

@@ -17,7 +17,7 @@ from gbid.discretise import Dual
 from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.kernel.sums import Lagrangian, Sweep, Traced, tied
-from gbid.identify.predictor import Predictor, PredictorValues
+from gbid.identify.predictor import Predictor, PredictorValues, matrices_with_slopes
 from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_part, passed_on
 from gbid.identify.problem.integration import linearised
 from gbid.identify.problem.nlp import RecordGroup, Shooting
@@ -498,7 +498,7 @@ def _information_of(
 
 # ---- Covariance of the parameters.
 
-_UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which a direction is not determined
+UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which a direction is not determined
 # Smallest such eigenvalue for which exact Hessian and coloured scores are more than rounding. Below it the curvature is
 # that of Gauss-Newton, and the scores are those of white errors.
 _RESOLVED = 1e-8
@@ -641,7 +641,7 @@ def covariance(
     along = null_space(free) if len(free) else np.eye(len(scale))
     eigenvalues, vectors = np.linalg.eigh(along.T @ (H / np.outer(scale, scale)) @ along)
     vectors = along @ vectors
-    undetermined = eigenvalues < _UNDETERMINED * eigenvalues[-1]
+    undetermined = eigenvalues < UNDETERMINED * eigenvalues[-1]
     root = vectors[:, ~undetermined] / np.sqrt(eigenvalues[~undetermined]) / scale[:, None]  # root root' is the inverse
     flatness, n_kept = np.nan, int((~held).sum())
 
@@ -808,20 +808,34 @@ def model_spreads(
         slopes = [A.slope, prompt, C.slope, D.slope, delayed, predictor.delay_slopes(local)]
     else:
         assert isinstance(predictor, Predictor)
-        A, B, C, D, K, B_delayed, delays = predictor.matrices(local)
-        delay = np.zeros((len(local), predictor.n_inputs))
-        delay[:, list(predictor.delayed)] = delays.slope[:, :, 0]
-        slopes = [A.slope, B.slope, C.slope, D.slope, B_delayed.slope, delay, K.slope]
+        (A, B, C, D, _, B_delayed, _), slopes, dt = matrices_with_slopes(predictor, local)
         B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
-        dt = predictor.feedback.sample_time if predictor.feedback else None
     by_free = ModelSlopes(*(np.tensordot(tie.T, slope, 1) for slope in slopes))
-    gain_std = np.full(D.value.shape, np.nan)
     if not (np.isfinite(local_covariance).all() and np.isfinite(A.value).all()):
-        return ModelSpreads(by_free, np.full((len(model.modes()), 2), np.nan), gain_std)
+        return ModelSpreads(by_free, np.full((len(model.modes()), 2), np.nan), np.full(D.value.shape, np.nan))
+    return ModelSpreads(by_free, *spreads_of((A, B, C, D), local_covariance, dt))
+
+
+def spreads_of(
+    matrices: tuple[Dual, Dual, Dual, Dual], covariance: FloatArray, dt: float | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return standard deviations of the modes (n_modes, 2) and of the static gain (n_y, n_u), nan with a pole at zero.
+
+    Parameters
+    ----------
+    matrices : A, B, C, D
+        Matrices with their derivatives by the parameters, B of all inputs.
+    covariance : (n_free, n_free) array
+        Covariance of the parameters.
+    dt : float, optional
+        Sample time of a discrete model [s].
+    """
+    A, B, C, D = matrices
     at_rest = A if dt is None else A - np.eye(A.shape[0])  # x[k+1] = x[k]
+    gain = np.full(D.value.shape, np.nan)
     if np.linalg.cond(at_rest.value) < 1e15:
-        gain_std = std_of(_static_gain(at_rest, B, C, D).slope, local_covariance)
-    return ModelSpreads(by_free, std_of(mode_slopes(A, dt)[1], local_covariance), gain_std)
+        gain = std_of(_static_gain(at_rest, B, C, D).slope, covariance)
+    return std_of(mode_slopes(A, dt)[1], covariance), gain
 
 
 def _static_gain(A: Dual, B: Dual, C: Dual, D: Dual) -> Dual:

@@ -234,7 +234,7 @@ def _unwrapped(model: LinearModel, f: FloatArray, response: ComplexArray) -> Flo
 
 
 def response_slopes(model: LinearModel, slopes: ModelSlopes, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the derivatives of the frequency response of a continuous-time model by its parameters.
+    """Return the derivatives of the frequency response of a model by its parameters.
 
     Parameters
     ----------
@@ -251,7 +251,8 @@ def response_slopes(model: LinearModel, slopes: ModelSlopes, frequency_hz: Float
         Derivatives.
     """
     s = 2j * np.pi * frequency_hz
-    inverse = np.linalg.inv(s[:, None, None] * np.eye(model.n_states) - model.A)
+    at = s if model.dt is None else np.exp(s * model.dt)
+    inverse = np.linalg.inv(at[:, None, None] * np.eye(model.n_states) - model.A)
     left = model.C @ inverse
     drive = np.broadcast_to(model.B, (len(s), *model.B.shape)).astype(complex)
     d_drive = np.broadcast_to(slopes.B[:, None], (len(slopes.B), *drive.shape)).astype(complex)

@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.extras import Pictured
 from gbid.core.tables import Column, Table
 from gbid.discretise import check_holds, hold_response
 from gbid.identify.data import same_columns, select
-from gbid.identify.uncertainty.curves import ChannelCurves
+from gbid.identify.frequency_data import FrequencyData
 from gbid.recording import Recording
 from gbid.structure import as_names
 
 _SEGMENTS = 12  # usual number of segments of the shortest recording, which overlap by half
+HANN = (4 / 9, 1 / 36)
+"""Correlation of the errors of responses one and two frequencies apart: those of Hann spectra, (2/3)^2 and (1/6)^2."""
 _CORRELATED = 1 / 18  # twice the squared correlation of the spectra of neighbouring Hann segments (Welch, 1967)
 _NUMBERS = ("frequency_hz", "magnitude", "magnitude_std", "phase_deg", "coherence")
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredResponse(ChannelCurves, Pictured):
-    """Frequency response that was estimated from recordings without a model.
+class MeasuredResponse(FrequencyData):
+    """Frequency response that was estimated from recordings without a model; `gbid.fit` takes it as data.
 
     Attributes
     ----------
@@ -43,13 +45,8 @@ class MeasuredResponse(ChannelCurves, Pictured):
         Equivalent number of independent segments.
     """
 
-    frequency_hz: FloatArray
-    response: ComplexArray
-    std: FloatArray
-    coherence: FloatArray
-    input_names: tuple[str, ...]
-    output_names: tuple[str, ...]
-    averages: float
+    coherence: FloatArray = field(kw_only=True)
+    averages: float = field(kw_only=True)
 
     def _brief(self) -> Description:
         about = f"{len(self.frequency_hz)} frequencies, {self.averages:.1f} averages"
@@ -74,6 +71,7 @@ def measured_response(
     resolution_hz: float | None = None,
     intersample: str | Sequence[str] | None = "zoh",
     reference: str | Sequence[str] = (),
+    period_s: float | None = None,
 ) -> MeasuredResponse:
     """Return the frequency response between signals of recordings, by averaged spectra (Welch).
 
@@ -93,6 +91,11 @@ def measured_response(
     reference : str or sequence of str
         Signals that excite a closed loop from outside, as many as inputs. In a loop the inputs contain the noise of
         the outputs; the reference does not, and removes this bias.
+    period_s : float, optional
+        Period of a periodic excitation, such as a multisine [s]. Whole periods after the first, which has the
+        transient, are transformed without a window: there is no leakage, and a light resonance is not widened. Each
+        line needs as many recordings as inputs move at it; where there are fewer, the response is nan. The reference
+        has no use then.
 
     Returns
     -------
@@ -110,49 +113,137 @@ def measured_response(
     -----
     With the spectral matrices S of Hann segments that overlap by half, ``H = S_yu S_uu^-1``, or
     ``H = S_yr S_ur^-1`` with a reference (Ljung, System Identification, Sec. 6.4; Pintelon and Schoukens, 2012,
-    Sec. 2.6). The variance of an entry is ``(1 - coherence) S_yy [S_uu^-1] / averages`` for the complex value.
+    Sec. 2.6). The variance of an entry is ``(1 - coherence) S_yy [S_uu^-1] / averages`` for the complex value; with a
+    reference ``S_ee [S_ur^-H S_rr S_ur^-1] / averages``, with the power of ``e = y - H u``. For periodic excitation it
+    is that of the mean over the periods, whose noise is smoothed over neighbouring lines (Sec. 2.5).
     """
     several = [recordings] if isinstance(recordings, Recording) else list(recordings)
     u, input_names, _ = same_columns(several, as_names(inputs))
     y, output_names, _ = same_columns(several, as_names(outputs))
     r = [select(rec, as_names(reference))[0] for rec in several] if reference else u
-    n_u, n_y, h = u[0].shape[1], y[0].shape[1], several[0].sample_time
+    n_u, h = u[0].shape[1], several[0].sample_time
     if r[0].shape[1] != n_u:
         raise UsageError(f"reference has {r[0].shape[1]} channels for {n_u} inputs; give as many")
-    length = _segment_length(several, resolution_hz)
+    names = tuple(input_names), tuple(output_names)
+    if period_s is not None:
+        f, response, std, coherence, averages = _of_periods(several, u, y, period_s)
+    else:
+        f, response, std, coherence, averages = _of_segments(several, u, y, r, resolution_hz)
+    hold: ComplexArray = np.ones((len(f), 1, n_u), complex)
+    if intersample is not None:
+        hold = hold_response(f * h, check_holds(intersample, n_u))[:, None, :]
+    return MeasuredResponse(
+        f,
+        np.asarray(response / hold, complex),
+        std / np.abs(hold),
+        *names,
+        several[0].name,
+        () if period_s is not None else HANN,
+        coherence=coherence,
+        averages=averages,
+    )
+
+
+_Estimate = tuple[FloatArray, ComplexArray, FloatArray, FloatArray, float]
+"""Frequencies, response, standard deviations, coherence, and number of averages."""
+
+
+def _of_segments(
+    recordings: Sequence[Recording],
+    u: Sequence[FloatArray],
+    y: Sequence[FloatArray],
+    r: Sequence[FloatArray],
+    resolution_hz: float | None,
+) -> _Estimate:
+    """Return the response from Hann segments that overlap by half."""
+    n_u, n_y, closed = u[0].shape[1], y[0].shape[1], r is not u
+    length = _segment_length(recordings, resolution_hz)
     joined = [np.hstack(parts) for parts in zip(u, y, r, strict=True)]
     S, count = _spectra(joined, length)
     at_u, at_y, at_r = slice(0, n_u), slice(n_u, n_u + n_y), slice(n_u + n_y, None)
     keep = slice(1, length // 2)
-    f = np.asarray(np.fft.rfftfreq(length, h)[keep], float)
+    f = np.asarray(np.fft.rfftfreq(length, recordings[0].sample_time)[keep], float)
     S = S[keep]
     averages = count / (1 + _CORRELATED * (count - 1) / count)
     try:
-        response = S[:, at_y, at_r] @ np.linalg.inv(S[:, at_u, at_r])
+        to_reference = np.linalg.inv(S[:, at_u, at_r])
         inverse = np.linalg.inv(S[:, at_u, at_u])
     except np.linalg.LinAlgError:
         raise DataError(
             "the inputs do not excite independently at some frequency; record with independent inputs"
         ) from None
+    response = S[:, at_y, at_r] @ to_reference
     explained = np.einsum("fyu,fuv,fyv->fy", S[:, at_y, at_u], inverse, S[:, at_y, at_u].conj()).real
     power = np.einsum("fyy->fy", S[:, at_y, at_y]).real
     with np.errstate(divide="ignore", invalid="ignore"):
         coherence = np.clip(explained / power, 0.0, 1.0)
-    left = power - np.clip(explained, 0.0, power)
-    cost = np.einsum("fuu->fu", inverse).real
+    left, cost = power - np.clip(explained, 0.0, power), np.einsum("fuu->fu", inverse).real
+    if closed:
+        cross = response @ S[:, at_u, at_y]
+        within = response @ S[:, at_u, at_u] @ response.conj().swapaxes(1, 2)
+        left = np.maximum(power - 2 * np.einsum("fyy->fy", cross).real + np.einsum("fyy->fy", within).real, 0.0)
+        cost = np.einsum("fru,frs,fsu->fu", to_reference.conj(), S[:, at_r, at_r], to_reference).real
     variance = left[:, :, None] * cost[:, None, :] / (2 * max(averages - n_u, 1.0))
-    hold: ComplexArray = np.ones((len(f), 1, n_u), complex)
-    if intersample is not None:
-        hold = hold_response(f * h, check_holds(intersample, n_u))[:, None, :]
-    return MeasuredResponse(
-        frequency_hz=f,
-        response=np.asarray(response / hold, complex),
-        std=np.sqrt(variance) / np.abs(hold),
-        coherence=coherence,
-        input_names=tuple(input_names),
-        output_names=tuple(output_names),
-        averages=averages,
+    return f, response, np.sqrt(variance), coherence, averages
+
+
+_PERIODS = 3  # fewest: the first has the transient, and one alone shows no noise
+_MOVES = 5.0  # standard deviations of an input's amplitude, above which a line is excited
+_OF_LARGEST = 1e-4  # part of the largest amplitude, below which a line is rounding
+_FREEDOM = 40  # degrees of freedom of the power of the noise, for which neighbouring lines are taken together
+
+
+def _of_periods(
+    recordings: Sequence[Recording], u: Sequence[FloatArray], y: Sequence[FloatArray], period_s: float
+) -> _Estimate:
+    """Return the response at the excited lines of a periodic excitation."""
+    h, n_u = recordings[0].sample_time, u[0].shape[1]
+    n = round(period_s / h)
+    if n < 2 or abs(n * h - period_s) > 1e-6 * period_s:
+        raise UsageError(f"period_s = {period_s:g}: it must be a whole number of samples of {h:g} s")
+    n_c = n_u + y[0].shape[1]
+    means, noise, freedom, periods = list[ComplexArray](), np.zeros((n // 2 - 1, n_c, n_c), complex), 0, 0
+    for recording, u_columns, y_columns in zip(recordings, u, y, strict=True):
+        count = len(u_columns) // n
+        if count < _PERIODS:
+            raise DataError(f"recording {recording.name!r} has {count} periods; record at least {_PERIODS}")
+        whole = np.hstack([u_columns, y_columns])[n : count * n].reshape(count - 1, n, -1)
+        lines = np.fft.rfft(whole, axis=1)[:, 1 : n // 2]
+        means.append(lines.mean(axis=0))
+        off = lines - means[-1]
+        noise = noise + np.einsum("pfa,pfb->fab", off, off.conj())
+        freedom, periods = freedom + count - 2, periods + count - 1
+    width = -(-_FREEDOM // (2 * freedom))
+    S = uniform_filter1d(noise, 2 * width + 1, axis=0, mode="nearest") / (freedom * periods / len(recordings))
+    mean = np.stack(means)  # recordings, lines, channels
+    amplitude = np.abs(mean[:, :, :n_u]).max(axis=0)
+    moving = amplitude > np.maximum(
+        _MOVES * np.sqrt(np.einsum("faa->fa", S[:, :n_u, :n_u]).real), _OF_LARGEST * amplitude.max(initial=0.0)
     )
+    chosen = np.flatnonzero(moving.any(axis=1))
+    response = np.full((len(chosen), y[0].shape[1], n_u), np.nan, complex)
+    variance = np.full(response.shape, np.nan)
+    coherence = np.zeros((len(chosen), y[0].shape[1]))
+    for place, line in enumerate(chosen):
+        active = np.flatnonzero(moving[line])
+        if len(active) > len(recordings):
+            continue
+        U, Y = mean[:, line, active].T, mean[:, line, n_u:].T
+        H = Y @ np.linalg.pinv(U)
+        onto = np.hstack([-H, np.eye(len(Y))])
+        channels = np.ix_([*active, *range(n_u, mean.shape[2])], [*active, *range(n_u, mean.shape[2])])
+        left = np.einsum("ya,ab,yb->y", onto, S[line][channels], onto.conj()).real
+        response[place][:, active] = H
+        variance[place][:, active] = np.outer(left, np.diag(np.linalg.pinv(U @ U.conj().T)).real) / 2
+        power = (np.abs(Y) ** 2).sum(axis=1)
+        coherence[place] = np.clip(1 - left * len(recordings) / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
+    if not np.isfinite(response).any():
+        raise DataError(
+            f"at no line do as few inputs move as there are recordings ({len(recordings)}): record as many as inputs, "
+            "with different phases, or give each input lines of its own"
+        )
+    f = np.asarray((chosen + 1) / period_s, float)
+    return f, response, np.sqrt(variance), coherence, float(periods)
 
 
 def _segment_length(recordings: Sequence[Recording], resolution_hz: float | None) -> int:

@@ -1,0 +1,334 @@
+"""Frequency responses as data of a fit: values with standard deviations, and the errors of a structure."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from gbid.core.brief import Description, brief
+from gbid.core.errors import DataError, UsageError
+from gbid.core.extras import Pictured
+from gbid.core.tables import Column, Table
+from gbid.identify.predictor import Predictor, matrices_with_slopes
+from gbid.identify.uncertainty.curves import ChannelCurves, response_slopes
+from gbid.identify.uncertainty.uncertain_model import ModelSlopes
+from gbid.structure import AnyStructure, LinearModel, Structure, as_names, kind_of
+
+_NUMBERS = ("frequency_hz", "magnitude", "magnitude_std", "phase_deg")
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyData(ChannelCurves, Pictured):
+    """Frequency response with standard deviations, as data of a fit.
+
+    `gbid.fit` takes it in the place of a recording, alone or together with recordings.
+
+    Parameters
+    ----------
+    frequencies : (n,) array
+        Frequencies above zero [Hz], ascending.
+    responses : (n, n_outputs, n_inputs) or (n,) complex array
+        Responses in units of the output per unit of the input, of continuous time. nan is what was not measured.
+    std : array, optional
+        Standard deviation of real and imaginary part each, which is that of the magnitude: in the shape of the
+        responses, or one number.
+    coherence : array, optional
+        In place of `std`: coherence from 0 to 1 in the shape of the responses, or (n, n_outputs).
+    inputs, outputs : str or sequence of str
+        Names of the channels, such as ``u_x``; a fit looks for those of its structure by name where it has several.
+    averages : float, optional
+        Number of independent averages of the spectra, which a standard deviation from the coherence needs.
+    correlation : sequence of float
+        Correlation of the errors of responses that are one, two, ... frequencies apart; those of spectra of Hann
+        windows are ``(4 / 9, 1 / 36)``.
+    name : str
+        Name of the data.
+
+    Attributes
+    ----------
+    frequency_hz : (n,) array
+        Frequencies [Hz].
+    response : (n, n_outputs, n_inputs) complex array
+        Frequency response.
+    std : (n, n_outputs, n_inputs) array
+        Standard deviation of its real and of its imaginary part.
+    input_names, output_names : tuple of str
+        Names of the channels.
+
+    Raises
+    ------
+    UsageError
+        When shapes do not match, frequencies do not ascend, or there are no standard deviations.
+
+    Notes
+    -----
+    The standard deviation from the coherence g is ``|G| sqrt((1 - g) / (2 g averages))`` (Bendat and Piersol, Random
+    Data, 2010, Sec. 9.2, for the coherence without a root).
+    """
+
+    frequency_hz: FloatArray
+    response: ComplexArray
+    std: FloatArray
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    name: str = "response"
+    correlation: tuple[float, ...] = ()
+
+    def __init__(
+        self,
+        frequencies: npt.ArrayLike,
+        responses: npt.ArrayLike,
+        std: npt.ArrayLike | None = None,
+        coherence: npt.ArrayLike | None = None,
+        inputs: str | Sequence[str] = "u",
+        outputs: str | Sequence[str] = "y",
+        *,
+        averages: float | None = None,
+        correlation: Sequence[float] = (),
+        name: str = "response",
+    ) -> None:
+        f = np.atleast_1d(np.asarray(frequencies, float))
+        input_names, output_names = as_names(inputs), as_names(outputs)
+        shape = (len(f), len(output_names), len(input_names))
+        G = np.asarray(responses, complex)
+        if G.size != np.prod(shape) or G.shape[0] != shape[0]:
+            raise UsageError(
+                f"responses of {name!r} have the shape {G.shape}; {len(f)} frequencies, {shape[1]} outputs and "
+                f"{shape[2]} inputs need {shape}"
+            )
+        G = G.reshape(shape)
+        if not (len(f) and np.isfinite(f).all() and f[0] > 0 and (np.diff(f) > 0).all()):
+            raise UsageError(f"frequencies of {name!r} must be above zero and ascend")
+        if (std is None) == (coherence is None):
+            raise UsageError(f"{name!r}: give std, or coherence with averages: a fit weights responses by their errors")
+        if std is not None:
+            sigma = np.array(np.broadcast_to(_shaped(std, shape, "std"), shape), float)
+        elif averages is None or not averages > 0:
+            raise UsageError(f"{name!r}: coherence needs averages, the number of independent averages")
+        else:
+            squared = np.broadcast_to(_shaped(coherence, shape, "coherence"), shape)
+            if not ((squared >= 0) & (squared <= 1) | np.isnan(squared)).all():
+                raise UsageError(f"coherence of {name!r} must lie between 0 and 1")
+            with np.errstate(divide="ignore", invalid="ignore"):
+                sigma = np.abs(G) * np.sqrt((1 - squared) / (2 * squared * averages))
+        if (sigma[np.isfinite(sigma)] < 0).any() or not (sigma[np.isfinite(sigma) & np.isfinite(G)] > 0).any():
+            raise UsageError(f"std of {name!r} must be positive")
+        made = {"frequency_hz": f, "response": G, "std": sigma, "name": name, "correlation": tuple(correlation)}
+        for field, value in {**made, "input_names": input_names, "output_names": output_names}.items():
+            object.__setattr__(self, field, value)
+
+    def _brief(self) -> Description:
+        about = f"{self.name}, {len(self.frequency_hz)} frequencies"
+        return brief(self, about, input_names=self.input_names, output_names=self.output_names)
+
+    def table(self) -> Table:
+        """Return the numbers as a table, with a row for each output, input and frequency; `read` reads its CSV."""
+        columns = [Column("output"), Column("input"), *(Column(name, format=8) for name in _NUMBERS)]
+        rows = self._rows(self.frequency_hz, np.abs(self.response), self.std, np.degrees(np.angle(self.response)))
+        return Table("frequency response", columns, rows)
+
+    @classmethod
+    def read(cls, path: str | Path, *, averages: float | None = None) -> FrequencyData:
+        """Return the frequency response in a CSV file.
+
+        Parameters
+        ----------
+        path : str or path
+            File with a row for each output, input and frequency, and a header: ``frequency_hz``, then ``magnitude`` and
+            ``phase_deg``, or ``real`` and ``imaginary``; ``magnitude_std``, ``std`` or ``coherence``; ``output`` and
+            ``input`` with the names of the channels where there are several.
+        averages : float, optional
+            Number of independent averages, for the coherence.
+
+        Returns
+        -------
+        FrequencyData
+
+        Raises
+        ------
+        DataError
+            When the file cannot be read, or lacks a column or a value.
+        """
+        path = Path(path)
+        try:
+            rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+            given = set(rows[0]) if rows else set[str]()
+            polar = {"magnitude", "phase_deg"} <= given
+            spread = next((key for key in ("magnitude_std", "std", "coherence") if key in given), None)
+            if "frequency_hz" not in given or not (polar or {"real", "imaginary"} <= given) or spread is None:
+                raise DataError(
+                    f"{path}: needs the columns frequency_hz, magnitude and phase_deg (or real and imaginary), and "
+                    f"magnitude_std, std or coherence; it has {', '.join(sorted(given)) or 'nothing'}"
+                )
+            outputs = list(dict.fromkeys(row.get("output", "y") for row in rows))
+            inputs = list(dict.fromkeys(row.get("input", "u") for row in rows))
+            f = sorted({float(row["frequency_hz"]) for row in rows})
+            response = np.full((len(f), len(outputs), len(inputs)), np.nan, complex)
+            size = np.full(response.shape, np.nan)
+            for row in rows:
+                at = f.index(float(row["frequency_hz"])), outputs.index(row.get("output", "y"))
+                place = (*at, inputs.index(row.get("input", "u")))
+                a, b = (float(row[key]) for key in (("magnitude", "phase_deg") if polar else ("real", "imaginary")))
+                response[place] = a * np.exp(1j * np.radians(b)) if polar else complex(a, b)
+                size[place] = float(row[spread])
+        except (OSError, UnicodeDecodeError, ValueError, TypeError) as error:
+            raise DataError(f"{path}: is no table of a frequency response: {error}") from None
+        quality: dict[str, Any] = {"coherence" if spread == "coherence" else "std": size}
+        return cls(f, response, inputs=inputs, outputs=outputs, averages=averages, name=path.stem, **quality)
+
+    def channels(self, inputs: Sequence[str], outputs: Sequence[str]) -> FrequencyData:
+        """Return the responses between these channels, in this order.
+
+        Parameters
+        ----------
+        inputs, outputs : sequence of str
+            Names of a structure: channels (``"u_x"``, ``"u.x"``) or signals (``"u"``: all its channels).
+
+        Raises
+        ------
+        DataError
+            When a channel is missing.
+        """
+        rows, columns = (
+            _places(names, wanted, self.name)
+            for names, wanted in ((self.output_names, outputs), (self.input_names, inputs))
+        )
+        picked = np.ix_(range(len(self.frequency_hz)), rows, columns)
+        names = [self.input_names[i] for i in columns], [self.output_names[i] for i in rows]
+        return FrequencyData(
+            self.frequency_hz,
+            self.response[picked],
+            self.std[picked],
+            None,
+            *names,
+            correlation=self.correlation,
+            name=self.name,
+        )
+
+
+def _shaped(values: Any, shape: tuple[int, ...], what: str) -> FloatArray:
+    """Return values that broadcast to a shape (n, n_outputs, n_inputs); (n,) and (n, n_outputs) are for all inputs."""
+    array = np.asarray(values, float)
+    if 0 < array.ndim < len(shape):
+        array = array.reshape(*array.shape, *[1] * (len(shape) - array.ndim))
+    try:
+        np.broadcast_shapes(array.shape, shape)
+    except ValueError:
+        raise UsageError(f"{what} has the shape {array.shape}; responses have {shape}") from None
+    return array
+
+
+def _places(names: Sequence[str], wanted: Sequence[str], source: str) -> list[int]:
+    """Return the places of channels, or of all channels of a signal, among names."""
+    if len(names) == len(wanted) == 1:
+        return [0]
+    places = list[int]()
+    for each in wanted:
+        meant = each.replace(".", "_")
+        matching = [i for i, name in enumerate(names) if name == meant or name.startswith(f"{meant}_")]
+        if not matching:
+            raise DataError(f"frequency response {source!r} has no channel {each!r}; it has {', '.join(names)}")
+        places += matching
+    return places
+
+
+# ---- Errors of a model in standard deviations of the responses.
+
+
+class ResponseSums(NamedTuple):
+    """Negative log-likelihood of responses but for a constant, with its gradient and Gauss-Newton Hessian."""
+
+    cost: float
+    gradient: FloatArray
+    hessian: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseErrors:
+    """Errors of the frequency response of a structure, in standard deviations, with derivatives.
+
+    Attributes
+    ----------
+    data : FrequencyData
+        The responses, with the channels of the structure.
+    predictor : Predictor
+        The structure with its free parameters.
+    index : (n_own,) integer array
+        Places of these among the parameters of the problem.
+    n_theta : int
+        Number of the parameters of the problem.
+    relative : float
+        Further standard deviation as a part of each response; with some of it the errors of a start far off say more.
+    """
+
+    data: FrequencyData
+    predictor: Predictor
+    index: IntArray
+    n_theta: int
+    relative: float = 0.0
+
+    @property
+    def weight(self) -> float:
+        """Share of the responses that are independent, as the errors of neighbours are correlated."""
+        return 1 / (1 + 2 * sum(self.data.correlation))
+
+    @property
+    def measured(self) -> BoolArray:
+        """Which responses were measured, (n, n_outputs, n_inputs)."""
+        return np.isfinite(self.data.response) & np.isfinite(self.data.std) & (self.data.std > 0)
+
+    def model(self, theta: FloatArray) -> tuple[LinearModel, ModelSlopes]:
+        """Return the model at values of the parameters, with its derivatives by the predictor's own."""
+        (A, B, C, D, _, B_delayed, delays), slopes, dt = matrices_with_slopes(self.predictor, theta[self.index])
+        delay = np.zeros(self.predictor.n_inputs)
+        delay[list(self.predictor.delayed)] = delays.value[:, 0]
+        model = LinearModel(A.value, B.value, C.value, D.value, dt=dt)
+        if self.predictor.delayed:
+            model = replace(model, B_delayed=B_delayed.value, delay=delay)
+        return model, ModelSlopes(*slopes)
+
+    def at(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return errors (n, n_outputs, n_inputs) and derivatives (n_theta, ...); zero where nothing was measured."""
+        model, slopes = self.model(theta)
+        f, size = self.data.frequency_hz, np.abs(self.data.response)
+        sigma = np.where(self.measured, np.hypot(self.data.std, self.relative * size), np.inf)
+        error = (model.frequency_response(f) - np.nan_to_num(self.data.response)) / sigma
+        changes = np.zeros((self.n_theta, *error.shape), complex)
+        changes[self.index] = response_slopes(model, slopes, f) / sigma
+        return error, changes
+
+    def rows(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return weighted real and imaginary parts of errors (m,) and of their derivatives (m, n_theta)."""
+        error, changes = self.at(theta)
+        root = np.sqrt(self.weight)
+        return root * _as_rows(error), root * np.array([_as_rows(change) for change in changes]).T
+
+    def sums(self, theta: FloatArray) -> ResponseSums:
+        """Return the negative log-likelihood but for a constant, with derivatives."""
+        rows, slopes = self.rows(theta)
+        return ResponseSums(0.5 * float(rows @ rows), slopes.T @ rows, slopes.T @ slopes)
+
+
+def _as_rows(values: ComplexArray) -> FloatArray:
+    return np.concatenate([values.real.ravel(), values.imag.ravel()])
+
+
+def check_linear(structure: AnyStructure) -> Structure:
+    """Return a structure that has a frequency response.
+
+    Raises
+    ------
+    UsageError
+        For one that has none.
+    """
+    kind = kind_of(structure)
+    if kind.nonlinear or kind.scheduled or not isinstance(structure, Structure):
+        raise UsageError(f"{structure.name}: frequency responses are for linear structures with constant parameters")
+    return structure

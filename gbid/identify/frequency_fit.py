@@ -1,0 +1,340 @@
+"""Fit of a structure to frequency responses alone: nonlinear least squares in standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+from scipy.special import gammaincc
+
+from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.errors import UsageError
+from gbid.core.notes import FitNote
+from gbid.discretise import Dual
+from gbid.identify.data import FitData, Record
+from gbid.identify.disturbances import UNDISTURBED
+from gbid.identify.frequency_data import FrequencyData, ResponseErrors, check_linear
+from gbid.identify.judge import not_determined
+from gbid.identify.options import FitArguments
+from gbid.identify.predictor import build_predictor, matrices_with_slopes
+from gbid.identify.problem.solve import TOLERANCES
+from gbid.identify.result import FitResult, FitStatus, StdKind
+from gbid.identify.start.start import Begin, begin_values
+from gbid.identify.uncertainty.covariance import UNDETERMINED, Covariance, spreads_of
+from gbid.identify.uncertainty.uncertain_model import ModelSlopes
+from gbid.structure import AnyStructure, Parameter, as_names, kind_of
+
+_FAR = 0.3  # part of a response that counts as its error at first: far from a resonance its slopes lead nowhere
+_UNLIKELY = 0.01  # probability of larger errors, for all outputs, below which the stated ones are too small
+_FOLLOWS = 4.0  # standard deviations of the correlation of neighbouring errors, beyond chance
+_SAMPLES = (2_000, 20_000)  # of the motion for start values
+_USED = ("inputs", "outputs", "start", "fixed", "bounds", "prior", "max_iterations", "progress")
+
+
+def fitted_to_responses(
+    stated: AnyStructure,
+    parameters: tuple[Parameter, ...],
+    responses: Sequence[FrequencyData],
+    options: FitArguments,
+) -> FitResult:
+    """Return the fit of a structure to frequency responses.
+
+    Parameters
+    ----------
+    stated : Structure
+        Linear structure with constant parameters.
+    parameters : tuple of Parameter
+        Its parameters with the starts, fixed values and bounds of the caller.
+    responses : sequence of FrequencyData
+        The responses.
+    options : FitArguments
+        Options; those of samples have no meaning here and are refused.
+
+    Raises
+    ------
+    UsageError, DataError
+        As for `gbid.fit`.
+
+    Notes
+    -----
+    The criterion is ``sum |G(f) - G_measured(f)|^2 / std^2`` over real and imaginary parts (Pintelon and Schoukens,
+    System Identification, 2012, Sec. 9.11): with the stated errors it is the likelihood. Delays are exact. The errors
+    of neighbours that a spectral window correlates count as fewer.
+    """
+    structure = check_linear(stated)
+    _refuse_other_options(options)
+    inputs = structure.inputs if options.inputs is None else as_names(options.inputs)
+    outputs = structure.outputs if options.outputs is None else as_names(options.outputs)
+    data = [each.channels(inputs, outputs) for each in responses]
+    begin = _begin(structure, parameters, data[0], options)
+    fixed = {q.name: begin.values[q.name] for q in parameters if q.fixed}
+    predictor = build_predictor(structure, fixed, 1.0, "zoh", "simulation")
+    free, names = predictor.free, np.array([q.name for q in predictor.free])
+    errors = [ResponseErrors(each, predictor, np.arange(len(free)), len(free)) for each in data]
+    known = _prior_of(names, options.prior or {})
+    box = np.array([next((q.lower, q.upper) for q in parameters if q.name == name) for name in names]).T
+    start = np.array([begin.values[name] for name in names])
+    solution, evaluations = _least(errors, known, start, box, options.max_iterations)
+    theta = np.asarray(solution.x, float)
+    held = np.asarray(solution.active_mask != 0)
+    spread, rest = _spread(errors, known, theta, held)
+    p_values, follows = _tests(errors, theta, int((~held).sum()))
+    refused = bool((p_values < _UNLIKELY / len(p_values)).any())
+    kind: StdKind = "robust" if refused or p_values.size > 1 else "white"
+    chosen = spread.of(kind)
+    values = dict(zip(names.tolist(), theta.tolist(), strict=True))
+    estimates = {q.name: values.get(q.name, fixed.get(q.name, 0.0)) for q in parameters}
+    sigma = np.where(held | spread.open, np.nan, np.sqrt(np.diag(chosen)))
+    (A, B, C, D, _, B_delayed, _), slopes, dt = matrices_with_slopes(predictor, theta)
+    modes, gain = spreads_of((A, Dual(B.value + B_delayed.value, B.slope + B_delayed.slope), C, D), chosen, dt)
+    model = kind_of(structure).model(estimates, data[0].input_names, data[0].output_names)
+    costs = [each.sums(theta).cost for each in errors]
+    count = sum(2 * int(each.measured.sum()) for each in errors)
+    likelihood = -sum(costs) - sum(
+        each.weight * float(np.log(2 * np.pi * each.data.std[each.measured] ** 2).sum()) for each in errors
+    )
+    squares = sum(np.einsum("fyu,fzu->yz", e, e.conj()).real for e in (each.at(theta)[0] for each in errors)) / count
+    status = FitStatus.CONVERGED
+    if not np.isfinite(theta).all() or not np.isfinite(sum(costs)):
+        status = FitStatus.OVERFLOW
+    elif not rest < TOLERANCES.rest:
+        status = FitStatus.ITERATION_LIMIT if solution.status == 0 else FitStatus.STALLED
+    elif (~held & ~np.isfinite(sigma)).any():
+        status = FitStatus.NOT_DETERMINED
+    left_out = refused and follows
+    std = dict(zip(names.tolist(), sigma.tolist(), strict=True)) | dict.fromkeys(fixed, 0.0)
+    return FitResult(
+        structure=structure.name,
+        recordings=tuple(each.name for each in data),
+        parameters=estimates,
+        std={name: std.get(name, np.nan) for name in estimates},
+        units={q.name: q.unit for q in parameters},
+        free=tuple(names.tolist()),
+        covariance=chosen,
+        covariance_white=spread.white,
+        covariance_robust=spread.robust,
+        trusted="none" if left_out else kind,
+        whiteness=p_values,
+        modes_std=modes,
+        static_gain_std=gain,
+        initial_states=np.zeros((len(data), model.n_states)),
+        loss=2 * sum(costs) / count,
+        error_covariance=squares,
+        fit_percent=np.array([_fit_percent(each, theta) for each in errors]),
+        aic=2 * len(theta) - 2 * likelihood,
+        fpe=np.nan,
+        log_likelihood=likelihood,
+        condition=spread.condition,
+        status=status,
+        optimality=rest,
+        iterations=evaluations,
+        wall_time_s=0.0,
+        start={name: begin.values[name] for name in estimates},
+        start_origin={name: begin.origin[name] for name in estimates},
+        notes=(
+            *(FitNote.ON_BOUND(f"{name} lies on a bound: no standard deviation") for name in names[held]),
+            *not_determined(spread.undetermined, names),
+            *_notes(refused, follows, p_values),
+            *(
+                [FitNote.NOT_USED(f"responses do not use, set to 0: {', '.join(predictor.unused)}")]
+                if predictor.unused
+                else ()
+            ),
+            *begin.notes,
+        ),
+        options=options.settled(
+            inputs=tuple(inputs),
+            outputs=tuple(outputs),
+            intersample=("zoh",) * predictor.n_inputs,
+            focus="simulation",
+            criterion="trace",
+            window=None,
+            initial_state="zero",
+        ),
+        disturbances=UNDISTURBED,
+        engine="numpy",
+        schedule=None,
+        model=model,
+        sample_time=np.nan,
+        model_slopes=ModelSlopes(*slopes),
+    )
+
+
+def _refuse_other_options(options: FitArguments) -> None:
+    """Refuse options that have no meaning for frequency responses."""
+    standard = FitArguments()
+    for each in fields(FitArguments):
+        if each.name not in (*_USED, "focus", "intersample") and getattr(options, each.name) != getattr(
+            standard, each.name
+        ):
+            raise UsageError(f"{each.name} has no meaning in a fit to frequency responses alone; leave it out")
+
+
+def _begin(
+    structure: AnyStructure, parameters: tuple[Parameter, ...], data: FrequencyData, options: FitArguments
+) -> Begin:
+    """Return the start values: those stated, others from the steady motion that the responses describe."""
+    missing = [q.name for q in parameters if q.start is None]
+    from_data = options.start == "data"
+    given = {*({} if from_data else options.start or {}), *(options.fixed or {})}
+    if not (missing or from_data):
+        origin = {q.name: "user" if q.name in given else "structure" for q in parameters}
+        return Begin({q.name: float(q.start or 0.0) for q in parameters}, origin, ())
+    return begin_values(structure, parameters, steady_motion(data), "zoh", given, from_data=from_data)
+
+
+def steady_motion(data: FrequencyData) -> FitData:
+    """Return samples of the steady motion that frequency responses describe: each input has lines of its own.
+
+    Parameters
+    ----------
+    data : FrequencyData
+        The responses.
+
+    Returns
+    -------
+    FitData
+        One record, without noise and without transient.
+    """
+    f, n_u = data.frequency_hz, len(data.input_names)
+    h = 1 / (5 * float(f[-1]))
+    n = int(np.clip(2 / (f[0] * h), *_SAMPLES))
+    lines = np.exp(1j * (2 * np.pi * h * np.outer(np.arange(n), f) + np.pi * np.arange(len(f)) ** 2 / len(f)))
+    of_input = np.arange(len(f))[:, None] % n_u == np.arange(n_u)
+    response = np.nan_to_num(data.response)
+    outputs = sum((lines[:, of_input[:, j]] @ response[of_input[:, j], :, j]).real for j in range(n_u))
+    record = Record(data.name, (lines @ of_input).real, np.ascontiguousarray(outputs))
+    return FitData((record,), h, data.input_names, data.output_names, ("",) * len(data.output_names))
+
+
+def _prior_of(names: npt.NDArray[np.str_], prior: Mapping[str, tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
+    """Return means and standard deviations of what is known of the parameters, infinite where nothing is."""
+    for name, (_, std) in prior.items():
+        if name not in names or not std > 0:
+            raise UsageError(f"prior of {name}: it is not estimated, or its standard deviation is not positive")
+    mean, std = np.array([prior.get(name, (0.0, np.inf)) for name in names], float).T
+    return mean, std
+
+
+def _least(
+    errors: Sequence[ResponseErrors],
+    known: tuple[FloatArray, FloatArray],
+    start: FloatArray,
+    box: FloatArray,
+    max_iterations: int,
+) -> tuple[Any, int]:
+    """Return the best of two solutions, from the start and from a fit with wider errors, and all iterations."""
+    mean, std = known
+
+    def solved(begin: FloatArray, relative: float) -> Any:
+        parts = [replace(each, relative=relative) for each in errors]
+        last: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+        def both(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+            if theta.tobytes() not in last:
+                rows, slopes = zip(*(part.rows(theta) for part in parts), strict=True)
+                last.clear()
+                last[theta.tobytes()] = (
+                    np.concatenate([*rows, (theta - mean) / std]),
+                    np.vstack([*slopes, np.diag(1 / std)]),
+                )
+            return last[theta.tobytes()]
+
+        inside = np.clip(begin, *box)
+        return least_squares(
+            lambda theta: both(theta)[0],
+            inside,
+            lambda theta: both(theta)[1],
+            tuple(box),
+            x_scale="jac",
+            ftol=1e-14,
+            xtol=1e-12,
+            gtol=1e-14,
+            max_nfev=max_iterations,
+        )
+
+    at_first = solved(start, _FAR)
+    solutions = [solved(begin, 0.0) for begin in (start, at_first.x)]
+    best = min(solutions, key=lambda solution: float(solution.cost))
+    return best, int(at_first.nfev + sum(solution.nfev for solution in solutions))
+
+
+def _spread(
+    errors: Sequence[ResponseErrors], known: tuple[FloatArray, FloatArray], theta: FloatArray, held: BoolArray
+) -> tuple[Covariance, float]:
+    """Return the covariance of the parameters, and the length of the next step in standard deviations.
+
+    The robust one takes the products of the gradients of all frequencies: it contains what outputs have in common.
+    """
+    sums = [each.sums(theta) for each in errors]
+    information = sum(s.hessian for s in sums) + np.diag(1 / known[1] ** 2)
+    gradient = sum(s.gradient for s in sums) + (theta - known[0]) / known[1] ** 2
+    n_p, scale = len(theta), np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    scale[held] = np.inf
+    eigenvalues, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    count = int(held.sum())
+    eigenvalues, vectors = eigenvalues[count:], vectors[:, count:]
+    undetermined = eigenvalues < UNDETERMINED * eigenvalues[-1]
+    root = vectors[:, ~undetermined] / np.sqrt(eigenvalues[~undetermined]) / scale[:, None]
+    products = np.diag(1 / known[1] ** 2)
+    for each in errors:
+        error, changes = each.at(theta)
+        each_frequency = each.weight * np.einsum("fyu,pfyu->fp", error.conj(), changes).real
+        products = products + each_frequency.T @ each_frequency / each.weight
+    white = root @ root.T
+    spread = Covariance(
+        white,
+        white @ products @ white,
+        np.nan,
+        vectors[:, undetermined].T.reshape(-1, n_p),
+        float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny)),
+        curvature=white,
+    )
+    return spread, float(np.linalg.norm(root.T @ gradient))
+
+
+def _tests(errors: Sequence[ResponseErrors], theta: FloatArray, n_free: int) -> tuple[FloatArray, bool]:
+    """Return for each output the probability of larger errors, and whether errors of neighbours follow each other."""
+    n_y = len(errors[0].data.output_names)
+    squares, freedom, products, chance = np.zeros(n_y), np.zeros(n_y), 0.0, 0.0
+    for each in errors:
+        error, _ = each.at(theta)
+        spread = 1 + 2 * float(np.square(each.data.correlation).sum())
+        squares += (np.abs(error) ** 2).sum(axis=(0, 2)) / spread
+        freedom += 2 * each.measured.sum(axis=(0, 2)) / spread
+        lag = len(each.data.correlation) + 1
+        products += float((error[lag:] * error[:-lag].conj()).real.sum())
+        mean_square = float((np.abs(error) ** 2).sum()) / max(1, 2 * int(each.measured.sum()))
+        both = int((each.measured[lag:] & each.measured[:-lag]).sum())
+        chance += 2 * both * spread * mean_square**2
+    freedom = np.maximum(freedom - n_free / n_y, 1.0)
+    return gammaincc(freedom / 2, squares / 2), products > _FOLLOWS * np.sqrt(chance)
+
+
+def _notes(refused: bool, follows: bool, p_values: FloatArray) -> list[str]:
+    if not refused:
+        return []
+    p = float(p_values.min())
+    if follows:
+        text = (
+            "the structure leaves something out: errors of neighbouring frequencies follow each other, and are larger "
+            f"than the standard deviations of the responses say (probability {p:.1g})"
+        )
+        return [FitNote.LEFT_OUT(text)]
+    text = (
+        f"errors are larger than the standard deviations of the responses say (probability {p:.1g}): those of the "
+        "estimates are the robust ones"
+    )
+    return [FitNote.NOT_WHITE(text)]
+
+
+def _fit_percent(errors: ResponseErrors, theta: FloatArray) -> FloatArray:
+    """Return ``100 (1 - |e| / |G|)`` for each output, both in standard deviations."""
+    error, _ = errors.at(theta)
+    data, measured = errors.data, errors.measured
+    size = np.where(measured, np.nan_to_num(data.response) / np.where(measured, data.std, 1.0), 0.0)
+    return np.asarray(100 * (1 - np.linalg.norm(error, axis=(0, 2)) / np.linalg.norm(size, axis=(0, 2))))
