@@ -1,6 +1,6 @@
 """Scheduled structures: against fits with constant parameters, an integration of its own, and polynomials by hand."""
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -84,12 +84,19 @@ def run_up(seed: int) -> gbid.Recording:
 RUN_UP = {"k_0": 4000.0, "k_1": -1200.0, "d": 8.0, "b": 4000.0}
 
 
+def run_up_fit(seed: int, piece_s: float) -> gbid.FitResult:
+    structure = gbid.scheduled(BASE, "speed_rpm", surfaces=["k"], order=1, piece_s=piece_s)
+    return gbid.fit(structure, run_up(seed), focus="simulation")
+
+
+fine_fit = cache(partial(run_up_fit, piece_s=0.02))
+
+
 def test_course_is_seen_when_it_happens():
     """The mean of the samples of a piece alone is half a sample early: k_0 was some standard deviations off."""
-    structure = gbid.scheduled(BASE, "speed_rpm", surfaces=["k"], order=1, piece_s=0.02)
     away = []
     for seed in range(3):
-        result = gbid.fit(structure, run_up(seed), focus="simulation")
+        result = fine_fit(seed)
         assert result.success
         away.append([(result.parameters[name] - true) / result.std[name] for name, true in RUN_UP.items()])
     assert np.abs(np.mean(away, axis=0)).max() < 3 / np.sqrt(len(away))
@@ -97,19 +104,14 @@ def test_course_is_seen_when_it_happens():
 
 
 def test_pieces_are_cut_as_finely_as_the_estimates_need(monkeypatch):
-    long, short = (
-        gbid.fit(gbid.scheduled(BASE, "speed_rpm", surfaces=["k"], order=1, piece_s=s), run_up(0), focus="simulation")
-        for s in (0.1, 0.02)
-    )
+    long, short = run_up_fit(0, 0.1), fine_fit(0)
     assert long.schedule.pieces > 100
     assert np.abs(long.integration_shift).max() < 0.1
     for name, true in RUN_UP.items():
         assert abs(long.parameters[name] - short.parameters[name]) < 0.2 * short.std[name]
         assert abs(long.parameters[name] - true) < 3 * long.std[name]
     monkeypatch.setattr("gbid.identify.pose._MOST_SLOPES", 48)
-    coarse = gbid.fit(
-        gbid.scheduled(BASE, "speed_rpm", surfaces=["k"], order=1, piece_s=0.1), run_up(0), focus="simulation"
-    )
+    coarse = run_up_fit(0, 0.1)
     assert coarse.schedule.pieces == 16
     assert np.abs(coarse.integration_shift).max() > 0.1
     assert any("GB131" in note for note in coarse.notes)

@@ -300,19 +300,19 @@ class RingProblem:
         problem = replace(self, rates=tuple(rates))
         n_columns = len(self.directions) * sum(2 if rate.imag else 1 for rate in rates)
         longer = np.concatenate([theta[:N_MECHANICAL], np.zeros(2 * n_columns)])
-        at = problem.at(longer)
-        slopes = np.concatenate([s.reshape(-1, len(longer))[:, N_MECHANICAL:] for s in at.slopes])
+        at = problem.at(longer, mechanical=False)
+        slopes = np.concatenate([s.reshape(-1, 2 * n_columns) for s in at.slopes])
         residuals = np.concatenate([r.ravel() for r in at.residuals])
         gains = np.linalg.lstsq(slopes, -residuals, rcond=None)[0]
         longer[N_MECHANICAL:] = gains
         return problem, longer, float(((residuals + slopes @ gains) ** 2).sum())
 
-    def at(self, theta: FloatArray, *, slopes: bool = True) -> Projected:
-        """Return the residuals and, if `slopes` is set, their derivatives."""
+    def at(self, theta: FloatArray, *, slopes: bool = True, mechanical: bool = True) -> Projected:
+        """Return the residuals and, if `slopes` is set, their derivatives; those by K and D only if `mechanical`."""
         alive = self._alive(theta)
         longest = max(min(stop - start, alive) for d in self.data for start, stop in d.segments)
         free = self.scale.free(theta, longest) * self.weights[:, None]
-        change = self.scale.free_slopes(theta, longest) * self.weights[:, None] if slopes else None
+        change = self.scale.free_slopes(theta, longest) * self.weights[:, None] if slopes and mechanical else None
         projected = Projected()
         factors: dict[int, tuple[FloatArray, FloatArray]] = {}
         for d, lagging in zip(self.data, self.lagging, strict=True):
@@ -325,14 +325,17 @@ class RingProblem:
             gains = theta[N_MECHANICAL:].reshape(-1, 2)
             residual, left = projector.apply(((d.position - lagging @ gains) * self.weights)[:, :, None])
             projected.residuals.append(residual[:, :, 0])
-            if change is None:
+            if not slopes:
                 continue
-            changes = np.zeros((len(residual), 2, len(theta)))
+            first = 0 if change is None else N_MECHANICAL
+            changes = np.zeros((len(residual), 2, first + gains.size))
             for (start, stop), (q, r) in zip(segments, bases, strict=True):
+                if change is None:
+                    break
                 states = solve_triangular(r, q.T @ left[start:stop].reshape(-1))
-                changes[start:stop, :, :N_MECHANICAL] = np.moveaxis(change[:, : stop - start] @ states, 0, -1)
+                changes[start:stop, :, :first] = np.moveaxis(change[:, : stop - start] @ states, 0, -1)
             for channel in range(2):
-                changes[:, channel, N_MECHANICAL + channel :: 2] = lagging * self.weights[channel]
+                changes[:, channel, first + channel :: 2] = lagging * self.weights[channel]
             projected.slopes.append(-projector.apply(changes)[0])
         return projected
 
