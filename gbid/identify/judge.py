@@ -161,6 +161,7 @@ def judge(optimum: Optimum) -> FitResult:
         ),
         optimality=solution.rest,
         iterations=solution.iterations,
+        phases=solution.phases,
         wall_time_s=0.0,
         start={name: problem.begin[name] for name in estimates},
         start_origin={name: _origin(optimum, short_name[name]) for name in estimates},

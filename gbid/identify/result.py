@@ -186,6 +186,23 @@ class StartsTried:
     minima_starts: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True)
+class Phase:
+    """Size of a problem that the solver solved, and its iterations.
+
+    Attributes
+    ----------
+    windows, gaps, unknowns, iterations : int
+        Numbers of shooting windows, of continuity constraints (one for each state at a link), of unknowns, and of
+        iterations.
+    """
+
+    windows: int
+    gaps: int
+    unknowns: int
+    iterations: int
+
+
 @dataclass(frozen=True, eq=False)
 class FitResult(Brief, Pictured, hdf5.InFile):
     """Estimates of a fit, their uncertainty, status and options.
@@ -243,6 +260,9 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         Status; its text gives advice when the fit did not converge.
     iterations : int
         Number of iterations.
+    phases : tuple of Phase
+        Windows, gaps, unknowns and iterations of each phase of the last solution: in windows, and in one window where
+        the first phase crept.
     wall_time_s : float
         Time of the whole fit [s], with start values and covariance.
     start : dict of str to float
@@ -333,6 +353,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         FloatArray | None, Stored("1", "shift of the free parameters with half the step of the integrator", "free")
     ] = None
     profiles: Mapping[str, Profile] = field(default_factory=dict)
+    phases: tuple[Phase, ...] = ()
     profiler: Annotated[Callable[[str, str, float], Profile] | None, NOT_STORED] = None
 
     hold_shift: Annotated[

@@ -179,3 +179,13 @@ def test_cost_and_derivatives_of_two_outputs_are_those_of_the_criterion(options)
     hessian = np.triu(hessian) + np.triu(hessian, 1).T
     expected = [[(a @ W * b).sum() for b in J] for a in J]
     np.testing.assert_allclose(hessian[np.ix_(free, free)], expected, rtol=1e-6)
+
+
+def test_phases_tell_windows_and_gaps(mass):
+    """Two states: each of two links has two gaps; the five parameters and the states of each window are unknown."""
+    result, single = (gbid.fit(SAME["linear"], mass, window=window) for window in (100, None))
+    sizes = [[(q.windows, q.gaps, q.unknowns) for q in found.phases] for found in (result, single)]
+    assert [size[0] for size in sizes] == [(3, 4, 5 + 3 * 2), (1, 0, 5 + 2)]
+    assert {q for size in sizes for q in size[1:]} <= {(1, 0, 5 + 2)}
+    for found in (result, single):
+        assert sum(phase.iterations for phase in found.phases) == found.iterations

@@ -20,7 +20,7 @@ from gbid.core.errors import GbidError, UsageError
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.hessian import Curvature, ExactHessian, gauss_newton, in_one_window, in_windows
 from gbid.identify.problem.nlp import Iterate, Pattern, Shooting
-from gbid.identify.result import FitStatus
+from gbid.identify.result import FitStatus, Phase
 
 # ---- Python functions as CasADi callbacks.
 
@@ -621,6 +621,8 @@ class Solution:
         First-order optimality: length of the Gauss-Newton step that would come next, in standard deviations.
     overflows : int
         Number of points that the solver tried where the model has no finite value; it steps back from them.
+    phases : tuple of Phase
+        Problems that were solved one after the other: in windows, then in one window if the first one crept.
     """
 
     unknowns: FloatArray
@@ -629,6 +631,7 @@ class Solution:
     history: tuple[Progress, ...]
     rest: float = np.inf
     overflows: int = 0
+    phases: tuple[Phase, ...] = ()
 
 
 def solve(
@@ -672,13 +675,15 @@ def solve(
         runs = _Runs(problem, (lower, upper), gauss_newton, options, interrupt)
         first, watch = runs.run(start, most, changes_over=True)
         if not watch.creeping:
-            return runs.at_rest(first, most)
+            first = runs.at_rest(first, most)
+            return replace(first, phases=(_phase(problem, first),))
         joined, kept = in_one_window(problem)
         runs = _Runs(joined, (lower[kept], upper[kept]), ExactHessian, options, interrupt)
         most -= first.iterations
         last, _ = runs.run(first.unknowns[kept], most, earlier=first.history)
         last = runs.at_rest(last, most)
-    return _continued(first, replace(last, unknowns=in_windows(problem, joined, last.unknowns)))
+    phases = _phase(problem, first), _phase(joined, last)
+    return replace(_continued(first, replace(last, unknowns=in_windows(problem, joined, last.unknowns))), phases=phases)
 
 
 def solve_apart(problem: Shooting, start: FloatArray, box: Box, most: int) -> FloatArray:
@@ -692,6 +697,10 @@ def solve_apart(problem: Shooting, start: FloatArray, box: Box, most: int) -> Fl
     with _interruptible() as interrupt:
         runs = _Runs(replace(problem, links=problem.links[:0]), box, gauss_newton, options, interrupt)
         return runs.run(start, most)[0].unknowns
+
+
+def _phase(problem: Shooting, solution: Solution) -> Phase:
+    return Phase(problem.n_windows, problem.n_gaps, problem.n_unknowns, solution.iterations)
 
 
 def _continued(first: Solution, last: Solution) -> Solution:
