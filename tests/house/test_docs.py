@@ -57,12 +57,9 @@ def test_readme_python_runs_on_what_make_run_leaves(
     assert "gbid run experiments/quickstart.yaml" in (ROOT / "Makefile").read_text(encoding="utf-8")
     blocks = [body for info, body in fences(ROOT / "README.md") if info == "python"]
     fitting, tuning = blocks
-    text = (ROOT / "experiments" / "quickstart.yaml").read_text(encoding="utf-8")
-    shorter = text.replace("duration_s: 5.0", "duration_s: 1.5")
-    assert shorter != text
     experiment = tmp_path / "experiments" / "quickstart.yaml"
     experiment.parent.mkdir()
-    experiment.write_text(shorter, encoding="utf-8")
+    shutil.copy(ROOT / "experiments" / "quickstart.yaml", experiment)
     run_stage(Job(load_experiment(experiment)), RIG)
 
     monkeypatch.chdir(tmp_path)
@@ -78,14 +75,32 @@ def test_readme_python_runs_on_what_make_run_leaves(
         assert abs(damping - true_damping) < 0.003
     printed = capsys.readouterr().out
     assert all(re.search(rf"^{name} .*{re.escape(result.units[name])}$", printed, re.M) for name in result.parameters)
-    percents = re.findall(r"[\d.]+", printed.rsplit("]:", 1)[1])
-    assert len(percents) == 4
-    assert min(map(float, percents)) > 90
+    percents = [float(percent) for percent in re.findall(r"[\d.]+", printed.rsplit("]:", 1)[1])]
+    joint = next(body for info, body in fences(ROOT / "README.md") if "joint, p5_n6000_prbs1" in body)
+    assert_printed(joint, result, percents)
 
     exec(compile(tuning, "README.md", "exec"), names)
     printed = capsys.readouterr().out
     assert "optimal" in printed
     assert "peak S_o" in printed
+
+
+def assert_printed(joint: str, result: gbid.FitResult, percents: list[float]) -> None:
+    """Compare README's block of `make run` with a fit of the same recordings: estimates, std, modes, fit percent.
+
+    A figure may be off by its last digit, and by a tenth of its standard deviation: the solver stops there.
+    """
+    scale = {"ms": 1e3}
+    rows = re.findall(r"^([a-z]\w*_\w+) +(-?[\d.e]+) +([\d.e-]+) .* (\S+|N s/\(kg m\)|N/\(kg m\))$", joint, re.M)
+    assert [name for name, *_ in rows] == [name for name in result.parameters if not name.startswith("offset")]
+    for name, value, std, unit in rows:
+        factor = scale.get(unit, 1.0)
+        assert float(std) == pytest.approx(factor * result.std[name], rel=0.06), name
+        assert float(value) == pytest.approx(factor * result.parameters[name], rel=1e-4, abs=0.1 * float(std)), name
+    modes = re.findall(r"^[12] +([\d.]+) +[\d.]+ +[\d.]+ +([\d.]+)", joint, re.M)
+    np.testing.assert_allclose(np.array(modes, float), result.model.modes(), rtol=1e-5)
+    others = re.findall(r"^p5_n6000_prbs1 +p5_n6000_prbs2 +\w+ +([\d.]+)", joint, re.M)
+    np.testing.assert_allclose(np.array(others, float), percents, atol=0.011)
 
 
 @pytest.mark.parametrize("path", LINKED, ids=relative)
