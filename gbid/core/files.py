@@ -333,6 +333,18 @@ def library_errors(path: Path, remedy: str = "save it again") -> Iterator[None]:
         raise DataError(f"{path}: cannot be read, damaged or of another format ({words}); {remedy}") from None
 
 
+def refuse_special(path: Path) -> None:
+    """Refuse what is there but is no file: a pipe, a device, a terminal or a folder, which may never end.
+
+    Raises
+    ------
+    DataError
+        When the path is that of such a thing.
+    """
+    if path.exists() and not path.is_file():
+        raise DataError(f"{path}: is not a file, but a directory, a pipe or a device; give the name of a file")
+
+
 def in_one_line(error: BaseException) -> str:
     """Return type and text of an error; of a long text the beginning."""
     lines = f"{type(error).__name__}: {error}".splitlines()

@@ -110,9 +110,9 @@ def read_csv(path: Path, references: Sequence[str], options: TextOptions | None 
     return _columns(_complete_table(path, options), references)
 
 
-def _complete_table(path: Path, options: TextOptions | None) -> TextTable:
-    """Return the table without a last row that may have been cut."""
-    table = read_table(path, options)
+def _complete_table(path: Path, options: TextOptions | None, *, ends: bool = False) -> TextTable:
+    """Return the table without a last row that may have been cut; of a large file the ends if asked for."""
+    table = read_table(path, options, ends=ends)
     return replace(table, rows=table.rows[:-1]) if table.is_cut else table
 
 
@@ -133,24 +133,25 @@ def peek_csv(
     DataError
         As for `read_csv`, as far as these rows show it.
     """
-    table = _complete_table(path, options)
+    table = _complete_table(path, options, ends=True)
     if len(table.rows) < 2:
         raise DataError(f"{path}: expected a header line and rows of numbers, found one row; record longer")
     ends = replace(table, rows=(*table.rows[: min(SHOWN_FIRST, len(table.rows) - 1)], table.rows[-1]))
-    return len(table.rows), _columns(ends, references)
+    return len(table.rows) + table.n_left_out, _columns(ends, references)
 
 
 def csv_channels(path: Path, options: TextOptions | None = None) -> list[FileChannel]:
-    """Return the columns of a csv file, with their units and first numbers.
+    """Return the columns of a csv file, with their units and first numbers; of a large file the first rows are judged.
 
     Raises
     ------
     DataError
         When the file is not text, or when it has no header line or no rows.
     """
-    table = _complete_table(path, options)
-    columns = zip(short_names(table.headings), table.units, _listed_csv(table), strict=True)
-    channels = ((FileChannel(name, len(table.rows), unit), values) for name, unit, values in columns)
+    table = _complete_table(path, options, ends=True)
+    count, first = len(table.rows) + table.n_left_out, replace(table, rows=table.rows[: table.n_first])
+    columns = zip(short_names(table.headings), table.units, _listed_csv(first), strict=True)
+    channels = ((FileChannel(name, count, unit), values) for name, unit, values in columns)
     return [
         replace(channel, remark="not all cells are numbers") if values is None else with_values(channel, values)
         for channel, values in channels
@@ -174,7 +175,7 @@ def _listed_csv(table: TextTable) -> list[FloatArray | None]:
 
 def csv_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any]:
     """Return encoding, delimiter, decimal sign and header of a csv file, as plain values."""
-    table = read_table(path, options)
+    table = read_table(path, options, ends=True)
     return {**table.layout.stated(), **({"last_line": _CUT} if table.is_cut else {})}
 
 

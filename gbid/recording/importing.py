@@ -15,6 +15,7 @@ import numpy as np
 from gbid.core.apart import read_apart
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError
+from gbid.core.files import refuse_special
 from gbid.core.names import given_path
 from gbid.core.units import SIGNALS
 from gbid.recording.clock import read_clock, resampled, time_factor, untimed_sample_time
@@ -67,6 +68,8 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         columns = reader(path, mapping.all_columns())
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise DataError(f"{path}: takes more memory than this process can use; cut it into several files") from None
     start, stop = sample_range(path, mapping, columns)
     rows = _rows_in_words(columns)
     columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
@@ -125,7 +128,7 @@ def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:
     Raises
     ------
     DataError
-        When the ending is unknown.
+        When the ending is unknown, or when the path is that of a directory, a pipe or a device.
     UsageError
         When a layout of text is given for a file of another kind.
     """
@@ -133,6 +136,7 @@ def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:
     kind = known.get(path.suffix.lower())
     if kind is None:
         raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(known)}")
+    refuse_special(path)
     given = options.given() if options else []
     if given and kind.layout is None:
         raise UsageError(f"{path}: {given[0]} is for text files such as csv; leave it out")

@@ -11,12 +11,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
+from gbid.core.apart import usable_memory
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError
+from gbid.core.files import refuse_special
+from gbid.core.tables import file_size
 from gbid.core.units import conversion_factor, is_unit
 from gbid.recording.mapping import DECIMALS, DELIMITERS, TextOptions, nearest
 
@@ -24,8 +27,35 @@ _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (code
 _CONTROL = frozenset(map(chr, range(32))) - set("\t\n\r\x0b\x0c\x1a")  # characters that no text has
 
 
-def read_text(path: Path, encoding: str | None = None) -> tuple[str, str]:
-    """Return the text of a file and its encoding.
+_END = 1 << 20  # bytes that are read at each end of a file that is only looked at
+_BLOCK = 1 << 24
+_MEMORY_PER_BYTE = 9  # of a file that is read as a whole: text, lines, numbers; 8.4 with 26 bytes a row
+
+
+class FileText(NamedTuple):
+    """Text of a file.
+
+    Attributes
+    ----------
+    text : str
+        The text, or both its ends.
+    encoding : str
+        Its encoding.
+    gap_after : int
+        Number of the line after which lines were left out; 0 where none were.
+    lines_left_out, rows_left_out : int
+        Their number, and how many are neither empty nor comments.
+    """
+
+    text: str
+    encoding: str
+    gap_after: int = 0
+    lines_left_out: int = 0
+    rows_left_out: int = 0
+
+
+def read_text(path: Path, encoding: str | None = None, *, ends: bool = False) -> FileText:
+    """Return the text of a file.
 
     A byte order mark states the encoding. Without one it is UTF-16 when every other byte is zero, UTF-8 when the bytes
     are valid UTF-8, and otherwise cp1252, the encoding of Windows in western Europe.
@@ -36,16 +66,57 @@ def read_text(path: Path, encoding: str | None = None) -> tuple[str, str]:
         The file.
     encoding : str, optional
         The encoding when it is known.
+    ends : bool
+        Whether the first and the last megabyte are enough. Of UTF-16 all is read.
 
     Raises
     ------
     DataError
-        When the bytes are not text in this encoding, or not text at all.
+        When the bytes are not text in this encoding, or not text at all, when the path is that of a device or a pipe,
+        or when the file needs more memory than there is.
     OSError
         When the file cannot be read.
     """
+    refuse_special(path)
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(_END)
+        head = head[: head.rfind(b"\n") + 1]
+        if ends and size > 2 * _END and head and not _is_wide(encoding or _encoding(head)):
+            file.seek(size - _END)
+            file.readline()  # the rest of a line
+            end, tail = file.tell(), file.read()
+            codec = encoding or _encoding(head + tail)
+            file.seek(len(head))
+            first = _decoded(path, head, codec)
+            return FileText(first + _decoded(path, tail, codec), codec, first.count("\n"), *_count_lines(file, end))
+    if size * _MEMORY_PER_BYTE > usable_memory():
+        raise DataError(
+            f"{path}: {file_size(size)} of text take {file_size(size * _MEMORY_PER_BYTE)} of memory, of which this "
+            f"process can use {file_size(usable_memory())}; cut it into several files, or save it as Parquet or HDF5"
+        )
     data = path.read_bytes()
     codec = encoding or _encoding(data)
+    return FileText(_decoded(path, data, codec), codec)
+
+
+def _is_wide(codec: str) -> bool:
+    return codec.lower().replace("_", "-").startswith(("utf-16", "utf-32", "u16", "u32"))
+
+
+def _count_lines(file: BinaryIO, end: int) -> tuple[int, int]:
+    """Return the number of lines from here to a place, and of those that are neither empty nor comments."""
+    lines = rows = 0
+    while (left := end - file.tell()) > 0:
+        block = file.read(min(_BLOCK, left))
+        block += file.readline() if not block.endswith(b"\n") else b""
+        count = block.count(b"\n")
+        others = (b"\n\n", b"\n\r\n", *(b"\n" + mark.encode() for mark in COMMENTS))
+        lines, rows = lines + count, rows + count - sum((b"\n" + block).count(other) for other in others)
+    return lines, rows
+
+
+def _decoded(path: Path, data: bytes, codec: str) -> str:
     try:
         text = data.decode(codec)
     except UnicodeDecodeError as error:
@@ -59,7 +130,7 @@ def read_text(path: Path, encoding: str | None = None) -> tuple[str, str]:
             f"{path}: not a text file in {codec}: it holds the character {min(strange)!r}; give its encoding "
             "(encoding: ...), or export it as csv"
         )
-    return text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\x1a"), codec
+    return text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\x1a")
 
 
 def _encoding(data: bytes) -> str:
@@ -475,6 +546,8 @@ class TextTable:
     is_cut : bool
         Whether the last row has all its cells, but is the only line without line break: if the file was cut there, its
         last number is a part of one.
+    n_first, n_left_out : int
+        Of a file whose ends were read: number of rows in the first part, and of rows between it and the second one.
     """
 
     path: Path
@@ -483,6 +556,8 @@ class TextTable:
     units: tuple[str | None, ...]
     rows: tuple[NumberedLine, ...]
     is_cut: bool = False
+    n_first: int = 0
+    n_left_out: int = 0
 
     @cached_property
     def cells(self) -> list[list[str]]:
@@ -558,8 +633,8 @@ class TextTable:
         return DataError(f"{where} {cell!r} is not a number{hint}")
 
 
-def read_table(path: Path, options: TextOptions | None = None) -> TextTable:
-    """Return the table in a text file, with its layout as given or as found.
+def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = False) -> TextTable:
+    """Return the table in a text file, with its layout as given or as found; of a large file the ends if asked for.
 
     Raises
     ------
@@ -569,8 +644,9 @@ def read_table(path: Path, options: TextOptions | None = None) -> TextTable:
         When the file cannot be read.
     """
     options = options or TextOptions()
-    text, encoding = read_text(path, options.encoding)
-    lines = [NumberedLine(i, line) for i, line in enumerate(text.split("\n"), start=1) if line.strip()]
+    text, encoding, gap_after, lines_left_out, rows_left_out = read_text(path, options.encoding, ends=ends)
+    numbered = enumerate(text.split("\n"), start=1)
+    lines = [NumberedLine(i + lines_left_out * (i > gap_after), line) for i, line in numbered if line.strip()]
     layout = find_layout(lines, encoding, options)
     rows = tuple(q for q in lines if q.number >= layout.rows_from > 0 and not is_comment(q.text))
     if layout.header is None and options.header_line is not None:
@@ -596,4 +672,5 @@ def read_table(path: Path, options: TextOptions | None = None) -> TextTable:
             units[i] = written_unit(cell.strip("[]() "))
     is_open = len(rows) > 1 and not text.endswith("\n") and rows[-1] == lines[-1]
     is_cut = is_open and len(split_cells(rows[-1].text, layout.delimiter)) >= len(headings)  # fewer cells are an error
-    return TextTable(path, layout, tuple(headings), tuple(units), rows, is_cut)
+    n_first = sum(line.number <= gap_after for line in rows) if gap_after else len(rows)
+    return TextTable(path, layout, tuple(headings), tuple(units), rows, is_cut, n_first, rows_left_out)

@@ -1,9 +1,12 @@
 """Import from csv, npz and mat files by a mapping."""
 
 import hashlib
+import os
 import pickle
 import re
 import zipfile
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -14,9 +17,9 @@ from places import DOCS, MEASURED
 from refusals import refused
 from ruamel.yaml import YAML
 
-from gbid.core.errors import UsageError
-from gbid.recording import ImportMapping, SignalMapping, import_recording, load_recording, save_recording
-from gbid.recording.importing import Peek, peek, read_layout
+from gbid.core.errors import DataError, UsageError
+from gbid.recording import ImportMapping, SignalMapping, import_recording, load_recording, save_recording, text_files
+from gbid.recording.importing import Peek, list_channels, peek, read_layout
 
 N, DT = 300, 2e-4
 RNG = np.random.default_rng(5)
@@ -449,6 +452,41 @@ def test_files_that_are_not_there_or_of_unknown_kind(tmp_path):
     refused(tmp_path / "dir.csv", mapping, "directory")
     refused(tmp_path / "a.xlsx", mapping, "unknown file ending '.xlsx'; expected one of", ".csv, ", ".npz, ")
     refused(tmp_path / "a", mapping, "unknown file ending ''")
+
+
+@pytest.mark.parametrize("ending", ["csv", "npz"])
+def test_pipes_and_devices_are_refused_at_once(tmp_path, ending):
+    os.mkfifo(tmp_path / f"pipe.{ending}")
+    (tmp_path / f"zeros.{ending}").symlink_to("/dev/zero")
+    for path in tmp_path.iterdir():
+        mapping = {"signals": {"p": BOTH}, "sample_time": DT}
+        refused(path, mapping, "is not a file, but a directory, a pipe or a device")
+        for look in (list_channels, partial(peek, mapping=ImportMapping.from_dict(mapping))):
+            with pytest.raises(DataError, match="is not a file"):
+                look(path)
+
+
+@pytest.mark.parametrize("eol", ["\n", "\r\n"])
+def test_of_a_large_csv_file_the_ends_are_looked_at(tmp_path, monkeypatch, eol):
+    path = write_csv(tmp_path / "a.csv", "t [s],a [um],b,c,d", eol=eol)
+    lines = path.read_bytes().split(eol.encode())
+    lines[150:150] = [b"# a comment", b"", b"% another"]
+    path.write_bytes(b"# made by hand" + eol.encode() + eol.encode().join(lines))
+    mapping = ImportMapping.from_dict({"signals": {"p": {"columns": ["a", "b"], "unit": "um"}}, "time": "t"})
+    whole = list_channels(path), read_layout(path), peek(path, mapping)
+    monkeypatch.setattr(text_files, "_END", 4000)
+    monkeypatch.setattr(text_files, "_BLOCK", 3000)
+    monkeypatch.setattr(Path, "read_bytes", None)
+    assert (read_layout(path), peek(path, mapping)) == whole[1:]
+    for ours, expected in zip(list_channels(path), whole[0], strict=True):
+        assert replace(ours, step=None) == replace(expected, step=None)
+        assert ours.step == pytest.approx(expected.step)
+
+
+def test_a_text_file_beyond_the_memory_is_refused(tmp_path, monkeypatch):
+    path = write_csv(tmp_path / "a.csv")
+    monkeypatch.setattr(text_files, "usable_memory", lambda: 100_000)
+    refused(path, {"signals": {"p": BOTH}, "time": "t"}, "of memory, of which this process can use 100", "Parquet")
 
 
 # Cut and damaged files
