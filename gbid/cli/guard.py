@@ -16,7 +16,7 @@ from types import FrameType
 import typer
 
 from gbid.cli.printing import print_json, tell
-from gbid.core.errors import GbidError, from_interrupt
+from gbid.core.errors import GbidError, UsageError, from_interrupt
 
 INTERRUPTED = 130
 _SOON_S = 0.2
@@ -40,6 +40,11 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
             yield
     except typer.Exit:
         raise
+    except SystemExit as error:
+        text = (
+            f"a Python file of the experiment, or a package, ended gbid by sys.exit({error.code!r}); remove that call"
+        )
+        _end([text], UsageError.exit_code, "error: ", as_json, debug)
     except (KeyboardInterrupt, Exception) as error:
         if isinstance(error, KeyboardInterrupt) or from_interrupt(error):
             _end(_INTERRUPTED, INTERRUPTED, "", as_json, debug)

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError, origins
+from gbid.core.names import one_line
 
 _ENDING = ".part"
 _DAY = 86400.0
@@ -189,7 +190,7 @@ def _cannot_write(path: Path, error: Exception) -> DataError:
             f"{path}: cannot be written: No space left in {path.parent}; make room and run again, "
             "what is complete is kept"
         )
-    return DataError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}")
+    return DataError(f"{path}: cannot be written: {one_line(str(getattr(error, 'strerror', None) or error))}")
 
 
 # ---- Checksum of a file: the SHA-256 of its bytes, written as the last line of the file.
@@ -341,7 +342,9 @@ def refuse_special(path: Path) -> None:
     DataError
         When the path is that of such a thing.
     """
-    if path.exists() and not path.is_file():
+    with contextlib.suppress(OSError):  # opening it tells
+        if path.is_file() or not path.exists():
+            return
         raise DataError(f"{path}: is not a file, but a directory, a pipe or a device; give the name of a file")
 
 

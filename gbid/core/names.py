@@ -66,10 +66,11 @@ def html_text(text: str) -> str:
 LONGEST = 120
 """Largest number of bytes of a part of a file name that is made of a name; file systems take 255 with all additions."""
 _DIGITS = 8
+_MOST_OF_PART, _MOST = 255, 4095  # bytes of a part of a path and of a whole one, on Linux; about the same elsewhere
 
 
 def given_path(path: object) -> Path:
-    """Return the path of a caller after its check: a text or path-like without NUL character.
+    """Return the path of a caller after its check: a text or path-like that can be the name of a file.
 
     Parameters
     ----------
@@ -79,13 +80,20 @@ def given_path(path: object) -> Path:
     Raises
     ------
     UsageError
-        When it is no path, or when it contains a NUL character, which no file name has.
+        When it is no path, when it contains a NUL character, or when it is longer than file systems allow.
     """
     if not isinstance(path, str | os.PathLike):
         raise UsageError(f"{path!r} is no path; give the name of a file as a text or a pathlib.Path")
     checked = Path(path)
     if "\0" in str(checked):
         raise UsageError(f"{str(checked)!r}: a path cannot contain a NUL character; correct the name of the file")
+    longest = max((len(os.fsencode(part)) for part in checked.parts), default=0)
+    if longest > _MOST_OF_PART or len(os.fsencode(checked)) > _MOST:
+        beginning = printable(str(checked)[:40])
+        raise UsageError(
+            f"{beginning}...: the path has {len(os.fsencode(checked))} bytes, its longest part {longest}; at most "
+            f"{_MOST} and {_MOST_OF_PART} are allowed: correct the name of the file"
+        )
     return checked
 
 

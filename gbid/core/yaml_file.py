@@ -24,6 +24,7 @@ CHANGED = "changed after gbid wrote it: its checksum is not that of its lines"
 
 _LARGEST = 4 << 20  # bytes
 _DEEPEST = 50
+_BITS = 1024  # of a whole number: a larger one has no float, and Python prints no number of 4300 digits
 _ALIASED = 10_000
 _BRACKETS = 500
 _KEPT = 100_000  # characters of the longest text whose tree is kept
@@ -130,6 +131,8 @@ def _check_size(path: Path, tree: Any, length: int) -> None:
 
     def size(node: Any, depth: int) -> int:
         if not isinstance(node, dict | list | tuple | set):
+            if isinstance(node, int) and node.bit_length() > _BITS:
+                raise UsageError(f"{path}: a whole number beyond 1.8e308; correct it")
             return 1
         if depth > _DEEPEST or sizes.get(id(node)) == 0:
             raise UsageError(f"{path}: values are nested more than {_DEEPEST} deep, or in themselves; write them flat")

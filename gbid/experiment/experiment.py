@@ -15,7 +15,7 @@ from typing import Any
 
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import is_changed, share_folder
-from gbid.core.names import file_stem
+from gbid.core.names import file_stem, given_path
 from gbid.core.notes import DataNote
 from gbid.core.units import SIGNALS
 from gbid.core.yaml_file import CHANGED, YamlFile
@@ -186,7 +186,7 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
         file = row["file"]
         if not file:
             faults.append(f"{where}: file is empty; name the file, or remove the line")
-        elif not (folder / file).is_file():
+        elif not _is_file(folder / file):
             faults.append(f"{where}: no file {folder / file}; put it there, or remove the line")
         elif Path(file).suffix.lower() not in file_formats():
             faults.append(f"{where}: file {file}: unknown ending; expected one of {', '.join(file_formats())}")
@@ -195,6 +195,13 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
             name = row.get("name") or name_of(Path(file).stem)
             entry = _entry(section, file, name, row.get("kind") or None, conditions)
             yield f"{where}: {entry}" if isinstance(entry, str) else entry
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return given_path(path).is_file()
+    except UsageError:
+        return False
 
 
 def _number(text: str, decimal: str) -> float:

@@ -14,13 +14,24 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, Tag, ValidationError, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    Strict,
+    Tag,
+    ValidationError,
+    WithJsonSchema,
+)
 from pydantic_core import ErrorDetails
 
 from gbid._version import __version__
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import add_text_checksum, atomic_path, is_changed
 from gbid.core.hdf5 import changing, opened
+from gbid.core.names import given_path
 from gbid.core.option_types import Finite
 from gbid.discretise import Hold
 
@@ -38,7 +49,8 @@ def _one_or_several(kind: dict[str, Any], fewest: int = 1) -> WithJsonSchema:
 
 _TEXT = {"type": "string", "minLength": 1}
 Switch = Annotated[bool, Strict()]
-Text = Annotated[str, Field(min_length=1)]
+Text = Annotated[str, Field(min_length=1), AfterValidator(lambda text: given_path(text) and text)]
+"""Text; it may name a file or a thing that is stored under this name."""
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
 """Name that is also used in file names."""
 Names = Annotated[tuple[Text, ...], BeforeValidator(_as_list), Field(min_length=1), _one_or_several(_TEXT)]

@@ -422,7 +422,7 @@ def load_machine(name_or_path: str | Path) -> PublishedMachine:
     path = given_path(name_or_path)
     if path.suffix not in (".yaml", ".yml") and len(path.parts) <= 1:
         folder = share_folder("models")
-        path = folder / f"{name_or_path}.yaml"
+        path = given_path(folder / f"{name_or_path}.yaml")
         if not path.is_file():
             names = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
             raise UsageError(

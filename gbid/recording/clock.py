@@ -27,8 +27,9 @@ _TURN = 2 * np.pi
 def jitter_ppm(time: FloatArray) -> float:
     """Return the rms deviation of sample times from even ones, in millionths of the sample time."""
     index = np.arange(len(time), dtype=float)
-    slope, offset = np.polyfit(index, time, 1)
-    return float(1e6 * np.std(time - slope * index - offset) / slope)
+    steps = (time - time[0]) / np.median(np.diff(time))  # no time is too long for its square
+    slope, offset = np.polyfit(index, steps, 1)
+    return float(1e6 * np.std(steps - slope * index - offset) / slope)
 
 
 def resampled(values: FloatArray, unit: str, time: FloatArray, sample_time: float) -> FloatArray:
@@ -102,9 +103,10 @@ def even_step(values: FloatArray, tolerance: float = MAX_JITTER) -> float | None
     tolerance : float
         Largest relative deviation of a step from the median step.
     """
-    steps = np.diff(values)
-    if not steps.size or not np.isfinite(steps).all():
-        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.diff(values)
+        if not steps.size or not np.isfinite(steps).all() or not np.isfinite(values[-1] - values[0]):
+            return None
     median = float(np.median(steps))
     even = median > 0 and bool((np.abs(steps - median) <= tolerance * median).all())
     return median if even else None
@@ -236,7 +238,7 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
             raise UsageError(f"{path}: piece needs the time column, which shows the gaps; name it (time: ...)")
         n = len(next(iter(columns.values())).values)
         return Clock(np.arange(n), untimed_sample_time(path, mapping, columns))
-    time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
+    time = times_of(path, mapping, mapping.time, columns)
     if len(time) < 2:
         raise DataError(f"{path}: time column {mapping.time!r} has one sample; at least two make a sample time")
     pieces = even_pieces(path, mapping.time, time, {name: c.values for name, c in columns.items()}, start)
@@ -328,15 +330,24 @@ def untimed_sample_time(path: Path, mapping: ImportMapping, columns: dict[str, F
     return mapping.sample_time
 
 
-def time_factor(path: Path, mapping: ImportMapping, column: FileColumn) -> float:
-    """Return the number of seconds in one unit of the time column.
+_LONGEST = 1e100  # s; no sum or square of such times overflows
+
+
+def times_of(path: Path, mapping: ImportMapping, name: str, columns: Mapping[str, FileColumn]) -> FloatArray:
+    """Return the values of the time column [s].
 
     Raises
     ------
     DataError
-        When file and mapping give different units.
+        When file and mapping give different units, or when the values are too large for times.
     UsageError
         When the unit is not a unit of time.
     """
-    what = f"time column {mapping.time!r}"
-    return unit_factor(path, what, file_unit(path, what, mapping.time_unit, column.unit) or "s", "s")
+    what = f"time column {name!r}"
+    factor = unit_factor(path, what, file_unit(path, what, mapping.time_unit, columns[name].unit) or "s", "s")
+    with np.errstate(over="ignore"):
+        time = columns[name].values * factor
+    largest = float(np.abs(time).max(initial=0.0))
+    if largest >= _LONGEST:
+        raise DataError(f"{path}: {what} reaches {largest:g} s, which is no time; name the right column")
+    return time

@@ -18,7 +18,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.files import refuse_special
 from gbid.core.names import given_path
 from gbid.core.units import SIGNALS
-from gbid.recording.clock import read_clock, resampled, time_factor, untimed_sample_time
+from gbid.recording.clock import read_clock, resampled, times_of, untimed_sample_time
 from gbid.recording.formats import file_formats
 from gbid.recording.mapping import ImportMapping, SignalMapping, TextOptions
 from gbid.recording.readers import FileChannel, FileFormat
@@ -177,7 +177,7 @@ def _from_times(path: Path, mapping: ImportMapping, columns: dict[str, FileColum
     if mapping.time is None:
         time = untimed_sample_time(path, mapping, columns) * np.arange(n)
     else:
-        time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
+        time = times_of(path, mapping, mapping.time, columns)
         time = np.maximum.accumulate(time - time[0])
     step = float(time[-1]) / max(1, n - 1)
     for key, value in (("from_s", mapping.from_s), ("to_s", mapping.to_s)):
@@ -221,7 +221,8 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Fil
             if known is None or signal.stored_unit is not None:
                 raise
             raise UsageError(f"{error}; {_another(name, units[column])}") from None
-        values.append(columns[column].values * factor)
+        with np.errstate(over="ignore"):  # the recording refuses what is not finite
+            values.append(columns[column].values * factor)
     return np.column_stack(values), stored
 
 
@@ -274,6 +275,7 @@ def list_channels(path: Path, options: TextOptions | None = None) -> list[FileCh
     UsageError
         When the package that reads the format is not installed.
     """
+    path = given_path(path)
     try:
         return file_format(path, options).channels(path)
     except OSError as error:
@@ -343,7 +345,7 @@ def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, Fi
     if mapping.time is None:
         sample_time = untimed_sample_time(path, mapping, columns)
     else:
-        time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
+        time = times_of(path, mapping, mapping.time, columns)
         sample_time = float(time[-1] - time[0]) / (n - 1)
         steps = np.diff(time[:-1])
         typical = float(np.median(steps)) if steps.size else sample_time
@@ -351,7 +353,7 @@ def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, Fi
             return None
         sample_time = mapping.sample_time or sample_time
     times = (mapping.from_s or 0.0, math.inf if mapping.to_s is None else mapping.to_s)
-    start, stop = mapping.samples or (min(n, math.ceil(t / sample_time - 1e-6)) if t < math.inf else n for t in times)
+    start, stop = mapping.samples or (math.ceil(min(n, t / sample_time - 1e-6)) for t in times)
     stop = n if stop is None else stop
     if not start < stop <= n:
         raise DataError(f"{path}: samples {start} to {stop} are not within its {n} samples; correct them")

@@ -282,7 +282,11 @@ def split_cells(text: str, delimiter: str) -> list[str]:
     """Return the cells of one line, without blanks around them."""
     if delimiter == " ":
         return text.split()
-    return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])]
+    try:
+        cells = next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:  # a cell longer than the reader takes; `TextTable.cells` names its line
+        cells = text.split(delimiter)
+    return [cell.strip() for cell in cells]
 
 
 def find_layout(lines: Sequence[NumberedLine], encoding: str, options: TextOptions) -> TextLayout:

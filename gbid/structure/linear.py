@@ -439,7 +439,7 @@ def _in_samples(feedback: HeldFeedback, plant: LoopParts, law: ControlLaw) -> Lo
     return feedback.close(plant._replace(A=held.F, B=B, K=K), law._replace(drive=drive))
 
 
-def in_one_line(error: Exception) -> str:
+def in_one_line(error: BaseException) -> str:
     """Return type and text of an exception in the code of a user; of a text with several lines, the last line."""
     lines = str(error).split("\n")
     return f"{type(error).__name__}: {lines[-1].strip()}"

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.core.errors import UsageError
+from gbid.core.names import given_path
 from gbid.discretise import check_holds, delayed_taps, discretise, squarings_for
 from gbid.structure.kinds import AnyStructure, equations_of, kind_of
 from gbid.structure.linear import Structure, in_one_line, symbolic_matrices
@@ -60,7 +61,7 @@ def load_structure_or_model(reference: str, folder: Path | None = None) -> AnySt
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py"):
         raise UsageError(f"structure {reference!r}: write it as file.py:name")
-    path = (folder or Path()) / file
+    path = given_path((folder or Path()) / file)
     if not path.is_file():
         raise UsageError(f"structure {reference!r}: no file {path}")
     spec = importlib.util.spec_from_file_location(f"gbid_user_{path.stem}", path)
@@ -69,7 +70,7 @@ def load_structure_or_model(reference: str, folder: Path | None = None) -> AnySt
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise UsageError(f"{path}: import failed: {in_one_line(error)}") from error
     if not hasattr(module, name):
         raise UsageError(f"{path}: no name {name!r} in this file")
@@ -77,7 +78,7 @@ def load_structure_or_model(reference: str, folder: Path | None = None) -> AnySt
     if not isinstance(loaded, AnyStructure | LinearModel) and callable(loaded):
         try:
             loaded = loaded()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise UsageError(f"{path}: {name}() failed: {in_one_line(error)}") from error
     if isinstance(loaded, LinearModel):
         return loaded

@@ -39,6 +39,13 @@ def assert_interrupted(body, capsys):
     assert capsys.readouterr().err == "gbid: interrupted; complete results are kept\n"
 
 
+def test_code_that_ends_the_program_is_an_error(capsys):
+    with pytest.raises(typer.Exit) as end, guarded():
+        sys.exit(0)
+    assert end.value.exit_code == 2
+    assert "ended gbid by sys.exit(0)" in capsys.readouterr().err
+
+
 def test_the_package_runs_as_a_module():
     words = [sys.executable, "-m", "gbid", "--version"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -1,3 +1,4 @@
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
@@ -8,6 +9,7 @@ from experiment_files import QUICK, SPRING, SPRING_STRUCTURE, write_quick, write
 from places import EXPERIMENTS
 from pydantic import BaseModel
 
+from gbid.core.errors import UsageError
 from gbid.experiment.experiment import figure_pairs, validation_pairs
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import _parse, _without, load_experiment
@@ -236,6 +238,7 @@ def test_meaning_of_an_import_is_checked(tmp_path, old, new, place, words):
         ("import gbid", "import nosuchmodule", "import failed"),
         ('"C": [[1, 0]]', '"C": [[1, 0, 0]]', "C has shape (1, 3), expected (1, 2)"),
         ("structure = ", "other = ", "no name 'structure'"),
+        ("import gbid", "import gbid, sys; sys.exit(0)", "import failed: SystemExit: 0"),
     ],
 )
 def test_broken_structure_files_are_named(tmp_path, old, new, words):
@@ -305,6 +308,21 @@ def test_every_odd_value_is_a_fault_at_a_place_of_the_file():
                 assert "\n" not in text
             _without(data, faults)
     assert unions > 25
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("seed: 3", f"seed: 0x{4000 * 'f'}", "a whole number beyond 1.8e308"),
+        ("name: quick", 'name: quick\nresults: "a\\0b"', "results: 'a\\x00b': a path cannot contain a NUL character"),
+        ("name: quick", f"name: quick\nresults: {300 * 'x'}", "bytes, its longest part 300"),
+        ("seed: 3", f"seed: 3\n  model: {300 * 'x'}.yaml", "rig.model: xxx"),
+    ],
+)
+def test_numbers_and_paths_without_measure_are_named(tmp_path, old, new, words):
+    with pytest.raises(UsageError, match=re.escape(words)) as caught:
+        load_experiment(write_quick(tmp_path, (old, new)))
+    assert len(str(caught.value)) < 400
 
 
 def test_a_key_with_the_name_of_a_branch_is_found_where_it_stands():

@@ -22,10 +22,19 @@ def wrong_call(name, path):
     return function(*(path if "path" in q.name else None for q in needed))
 
 
-@pytest.mark.parametrize("path", [None, b"bytes", "a\0b.h5", Path("a\0b.yaml")], ids=repr)
+NO_PATHS = {
+    "none": None,
+    "bytes": b"bytes",
+    "nul": "a\0b.h5",
+    "long": f"{300 * 'x'}.h5",
+    "deep": f"{3000 * 'd/'}a.yaml",
+}
+
+
+@pytest.mark.parametrize("path", [*NO_PATHS.values(), Path("a\0b.yaml")], ids=[*NO_PATHS, "nul in a path"])
 @pytest.mark.parametrize("name", OF_A_PATH)
 def test_what_is_no_path_is_refused(name, path):
-    with pytest.raises(UsageError, match=r"is no path; give the name|cannot contain a NUL"):
+    with pytest.raises(UsageError, match=r"is no path; give the name|cannot contain a NUL|bytes, its longest part"):
         wrong_call(name, path)
 
 

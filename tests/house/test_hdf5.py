@@ -164,3 +164,16 @@ def test_load_knows_each_type_with_a_file_of_its_own():
                 kinds.add((value.FILE.name, value))
     known = {(name, getattr(import_module(module), made)) for name, (module, made) in _TYPES.items()}
     assert kinds == known - {("lpv_fit", gbid.load_lpv_fit)}
+
+
+def test_an_error_of_input_or_output_is_one_line(tmp_path, monkeypatch):
+    """The HDF5 library tells it in three."""
+    path = tmp_path / "a.h5"
+    gbid.save(gbid.Recording({"u": np.zeros((3, 1))}, 1.0), path)
+
+    def failing(*_arguments, **_options):
+        raise OSError("Can't read data (file read failed: time = Mon Nov 23\n, filename = 'a.h5'\n, errno = 5)")
+
+    monkeypatch.setattr(h5py, "File", failing)
+    with pytest.raises(DataError, match=r"time = Mon Nov 23 , filename = 'a.h5' , errno = 5\)$"):
+        gbid.load(path)

@@ -483,6 +483,24 @@ def test_of_a_large_csv_file_the_ends_are_looked_at(tmp_path, monkeypatch, eol):
         assert ours.step == pytest.approx(expected.step)
 
 
+@pytest.mark.parametrize(
+    "times", [1e307 * np.arange(9), 1.7e308 * np.linspace(-1, 1, 9), 1e200 * (np.arange(9) + T[:9])]
+)
+def test_times_beyond_all_measure_are_refused(tmp_path, times):
+    path = write_csv(tmp_path / "a.csv", "t,a,b", np.column_stack([times, DATA[:9, :2]]))
+    mapping = {"signals": {"p": BOTH}, "time": "t"}
+    refused(path, mapping, "which is no time")
+    with pytest.raises(DataError, match="which is no time"):
+        peek(path, ImportMapping.from_dict(mapping))
+    assert [channel.name for channel in list_channels(path)] == ["t", "a", "b"]
+
+
+def test_a_cell_longer_than_the_reader_takes_is_named(tmp_path):
+    for text in (f"t,a\n1,2\n3,{140_000 * '1'}x\n", f"{140_000 * 'x'},a\n1,2\n3,4\n"):
+        (tmp_path / "a.csv").write_text(text)
+        refused(tmp_path / "a.csv", {"signals": {"p": {"columns": ["b"], "unit": "m"}}, "sample_time": DT})
+
+
 def test_a_text_file_beyond_the_memory_is_refused(tmp_path, monkeypatch):
     path = write_csv(tmp_path / "a.csv")
     monkeypatch.setattr(text_files, "usable_memory", lambda: 100_000)

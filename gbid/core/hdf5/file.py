@@ -16,7 +16,7 @@ import numpy.typing as npt
 from gbid._version import __version__
 from gbid.core.errors import DataError, GbidError
 from gbid.core.files import atomic_path, has_valid_checksum, library_errors, with_checksum
-from gbid.core.names import given_path
+from gbid.core.names import given_path, one_line
 
 # ---- Entries of an HDF5 file: datasets and attributes with units and long names, checked when they are read.
 
@@ -255,7 +255,8 @@ def reading(path: str | Path, kind: FileKind = _ANY) -> Iterator[h5py.File]:
     except DamagedError as error:
         raise DataError(f"{path}: {error}; {kind.remedy}") from None
     except (OSError, RuntimeError) as error:  # h5py raises either for a damaged file
-        raise DataError(f"{path}: not a readable HDF5 file (truncated or of another format): {error}") from None
+        words = one_line(str(error))  # an error of input or output has three
+        raise DataError(f"{path}: not a readable HDF5 file (truncated or of another format): {words}") from None
     except KeyError as error:
         words = str(error.args[0] if error.args else error)
         raise DataError(f"{path}: incomplete {kind.name} file: {words}; {kind.remedy}") from None
