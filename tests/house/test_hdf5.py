@@ -65,7 +65,7 @@ def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, error):
 def test_folders_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "a.h5", tmp_path / ("a" * 300), tmp_path):
-        with pytest.raises(DataError, match="cannot be written"):
+        with pytest.raises((DataError, UsageError), match=r"cannot be written|its longest part 300"):
             write(path, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 

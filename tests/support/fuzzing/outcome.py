@@ -93,7 +93,8 @@ def _accepted(target: FuzzTarget, content: bytes, value: Any, said: bool, folder
     if said:
         return InputOutcome.SAID
     without = target.ending != ".h5" and b"gbid sha256" not in content  # such a text is one that a person wrote
-    return InputOutcome.SILENT if target.origin is FileOrigin.OWN and not without else InputOutcome.OTHER
+    sealed = target.origin is FileOrigin.SEALED or (target.origin is FileOrigin.OWN and not without)
+    return InputOutcome.SILENT if sealed else InputOutcome.OTHER
 
 
 class MemoryOfProcess:

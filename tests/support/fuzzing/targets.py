@@ -21,20 +21,21 @@ from gain_problems import oscillator
 from scipy.io import savemat
 
 import gbid
-from fuzzing.byte_mutations import mutate_bytes
+from fuzzing.byte_mutations import flip_bits, mutate_bytes, overwrite
 from fuzzing.hdf5_mutations import mutate_hdf5
 from fuzzing.text_mutations import mutate_text, mutate_tree
 from fuzzing.zip_mutations import mutate_npz
 from gbid.control import HalfSine
 from gbid.control.assessment import TunedDesign
-from gbid.core.errors import ChangedFileWarning
+from gbid.core.errors import ChangedFileWarning, GbidError
 from gbid.core.files import is_changed, share_folder, with_checksum, with_text_checksum
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import csv_text, plain_table
-from gbid.core.yaml_file import write_yaml
+from gbid.core.yaml_file import read_yaml, write_yaml
 from gbid.experiment.load import load_experiment
 from gbid.lpv import load_model, save_model
-from gbid.recording.importing import list_channels
+from gbid.recording import ImportMapping
+from gbid.recording.importing import list_channels, peek
 from gbid.validate import load_actuators
 from gbid.validate.central import ACTUATORS_KIND
 
@@ -46,6 +47,7 @@ class FileOrigin(Enum):
 
     OWN = "gbid"  # has a checksum: a change must be noticed
     CRAFTED = "gbid, entries changed and checksum made anew"
+    SEALED = "other programs, with checksums"
     FOREIGN = "other programs"
 
 
@@ -114,7 +116,9 @@ def _texts() -> list[FuzzTarget]:
     table = with_text_checksum(
         csv_text(plain_table(("a", "b"), [(1.5, 2.5), (3.0, -1e-9)], ("note",))), ".csv"
     ).encode()
-    experiment = (share_folder("experiments") / "quickstart.yaml").read_bytes()
+    experiment, campaign = (
+        (share_folder("experiments") / f"{name}.yaml").read_bytes() for name in ("quickstart", "theisen2016")
+    )
     own = FileOrigin.OWN
     return [
         FuzzTarget("controller", ".yaml", own, found["p"], _telling(gbid.load_controller), mutate_tree, 10),
@@ -123,7 +127,59 @@ def _texts() -> list[FuzzTarget]:
         FuzzTarget("nominal actuators", ".yaml", own, found["actuators"], _telling(load_actuators), mutate_tree, 10),
         FuzzTarget("table of results", ".csv", own, table, _read_text, mutate_text, 40),
         FuzzTarget("experiment", ".yaml", FileOrigin.FOREIGN, experiment, _plainly(_read_experiment), mutate_tree, 4),
+        FuzzTarget(
+            "experiment, all", ".yaml", FileOrigin.FOREIGN, campaign, _plainly(_read_experiment), mutate_tree, 2
+        ),
+        FuzzTarget(
+            "experiment, files", ".yaml", FileOrigin.FOREIGN, _OF_FILES, _plainly(_read_experiment), mutate_tree, 6
+        ),
+        FuzzTarget("mapping", ".yaml", FileOrigin.FOREIGN, _OF_ONE, _plainly(_read_mapping), mutate_tree, 12),
     ]
+
+
+_OF_ONE = b"""\
+time: t
+time_unit: ms
+from_s: 0.01
+to_s: 0.5
+piece: 1
+decimal: "."
+conditions: {pressure_bar: 5.0, speed_rpm: 6000}
+signals:
+  y: {columns: [a, b], unit: um, stored_unit: m, channels: [x, y]}
+  z: {columns: "c[0]"}
+"""
+_OF_FILES = b"""\
+format: 1
+name: files
+import:
+  recordings:
+    - name: one
+      file: a.csv
+      time: t
+      conditions: {pressure_bar: 5.0, speed_rpm: 6000}
+      signals: {u: {columns: [a, b], unit: um}, p: {columns: [c, d], unit: um}}
+fits:
+  bearing:
+    structure: rotor_bearing
+    options: {pade_order: 1}
+    start: {k_xx: 1.0e6, tau_x: 1.0e-4}
+    bounds: {tau_x: [0, 1.0e-3]}
+    prior: {tau_y: {value: 1.0e-4, std: 1.0e-5}}
+    trend: {p_x: offset}
+    window: 128
+    left_out: {one: [[0.1, 0.2]]}
+    initial_state: auto
+controller:
+  main:
+    structure: biquad
+    model: theisen2016
+    operating_points: [{pressure_bar: 6.0, speed_rpm: 0.0}]
+    goals:
+      - {goal: MaxDamping}
+      - {goal: PeakSensitivity, limit: [[10, 2.0], [100, 3.0]]}
+      - {goal: MinDiskMargin, alpha: 0.5, soft: true, weight: 2.0}
+"""
 
 
 def _own_hdf5() -> list[FuzzTarget]:
@@ -158,9 +214,12 @@ def _own_hdf5() -> list[FuzzTarget]:
     return targets
 
 
+_ROWS = 60
+
+
 def _foreign() -> list[FuzzTarget]:
     random = np.random.default_rng(1)
-    columns = {"t": 1e-3 * np.arange(60), "a": random.normal(size=60), "b": random.normal(size=60)}
+    columns = {"t": 1e-3 * np.arange(_ROWS), "a": random.normal(size=_ROWS), "b": random.normal(size=_ROWS)}
     csv = (
         "t,a,b [m]\n"
         + "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True))
@@ -175,8 +234,12 @@ def _foreign() -> list[FuzzTarget]:
         for name, column in columns.items():
             file.create_dataset(name, data=column, chunks=(20,), compression="gzip" if name == "a" else None)
         file.create_dataset("run/table", data=np.zeros(5, dtype=[("p", "f8"), ("q", "i4")]))
+    logger = "Messung;1\nt;a;b\ns;m;m\n" + csv.partition("\n")[2].replace(",", ";").replace(".", ",")
     foreign = FileOrigin.FOREIGN
     return [
+        *_arrow(columns),
+        FuzzTarget("csv, looked at", ".csv", foreign, csv.encode(), _plainly(_look), mutate_text, 12),
+        FuzzTarget("csv, of a logger", ".csv", foreign, logger.encode(), _import, mutate_text, 12),
         FuzzTarget("csv", ".csv", foreign, csv.encode(), _import, mutate_text, 20),
         FuzzTarget("npz", ".npz", foreign, npz.getvalue(), _import, mutate_npz, 12),
         FuzzTarget("mat", ".mat", foreign, mat.getvalue(), _import, mutate_bytes, 6),
@@ -187,6 +250,36 @@ def _foreign() -> list[FuzzTarget]:
         FuzzTarget("npz, listed", ".npz", foreign, npz.getvalue(), _plainly(list_channels), mutate_npz, 3),
         FuzzTarget("mat, listed", ".mat", foreign, mat.getvalue(), _plainly(list_channels), mutate_bytes, 2),
     ]
+
+
+def _arrow(columns: Mapping[str, Any]) -> list[FuzzTarget]:
+    """Return files of pyarrow; none where it is not installed. Checksums are those of the pages of Parquet."""
+    try:
+        from pyarrow import feather, parquet, table
+    except ImportError:
+        return []
+    sealed, plain, arrow = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    parquet.write_table(
+        table(columns), sealed, write_page_checksum=True, compression="none", use_dictionary=False, store_schema=False
+    )
+    parquet.write_table(table(columns), plain)
+    feather.write_feather(table(columns), arrow)
+    return [
+        FuzzTarget("Parquet, pages", ".parquet", FileOrigin.SEALED, sealed.getvalue(), _import, _mutate_pages, 6),
+        FuzzTarget("Parquet", ".parquet", FileOrigin.FOREIGN, plain.getvalue(), _import, mutate_bytes, 6),
+        FuzzTarget(
+            "Parquet, listed", ".pq", FileOrigin.FOREIGN, plain.getvalue(), _plainly(list_channels), mutate_bytes, 2
+        ),
+        FuzzTarget("Feather", ".feather", FileOrigin.FOREIGN, arrow.getvalue(), _import, mutate_bytes, 3),
+    ]
+
+
+def _mutate_pages(random: Random, content: bytes) -> bytes:
+    """Change the numbers in the pages. Headers of pages and the footer have no checksum."""
+    start = content.index(np.random.default_rng(1).normal(size=4).tobytes())
+    pages = content[start : start + 8 * _ROWS]
+    changed = random.choice((flip_bits, overwrite))(random, pages)[: len(pages)]
+    return content[:start] + changed + content[start + len(changed) :]
 
 
 def _plainly(load: Callable[[Path], Any]) -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
@@ -214,6 +307,18 @@ def _read_text(path: Path) -> tuple[Any, tuple[str, ...]]:
 
 def _read_experiment(path: Path) -> Any:
     return load_experiment(path).recordings
+
+
+def _read_mapping(path: Path) -> Any:
+    data = read_yaml(path).data
+    try:
+        return ImportMapping.from_dict(data)
+    except GbidError as error:  # it does not know its file
+        raise type(error)(f"{path}: {error}") from None
+
+
+def _look(path: Path) -> Any:
+    return peek(path, ImportMapping.from_dict(_MAPPING)), list_channels(path)
 
 
 def _import(path: Path) -> tuple[Any, tuple[str, ...]]:
