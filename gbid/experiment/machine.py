@@ -17,12 +17,13 @@ from gbid.core.units import SIGNALS
 from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, needed
-from gbid.experiment.rig_schema import ActuatorSection, Place
+from gbid.experiment.rig_schema import ActuatorSection, Place, RigSection
 from gbid.experiment.schema import HammerTrain
 from gbid.lpv import Domain, LPVModel, PublishedMachine, load_machine
 from gbid.recording import Recording
 from gbid.rig import (
     Course,
+    FilmPoint,
     Hammer,
     Impact,
     Machine,
@@ -42,6 +43,7 @@ from gbid.rig import (
     scattered,
 )
 from gbid.rig import Experiment as RigExperiment
+from gbid.rig.excitation import RPM
 from gbid.rig.piezo import ALLOCATION
 from gbid.rig.stepping import Surfaces
 from gbid.structure import (
@@ -108,7 +110,9 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     """
     rig = needed(experiment.spec.rig, "rig")
     course, point = course_of(experiment, planned), planned.conditions
-    start = (point["pressure_bar"], point["speed_rpm"]) if course is None else map(float, course.at(np.array(0.0)))
+    start = (
+        (point["pressure_bar"], point["speed_rpm"]) if course is None else tuple(map(float, course.at(np.array(0.0))))
+    )
     parameters = _true_parameters(model, *start)
     return Machine.from_parameters(
         parameters,
@@ -122,7 +126,14 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
         non_synchronous=rig.non_synchronous,
         process_noise=rig.process_noise,
         effects=tuple(rig_effect(name, **options) for name, options in rig.effects.items()),
+        film=_film(rig, *start),
     )
+
+
+def _film(rig: RigSection, pressure_bar: float, speed_rpm: float) -> FilmPoint | None:
+    if rig.film is None:
+        return None
+    return FilmPoint(rig.film, pressure_bar, speed_rpm * RPM, rig.clearance_m, rig.moving_mass_kg)
 
 
 def course_of(experiment: Experiment, planned: PlannedRecording) -> Course | None:
@@ -325,7 +336,10 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: An
         return {}  # several operating points, or none, as along a course
     if any(q.imported for q in planned) or not isinstance(kind_of(structure).plant, RotorBearing | PiezoPair | Plant):
         return {}
-    film = needed(experiment.spec.rig, "rig").stiffening
+    rig = needed(experiment.spec.rig, "rig")
+    if rig.film is not None:
+        return {}
+    film = rig.stiffening
     known = {**_as_drawn(experiment, planned), STIFFENING: film.inverse_square_length if film else 0.0}
     return {q.name: known[q.name] for q in structure.parameters if q.name in known}
 

@@ -229,6 +229,13 @@ class StiffeningSection(RigPart, rig.FilmStiffening, frozen=True):
     """Gas film whose stiffness rises away from the centre."""
 
 
+class FilmSection(RigPart, rig.GasFilm, frozen=True):
+    """Gas film by the Reynolds equation in place of the fourteen parameters of the model; see `gbid.rig.GasFilm`.
+
+    The model then gives the actuators and the domain. The pressure of the operating points is that above the ambient.
+    """
+
+
 class NonSynchronousSection(RigPart, rig.NonSynchronous, frozen=True):
     """Whirl near a speed (paper, Sec. 4)."""
 
@@ -282,6 +289,7 @@ class RigSection(Section):
     unbalance: UnbalanceSection = UnbalanceSection()
     actuators: ActuatorSection = ActuatorSection()
     flexible_mode: Annotated[FlexibleModeSection | None, BeforeValidator(given)] = None
+    film: Annotated[FilmSection | None, BeforeValidator(given)] = None
     stiffening: Annotated[StiffeningSection | None, BeforeValidator(given)] = None
     non_synchronous: Annotated[NonSynchronousSection | None, BeforeValidator(given)] = None
     process_noise: Annotated[ProcessNoiseSection | None, BeforeValidator(given)] = None

@@ -16,6 +16,10 @@ from .excitation import (
     Staircase as Staircase,
     Stationary as Stationary,
 )
+from .film import (
+    FilmPoint as FilmPoint,
+    GasFilm as GasFilm,
+)
 from .machine import (
     ActuatorTruth as ActuatorTruth,
     Contact as Contact,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Finite, NotNegative, Positive, check_options
 from gbid.core.published import PUBLISHED_RMS
+from gbid.rig.film import FilmPoint
 from gbid.rig.piezo import PiezoStacks
 from gbid.rig.sensors import SensorChain
 
@@ -284,6 +286,11 @@ class RotorBearingTruth(Brief):
         K, D, B = (np.reshape([named[f"{letter}_{pair}"] for pair in _PAIRS], (2, 2)) for letter in "kdb")
         return cls(K, D, B, np.array([named["tau_x"], named["tau_y"]]))
 
+    @classmethod
+    def of_film(cls, point: FilmPoint) -> RotorBearingTruth:
+        """Return the rotor and bearing with the response of a gas film at the mean frequency of its two modes."""
+        return _of_film(point)
+
     def key_parameters(self) -> dict[str, float]:
         """Return the fourteen key parameters by name, ``k_xx`` to ``tau_y``, SI per kg."""
         matrices = zip("kdb", (self.stiffness, self.damping, self.input_gain), strict=True)
@@ -387,6 +394,14 @@ class Machine(Brief):
         Contact of disc and bearing at the end of the clearance.
     effects : tuple of RigEffect
         Further effects, made by `gbid.rig.rig_effect`.
+    film : FilmPoint, optional
+        Gas film that carries the rotor in place of `rotor_bearing`, which then only gives the orbit at the start; see
+        `RotorBearingTruth.of_film`.
+
+    Raises
+    ------
+    UsageError
+        When a value is not allowed, or when there is a film and an effect that belongs to the linear bearing.
     """
 
     rotor_bearing: RotorBearingTruth
@@ -401,8 +416,17 @@ class Machine(Brief):
     process_noise: ProcessNoise | None = None
     contact: Contact = field(default_factory=Contact)
     effects: tuple[RigEffect, ...] = ()
+    film: FilmPoint | None = None
 
     def __post_init__(self) -> None:
+        linear = {
+            "stiffening": self.stiffening,
+            "non_synchronous": self.non_synchronous,
+            "flexible_mode": self.flexible_mode,
+        }
+        if self.film is not None and any(linear.values()):
+            names = ", ".join(name for name, part in linear.items() if part is not None)
+            raise UsageError(f"machine: {names} with a gas film; these are effects of the linear bearing")
         for name, unit in (("clearance", "m"), ("moving_mass", "kg")):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
@@ -413,9 +437,23 @@ class Machine(Brief):
         """Largest ``|r|`` that a controller may command [m]; half of 45 um for linear actuators."""
         return self.actuator.travel if isinstance(self.actuator, PiezoStacks) else 22.5e-6
 
+    def check_stable(self) -> None:
+        """Check that the rotor is stable without control.
+
+        Raises
+        ------
+        UsageError
+            When it is not.
+        """
+        if self.film is None:
+            self.rotor_bearing.check_stable()
+        else:
+            self.film.check_stable()
+
     def beyond_closed_form(self) -> list[str]:
         """Return the names of the parts that have no solution in closed form and need time stepping."""
         parts = {
+            "gas film": self.film is not None,
             "piezo stacks": isinstance(self.actuator, PiezoStacks),
             "flexible mode": self.flexible_mode is not None,
             "stiffening": self.stiffening is not None,
@@ -445,7 +483,8 @@ class Machine(Brief):
             ``p1_x``, ``p2_x`` [rad/s], ``kappa_x`` [m/m] and the same of y; other entries are ignored. Or the four
             stacks.
         unbalance, sensors, clearance, **parts
-            Arguments of `Machine`; the defaults of `Machine` when not given.
+            Arguments of `Machine`; the defaults of `Machine` when not given. With a `film` the key parameters do not
+            count.
 
         Returns
         -------
@@ -456,14 +495,20 @@ class Machine(Brief):
         UsageError
             When a parameter is missing or has a wrong value.
         """
+        film = parts.get("film")
         return cls(
-            RotorBearingTruth.from_parameters(key_parameters),
+            RotorBearingTruth.from_parameters(key_parameters) if film is None else RotorBearingTruth.of_film(film),
             actuators if isinstance(actuators, PiezoStacks) else _linear_actuator(actuators),
             Unbalance() if unbalance is None else unbalance,
             SensorChain() if sensors is None else sensors,
             clearance,
             **parts,
         )
+
+
+@lru_cache(maxsize=64)
+def _of_film(point: FilmPoint) -> RotorBearingTruth:
+    return RotorBearingTruth(*point.at_frequency(float(point.modes()[:, 0].mean())))
 
 
 _PAIRS = ("xx", "xy", "yx", "yy")

@@ -315,6 +315,8 @@ def _posed(
     """Return the run of a machine, and the deviations of the readings of p by its effects, (n, 2) [m]."""
     levels, start, process, whirl = random
     sample_time, surfaces = options.sample_time, options.surfaces
+    if machine.film is not None and (options.scatter is not None or surfaces is not None):
+        raise UsageError("a gas film has no fourteen parameters: no scatter and no course of pressure and speed")
     if isinstance(experiment, ScheduledRun) != (surfaces is not None):
         raise UsageError("surfaces are for a ScheduledRun, and it needs them: give surfaces=model.key_parameters")
     turning = _rotation(experiment, options.conditions)
@@ -333,7 +335,7 @@ def _posed(
         rotor_bearing, rejected = scattered(machine.rotor_bearing, options.scatter, drawn)
         machine = replace(machine, rotor_bearing=rotor_bearing)
     if options.controller is None:
-        machine.rotor_bearing.check_stable()
+        machine.check_stable()
     pushes, readings = _effects(machine, turning, times, options.conditions, of_effects)
     forces = Forces(
         machine,
@@ -500,7 +502,7 @@ def _provenance(run: _Run, motion: SteppedMotion) -> dict[str, str]:
         "experiment": as_json({type(run.experiment).__name__: asdict(run.experiment)}),
         "rig": as_json({"oversampling": options.oversampling, "settle_s": options.settle_s, **rig, **effects}),
     }
-    if run.along is None:  # along a course there is no one truth
+    if run.along is None and machine.film is None:  # else no fourteen parameters are the truth
         texts["truth"] = as_json(machine.rotor_bearing.key_parameters())
     if controller is not None:
         program = {"program": controller.name, "sample_time": controller.sample_time}

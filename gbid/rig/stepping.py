@@ -15,6 +15,7 @@ from gbid.core.brief import Brief
 from gbid.core.compiled import CompilerMissingError, load_library
 from gbid.core.errors import UsageError
 from gbid.rig.excitation import Course, StackStaircase
+from gbid.rig.film import FILM_SOURCE, MAX_STAGES, chebyshev_table, equilibrium
 from gbid.rig.machine import ActuatorTruth, Machine, RotorBearingTruth
 from gbid.rig.piezo import ALLOCATION, N_PLAYS, PiezoStacks, pair_difference
 from gbid.rig.response import MIN_OVERSAMPLING, Forces
@@ -80,6 +81,8 @@ class Chunk(NamedTuple):
         Run-out, offset and noise of the probes [m].
     taken : (n, 2) array
         Correction that the controller subtracts from the measured position [m].
+    speed : (n,) array
+        Speed of the shaft [rad/s]; only a gas film needs it.
     """
 
     excitation: FloatArray
@@ -87,6 +90,7 @@ class Chunk(NamedTuple):
     forces: FloatArray
     sensor: FloatArray
     taken: FloatArray
+    speed: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +114,10 @@ class StepArrays:
         Whether the disc touches a wall at the clearance.
     resolution, travel : float
         Resolution of p [m], 0 for none, and limit of r in a control loop [m].
+    grid, film : array
+        Integers and numbers of `gbid.rig.film.FilmPoint.arrays`; empty without a gas film.
+    radius : float
+        Radius of the shaft in the film [m].
     """
 
     rotor: FloatArray
@@ -120,6 +128,9 @@ class StepArrays:
     wall: bool
     resolution: float
     travel: float
+    grid: np.ndarray
+    film: FloatArray
+    radius: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +151,9 @@ class StepState:
         State and last output [m] of the controller.
     history : (kept + 1, 2) array
         u at the last time steps [m], the present one in the last row.
+    gas : (4 + n_cells,) array
+        State of a gas film, see `gbid.rig.film.FilmPoint.rates`, whose first four entries are those of `rotor`; empty
+        without one.
     """
 
     rotor: FloatArray
@@ -150,6 +164,7 @@ class StepState:
     controller: FloatArray
     command: FloatArray
     history: FloatArray
+    gas: FloatArray
 
 
 def step_arrays(
@@ -192,7 +207,7 @@ def step_arrays(
             [machine.stiffening.inverse_square_length if machine.stiffening else 0.0, machine.clearance],
             [contact.stiffness / mass, contact.damping / mass],
             [omega**2, 2 * flexible.damping * omega if flexible else 2.0, flexible.share if flexible else 0.0],
-            rb.delay / h,
+            rb.delay / h if machine.film is None else np.zeros(2),
             [h],
         ]
     )
@@ -207,8 +222,16 @@ def step_arrays(
             f"a step of {h:.3g} s is too long for a pole of {fastest:.4g} rad/s; raise oversampling to at least "
             f"{int(np.ceil(2 * fastest * sample_time))}"
         )
+    grid, numbers, radius = np.zeros(1, ctypes.c_long), np.zeros(0), 0.0
+    if machine.film is not None:
+        rest = [0.0] * 4
+        if isinstance(actuator, PiezoStacks):
+            rest = [stack.rest(actuator.offset).position for stack in actuator.stacks]
+        grid, numbers = machine.film.arrays(equilibrium(machine.film)[:2], np.array(rest))
+        radius = machine.film.film.radius
+    resolution = machine.sensors.resolution_p_m
     return StepArrays(
-        rotor, linear, stacks, controller, oversampling, wall, machine.sensors.resolution_p_m, machine.travel
+        rotor, linear, stacks, controller, oversampling, wall, resolution, machine.travel, grid, numbers, radius
     )
 
 
@@ -227,11 +250,14 @@ def rest_state(arrays: StepArrays, machine: Machine, base: FloatArray) -> StepSt
             plays[:, i] = rest.plays
             creep[:, i] = arrays.stacks.creep[:, i] * rest.expansion
         u = pair_difference(stack[2])
-    rotor = np.zeros(8)
-    rotor[0:2] = -np.linalg.solve(machine.rotor_bearing.stiffness, machine.rotor_bearing.input_gain @ u)
+    rotor, gas = np.zeros(8), np.zeros(0)
+    if machine.film is None:
+        rotor[0:2] = -np.linalg.solve(machine.rotor_bearing.stiffness, machine.rotor_bearing.input_gain @ u)
+    else:
+        gas = equilibrium(machine.film).copy()
     kept = int(np.ceil(arrays.rotor[DELAY].max())) + 1
     return StepState(
-        rotor, np.zeros(2), stack, plays, creep, np.zeros(n_controller), np.zeros(2), np.tile(u, (kept + 1, 1))
+        rotor, np.zeros(2), stack, plays, creep, np.zeros(n_controller), np.zeros(2), np.tile(u, (kept + 1, 1)), gas
     )
 
 
@@ -271,7 +297,9 @@ def _linear_steps(actuator: ActuatorTruth, h: float) -> FloatArray:
 
 # ---- C source of the time stepping.
 
-SOURCE = """\
+SOURCE = (
+    FILM_SOURCE
+    + """\
 /* Written by gbid: actuators, delays, rotor and controller of the virtual rig, one fine step after another.
    Classical Runge-Kutta of fourth order; plays move at the end of each step. */
 #include <math.h>
@@ -352,8 +380,11 @@ void gbid_rig_steps(const long *restrict sizes, const double *restrict R, const 
     const double *restrict ext, const double *restrict sensor, const double *restrict taken,
     const double *restrict ctrl, const double *restrict limits, double *restrict lin_x,
     stack_state *restrict x, double (*restrict play)[4], double (*restrict creep)[4], double *restrict rot,
-    double *restrict ctrl_x, double *restrict hist, double *restrict out) {
+    double *restrict ctrl_x, double *restrict hist, double *restrict out, const long *restrict grid,
+    const double *restrict film, const double *restrict table, const double *restrict speed, double *restrict gas) {
   const long n = sizes[0], over = sizes[1], kept = sizes[4], nc = sizes[5];
+  const int filmed = grid[0] != 0;
+  const double ox = filmed ? film[CX] : 0, oy = filmed ? film[CY] : 0;
   const int stacks = sizes[2] != 0, wall = sizes[6] != 0, in_loop = nc >= 0;
   const int creeps = (int)sizes[3];
   const double h = R[STEP], resolution = limits[0], travel = limits[1];
@@ -368,7 +399,8 @@ void gbid_rig_steps(const long *restrict sizes, const double *restrict R, const 
         r[j] = r[j] > travel ? travel : r[j] < -travel ? -travel : r[j];
       }
     }
-    double disc[2] = {rot[0] + rot[4], rot[1] + rot[5]}, seen[2], worst = disc[0]*disc[0] + disc[1]*disc[1];
+    double disc[2] = {rot[0] + rot[4], rot[1] + rot[5]}, seen[2];
+    double worst = (disc[0] + ox)*(disc[0] + ox) + (disc[1] + oy)*(disc[1] + oy);
     for (int j = 0; j < 2; j++) {
       seen[j] = disc[j] + sensor[2*k + j];
       if (resolution > 0) seen[j] = rint(seen[j]/resolution)*resolution;
@@ -399,7 +431,8 @@ void gbid_rig_steps(const long *restrict sizes, const double *restrict R, const 
       }
     for (long f = 0; f < over; f++) {
       const long t = k*over + f;
-      double *now = hist + 2*(kept + t + 1);
+      double *now = hist + 2*(kept + t + 1), pins[8];
+      for (int i = 0; i < 4; i++) pins[i] = stacks ? x->y[i] : (i < 2 ? 0.5 : -0.5)*now[-1 - i % 2];
       if (stacks) {
         stack_state d1, d2, d3, d4, s;
         double v1[4];
@@ -441,21 +474,28 @@ void gbid_rig_steps(const long *restrict sizes, const double *restrict R, const 
           now[j] = l[2]*a + l[3]*u + l[4]*r[j];
           lin_x[j] = l[0]*a + l[1]*r[j];
         }
-      double u0[2], u1[2], u2[2], d1[8], d2[8], d3[8], d4[8], s[8];
-      for (int j = 0; j < 2; j++) {
-        double at = kept + t - R[LATE_X + j];
-        u0[j] = looked_up(hist, at, j); u1[j] = looked_up(hist, at + 0.5, j); u2[j] = looked_up(hist, at + 1, j);
+      if (filmed) {
+        for (int i = 0; i < 4; i++) pins[4 + i] = stacks ? x->y[i] : (i < 2 ? 0.5 : -0.5)*now[1 - i % 2];
+        memcpy(gas, rot, 4*sizeof *gas);
+        film_step(grid, film, table, WIDEST, h, pins, ext + 4*t, speed[k], wall ? R + WALL : 0, gas);
+        memcpy(rot, gas, 4*sizeof *gas);
+      } else {
+        double u0[2], u1[2], u2[2], d1[8], d2[8], d3[8], d4[8], s[8];
+        for (int j = 0; j < 2; j++) {
+          double at = kept + t - R[LATE_X + j];
+          u0[j] = looked_up(hist, at, j); u1[j] = looked_up(hist, at + 0.5, j); u2[j] = looked_up(hist, at + 1, j);
+        }
+        const double *g = ext + 4*t;
+        rotor_rates(R, rot, u0, g, wall, d1);
+        for (int i = 0; i < 8; i++) s[i] = rot[i] + h/2*d1[i];
+        rotor_rates(R, s, u1, g + 2, wall, d2);
+        for (int i = 0; i < 8; i++) s[i] = rot[i] + h/2*d2[i];
+        rotor_rates(R, s, u1, g + 2, wall, d3);
+        for (int i = 0; i < 8; i++) s[i] = rot[i] + h*d3[i];
+        rotor_rates(R, s, u2, g + 4, wall, d4);
+        for (int i = 0; i < 8; i++) rot[i] += h/6*(d1[i] + 2*d2[i] + 2*d3[i] + d4[i]);
       }
-      const double *g = ext + 4*t;
-      rotor_rates(R, rot, u0, g, wall, d1);
-      for (int i = 0; i < 8; i++) s[i] = rot[i] + h/2*d1[i];
-      rotor_rates(R, s, u1, g + 2, wall, d2);
-      for (int i = 0; i < 8; i++) s[i] = rot[i] + h/2*d2[i];
-      rotor_rates(R, s, u1, g + 2, wall, d3);
-      for (int i = 0; i < 8; i++) s[i] = rot[i] + h*d3[i];
-      rotor_rates(R, s, u2, g + 4, wall, d4);
-      for (int i = 0; i < 8; i++) rot[i] += h/6*(d1[i] + 2*d2[i] + 2*d3[i] + d4[i]);
-      double px = rot[0] + rot[4], py = rot[1] + rot[5], radius = px*px + py*py;
+      double px = rot[0] + rot[4] + ox, py = rot[1] + rot[5] + oy, radius = px*px + py*py;
       worst = radius > worst ? radius : worst;
     }
     for (int i = 0; i < 4; i++) { row[12 + i] = v[i]; row[16 + i] = ended[i]/over; }
@@ -464,7 +504,8 @@ void gbid_rig_steps(const long *restrict sizes, const double *restrict R, const 
   }
   for (long i = 0; i < 2*(kept + 1); i++) hist[i] = hist[2*n*over + i];
 }
-"""
+""".replace("WIDEST", str(MAX_STAGES))
+)
 
 
 # ---- Time stepping with a program in the loop: the program gets each sample, and its references act in the next.
@@ -519,6 +560,7 @@ def run_with_program(arrays: StepArrays, state: StepState, chunk: Chunk, loop: P
             chunk.forces[k * steps : (k + 1) * steps + 1],
             chunk.sensor[k : k + 1],
             chunk.taken[k : k + 1],
+            chunk.speed[k : k + 1],
         )
         rows[k] = run_steps(arrays, state, sample)[0]
         seen = rows[k, ROW.seen]
@@ -712,6 +754,7 @@ def stepped_motion(
     state.rotor[2:4] += velocity
     taken = np.zeros((n, 2)) if taken is None else taken
     rows = np.empty((n, ROW_WIDTH))
+    speed = forces.turning.speed_at(np.asarray((np.arange(n) - n_settle) * sample_time, np.float64))
     for first in range(0, n, _CHUNK):
         last = min(first + _CHUNK, n)
         on_grid = forces.between(first, last, oversampling)
@@ -719,7 +762,7 @@ def stepped_motion(
             part = slice(begin, last if along is None else min(begin + PIECE, last))
             grid = slice(2 * oversampling * (part.start - first), 2 * oversampling * (part.stop - first) + 1)
             here = arrays if along is None else along.arrays(arrays, begin)
-            chunk = Chunk(excitation[part], base[part], on_grid[grid], sensor[part], taken[part])
+            chunk = Chunk(excitation[part], base[part], on_grid[grid], sensor[part], taken[part], speed[part])
             rows[part] = (
                 run_steps(here, state, chunk)
                 if program is None
@@ -792,8 +835,9 @@ def run_steps(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatArray:
     drive = [chunk.excitation, chunk.base, chunk.forces, chunk.sensor, chunk.taken, loop, limits]
     moving = [state.linear, state.stack, state.plays, state.creep, state.rotor, loop_state, history, output]
     fixed = [np.ascontiguousarray(array, dtype=float) for array in constants + drive]
+    filmed = [arrays.grid, arrays.film, chebyshev_table(), np.ascontiguousarray(arrays.radius * chunk.speed), state.gas]
     step.restype = None
-    step(*(ctypes.c_void_p(array.ctypes.data) for array in (sizes, *fixed, *moving)))
+    step(*(ctypes.c_void_p(array.ctypes.data) for array in (sizes, *fixed, *moving, *filmed)))
     state.controller[:], state.command[:] = loop_state[: len(state.controller)], loop_state[-2:]
     state.history[:] = history[: kept + 1]
     return output

@@ -83,7 +83,7 @@ def _check_run(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     rig_experiment(experiment, planned)
     try:
         if not planned.in_loop:
-            machine.rotor_bearing.check_stable()
+            machine.check_stable()
     except UsageError as error:
         remedy = "write recordings: 0 in the sections prbs and stationary, so that all are made in the loop"
         if needed(experiment.spec.rig, "rig").loop is None:
@@ -115,6 +115,11 @@ def rig_keys_go_together(experiment: Experiment) -> Found:
         if largest > rig.clearance_m:
             text = f"{largest:g} m is more than the clearance of the bearing, {rig.clearance_m:g} m"
             yield ("rig", part, key), f"{text}; make it smaller (sizes are in metres)"
+    for key in ("scatter", "loop", "courses") if rig.film is not None else ():
+        if getattr(rig, key):
+            yield ("rig", key), "needs the fourteen parameters of the model, and the rig has a gas film; remove one"
+    if rig.film is not None and (impacts := experiment.spec.impacts) is not None and impacts.model is None:
+        yield ("impacts", "model"), "the model of the rig is not its gas film; write model: lpv"
     if rig.controller == "compiled" and experiment.spec.impacts is None:
         text = "closes the loop of impacts, but there is no section impacts; add it or remove this"
         yield ("rig", "controller"), text
