@@ -131,6 +131,8 @@ def _without(data: Any, locations: Iterable[Location]) -> Any:
     """Return a copy of the data without some values; None when a whole section would have to be removed."""
     data = deepcopy(data)
     for location in locations:
+        if not location:  # a key that is no text
+            return None
         node = data
         for key in location[:-1]:
             node = node[key]

@@ -314,6 +314,7 @@ def test_every_odd_value_is_a_fault_at_a_place_of_the_file():
     ("old", "new", "words"),
     [
         ("seed: 3", f"seed: 0x{4000 * 'f'}", "a whole number beyond 1.8e308"),
+        ("name: quick", "name: quick\n1.5: 2", "keys should be strings"),
         ("name: quick", 'name: quick\nresults: "a\\0b"', "results: 'a\\x00b': a path cannot contain a NUL character"),
         ("name: quick", f"name: quick\nresults: {300 * 'x'}", "bytes, its longest part 300"),
         ("seed: 3", f"seed: 3\n  model: {300 * 'x'}.yaml", "rig.model: xxx"),
