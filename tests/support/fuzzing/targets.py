@@ -116,9 +116,7 @@ def _texts() -> list[FuzzTarget]:
     table = with_text_checksum(
         csv_text(plain_table(("a", "b"), [(1.5, 2.5), (3.0, -1e-9)], ("note",))), ".csv"
     ).encode()
-    experiment, campaign = (
-        (share_folder("experiments") / f"{name}.yaml").read_bytes() for name in ("quickstart", "theisen2016")
-    )
+    experiment = (share_folder("experiments") / "quickstart.yaml").read_bytes()
     own = FileOrigin.OWN
     return [
         FuzzTarget("controller", ".yaml", own, found["p"], _telling(gbid.load_controller), mutate_tree, 10),
@@ -127,9 +125,6 @@ def _texts() -> list[FuzzTarget]:
         FuzzTarget("nominal actuators", ".yaml", own, found["actuators"], _telling(load_actuators), mutate_tree, 10),
         FuzzTarget("table of results", ".csv", own, table, _read_text, mutate_text, 40),
         FuzzTarget("experiment", ".yaml", FileOrigin.FOREIGN, experiment, _plainly(_read_experiment), mutate_tree, 4),
-        FuzzTarget(
-            "experiment, all", ".yaml", FileOrigin.FOREIGN, campaign, _plainly(_read_experiment), mutate_tree, 2
-        ),
         FuzzTarget(
             "experiment, files", ".yaml", FileOrigin.FOREIGN, _OF_FILES, _plainly(_read_experiment), mutate_tree, 6
         ),
