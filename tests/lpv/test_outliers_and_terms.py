@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from gbid.lpv.model import deviations
+from gbid.lpv.model import deviations, regressors
 from gbid.lpv.regression import _VARIANCE, CLIPPING_SLOPE, HUBER, huber_estimate, threshold
 
 
@@ -45,6 +45,13 @@ def test_data_of_large_and_small_errors_are_clipped_alike() -> None:
     _, _, clipped = huber_estimate(y, np.ones((60, 1, 1)), std[:, None, None] ** 2)
     assert clipped[0, 0] < 0.2
     assert clipped[30, 0] == pytest.approx(0.5)
+
+
+def test_regressors_keep_the_shape_of_the_points() -> None:
+    """The six terms of Eq. 16 in the order of Table B.6, last axis."""
+    P, W = np.array([[3.0, 4.0, 5.0], [6.0, 7.0, 3.5]]), np.array([[0.0, 10.0, 20.0], [30.0, 40.0, 50.0]])
+    expected = np.stack([np.ones((2, 3)), P, W, W * P, P**2, W**2], axis=-1)
+    np.testing.assert_allclose(regressors(P, W), expected)
 
 
 def test_deviations_are_rms_about_zero_and_largest_values():

@@ -38,6 +38,8 @@ def ends_of_steps(rec, stack=4):
 def test_u_is_the_difference_of_each_pair():
     """Eq. 2, and the signs of Eq. 1 with it: r_x moves u_x by twice as much and not u_y, and the other way round."""
     np.testing.assert_array_equal(pair_difference(np.array([10.0, 7.0, 1.0, 2.0])), [7 - 2, 10 - 1])
+    samples = np.array([[10.0, 7.0, 1.0, 2.0], [4.0, 3.0, 2.0, 1.0], [0.0, 0.0, 1.0, 0.0]])
+    np.testing.assert_array_equal(pair_difference(samples), [[5, 9], [2, 2], [0, -1]])
     np.testing.assert_array_equal(pair_difference(5.0 + ALLOCATION @ [1.0, 0.0]), [2.0, 0.0])
     np.testing.assert_array_equal(pair_difference(5.0 + ALLOCATION @ [0.0, 1.0]), [0.0, 2.0])
 
