@@ -68,9 +68,10 @@ test-quick: $(VENV)/.installed-test  ## style, layers, and the tests of the hear
 test-slow: $(VENV)/.installed-test  ## the long studies
 	$(BIN)/pytest -m slow -s
 
-fuzz: $(VENV)/.installed-test  ## damaged files of all kinds for an hour; MINUTES=, COUNT=, SEED=, JOBS=, REPLAY=SEED/NUMBER, FIGURES= or AGAIN=docs/fuzz.json
+fuzz: $(VENV)/.installed-test  ## damaged files of all kinds for an hour, then 5000 wrong calls of the public names; MINUTES=, COUNT=, SEED=, JOBS=, REPLAY=SEED/NUMBER, FIGURES= or AGAIN=docs/fuzz.json
 	PYTHONPATH=$(CURDIR):$(CURDIR)/tests/support $(BIN)/python -m fuzzing --jobs $(JOBS) $(if $(MINUTES),--minutes $(MINUTES)) \
 		$(if $(COUNT),--count $(COUNT)) $(if $(SEED),--seed $(SEED)) $(if $(REPLAY),--replay $(REPLAY)) $(if $(FIGURES),--output $(FIGURES)) $(if $(AGAIN),--again $(AGAIN))
+	$(if $(REPLAY)$(AGAIN),,PYTHONPATH=$(CURDIR):$(CURDIR)/tests/support $(BIN)/python -m fuzzing.calls $(if $(SEED),--seed $(SEED)))
 
 # A fit that did not converge (exit code 4) is left out of what follows and named there.
 PAPER := experiments/theisen2016.yaml

@@ -14,6 +14,6 @@ if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:  # Python is looking for 
     if _is_gbid and sys.path[0] != dirname(dirname(__file__)):  # noqa: PTH120  (pathlib would be looked up there)
         del sys.path[0]
 
-import lazy_loader
+from .core.public import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

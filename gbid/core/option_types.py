@@ -1,13 +1,19 @@
-"""Options as frozen dataclasses: types with bounds, one check of values, and functions that take them by keywords."""
+"""Types of options and arguments: bounds, one check of values, and functions that take options by keywords."""
 
 from __future__ import annotations
 
+import ast
+import builtins
+import importlib
 import inspect
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+import os
+import sys
+from collections.abc import Callable, Collection, Iterable, Mapping, Set
+from dataclasses import InitVar, dataclass, fields, is_dataclass
 from functools import cache, wraps
-from numbers import Integral, Real
+from numbers import Complex, Integral, Real
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import (
     Annotated,
@@ -23,6 +29,7 @@ from typing import (
 )
 
 import numpy as np
+import numpy.typing as npt
 from annotated_types import Ge, Gt, Le, Lt
 
 from gbid.core.errors import UsageError
@@ -74,12 +81,21 @@ class Allowed:
         }
 
 
+class OneText:
+    """Mark of a list of texts that may be given as one text."""
+
+
+class Own:
+    """Mark of a type whose values the constructor checks itself, with words about the data."""
+
+
 Number = Annotated[float, Exact()]
 Finite = Annotated[float, Exact(finite=True)]
 Positive = Annotated[float, Exact(finite=True), Gt(0)]
 NotNegative = Annotated[float, Exact(finite=True), Ge(0)]
 Count = Annotated[int, Exact(), Ge(1)]
 CountOrZero = Annotated[int, Exact(), Ge(0)]
+Names = Annotated[tuple[str, ...], OneText()]
 
 
 def type_parts(hint: Any) -> tuple[Any, tuple[Any, ...]]:
@@ -118,9 +134,62 @@ def check_options(options: Any, owner: str = "") -> None:
     for name, kind in _types(made).items():
         value = getattr(options, name)
         if not _allows(kind, value):
-            words = _words(kind)
-            verb = "choose" if all(word.startswith("'") for word in words) else "give"
-            raise UsageError(f"{owner}{': ' if owner else ''}{name} = {value!r}; {verb} {_either(words)}", name)
+            raise _not_allowed(owner, name, value, kind)
+
+
+def _not_allowed(owner: str, name: str, value: Any, kind: Any, also: str = "") -> UsageError:
+    """Return the error for a value; of a list or a mapping it names the first entry that its type does not allow."""
+    place = name
+    while (entry := _first_wrong_entry(kind, value)) is not None:
+        key, value, kind = entry
+        place = f"{place}[{key!r}]"
+    words = list(dict.fromkeys(_words(kind)))
+    verb = "choose" if all(word.startswith("'") for word in words) else "give"
+    return UsageError(f"{owner}{': ' if owner else ''}{place} = {_short(value)}; {verb} {_either(words)}{also}", name)
+
+
+def _first_wrong_entry(kind: Any, value: Any) -> tuple[Any, Any, Any] | None:
+    """Return key, value and type of the first entry that is not allowed; None where the whole is not."""
+    while get_origin(kind) is Annotated and not any(isinstance(mark, Allowed) for mark in get_args(kind)):
+        kind = get_args(kind)[0]
+    if get_origin(kind) in (Union, UnionType):
+        kinds = [each for each in get_args(kind) if each is not NoneType]
+        return _first_wrong_entry(kinds[0], value) if len(kinds) == 1 else None
+    origin, args = get_origin(kind), get_args(kind)
+    if (
+        not isinstance(origin, type)
+        or not issubclass(origin, Collection)
+        or not isinstance(value, Mapping | list | tuple)
+    ):
+        return None
+    if issubclass(origin, Mapping) != isinstance(value, Mapping):
+        return None
+    entries: Iterable[tuple[Any, Any, Any]]
+    if isinstance(value, Mapping):
+        if not all(_allows(args[0], key) for key in value):
+            return None
+        entries = ((key, each, args[1]) for key, each in value.items())
+    elif origin is tuple and args[-1:] != (...,):
+        if len(value) != len(args):
+            return None
+        entries = zip(range(len(value)), value, args, strict=True)
+    else:
+        entries = ((number, each, args[0]) for number, each in enumerate(value))
+    return next((entry for entry in entries if not _allows(entry[2], entry[1])), None)
+
+
+def _short(value: Any) -> str:
+    """Return a value as a message shows it: on one line, and the type alone where its text would be long."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    try:
+        text = repr(value)
+    except Exception:  # of a class of the user
+        text = "\n"
+    kind, name = type(value).__name__, getattr(value, "name", "")
+    if type(value).__module__.startswith("gbid.") and isinstance(name, str) and name:
+        return f"the {kind} {name!r}"
+    return text if len(text) <= 120 and "\n" not in text and " object at 0x" not in text else f"a value of type {kind}"
 
 
 @cache
@@ -129,32 +198,95 @@ def _types(made: Any) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(made)}
 
 
+_LARGEST = 1 << 63  # of whole numbers: what an array of numpy holds
+
+
 def _allows(kind: Any, value: Any) -> bool:
     """Return whether a type allows a value."""
     origin, args = type_parts(kind)
+    if isinstance(kind, InitVar):
+        return _allows(kind.type, value)
+    if isinstance(kind, TypeVar):
+        return _allows(kind.__bound__ or Any, value)
     if origin is Annotated:
+        if any(isinstance(mark, Own) or (isinstance(mark, OneText) and isinstance(value, str)) for mark in args[1:]):
+            return True
         return _allows(args[0], value) and all(_holds(bound, value) for bound in args[1:])
     if origin in (Union, UnionType):
-        return any(_allows(each, value) for each in args)
+        kinds = _alternatives(kind)
+        is_row = ArrayOfNumbers in kinds and isinstance(value, list | tuple) and len(value) > 0
+        return any(_allows(each, value) for each in kinds) or (is_row and all(_allows(kind, each) for each in value))
     if origin is Literal:
         return any(type(value) is type(each) and value == each for each in args)
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        return isinstance(value, Mapping) and all(_allows(args[1], each) for each in value.values())
-    if origin is tuple and args[-1] is not ...:
-        is_row = isinstance(value, list | tuple | np.ndarray) and len(value) == len(args)
-        return is_row and all(map(_allows, args, value))
-    if origin is Callable:
+    if kind is ArrayOfNumbers or origin is np.ndarray:
+        return _is_array(kind, value)
+    if origin is type:
+        return isinstance(value, type)
+    if origin is Callable or kind is Callable:
         return callable(value)
-    if origin is not None:  # a sequence
-        return isinstance(value, list | tuple | np.ndarray) and all(_allows(args[0], each) for each in value)
-    if kind is Any:
+    if isinstance(origin, type) and issubclass(origin, Collection | Iterable):
+        return _allows_entries(origin, args, value)
+    if kind is Any or isinstance(kind, ParamSpec | str):
         return True
     if kind in (None, NoneType):
         return value is None
     if isinstance(value, bool | np.bool_) or kind is bool:
-        return kind is bool and isinstance(value, bool)
-    numbers = {float: Real, int: Integral}
-    return isinstance(value, numbers.get(kind, kind))
+        return kind in (bool, object) and isinstance(value, bool | np.bool_)
+    numbers = {float: Real, int: Integral, complex: Complex, Path: os.PathLike}
+    known = numbers.get(kind, kind)
+    if type(value) is int and known in (Real, Integral, Complex):
+        return abs(value) < _LARGEST
+    if known in (Real, Integral, Complex) and isinstance(value, np.ndarray) and value.ndim == 0:
+        return isinstance(value[()], known)
+    return not isinstance(known, type) or (isinstance(value, known) and not isinstance(value, type))
+
+
+def _allows_entries(origin: type, args: tuple[Any, ...], value: Any) -> bool:
+    """Return whether a mapping, a tuple of fixed length or another collection allows a value and its entries."""
+    if issubclass(origin, Mapping):
+        return isinstance(value, Mapping) and all(
+            _allows(args[0], key) and _allows(args[1], each) for key, each in value.items()
+        )
+    if origin is tuple and args[-1:] != (...,):
+        is_row = isinstance(value, list | tuple | np.ndarray) and np.ndim(value) > 0 and len(value) == len(args)
+        return is_row and all(map(_allows, args, value))
+    if isinstance(value, str | bytes | bytearray | Mapping) or not isinstance(value, Iterable):
+        return False
+    if isinstance(value, np.ndarray) and (value.ndim == 0 or value.dtype.kind in "biuf"):
+        return value.ndim > 0 and (not len(value) or _allows(args[0], value[0]))
+    if not isinstance(value, Collection):  # an iterator, which must not be used up
+        return not issubclass(origin, Collection)
+    return not (isinstance(value, Set) and issubclass(origin, list | tuple)) and all(_allows(args[0], x) for x in value)
+
+
+class ArrayOfNumbers:
+    """Mark in place of ``numpy.typing.ArrayLike``, a union of types that allows texts."""
+
+
+@cache
+def _alternatives(kind: Any) -> tuple[Any, ...]:
+    """Return the alternatives of a union, with `ArrayOfNumbers` for those of ``numpy.typing.ArrayLike``."""
+    args, array = get_args(kind), get_args(npt.ArrayLike)
+    if not set(array) <= set(args):
+        return args
+    return (ArrayOfNumbers, *(each for each in args if each not in array))
+
+
+def _is_array(kind: Any, value: Any) -> bool:
+    """Return whether numpy makes an array of a value whose numbers are of the kind of a type of arrays."""
+    if value is None or isinstance(value, str | bytes | Mapping | Set | type):
+        return False
+    wanted = np.dtype(next(iter(get_args(type_parts(kind)[1][1])), object)).kind if kind is not ArrayOfNumbers else "c"
+    if wanted == "O":
+        return isinstance(value, np.ndarray | list | tuple)
+    try:
+        found = np.asarray(value).dtype.kind
+    except (ValueError, TypeError, RuntimeError, NotImplementedError):  # rows of different lengths; CasADi's symbols
+        return False
+    allowed = {"f": "biuf", "i": "biu", "u": "biu", "b": "b", "c": "biufcO", "U": "UO", "M": "M"}
+    if found == "O" and not isinstance(value, np.ndarray):
+        return False
+    return found in allowed.get(wanted, wanted)
 
 
 def _holds(bound: Any, value: Any) -> bool:
@@ -173,24 +305,31 @@ def _holds(bound: Any, value: Any) -> bool:
 def _words(kind: Any) -> list[str]:
     """Return what a type allows, in words: each of its alternatives."""
     origin, args = type_parts(kind)
+    if isinstance(kind, InitVar):
+        return _words(kind.type)
+    if kind is ArrayOfNumbers or origin is np.ndarray:
+        is_real = kind is not ArrayOfNumbers and np.dtype(next(iter(get_args(args[1])), object)).kind == "f"
+        return ["an array of real numbers" if is_real else "an array"]
     if origin is Annotated:
         stated = [mark.text for mark in args[1:] if isinstance(mark, Allowed)]
         bounds = [_bound(mark) for mark in args[1:] if isinstance(mark, Gt | Ge | Le | Lt)]
         return stated or [f"{_either(_words(args[0]))}{' ' if bounds else ''}{' and '.join(bounds)}"]
     if origin in (Union, UnionType):
-        return [word for each in args for word in _words(each)]
+        return [word for each in _alternatives(kind) for word in _words(each)]
     if origin is Literal:
         return [repr(each) for each in args]
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return [f"a dict by name ({_either(_words(args[1]))})"]
-    if origin is tuple and args[-1] is not ...:
+    if origin is tuple and args[-1:] != (...,):
         return [f"({', '.join(_either(_words(each)) for each in args)})"]
-    if origin is Callable:
+    if origin is Callable or kind is Callable:
         return ["a function"]
+    if origin is type:
+        return ["a class"]
     if origin is not None:
         return [f"a list ({_either(_words(args[0]))})"]
     named = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", NoneType: "None"}
-    return [named.get(kind) or str(kind.__name__)]
+    return [named.get(kind) or str(getattr(kind, "__name__", kind))]
 
 
 def _bound(mark: Gt | Ge | Le | Lt) -> str:
@@ -211,6 +350,100 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple | np.ndarray):
         return tuple(map(plain, value))
     return value.item() if isinstance(value, np.generic) else value
+
+
+# ---- The door: arguments of public functions against their annotations.
+
+
+def check_call(
+    function: Any, owner: str, given: tuple[Any, ...], keywords: Mapping[str, Any], of: type | None = None
+) -> None:
+    """Check each argument of a call against the annotation of the function, and that no number is nan.
+
+    Parameters
+    ----------
+    function : function
+        A constructor may get nan: a value states with it what is not known.
+    owner : str
+        Name of the function for the message.
+    given, keywords
+        Arguments of the call; those that Python itself refuses are left to it.
+    of : type, optional
+        Class of a method or constructor, whose first argument is the object.
+
+    Raises
+    ------
+    UsageError
+        For the first argument that its annotation does not allow; names it, its value, and what is allowed.
+    """
+    signature, kinds = _annotated(function, of)
+    try:
+        arguments = signature.bind(*given, **keywords).arguments
+    except TypeError:
+        return
+    for name, kind in kinds.items():
+        if name not in arguments:
+            continue
+        parameter, value = signature.parameters[name], arguments[name]
+        is_named, is_listed = parameter.kind is parameter.VAR_KEYWORD, parameter.kind is parameter.VAR_POSITIONAL
+        for each in list(value.values()) if is_named else value if is_listed else [value]:
+            is_one_number = not of and isinstance(each, Complex) and _is_for_arrays(kind)
+            if is_one_number or not _allows(kind, each):
+                raise _not_allowed(owner, name, each, kind, _other_way_round(owner, name, each, kinds))
+            if of is None and _has_nan(each):
+                raise UsageError(f"{owner}: {name} = {_short(each)}; give a finite number", name)
+
+
+def _is_for_arrays(kind: Any) -> bool:
+    """Return whether a type is that of arrays, or of arrays and None."""
+    parts = (
+        [part for part in get_args(kind) if part is not NoneType] if get_origin(kind) in (Union, UnionType) else [kind]
+    )
+    return all(type_parts(part)[0] is np.ndarray for part in parts)
+
+
+def _other_way_round(owner: str, name: str, value: Any, kinds: Mapping[str, Any]) -> str:
+    """Return words for a first argument that belongs into the second place."""
+    first, second = [*kinds, "", ""][:2]
+    swapped = name == first and second and kinds[second] is not Any and _allows(kinds[second], value)
+    return f"; the order is the other way round: {owner}({first}, {second})" if swapped and value is not None else ""
+
+
+@cache
+def _annotated(function: Any, of: type | None) -> tuple[inspect.Signature, dict[str, Any]]:
+    """Return the signature of a function and the types of its arguments, of options as well."""
+    signature, plain_function = inspect.signature(function), inspect.unwrap(function)
+    is_made = is_dataclass(of) and plain_function.__code__.co_filename == "<string>"  # a constructor without a file
+    names = _Names(plain_function)
+    hints = get_type_hints(of if is_made else plain_function, localns=names, include_extras=True)
+    if hasattr(function, "options_kind"):
+        hints |= _types(function.options_kind)
+    skipped = {"return", *(list(signature.parameters)[:1] if of else ())}
+    return signature, {name: hints[name] for name in signature.parameters if name in hints and name not in skipped}
+
+
+class _Names(dict[str, Any]):
+    """Names of annotations that a module imports for type checkers only: imported when one is asked for."""
+
+    def __init__(self, function: Any) -> None:
+        super().__init__()
+        self._function = function
+
+    def __missing__(self, name: str) -> Any:
+        if name in getattr(self._function, "__globals__", ()) or hasattr(builtins, name):
+            raise KeyError(name)  # python goes on there
+        module = sys.modules[self._function.__globals__["__name__"]]
+        for node in ast.walk(ast.parse(inspect.getsource(module))):
+            if isinstance(node, ast.ImportFrom) and any((each.asname or each.name) == name for each in node.names):
+                return getattr(importlib.import_module(str(node.module)), name)
+        raise KeyError(name)
+
+
+def _has_nan(value: Any) -> bool:
+    """Return whether a number is nan, also within lists and mappings; arrays of data may contain it."""
+    if isinstance(value, list | tuple | Mapping) and len(value) <= 1000:
+        return any(map(_has_nan, value.values() if isinstance(value, Mapping) else value))
+    return isinstance(value, float | np.floating) and math.isnan(value)
 
 
 # ---- Functions that take a dataclass of options by keywords.
@@ -247,6 +480,7 @@ def takes_options(
 
         called.__signature__ = signature  # type: ignore[attr-defined]
         called.__doc__ = _with_options(inspect.getdoc(function) or "", kind)
+        called.options_kind = kind  # type: ignore[attr-defined]
         return called
 
     return decorate

@@ -3,6 +3,6 @@
 The public names are those of the stub beside this file, ``__init__.pyi``. Each is imported when it is first used.
 """
 
-import lazy_loader
+from gbid.core.public import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

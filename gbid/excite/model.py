@@ -12,6 +12,7 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Names
 from gbid.core.units import SIGNALS
 from gbid.discretise import Hold, check_holds
 from gbid.identify import FitResult
@@ -115,9 +116,9 @@ class KnownModel(Brief):
     structure: Structure
     parameters: Mapping[str, float]
     noise: FloatArray
-    fixed: tuple[str, ...] = ()
-    inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
+    fixed: Names = ()
+    inputs: Names = ()
+    outputs: Names = ()
     focus: Focus = "prediction"
     intersample: tuple[Hold, ...] = ()
     earlier: FloatArray | None = None

@@ -4,6 +4,6 @@ The public names are those of the stub beside this file, ``__init__.pyi``. Each 
 that `gbid --help`, which names the targets of an export, imports nothing heavy.
 """
 
-import lazy_loader
+from gbid.core.public import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -4,8 +4,7 @@ The public names are those of the stub beside this file, ``__init__.pyi``. Each 
 function ``fit`` at once, for its file of the same name would else take its place.
 """
 
-import lazy_loader
-
+from gbid.core.public import attach
 from gbid.identify.fit import fit as fit
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -23,7 +23,7 @@ from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.restarts import best_attempt, windows_of
 from gbid.identify.result import FitResult, Profile
 from gbid.identify.uncertainty.residual_tests import COLOURED
-from gbid.recording.recording import Recording, check_order
+from gbid.recording.recording import Recording
 from gbid.structure import AnyStructure, kind_of
 from gbid.structure.parameter import asked_once
 
@@ -31,7 +31,6 @@ from gbid.structure.parameter import asked_once
 def fitted(structure: AnyStructure, recordings: Measured, options: FitArguments) -> FitResult:
     """Return the fit of a structure to recordings; see `fit`."""
     began = time.perf_counter()
-    check_order(structure, "fit(structure, recordings)")
     with asked_once():
         in_time, responses = apart(recordings)
         if responses and not in_time:

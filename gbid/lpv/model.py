@@ -531,6 +531,8 @@ def characteristics(values: npt.ArrayLike) -> FloatArray:
         not exactly two oscillatory modes.
     """
     values = np.atleast_2d(np.asarray(values, float))
+    if values.shape[1:] != (len(KEY_PARAMETERS),):
+        raise UsageError(f"values has shape {values.shape}; give (n, {len(KEY_PARAMETERS)}), a row for each point")
     column = {key: values[:, i] for i, key in enumerate(KEY_PARAMETERS)}
     K, D, B = (
         np.stack([column[f"{letter}_{pair}"] for pair in ("xx", "xy", "yx", "yy")], axis=-1).reshape(-1, 2, 2)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import h5py
 import numpy as np
@@ -17,6 +17,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import Pictured, data_frame
+from gbid.core.option_types import Own
 from gbid.core.units import SIGNALS
 from gbid.recording.clock import MAX_JITTER
 from gbid.recording.text_files import seconds
@@ -112,6 +113,9 @@ CONDITION_UNITS = {"pressure_bar": "bar", "speed_rpm": "rpm"}
 """Units of the conditions that gbid uses; other conditions have ``""``."""
 
 
+_Key = Annotated[str, Own()]
+
+
 @dataclass(frozen=True, eq=False)
 class Recording(Brief, Pictured, hdf5.InFile):
     """Sampled signals of one experiment, in SI units.
@@ -142,9 +146,9 @@ class Recording(Brief, Pictured, hdf5.InFile):
         sample time is not positive.
     """
 
-    signals: Mapping[str, FloatArray]
-    sample_time: float
-    conditions: Mapping[str, float] = field(default_factory=dict)
+    signals: Mapping[_Key, Annotated[FloatArray, Own()]]
+    sample_time: Annotated[float, Own()]
+    conditions: Mapping[_Key, Annotated[float, Own()]] = field(default_factory=dict)
     name: str = "recording"
     units: Mapping[str, str] = field(default_factory=dict)
     channels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -500,30 +504,6 @@ def with_unbalance(recording: Recording) -> Recording:
         units={**recording.units, "unbalance": kind.unit},
         channels={**recording.channels, "unbalance": kind.channels},
     )
-
-
-# ---- Arguments that were given in the order of another program.
-
-
-def check_order(first: object, call: str) -> None:
-    """Refuse recordings where a structure or a result is expected: other programs take the data first.
-
-    Parameters
-    ----------
-    first : object
-        First argument of a call.
-    call : str
-        The call as it should be, for the message.
-
-    Raises
-    ------
-    UsageError
-        When it is a recording or a sequence of them.
-    """
-    several = first if isinstance(first, Sequence) and first and not isinstance(first, str) else [first]
-    if isinstance(several[0], Recording):
-        name = several[0].name
-        raise UsageError(f"the first argument is the recording {name!r}; the order is the other way round: {call}")
 
 
 def _one_number(group: h5py.Group, name: str) -> float:

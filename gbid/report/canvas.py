@@ -228,8 +228,10 @@ def panels(
     Raises
     ------
     UsageError
-        When there are too few axes.
+        When there are too few axes, or nothing to draw.
     """
+    if rows * columns < 1:
+        raise UsageError("nothing to draw: the list is empty; give at least one entry")
     if ax is None:
         figure = new_figure(size)
         return figure, figure.subplots(rows, columns, squeeze=False, **options).ravel()

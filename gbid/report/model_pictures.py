@@ -620,7 +620,7 @@ def plot_profile(
         The axes; ``axes[0].figure`` is the figure.
     """
     each = [profiles] if isinstance(profiles, Profile) else list(profiles.values())
-    columns = min(4, len(each))
+    columns = max(1, min(4, len(each)))
     rows = -(-len(each) // columns)
     figure, axes = panels(ax, rows, columns, size=(0.8 + 2.1 * columns, 0.7 + 1.9 * rows))
     for panel in axes[len(each) :]:

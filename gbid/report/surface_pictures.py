@@ -375,7 +375,7 @@ def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> 
     UsageError
         When the axes are two-dimensional, or when there are too few.
     """
-    columns = min(2, len(data))
+    columns = max(1, min(2, len(data)))
     rows = -(-len(data) // columns)
     size = (TWO_COLUMNS, 2.9 * rows)
     _figure, axes = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
 from annotated_types import Ge
@@ -189,6 +189,7 @@ class SampledController(Brief):
         return np.column_stack([np.interp(wrapped, nodes, closed[:, j]) for j in range(2)]) + self.offset
 
 
+@runtime_checkable
 class LoopProgram(Protocol):
     """Program that makes references from samples, as the compiled control chain of a target."""
 

@@ -11,6 +11,7 @@ import casadi as ca
 
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Names
 from gbid.discretise import Hold
 from gbid.structure.delay import with_filters
 from gbid.structure.linear import LoopParts, as_names
@@ -72,8 +73,8 @@ class RotorBearing(Brief):
     film: Film = "linear"
     unbalance: bool = False
     name: str = "rotor_bearing"
-    inputs: tuple[str, ...] = ("u",)
-    outputs: tuple[str, ...] = ("p",)
+    inputs: Names = ("u",)
+    outputs: Names = ("p",)
     intersample: Hold = "foh"
 
     def __post_init__(self) -> None:
@@ -177,8 +178,8 @@ class PiezoPair(Brief):
 
     disturbance_gain: Literal["none", "full"] = "none"
     name: str = "piezo_pair"
-    inputs: tuple[str, ...] = ("r",)
-    outputs: tuple[str, ...] = ("u",)
+    inputs: Names = ("r",)
+    outputs: Names = ("u",)
     intersample: Hold = "zoh"
     poles: Literal["real", "any"] = "real"
 
@@ -255,9 +256,9 @@ class Plant(Brief):
 
     bearing: RotorBearing = field(default_factory=RotorBearing)
     actuators: PiezoPair = field(default_factory=PiezoPair)
-    outputs: tuple[str, ...] = ("u", "p")
+    outputs: Names = ("u", "p")
     name: str = "plant"
-    inputs: tuple[str, ...] = ("r",)
+    inputs: Names = ("r",)
     intersample: Hold | tuple[Hold, ...] = "zoh"
 
     def __post_init__(self) -> None:

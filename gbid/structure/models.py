@@ -17,6 +17,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.extras import Pictured, extra_package
 from gbid.core.hdf5 import NOT_STORED, Stored
+from gbid.core.option_types import OneText
 from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
 
 
@@ -220,7 +221,7 @@ class LinearModel(SampledSignals, Brief, Pictured):
     name: str = "model"
     B_delayed: Annotated[FloatArray | None, Stored("SI", "B_delayed of the model")] = None
     delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
-    intersample: Annotated[tuple[Hold, ...] | None, NOT_STORED] = None
+    intersample: Annotated[tuple[Hold, ...] | None, NOT_STORED, OneText()] = None
 
     def __post_init__(self) -> None:
         if self.dt is not None:

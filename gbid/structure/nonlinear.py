@@ -16,7 +16,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import NoValueAtStartError, UsageError
 from gbid.core.hdf5 import NOT_STORED, Stored
-from gbid.core.option_types import Allowed, Exact, check_options
+from gbid.core.option_types import Allowed, Exact, OneText, check_options
 from gbid.discretise import Hold, IntegratorName, one_step, step_inputs
 from gbid.structure.linear import as_names, in_one_line
 from gbid.structure.models import LinearModel, SampledSignals, check_sample_time
@@ -391,7 +391,7 @@ class NonlinearModel(SampledSignals, Brief):
     integrator: IntegratorName = "rk4"
     steps: int = 1
     delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
-    intersample: Annotated[tuple[Hold, ...] | None, NOT_STORED] = None
+    intersample: Annotated[tuple[Hold, ...] | None, NOT_STORED, OneText()] = None
 
     def _brief(self) -> Description:
         return brief(

@@ -17,7 +17,6 @@ from gbid.core.extras import Pictured, data_frame
 from gbid.core.hdf5 import Stored
 from gbid.identify import FitResult
 from gbid.recording import Recording
-from gbid.recording.recording import check_order
 from gbid.validate.simulate import Explained, Ranges, Simulator, ValidationData, simulator, validation_data
 
 # ---- Scores of many models on many recordings, and their summary (paper, Sec. 3.8, Figs. 9 and 10).
@@ -406,7 +405,6 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
         When the recording lacks a signal or has another sample time, when no sample counts, when the simulation
         overflows, or when the model is unstable and would grow by more than 1000 over the recording.
     """
-    check_order(result, "cross_validate(result, recording)")
     data, fitted = validation_data(result, recording, left_out), simulator(result)
     explained = _explain(fitted, data)
     simulated = fitted.run(data.inputs, explained.initial_state)

@@ -17,7 +17,6 @@ from gbid.identify.uncertainty.residual_tests import input_test
 from gbid.prefilter.runout import turns_per_second
 from gbid.prefilter.runout_identification import power_of
 from gbid.recording import Recording
-from gbid.recording.recording import check_order
 from gbid.validate.simulate import (
     NonlinearSimulator,
     Ranges,
@@ -153,7 +152,6 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     DataError
         When the recording lacks a signal, or when the predictions overflow.
     """
-    check_order(result, "check_residuals(result, recording)")
     refuse_scheduled(result)
     u, input_names, _ = select(recording, result.options.inputs)
     output_names = select(recording, result.options.outputs)[1]

@@ -75,7 +75,7 @@ def test_scheduled_matrices_take_symbols() -> None:
     ("make", "message"),
     [
         (lambda: gbid.controller_structure("PIDD"), "controller = 'PIDD'; choose 'P', 'PD'"),
-        (lambda: gbid.controller_structure(3), "controller = 3; choose"),
+        (lambda: gbid.controller_structure(3), "kind = 3; give a text or Structure"),
         (lambda: gbid.controller_structure("P", corner=3), "unknown option corner; there are lowpass_hz, order"),
         (lambda: gbid.controller_structure("P", lowpass_hz=-1.0), "lowpass_hz = -1.0; give a number above 0"),
         (lambda: gbid.controller_structure("P", order=1.5), "order = 1.5; give a whole number"),
@@ -93,7 +93,10 @@ def test_scheduled_matrices_take_symbols() -> None:
         (lambda: gbid.controller_structure("P", axes=(1, 2)), "give each axis a name"),
         (lambda: controller_model(PStructure(), {"kappa_x": 1.0}), "no value for kappa_y"),
         (lambda: controller_model(PStructure(), {"kappa_x": 1.0, "kappa_y": 1, "kd": 1}), "no gain kd; there are"),
-        (lambda: controller_model(PStructure(), {"kappa_x": np.nan, "kappa_y": 1}), "kappa_x = nan; give a finite"),
+        (
+            lambda: controller_model(PStructure(), {"kappa_x": np.nan, "kappa_y": 1}),
+            "'kappa_x': nan, .*; give a",
+        ),
         (lambda: scheduled(PStructure(), ("P",)), "choose from '1', 'P'"),
         (lambda: scheduled(PStructure(), ("1", "P^3")), "choose from '1', 'P'"),
         (lambda: scheduled(PStructure()).gains({}, 5.0, 0.0), "no value for kappa_x_1"),

@@ -245,7 +245,7 @@ def test_rotor_bearing_with_exact_delays():
 
 
 def test_wrong_words_for_a_delay_are_refused():
-    with pytest.raises(UsageError, match="delay = 'none'; choose 'exact' or 'pade'"):
+    with pytest.raises(UsageError, match="delay = 'none'; give 'exact', 'pade' or None"):
         RotorBearing(delay="none")
     with pytest.raises(UsageError, match="pade_order is for delay = 'pade'; exact delays have no order"):
         RotorBearing(delay="exact", pade_order=2)

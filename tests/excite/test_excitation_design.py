@@ -168,7 +168,7 @@ def test_a_fit_is_a_model_whose_information_counts(fitted, multisine):
         ({"focus": "tau_*"}, "nothing matches 'tau_\\*'"),
         ({"focus": ("k", "frequency_1", "damping_1", "d")}, "depend on each other"),
         ({"duration": 0.05}, "at least 200"),
-        ({"model": spring()}, "give a FitResult, or a KnownModel"),
+        ({"model": spring()}, "give FitResult or KnownModel"),
     ],
 )
 def test_wrong_arguments_are_named(change, words):

@@ -115,7 +115,7 @@ LOCAL = {
         UsageError,
         "local names parameters that are not estimated: b",
     ),
-    "scope": ({"local": {"b": "day"}}, UsageError, "'day'}; give a dict by name .'recording' or 'operating_point'"),
+    "scope": ({"local": {"b": "day"}}, UsageError, "local.'b'. = 'day'; choose 'recording' or 'operating_point'"),
     "no point": (
         {"local": {"b": "operating_point"}},
         DataError,

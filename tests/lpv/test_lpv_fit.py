@@ -323,7 +323,7 @@ def test_wrong_options_are_refused():
     ):
         with pytest.raises(UsageError, match=match):
             gbid.fit_lpv(data, **options)
-    with pytest.raises(UsageError, match="points: give"):
+    with pytest.raises(UsageError, match=r"fits = .*; give FitTable, a list .FitResult. or Estimates"):
         gbid.fit_lpv([object()])
 
 

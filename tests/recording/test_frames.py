@@ -128,5 +128,5 @@ def test_values_draw_themselves(rec, result):
 @pytest.mark.parametrize("call", [gbid.fit, gbid.fit_multistart, gbid.cross_validate, gbid.check_residuals])
 def test_data_first_is_told(call, rec, result):
     own = "structure" if call in (gbid.fit, gbid.fit_multistart) else "result"
-    with pytest.raises(UsageError, match=rf"recording 'run'; the order is the other way round: \w+\({own}, recording"):
+    with pytest.raises(UsageError, match=rf"{own} = .*; the order is the other way round: \w+\({own}, recording"):
         call([rec] if call is gbid.fit else rec, result)

@@ -60,7 +60,7 @@ def test_models_of_a_figure_need_the_same_channels(rec, result):
         report.plot_bode(wide, measured=measured_response(rec, "u", "y"))
     with pytest.raises(UsageError, match="at least one"):
         report.plot_bode([])
-    with pytest.raises(UsageError, match="str has no linear model"):
+    with pytest.raises(UsageError, match=r"sources.*'model'.*; give LinearModel"):
         report.plot_bode({"a": "model"})
     assert set(report.bode_data([result, result.model])) == {"mode (1)", "mode (2)"}
 

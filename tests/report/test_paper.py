@@ -15,9 +15,11 @@ from experiment_files import QUICK, json_of, printed_by
 from experiment_files import gbid as command
 from figure_cases import machine
 from places import ROOT
+from stored_values import small as small_value
 
 import gbid
 from gbid import report
+from gbid.control import RingDown
 from gbid.control.impact.measured import MeasuredImpact
 from gbid.control.impact.study import ImpactStudy, ImpactValidation
 from gbid.core.errors import DataError, UsageError
@@ -368,7 +370,9 @@ def study(loop, start, decay):
         loop,
     )
     modes = ((120.0, 0.1), (130.0, 0.1))
-    return ImpactStudy({"pressure_bar": 6.0, "speed_rpm": 0.0}, loop, "m", "", modes, modes, None, (found,))
+    return ImpactStudy(
+        {"pressure_bar": 6.0, "speed_rpm": 0.0}, loop, "m", "", modes, modes, small_value(RingDown), (found,)
+    )
 
 
 def test_impacts_of_both_loops_begin_at_zero():

@@ -83,10 +83,11 @@ def test_draw_belongs_to_seed_name_and_operating_point_and_is_told():
 # ---- scatter from random numbers that are known ----
 
 
-class Given:
+class Given(np.random.Generator):
     """Random numbers that are told beforehand, ten for each draw."""
 
     def __init__(self, *draws: Any) -> None:
+        super().__init__(np.random.PCG64(0))
         self._draws = iter(draws)
 
     def standard_normal(self, n: int) -> Any:

@@ -119,7 +119,7 @@ def test_another_number_of_channels_is_refused(model, widths, text):
 
 def test_the_order_of_other_programs_is_named(model):
     recording = Recording({"u": np.ones((9, 1)), "y": np.ones((9, 1))}, H, name="data")
-    with pytest.raises(UsageError, match=r"recording 'data'; .* other way round: cross_validate\(result, recording\)"):
+    with pytest.raises(UsageError, match=r"Recording 'data'; .* other way round: cross_validate\(result, recording\)"):
         cross_validate(recording, model)
 
 

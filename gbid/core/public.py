@@ -1,0 +1,67 @@
+"""Public names: each is imported when it is first used, and calls from outside are checked against its types."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import cache, wraps
+from types import FunctionType
+from typing import Any
+
+import lazy_loader  # type: ignore[import-untyped]
+
+
+def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package whose stub lists its public names.
+
+    Functions and constructors check their arguments, see `gbid.core.option_types.check_call`. Calls from
+    gbid itself are not checked: mypy did.
+
+    Parameters
+    ----------
+    package, file : str
+        ``__name__`` and ``__file__`` of the package.
+    """
+    imported, names, listed = lazy_loader.attach_stub(package, file)
+
+    def get(name: str) -> Any:
+        value = imported(name)
+        if isinstance(value, FunctionType):
+            value = _checked_function(value, package)
+        elif isinstance(value, type):
+            _check_calls_of(value)
+        vars(sys.modules[package])[name] = value
+        return value
+
+    return get, names, listed
+
+
+@cache
+def _checked_function(function: Any, package: str) -> Any:
+    """Return a function that checks its arguments; pickles name it by the package where it is public."""
+    if getattr(function, "checks_its_call", False):  # a package within this one made it public
+        return function
+    checked = _checked(function, function.__name__)
+    checked.__module__, checked.checks_its_call = package, True
+    return checked
+
+
+@cache
+def _check_calls_of(kind: type) -> None:
+    """Let the constructor of a class check its arguments."""
+    constructor = vars(kind).get("__init__")
+    if isinstance(constructor, FunctionType) and kind.__module__.startswith("gbid."):
+        setattr(kind, "__init__", _checked(constructor, kind.__name__, kind))  # noqa: B010
+
+
+def _checked(function: Any, owner: str, of: type | None = None) -> Any:
+    @wraps(function)
+    def checked(*args: Any, **keywords: Any) -> Any:
+        caller = sys._getframe(1).f_globals.get("__name__") or ""
+        if not caller.startswith("gbid."):
+            from gbid.core.option_types import check_call
+
+            check_call(function, owner, args, keywords, of)
+        return function(*args, **keywords)
+
+    return checked

@@ -1,0 +1,72 @@
+"""Public names called with wrong arguments: gbid's own error names the argument, its value, and what is expected."""
+
+import pickle
+import subprocess
+import sys
+from random import Random
+
+import numpy as np
+import pytest
+from fit_cases import MODE, MODE_AT, levels, simulated
+from fuzzing.calls import package_calls, public_calls, try_call
+
+import gbid
+from gbid.core.errors import UsageError
+
+PLANT = gbid.LinearModel(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)))
+DATA = gbid.Recording({"u": np.arange(9.0), "y": np.ones(9)}, 1e-3, name="run")
+LPV = gbid.load_model("theisen2016")
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: gbid.close_loop(None, PLANT), "close_loop: plant = None; give LinearModel"),
+        (lambda: gbid.cross_validate(PLANT, None), "cross_validate: result = the LinearModel 'model'; give FitResult"),
+        (lambda: gbid.Recording("x", 1e-3), "Recording: signals = 'x'; give a dict by name"),
+        (lambda: gbid.RotorBearing(pade_order=float("nan")), "pade_order = nan; give a whole number or None"),
+        (lambda: gbid.report.plot_campbell(LPV), "plot_campbell: models = .*theisen2016.*; give a dict by name"),
+        (
+            lambda: gbid.fit(gbid.RotorBearing(), DATA, prior={"k_xx": 3}),
+            r"prior\['k_xx'\] = 3; give \(a number, a number",
+        ),
+        (lambda: gbid.check_residuals(None, DATA), "result = None; give FitResult"),
+        (lambda: gbid.tune(LPV, inputs="voltage"), "inputs = 'voltage'; give a list"),
+        (lambda: gbid.fit(gbid.RotorBearing, DATA), "fit: structure = the class RotorBearing; give Structure"),
+        (
+            lambda: gbid.fit_multistart(gbid.RotorBearing(), DATA, reach=float("nan")),
+            "reach = nan; give a finite number",
+        ),
+    ],
+)
+def test_wrong_kinds_are_refused_at_the_door(call, words):
+    with pytest.raises(UsageError, match=words):
+        call()
+
+
+def test_ranges_in_seconds_are_refused():
+    data = simulated(MODE, MODE_AT, levels(60), noise=0.1)
+    with pytest.raises(UsageError, match=r"left_out\[0\]\[0\] = 0.5; give a whole number"):
+        gbid.cross_validate(gbid.fit(MODE, data, max_iterations=1), data, left_out=[(0.5, 1.5)])
+
+
+def test_a_part_of_the_calls(tmp_path):
+    for call in Random(3).sample(package_calls(), 300):
+        try_call(call, tmp_path)
+
+
+@pytest.mark.slow
+def test_many_calls(tmp_path):
+    for call in Random(4).sample(public_calls(), 3000):
+        try_call(call, tmp_path)
+
+
+def test_public_functions_are_found_again_by_pickle():
+    assert pickle.loads(pickle.dumps(gbid.fit)) is gbid.fit
+    assert gbid.fit.__module__ == "gbid"
+    assert gbid.cross_validate is gbid.validate.cross_validate
+
+
+def test_the_check_is_not_imported_before_a_call():
+    code = "import sys, gbid; assert not {'numpy', 'gbid.core.option_types'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
