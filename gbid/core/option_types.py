@@ -389,7 +389,7 @@ def check_call(
         for each in list(value.values()) if is_named else value if is_listed else [value]:
             is_one_number = not of and isinstance(each, Complex) and _is_for_arrays(kind)
             if is_one_number or not _allows(kind, each):
-                raise _not_allowed(owner, name, each, kind, _other_way_round(owner, name, each, kinds))
+                raise _not_allowed(owner, name, each, kind, "" if of else _other_way_round(owner, name, each, kinds))
             if of is None and _has_nan(each):
                 raise UsageError(f"{owner}: {name} = {_short(each)}; give a finite number", name)
 

@@ -25,7 +25,11 @@ from gbid.structure import KEY_PARAMETERS, LinearModel
 
 
 def save_csv(
-    what: Exportable, path: str | Path, *, frequency_hz: npt.ArrayLike | None = None, overwrite: bool = False
+    what: Exportable | FrequencyData,
+    path: str | Path,
+    *,
+    frequency_hz: npt.ArrayLike | None = None,
+    overwrite: bool = False,
 ) -> Path:
     """Write a model as a csv table, and return the path of the file.
 
@@ -131,7 +135,7 @@ def _responses(model: LinearModel, frequency_hz: FloatArray) -> Table:
 # ---- Export of models as plain YAML.
 
 
-def save_yaml(what: Exportable, path: str | Path, *, overwrite: bool = False) -> Path:
+def save_yaml(what: Exportable | FrequencyData, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write a model as YAML, and return the path of the file.
 
     An LPV model is written as a model file, which `gbid.load_model` reads. Other models are written as plain values.

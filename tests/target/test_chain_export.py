@@ -146,7 +146,7 @@ def test_a_map_of_another_encoder_is_refused() -> None:
         ({"limit_m": 0.0}, "limit_m = 0.0; give a number above 0"),
         ({"number": "half"}, "choose 'double' or 'float'"),
         ({"median": 5}, "median = 5; give 1 or 3"),
-        ({"zero_m": (0.0, float("nan"))}, r"give \(a number, a number\)"),
+        ({"zero_m": (0.0, float("nan"))}, r"zero_m\[1\] = nan; give a number"),
         ({"spike_limit_m": -1.0}, "give a number above 0 or None"),
         ({"stuck_samples": 30001}, "of at least 1 and of at most 30000"),
     ],
