@@ -315,7 +315,7 @@ def public_calls() -> list[WrongCall]:
         WrongCall(name, argument, value)
         for name, function in _public()
         if "." not in name
-        for argument in dict.fromkeys([*(p.name for p in _named(function)), *valid_calls()[name]])
+        for argument in dict.fromkeys([*(p.name for p in _named(function)), *valid_calls().get(name, {})])
         for value in wrong_values()
     ]
 
@@ -377,7 +377,7 @@ def try_call(call: WrongCall, folder: Path) -> str:
     package, _, name = call.name.rpartition(".")
     function = getattr(importlib.import_module(f"gbid.{package}" if package else "gbid"), name)
     value = wrong_values()[call.value]
-    if not package:
+    if not package and name in valid_calls():
         arguments = dict(valid_calls()[call.name])
     else:
         arguments = dict.fromkeys(
