@@ -135,14 +135,14 @@ def _responses(model: LinearModel, frequency_hz: FloatArray) -> Table:
 # ---- Export of models as plain YAML.
 
 
-def save_yaml(what: Exportable | FrequencyData, path: str | Path, *, overwrite: bool = False) -> Path:
+def save_yaml(what: Exportable, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write a model as YAML, and return the path of the file.
 
     An LPV model is written as a model file, which `gbid.load_model` reads. Other models are written as plain values.
 
     Parameters
     ----------
-    what : LinearModel, FitResult, LPVModel or FrequencyData
+    what : LinearModel, FitResult or LPVModel
         The model to export, or measured frequency responses, which `FrequencyData.read` reads again.
     path : path
         The new file.
