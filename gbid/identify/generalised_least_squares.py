@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,9 @@ import scipy
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.core.notes import FitNote
+from gbid.discretise import Dual
 from gbid.identify.options import FitArguments
+from gbid.identify.predictor import Predictor
 from gbid.identify.problem.hessian import in_one_window, in_windows
 from gbid.identify.problem.nlp import Shooting
 from gbid.identify.problem.solve import Progress, Solution
@@ -25,12 +28,13 @@ from gbid.identify.uncertainty.coloured import (
     whitened,
     whitening,
 )
-from gbid.identify.uncertainty.covariance import Estimate, grows, information_over_records
+from gbid.identify.uncertainty.covariance import Estimate, grows, information_over_records, mode_slopes
 
 _AT_REST = 1e-3  # length of a step that is nothing, in standard deviations
 _SETTLED = 1e-2  # the same for a round with a new model of the errors
 _REST = 0.1  # length up to which a point from which no step leads lower counts as the minimum
 _APART = 3.0  # distance of two minima, in standard deviations
+_LIKELY = 3.0  # difference of log-likelihoods up to which data do not tell two minima apart: odds of 20 to 1
 _ROUNDS = 30  # models of the errors
 _FREE_ORDERS = 5  # rounds in which the order is chosen anew: later it may go back and forth between two
 _HALVINGS = 12
@@ -46,18 +50,21 @@ class WeightedErrors(NamedTuple):
         Filter of the errors of each record.
     log_likelihood : float
         Gaussian log-likelihood of all errors.
+    elsewhere : (n_maxima, n_theta) array
+        How far other maxima of the likelihood are, times the root of their share of it.
     notes : tuple of str
         Note on another minimum.
     """
 
     filters: tuple[Whitening, ...]
     log_likelihood: float
+    elsewhere: FloatArray
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class WeightedProblem:
-    """Problem of generalised least squares: a simulation whose segments are one window each.
+    """Problem of generalised least squares of a simulation.
 
     Attributes
     ----------
@@ -71,6 +78,8 @@ class WeightedProblem:
         Initial states that are not estimated.
     options : FitArguments
         Options of the fit.
+    names : tuple of str
+        Names of its parameters.
     """
 
     shooting: Shooting
@@ -78,6 +87,14 @@ class WeightedProblem:
     record_window: IntArray
     known: BoolArray
     options: FitArguments
+    names: tuple[str, ...]
+
+    def in_one_window(self) -> tuple[WeightedProblem, IntArray]:
+        """Return the problem with one window for each segment, and which unknowns remain."""
+        joined, kept = in_one_window(self.shooting)
+        windows = (kept[joined.n_theta :: joined.n_states] - joined.n_theta) // joined.n_states
+        first, (lower, upper) = np.searchsorted(windows, self.record_window), self.box
+        return replace(self, shooting=joined, box=(lower[kept], upper[kept]), record_window=first), kept
 
     def estimate(self, z: FloatArray, filters: tuple[Whitening, ...] = ()) -> Estimate:
         """Return the point of parameters and, after them, initial states of all records, with all gaps closed."""
@@ -94,11 +111,25 @@ class WeightedProblem:
         theta, starts = self.shooting.unpack(unknowns)
         return np.concatenate([theta, starts[self.record_window].ravel()])
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Bounds of parameters and initial states."""
         lower, upper = (self.coordinates(edge) for edge in self.box)
         return lower, upper
+
+    def is_elsewhere(self, z: FloatArray, minimum: _Descended) -> bool:
+        """Return whether a point is far from a minimum."""
+        return not minimum.status.success or bool(_distance(minimum, z, self.shooting.n_theta).max() > _APART)
+
+    def filters(self, at: Estimate, C: FloatArray, orders: Sequence[int] | None = None) -> tuple[Whitening, ...]:
+        """Return the filters that the residuals at a point give, with what the fit took from them given back.
+
+        `C` is the covariance of the estimates; `orders` replace those of Akaike's criterion.
+        """
+        every, weight = np.arange(at.n_all), np.eye(len(self.shooting.output_weights))
+        records = information_over_records(at, weight).sensitivities
+        models = error_models((transformed(record, every) for record in records), C, orders)
+        return tuple(whitening(model, n) for model, n in zip(models, _samples(at), strict=True))
 
 
 class _Normal(NamedTuple):
@@ -120,37 +151,23 @@ class _Descended(NamedTuple):
     iterations: int
     rest: float
 
+    @property
+    def score(self) -> float:
+        """Its log-likelihood, less the number of coefficients of the models of the errors."""
+        return _score(self.normal, self.filters)
 
-def weighted_solution(
-    problem: Shooting,
-    first: Solution,
-    start: FloatArray,
-    box: tuple[FloatArray, FloatArray],
-    record_window: IntArray,
-    known: BoolArray,
-    options: FitArguments,
-    names: Sequence[str],
-) -> tuple[WeightedErrors, Solution]:
+
+def weighted_solution(problem: WeightedProblem, first: Solution, start: FloatArray) -> tuple[WeightedErrors, Solution]:
     """Return the minimum of generalised least squares.
 
     Parameters
     ----------
-    problem : Shooting
-        Problem of least squares.
+    problem : WeightedProblem
+        Problem of least squares, in any windows.
     first : Solution
         Its solution.
     start : (n_unknowns,) array
         Start of the fit, scaled.
-    box : (n_unknowns,) array, (n_unknowns,) array
-        Bounds, scaled.
-    record_window : (n_records,) integer array
-        First window of each record.
-    known : (n_records, n) boolean array
-        Initial states that are not estimated.
-    options : FitArguments
-        Options of the fit.
-    names : sequence of str
-        Names of the parameters.
 
     Returns
     -------
@@ -172,53 +189,189 @@ def weighted_solution(
     is given back to the residuals. Gauss-Newton steps go to the minimum for a model of the errors; from its residuals
     comes the next model.
 
-    Errors with a peak at a lightly damped mode give the likelihood several minima along its frequency. Least squares
-    may have gone from the start to a far one, so the descent begins at both. Of the n / 2 frequencies that n samples
-    tell apart, the best one gains log(n / 2) of log-likelihood by chance. The minimum that is reached from the start
-    counts unless the other one is better by more.
+    Coloured errors give the likelihood several maxima along the frequency of a light mode, about one in each interval
+    of 1 / T that recordings of length T tell apart. Least squares may have gone from the start to a far one, so the
+    descent begins at both, and a scan goes along the frequency (`_scanned`). Of the n / 2 frequencies that n samples
+    tell apart, the best one gains log(n / 2) of log-likelihood by chance. The maximum that is reached from the start
+    counts unless another one is better by more. The others widen the intervals, each by its likelihood.
     """
-    if any(part.predictor.feeds_back for part in problem.parts):
+    if any(part.predictor.feeds_back for part in problem.shooting.parts):
         raise UsageError("errors = 'ar' is for a simulation: this predictor feeds measured outputs back")
-    joined, kept = in_one_window(problem)
-    windows = (kept[problem.n_theta :: problem.n_states] - problem.n_theta) // problem.n_states
-    task = WeightedProblem(
-        joined, (box[0][kept], box[1][kept]), np.searchsorted(windows, record_window), known, options
-    )
-    origin, begin, notes = task.coordinates(first.unknowns[kept]), task.coordinates(start[kept]), tuple[str, ...]()
-    minimum = _descend(task, origin, first.iterations)
-    if not minimum.status.success or _distance(minimum, begin, joined.n_theta).max() > _APART:
-        other = _descend(task, begin, minimum.iterations)
-        minimum, notes = _chosen(minimum, other, names, float(np.log(joined.n_samples / 2)))
+    task, kept = problem.in_one_window()
+    joined = task.shooting
+    begin, chance = task.coordinates(start[kept]), float(np.log(joined.n_samples / 2))
+    minimum = _descend(task, task.coordinates(first.unknowns[kept]))
+    points = list[_Point]()
+    if task.is_elsewhere(begin, minimum):
+        points.append(_point(minimum))
+        minimum = _likelier(_descend(task, begin), minimum, chance)
+    if minimum.status.success:
+        scanned = _scanned(task, minimum, chance + _LIKELY)
+        points += scanned
+        top = max(scanned, key=lambda point: point.score, default=_point(minimum))
+        if top.score > minimum.score and task.is_elsewhere(top.z, minimum):
+            points.append(_point(minimum))
+            minimum = _likelier(minimum, _descend(task, top.z), chance)
+    elsewhere = [point for point in points if task.is_elsewhere(point.z, minimum)] if minimum.status.success else []
     unknowns = joined.pack(*(getattr(task.estimate(minimum.z), name) for name in ("theta", "starts")))
     solution = replace(
         first,
-        unknowns=in_windows(problem, joined, unknowns),
+        unknowns=in_windows(problem.shooting, joined, unknowns),
         status=minimum.status,
-        iterations=minimum.iterations,
+        iterations=first.iterations + minimum.iterations,
         rest=minimum.rest,
     )
-    return WeightedErrors(minimum.filters, minimum.normal.log_likelihood, notes), solution
+    likelihood = minimum.normal.log_likelihood
+    return WeightedErrors(minimum.filters, likelihood, *_elsewhere(minimum, elsewhere, problem.names)), solution
 
 
-def _chosen(
-    minimum: _Descended, other: _Descended, names: Sequence[str], chance: float
-) -> tuple[_Descended, tuple[str, ...]]:
-    """Return the minimum that counts, of that from least squares and the `other` from the start, and a note."""
-    kept = minimum._replace(iterations=other.iterations)
-    if not other.status.success:
-        return kept, ()
-    if not minimum.status.success:
-        return other, ()
-    gain, apart = minimum.normal.log_likelihood - other.normal.log_likelihood, _distance(other, minimum.z, len(names))
+def _likelier(minimum: _Descended, other: _Descended, chance: float) -> _Descended:
+    """Return the minimum that counts: the other one if it is better by more than chance, or alone has converged."""
+    better = other.score > minimum.score + chance if minimum.status.success else True
+    iterations = minimum.iterations + other.iterations
+    return (other if other.status.success and better else minimum)._replace(iterations=iterations)
+
+
+def _elsewhere(
+    minimum: _Descended, points: Sequence[_Point], names: Sequence[str]
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return how far other maxima are from a minimum, times the root of their share of the likelihood, and a note.
+
+    The covariance about the estimate, of a mixture of normal distributions with these shares, is that of the minimum
+    and the sum of the products of the rows.
+    """
+    n = len(names)
+    if not points:
+        return np.zeros((0, n)), ()
+    scores = np.array([minimum.score, *(point.score for point in points)])
+    likely = np.exp(scores - scores.max())
+    rows = np.sqrt(likely / likely.sum())[1:, None] * np.array([point.z[:n] - minimum.z[:n] for point in points])
+    best = max(points, key=lambda point: point.score)
+    apart, gain = _distance(minimum, best.z, n), minimum.score - best.score
+    if gain > _LIKELY:
+        return rows, ()
     worst = int(np.argmax(apart))
-    if apart[worst] < _APART or abs(gain) > chance:
-        return (kept if gain > 0 else other), ()
     text = (
         f"the likelihood has two maxima whose logarithms differ by {abs(gain):.2g}, which chance explains: "
-        f"{names[worst]} is {minimum.z[worst]:.6g} at the other one, {apart[worst]:.2g} standard deviations "
-        "away; this is the one reached from the start values"
+        f"{names[worst]} is {best.z[worst]:.6g} at the other one, {apart[worst]:.2g} standard deviations away; this is "
+        "the one reached from the start values, and intervals are widened by the other maxima"
     )
-    return other, (FitNote.LIKELY_ELSEWHERE(text),)
+    return rows, (FitNote.LIKELY_ELSEWHERE(text),)
+
+
+# ---- Scan of the likelihood along the frequencies of light modes.
+
+_LIGHT = 0.1  # damping factor below which a mode is so narrow that noise has lines like it
+_CELLS = 16  # frequencies that the recordings tell apart, 1 / T from each other, to each side of a mode
+_BESIDE = 2, 3  # of these, at which the mode explains nothing but noise
+_HELD = 1e6  # information on what is held, in units of that of the data
+_MOST_MODES = 8  # that are scanned: recordings with local parameters have modes of their own
+
+
+class _Point(NamedTuple):
+    """Point of the likelihood: log-likelihood less the number of coefficients of the errors' models, and unknowns."""
+
+    score: float
+    z: FloatArray
+
+
+def _point(minimum: _Descended) -> _Point:
+    return _Point(minimum.score, minimum.z)
+
+
+class _Mode(NamedTuple):
+    """Light mode: frequency in turns a sample, and derivatives of frequency and damping by the parameters."""
+
+    frequency: float
+    slopes: FloatArray
+
+
+def _scanned(task: WeightedProblem, minimum: _Descended, enough: float) -> list[_Point]:
+    """Return the maxima of the likelihood along the frequencies of light modes.
+
+    The frequency of each light mode goes by halves of 1 / T to both sides, alone. A Gauss-Newton step that holds
+    frequencies and dampings of all light modes brings the other unknowns along. A mode is left out if the likelihood
+    beside its frequency is lower by more than `enough`: then noise has no line that explains as much.
+    """
+    if not any(each.model.order for each in minimum.filters):  # white errors have one maximum
+        return []
+    half = 0.5 / max(len(segment.outputs) for part in task.shooting.parts for segment in part.blocks.segments)
+    tops = list[_Point]()
+    for mode in _light_modes(task, minimum.z)[:_MOST_MODES]:
+        below, above = (_along(task, minimum.z, mode.frequency, side * half) for side in (-1, 1))
+        beside = [
+            _with_modes_held(task, side[2 * i - 1]) for side in (below, above) for i in _BESIDE if len(side) >= 2 * i
+        ]
+        if max((point.score for point in beside), default=-np.inf) < minimum.score - enough:
+            continue
+        row = [_with_modes_held(task, z) for z in [*below[::-1], minimum.z, *above]]
+        height = np.array([-np.inf, *(point.score for point in row), -np.inf])
+        tops += [row[i] for i in np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] >= height[2:]))]
+    return tops
+
+
+def _along(task: WeightedProblem, z: FloatArray, frequency: float, step: float) -> list[FloatArray]:
+    """Return points in which a mode has other frequencies, one step after the other; fewer at a bound."""
+    lower, upper = task.bounds
+    n, points = task.shooting.n_theta, list[FloatArray]()
+    size = task.shooting.theta_scale**2
+    for _ in range(2 * _CELLS):
+        modes = _light_modes(task, z)
+        if not modes:
+            break
+        mode = min(modes, key=lambda each: abs(each.frequency - frequency))
+        frequency += step
+        slope = size * mode.slopes[:, 0]
+        z = z.copy()
+        z[:n] += slope * (frequency - mode.frequency) / max(float(slope @ mode.slopes[:, 0]), np.finfo(float).tiny)
+        if (z < lower).any() or (z > upper).any():
+            break
+        points.append(z)
+    return points
+
+
+def _light_modes(task: WeightedProblem, z: FloatArray) -> list[_Mode]:
+    """Return the light modes of all linear predictors."""
+    problem, found = task.shooting, dict[int, list[_Mode]]()
+    for part, v in zip(problem.parts, problem.values(z[: problem.n_theta]), strict=True):
+        if id(v) in found or not isinstance(part.predictor, Predictor):
+            continue
+        modes, slopes = mode_slopes(Dual(v.F, v.dF), 1.0)
+        found[id(v)] = []
+        for (frequency, damping), own in zip(modes.tolist(), slopes.transpose(1, 0, 2), strict=True):
+            if 0 < damping < _LIGHT:
+                every = np.zeros((problem.n_theta, 2))
+                every[part.index] = own if part.tie is None else part.tie.T @ own
+                found[id(v)].append(_Mode(frequency, every))
+    return [mode for modes in found.values() for mode in modes]
+
+
+def _with_modes_held(task: WeightedProblem, z: FloatArray) -> _Point:
+    """Return a point after a Gauss-Newton step that holds its light modes; amplitudes and initial states are linear."""
+    held = np.hstack([mode.slopes for mode in _light_modes(task, z)])
+    held = np.vstack([held, np.zeros((len(z) - len(held), held.shape[1]))])
+    C, score = np.zeros((len(z), len(z))), -np.inf
+    for last in (False, True):
+        at = task.estimate(z)
+        filters = () if grows(at) else task.filters(at, C)
+        normal = _normal(task, z, filters) if filters else None
+        if normal is None:
+            break
+        if last:
+            score = _score(normal, filters)
+            break
+        C = _inverse(normal.hessian)
+        weight = _HELD / np.maximum(np.einsum("im,ij,jm->m", held, C, held), np.finfo(float).tiny)
+        z = z + _step(task, z, normal._replace(hessian=normal.hessian + held * weight @ held.T))[0]
+    return _Point(score, z)
+
+
+def _score(normal: _Normal, filters: Sequence[Whitening]) -> float:
+    """Return the log-likelihood less the number of coefficients of the errors' models, as Akaike's criterion has it."""
+    return normal.log_likelihood - sum(each.model.coefficients.size for each in filters)
+
+
+# ---- Descent to the next minimum.
 
 
 def _distance(minimum: _Descended, z: FloatArray, n_theta: int) -> FloatArray:
@@ -228,21 +381,18 @@ def _distance(minimum: _Descended, z: FloatArray, n_theta: int) -> FloatArray:
     return np.where(moved > 0, moved / np.sqrt(np.maximum(variance, np.finfo(float).tiny)), 0.0)
 
 
-def _descend(task: WeightedProblem, z: FloatArray, iterations: int) -> _Descended:
+def _descend(task: WeightedProblem, z: FloatArray) -> _Descended:
     """Return the minimum that models of the errors and Gauss-Newton steps reach in turn from a point."""
     orders: list[int] | None = None
+    iterations = 0
     C, status, rest = np.zeros((len(z), len(z))), FitStatus.ITERATION_LIMIT, np.inf
     filters, normal = tuple[Whitening, ...](), None
     for turn in range(_ROUNDS):
         at = task.estimate(z)
         if grows(at):
             return _Descended(z, filters, _nowhere(len(z)), FitStatus.GROWS, iterations, np.inf)
-        records = information_over_records(at, np.eye(len(task.shooting.output_weights))).sensitivities
-        every = np.arange(at.n_all)
-        models = error_models((transformed(record, every) for record in records), C, orders)
-        orders = [model.order for model in models] if turn >= _FREE_ORDERS else None
-        lengths = [int(n) for n in _samples(at)]
-        filters = tuple(whitening(model, n) for model, n in zip(models, lengths, strict=True))
+        filters = task.filters(at, C, orders)
+        orders = [each.model.order for each in filters] if turn >= _FREE_ORDERS else None
         before, normal = z, _normal(task, z, filters)
         if normal is None:
             return _Descended(z, filters, _nowhere(len(z)), FitStatus.GROWS, iterations, np.inf)

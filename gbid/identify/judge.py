@@ -86,6 +86,8 @@ def judge(optimum: Optimum) -> FitResult:
     told = _notes(optimum, theta, on_bound, spread, kind_of_std if coloured and not bias.explains_colour else None)
     if bias.moved is not None and bias.widens:
         spread = spread.widened(bias.moved)
+    for moved in optimum.weighted.elsewhere if optimum.weighted else ():
+        spread = spread.widened(moved)
     chosen = spread.of(kind_of_std)
 
     estimates = {
@@ -168,7 +170,7 @@ def judge(optimum: Optimum) -> FitResult:
         notes=(
             *told,
             *bias.notes,
-            *(() if fed_back else may_cover_less(error_models or spread.models, model.modes(), data.sample_time, n)),
+            *may_cover_less(error_models or spread.models, model.modes(), data.sample_time, n, gain=fed_back),
             *((FitNote.PREDICTOR_AT_EDGE(_AT_EDGE),) if at_edge else ()),
             *meeting,
             *shaft,
@@ -455,7 +457,12 @@ def weights_would_help(spread: Covariance) -> str:
 
 
 def may_cover_less(
-    models: Sequence[ErrorModel], modes: Sequence[tuple[float, float]], sample_time: float, n_samples: int
+    models: Sequence[ErrorModel],
+    modes: Sequence[tuple[float, float]],
+    sample_time: float,
+    n_samples: int,
+    *,
+    gain: bool = False,
 ) -> list[str]:
     """Return a note on intervals that contain the truth less often than they state.
 
@@ -469,6 +476,8 @@ def may_cover_less(
         Time between samples [s].
     n_samples : int
         Number of samples of all records.
+    gain : bool
+        Whether a disturbance gain makes the residuals white.
 
     Notes
     -----
@@ -476,7 +485,9 @@ def may_cover_less(
     frequency of a lightly damped mode, and the records last few of its times of decay. Then the fit explains a part of
     the errors as motion of the mode, and what is left says little of them. Below about two times of decay hardly a peak
     is left, so that any power above the mean counts. Below one the fit explains all that errors move the mode: even
-    white residuals then do not show that they are sensor noise only, unless a disturbance gain was estimated.
+    white residuals then do not show that they are sensor noise only. A disturbance gain tells both apart, but below one
+    time of decay the estimates are not normally distributed (an autoregression near a unit root: Phillips, Biometrika
+    74, 1987).
     """
     grid = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
     coloured = [model for model in models if model.order]
@@ -491,7 +502,7 @@ def may_cover_less(
             float((np.diagonal(model.spectrum(turn)[0]).real / mean).max())
             for model, mean in zip(coloured, power, strict=True)
         ]
-        if decays < _DECAYS and max(peaks, default=0.0) > (1.0 if decays < _HARDLY_ONE else _PEAK):
+        if not gain and decays < _DECAYS and max(peaks, default=0.0) > (1.0 if decays < _HARDLY_ONE else _PEAK):
             text = (
                 f"intervals may contain the truth less often than they state: at the mode of {frequency:.3g} Hz the "
                 f"errors have {max(peaks):.2g} times their mean power, and the recordings last {decays:.2g} of its "
@@ -499,10 +510,12 @@ def may_cover_less(
             )
             told.append(FitNote.MAY_COVER_LESS(text))
         elif decays < _UNSEEN:
+            why = "are too short to tell its motion from what disturbances make of it; record longer"
+            if not gain:
+                why = "do not show whether disturbances move it; record longer, or free a disturbance gain"
             text = (
                 f"intervals may contain the truth less often than they state: the recordings last {decays:.2g} times "
-                f"of decay of the mode of {frequency:.3g} Hz, and do not show whether disturbances move it; record "
-                "longer, or free a disturbance gain"
+                f"of decay of the mode of {frequency:.3g} Hz, and {why}"
             )
             told.append(FitNote.MAY_COVER_LESS(text))
     return told

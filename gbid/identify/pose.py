@@ -15,7 +15,7 @@ from gbid.discretise import Hold
 from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import Disturbances, disturbances_of
 from gbid.identify.frequency_data import FrequencyData, check_linear
-from gbid.identify.generalised_least_squares import WeightedErrors, weighted_solution
+from gbid.identify.generalised_least_squares import WeightedErrors, WeightedProblem, weighted_solution
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.assemble import (
     Assembly,
@@ -352,9 +352,10 @@ def minimise(problem: PosedProblem) -> Optimum:
     if task.loss is not None and solution.status.success:
         reweighted, solution = reweighted_solution(shooting, solution, task.loss, run)
     if task.options.errors == "ar" and solution.status.success:
-        begin, names = np.clip(problem.unknowns, *box), [q.name for q in problem.assembly.free]
         windows, known = problem.assembly.record_window, task.states.in_shooting(shooting.n_states)
-        weighted, solution = weighted_solution(shooting, solution, begin, box, windows, known, task.options, names)
+        names = tuple(q.name for q in problem.assembly.free)
+        weighting = WeightedProblem(shooting, box, windows, known, task.options, names)
+        weighted, solution = weighted_solution(weighting, solution, np.clip(problem.unknowns, *box))
         notes = (*notes, *weighted.notes)
     return Optimum(problem, shooting, solution, shift, reweighted, weighted, notes)
 
