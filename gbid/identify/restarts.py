@@ -122,8 +122,14 @@ class Attempt:
 
     @property
     def good(self) -> bool:
-        """Whether it converged, and to no doubtful minimum."""
-        return self.result is not None and self.result.success and not self.doubtful
+        """Whether it converged, to no doubtful minimum, and estimated a free disturbance gain."""
+        result = self.result
+        return result is not None and result.success and not (self.doubtful or self.held)
+
+    @property
+    def held(self) -> bool:
+        """Whether a free disturbance gain was held, for it led to an almost unstable predictor."""
+        return self.result is not None and any(FitNote.GAIN_HELD.value in note for note in self.result.notes)
 
     def noted(self, note: str) -> Attempt:
         """Return the attempt with one more note."""
@@ -163,6 +169,8 @@ def best_attempt(task: FitTask) -> FitResult:
     nonlinear = kind_of(task.structure).nonlinear and may_restart
     first = restarts.bounded(restarts.in_turn(stated, windows[:1] if nonlinear else windows))
     result = first.result
+    if first.held:
+        may_restart = True
     if result is not None and (first.good or not may_restart or result.status is FitStatus.NOT_DETERMINED):
         return result
     if nonlinear:
@@ -231,7 +239,7 @@ class Restarts:
                 held = self.attempt(start, window, gain_held=True, unstable=True)
                 if held.result is None:
                     return attempt
-                status = FitStatus.CONVERGED_GAIN_HELD if held.result.success else held.result.status
+                status = _status_with_gain_held(held.result)
                 note = "a free disturbance gain led to an almost unstable predictor: it is fixed at its start value"
                 return replace(held, result=replace(held.result, status=status)).noted(FitNote.GAIN_HELD(note))
         best, result = tried[-1]
@@ -283,6 +291,17 @@ class Restarts:
         elif all(attempt.result is None for attempt in attempts):
             attempts.append(self.attempt(task.begin.values, chosen, unstable=True))
         return attempts
+
+
+def _status_with_gain_held(result: FitResult) -> FitStatus:
+    """Return the status of a fit whose disturbance gain was to be estimated, but had to be held.
+
+    With another gain its estimates would be others, unless the recordings show that disturbances do not move a mode.
+    """
+    if not result.success:
+        return result.status
+    hidden = any(FitNote.MAY_COVER_LESS.value in note for note in result.notes)
+    return FitStatus.GAIN_NOT_DETERMINED if hidden else FitStatus.CONVERGED_GAIN_HELD
 
 
 def _confirmed(attempts: Sequence[Attempt]) -> FitResult:

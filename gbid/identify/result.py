@@ -68,6 +68,10 @@ class FitStatus(StrEnum):
         "correlated; try other start values (fit_multistart)"
     )
     NOT_DETERMINED = "not determined: a free parameter has no standard deviation; fix or bound what the notes name"
+    GAIN_NOT_DETERMINED = (
+        "not determined: a free disturbance gain led to an almost unstable predictor and was held, and the recordings "
+        "do not show whether disturbances move a light mode; record longer, or hold the gain (fixed)"
+    )
     STEPS_TOO_SMALL = "not converged: steps became too small; a parameter may not be determined"
     NO_STEP = "not converged: the step cannot be computed; a parameter may not be determined"
     DIVERGED = "not converged: the iterates diverge; check bounds and start values"
