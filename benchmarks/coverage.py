@@ -319,10 +319,10 @@ def coverage_table(run: dict[str, Any]) -> str:
 
 
 def missed(run: dict[str, Any]) -> list[str]:
-    """Return the cells that miss the target and lack the note in 95 % of their fits, in words."""
+    """Return the cells that miss the target, in words, without those whose fits have the note in 95 % of the cases."""
     return [
-        f"{row['oscillator']}, {row['errors']}, {row['options']}, N = {n}: {100 * numbers['coverage']:.1f} %; "
-        f"{100 * numbers.get('noted', 0.0):.0f} % of the fits have the note"
+        f"{row['oscillator']}, {row['errors']}, {row['options']}, N = {n}: {100 * numbers['coverage']:.1f} %"
+        + (f"; {100 * numbers['noted']:.0f} % of the fits have the note" if "noted" in numbers else "")
         for row in run["rows"]
         for n, numbers in row["cells"].items()
         if row["target"]
