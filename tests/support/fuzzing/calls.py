@@ -254,7 +254,7 @@ def valid_calls() -> dict[str, dict[str, Any]]:
         "prefilter": {"rec": turning},
         "profile": {"result": result, "names": ["g"]},
         "save": {"value": stored_values.recording(), "path": "{folder}/a.h5"},
-        "save_controller": {"path": "{folder}/a.yaml", "structure": "P", "gains": gains, "sample_time": 2e-4},
+        "save_controller": {"path": "{folder}/a.yaml", "controller": "P", "gains": gains, "sample_time": 2e-4},
         "save_csv": {"what": plant, "path": "{folder}/a.csv"},
         "save_fit": {"result": result, "path": "{folder}/a.h5"},
         "save_lpv_fit": {"fit": stored_values.lpv_fit(), "path": "{folder}/a.yaml"},
