@@ -143,7 +143,7 @@ def save_yaml(what: Exportable, path: str | Path, *, overwrite: bool = False) ->
     Parameters
     ----------
     what : LinearModel, FitResult or LPVModel
-        The model to export, or measured frequency responses, which `FrequencyData.read` reads again.
+        The model to export.
     path : path
         The new file.
     overwrite : bool

@@ -98,7 +98,7 @@ class FrequencyData(ChannelCurves, Pictured):
         input_names, output_names = as_names(inputs), as_names(outputs)
         shape = (len(f), len(output_names), len(input_names))
         G = np.asarray(responses, complex)
-        if G.size != np.prod(shape) or G.shape[0] != shape[0]:
+        if G.size != np.prod(shape) or G.ndim == 0 or G.shape[0] != shape[0]:
             raise UsageError(
                 f"responses of {name!r} have the shape {G.shape}; {len(f)} frequencies, {shape[1]} outputs and "
                 f"{shape[2]} inputs need {shape}"

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
-from scipy.special import gammaincc
 
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.errors import UsageError
@@ -228,6 +226,8 @@ def _least(
     max_iterations: int,
 ) -> tuple[Any, int]:
     """Return the best of two solutions, from the start and from a fit with wider errors, and all iterations."""
+    from scipy.optimize import least_squares  # half a second, which other fits do not need
+
     mean, std = known
 
     def solved(begin: FloatArray, relative: float) -> Any:
@@ -299,6 +299,8 @@ def _spread(
 
 def _tests(errors: Sequence[ResponseErrors], theta: FloatArray, n_free: int) -> tuple[FloatArray, bool]:
     """Return for each output the probability of larger errors, and whether errors of neighbours follow each other."""
+    from scipy.special import gammaincc
+
     n_y = len(errors[0].data.output_names)
     squares, freedom, products, chance = np.zeros(n_y), np.zeros(n_y), 0.0, 0.0
     for each in errors:

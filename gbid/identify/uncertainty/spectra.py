@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
@@ -197,6 +196,8 @@ def _of_periods(
     recordings: Sequence[Recording], u: Sequence[FloatArray], y: Sequence[FloatArray], period_s: float
 ) -> _Estimate:
     """Return the response at the excited lines of a periodic excitation."""
+    from scipy.ndimage import uniform_filter1d
+
     h, n_u = recordings[0].sample_time, u[0].shape[1]
     n = round(period_s / h)
     if n < 2 or abs(n * h - period_s) > 1e-6 * period_s:
