@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
-from math import inf
+from math import inf, nan
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import h5py
@@ -22,6 +23,8 @@ from gbid.control.loop.sensitivity import (
     static_amplification,
     static_stiffness_ratio,
 )
+from gbid.control.tuning.loops import PADE_ORDER
+from gbid.control.tuning.plants import ModelPlants, PlantLike, TuneOptions, plants_of
 from gbid.control.tuning.result import GainResult
 from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, point_label
@@ -30,8 +33,8 @@ from gbid.core.errors import UsageError
 from gbid.core.extras import data_frame
 from gbid.core.hdf5 import Stored
 from gbid.core.tables import Cell, Column, Entry, Table, html_table
-from gbid.lpv import LPVModel
-from gbid.structure import PiezoPair, evaluate
+from gbid.lpv import LPVFit, LPVModel
+from gbid.structure import LinearModel, PiezoPair, evaluate, with_pade
 from gbid.structure.linear import Structure
 
 # ---- Performance figures of a design at one operating point.
@@ -44,7 +47,7 @@ class PointAssessment:
     Attributes
     ----------
     pressure_bar, speed_rpm : float
-        Operating point.
+        Operating point; NaN for a plant that is a linear model.
     stable : bool
         Whether the continuous loop is stable.
     damping : float
@@ -60,9 +63,11 @@ class PointAssessment:
     static_amplification : float
         Largest singular value of S_o at zero frequency; infinite for an unstable loop.
     stiffness_ratio : tuple of float
-        Static stiffness of the closed loop over that of the open loop, x and y; NaN for an unstable loop.
+        Static stiffness of the closed loop over that of the open loop, x and y; NaN for an unstable loop, and for a
+        plant that does not show where a force enters.
     impact_p_m, impact_r_m : float
-        Largest motion of the disc and largest ``|r|`` after the impact, the larger of x and y [m].
+        Largest motion of the disc and largest ``|r|`` after the impact, the larger of x and y [m]. This figure and the
+        next three are those of gas bearings with piezo stacks, NaN (and False) for other plants.
     stack_travel_m : float
         Largest motion of one stack from its middle after the impact [m].
     exceeds_travel : bool
@@ -76,6 +81,8 @@ class PointAssessment:
         longer than a sample.
     sampled_peak_output : Peak
         Largest singular value of S_o of the sampled loop.
+    plant : str
+        Name of a plant that is a linear model.
     """
 
     pressure_bar: float
@@ -97,6 +104,12 @@ class PointAssessment:
     sampled_stable: bool
     sampled_damping: float
     sampled_peak_output: Peak
+    plant: str = ""
+
+    @property
+    def label(self) -> str:
+        """Operating point, or the name of the plant."""
+        return self.plant or point_label(self.pressure_bar, self.speed_rpm)
 
     def figures(self) -> dict[str, float]:
         """Return the figures by which designs are compared, in the order of `FIGURES`."""
@@ -171,10 +184,7 @@ class Assessment(Brief):
     impact: HalfSine
 
     def _brief(self) -> Description:
-        worst = {
-            name: f"{value:.5g} at {point_label(point.pressure_bar, point.speed_rpm)}"
-            for name, (value, point) in self.worst.items()
-        }
+        worst = {name: f"{value:.5g} at {point.label}" for name, (value, point) in self.worst.items()}
         about = (
             f"{self.name or self.structure}, {len(self.points)} operating points, {'' if self.stable else 'not '}stable"
         )
@@ -211,15 +221,15 @@ class Assessment(Brief):
 
 
 def assess(
-    lpv: LPVModel,
-    controller: str | Structure,
-    gains: Mapping[str, float],
+    model: PlantLike | Sequence[PlantLike],
+    controller: str | Structure | GainResult,
+    gains: Mapping[str, float] | None = None,
     points: Sequence[tuple[float, float]] | None = None,
     *,
     name: str = "",
-    sample_time: float = 2e-4,
+    sample_time: float | None = None,
     computation_s: float | None = None,
-    method: Method = "tustin",
+    method: Method | None = None,
     impact: HalfSine | None = None,
     piezo_travel_m: float = 45e-6,
 ) -> Assessment:
@@ -227,23 +237,24 @@ def assess(
 
     Parameters
     ----------
-    lpv : LPVModel
-        Model with actuators.
-    controller : str or Structure
+    model : LPVModel, LinearModel, LPVFit, FitResult, or sequence of these
+        The plant, as `gbid.tune` takes it; an LPV model has actuators. Each linear model of a list is a point.
+    controller : str, Structure or GainResult
         ``"P"``, ``"PD"`` or ``"biquad"`` with default options, or a structure from `controller_structure` or
-        `scheduled`, or your own.
-    gains : dict of str to float
-        A value for every parameter of the structure.
+        `scheduled`, or your own. A result of `gbid.tune` has structure, gains and sampling.
+    gains : dict of str to float, optional
+        A value for every parameter of the structure; those of a result are its own.
     points : sequence of (pressure_bar, speed_rpm), optional
-        Operating points; by default those of the model.
+        Operating points of an LPV model; by default those of the model.
     name : str
         Name of the design, for tables; by default that of the structure.
-    sample_time : float
-        Sample time of the sampled loop [s].
+    sample_time : float, optional
+        Sample time of the sampled loop [s]. By default that of the result; else 0.2 ms, that of the paper, for an LPV
+        model. There is none for other plants.
     computation_s : float, optional
-        Time from the sample of p to the change of r [s]; one sample when not given.
-    method : {"tustin", "zoh"}
-        Method by which the controller is discretised.
+        Time from the sample of p to the change of r [s]. By default that of the result, or one sample.
+    method : {"tustin", "zoh"}, optional
+        Method by which the controller is discretised. By default that of the result, or ``"tustin"``.
     impact : HalfSine, optional
         Reference impact, along x and along y; by default that of `HalfSine`.
     piezo_travel_m : float
@@ -257,49 +268,85 @@ def assess(
     Raises
     ------
     UsageError
-        When the model has no actuators or no points, when a point lies outside its domain, or when gains do not fit.
+        When the model has no actuators or no points, when a point lies outside its domain, when gains do not fit, when
+        nobody said a sample time, or when a plant is none or has other channels than the controller.
     """
-    structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
-    chosen = tuple(lpv.operating_points if points is None else points)
-    if not chosen:
-        raise UsageError(f"assess: no operating points; give points=[(pressure_bar, speed_rpm), ...] for {lpv.name!r}")
-    impact = impact or HalfSine()
-    computation = sample_time if computation_s is None else computation_s
+    law: Any = controller
+    if isinstance(controller, GainResult):
+        sample_time = controller.sample_time if sample_time is None else sample_time
+        computation_s = controller.computation_s if computation_s is None else computation_s
+        method, gains = method or controller.method, controller.gains if gains is None else gains
+        law = controller.controller
+    structure = law if isinstance(law, Scheduled) else controller_structure(law)
+    if gains is None:
+        raise UsageError(f"assess: give the gains of {structure.name!r}, or the result of gbid.tune")
+    plants = _plants(model, structure, points)
+    if sample_time is None and not isinstance(plants[0].lpv, LPVModel):
+        raise UsageError("assess: give sample_time=, the time between samples of the target in seconds")
+    T = 2e-4 if sample_time is None else sample_time
+    computation, impact = T if computation_s is None else computation_s, impact or HalfSine()
     about = name or structure.name, structure.name, dict(gains)
-    plan = Assessment(*about, (), sample_time, computation, method, impact)
-    results = (_assess_point(lpv, structure, plan, piezo_travel_m, (float(bar), float(rpm))) for bar, rpm in chosen)
+    plan = Assessment(*about, (), T, computation, method or "tustin", impact)
+    results = (_assess_point(plant, structure, plan, piezo_travel_m) for plant in plants)
     return replace(plan, points=tuple(results))
 
 
-def _assess_point(
-    lpv: LPVModel,
+class _AssessedPlant(NamedTuple):
+    """Plant with Padé delays and with exact ones; its operating point and LPV model, where it has them."""
+
+    continuous: LinearModel
+    exact: LinearModel
+    point: tuple[float, float] = (nan, nan)
+    lpv: LPVModel | None = None
+
+
+def _plants(
+    model: PlantLike | Sequence[PlantLike],
     structure: Structure | Scheduled,
-    plan: Assessment,
-    piezo_travel_m: float,
-    point: tuple[float, float],
+    points: Sequence[tuple[float, float]] | None,
+) -> list[_AssessedPlant]:
+    """Return the plants of an assessment."""
+    model = model.model if isinstance(model, LPVFit) else model
+    if isinstance(model, LPVModel):
+        chosen = [(float(bar), float(rpm)) for bar, rpm in (model.operating_points if points is None else points)]
+        if not chosen:
+            raise UsageError(
+                f"assess: no operating points; give points=[(pressure_bar, speed_rpm), ...] for {model.name!r}"
+            )
+        return [_AssessedPlant(model.plant_at(*point), exact_plant(model, *point), point, model) for point in chosen]
+    if points is not None:
+        raise UsageError("assess: points belong to an LPV model; give the linear models of a list")
+    plants = plants_of(model, structure, TuneOptions())
+    assert isinstance(plants, ModelPlants)
+    return [_AssessedPlant(with_pade(plant, PADE_ORDER), plant) for plant in plants.models]
+
+
+def _assess_point(
+    assessed: _AssessedPlant, structure: Structure | Scheduled, plan: Assessment, piezo_travel_m: float
 ) -> PointAssessment:
-    """Return all figures of a design at one operating point, under the conditions of an assessment."""
-    plant, controller = lpv.plant_at(*point), controller_at(structure, plan.gains, *point)
+    """Return all figures of a design with one plant, under the conditions of an assessment."""
+    plant, lpv = assessed.continuous, assessed.lpv
+    controller = controller_at(structure, plan.gains, *assessed.point)
     loop = sensitivities(plant, controller)
     closed = loop.model("plant")
-    actuators = evaluate(PiezoPair(), lpv.actuators, plant.input_names, ("u_x", "u_y"))
-    impacts = [
-        impact_response(
-            plant, controller, plan.impact.towards(angle), actuators=actuators, piezo_travel_m=piezo_travel_m
-        )
-        for angle in (0.0, 90.0)
-    ]
+    impacts = []
+    if lpv is not None:
+        actuators = evaluate(PiezoPair(), lpv.actuators, plant.input_names, ("u_x", "u_y"))
+        given: dict[str, Any] = {"actuators": actuators, "piezo_travel_m": piezo_travel_m}
+        impacts = [impact_response(plant, controller, plan.impact.towards(angle), **given) for angle in (0.0, 90.0)]
 
     def largest(figure: str) -> float:
-        return max(float(getattr(response, figure)) for response in impacts)
+        return max((float(getattr(response, figure)) for response in impacts), default=nan)
 
     sampled = sampled_loop(
-        exact_plant(lpv, *point), controller, plan.sample_time, computation_s=plan.computation_s, method=plan.method
+        assessed.exact, controller, plan.sample_time, computation_s=plan.computation_s, method=plan.method
     )
-    stable = closed.is_stable()
-    stiffness = static_stiffness_ratio(loop) if stable else np.full(len(plant.C), np.nan)
+    stable, stiffness = closed.is_stable(), np.full(len(plant.C), np.nan)
+    if stable:
+        with nullcontext() if lpv is not None else suppress(UsageError, np.linalg.LinAlgError):
+            stiffness = static_stiffness_ratio(loop)  # a plant may not show where a force enters, or be free
     return PointAssessment(
-        *point,
+        *assessed.point,
         stable,
         smallest_damping(closed),
         tuple(closed.modes()),
@@ -317,6 +364,7 @@ def _assess_point(
         sampled.stable,
         sampled.damping,
         sampled.peak_output,
+        "" if lpv is not None else plant.name or "plant",
     )
 
 
@@ -409,7 +457,7 @@ def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
 
 
 def _conditions(assessment: Assessment) -> tuple[object, ...]:
-    points = tuple((point.pressure_bar, point.speed_rpm) for point in assessment.points)
+    points = tuple(point.label for point in assessment.points)
     return points, assessment.impact, assessment.sample_time, assessment.computation_s, assessment.method
 
 

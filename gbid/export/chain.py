@@ -93,6 +93,8 @@ def c_number(value: float, number: str) -> str:
 
 Number = Literal["double", "float"]
 Samples = Annotated[int, Exact(), Ge(1), Le(30000)]
+PIEZO_CHANNELS = ("p_x", "p_y"), ("r_x", "r_y")
+"""Inputs and outputs of the controller of a machine with four piezo stacks."""
 STACKS = ((0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0))
 """Factors of r_x and r_y in the references of the stacks 1 to 4 (Eq. 1)."""
 
@@ -110,7 +112,8 @@ class ChainOptions:
     stroke_m : float
         Largest reference of a stack [m].
     zero_m : tuple of float
-        p_0, subtracted from the position after the run-out map [m]; zero for the mean of the map.
+        p_0, subtracted from the position after the run-out map [m]; zero for the mean of the map. Of other inputs than
+        p_x and p_y in their unit; empty for zeros.
     median : {1, 3}
         Size of the median. 3 removes single wrong samples and delays the position by a sample.
     spike_limit_m : float or None
@@ -130,6 +133,21 @@ class ChainOptions:
         Fastest change of pressure [bar/s] and speed [rpm/s] that a schedule follows.
     number : {"double", "float"}
         Type of the numbers in the source.
+    on_fault : {"fade", "control"}
+        What the watchdog does besides telling the fault: it fades the control out, or leaves it on. A rotor that only
+        the control holds up falls when that fades out; faulty samples then leave the last good position in force.
+    limits : tuple of float, optional
+        Of a machine without the four stacks: limit of the magnitude of each output, in its unit. The outputs then go
+        out as they are, with `offsets`, and `limit_m`, `offset_m`, `stroke_m`, `disc_limit_m` and `spike_limit_m` have
+        no use.
+    offsets : tuple of float
+        Of such a machine: each output at rest, such as the bias current; empty for zeros.
+    beyond : tuple of float, optional
+        Of such a machine: deviation of each input, in its unit, at which the watchdog acts.
+    spikes : tuple of float, optional
+        Of such a machine: limit of the spike guard of each input, as `spike_limit_m`; None for no guard.
+    units : (str, str)
+        Units of inputs and outputs, for the comments.
 
     Raises
     ------
@@ -140,7 +158,7 @@ class ChainOptions:
     limit_m: Positive = 22.5e-6
     offset_m: Positive = 22.5e-6
     stroke_m: Positive = 45e-6
-    zero_m: tuple[Finite, Finite] = (0.0, 0.0)
+    zero_m: tuple[Finite, ...] = ()
     median: Literal[1, 3] = 1
     spike_limit_m: Positive | None = 8e-6
     disc_limit_m: Positive = 20e-6
@@ -153,9 +171,23 @@ class ChainOptions:
     pressure_rate: Positive = 2.0
     speed_rate: Positive = 2000.0
     number: Number = "double"
+    on_fault: Literal["fade", "control"] = "fade"
+    limits: tuple[Positive, ...] | None = None
+    offsets: tuple[Finite, ...] = ()
+    beyond: tuple[Positive, ...] | None = None
+    spikes: tuple[Positive, ...] | None = None
+    units: tuple[str, str] = ("m", "m")
 
     def __post_init__(self) -> None:
         check_options(self)
+        if self.limits is None and (self.offsets or self.beyond or self.spikes):
+            raise UsageError(
+                "offsets, beyond and spikes belong to a machine without stacks; give limits, too", "limits"
+            )
+        if self.limits is not None and self.beyond is None:
+            raise UsageError(
+                "limits without beyond: give the deviation of each input at which the watchdog acts", "beyond"
+            )
         room = min(self.offset_m, self.stroke_m - self.offset_m)
         if not self.limit_m <= room + 1e-12:
             raise UsageError(
@@ -391,6 +423,8 @@ class Chain(Brief):
         the orders 1, 2, ...; None when there is no map of harmonics.
     options : ChainOptions
         Limits, ramps, guards and watchdog.
+    input_names, output_names : tuple of str
+        Names of the n inputs and of the m outputs of the controller.
     notes : tuple of str
         Remarks for the reader of the source.
     """
@@ -404,12 +438,53 @@ class Chain(Brief):
     maps: tuple[RunoutMap, ...]
     harmonics: GridTable | None
     options: ChainOptions
+    input_names: tuple[str, ...] = PIEZO_CHANNELS[0]
+    output_names: tuple[str, ...] = PIEZO_CHANNELS[1]
     notes: tuple[str, ...] = ()
 
     @property
     def n_orders(self) -> int:
         """Number of harmonics, the missing orders between them included."""
-        return 0 if self.harmonics is None else (self.harmonics.rows.shape[1] - 2) // 4
+        n = len(self.input_names)
+        return 0 if self.harmonics is None else (self.harmonics.rows.shape[1] - n) // (2 * n)
+
+    @property
+    def zero(self) -> tuple[float, ...]:
+        """What is subtracted from each input (n,)."""
+        return self.options.zero_m or (0.0,) * len(self.input_names)
+
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """Limit of the magnitude of each output (m,)."""
+        return self.options.limits or (self.options.limit_m,) * len(self.output_names)
+
+    @property
+    def spikes(self) -> tuple[float, ...] | None:
+        """Limit of the spike guard of each input (n,); None for no guard."""
+        if self.options.limits is not None:
+            return self.options.spikes
+        limit = self.options.spike_limit_m
+        return None if limit is None else (limit,) * len(self.input_names)
+
+    @property
+    def watched(self) -> tuple[tuple[tuple[int, ...], float], ...]:
+        """Inputs that the watchdog takes together, as a radius, with their limit: the disc, or each input alone."""
+        if self.options.beyond is None:
+            return ((tuple(range(len(self.input_names))), self.options.disc_limit_m),)
+        return tuple(((i,), limit) for i, limit in enumerate(self.options.beyond))
+
+    @property
+    def commands(self) -> tuple[tuple[float, float, float], ...]:
+        """Value at rest, lower and upper limit of each command: of the stacks, or of the outputs themselves."""
+        if self.options.limits is None:
+            return ((self.options.offset_m, 0.0, self.options.stroke_m),) * len(STACKS)
+        rest = self.options.offsets or (0.0,) * len(self.limits)
+        return tuple((at, at - limit, at + limit) for at, limit in zip(rest, self.limits, strict=True))
+
+    @property
+    def command(self) -> str:
+        """Name of the commands in C."""
+        return "stack" if self.options.limits is None else "command"
 
     @property
     def bins(self) -> RunoutMap | None:
@@ -427,9 +502,12 @@ class Chain(Brief):
         return self.controller.is_scheduled or (self.harmonics is not None and self.harmonics.is_scheduled)
 
     @property
-    def allocation(self) -> tuple[tuple[float, float], ...]:
-        """Factors of r_x and r_y in the references of the stacks."""
-        return STACKS
+    def allocation(self) -> tuple[tuple[float, ...], ...]:
+        """Factors of the outputs in the commands."""
+        m = len(self.limits)
+        return (
+            STACKS if self.options.limits is None else tuple(tuple(float(i == k) for k in range(m)) for i in range(m))
+        )
 
     @property
     def ramp_samples(self) -> int:
@@ -471,6 +549,7 @@ class Chain(Brief):
             "bins": [] if self.bins is None else [self.bins.angles.tolist(), self.bins.table.tolist()],
             "means": [each.mean.tolist() for each in self.maps],
             "options": asdict(self.options),
+            "channels": [self.input_names, self.output_names],
         }
         return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
@@ -524,7 +603,6 @@ def anti_windup_gain(controller: LinearModel) -> FloatArray:
 
 # ---- Control chain from a controller design and run-out maps, with checks that it can run.
 
-_CHANNELS = 2
 _ON_THE_CIRCLE = 1.0 + 1e-9
 """Largest magnitude of a pole of a controller that does not run away; an integrator has one of 1."""
 
@@ -542,8 +620,9 @@ def chain_of(
     Parameters
     ----------
     design : ControllerDesign or GainResult
-        The controller; any fixed structure with two inputs and two outputs, scheduled or not. A result of `gbid.tune`
-        must be that of a sampled loop, whose sample time the chain has.
+        The controller; any fixed structure, scheduled or not. A result of `gbid.tune` must be that of a sampled loop,
+        whose sample time the chain has. The controller of the four stacks has p_x and p_y in, r_x and r_y out; others
+        need `limits` and `beyond` among the options.
     name : str, optional
         Prefix of all names in C; by default that of the design.
     runout_maps : sequence of RunoutMap
@@ -561,8 +640,8 @@ def chain_of(
     Raises
     ------
     UsageError
-        When the controller is unstable by itself or faster than its sample rate, when the name is no C identifier, or
-        when maps do not fit.
+        When the controller is unstable by itself or faster than its sample rate, when the name is no C identifier,
+        when limits are missing, or when options or maps do not fit its channels.
     DataError
         When the zero of the angle of a recording is not that of the map.
     """
@@ -573,11 +652,12 @@ def chain_of(
     models, table = _controller_table(design)
     for point, model in models:
         _check(design, model, point)
-    pattern = np.any(table.rows != 0, axis=0)
-    n = models[0][1].n_states
-    outputs, states = _sums(pattern, n)
+    pattern, model = np.any(table.rows != 0, axis=0), models[0][1]
+    inputs, references = model.input_names, model.output_names
+    _check_channels(design.name, inputs, references, options)
+    outputs, states = _sums(pattern, model.n_states, len(inputs), len(references))
     entries = GridTable(table.pressure_bar, table.speed_rpm, table.rows[:, pattern], table.error)
-    maps = _used_maps(runout_maps)
+    maps = _used_maps(runout_maps, len(inputs))
     for recording in still:
         for each in maps:
             if each.needs_angle:
@@ -589,7 +669,7 @@ def chain_of(
     plant = f", designed for {design.plant}" if design.plant else ""
     return Chain(
         name,
-        f"{design.name}: {models[0][1].name or 'controller'}{plant}",
+        f"{design.name}: {model.name or 'controller'}{plant}",
         design.sample_time,
         entries,
         outputs,
@@ -597,6 +677,8 @@ def chain_of(
         maps,
         _harmonics_table(maps),
         options,
+        inputs,
+        references,
         notes,
     )
 
@@ -608,7 +690,7 @@ def _controller_table(design: ControllerDesign) -> tuple[list[tuple[Point | None
     def row_at(*point: float) -> FloatArray:
         model = design.sampled_at(*point)
         models[(point[0], point[1]) if point else None] = model
-        return _row(design, model)
+        return _row(model)
 
     if isinstance(design.structure, Scheduled):
         table = table_over_domain(row_at, design.structure.domain)
@@ -620,14 +702,24 @@ def _controller_table(design: ControllerDesign) -> tuple[list[tuple[Point | None
     return list(models.items()), table
 
 
-def _row(design: ControllerDesign, model: LinearModel) -> FloatArray:
-    if model.D.shape != (_CHANNELS, _CHANNELS):
+def _check_channels(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...], options: ChainOptions) -> None:
+    """Refuse limits that are missing, and options for another number of channels."""
+    n, m = len(inputs), len(outputs)
+    if options.limits is None and (n, m) != (2, 2):
         raise UsageError(
-            f"controller {design.name!r} has {model.D.shape[1]} inputs and {model.D.shape[0]} outputs; the chain needs "
-            "p_x, p_y and r_x, r_y"
+            f"controller {name!r} has {n} inputs ({', '.join(inputs)}) and {m} outputs ({', '.join(outputs)}), the "
+            "four stacks 2 and 2; give limits of the outputs and beyond of the inputs, in their units",
+            "limits",
         )
+    for key, count in (("zero_m", n), ("beyond", n), ("spikes", n), ("limits", m), ("offsets", m)):
+        given = getattr(options, key)
+        if given and len(given) != count:
+            raise UsageError(f"{key} has {len(given)} numbers for {count} channels of controller {name!r}", key)
+
+
+def _row(model: LinearModel) -> FloatArray:
     runs_away = _largest_pole(model) > _ON_THE_CIRCLE  # refused by _check
-    L = np.zeros((model.n_states, _CHANNELS)) if runs_away else anti_windup_gain(model)
+    L = np.zeros((model.n_states, len(model.D))) if runs_away else anti_windup_gain(model)
     return np.concatenate([np.hstack([model.C, model.D]).ravel(), np.hstack([model.A, model.B, L]).ravel()])
 
 
@@ -653,14 +745,16 @@ def _check(design: ControllerDesign, sampled: LinearModel, point: Point | None) 
         )
 
 
-def _sums(pattern: FloatArray, n: int) -> tuple[tuple[tuple[SumTerm, ...], ...], tuple[tuple[SumTerm, ...], ...]]:
+def _sums(
+    pattern: FloatArray, n: int, n_in: int, n_out: int
+) -> tuple[tuple[tuple[SumTerm, ...], ...], tuple[tuple[SumTerm, ...], ...]]:
     """Return the sums of outputs and next states over the entries that are not zero, states first."""
     place = np.cumsum(pattern) - 1
     at = 0
     sums: list[tuple[SumTerm, ...]] = []
-    outputs: list[tuple[Kind, int]] = [("x", n), ("e", _CHANNELS)]
-    states: list[tuple[Kind, int]] = [*outputs, ("d", _CHANNELS)]
-    for kinds in [outputs] * _CHANNELS + [states] * n:
+    outputs: list[tuple[Kind, int]] = [("x", n), ("e", n_in)]
+    states: list[tuple[Kind, int]] = [*outputs, ("d", n_out)]
+    for kinds in [outputs] * n_out + [states] * n:
         terms = []
         for kind, size in kinds:
             for index in range(size):
@@ -668,16 +762,16 @@ def _sums(pattern: FloatArray, n: int) -> tuple[tuple[tuple[SumTerm, ...], ...],
                     terms.append(SumTerm(int(place[at]), kind, index))
                 at += 1
         sums.append(tuple(terms))
-    return tuple(sums[:_CHANNELS]), tuple(sums[_CHANNELS:])
+    return tuple(sums[:n_out]), tuple(sums[n_out:])
 
 
-def _used_maps(maps: Sequence[RunoutMap]) -> tuple[RunoutMap, ...]:
+def _used_maps(maps: Sequence[RunoutMap], n_in: int) -> tuple[RunoutMap, ...]:
     """Return the maps that the chain uses, after checks."""
     for each in maps:
-        if len(each.channels) != _CHANNELS:
+        if len(each.channels) != n_in:
             raise UsageError(
-                f"run-out map of {', '.join(each.sources)} has {len(each.channels)} channels, the controller p_x "
-                "and p_y; it is of other sensors"
+                f"run-out map of {', '.join(each.sources)} has {len(each.channels)} channels, the controller {n_in}; "
+                "it is of other sensors"
             )
         numbers = (each.mean, each.cosine, each.sine, each.table)
         if not all(np.isfinite(part).all() for part in numbers):
@@ -701,7 +795,7 @@ def _harmonics_table(maps: tuple[RunoutMap, ...]) -> GridTable | None:
     n_orders = max((int(each.orders.max(initial=0)) for each in maps), default=0)
     rows = {}
     for each in maps:
-        waves = np.zeros((n_orders, 2, _CHANNELS))
+        waves = np.zeros((n_orders, 2, len(each.mean)))
         for order, a, b in zip(each.orders, each.cosine, each.sine, strict=True):
             waves[int(order) - 1] = a, b
         point = (each.conditions.get("pressure_bar", 0.0), each.conditions.get("speed_rpm", 0.0))

@@ -82,6 +82,9 @@ def _values(chain: Chain) -> dict[str, Any]:
         "name": chain.name,
         "NAME": chain.name.upper(),
         "options": chain.options,
+        "n_in": len(chain.input_names),
+        "n_out": len(chain.limits),
+        "n_commands": len(chain.commands),
         "title": c_comment(chain.title),
         "version": __version__,
         "key": chain.content_key,
@@ -151,22 +154,22 @@ def _table_numbers(chain: Chain, bins: dict[str, Any] | None) -> int:
     tables = [t for t in (chain.controller, chain.harmonics) if t is not None]
     numbers = sum(t.rows.size + 2 * (len(t.pressure_bar) + len(t.speed_rpm)) - 2 * t.is_scheduled for t in tables)
     if bins is not None:
-        numbers += 5 * len(bins["angle"])
+        numbers += (1 + 2 * len(bins["mean"])) * len(bins["angle"])
     return int(numbers)
 
 
 def _state_bytes(chain: Chain) -> int:
     """Return the size of the state struct: numbers first, then 32-bit integers, filled up to whole numbers."""
     size = _BYTES[chain.options.number]
-    numbers = max(len(chain.states), 1) + 2 + 3 + 4 + 4 + 2
-    return size * (numbers + -(-4 * 12 // size))
+    n = len(chain.input_names)
+    numbers = max(len(chain.states), 1) + 6 * n + 3
+    return size * (numbers + -(-4 * (2 * n + 8) // size))
 
 
 # ---- Control chain as compiled C in this process: software in the loop.
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
 """As on the target: sums keep their order, and products are not fused with sums."""
-_WIDTH_IN, _WIDTH_OUT = 6, 10
 
 
 class CompiledChain:
@@ -185,6 +188,7 @@ class CompiledChain:
 
     def __init__(self, chain: Chain) -> None:
         plain = replace(chain, name="chain")
+        self._sizes = len(chain.commands), len(chain.limits), len(chain.input_names)
         header, body = render_source("chain.h.j2", plain), render_source("chain.c.j2", plain)
         source = header + body.replace('#include "chain.h"\n', "") + render_source("chain_run.c.j2", plain)
         try:
@@ -212,7 +216,7 @@ class CompiledChain:
             The samples.
         """
         rows = np.array([(*u.position, u.angle, u.pressure_bar, u.speed_rpm, u.mode) for u in inputs], float)
-        return [_output(row) for row in self._run(rows.reshape(-1, _WIDTH_IN))]
+        return [self._output(row) for row in self._run(rows.reshape(-1, self._sizes[2] + 4))]
 
     def step(self, given: ChainInput) -> ChainOutput:
         """Return the output of one sample.
@@ -225,39 +229,32 @@ class CompiledChain:
         return self.run([given])[0]
 
     def references(self, position: FloatArray, angle: float, pressure_bar: float, speed_rpm: float) -> FloatArray:
-        """Return r_x, r_y of one sample in mode CONTROL, shape (2,) [m].
+        """Return the outputs of the controller of one sample in mode CONTROL, r_x and r_y of shape (2,) [m].
 
         Parameters
         ----------
-        position : (2,) array
-            p_x, p_y as measured [m].
+        position : (n,) array
+            Inputs as measured, p_x and p_y [m].
         angle : float
             Shaft angle [rad].
         pressure_bar, speed_rpm : float
             Operating point [bar], [rpm].
         """
         row = np.array([[*position, angle, pressure_bar, speed_rpm, ChainMode.CONTROL]], float)
-        return self._run(row)[0, 4:6]
+        return self._run(row)[0, self._sizes[0] : self._sizes[0] + self._sizes[1]]
 
     def _run(self, rows: FloatArray) -> FloatArray:
         rows = np.ascontiguousarray(rows)
-        outputs = np.empty((len(rows), _WIDTH_OUT))
+        outputs = np.empty((len(rows), sum(self._sizes) + 2))
         pointers = (ctypes.c_void_p(each.ctypes.data) for each in (rows, outputs))
         self._library.chain_run(ctypes.c_long(len(rows)), *pointers, self._state)
         return outputs
 
-
-def _output(row: FloatArray) -> ChainOutput:
-    values = [float(v) for v in row]
-    status = int(values[9])
-    return ChainOutput(
-        tuple(values[:4]),
-        tuple(values[4:6]),
-        tuple(values[6:8]),
-        ChainFault(int(values[8])),
-        bool(status & 1),
-        bool(status & 2),
-    )
+    def _output(self, row: FloatArray) -> ChainOutput:
+        *values, fault, status = (float(v) for v in row)
+        (first, second, _), flags = np.cumsum(self._sizes), int(status)
+        parts = tuple(values[:first]), tuple(values[first:second]), tuple(values[second:])
+        return ChainOutput(*parts, ChainFault(int(fault)), bool(flags & 1), bool(flags & 2))
 
 
 # ---- Files of a control chain: C source, header, self-test and notes.
@@ -306,7 +303,7 @@ def write_chain(chain: Chain, folder: str | Path, *, overwrite: bool = False) ->
             chain,
             rows=rows,
             n_rows=len(rows),
-            tolerance=FLOAT_TOLERANCE * chain.options.limit_m,
+            tolerance=FLOAT_TOLERANCE * min(chain.limits),
             conditions=_conditions(chain),
         )
         with atomic_path(path, overwrite) as part:

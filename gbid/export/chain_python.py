@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum, IntFlag
 from math import floor, nan
+from typing import Any
 
 import numpy as np
 
+from gbid.core.arrays import FloatArray
 from gbid.export.chain import Chain, SumTerm
 from gbid.prefilter import OnlinePrefilter
 from gbid.prefilter.runout import QUARTER, TURN
@@ -47,7 +49,7 @@ class ChainInput:
     Attributes
     ----------
     position : tuple of float
-        p_x, p_y as measured [m].
+        Inputs as measured: p_x, p_y [m].
     angle : float
         Shaft angle phi [rad].
     pressure_bar, speed_rpm : float
@@ -56,7 +58,7 @@ class ChainInput:
         What the operator asks for.
     """
 
-    position: tuple[float, float]
+    position: tuple[float, ...]
     angle: float = 0.0
     pressure_bar: float = 0.0
     speed_rpm: float = 0.0
@@ -70,9 +72,9 @@ class ChainOutput:
     Attributes
     ----------
     stack : tuple of float
-        References of the stacks 1 to 4 [m].
+        References of the stacks 1 to 4 [m]; of a machine without stacks the outputs with their offsets.
     reference : tuple of float
-        r_x, r_y [m].
+        r_x, r_y [m], or the other outputs of the controller.
     deviation : tuple of float
         e, the position without run-out, offset and spikes [m].
     fault : ChainFault
@@ -92,14 +94,15 @@ class ChainOutput:
 @dataclass
 class _State:
     n: int
-    deviation: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    n_in: int
+    deviation: list[float] = field(default_factory=list)
     x: list[float] = field(default_factory=list)
     point: list[float] = field(default_factory=lambda: [0.0, 0.0])
     started: bool = False
     last: list[float] | None = None
     accepted: list[list[float]] = field(default_factory=list)
-    spikes: list[int] = field(default_factory=lambda: [0, 0])
-    same: list[int] = field(default_factory=lambda: [0, 0, 0])
+    spikes: list[int] = field(default_factory=list)
+    same: list[int] = field(default_factory=list)
     bad: int = 0
     beyond: int = 0
     ramp: int = 0
@@ -107,7 +110,8 @@ class _State:
     fault: ChainFault = ChainFault.NONE
 
     def __post_init__(self) -> None:
-        self.x = [0.0] * self.n
+        self.x, self.deviation = [0.0] * self.n, [0.0] * self.n_in
+        self.spikes, self.same = [0] * self.n_in, [0] * (self.n_in + 1)
 
 
 class PythonChain:
@@ -129,8 +133,8 @@ class PythonChain:
         """Reset to rest."""
         chain = self._chain
         first = chain.maps[0] if chain.maps else None
-        self._prefilter = OnlinePrefilter(first, offset=np.array(chain.options.zero_m), median=chain.options.median)
-        self._state = _State(len(chain.states))
+        self._prefilter = OnlinePrefilter(first, offset=np.array(chain.zero), median=chain.options.median)
+        self._state = _State(len(chain.states), len(chain.input_names))
 
     def run(self, inputs: Sequence[ChainInput]) -> list[ChainOutput]:
         """Return the outputs of several samples.
@@ -150,7 +154,7 @@ class PythonChain:
         given : ChainInput
             The sample.
         """
-        chain, state, options = self._chain, self._state, self._chain.options
+        chain, state = self._chain, self._state
         values = [*given.position, given.pressure_bar, given.speed_rpm]
         good = all(-LARGEST < v < LARGEST for v in values) and -LARGEST_ANGLE < given.angle < LARGEST_ANGLE
         if good:
@@ -162,20 +166,19 @@ class PythonChain:
         ramp = state.ramp * (1.0 / chain.ramp_samples)
 
         row = chain.controller.row(*state.point)
-        kinds = {"x": state.x, "e": state.deviation, "d": [0.0, 0.0]}
+        kinds = {"x": state.x, "e": state.deviation, "d": [0.0] * len(chain.limits)}
         wanted = [fade * _sum(terms, row, kinds) for terms in chain.outputs]
-        r = [min(max(w, -options.limit_m), options.limit_m) for w in wanted]
+        r = [min(max(w, -limit), limit) for w, limit in zip(wanted, chain.limits, strict=True)]
         kinds["d"] = [a - b for a, b in zip(r, wanted, strict=True)]
         state.x = [_sum(terms, row, kinds) for terms in chain.states]
 
-        base = ramp * options.offset_m
         stacks = []
-        for factors in chain.allocation:
-            value = base
+        for factors, (rest, low, high) in zip(chain.allocation, chain.commands, strict=True):
+            value = ramp * rest
             for factor, reference in zip(factors, r, strict=True):
                 if factor != 0.0:
                     value = value + factor * reference
-            stacks.append(min(max(value, 0.0), options.stroke_m))
+            stacks.append(min(max(value, low), high))
         saturated = any(d != 0.0 for d in kinds["d"])
         return ChainOutput(tuple(stacks), tuple(r), tuple(state.deviation), state.fault, not good, saturated)
 
@@ -195,26 +198,26 @@ class PythonChain:
     def _filter(self, given: ChainInput) -> None:
         chain, state = self._chain, self._state
         if chain.harmonics is not None and chain.harmonics.is_scheduled:
-            row = np.array(chain.harmonics.row(*state.point))
-            waves = row[2:].reshape(chain.n_orders, 2, 2)
+            row, n = np.array(chain.harmonics.row(*state.point)), len(chain.input_names)
+            waves = row[n:].reshape(chain.n_orders, 2, n)
             orders = np.arange(1.0, chain.n_orders + 1)
             self._prefilter.change_map(
-                replace(chain.maps[0], mean=row[:2], orders=orders, cosine=waves[:, 0], sine=waves[:, 1])
+                replace(chain.maps[0], mean=row[:n], orders=orders, cosine=waves[:, 0], sine=waves[:, 1])
             )
         value = self._prefilter.step(given.position, given.angle)
         if value is not None:
             state.deviation = self._without_spikes([float(v) for v in value])
 
     def _without_spikes(self, value: list[float]) -> list[float]:
-        limit, state = self._chain.options.spike_limit_m, self._state
-        if limit is None:
+        limits, state = self._chain.spikes, self._state
+        if limits is None:
             return value
         if len(state.accepted) < 2:
             state.accepted = [list(value), *state.accepted][:2]
             return value
         newest, before = state.accepted
         kept, earlier = list(value), list(newest)
-        for i in range(2):
+        for i, limit in enumerate(limits):
             expected = newest[i] + (newest[i] - before[i])
             if abs(value[i] - expected) > limit:
                 if state.spikes[i] < LONGEST_SPIKE:
@@ -232,14 +235,16 @@ class PythonChain:
         state, options = self._state, self._chain.options
         state.bad = 0 if good else min(state.bad + 1, options.bad_samples)
         if good:
-            now = [*given.position, given.angle]
-            for i in range(3):
+            now, n = [*given.position, given.angle], len(given.position)
+            for i in range(n + 1):
                 unchanged = state.last is not None and state.last[i] == now[i]
-                turning = i < 2 or (self._chain.needs_angle and given.speed_rpm > options.stuck_speed_rpm)
+                turning = i < n or (self._chain.needs_angle and given.speed_rpm > options.stuck_speed_rpm)
                 state.same[i] = min(state.same[i] + 1, options.stuck_samples) if unchanged and turning else 0
             state.last = now
-            square = state.deviation[0] * state.deviation[0] + state.deviation[1] * state.deviation[1]
-            far = square > options.disc_limit_m * options.disc_limit_m
+            far = any(
+                sum(state.deviation[i] * state.deviation[i] for i in together) > limit * limit
+                for together, limit in self._chain.watched
+            )
             state.beyond = min(state.beyond + 1, options.beyond_samples) if far else 0
         if given.mode != ChainMode.CONTROL:
             state.fault = ChainFault.NONE
@@ -254,7 +259,8 @@ class PythonChain:
     def _levels(self, mode: ChainMode) -> int:
         """Advance ramp and fade; return the level of the fade."""
         state, chain = self._state, self._chain
-        wanted = mode == ChainMode.CONTROL and state.fault == ChainFault.NONE
+        stays = chain.options.on_fault == "control" or state.fault == ChainFault.NONE
+        wanted = mode == ChainMode.CONTROL and stays
         fade_up = wanted and state.ramp == chain.ramp_samples
         on = mode in (ChainMode.OFFSET, ChainMode.CONTROL)
         if on:
@@ -298,11 +304,11 @@ class SelfTestRow:
     Attributes
     ----------
     given : tuple of float
-        p_x, p_y [m], phi, its change per repetition [rad], pressure [bar], speed [rpm], dither of p [m].
+        Inputs [m], phi, its change per repetition [rad], pressure [bar], speed [rpm], dither of the inputs [m].
     marks : tuple of int
         Mode, repetitions, whether p_x is not a number, fault, status.
     expected : tuple of float
-        Stacks 1 to 4, r_x, r_y, e_x, e_y [m].
+        Commands, outputs, deviations [m].
     """
 
     given: tuple[float, ...]
@@ -312,11 +318,11 @@ class SelfTestRow:
 
 @dataclass(frozen=True)
 class _Drive:
-    position: tuple[float, float] = (0.0, 0.0)
+    position: tuple[float, ...]
+    dither: float
     mode: ChainMode = ChainMode.CONTROL
     repeat: int = 1
     faulty: bool = False
-    dither: float = 1e-8
     turns: int = 0
 
 
@@ -360,43 +366,49 @@ def selftest_rows(chain: Chain, seed: int = 1) -> tuple[SelfTestRow, ...]:
 
 
 def _drives(chain: Chain, random: np.random.Generator) -> list[_Drive]:
-    options = chain.options
-    mean = np.zeros(2) if not chain.maps else np.mean([each.mean for each in chain.maps], axis=0)
-    zero = mean + np.array(options.zero_m)
+    options, n = chain.options, len(chain.input_names)
+    mean = np.zeros(n) if not chain.maps else np.mean([each.mean for each in chain.maps], axis=0)
+    zero, reach = mean + np.array(chain.zero), np.zeros(n)
+    for together, limit in chain.watched:
+        reach[list(together)] = limit
+    still, dither = np.zeros(n), 5e-4 * float(reach.min())
 
-    def at(x: float, y: float, **further: object) -> _Drive:
-        return _Drive((float(zero[0] + x), float(zero[1] + y)), **further)  # type: ignore[arg-type]  # fields of _Drive
+    def at(place: FloatArray, **further: Any) -> _Drive:
+        return _Drive(tuple(map(float, zero + place)), **{"dither": dither, **further})
 
-    moves = 0.25 * options.disc_limit_m * np.cumsum(random.normal(size=(40, 2)) * 0.15, axis=0)
-    moving = [at(*move, turns=(0, 0, 10, -3, 500_000)[k // 5 % 5]) for k, move in enumerate(moves)]
-    edge = 0.6 * options.disc_limit_m
+    def around(angle: float, size: float) -> FloatArray:
+        return np.asarray(size * reach * np.cos(angle - np.pi / 2 * (np.arange(n) % 2)))
+
+    moves = 0.25 * reach * np.cumsum(random.normal(size=(40, n)) * 0.15, axis=0)
+    moving = [at(move, turns=(0, 0, 10, -3, 500_000)[k // 5 % 5]) for k, move in enumerate(moves)]
+    first = reach * (np.arange(n) == 0)
     return [
-        at(0, 0, mode=ChainMode.OFFSET, repeat=chain.ramp_samples + 5),
-        at(0, 0, repeat=chain.fade_samples + 5),
+        at(still, mode=ChainMode.OFFSET, repeat=chain.ramp_samples + 5),
+        at(still, repeat=chain.fade_samples + 5),
         *moving[:20],
-        at(2e-5, 0),
+        at(first),
         *moving[20:25],
-        at(0, 0, faulty=True, repeat=max(options.bad_samples - 1, 1)),
+        at(still, faulty=True, repeat=max(options.bad_samples - 1, 1)),
         *moving[25:],
-        *(at(edge * np.cos(0.4 * k), edge * np.sin(0.4 * k)) for k in range(12)),
-        *(at(3 * edge, 0) for _ in range(options.beyond_samples + 4)),
-        at(0, 0, mode=ChainMode.OFFSET, repeat=20),
-        at(0, 0, repeat=30),
-        at(1e-6, 1e-6, dither=0.0, repeat=options.stuck_samples + 3),
-        at(0, 0, mode=ChainMode.OFFSET, repeat=20),
-        at(0, 0, faulty=True, repeat=options.bad_samples + 1),
-        at(0, 0, mode=ChainMode.OFF, repeat=600),
+        *(at(around(0.4 * k, 0.6)) for k in range(12)),
+        *(at(1.8 * first) for _ in range(options.beyond_samples + 4)),
+        at(still, mode=ChainMode.OFFSET, repeat=20),
+        at(still, repeat=30),
+        at(0.05 * reach, dither=0.0, repeat=options.stuck_samples + 3),
+        at(still, mode=ChainMode.OFFSET, repeat=20),
+        at(still, faulty=True, repeat=options.bad_samples + 1),
+        at(still, mode=ChainMode.OFF, repeat=600),
     ]
 
 
 def _repeated(twin: PythonChain, given: tuple[float, ...], drive: _Drive) -> ChainOutput:
     """Return the output after the repetitions of a row, by the operations of the C self-test."""
-    x, y, angle, turn, pressure, speed, dither = given
+    *inputs, angle, turn, pressure, speed, dither = given
     for k in range(drive.repeat):
         shift = dither if k % 2 else -dither
         output = twin.step(
             ChainInput(
-                (nan if drive.faulty else x + shift, y + shift),
+                tuple(nan if drive.faulty and i == 0 else value + shift for i, value in enumerate(inputs)),
                 angle + float(k % _TURN_IN) * turn,
                 pressure,
                 speed,

@@ -85,7 +85,7 @@ def test_controllers_that_cannot_run() -> None:
     one = LinearModel(
         np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), input_names=("p",), output_names=("r",)
     )
-    with pytest.raises(UsageError, match="1 inputs and 1 outputs; the chain needs"):
+    with pytest.raises(UsageError, match=r"1 inputs .p. and 1 outputs .r., the four stacks 2 and 2; give limits"):
         chain_of(ControllerDesign("one", None, {}, models={None: one}, sample_time=2e-4))
     model = design("P").at()
     points = {(3.0, 0.0): model, (5.0, 0.0): model, (3.0, 6000.0): model}

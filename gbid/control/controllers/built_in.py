@@ -182,13 +182,18 @@ class PerAxis(ABC):
     def parameters(self) -> tuple[Parameter, ...]:
         """Gains of all axes, by kind; the corner frequency is last when it is tuned."""
         gains = [
-            Parameter(name, gain.start, gain.lower, gain.upper, unit=gain.unit.replace("m/m", self.gain_unit))
+            Parameter(name, gain.start, gain.lower, gain.upper, unit=self._unit(gain))
             for gain in self._axis_gains()
             for name in dict.fromkeys(self._gain_name(gain, to, of) for to in self.axes for of in self.axes)
         ]
         if self.tune_corner:
             gains.append(Parameter("lowpass_khz", self.lowpass_hz / 1e3, 0.05, 2.5, unit="kHz"))
         return tuple(gains)
+
+    def _unit(self, gain: AxisGain) -> str:
+        """Return the unit of a gain; those of integral and derivative are times that of a proportional gain."""
+        times = gain.unit in ("ms", "1/s") and self.gain_unit != "m/m"
+        return f"{self.gain_unit} {gain.unit}" if times else gain.unit.replace("m/m", self.gain_unit)
 
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return A, B, C and D for gains by name."""

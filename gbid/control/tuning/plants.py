@@ -28,7 +28,7 @@ from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.core.arrays import ComplexArray, FloatArray, is_real, is_whole, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, CountOrZero, Finite, NotNegative, Number, Positive, check_options
+from gbid.core.option_types import Allowed, Count, CountOrZero, Finite, NotNegative, Number, Positive, check_options
 from gbid.identify import FitResult
 from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, regressors
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, with_pade
@@ -194,6 +194,8 @@ class DesignOptions:
     start: Annotated[Mapping[str, Finite], Allowed("a dict by the names of the gains")] | None = None
     starts: CountOrZero | None = None
     seed: CountOrZero = 0
+    evaluations: Count | None = None
+    seconds: Positive | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -236,6 +238,11 @@ class TuneOptions(DesignOptions):
         Number of starts, as for `gbid.maximise_damping`.
     seed : int
         Seed of the starts.
+    evaluations : int, optional
+        Budget of the search: number of designs after which it ends, about.
+    seconds : float, optional
+        Budget of the search: time after which it ends, about. With a budget that ends the search, the status is
+        ``"iteration limit"`` unless the design so far has a certificate.
 
     Raises
     ------

@@ -10,6 +10,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import inf
+from time import monotonic
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -291,15 +293,19 @@ class Cut(NamedTuple):
 
 @dataclass(eq=False)
 class Evaluations:
-    """Number of designs that a search has evaluated so far, and the number at which it ends (None: by itself)."""
+    """Number of designs that a search has evaluated so far, and the number or time at which it ends (None: by itself).
+
+    The time is one of `time.monotonic`.
+    """
 
     count: int = 0
     most: int | None = None
+    until: float = inf
 
     @property
     def exhausted(self) -> bool:
-        """Whether the allowed number of evaluations is used up."""
-        return self.most is not None and self.count >= self.most
+        """Whether the budget is used up."""
+        return (self.most is not None and self.count >= self.most) or (self.until < inf and monotonic() >= self.until)
 
 
 @dataclass(frozen=True, eq=False)

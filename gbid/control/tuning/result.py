@@ -38,7 +38,7 @@ class GainStatus(StrEnum):
     LIMITS_CONTRADICT = "limits contradict"
     """Stable, but no design keeps all limits."""
     NO_STABILISING_GAINS = "no stabilising gains"
-    """No gains within the bounds stabilise all loops."""
+    """No gains within the bounds were found that stabilise all loops."""
 
 
 @dataclass(frozen=True)

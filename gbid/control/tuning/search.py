@@ -615,13 +615,14 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
         starts = random_starts(problem, given[0], local.unit, _n_starts(local), options.seed)
     many = not (on_grid or local.free) and len(given) + len(starts) > 2 * options.finalists
     designs: list[LocalOptimum] = []
-    for start in (*given, *starts):
-        if on_grid:  # the grid shows already how good its nodes are
+    for i, start in enumerate((*given, *starts)):
+        # the grid shows already how good its nodes are; given designs count also where the budget is used up
+        if on_grid or problem.evaluations.exhausted:
             designs.append(LocalOptimum(start, problem.score(start), 0, False))
         else:
             designs.append(local.short(start, max(map(rank, designs), default=-np.inf)))
         note("global", best_of(designs).score)
-        if problem.evaluations.exhausted:
+        if problem.evaluations.exhausted and i + 1 >= len(given):
             break
     designs.sort(key=rank, reverse=True)
     if many:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from gbid.control.tuning.plants import (
     TuneOptions,
     plants_of,
 )
-from gbid.control.tuning.problem import GainProblem, Limits
+from gbid.control.tuning.problem import Evaluations, GainProblem, Limits
 from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.control.tuning.result import GainResult, GoalFigure, distance_to_edge
 from gbid.control.tuning.search import Progress, SearchOptions, SearchTask, typical_rate
@@ -185,11 +186,12 @@ def tuned(
     names = tuple(parameter.name for parameter in structure.parameters)
     given = _by_gain("start", options.start, names)
     first = [as_start([given.get(n, v) for n, v in zip(names, box[2], strict=True)], names)] if given else []
-    search = SearchOptions(options.starts, options.seed)
+    search = SearchOptions(options.starts, options.seed, options.evaluations)
+    budget = Evaluations(0, options.evaluations, monotonic() + (options.seconds or np.inf))
     if isinstance(structure, Scheduled) and structure.terms != ("1",) and isinstance(plants, LpvPlants):
-        first.append(_constant_gains(plants, structure, limits, search))
+        first.append(_constant_gains(plants, structure, limits, search, budget))
     task = SearchTask(box[2], tuple(first), search, progress)
-    solution = _search(plants, limits, box, task)
+    solution = _search(plants, limits, box, task, budget)
     verified = f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops"
     if isinstance(plants, LpvPlants) and plants.domain is not None:
         solution, verified = add_worst_points(solution, plants, plants.domain, task)
@@ -204,23 +206,22 @@ Box = tuple[FloatArray, FloatArray, FloatArray]
 """Lower bounds, upper bounds and start values of the gains."""
 
 
-def _problem(plants: Plants, limits: Limits, box: Box, linear: tuple[Any, ...] = ()) -> GainProblem:
-    families = (plants.family(plants.points),)
-    return GainProblem(families, limits, *box[:2], typical_rate(families, box[2]), linear)
+def _problem(plants: Plants, limits: Limits, box: Box, budget: Evaluations) -> GainProblem:
+    families, linear = (plants.family(plants.points),), plants.gain_limits(plants.points)
+    return GainProblem(families, limits, *box[:2], typical_rate(families, box[2]), linear, evaluations=budget)
 
 
-def _search(plants: Plants, limits: Limits, box: Box, task: SearchTask) -> GainSolution:
+def _search(plants: Plants, limits: Limits, box: Box, task: SearchTask, budget: Evaluations) -> GainSolution:
     """Best design: of the continuous loops, or of the sampled ones with starts from these."""
-    linear = plants.gain_limits(plants.points)
     if plants.sampling is None:
-        return solve_over_points(_problem(plants, limits, box, linear), plants, plants.points, task)
+        return solve_over_points(_problem(plants, limits, box, budget), plants, plants.points, task)
     continuous = plants.continuous
-    sketch = sketch_over_points(_problem(continuous, limits, box, linear), continuous, plants.points, task)
+    sketch = sketch_over_points(_problem(continuous, limits, box, budget), continuous, plants.points, task)
     first = (*(end.x for end in sketch.ends), *task.first)
     # few gains: a search of the whole box again, because it costs little; else from the continuous designs
     options = task.options if len(task.neutral) <= 3 else replace(task.options, starts=0)
     task = replace(task, first=first, options=options)
-    solution = solve_over_points(_problem(plants, limits, box, linear), plants, plants.points, task)
+    solution = solve_over_points(_problem(plants, limits, box, budget), plants, plants.points, task)
     return replace(solution, history=sketch.history + solution.history)
 
 
@@ -241,12 +242,14 @@ def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...])
     return dict(given or {})
 
 
-def _constant_gains(plants: LpvPlants, structure: Scheduled, limits: Limits, options: SearchOptions) -> FloatArray:
+def _constant_gains(
+    plants: LpvPlants, structure: Scheduled, limits: Limits, options: SearchOptions, budget: Evaluations
+) -> FloatArray:
     """Best constant gains as coefficients, a start value with which a schedule cannot become worse."""
     constant = replace(structure, terms=("1",))
     others, box = replace(plants.continuous, structure=constant), _gain_bounds(constant, None)
     task = SearchTask(box[2], options=options)
-    solution = solve_over_points(_problem(others, limits, box), others, plants.points, task)
+    solution = solve_over_points(_problem(others, limits, box, budget), others, plants.points, task)
     values = dict(zip((p.name for p in constant.parameters), solution.best.x, strict=True))
     return np.array([values.get(p.name, 0.0) for p in structure.parameters])
 
