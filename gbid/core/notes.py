@@ -116,6 +116,7 @@ class SurfaceNote(NoteKind):
 class ControlNote(NoteKind):
     """Kinds of notes on designs of controllers, impacts and the chain on a target."""
 
+    WORST_POINTS_NOT_SEARCHED = "GB308"
     UNSTABLE_OPEN_LOOP = "GB401"
     PEAK_NOT_LIMITED = "GB402"
     SAMPLED_LOOP = "GB403"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gain_problems import DampedLoops
 
+import gbid
 from gbid.control.tuning.local import optimise_locally
 from gbid.control.tuning.problem import ExtraLimit, GainProblem, Limits
 from gbid.control.tuning.search import SearchTask
@@ -97,3 +98,12 @@ def test_ending_before_all_worst_points_are_in_is_no_optimum(monkeypatch: pytest
     known = at_corners(loops, Limits())
     solution, _ = add_worst_points(known, loops, DOMAIN, SearchTask(np.zeros(1)))
     assert not solution.best.converged
+
+
+def test_a_list_of_models_says_that_no_worst_points_are_searched() -> None:
+    model = gbid.load_model("theisen2016")
+    result = gbid.tune([model, model], operating_points="domain", starts=0, evaluations=20)
+    assert any(note.endswith("[GB308]") for note in result.notes)
+    alone = gbid.tune(model, operating_points=[(6, 0)], starts=0, evaluations=20)
+    assert not any("GB308" in note for note in alone.notes)
+    assert alone.history[-1].count < 200  # a search of the whole box takes thousands

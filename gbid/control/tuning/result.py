@@ -31,7 +31,10 @@ class GainStatus(StrEnum):
     """Why a search for gains ended."""
 
     OPTIMAL = "optimal"
-    """All limits hold, and the design has a certificate of first-order optimality."""
+    """All limits hold, and the design is a certified local optimum: no small change of the gains improves it.
+
+    Another seed may find a better one; only the grid of up to three gains looks at the whole box.
+    """
     STALLED = "stalled"
     """All limits hold, and no method improved the design any more, but it has no certificate."""
     ITERATION_LIMIT = "iteration limit"

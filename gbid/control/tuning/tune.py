@@ -198,6 +198,9 @@ def tuned(
     used = solution.problem.families[0].points if isinstance(plants, LpvPlants) else None
     points = () if used is None else tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used))
     notes = notes_of(plants, solution, points)
+    if isinstance(plants, ModelPlants) and isinstance(options.operating_points, str):
+        text = f"the design holds for {len(plants.models)} models at corners and middles; no worst points between them"
+        notes += (ControlNote.WORST_POINTS_NOT_SEARCHED(text),)
     more = {"points": points, "controller": structure, **({} if plants.sampling is None else vars(plants.sampling))}
     return goal_figures(solution, summarise(solution, names, verified, notes, **more))
 
