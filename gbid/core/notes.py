@@ -116,7 +116,6 @@ class SurfaceNote(NoteKind):
 class ControlNote(NoteKind):
     """Kinds of notes on designs of controllers, impacts and the chain on a target."""
 
-    WORST_POINTS_NOT_SEARCHED = "GB308"
     UNSTABLE_OPEN_LOOP = "GB401"
     PEAK_NOT_LIMITED = "GB402"
     SAMPLED_LOOP = "GB403"
@@ -129,6 +128,7 @@ class ControlNote(NoteKind):
     INTERPOLATED = "GB410"
     FURTHER_MODES = "GB411"
     FIT_NOT_CONVERGED = "GB412"
+    WORST_POINTS_NOT_SEARCHED = "GB413"
 
 
 # ---- All kinds of notes by their codes.

@@ -103,7 +103,7 @@ def test_ending_before_all_worst_points_are_in_is_no_optimum(monkeypatch: pytest
 def test_a_list_of_models_says_that_no_worst_points_are_searched() -> None:
     model = gbid.load_model("theisen2016")
     result = gbid.tune([model, model], operating_points="domain", starts=0, evaluations=20)
-    assert any(note.endswith("[GB308]") for note in result.notes)
+    assert any(note.endswith("[GB413]") for note in result.notes)
     alone = gbid.tune(model, operating_points=[(6, 0)], starts=0, evaluations=20)
-    assert not any("GB308" in note for note in alone.notes)
+    assert not any("GB413" in note for note in alone.notes)
     assert alone.history[-1].count < 200  # a search of the whole box takes thousands
