@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import chdtrc
 
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.errors import UsageError
@@ -299,8 +300,6 @@ def _spread(
 
 def _tests(errors: Sequence[ResponseErrors], theta: FloatArray, n_free: int) -> tuple[FloatArray, bool]:
     """Return for each output the probability of larger errors, and whether errors of neighbours follow each other."""
-    from scipy.special import gammaincc
-
     n_y = len(errors[0].data.output_names)
     squares, freedom, products, chance = np.zeros(n_y), np.zeros(n_y), 0.0, 0.0
     for each in errors:
@@ -314,7 +313,7 @@ def _tests(errors: Sequence[ResponseErrors], theta: FloatArray, n_free: int) -> 
         both = int((each.measured[lag:] & each.measured[:-lag]).sum())
         chance += 2 * both * spread * mean_square**2
     freedom = np.maximum(freedom - n_free / n_y, 1.0)
-    return gammaincc(freedom / 2, squares / 2), products > _FOLLOWS * np.sqrt(chance)
+    return chdtrc(freedom, squares), products > _FOLLOWS * np.sqrt(chance)
 
 
 def _notes(refused: bool, follows: bool, p_values: FloatArray) -> list[str]:
