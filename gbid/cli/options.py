@@ -69,7 +69,9 @@ class CommonOptions:
     )
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no advice; errors are told.")] = False
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="A line for each item and each iteration.")] = False
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="A line for each item and each iteration, and all tables.")
+    ] = False
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output, in SI units.")] = False
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False
 

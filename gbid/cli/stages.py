@@ -23,7 +23,7 @@ from gbid.experiment.run import Job, Outcome, Stage, Task, has_section, run_stag
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks
 from gbid.report.fit_tables import campaign_document, campaign_tables
-from gbid.report.views import view_of
+from gbid.report.views import summary_lines, view_of
 
 # ---- Command that one would sensibly give next, from the sections that an experiment has.
 
@@ -328,6 +328,7 @@ def run_all(path: Path, options: CommonOptions) -> None:
     figures = [str(outcome.path) for outcome in drawn if outcome.state != "failed"]
     page = None if written.state == "failed" else str(written.path)
     about = {"experiment": experiment.spec.name, "results": str(experiment.results), "figures": figures, "report": page}
-    lines = [*(f"figure: {file}" for file in figures), f"results: {experiment.results}"]
+    lines = [f"figure: {file}" for file in figures] if options.verbose else []
+    lines += [*summary_lines(document), f"results: {experiment.results}"]
     lines += [f"report: {page}"] if page else []
-    conclude("run", experiment, options, outcomes, {**document, **about}, tables, lines)
+    conclude("run", experiment, options, outcomes, {**document, **about}, tables if options.verbose else (), lines)

@@ -17,10 +17,12 @@ from gbid.core.tables import Cell, Column, Entry, Table, shown_unit
 from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
 from gbid.report.control_sections import LACK, held_back
+from gbid.report.control_tables import tuning_documents
 from gbid.report.fit_tables import (
     crossval_table,
     fit_href,
     fit_tables,
+    lpv_document,
     nominal_document,
     nominal_table,
     prefilter_table,
@@ -53,6 +55,7 @@ from gbid.report.page import (
     Words,
 )
 from gbid.report.read import MadeFit, Results, Standing, place_of
+from gbid.report.views import summary_lines
 from gbid.validate import Validation, ValidationSummary
 
 _NAMED = 5
@@ -514,6 +517,19 @@ def summary_section(results: Results, links: list[Link]) -> PageSection:
         blocks += [Words(f"{len(links)} {'thing' if len(links) == 1 else 'things'} to look at:", "warn"), Listed(links)]
     else:
         blocks.append(Words("Nothing to warn of.", "good"))
+    document = {
+        "fits": [{"fit": q.fit, "model": q.model, **q.document} for q in results.fits],
+        "crossval_summary": [
+            summary_document(name, made, results.job.path("crossval", name))
+            for name, (_, made) in results.crossval.items()
+        ],
+        "lpv": [
+            lpv_document(name, fit, results.job.path("lpv", name), published=False)
+            for name, fit in results.surfaces.items()
+        ],
+        "tuning": tuning_documents((), results.designs.made),
+    }
+    blocks.append(Listed(summary_lines(document)))
     counts: dict[str, Counter[str]] = {}
     for f in results.standings:
         counts.setdefault(_STAGES[f.stage], Counter())[f.state] += 1

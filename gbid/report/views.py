@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
+from math import floor, isfinite, log10
+from textwrap import shorten, wrap
 from typing import Any
 
 from gbid.control.assessment import TunedDesign
@@ -20,6 +23,7 @@ from gbid.prefilter import PrefilterFile
 from gbid.report.control_tables import (
     cycle_documents,
     cycle_summary,
+    gains_words,
     impact_documents,
     impact_tables,
     loop_documents,
@@ -47,6 +51,10 @@ from gbid.report.fit_tables import (
 from gbid.report.read import PUBLISHED, read_fit
 from gbid.validate import ValidationSummary
 
+WIDTH = 80
+"""Columns of a terminal that `gbid run` counts on."""
+_LINES = 6  # of each kind in a summary
+_TWO_SIDED = 1.96  # standard deviations of a 95 % interval
 _ROWS = 60  # of a cross-validation; more are in its CSV file only
 
 
@@ -158,3 +166,88 @@ VIEWS: Mapping[str, View] = {
     "cycle": View(lambda job, _: {"cycle": cycle_documents(made_rows(job))}, _entry("cycle", cycle_summary)),
 }
 """By the name of the stage."""
+
+
+# ---- Summary: what an engineer looks for first, in few lines of the width of a terminal.
+
+
+def summary_lines(document: Document) -> list[str]:
+    """Return modes, fit on other recordings, surfaces, designs and notes of a run, at most 23 lines of 80 columns.
+
+    Parameters
+    ----------
+    document : dict
+        Has ``fits``, ``crossval_summary``, ``lpv`` and ``tuning`` as the JSON of ``gbid run``.
+    """
+    fits = document["fits"]
+    lines = []
+    if fits:
+        converged = sum(fit["success"] for fit in fits)
+        lines.append(f"fits: {converged} of {len(fits)} converged; modes with 95 % intervals:")
+        lines += _few([line for name in dict.fromkeys(fit["fit"] for fit in fits) for line in _mode_lines(name, fits)])
+    scores = [f"{row['fit']} {min(row['least']):.1f}" for row in document["crossval_summary"]]
+    lines += _wrapped("fit on other recordings, worst output [%]: ", scores)
+    lines += _wrapped("surfaces: ", [f"{row['item']} {row['status']}" for row in document["lpv"]])
+    lines += _few([line for design in document["tuning"] for line in _design_lines(design)])
+    return [*lines, *_note_lines(document)]
+
+
+def _few(lines: list[str]) -> list[str]:
+    left = len(lines) - _LINES
+    return lines if left <= 0 else [*lines[: _LINES - 1], f"  ... {left + 1} lines more with -v"]
+
+
+def _wrapped(begin: str, words: Sequence[str]) -> list[str]:
+    return wrap(begin + ", ".join(words), WIDTH, subsequent_indent="  ", max_lines=2) if words else []
+
+
+def _mode_lines(name: str, fits: Sequence[Row]) -> list[str]:
+    """Return the modes of a fit's first converged model, with the range over its other models."""
+    models = [fit for fit in fits if fit["fit"] == name and fit["success"] and fit["modes"]]
+    lines = []
+    for i, mode in enumerate(models[0]["modes"]) if models else ():
+        frequency = _interval(mode["frequency_hz"], mode["frequency_std_hz"])
+        line = f"  {name}: {frequency} Hz, damping {_interval(mode['damping'], mode['damping_std'])}"
+        others = [model["modes"][i]["frequency_hz"] for model in models if i < len(model["modes"])]
+        if len(others) > 1:
+            line += f" ({len(others)} models: {min(others):.5g} to {max(others):.5g} Hz)"
+        lines.append(line if len(line) <= WIDTH else line.partition(" (")[0])
+    return lines
+
+
+def _interval(value: float, std: float | None) -> str:
+    """Return a value with its 95 % interval, both with the digits that the interval deserves."""
+    if not std or not isfinite(std):
+        return f"{value:.4g}"
+    half = _TWO_SIDED * std
+    digits = max(0, 1 - floor(log10(half)))
+    return f"{value:.{digits}f} ± {half:.{digits}f}"
+
+
+def _design_lines(design: Row) -> list[str]:
+    """Return the worst damping, peak and margin of a design over its points, and its gains."""
+    worst = design["performance"][0]["worst"] if design["performance"] else {}
+    sampled = "sampled_" if "sampled_damping" in worst else ""  # the loop as it runs
+    labels = {f"{sampled}damping": "damping", f"{sampled}peak_output": "peak S_o", "disk_margin": "disk margin"}
+    figures = [f"{label} {worst[key]['value']:.3g}" for key, label in labels.items() if key in worst]
+    gains = gains_words(design["gains"])
+    lines = [f"design {design['design']} ({design['structure']}, {design['status']}): {', '.join(figures)}"]
+    return [*lines, f"  {gains}"] if len(gains) < WIDTH - 2 else lines
+
+
+_CODE = re.compile(r" ?\[(GB\d+)\]")
+
+
+def _note_lines(document: Document) -> list[str]:
+    """Return each note once, by its code, with the number of results that have it."""
+    rows = [*document["fits"], *document["lpv"], *document["tuning"]]
+    notes: dict[str, list[str]] = {}
+    for text in (text for row in rows for text in row["notes"]):
+        found = _CODE.search(text)
+        notes.setdefault(found[1] if found else text.partition(":")[0], []).append(text)
+    lines = []
+    for code, texts in notes.items():
+        times = f" ({len(texts)} times)" if len(texts) > 1 else ""
+        begin = f"{code}{times}: " if _CODE.search(texts[0]) else f"{len(texts)} times: " if times else ""
+        lines.append(shorten(f"  {begin}{_CODE.sub('', texts[0])}", WIDTH - 2, placeholder=" ..."))
+    return ["notes (whole text with -v; gbid explain CODE):", *(f"  {line}" for line in _few(lines))] if lines else []

@@ -82,6 +82,12 @@ def test_wrong_command_lines_end_with_2(arguments, capsys):
 
 def test_run_prints_data_on_stdout_and_progress_on_stderr(spring, capsys):
     captured = printed_by(capsys, "run", spring)
+    shown = captured.out.splitlines()
+    assert len(shown) <= 24
+    assert all(len(line) <= 80 for line in shown if not line.startswith(("results: ", "report: ")))
+    assert re.search(r"^  spring: (39\.9|40\.0)\d* ± 0\.\d+ Hz, damping 0\.\d+ ± ", captured.out, re.MULTILINE)
+    assert re.search(r"worst output \[%\]: spring 99\.", captured.out)
+    captured = printed_by(capsys, "run", spring, "-v")
     for word in ("spring, run1", "k ", "frequency", "[Hz]", "cross-validation", "99.", "results: "):
         assert word in captured.out
     assert re.search(r"^1 +(39\.9|40\.0)\d* ", captured.out, re.MULTILINE)
@@ -265,7 +271,7 @@ def test_truncated_result_ends_with_3(tmp_path, capsys):
 
 def test_no_convergence_ends_with_4_and_is_written(tmp_path, capsys):
     path = write_spring(tmp_path, ("focus: simulation", "focus: simulation, max_iterations: 1"))
-    captured = printed_by(capsys, "run", path, code=4)
+    captured = printed_by(capsys, "run", path, "-v", code=4)
     assert "solver     not converged: iteration limit reached" in captured.out
     assert "fit spring/run1: made" in captured.err
     assert "s): not converged: iteration limit reached" in captured.err  # in the progress as well

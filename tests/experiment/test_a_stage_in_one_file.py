@@ -64,7 +64,7 @@ def test_run_makes_and_keeps_its_results(tmp_path, capsys):
     assert (tmp_path / "results/spring/peaks/count.txt").read_text().endswith("\n2\n")
     _, outcomes, _ = peaks_of(path, capsys)
     assert {o["state"] for o in outcomes} == {"kept"}
-    assert "peak" in printed_by(capsys, "run", path).out  # its table
+    assert "peak" in printed_by(capsys, "run", path, "-v").out  # its table
 
 
 def test_its_failures_are_remembered(tmp_path, capsys):
@@ -88,4 +88,4 @@ def test_its_view_is_shown(tmp_path, capsys, monkeypatch):
     shown, _, _ = peaks_of(path, capsys)
     assert [row["recording"] for row in shown] == ["run1", "run2"]
     assert all(row["peak"] == pytest.approx(1.0) for row in shown)  # the drive switches between -1 and 1 V
-    assert ["run2", "1.00"] in [line.split() for line in printed_by(capsys, "run", path).out.splitlines()]
+    assert ["run2", "1.00"] in [line.split() for line in printed_by(capsys, "run", path, "-v").out.splitlines()]

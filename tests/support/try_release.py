@@ -16,6 +16,7 @@ import sys
 import sysconfig
 import tarfile
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -135,7 +136,13 @@ def try_installed(place: Path, wheel: Path, python: str, lowest: bool, extra: st
     if lowest:  # pip has no such choice; with wheels only, since the lowest of a new Python are those built for it
         uv = shutil.which("uv") or Path(sysconfig.get_path("scripts")) / "uv"
         lowest_direct = ("--resolution", "lowest-direct", "--only-binary", ":all:")
-        run(uv, "pip", "install", "--quiet", "--python", inside, *lowest_direct, wanted, cwd=place, env=env)
+        with zipfile.ZipFile(wheel) as archive:  # to uv, what a wheel needs is not direct: it is said by name
+            (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+            lines = archive.read(metadata).decode().splitlines()
+        needed = [
+            line.partition(": ")[2] for line in lines if line.startswith("Requires-Dist:") and "extra ==" not in line
+        ]
+        run(uv, "pip", "install", "--quiet", "--python", inside, *lowest_direct, wanted, *needed, cwd=place, env=env)
     else:
         run(inside, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", wanted, cwd=place, env=env)
     numpy = run(inside, "-c", "import numpy; print(numpy.__version__)", cwd=place, env=env)
