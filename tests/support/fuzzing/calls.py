@@ -192,7 +192,7 @@ def valid_calls() -> dict[str, dict[str, Any]]:
         },
         "OnlinePrefilter": {"runout_map": None},
         "align_index": {"runout_map": runout, "recording": turning, "orders": 2},
-        "assess": {"lpv": lpv, "controller": "P", "gains": gains, "points": points, "sample_time": 2e-4},
+        "assess": {"model": lpv, "controller": "P", "gains": gains, "points": points, "sample_time": 2e-4},
         "casadi_functions": {"structure": MODE, "sample_time": 0.1},
         "characterise_piezo": {"recording": stairs, "command_channel": "x", "channel": "x"},
         "characterise_staircase": {"recordings": stairs},
