@@ -36,14 +36,17 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
     return get, names, listed
 
 
-@cache
+_checked_functions: dict[Any, Any] = {}
+"""Functions that check their arguments, by those that do not: packages that make the same one public share it."""
+
+
 def _checked_function(function: Any, package: str) -> Any:
-    """Return a function that checks its arguments; pickles name it by the package where it is public."""
-    if getattr(function, "checks_its_call", False):  # a package within this one made it public
-        return function
-    checked = _checked(function, function.__name__)
-    checked.__module__, checked.checks_its_call = package, True
-    return checked
+    """Return a function that checks its arguments; pickles name it by the first package that hands it out."""
+    if function not in _checked_functions:
+        checked = _checked(function, function.__name__)
+        checked.__module__ = package
+        _checked_functions[function] = _checked_functions[checked] = checked
+    return _checked_functions[function]
 
 
 @cache

@@ -211,6 +211,11 @@ class FilmPoint:
         """Return K, D, B per mass and the delays that have the response of the film at one frequency.
 
         No parameters of Eq. 5 have the response of a film at all frequencies.
+
+        Parameters
+        ----------
+        frequency_hz : float
+            The frequency [Hz].
         """
         A, B = linearised(self)
         s = 2j * np.pi * frequency_hz

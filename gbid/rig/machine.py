@@ -288,7 +288,13 @@ class RotorBearingTruth(Brief):
 
     @classmethod
     def of_film(cls, point: FilmPoint) -> RotorBearingTruth:
-        """Return the rotor and bearing with the response of a gas film at the mean frequency of its two modes."""
+        """Return the rotor and bearing with the response of a gas film at the mean frequency of its two modes.
+
+        Parameters
+        ----------
+        point : FilmPoint
+            Film, operating point and rotor.
+        """
         return _of_film(point)
 
     def key_parameters(self) -> dict[str, float]:

@@ -168,7 +168,7 @@ def test_the_compiler_of_ziglang_serves_where_there_is_no_other(folder, tmp_path
     )
     assert ended.returncode == 0, ended.stderr
     command, parameters = json.loads(ended.stdout)
-    assert command == ["-m", "ziglang", "cc"]
+    assert command == ["-P", "-m", "ziglang", "cc"]
     assert list((tmp_path / "without").glob("*.so"))
     for name in usual.free:
         assert abs(parameters[name] - usual.parameters[name]) <= 1e-6 * usual.std[name], name

@@ -34,7 +34,7 @@ rig:
   prbs: {recordings: 2}
   stationary: {recordings: 1}
 fits:
-  bearing: {structure: rotor_bearing, options: {pade_order: 1, disturbance_gain: diagonal}, stop: paper}
+  bearing: {structure: rotor_bearing, options: {pade_order: 1, disturbance_gain: diagonal}, trend: offset, stop: paper}
 lpv: {fit: bearing, order: 0, weighting: fits, actuators: theisen2016}
 controller:
   feedback: {operating_points: [{pressure_bar: 6.0, speed_rpm: 0}], starts: 1, peak_sensitivity: 2.0}

@@ -35,7 +35,7 @@ def test_the_package_brings_its_types_and_its_style():
 
 def test_the_version_stands_in_one_place():
     version = (ROOT / "gbid" / "_version.py").read_text(encoding="utf-8").split('"')[-2]
-    assert PROJECT["project"]["dynamic"] == ["version"]
+    assert PROJECT["project"]["dynamic"] == ["version", "readme"]
     assert re.search(rf"^## {re.escape(version)}\b", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     for name in ("README.md", "CITATION.cff", "CONTRIBUTING.md", "docs/conf.py", "pyproject.toml"):
         text = (ROOT / name).read_text(encoding="utf-8")

@@ -40,7 +40,7 @@ assert gbid.load_fit("fit.h5").options.loudness == 2.5
 try:
     gbid.fit(MODE, recording, loudness=-1)
 except UsageError as error:
-    assert str(error) == "loudness = -1; give a number above 0"
+    assert str(error) == "fit: loudness = -1; give a number above 0"
 assert experiment_json_schema()["$defs"]["FitSection"]["properties"]["loudness"]["exclusiveMinimum"] == 0
 path = write_spring(Path.cwd())
 plain, keys = path.read_text(), set()

@@ -563,7 +563,7 @@ def test_an_archive_with_a_variable_twice_is_refused(tmp_path):
         ({"encoding": "klingon"}, "encoding: 'klingon' is not known"),
         ({"decimal": ";"}, "decimal = ';'; give '.', ',' or None"),
         ({"delimiter": "::"}, "delimiter = '::'; give one character"),
-        ({"conditions": {"pressure_bar": "6"}}, "conditions = {'pressure_bar': '6'}; give a dict by name (a number)"),
+        ({"conditions": {"pressure_bar": "6"}}, "conditions['pressure_bar'] = '6'; give a number"),
         ({"signals": {}}, "at least one signal"),
         ({"signals": ["p"]}, "at least one signal"),
         ({"signals": {"p": "a"}}, "signals: p: expected columns and unit"),

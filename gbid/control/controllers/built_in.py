@@ -329,6 +329,10 @@ class PStructure(Proportional):
         Bounds of the gains [m/m].
     axes : tuple of str
         Names of the axes; ``("",)`` for one input and one output with plain names.
+    feedback : {"positive", "negative"}
+        Sign with which the controller acts on the outputs, for positive gains.
+    gain_unit : str
+        Unit of the gains; "m/m" for positions that follow positions.
     """
 
     lower: Finite = 0.0
@@ -345,7 +349,7 @@ class PDStructure(Derivative):
 
     Parameters
     ----------
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`; the order is at least 1.
     lower, upper : float
         Bounds of the proportional gains [m/m].
@@ -371,7 +375,7 @@ class PIStructure(Proportional):
         Bounds of kappa [m/m].
     ki : (lowest, highest)
         Bounds of the integral gain [1/s], below zero.
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`.
     """
 
@@ -422,7 +426,7 @@ class NotchStructure(Proportional):
         Bounds of kappa [m/m].
     frequency_khz, width, depth : (lowest, highest)
         Bounds of frequency [kHz], width and depth.
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`.
     """
 
@@ -460,7 +464,7 @@ class PPFStructure(Proportional):
         Bounds of kappa [m/m].
     frequency_khz, damping : (lowest, highest)
         Bounds of frequency [kHz] and damping factor of the filter.
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`; by default there is no further low-pass.
     """
 
@@ -493,7 +497,7 @@ class LeadLagStructure(PerAxis):
         Bound on the magnitude of the gains [m/m].
     corner_khz : (lowest, highest)
         Bounds of the corner [kHz].
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`.
     """
 
@@ -523,7 +527,7 @@ class BiquadStructure(PerAxis):
 
     Parameters
     ----------
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`; by default there is no low-pass.
     gain_limit : float
         Bound on the magnitude of b0, b1 and b2 [m/m].
@@ -565,7 +569,7 @@ class FilterStructure(PerAxis):
         Bound on the magnitude of the numerators' gains [m/m].
     frequency_khz, damping : (lowest, highest)
         Bounds of frequency [kHz] and damping factor of each section, which keep it stable.
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`; by default there is no low-pass.
     """
 
@@ -623,7 +627,7 @@ class ObserverStructure(PerAxis):
         Bounds of the frequency of the mode [kHz].
     model_damping : float
         Damping factor of the modelled mode.
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`; by default there is no low-pass.
     """
 
@@ -672,7 +676,7 @@ class ResonantStructure(PerAxis):
         Bounds of the damping factor of the term.
     speed_rpm : float or casadi.SX
         Speed of rotation; set by the schedule.
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`; the low-pass acts on kappa.
     """
 
@@ -708,7 +712,7 @@ class FullPStructure(Proportional):
     ----------
     lower, upper : float
         Bounds of the gains [m/m].
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`.
     """
 
@@ -728,7 +732,7 @@ class FullPDStructure(Derivative):
         Bounds of kappa [m/m].
     kd_limit_ms : float
         Bound on the magnitude of the derivative gains [ms].
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`; the order is at least 1.
     """
 
@@ -751,7 +755,7 @@ class FullBiquadStructure(BiquadStructure):
         Bound on the magnitude of the numerators' gains [m/m].
     frequency_khz, damping : (lowest, highest)
         Bounds of frequency [kHz] and damping factor, which keep the filters stable.
-    lowpass_hz, order, tune_corner, axes
+    lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`; by default there is no low-pass.
     """
 

@@ -40,6 +40,10 @@ class MeasuredResponse(FrequencyData):
         Part of the power of each output that the inputs explain (multiple coherence), from 0 to 1.
     input_names, output_names : tuple of str
         Names of the channels.
+    name : str
+        Name of the first recording.
+    correlation : tuple of float
+        Correlation of the errors of neighbouring frequencies; see `FrequencyData`.
     averages : float
         Equivalent number of independent segments.
     """
