@@ -85,6 +85,7 @@ def new(
     ] = False,
 ) -> None:
     """Write a commented experiment: a template that runs as it is, or one for the files of a folder."""
+    from gbid.cli.printing import tell
     from gbid.cli.templates import refuse_used, write_draft, write_template
 
     notes: tuple[str, ...] = ()
@@ -94,12 +95,26 @@ def new(
         from gbid.experiment.draft import DraftOptions
 
         refuse_used(folder)
-        columns = dict(_signal(text) for text in signal or ())
+        columns: dict[str, tuple[tuple[str, ...], ...]] = {}
+        for name, names in map(_signal, signal or ()):
+            columns[name] = (*columns.get(name, ()), names)
         drafted = DraftOptions(
-            measured, columns, time, sample_time, unit, pattern, from_s, to_s, pressure, speed, controller
+            measured,
+            columns,
+            time,
+            sample_time,
+            unit,
+            pattern,
+            from_s,
+            to_s,
+            pressure,
+            speed,
+            controller,
+            ask=sys.stdin.isatty(),
         )
         draft = _drafted(drafted, folder)
         written, notes = write_draft(draft.text, folder), draft.notes
+        tell("\n".join(draft.columns))
     for path in written:
         typer.echo(str(path))
     experiment = folder / "experiment.yaml"
@@ -121,17 +136,22 @@ def _signal(text: str) -> tuple[str, tuple[str, ...]]:
 
 
 def _drafted(options: DraftOptions, target: Path) -> Draft:
-    """Return the draft; ask for what the files do not say, where there is someone to answer."""
+    """Return the draft; ask for all that the files do not say, where there is someone to answer."""
+    from gbid.cli.printing import tell
     from gbid.experiment.draft import QUESTIONS, UnansweredError, draft_experiment
 
     while True:
         try:
             return draft_experiment(options, target)
         except UnansweredError as error:
-            if not sys.stdin.isatty():
+            tell("\n".join(error.columns))
+            if not options.ask:
                 raise
-            typer.echo(str(error), err=True)
-            options = options.answered(error.option, typer.prompt(QUESTIONS[error.option], err=True))
+            for option, reason in error.reasons.items():
+                tell(reason)
+                options = options.answered(
+                    option, typer.prompt(QUESTIONS[option], default="", show_default=False, err=True)
+                )
 
 
 # ---- `gbid import`: recordings of the import section; with --peek the channels of one file.

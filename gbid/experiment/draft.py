@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -33,23 +33,62 @@ from gbid.recording.readers import FileChannel
 # ---- Roles of the channels of a file, by their names.
 
 _WORDS = {
-    "r": {"r", "ref", "reference", "referenz", "soll", "sollwert", "setpoint", "command", "fuehrung", "führung"},
-    "u": {"u", "piezo", "piezos", "actuator", "aktor", "aktuator", "stack", "stellweg"},
-    "phi": {"phi", "angle", "winkel", "drehwinkel", "encoder", "drehgeber", "theta"},
-    "p": {"p", "pos", "position", "weg", "wege", "disp", "displacement", "disc", "scheibe", "auslenkung", "rotor"},
+    "r": {"r", "ref", "cmd", "command", "demand"},
+    "u": {"u", "stack", "stellweg", "stellgröße"},
+    "phi": {"phi", "angle", "theta", "resolver"},
+    "p": {"p", "pos", "weg", "wege", "disp", "displacement", "disc", "disk", "gap", "probe", "shaft", "rotor"},
 }
+_STEMS = {  # first letters of words, for compounds such as Sollwert and Winkelgeber
+    "r": ("soll", "refer", "setpoint", "führung", "fuehrung"),
+    "u": ("piezo", "aktor", "aktuator", "actuator"),
+    "phi": ("winkel", "drehwinkel", "drehgeber", "encoder"),
+    "p": ("spalt", "position", "wegsensor", "wegaufnehmer", "scheibe", "auslenkung", "welle"),
+}
+_OTHER = re.compile("drehzahl|speed|rpm|umin|druck|pressure|temp|kraft|force|strom|current|spannung|voltage|trigger")
 _TIME = {"t", "time", "zeit", "timestamp", "zeitstempel", "sekunden", "seconds"}
-_AXES = {"x": 0, "y": 1}
-_SHORT = re.compile(r"(r|u|p)([xy12])")
+_AXES = {
+    "x": 0,
+    "a": 0,
+    "h": 0,
+    "hor": 0,
+    "horizontal": 0,
+    "y": 1,
+    "b": 1,
+    "v": 1,
+    "ver": 1,
+    "vertical": 1,
+    "vertikal": 1,
+}
+_SHORT = re.compile(r"(r|u|p)([xyabhv12])")
+_CAMEL = re.compile(r"(?<=[a-zäöüß])(?=[A-ZÄÖÜ])")
 _ORDER = ("r", "u", "p", "phi")
-
-Roles = tuple[str | None, Mapping[str, tuple[str, ...]]]
-"""Column of the sample times if there is one, and columns by signal: two for ``r``, ``u``, ``p``, one for ``phi``."""
+_UNKNOWN = "no known name of a signal"
 
 
-def find_roles(
-    channels: Sequence[FileChannel], given: Mapping[str, tuple[str, ...]], time: str | None, file: str
-) -> Roles:
+class Roles(NamedTuple):
+    """Roles of the columns of a file.
+
+    Attributes
+    ----------
+    time : str or None
+        Column of the sample times if there is one.
+    signals : dict of str to tuple of str
+        Columns by signal: two for ``r``, ``u``, ``p``, one for ``phi``.
+    columns : dict of str to tuple of str
+        Of every column, what it is taken as (empty when it is not used), and the reason.
+    """
+
+    time: str | None
+    signals: Mapping[str, tuple[str, ...]]
+    columns: Mapping[str, tuple[str, str]]
+
+    @property
+    def has_unknown(self) -> bool:
+        """Whether a column may belong to a signal that was not found: it is not used, and its name says nothing."""
+        return any(not taken and reason.startswith(_UNKNOWN) for taken, reason in self.columns.values())
+
+
+def find_roles(channels: Sequence[FileChannel], given: Mapping[str, tuple[str, ...]], time: str | None) -> Roles:
     """Return the roles of the channels of a file, those given first.
 
     Parameters
@@ -57,73 +96,118 @@ def find_roles(
     channels : sequence of FileChannel
         Channels of the file.
     given : dict of str to tuple of str
-        Columns by signal, where they are known.
+        Columns by signal, where they are known; an empty tuple for a signal that the file does not have.
     time : str or None
         Column of the sample times, where it is known.
-    file : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    UsageError
-        When the file has no channel of a given name.
     """
     longest = max((channel.n_samples for channel in channels), default=0)
     usable = {channel.name: channel for channel in channels if not channel.remark and channel.n_samples == longest}
-    for name in (*chain.from_iterable(given.values()), *([time] if time else [])):
-        if name not in usable:
-            raise UsageError(f"{file}: no channel {name!r}; {nearest(name, usable)}")
+    reasons = {
+        channel.name: ("", channel.remark or f"{channel.n_samples} of {longest} samples") for channel in channels
+    }
+    was_given = time is not None
     if time is None:
         rising = [name for name, channel in usable.items() if channel.step is not None]
         named = [name for name in rising if _TIME & set(_split(name))]
         time = named[0] if named else rising[0] if len(rising) == 1 else None
     axes: dict[str, dict[int, str]] = {role: {} for role in _ORDER}
     for name in usable:
-        role, axis = _role(name)
-        if role and name != time:
-            axes[role].setdefault(axis, name)
+        role, axis, why = _role(name)
+        first = axes[role].setdefault(axis, name) if role and name != time else name
+        reasons[name] = ("", why if first == name else f"{why}, as {first!r} before it")
     pairs = {role: tuple(name for _, name in sorted(names.items())) for role, names in axes.items()}
     complete = {role: names for role, names in pairs.items() if len(names) == (1 if role == "phi" else 2)}
-    complete.update(given)
-    return time, {role: complete[role] for role in _ORDER if role in complete}
+    complete = {role: names for role, names in (complete | dict(given)).items() if names}
+    for role, names in complete.items():
+        for letter, name in zip(("x", "y"), names, strict=False):
+            why = "given" if given.get(role) else reasons[name][1]
+            reasons[name] = (role if role == "phi" else f"{role} {letter}", why)
+    if time is not None:
+        reasons[time] = ("time", "given" if was_given else "rises evenly")
+    return Roles(time, {role: complete[role] for role in _ORDER if role in complete}, reasons)
 
 
 def _split(name: str) -> list[str]:
-    return re.findall(r"[^\W\d_]+|\d+", name.lower())
+    return re.findall(r"[^\W\d_]+|\d+", _CAMEL.sub(" ", name).lower())
 
 
-def _role(name: str) -> tuple[str | None, int]:
-    """Return the role of a channel and the number of its axis."""
+def _role(name: str) -> tuple[str | None, int, str]:
+    """Return the role of a channel by its name, the number of its axis, and the reason."""
     words = _split(name)
     if short := _SHORT.fullmatch("".join(words)):
         words = [short[1], short[2]]
     if words in (["x"], ["y"]):
-        return "p", _AXES[words[0]]
-    role = next((role for role, known in _WORDS.items() if known & set(words)), None)
-    last = words[-1] if words and role != "phi" else ""
-    return role, int(last) if last.isdecimal() else _AXES.get(last, 0)
+        return "p", _AXES[words[0]], f"axis {words[0]} alone"
+    for word in words:
+        if _OTHER.match(word):
+            return None, 0, f"{word!r} is none of r, u, p and phi"
+    for role in _WORDS:
+        if word := next((w for w in words if w in _WORDS[role] or w.startswith(_STEMS[role])), ""):
+            if role == "phi":
+                return role, 0, f"{word!r}"
+            axis = words[-1] if words[-1].isdecimal() else next((w for w in reversed(words) if w in _AXES), "")
+            number = int(axis) if axis.isdecimal() else _AXES.get(axis, 0)
+            return role, number, f"{word!r}, axis {axis}" if axis else f"{word!r}, no axis"
+    return None, 0, _UNKNOWN
+
+
+def column_lines(roles: Mapping[Path, Roles]) -> tuple[str, ...]:
+    """Return the lines of a table of all columns and what they are taken as, once for files with equal columns."""
+    alike: dict[tuple[object, ...], list[Path]] = {}
+    for path, each in roles.items():
+        alike.setdefault(tuple(each.columns.items()), []).append(path)
+    lines = []
+    for paths in alike.values():
+        columns = roles[paths[0]].columns
+        width = max(map(len, columns))
+        more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+        lines.append(f"columns of {paths[0].name}{more}, and what they are taken as:")
+        lines += [f"  {name:{width}}  {taken or 'not used':8}  {why}" for name, (taken, why) in columns.items()]
+    return tuple(lines)
 
 
 # ---- What a user says about a folder of measured files, and the questions that remain.
 
 QUESTIONS = {
-    "p": "columns of the disc position, x then y, with a comma between",
     "u": "columns of the piezo positions, x then y, with a comma between",
+    "p": "columns of the disc position, x then y, with a comma between",
+    "r": "columns of the references of the piezos, x then y, with a comma between; nothing for none",
+    "phi": "column of the shaft angle; nothing for none",
     "time": "column of the sample times",
     "unit": "unit of the positions in the files, such as um",
     "pressure_bar": "injection pressure of all files [bar]",
     "speed_rpm": "rotational speed of all files [rpm]",
 }
-"""Questions by option."""
+"""Questions by option, in the order in which they are asked."""
+OPTIONAL = {
+    "r": "without r there is no model of the piezos, and no controller",
+    "phi": "without phi there is no map of run-out, and no run-up is cut away",
+}
+"""Signals that an experiment can do without, and what it lacks then."""
 
 
 class UnansweredError(UsageError):
-    """Something that the files do not say and that must be given."""
+    """Things that the files do not say and that must be given.
 
-    def __init__(self, option: str, reason: str) -> None:
-        flag = f"--signal {option}=X,Y" if option in ("p", "u") else f"--{option.split('_')[0]} ..."
-        super().__init__(f"{reason}; give the {QUESTIONS[option]}: {flag}")
-        self.option = option
+    Parameters
+    ----------
+    reasons : dict of str to str
+        Why each option is open.
+    columns : sequence of str
+        Lines of the table of columns.
+    """
+
+    def __init__(self, reasons: Mapping[str, str], columns: Sequence[str]) -> None:
+        self.reasons = {option: reasons[option] for option in QUESTIONS if option in reasons}
+        self.columns = tuple(columns)
+        texts = [f"{why}; give the {QUESTIONS[option]}: {_flag(option)}" for option, why in self.reasons.items()]
+        super().__init__("\n".join(texts))
+
+
+def _flag(option: str) -> str:
+    if option in _ORDER:
+        return f"--signal {option}={'X' if option == 'phi' else 'X,Y'}"
+    return f"--{option.split('_')[0]} ..."
 
 
 @dataclass(frozen=True)
@@ -134,8 +218,9 @@ class DraftOptions:
     ----------
     folder : pathlib.Path
         Folder of the files.
-    signals : dict of str to tuple of str
-        Columns of ``r``, ``u``, ``p`` and ``phi``.
+    signals : dict of str to tuple of tuple of str
+        Columns of ``r``, ``u``, ``p`` and ``phi``. Files with other names need more than one entry of a signal; a
+        signal without any is in no file.
     time : str or None
         Column of the sample times.
     sample_time_s : float or None
@@ -150,10 +235,12 @@ class DraftOptions:
         Operating point of all files, where the names do not contain it.
     controller : str
         Structure of the controller.
+    ask : bool
+        Whether someone answers; signals that an experiment can do without are asked for only then.
     """
 
     folder: Path
-    signals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    signals: Mapping[str, tuple[tuple[str, ...], ...]] = field(default_factory=dict)
     time: str | None = None
     sample_time_s: float | None = None
     unit: str | None = None
@@ -163,6 +250,7 @@ class DraftOptions:
     pressure_bar: float | None = None
     speed_rpm: float | None = None
     controller: str = "P"
+    ask: bool = False
 
     def answered(self, option: str, text: str) -> DraftOptions:
         """Return the options with one more answer.
@@ -173,8 +261,12 @@ class DraftOptions:
             When a number was expected.
         """
         value: Any = text.strip()
-        if option in ("p", "u"):
-            option, value = "signals", {**self.signals, option: tuple(word.strip() for word in text.split(","))}
+        if option in _ORDER:
+            names = tuple(name for word in text.split(",") if (name := word.strip()))
+            if len(names) not in ({0, 1} if option == "phi" else {0, 2} if option in OPTIONAL else {2}):
+                raise UsageError(f"{option}: expected the {QUESTIONS[option]}; found {text!r}")
+            added = (*self.signals.get(option, ()), names) if names else ()
+            option, value = "signals", {**self.signals, option: added}
         elif option in POINT:
             try:
                 value = float(text.replace(",", "."))
@@ -208,15 +300,37 @@ class MeasuredFile:
     units: Mapping[str, str]
 
 
-def survey(options: DraftOptions) -> tuple[list[MeasuredFile], list[str]]:
-    """Return the measured files of a folder, and the names of files of other kinds.
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What the headings and names of the files of a folder say.
+
+    Attributes
+    ----------
+    files : tuple of MeasuredFile
+        The measured files.
+    others : tuple of str
+        Names of files of other kinds.
+    columns : tuple of str
+        Lines of the table of columns.
+    notes : tuple of str
+        Signals that no column is taken as, though there are columns that are not used.
+    """
+
+    files: tuple[MeasuredFile, ...]
+    others: tuple[str, ...]
+    columns: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def survey(options: DraftOptions) -> Survey:
+    """Return the measured files of a folder, with the roles of their columns.
 
     Raises
     ------
     UsageError
-        When the folder holds no file that can be imported, or when a channel is not there.
+        When the folder holds no file that can be imported, or when a given channel is in no file.
     UnansweredError
-        When the files do not show which columns are u and p, or when a unit is missing.
+        With all that must be given: columns of u and p, time, unit, and operating point.
     DataError
         When a file cannot be read.
     """
@@ -227,41 +341,91 @@ def survey(options: DraftOptions) -> tuple[list[MeasuredFile], list[str]]:
     channels = {path: list_channels(path) for path in listed if path.suffix.lower() in file_formats()}
     if not channels:
         raise UsageError(f"{folder} holds no file that can be imported; expected {', '.join(file_formats())}")
-    roles: dict[Path, Roles] = {}
+    _refuse_unknown(options, channels)
+    roles = {path: find_roles(each, *_given(options, each)) for path, each in channels.items()}
     units: dict[str, str] = {}  # of each signal in the first file that states one
     for path, each in channels.items():
-        names = {channel.name for channel in each}
-        given = {signal: columns for signal, columns in options.signals.items() if names.issuperset(columns)}
-        roles[path] = find_roles(each, given, options.time if options.time in names else None, path.name)
         stated = {channel.name: channel.unit for channel in each if channel.unit}
-        units = {s: stated[columns[0]] for s, columns in roles[path][1].items() if columns[0] in stated} | units
-    files = [_measured(path, each, roles[path], units, options) for path, each in channels.items()]
-    return files, [path.name for path in listed if path not in channels]
+        units = {s: stated[columns[0]] for s, columns in roles[path].signals.items() if columns[0] in stated} | units
+    reasons: dict[str, str] = {}
+    files = [_measured(path, each, roles[path], units, options, reasons) for path, each in channels.items()]
+    names = _names(options, files)
+    for file, key in ((file, key) for file in files for key in POINT):
+        if _conditions(options, names, file.path)[key] is None:
+            reasons.setdefault(key, f"{file.path.name}: the name does not contain {key}")
+    columns = column_lines(roles)
+    optional = {key: why for key, why in reasons.items() if key in OPTIONAL}
+    if len(reasons) > len(optional) or (optional and options.ask):
+        raise UnansweredError(reasons, columns)
+    notes = tuple(f"{why}; {OPTIONAL[key]}: {_flag(key)}" for key, why in optional.items())
+    return Survey(tuple(files), tuple(path.name for path in listed if path not in channels), columns, notes)
+
+
+def _refuse_unknown(options: DraftOptions, channels: Mapping[Path, Sequence[FileChannel]]) -> None:
+    """Refuse given columns that are in no file."""
+    known = [[channel.name for channel in each] for each in channels.values()]
+    wanted = [columns for each in options.signals.values() for columns in each]
+    for columns in (*wanted, *([(options.time,)] if options.time else [])):
+        if not any(_columns_in(columns, names) for names in known):
+            missing = next((c for c in columns if not any(_columns_in((c,), names) for names in known)), columns[0])
+            names = dict.fromkeys(chain.from_iterable(known))
+            raise UsageError(
+                f"{options.folder}: no file has the channels {', '.join(columns)}; {nearest(missing, names)}"
+            )
+
+
+def _given(options: DraftOptions, channels: Sequence[FileChannel]) -> tuple[dict[str, tuple[str, ...]], str | None]:
+    """Return the given columns of each signal, and of the time, as far as a file has them."""
+    names = [channel.name for channel in channels]
+    given: dict[str, tuple[str, ...]] = {}
+    for signal, entries in options.signals.items():
+        found = next((columns for entry in entries if (columns := _columns_in(entry, names))), None)
+        if found or not entries:
+            given[signal] = found or ()
+    time = _columns_in((options.time,), names) if options.time else None
+    return given, time[0] if time else None
+
+
+def _columns_in(columns: Sequence[str], names: Sequence[str]) -> tuple[str, ...] | None:
+    """Return the names of columns in a file: as given, or with the name of a structure before them."""
+    found = [name if name in names else [n for n in names if n.endswith(f".{name}")] for name in columns]
+    single = tuple(
+        each if isinstance(each, str) else each[0] for each in found if isinstance(each, str) or len(each) == 1
+    )
+    return single if len(single) == len(columns) else None
 
 
 def _measured(
-    path: Path, channels: Sequence[FileChannel], roles: Roles, usual: Mapping[str, str], options: DraftOptions
+    path: Path,
+    channels: Sequence[FileChannel],
+    roles: Roles,
+    usual: Mapping[str, str],
+    options: DraftOptions,
+    reasons: dict[str, str],
 ) -> MeasuredFile:
-    """Return a file with the units that its mapping states: as given, or as in the other files."""
-    time, signals = roles
-    for signal in ("u", "p"):
-        if signal not in signals:
-            names = ", ".join(channel.name for channel in channels)
-            raise UnansweredError(signal, f"{path}: its channels do not show which are {signal}: {names}")
-    if time is None and options.sample_time_s is None:
-        raise UnansweredError("time", f"{path}: no column rises evenly as a time does")
+    """Return a file with the units that its mapping states, as given or as in the other files; add what is open."""
+    names = ", ".join(channel.name for channel in channels)
+    for signal in _ORDER:
+        asked = signal in ("u", "p") or (roles.has_unknown and signal not in options.signals)
+        if signal not in roles.signals and asked:
+            reasons.setdefault(signal, f"{path}: its channels do not show which are {signal}: {names}")
+    if roles.time is None and options.sample_time_s is None:
+        reasons.setdefault("time", f"{path}: no column rises evenly as a time does")
     stated = {channel.name for channel in channels if channel.unit}
     units = {}
-    for signal, columns in signals.items():
-        if stated.intersection(columns):
+    for signal in dict.fromkeys((*roles.signals, "u", "p")):
+        columns = roles.signals.get(signal)
+        if stated.intersection(columns or [name for name, (taken, _) in roles.columns.items() if not taken]):
             continue
         is_angle = signal == "phi"
-        unit = usual.get(signal, "rad") if is_angle else options.unit or usual.get(signal)
+        unit = usual.get(signal, "") if is_angle else options.unit or usual.get(signal)
         if unit is None:
-            raise UnansweredError("unit", f"{path}: the file states no unit of {signal}")
-        conversion_factor(unit, "rad" if is_angle else "m")
-        units[signal] = unit
-    return MeasuredFile(path, time, signals, units)
+            reasons.setdefault("unit", f"{path}: the file states no unit of {signal}")
+        elif columns:
+            if unit:
+                conversion_factor(unit, "rad" if is_angle else "m")
+            units[signal] = unit
+    return MeasuredFile(path, roles.time, roles.signals, units)
 
 
 # ---- Operating point and kind of recordings from the names of their files.
@@ -270,7 +434,10 @@ _COMMA = re.compile(r"(?<=\d),(?=\d)")
 _TOKEN = re.compile(r"\d+(?:\.\d+)?|[^\W\d_]+|[\W_]")
 _BESIDE = {  # words before and after the number
     "pressure_bar": ({"p", "druck", "pressure", "press"}, {"bar"}),
-    "speed_rpm": ({"n", "drehzahl", "speed", "rpm", "omega"}, {"rpm", "upm", "u"}),
+    "speed_rpm": (
+        {"n", "drehzahl", "speed", "rpm", "omega"},
+        {"rpm", "upm", "u", "umin", "umdr", "umdrmin", "umdrehungen", "min", "rev", "revs"},
+    ),
 }
 
 
@@ -413,18 +580,12 @@ def read_data(options: DraftOptions, files: Sequence[MeasuredFile]) -> DraftData
     ------
     DataError
         When a file cannot be imported.
-    UnansweredError
-        When the names of the files do not contain the operating point.
     """
     names = _names(options, files)
-    recordings = []
-    for file in files:
-        clock = {"sample_time_s": options.sample_time_s} if options.sample_time_s else {"time": file.time}
-        units = {name: {"unit": unit} for name, unit in file.units.items()}
-        signals = {name: {"columns": list(names), **units.get(name, {})} for name, names in file.signals.items()}
-        conditions = _conditions(options, names, file.path)
-        recordings.append(import_recording(file.path, {**clock, "signals": signals, "conditions": conditions}))
+    files, angles = _angle_units(options, files)
+    recordings = [_import(options, file, _conditions(options, names, file.path)) for file in files]
     part, notes = _part(options, recordings)
+    notes += angles
     drafted = []
     for file, rec in zip(files, recordings, strict=True):
         first = round(part.get("from_s", 0.0) / rec.sample_time)
@@ -436,6 +597,34 @@ def read_data(options: DraftOptions, files: Sequence[MeasuredFile]) -> DraftData
     notes += [*_remarks(recordings), *words]
     known = None if kinds is None else names
     return DraftData(tuple(drafted), known, kinds or {}, part, harmonics, words, tuple(notes))
+
+
+def _import(options: DraftOptions, file: MeasuredFile, conditions: Mapping[str, float | None]) -> Recording:
+    clock = {"sample_time_s": options.sample_time_s} if options.sample_time_s else {"time": file.time}
+    units = {name: {"unit": unit} for name, unit in file.units.items()}
+    signals = {name: {"columns": list(names), **units.get(name, {})} for name, names in file.signals.items()}
+    return import_recording(file.path, {**clock, "signals": signals, "conditions": conditions})
+
+
+def _angle_units(options: DraftOptions, files: Sequence[MeasuredFile]) -> tuple[list[MeasuredFile], list[str]]:
+    """Return the files with a unit of the shaft angle where they state none, by the range of its numbers, and a note.
+
+    Degrees when an angle that falls back once a turn reaches beyond one turn in radians.
+    """
+    unstated = [file for file in files if file.units.get("phi") == ""]
+    if not unstated:
+        return list(files), []
+    largest = 0.0
+    for file in unstated:
+        alone = replace(file, signals={"phi": file.signals["phi"]}, units={"phi": "rad"})
+        phi = _import(options, alone, {}).signal("phi")[:, 0]
+        if np.ptp(phi) < 2 * np.ptp(np.diff(phi)):  # it falls back by nearly its whole range
+            largest = max(largest, float(np.abs(phi).max()))
+    unit = "deg" if 1.1 * 2 * np.pi < largest < 1.1 * 360 else "rad"
+    known = [replace(file, units={**file.units, "phi": unit}) if file in unstated else file for file in files]
+    return known, [
+        f"{len(unstated)} files state no unit of phi: its numbers reach {largest:g}, so it is read in {unit}"
+    ]
 
 
 def _names(options: DraftOptions, files: Sequence[MeasuredFile]) -> NamesRead | None:
@@ -452,19 +641,20 @@ def _names(options: DraftOptions, files: Sequence[MeasuredFile]) -> NamesRead | 
     return read_names(max(groups.values(), key=len))
 
 
-def _conditions(options: DraftOptions, names: NamesRead | None, path: Path) -> dict[str, float]:
-    """Return the operating point of a file: as given, or by the pattern, whatever the ending, or by its name alone."""
+def _conditions(options: DraftOptions, names: NamesRead | None, path: Path) -> dict[str, float | None]:
+    """Return the operating point of a file: as given, or by the pattern, whatever the ending, or by its name alone.
+
+    None where the name does not contain it.
+    """
     fields = names.read(f"{path.stem}.{names.pattern.text.rpartition('.')[2]}") if names else None
     if not fields:
         alone = read_names([path.name])
         fields = (alone.read(path.name) if alone else None) or {}
-    conditions = {}
+    conditions: dict[str, float | None] = {}
     for key in POINT:
         given = getattr(options, key)
         value = fields.get(key) if given is None else given
-        if value is None:
-            raise UnansweredError(key, f"{path.name}: the name does not contain {key}")
-        conditions[key] = float(value)
+        conditions[key] = None if value is None else float(value)
     return conditions
 
 
@@ -560,10 +750,13 @@ class Draft:
         The YAML.
     notes : tuple of str
         What was found and assumed.
+    columns : tuple of str
+        Lines of a table of all columns and what they are taken as.
     """
 
     text: str
     notes: tuple[str, ...]
+    columns: tuple[str, ...]
 
 
 def draft_experiment(options: DraftOptions, target: Path) -> Draft:
@@ -588,10 +781,10 @@ def draft_experiment(options: DraftOptions, target: Path) -> Draft:
     DataError
         When a file cannot be read.
     """
-    files, others = survey(options)
-    data = read_data(options, files)
-    left_out = (f"left out, of a kind that is not imported: {', '.join(others)}",) if others else ()
-    return Draft(draft_text(target, options, data), (*data.notes, *left_out))
+    found = survey(options)
+    data = read_data(options, found.files)
+    left_out = (f"left out, of a kind that is not imported: {', '.join(found.others)}",) if found.others else ()
+    return Draft(draft_text(target, options, data), (*data.notes, *found.notes, *left_out), found.columns)
 
 
 def draft_text(target: Path, options: DraftOptions, data: DraftData) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiment_files import gbid, printed_by
+from scipy.io import savemat
 
 from gbid import load_fit
 from gbid.cli import files as new
@@ -102,13 +103,15 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
     [
         ("Zeit;Soll x;Soll y;Piezo x;Piezo y;Weg x;Weg y;Drehwinkel", {"r": "Soll", "u": "Piezo", "p": "Weg"}),
         ("t;rx;ry;ux;uy;px;py;phi", {"r": "r", "u": "u", "p": "p"}),
+        ("Zeit;Soll_A;Soll_B;Aktor_A;Aktor_B;Spalt_A;Spalt_B;Winkelgeber", {"r": "Soll", "u": "Aktor", "p": "Spalt"}),
+        ("t;CmdH;CmdV;ActuatorH;ActuatorV;GapH;GapV;ShaftEncoder", {"r": "Cmd", "u": "Actuator", "p": "Gap"}),
         ("time;data.r[0];data.r[1];data.u[0];data.u[1];y;x;encoder", {"r": "data.r", "u": "data.u", "p": ""}),
     ],
 )
 def test_roles_of_channels(names, roles):
     columns = names.split(";")
     channels = [FileChannel(name, N, step=DT if i == 0 else None) for i, name in enumerate(columns)]
-    time, signals = find_roles(channels, {}, None, "a.csv")
+    time, signals, _ = find_roles(channels, {}, None)
     assert time == columns[0]
     assert signals["phi"] == (columns[-1],)
     for role, stem in roles.items():
@@ -125,6 +128,59 @@ def test_names_of_several_forms_have_no_pattern():
         assert read_names(names).pattern.text == pattern
     assert read_names(["p5.csv", "q_5.csv"]) is None
     assert read_names(["p5,5.csv", "p6.csv"]).read("p5,5.csv") == {"pressure_bar": 5.5}
+
+
+GERMAN = "Zeit;Soll_A;Soll_B;Aktor_A;Aktor_B;Spalt_A;Spalt_B;Winkelgeber"
+
+
+def test_a_german_folder_with_a_mat_file_needs_one_answer(tmp_path, capsys):
+    for word, moving in (("Ruhe", False), ("Rauschen", True)):
+        write(tmp_path / "m" / f"6bar_4200Umin_{word}.csv", moving, 4200.0, GERMAN)
+    columns = np.genfromtxt(tmp_path / "m" / "6bar_4200Umin_Rauschen.csv", delimiter=";", names=True)
+    savemat(tmp_path / "m" / "7bar_4200Umin_Probe.mat", {"Mess": {name: columns[name] for name in columns.dtype.names}})
+    flags = ("--from", tmp_path / "m")
+    assert gbid("new", tmp_path / "own", *flags) == 2
+    said = capsys.readouterr().err
+    assert said.count("; give the ") == 1
+    assert "--unit" in said
+    said = printed_by(capsys, "new", tmp_path / "own", *flags, "--unit", "um").err
+    assert "  Mess.Soll_A       r x       'soll', axis a" in said
+    assert "phi: its numbers reach 3" in said  # the file states no unit, and radians fall back at 6.28
+    text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
+    for words in (
+        '["Mess.Spalt_A", "Mess.Spalt_B"]',
+        "speed_rpm: 4200.0",
+        'phi: {columns: ["Winkelgeber"], unit: "deg"}',
+    ):
+        assert words in text
+    load_experiment(tmp_path / "own" / "experiment.yaml")
+
+
+def test_all_open_roles_are_asked_at_once_and_unused_columns_are_told(tmp_path, capsys):
+    write(tmp_path / "m" / "6bar_4200Umin.csv", True, 4200.0, "Zeit;K1;K2;K3;K4;K5;K6;K7")
+    assert gbid("new", tmp_path / "own", "--from", tmp_path / "m") == 2
+    said = capsys.readouterr().err
+    for option in ("u=X,Y", "p=X,Y", "r=X,Y", "phi=X"):
+        assert f"--signal {option}" in said
+    flags = ("--from", tmp_path / "m", "--signal", "u=K3,K4", "--signal", "p=K5,K6", "--unit", "um")
+    said = printed_by(capsys, "new", tmp_path / "own", *flags).err
+    assert "  K1    not used  no known name of a signal" in said
+    assert "no controller: --signal r=X,Y" in said
+    assert "no run-up is cut away: --signal phi=X" in said
+    assert gbid("new", tmp_path / "wrong", *flags, "--signal", "r=K1,K9") == 2
+    assert "did you mean" in capsys.readouterr().err
+
+
+def test_files_of_two_kinds_take_two_sets_of_names(tmp_path):
+    folder = tmp_path / "m"
+    write(folder / "6bar_4200Umin_a.csv", True, 4200.0, "Zeit;K1;K2;K3;K4;K5;K6;K7")
+    write(folder / "7bar_4200Umin_bc.csv", True, 4200.0, "Zeit;M1;M2;M3;M4;M5;M6;M7")
+    flags = [f"{s}={','.join(c + n for n in on)}" for c in "KM" for s, on in (("u", "34"), ("p", "56"), ("r", "12"))]
+    options = [word for flag in (*flags, "phi=K7", "phi=M7") for word in ("--signal", flag)]
+    assert gbid("new", tmp_path / "own", "--from", folder, *options, "--unit", "um") == 0
+    text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
+    for columns in ('"K1", "K2"', '"M1", "M2"', '"K7"', '"M7"'):
+        assert columns in text
 
 
 def test_the_magnetic_bearing_of_the_template_is_identified(tmp_path):
