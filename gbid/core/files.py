@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import filecmp
 import hashlib
 import os
 import re
@@ -93,6 +94,53 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def atomic_set(folder: Path, overwrite: bool) -> Iterator[Path]:
+    """Give a temporary folder whose files take their places in `folder` together, when the block ends well.
+
+    A new folder appears by one rename. In a folder that is there, the files are renamed one after another, after all of
+    them have been written. A process killed in between leaves some of them: the same command writes the others, because
+    a file with the bytes to be written is never in the way.
+
+    Raises
+    ------
+    UsageError
+        When a file of the set exists with other bytes and `overwrite` is not set; no file is touched then.
+    NoSpaceError, DataError
+        As `atomic_path`.
+    """
+    for place, pattern in ((folder, f".*{_ENDING}"), (folder.absolute().parent, f".scratch.*{_ENDING}")):
+        remove_stale_parts(place, pattern)
+    with scratch_folder(folder / "new" if folder.is_dir() else folder) as stage:
+        try:
+            yield stage
+        except GbidError as error:  # the user knows the folder, not the one beside it
+            raise type(error)(str(error).replace(str(stage), str(folder))) from None
+        try:
+            _take_places(stage, folder, overwrite)
+        except OSError as error:
+            raise _cannot_write(folder, error) from None
+
+
+def _take_places(stage: Path, folder: Path, overwrite: bool) -> None:
+    mask = os.umask(0)
+    os.umask(mask)
+    stage.chmod(0o777 & ~mask)
+    if not folder.exists():
+        stage.rename(folder)
+        return
+    changed = [file for file in sorted(stage.iterdir()) if not _same(file, folder / file.name)]
+    for file in changed:
+        if (folder / file.name).exists() and not overwrite:
+            raise UsageError(f"{folder / file.name} exists already; choose another name or ask for overwriting")
+    for file in changed:
+        file.replace(folder / file.name)
+
+
+def _same(one: Path, other: Path) -> bool:
+    return other.is_file() and filecmp.cmp(one, other, shallow=False)
 
 
 def _no_space(error: BaseException) -> BaseException | None:
@@ -253,6 +301,7 @@ _COMMENTS = {
     ".c": ("/* ", " */"),
     ".h": ("/* ", " */"),
     ".m": ("% ", ""),
+    ".mk": ("# ", ""),
 }
 _BELOW_HELP = ".m"  # MATLAB shows the first comment as the help of the function
 _LINE = re.compile(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gbid.control import ControllerDesign, load_controller
 from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.files import atomic_set
 from gbid.core.hdf5 import load
 from gbid.core.names import file_stem
 from gbid.core.yaml_file import read_yaml
@@ -182,7 +183,9 @@ _WORDS = {
 
 
 def write_exports(exports: Exports, to: str, request: ExportRequest) -> list[Path]:
-    """Write everything that a target takes, and return the files.
+    """Write everything that a target takes, all files or none, and return the files.
+
+    The files are written into a folder beside and renamed at the end, see `gbid.core.files.atomic_set`.
 
     Parameters
     ----------
@@ -201,8 +204,8 @@ def write_exports(exports: Exports, to: str, request: ExportRequest) -> list[Pat
     Raises
     ------
     UsageError
-        When there is no such target, when it takes nothing of what was found, or when a file exists and `overwrite` is
-        not set.
+        When there is no such target, when it takes nothing of what was found, or when a file exists with other
+        contents and `overwrite` is not set.
     DataError
         When a file cannot be written.
     """
@@ -212,5 +215,7 @@ def write_exports(exports: Exports, to: str, request: ExportRequest) -> list[Pat
         takes = ", ".join(_WORDS[kind] for kind in target.takes)
         kinds = ", ".join(dict.fromkeys(_WORDS[item.kind] for item in exports.items))
         raise UsageError(f"{exports.source}: --to {to} takes {takes}; here are only {kinds}: choose another target")
-    request = replace(request, beside=exports.items)
-    return [path for item in items for path in target.write(item, request)]
+    with atomic_set(request.folder, request.overwrite) as stage:
+        staged = replace(request, folder=stage, beside=exports.items)
+        files = [path for item in items for path in target.write(item, staged)]
+    return [request.folder / path.relative_to(stage) for path in files]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files
@@ -16,7 +17,7 @@ from gbid._version import __version__
 from gbid.core.arrays import FloatArray
 from gbid.core.compiled import CompilerMissingError, load_library
 from gbid.core.errors import UsageError
-from gbid.core.files import atomic_path, with_text_checksum
+from gbid.core.files import atomic_path, atomic_set, with_text_checksum
 from gbid.core.names import given_path
 from gbid.export.chain import Chain, c_comment, c_number, inverse_widths
 from gbid.export.chain_python import (
@@ -264,6 +265,7 @@ _FILES = {
     ".c": "chain.c.j2",
     "_selftest.c": "chain_selftest.c.j2",
     "_notes.md": "chain_notes.md.j2",
+    ".mk": "chain.mk.j2",
 }
 
 
@@ -282,22 +284,18 @@ def write_chain(chain: Chain, folder: str | Path, *, overwrite: bool = False) ->
     Returns
     -------
     list of pathlib.Path
-        Header, source, self-test and notes.
+        Header, source, self-test, notes, makefile and the SHA-256 of these five, all of them or none.
 
     Raises
     ------
     UsageError
-        When a file exists and `overwrite` is not set.
+        When a file exists with other contents and `overwrite` is not set.
     DataError
         When a file cannot be written.
     """
-    folder = given_path(folder)
-    paths = {folder / f"{chain.name}{ending}": template for ending, template in _FILES.items()}
-    for path in paths:
-        if path.exists() and not overwrite:
-            raise UsageError(f"{path} exists already; choose another name or ask for overwriting")
-    rows = selftest_rows(chain)
-    for path, template in paths.items():
+    folder, rows = given_path(folder), selftest_rows(chain)
+    files = {}
+    for ending, template in _FILES.items():
         text = render_source(
             template,
             chain,
@@ -306,9 +304,14 @@ def write_chain(chain: Chain, folder: str | Path, *, overwrite: bool = False) ->
             tolerance=FLOAT_TOLERANCE * min(chain.limits),
             conditions=_conditions(chain),
         )
-        with atomic_path(path, overwrite) as part:
-            part.write_bytes(with_text_checksum(text, path.suffix).encode("ascii"))
-    return list(paths)
+        files[f"{chain.name}{ending}"] = with_text_checksum(text, Path(ending).suffix or ending).encode("ascii")
+    digests = "".join(f"{hashlib.sha256(content).hexdigest()}  {name}\n" for name, content in files.items())
+    files[f"{chain.name}.sha256"] = digests.encode("ascii")
+    with atomic_set(folder, overwrite) as stage:
+        for name, content in files.items():
+            with atomic_path(stage / name, overwrite=False) as part:
+                part.write_bytes(content)
+    return [folder / name for name in files]
 
 
 def _conditions(chain: Chain) -> str:

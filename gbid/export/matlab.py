@@ -22,6 +22,7 @@ from gbid.structure import KEY_PARAMETERS, LinearModel
 Exportable = LinearModel | FitResult | LPVModel
 """Types that can be exported to other programs."""
 
+_TEXT = 116  # length of the text at the beginning of a MATLAB file
 _IN_METRES = ("rotor_bearing", "piezo_pair", "plant")
 
 
@@ -64,6 +65,8 @@ def save_mat(
     contents = lpv_contents(what) if isinstance(what, LPVModel) else linear_contents(what, units)
     with atomic_path(path, overwrite) as part, part.open("wb") as handle:
         savemat(handle, contents, oned_as="column", long_field_names=True)
+        handle.seek(0)  # in place of the date: the same model gives the same bytes
+        handle.write(f"MATLAB 5.0 MAT-file, written by gbid {__version__}".encode().ljust(_TEXT))
     return path
 
 

@@ -162,6 +162,8 @@ def test_export_writes_the_fits_of_an_experiment(spring, tmp_path, capsys):
         assert all(p.is_file() for p in files)
         assert {"spring_run1", "spring_run2"} <= {p.stem.removesuffix("_parameters") for p in files}
         assert any(p.suffix == f".{ending}" for p in files)
+    assert gbid("export", spring, "--output", tmp_path / "matlab") == 0  # the same files again
+    (tmp_path / "matlab" / "spring_run1.mat").write_bytes(b"mine")
     assert "exists already" in printed_by(capsys, "export", spring, "--output", tmp_path / "matlab", code=2).err
     assert gbid("export", spring, "--output", tmp_path / "matlab", "--overwrite") == 0
     data = loadmat(tmp_path / "matlab" / "spring_run1.mat")

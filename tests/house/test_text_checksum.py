@@ -34,7 +34,7 @@ def table(folder):
 def source(folder):
     controller(folder)
     chain = chain_of(gbid.load_controller(folder / "p.yaml"))
-    return write_chain(chain, folder)
+    return write_chain(chain, folder)[:-1]  # the last one holds the digests of the others
 
 
 @pytest.mark.parametrize("write", [controller, model, table, source])

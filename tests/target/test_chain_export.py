@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,8 +36,9 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_one_command_writes_the_chain_of_an_experiment(box: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [Path(name) for name in json_of(capsys, "export", box, "--to", "c")["files"]]
-    endings = (".h", ".c", "_selftest.c", "_notes.md")
+    endings = (".h", ".c", "_selftest.c", "_notes.md", ".mk", ".sha256")
     assert [file.name for file in files] == [f"controller_feedback{ending}" for ending in endings]
+    assert run("export", box, "--to", "c") == 0  # the same command again finds its files
     header = files[0].read_text()
     assert "with the run-out map of: p6_n3000_still" in header
     assert "typedef float controller_feedback_real;" in header
@@ -45,8 +47,9 @@ def test_one_command_writes_the_chain_of_an_experiment(box: Path, capsys: pytest
     assert "3 samples in a row beyond 1.5e-05 m: fault 4" in notes
     assert "ramp of 0.1 s" in notes
     assert "at 6 bar, 3000 rpm" in notes
-    assert "exists already" in printed_by(capsys, "export", box, "--to", "c", code=2).err
-    assert run("export", box, "--to", "c", "--number", "double", "--overwrite") == 0
+    double = ("export", box, "--to", "c", "--number", "double")
+    assert "exists already" in printed_by(capsys, *double, code=2).err
+    assert run(*double, "--overwrite") == 0
     assert "typedef double controller_feedback_real;" in files[0].read_text()
 
 
@@ -177,3 +180,60 @@ def test_a_controller_file_has_no_map_and_says_so(tmp_path: Path, capsys: pytest
     assert run("export", path, "--to", "c", "--output", tmp_path) == 0
     header = (tmp_path / "controller_damper.h").read_text()
     assert "it holds no run-out map. A shaft that turns needs one." in header
+
+
+TOOLS = pytest.mark.skipif(not (shutil.which("cc") and shutil.which("make")), reason="no C compiler and make here")
+
+
+@TOOLS
+@pytest.mark.parametrize("survivors", [0, 1, 3])
+def test_a_killed_export_leaves_no_set_that_can_be_built(
+    survivors: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed between its renames: neither make nor the compiler takes old and new; the same command goes on."""
+    first, second = (chain_of(design("P"), name="damper", options=ChainOptions(ramp_s=ramp)) for ramp in (0.1, 0.2))
+    write_chain(first, tmp_path)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    replaced, replace = [], Path.replace
+
+    def dying(self: Path, target: Path) -> Path:
+        if self.suffix != ".part" and target.parent == tmp_path:
+            if len(replaced) == survivors:
+                raise KeyboardInterrupt
+            replaced.append(target.name)
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", dying)
+    with pytest.raises(KeyboardInterrupt):
+        write_chain(second, tmp_path, overwrite=True)
+    monkeypatch.undo()
+    changed = [name for name, content in before.items() if (tmp_path / name).read_bytes() != content]
+    assert len(changed) == survivors
+    assert not list(tmp_path.glob(".*"))
+    assert built(tmp_path) == (survivors == 0)
+    compiled = subprocess.run(["cc", "-std=c99", "-c", "damper.c"], cwd=tmp_path, capture_output=True, check=False)
+    assert (compiled.returncode == 0) == (survivors != 1)
+    write_chain(second, tmp_path, overwrite=True)
+    assert built(tmp_path)
+
+
+@TOOLS
+def test_an_export_goes_on_where_it_was_killed(tmp_path: Path) -> None:
+    chain = chain_of(design("P"), name="damper")
+    files = write_chain(chain, tmp_path / "new")
+    for file in files[::2]:
+        file.unlink()
+    kept = files[1].stat().st_mtime_ns
+    assert not built(tmp_path / "new")
+    assert write_chain(chain, tmp_path / "new") == files
+    assert files[1].stat().st_mtime_ns == kept
+    assert built(tmp_path / "new")
+    files[1].write_text(files[1].read_text() + "/* mine */\n")
+    files[0].unlink()
+    with pytest.raises(UsageError, match=r"damper\.c exists already"):
+        write_chain(chain, tmp_path / "new")
+    assert not files[0].exists()
+
+
+def built(folder: Path) -> bool:
+    return subprocess.run(["make", "-f", "damper.mk"], cwd=folder, capture_output=True, check=False).returncode == 0
