@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 from enum import StrEnum
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from gbid.cli.options import CommonOptions, ExperimentPath, complete_source, with_options
-from gbid.cli.verbs import OR_RUN
 from gbid.core.errors import UsageError
 from gbid.export.targets import TARGETS, ExportRequest, export_target
 
@@ -43,11 +43,11 @@ ABOUT = {
 
 
 def _drafting(help: str, metavar: str | None = None) -> Any:
-    return typer.Option(metavar=metavar, help=f"With --from: {help}.", show_default="found")
+    return typer.Option(metavar=metavar, help=f"Of measured files: {help}.", show_default="found")
 
 
 def _peeking(help: str) -> Any:
-    return typer.Option(help=f"With --peek: {help}.", show_default="found")
+    return typer.Option(help=f"Of a text file that is shown: {help}.", show_default="found")
 
 
 def _print_templates(wanted: bool) -> None:
@@ -79,7 +79,7 @@ def new(
     to_s: Annotated[float | None, _drafting("end of the part to use", "S")] = None,
     pressure: Annotated[float | None, _drafting("pressure of all files", "BAR")] = None,
     speed: Annotated[float | None, _drafting("speed of all files", "RPM")] = None,
-    controller: Annotated[str, typer.Option(help="With --from: structure of the controller.")] = "P",
+    controller: Annotated[str, typer.Option(help="Of measured files: structure of the controller.")] = "P",
     _list: Annotated[
         bool, typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and exit.")
     ] = False,
@@ -125,6 +125,31 @@ def new(
     typer.echo("\n".join(lines), err=True)
 
 
+def init(**given: Any) -> None:
+    """Draft an experiment for a gas bearing from the files of a folder; the same as `gbid new DIR --from FOLDER`."""
+    folder = given.pop("folder") or Path(f"{given['measured'].resolve().name}-experiment")
+    new(folder=folder, template=Template.quickstart, _list=False, **given)
+
+
+_OF_INIT = {
+    "measured": Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="The folder with the files of a logger.", show_default=False)
+    ],
+    "folder": Annotated[
+        Path | None,
+        typer.Argument(metavar="[DIR]", help="A new or empty folder.", show_default="FOLDER-experiment, here"),
+    ],
+}
+_OF_NEW = [q for q in signature(new).parameters.values() if q.name not in ("folder", "measured", "template", "_list")]
+init.__signature__ = Signature(  # type: ignore[attr-defined]  # typer reads it
+    [
+        Parameter("measured", Parameter.POSITIONAL_OR_KEYWORD, annotation=_OF_INIT["measured"]),
+        Parameter("folder", Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=_OF_INIT["folder"]),
+        *_OF_NEW,
+    ]
+)
+
+
 def _signal(text: str) -> tuple[str, tuple[str, ...]]:
     """Return name and columns of an option like ``p=Weg x,Weg y``."""
     name, _, columns = text.partition("=")
@@ -154,7 +179,38 @@ def _drafted(options: DraftOptions, target: Path) -> Draft:
                 )
 
 
-# ---- `gbid import`: recordings of the import section; with --peek the channels of one file.
+# ---- `gbid peek`: the channels of one measured file; `gbid import`: recordings of the import section.
+
+_Encoding = Annotated[str | None, _peeking("its encoding")]
+_Decimal = Annotated[str | None, _peeking("its decimal sign")]
+_Delimiter = Annotated[str | None, _peeking("the character between its cells")]
+_HeaderLine = Annotated[int | None, _peeking("number of its line with the names")]
+
+
+@with_options("as_json", "debug")
+def peek(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A measured file.", show_default=False)],
+    options: CommonOptions,
+    encoding: _Encoding = None,
+    decimal: _Decimal = None,
+    delimiter: _Delimiter = None,
+    header_line: _HeaderLine = None,
+) -> None:
+    """Show the channels of a measured file: names, units, rates, first samples, and how it is read."""
+    from gbid.cli.printing import print_json, print_tables
+    from gbid.recording.importing import list_channels, read_layout
+    from gbid.recording.mapping import TextOptions
+    from gbid.report.fit_tables import channel_rows, channel_table, layout_words
+
+    given: Any = (encoding, decimal, delimiter, header_line)
+    text = TextOptions(*given)
+    rows, layout = channel_rows(list_channels(file, text)), read_layout(file, text)
+    if options.as_json:
+        print_json({"file": file, "layout": layout, "channels": rows})
+    else:
+        if layout:
+            typer.echo(f"read as text: {layout_words(layout)}")
+        print_tables(channel_table(file.name, rows))
 
 
 @with_options()
@@ -166,38 +222,20 @@ def import_recordings(
         ),
     ],
     options: CommonOptions,
-    peek: Annotated[
-        bool,
-        typer.Option(
-            "--peek",
-            help="Show the channels of a measured file: names, units, rates, first samples, and how it is read.",
-        ),
-    ] = False,
-    encoding: Annotated[str | None, _peeking("encoding of a text file")] = None,
-    decimal: Annotated[str | None, _peeking("its decimal sign")] = None,
-    delimiter: Annotated[str | None, _peeking("the character between its cells")] = None,
-    header_line: Annotated[int | None, _peeking("number of its line with the names")] = None,
+    peek_at: Annotated[bool, typer.Option("--peek", help="Show the channels of a file, as `gbid peek`.")] = False,
+    encoding: _Encoding = None,
+    decimal: _Decimal = None,
+    delimiter: _Delimiter = None,
+    header_line: _HeaderLine = None,
 ) -> None:
     """Read the recordings of the import section, or show the channels of a measured file."""
-    if not peek:
-        from gbid.cli.stages import run_stages
-
-        run_stages("import", experiment, options, ("import",), OR_RUN)
+    if peek_at:
+        layout: Any = {"encoding": encoding, "decimal": decimal, "delimiter": delimiter, "header_line": header_line}
+        peek(file=experiment, as_json=options.as_json, debug=options.debug, **layout)
         return
-    from gbid.cli.printing import print_json, print_tables
-    from gbid.recording.importing import list_channels, read_layout
-    from gbid.recording.mapping import TextOptions
-    from gbid.report.fit_tables import channel_rows, channel_table, layout_words
+    from gbid.cli.stages import run_stages
 
-    given: Any = (encoding, decimal, delimiter, header_line)
-    text = TextOptions(*given)
-    rows, layout = channel_rows(list_channels(experiment, text)), read_layout(experiment, text)
-    if options.as_json:
-        print_json({"file": experiment, "layout": layout, "channels": rows})
-    else:
-        if layout:
-            typer.echo(f"read as text: {layout_words(layout)}")
-        print_tables(channel_table(experiment.name, rows))
+    run_stages("import", experiment, options)
 
 
 # ---- `gbid export`: models and controllers for other programs.

@@ -10,64 +10,26 @@ import typer
 
 from gbid._version import __version__
 from gbid.cli.about import check, doctor, explain, schema
-from gbid.cli.files import clean, export, import_recordings, new
-from gbid.cli.options import CONTROL, DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
-from gbid.cli.verbs import OR_RUN, batch, figures, fit, of_stages, report, reproduce, run, serve
+from gbid.cli.files import clean, export, import_recordings, init, new, peek
+from gbid.cli.options import HELP, RESULTS, STAGE_VERBS, STAGES, START, GroupedCommands, examples
+from gbid.cli.results import diff, show
+from gbid.cli.verbs import batch, figures, fit, report, reproduce, run, serve, stage_verb
 
+_OWN_OPTIONS = {"import": import_recordings, "fit": fit}  # stages whose verbs have options of their own
 VERBS: dict[str, dict[str, Callable[..., None]]] = {
-    START: {"new": new, "check": check, "run": run, "clean": clean, "doctor": doctor, "schema": schema},
-    DATA: {
-        "import": import_recordings,
-        "rig": of_stages(
-            "rig",
-            "Make the recordings of the rig section, after the designs that close their loops.",
-            *("loop", "rig"),
-            hint=OR_RUN,
-        ),
+    START: {"init": init, "new": new, "peek": peek, "check": check, "run": run, "batch": batch},
+    RESULTS: {
+        **{"show": show, "diff": diff, "report": report, "serve": serve, "export": export},
+        **{"figures": figures, "reproduce": reproduce},
     },
-    IDENTIFY: {
-        "fit": fit,
-        "batch": batch,
-        "static": of_stages(
-            "static", "Characterise staircases: static gains of the bearing, hysteresis and creep of the piezos."
-        ),
-        "lpv": of_stages(
-            "lpv", "Fit surfaces over pressure and speed to the fits, and show the deviations of the recordings."
-        ),
-        "crossval": of_stages(
-            "crossval",
-            "Validate the fitted models and choose the nominal actuator; exit code 5 when a minimum fit is missed.",
-            *("crossval", "nominal"),
-        ),
-        "excite": of_stages(
-            "excite", "Design the excitation of the next recordings from the fits: a CSV file for the signal generator."
-        ),
-    },
-    CONTROL: {
-        "tune": of_stages(
-            "tune", "Tune controllers: the gains with the most damping within limits, compared with the published ones."
-        ),
-        "impact": of_stages(
-            "impact",
-            "Hit the rig with a hammer, open and closed loop: identified and expected modes, force scaling, fit.",
-        ),
-        "cycle": of_stages(
-            "cycle",
-            "Record with the tuned controller in the loop, fit and tune again, and measure each round by impacts.",
-        ),
-    },
-    REPORT: {
-        "explain": explain,
-        "figures": figures,
-        "reproduce": reproduce,
-        "export": export,
-        "report": report,
-        "serve": serve,
-    },
+    HELP: {"explain": explain, "doctor": doctor, "schema": schema, "clean": clean},
+    STAGES: {name: _OWN_OPTIONS.get(name) or stage_verb(name) for name in STAGE_VERBS},
 }
-"""Verbs by group, in the order of the overview."""
+"""Verbs by group, in the order of the overview; those of the stages are `gbid run --only STAGE` by another name."""
 
 EXAMPLES = """\
+gbid init measured
+gbid init measured rig3 --speed 6000
 gbid new rig1
 gbid new --list
 gbid new rig2 --template own-recordings
@@ -75,6 +37,14 @@ gbid new rig3 --from measured
 gbid check rig1/experiment.yaml
 gbid run rig1/experiment.yaml
 gbid run rig1/experiment.yaml --json > results.json
+gbid run rig1/experiment.yaml --until fit
+gbid run rig1/experiment.yaml --only tune --overwrite
+gbid show rig1/results/quickstart/fits/bearing/p6_n0_prbs1.h5
+gbid show rig1/results/quickstart/fits/bearing/p6_n0_prbs1.h5 --json
+gbid diff rig1/results/quickstart rig2/results/quickstart
+gbid diff rig1/results/quickstart rig2/results/quickstart --json
+gbid peek measured/run_07.tdms
+gbid peek measured/run_07.csv --decimal ,
 gbid clean rig1/experiment.yaml --dry-run
 gbid clean rig1/experiment.yaml --everything
 gbid doctor
@@ -121,7 +91,7 @@ app = typer.Typer(
     epilog=examples(
         "gbid new rig1                     # an experiment that runs as it is",
         "gbid run rig1/experiment.yaml     # every stage that it names",
-        "gbid fit --help                   # options and examples of a verb",
+        "gbid run --help                   # options and examples of a verb",
     ),
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},

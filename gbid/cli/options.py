@@ -8,7 +8,7 @@ from functools import wraps
 from glob import escape
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 from typer.core import TyperGroup
@@ -111,10 +111,70 @@ def with_options(*names: str) -> Callable[[Callable[..., None]], Callable[..., N
     return decorate
 
 
+# ---- Stages as words of the command line.
+
+OR_RUN = ", or use `gbid run`"
+"""What a verb that makes recordings advises when the YAML has no such section."""
+
+
+class StageVerb(NamedTuple):
+    """Verb of one or several stages, which is also a word for `gbid run --only`.
+
+    Attributes
+    ----------
+    help : str
+        Help text of the verb.
+    stages : tuple of str
+        Names of its stages in `gbid.experiment.stages.registry`.
+    hint : str
+        Further advice when the YAML has none of the sections.
+    """
+
+    help: str
+    stages: tuple[str, ...]
+    hint: str = ""
+
+
+STAGE_VERBS: dict[str, StageVerb] = {
+    "rig": StageVerb(
+        "Make the recordings of the rig section, after the designs that close their loops.", ("loop", "rig"), OR_RUN
+    ),
+    "import": StageVerb(
+        "Read the recordings of the import section, or show the channels of a measured file.", ("import",), OR_RUN
+    ),
+    "fit": StageVerb("Prefilter the recordings, if the YAML says so, and run the fits.", ("prefilter", "fit")),
+    "static": StageVerb(
+        "Characterise staircases: static gains of the bearing, hysteresis and creep of the piezos.", ("static",)
+    ),
+    "crossval": StageVerb(
+        "Validate the fitted models and choose the nominal actuator; exit code 5 when a minimum fit is missed.",
+        ("crossval", "nominal"),
+    ),
+    "lpv": StageVerb(
+        "Fit surfaces over pressure and speed to the fits, and show the deviations of the recordings.", ("lpv",)
+    ),
+    "excite": StageVerb(
+        "Design the excitation of the next recordings from the fits: a CSV file for the signal generator.", ("excite",)
+    ),
+    "tune": StageVerb(
+        "Tune controllers: the gains with the most damping within limits, compared with the published ones.", ("tune",)
+    ),
+    "impact": StageVerb(
+        "Hit the rig with a hammer, open and closed loop: identified and expected modes, force scaling, fit.",
+        ("impact",),
+    ),
+    "cycle": StageVerb(
+        "Record with the tuned controller in the loop, fit and tune again, and measure each round by impacts.",
+        ("cycle",),
+    ),
+}
+"""Verbs of the stages in the order of a run; the names are read before the stages are imported, for a fast help."""
+
+
 # ---- Overview of `gbid --help`: verbs in groups, and examples to copy.
 
-START, DATA, IDENTIFY, CONTROL, REPORT = "Start", "Data", "Identify", "Control", "Report"
-GROUPS = (START, DATA, IDENTIFY, CONTROL, REPORT)
+START, RESULTS, HELP, STAGES = "Start", "Results", "Help", "Stages"
+GROUPS = (START, RESULTS, HELP, STAGES)
 """Groups in the order of the work; a verb names its group as `rich_help_panel`."""
 
 

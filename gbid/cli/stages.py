@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from gbid.cli.options import CommonOptions
+from gbid.cli.options import STAGE_VERBS, CommonOptions
 from gbid.cli.printing import print_json, print_notes, print_tables, tell
 from gbid.cli.progress import MANY, causes_in_words, reporting
 from gbid.core.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
@@ -19,7 +19,7 @@ from gbid.core.tables import Column, Table
 from gbid.experiment.campaign import collect, read_shard, run_campaign, working
 from gbid.experiment.experiment import Experiment, changed_files
 from gbid.experiment.fields import nearest
-from gbid.experiment.run import Job, Outcome, Stage, Task, has_section, run_stage, run_tasks, standing
+from gbid.experiment.run import Job, Outcome, Stage, Task, has_section, no_tasks, run_stage, run_tasks, standing
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks
 from gbid.report.fit_tables import campaign_document, campaign_tables
@@ -43,7 +43,10 @@ _ORDER: Mapping[str, Callable[[Any], object]] = {
     "export": lambda spec: spec.fits or spec.lpv or spec.controller,
 }
 """Verbs in the order of the work, with what an experiment must have for them."""
-_LIKE = {"batch": "fit", "run": "report", "figures": "cycle", "reproduce": "cycle"}
+_LIKE = {
+    **{"batch": "fit", "run": "report", "figures": "cycle", "reproduce": "cycle"},
+    **{"loop": "check", "prefilter": "import", "loop-cost": "static", "nominal": "crossval"},
+}
 
 
 def next_step(experiment: Experiment, verb: str) -> str:
@@ -62,7 +65,8 @@ def next_step(experiment: Experiment, verb: str) -> str:
     if verb == "run" and experiment.spec.cycle is not None and not experiment.spec.cycle.in_run:
         return f"gbid cycle {path}"
     verbs = list(_ORDER)
-    for later in verbs[verbs.index(_LIKE.get(verb, verb)) + 1 :]:
+    done = _LIKE.get(verb, verb)
+    for later in verbs[verbs.index(done) + 1 :] if done in verbs else ():
         if _ORDER[later](experiment.spec):
             target = " --to c" if experiment.spec.controller else " --to matlab"
             return f"gbid {later} {path}{target if later == 'export' else ''}"
@@ -232,44 +236,68 @@ def check_sections(experiment: Experiment, sections: Sequence[str], hint: str = 
         raise UsageError(f"{experiment.file.path}: no section {words}; add one{hint}")
 
 
-def run_stages(
-    verb: str, path: Path, options: CommonOptions, names: Sequence[str], hint: str = "", only: str | None = None
-) -> None:
-    """Run stages and print their results; end with the exit code and the next step.
-
-    Parameters
-    ----------
-    verb : str
-        Name of the verb.
-    path : pathlib.Path
-        The experiment YAML; it must have the section of a stage, for `gbid fit` that of the fits.
-    options : CommonOptions
-        Options of the verb.
-    names : sequence of str
-        Names of the stages.
-    hint : str
-        Further advice when the YAML has none of the sections.
-    only : str, optional
-        The only fit to run.
+def stages_of(word: str) -> list[Stage]:
+    """Return the stages that a word of `gbid run --only` names: those of a stage's verb, or a stage without one.
 
     Raises
     ------
     UsageError
-        When a section is missing, or when there is no such fit.
+        When there is no such stage.
     """
-    experiment, stages = options.load(path), [stage for stage in registry.STAGES if stage.name in names]
+    working_stages = [stage for stage in registry.STAGES if stage.tasks is not no_tasks]
+    names = STAGE_VERBS[word].stages if word in STAGE_VERBS else (word.replace("-", " "),)
+    stages = [stage for stage in working_stages if stage.name in names]
+    if not stages:
+        more = (stage.name.replace(" ", "-") for stage in working_stages)
+        raise UsageError(f"{word}: no such stage; {nearest(word, dict.fromkeys([*STAGE_VERBS, *more]))}")
+    return stages
+
+
+def run_stages(word: str, path: Path, options: CommonOptions, *, only: str | None = None, before: bool = False) -> None:
+    """Run the stages that a word names and print their results; end with the exit code and the next step.
+
+    Parameters
+    ----------
+    word : str
+        Name of a stage or of its verb, as `stages_of` takes it; the YAML must have the section of the stage, for
+        ``fit`` that of the fits.
+    path : pathlib.Path
+        The experiment YAML.
+    options : CommonOptions
+        Options of the verb.
+    only : str, optional
+        The only fit to run.
+    before : bool
+        Whether the stages before it run, too, as far as `gbid run` runs them.
+
+    Raises
+    ------
+    UsageError
+        When there is no such stage or fit, or when the section is missing.
+    """
+    shown = stages_of(word)
+    experiment = options.load(path)
     if only is not None and experiment.spec.fits and only not in experiment.spec.fits:
         raise UsageError(f"--only {only}: no such fit; {nearest(only, experiment.spec.fits)}")
-    check_sections(experiment, [stage.section for stage in stages[list(names).index(verb) :]], hint)
+    named = [stage.name for stage in shown]
+    sections = [stage.section for stage in shown[named.index(word) if word in named else 0 :]]
+    check_sections(experiment, sections, STAGE_VERBS[word].hint if word in STAGE_VERBS else "")
+    last = registry.STAGES.index(shown[-1])
+    earlier = [stage for stage in registry.STAGES[:last] if stage.in_run(experiment) and stage not in shown]
+    stages = [stage for stage in registry.STAGES if stage in shown or (before and stage in earlier)]
     if options.dry_run:
         print_plan(experiment, stages, options)
         return
-    outcomes: list[Outcome] = []
+    whole_campaign = before and FIT in stages
     with opened(experiment, options) as job:
+        outcomes = run_campaign(job) if whole_campaign else []
         for stage in stages:
-            outcomes += run_tasks(job, fit_tasks(job, only)) if stage is FIT else run_stage(job, stage)
+            if stage is FIT and not whole_campaign:
+                outcomes += run_tasks(job, fit_tasks(job, only))
+            elif not (stage.early and whole_campaign):
+                outcomes += run_stage(job, stage)
     document = document_of(job, stages, outcomes)
-    conclude(verb, experiment, options, outcomes, document, tables_of(stages, document))
+    conclude(word, experiment, options, outcomes, document, tables_of(shown, document))
 
 
 def run_batch(path: Path, options: CommonOptions, scheduler: str | None, shard: str | None, collected: bool) -> None:

@@ -5,35 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from gbid.cli.options import CommonOptions, ExperimentPath, with_options
-
-OR_RUN = ", or use `gbid run`"
-"""What a verb that makes recordings advises when the YAML has no such section."""
+from gbid.cli.options import STAGE_VERBS, CommonOptions, ExperimentPath, with_options
 
 
-def of_stages(name: str, help: str, *stages: str, hint: str = "") -> Callable[..., None]:
-    """Return the verb that runs stages and prints their results.
-
-    Parameters
-    ----------
-    name, help : str
-        Name and help text of the verb.
-    *stages : str
-        Names of the stages; by default that of the verb.
-    hint : str
-        Further advice when the YAML has none of the sections.
-    """
+def stage_verb(name: str) -> Callable[..., None]:
+    """Return the verb of a stage: `gbid run --only` of the same word."""
 
     def verb(experiment: ExperimentPath, options: CommonOptions) -> None:
         from gbid.cli.stages import run_stages
 
-        run_stages(name, experiment, options, stages or (name,), hint)
+        run_stages(name, experiment, options)
 
-    verb.__doc__ = help
+    verb.__doc__ = STAGE_VERBS[name].help
     return with_options()(verb)
 
 
@@ -46,7 +33,7 @@ def fit(
     """Prefilter the recordings, if the YAML says so, and run the fits."""
     from gbid.cli.stages import run_stages
 
-    run_stages("fit", experiment, options, ("prefilter", "fit"), only=only)
+    run_stages("fit", experiment, options, only=only)
 
 
 @with_options()
@@ -67,12 +54,36 @@ def batch(
     run_batch(experiment, options, scheduler, shard, collect)
 
 
-@with_options()
-def run(experiment: ExperimentPath, options: CommonOptions) -> None:
-    """Run all stages that an experiment names, from recordings to the report; current results are kept."""
-    from gbid.cli.stages import run_all
+def _complete_stage(incomplete: str) -> list[str]:
+    return [name for name in STAGE_VERBS if name.startswith(incomplete)]
 
-    run_all(experiment, options)
+
+def _stage_option(name: str, help: str) -> Any:
+    return typer.Option(name, metavar="STAGE", help=help, autocompletion=_complete_stage)
+
+
+@with_options()
+def run(
+    experiment: ExperimentPath,
+    options: CommonOptions,
+    only: Annotated[
+        str | None, _stage_option("--only", f"Run this stage alone, on what is there: {', '.join(STAGE_VERBS)}.")
+    ] = None,
+    until: Annotated[
+        str | None, _stage_option("--until", "Run the stages up to this one, and draw no figures and no report.")
+    ] = None,
+) -> None:
+    """Run all stages that an experiment names, from recordings to the report; current results are kept."""
+    from gbid.cli.stages import run_all, run_stages
+    from gbid.core.errors import UsageError
+
+    if only is not None and until is not None:
+        raise UsageError("--only and --until contradict each other; give one of them")
+    stage = until or only
+    if stage is None:
+        run_all(experiment, options)
+    else:
+        run_stages(stage, experiment, options, before=until is not None)
 
 
 # ---- Verbs that show existing results and compute nothing else.

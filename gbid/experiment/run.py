@@ -460,6 +460,11 @@ Work = Sequence[Task | Outcome]
 """Tasks to run, and outcomes of items for which no task is possible."""
 
 
+def no_tasks(_: Job) -> Work:
+    """Return no work: the section of such a stage only describes, and the stage checks it."""
+    return ()
+
+
 def has_section(experiment: Experiment, key: str) -> bool:
     """Return whether an experiment has a section, by its key in the YAML."""
     fields = type(experiment.spec).model_fields.items()

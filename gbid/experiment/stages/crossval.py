@@ -27,6 +27,7 @@ from gbid.experiment.run import (
     Stage,
     Task,
     Work,
+    no_tasks,
     remember_failure,
     remembered_failure,
 )
@@ -523,4 +524,4 @@ def figures_show_fits(experiment: Experiment) -> Found:
             yield ("figures", name, "from_s"), text
 
 
-FIGURES = Stage("figure", "figures", (figures_show_fits,), lambda _: ())
+FIGURES = Stage("figure", "figures", (figures_show_fits,), no_tasks)

@@ -29,7 +29,7 @@ from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, Result, file_digest, needed, refusal
 from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_run
 from gbid.experiment.rig_schema import Place
-from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
+from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, no_tasks
 from gbid.experiment.schema import HammerTrain, ImpactsSection
 from gbid.lpv import LPVModel, load_model
 from gbid.recording import load_recording, save_recording
@@ -296,4 +296,4 @@ def chain_can_run(experiment: Experiment) -> Found:
     yield from refusal(("target",), partial(chain_options, experiment))
 
 
-TARGET = Stage("target", "target", (chain_can_run,), lambda _: ())
+TARGET = Stage("target", "target", (chain_can_run,), no_tasks)
