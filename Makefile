@@ -98,7 +98,7 @@ kills: $(VENV)/.installed  ## kill gbid at 1000 random instants, in all verbs, a
 docs: $(VENV)/.installed-docs  ## the pages, code blocks executed, warnings as errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
-release-check: $(VENV)/.installed-test  ## wheel and source archive built, the wheel tried in fresh environments: each Python, newest and lowest dependencies; TRY=--offline
+release-check: $(VENV)/.installed-test  ## wheel and source archive built, the wheel tried in fresh environments: each Python, newest and lowest dependencies; TRY=--here or --offline
 	rm -rf dist
 	$(BIN)/python -m build --outdir dist .
 	$(BIN)/python tests/support/try_release.py dist $(TRY)

@@ -68,6 +68,7 @@ from .identify import (
     measured_response as measured_response,
     profile as profile,
     save_fit as save_fit,
+    subspace as subspace,
 )
 from .identify.fit import fit as fit
 from .lpv import (
@@ -109,11 +110,13 @@ from .structure import (
     with_pade as with_pade,
 )
 from .validate import (
+    Comparison as Comparison,
     NominalActuator as NominalActuator,
     ResidualTest as ResidualTest,
     ValidationScores as ValidationScores,
     ValidationSummary as ValidationSummary,
     check_residuals as check_residuals,
+    compare as compare,
     cross_validate as cross_validate,
     cross_validate_many as cross_validate_many,
     nominal_actuator as nominal_actuator,

@@ -32,6 +32,9 @@ from .result import (
     load_fit as load_fit,
     save_fit as save_fit,
 )
+from .start.black_box import (
+    subspace as subspace,
+)
 from .table import (
     FitTable as FitTable,
     TableEntry as TableEntry,

@@ -7,6 +7,10 @@ from .central import (
     nominal_actuator as nominal_actuator,
     save_nominal_actuator as save_nominal_actuator,
 )
+from .comparison import (
+    Comparison as Comparison,
+    compare as compare,
+)
 from .crossval import (
     PointSummary as PointSummary,
     Validation as Validation,

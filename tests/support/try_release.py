@@ -1,8 +1,9 @@
-"""Tries a built release as users get it: ``python try_release.py DIST [--offline]``.
+"""Tries a built release as users get it: ``python try_release.py DIST [--here] [--offline]``.
 
 The wheel goes into fresh environments without constraints: each Python from 3.11 up that this machine has, once with
 the newest and once with the lowest dependencies that ``pyproject.toml`` allows (uv's ``lowest-direct``). In each, a
 newcomer's way is gone with the C compiler of the machine and without any, and once with that of the extra ``compiler``.
+With ``--here`` that is the Python that runs this, with the compiler of the machine, as after each change.
 With ``--offline`` the dependencies are those of the environment that runs this, so that only gbid itself is new.
 """
 
@@ -17,7 +18,7 @@ import sysconfig
 import tarfile
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 IN_SOURCE = (
@@ -49,7 +50,7 @@ assert gbid.load("fit.h5").parameters == result.parameters
 assert result.plot().shape == (4, 2)
 gains = gbid.tune(machine, operating_points=[(6.0, 0.0)])
 assert gains.success, gains
-gbid.save_controller("controller.yaml", "P", gains.gains)
+gbid.save_controller("controller.yaml", gains, sample_time=2e-4)
 print("fit:", result.status, "tune:", gains.status)
 """
 
@@ -126,8 +127,11 @@ def go_the_way(environment: Path, version: str, env: dict[str, str], compiler: s
     return ", ".join(told)
 
 
-def try_installed(place: Path, wheel: Path, python: str, lowest: bool, extra: str = "") -> None:
+def try_installed(
+    place: Path, wheel: Path, python: str, lowest: bool, compilers: Sequence[str] = ("machine", "none")
+) -> None:
     """Install the wheel into a fresh environment with the newest or the lowest dependencies, and use it there."""
+    extra = "[compiler]" if "extra" in compilers else ""
     version, env = wheel.name.split("-")[1], plain_environment(place)
     environment = place / "env"
     run(python, "-m", "venv", environment, cwd=place, env=env)
@@ -147,7 +151,7 @@ def try_installed(place: Path, wheel: Path, python: str, lowest: bool, extra: st
         run(inside, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", wanted, cwd=place, env=env)
     numpy = run(inside, "-c", "import numpy; print(numpy.__version__)", cwd=place, env=env)
     name = f"{run(inside, '--version', cwd=place)}, {'lowest' if lowest else 'newest'} (numpy {numpy}){extra}"
-    for compiler in ("extra",) if extra else ("machine", "none"):
+    for compiler in compilers:
         print(f"{name}: {go_the_way(environment, version, env, compiler)}", flush=True)
     shutil.rmtree(environment)
 
@@ -163,21 +167,24 @@ def try_offline(place: Path, wheel: Path) -> None:
     print(go_the_way(environment, wheel.name.split("-")[1], plain_environment(place), compiler="machine"))
 
 
-def try_release(dist: Path, offline: bool) -> None:
+def try_release(dist: Path, options: Sequence[str]) -> None:
     """Check the source archive, install the wheel, and use it."""
     (wheel,), (archive,) = dist.glob("*.whl"), dist.glob("*.tar.gz")
     held = check_source(archive)
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        if offline:
+        if "--offline" in options:
             try_offline(place, wheel)
+        elif "--here" in options:
+            for lowest in (False, True):
+                try_installed(place, wheel, sys.executable, lowest, ["machine"])
         else:
             for python in found_pythons().values():
                 for lowest in (False, True):
                     try_installed(place, wheel, python, lowest)
-            try_installed(place, wheel, sys.executable, False, "[compiler]")
+            try_installed(place, wheel, sys.executable, False, ["extra"])
     print(f"{wheel.name}: installed and tried; {archive.name}: {held} files")
 
 
 if __name__ == "__main__":
-    try_release(Path(sys.argv[1]), "--offline" in sys.argv)
+    try_release(Path(sys.argv[1]), sys.argv[2:])

@@ -6,14 +6,17 @@ import contextlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import scipy
 
-from gbid.core.arrays import ComplexArray, FloatArray
-from gbid.core.errors import DataError
-from gbid.identify.data import Record
+from gbid.core.arrays import ComplexArray, FloatArray, one_blas_thread
+from gbid.core.errors import DataError, UsageError
+from gbid.identify.data import Record, column_means, gather
 from gbid.identify.predictor import Predictor
+from gbid.recording import Recording
+from gbid.structure import LinearModel, as_names
 
 _ENOUGH = 30_000  # largest number of rows of the regression
 _MOST_LAGS = 60  # largest number of past samples
@@ -45,6 +48,10 @@ class BlackBox:
         Output matrix.
     first_states : (n_records, order) array
         State of each record at sample `lags`.
+    B, K : (order, n_u), (order, n_y) array
+        Input matrix, and gain of the innovations.
+    singular_values : (n,) array
+        Singular values of the predictor's product of observability and states; those of noise are small and alike.
     """
 
     lags: int
@@ -56,6 +63,9 @@ class BlackBox:
     A: FloatArray
     C: FloatArray
     first_states: FloatArray
+    B: FloatArray
+    K: FloatArray
+    singular_values: FloatArray
 
     def response(self, z: ComplexArray) -> tuple[ComplexArray, FloatArray]:
         """Return the response from inputs to outputs at points of the z-plane, and its standard deviation.
@@ -220,7 +230,8 @@ def _states(
     now = np.hstack([known, np.vstack(inputs), errors])
     last = np.cumsum([len(x) for x in states]) - 1  # these samples have no following one
     following = np.delete(np.vstack(states), [0, *(last[:-1] + 1)], axis=0)
-    A = np.linalg.lstsq(np.delete(now, last, axis=0), following, rcond=None)[0][:n].T
+    steps = np.linalg.lstsq(np.delete(now, last, axis=0), following, rcond=None)[0]
+    offsets = known.shape[1]
     size = np.concatenate([np.tile(scale_y, p), np.tile(scale_u, p), scale_u if direct is not None else []])
     return BlackBox(
         lags=p,
@@ -229,10 +240,133 @@ def _states(
         direct=D * scale_y[:, None] / scale_u,
         regression=regression.inverse / np.outer(size, size),
         noise=regression.noise * np.outer(scale_y, scale_y),
-        A=A,
+        A=steps[:n].T,
         C=C * scale_y[:, None],
         first_states=np.array([x[0] for x in states]),
+        B=steps[offsets : offsets + n_u].T / scale_u,
+        K=steps[offsets + n_u :].T / scale_y,
+        singular_values=S,
     )
+
+
+# ---- Subspace model for users, with an order that the data choose.
+
+_MOST_STATES = 20  # tried with order="auto"
+_TRAINING = 0.7  # part of each recording that models of all orders are estimated from; the rest judges them
+_STANDARD_ERRORS = 2.0  # by which squared errors may exceed the least of twenty orders by chance
+_NO_MATTER = 0.01  # of the squared errors: a fit of 95 % changes by 0.025 %
+_VISIBLE = 1e-4  # singular value, of the largest, below which a state is rounding or noise in any recording
+
+
+def subspace(
+    recordings: Recording | Sequence[Recording],
+    order: int | Literal["auto"] = "auto",
+    *,
+    inputs: str | Sequence[str] = "u",
+    outputs: str | Sequence[str] = "y",
+    feedthrough: bool = False,
+) -> LinearModel:
+    """Return a linear model of recordings without a structure, in discrete time, by a subspace method.
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of Recording
+        Recordings with the same channels and sample time.
+    order : int or "auto"
+        Number of states. "auto": models of 1 to 20 states, as many as have singular values above rounding, from the
+        first 70 % of each recording simulate the rest; the smallest whose squared errors exceed the least by no more
+        than two standard errors, or a hundredth, is chosen. For an unstable plant state the order.
+    inputs, outputs : str or sequence of str
+        Signals (``"p"``) or channels (``"p.x"``).
+    feedthrough : bool
+        Whether an input acts on the outputs within the same sample.
+
+    Returns
+    -------
+    LinearModel
+        In discrete time, with the gain of its innovations as `K`. `gbid.compare` puts models of several orders side by
+        side.
+
+    Raises
+    ------
+    DataError
+        When a recording lacks a signal, or recordings are too short for the order.
+    UsageError
+        When the order is no number of states.
+
+    Notes
+    -----
+    The method is PBSID, see `black_box`: it is consistent in a closed loop, and for unstable plants, too.
+    """
+    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    names = as_names(inputs), as_names(outputs)
+    data = gather(several, *names, minimum=_FIRST_LAGS)
+    if order != "auto" and (isinstance(order, bool) or not isinstance(order, int) or order < 1):
+        raise UsageError(f"order = {order!r}; give a number of states, or the word auto")
+    centred = [
+        Record(r.name, r.inputs - column_means(r.inputs), r.outputs - column_means(r.outputs)) for r in data.records
+    ]
+    with one_blas_thread():
+        chosen = _order_of(centred, feedthrough) if order == "auto" else order
+        model = black_box(centred, chosen, feedthrough=feedthrough)
+    return LinearModel(
+        model.A,
+        model.B,
+        model.C,
+        model.direct,
+        model.K,
+        dt=data.sample_time,
+        input_names=data.input_names,
+        output_names=data.output_names,
+        name=f"subspace model of order {len(model.A)}",
+    )
+
+
+def _order_of(records: Sequence[Record], feedthrough: bool) -> int:
+    """Return the smallest order that simulates samples which were not used about as well as the best."""
+    cuts = [int(_TRAINING * r.n_samples) for r in records]
+    begin = [Record(r.name, r.inputs[:cut], r.outputs[:cut]) for r, cut in zip(records, cuts, strict=True)]
+    rest = [Record(r.name, r.inputs[cut:], r.outputs[cut:]) for r, cut in zip(records, cuts, strict=True)]
+    full = black_box(begin, _MOST_STATES, feedthrough=feedthrough)
+    S, scale = full.singular_values, np.concatenate([r.outputs for r in rest]).std(axis=0)
+    most = max(1, min(_MOST_STATES, len(full.A), int((_VISIBLE * S[0] < S).sum())))
+    squares = []
+    for order in range(1, most + 1):
+        model = black_box(begin, order, feedthrough=feedthrough, lags=full.lags)
+        squares.append(_batch_means(((np.concatenate([_errors(model, r) for r in rest]) / scale) ** 2).sum(axis=1)))
+    best = int(np.argmin([each.mean() for each in squares]))
+    for order, each in enumerate(squares[:best], 1):
+        if not np.isfinite(each).all():
+            continue
+        more = each - squares[best]
+        certain = max(_STANDARD_ERRORS * more.std() / np.sqrt(len(more)), _NO_MATTER * squares[best].mean())
+        if more.mean() <= certain:
+            return order
+    return best + 1
+
+
+def _batch_means(values: FloatArray) -> FloatArray:
+    """Return the means of twenty batches of values (n,): unlike neighbouring values, they are nearly independent."""
+    return np.array([batch.mean() for batch in np.array_split(values, 20)])
+
+
+def _errors(model: BlackBox, record: Record) -> FloatArray:
+    """Return the errors of a simulation from the best initial state, (n_samples, n_y); of an unstable model, infinite.
+
+    One step ahead, an order that is too high would take the noise in.
+    """
+    n = len(model.A)
+    if not np.abs(np.linalg.eigvals(model.A)).max() < 1:
+        return np.full(record.outputs.shape, np.inf)
+    states, free = np.zeros((record.n_samples, n)), np.empty((record.n_samples, n, n))
+    drive, x, power = record.inputs @ model.B.T, np.zeros(n), np.eye(n)
+    for k, push in enumerate(drive):
+        states[k], free[k] = x, power
+        x, power = model.A @ x + push, model.A @ power
+    rest = record.outputs - states @ model.C.T - record.inputs @ model.direct.T
+    from_start = (model.C @ free).reshape(-1, n)
+    start = np.linalg.lstsq(from_start, rest.ravel(), rcond=1e-9)[0]
+    return np.asarray(rest - (from_start @ start).reshape(rest.shape))
 
 
 # ---- Match of a structure to the frequency response of a black-box model: parameters without start values.
