@@ -110,7 +110,7 @@ from .structure import (
     with_pade as with_pade,
 )
 from .validate import (
-    Comparison as Comparison,
+    ModelComparison as ModelComparison,
     NominalActuator as NominalActuator,
     ResidualTest as ResidualTest,
     ValidationScores as ValidationScores,

@@ -215,7 +215,7 @@ def _draw(
     magnitude.loglog(f, curve.magnitude[:, i, j], label=label, **style)
     phase.semilogx(f, curve.phase_deg[:, i, j], **style)
     _degrees(phase)
-    if not curve.has_band:
+    if not (curve.has_band and curve.magnitude[:, i, j].any()):  # an input that no output follows has none
         return
     band: dict[str, Any] = {"color": style["color"], "alpha": 0.25, "linewidth": 0}
     low, high = (side[:, i, j] for side in curve.magnitude_band(level))

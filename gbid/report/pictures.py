@@ -31,7 +31,7 @@ from gbid.report.measured_pictures import (
 )
 from gbid.report.model_pictures import plot_bode, plot_iso_zones, plot_profile
 from gbid.structure import LinearModel
-from gbid.validate import Comparison, ResidualTest, Validation
+from gbid.validate import ModelComparison, ResidualTest, Validation
 
 
 @singledispatch
@@ -47,7 +47,7 @@ def plot(value: Any, ax: Any = None, **options: Any) -> Any:  # noqa: ARG001
     Recording                               `plot_recording`
     LinearModel, FitResult                  `plot_bode`
     FrequencyData, MeasuredResponse         `plot_bode`
-    Comparison                              `plot_bode`
+    ModelComparison                         `plot_bode`
     Profile                                 `plot_profile`
     Validation                              `plot_response`
     ResidualTest                            `plot_residuals`
@@ -86,7 +86,7 @@ def shown(value: Any, ax: Any = None, **options: Any) -> Any:
 plot.register(Recording, plot_recording)
 for kind in (LinearModel, FitResult, FrequencyData):
     plot.register(kind, plot_bode)
-plot.register(Comparison, lambda comparison, ax=None, **options: plot_bode(comparison.models, ax, **options))
+plot.register(ModelComparison, lambda comparison, ax=None, **options: plot_bode(comparison.models, ax, **options))
 plot.register(Profile, plot_profile)
 plot.register(Validation, plot_response)
 plot.register(ResidualTest, plot_residuals)

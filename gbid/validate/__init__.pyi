@@ -8,7 +8,7 @@ from .central import (
     save_nominal_actuator as save_nominal_actuator,
 )
 from .comparison import (
-    Comparison as Comparison,
+    ModelComparison as ModelComparison,
     compare as compare,
 )
 from .crossval import (

@@ -1,4 +1,4 @@
-"""Comparison of several models on the same recordings: fit, information criterion, whiteness, side by side."""
+"""ModelComparison of several models on the same recordings: fit, information criterion, whiteness, side by side."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Models = LinearModel | FitResult | Sequence[LinearModel | FitResult] | Mapping[s
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(Tabled, Pictured):
+class ModelComparison(Tabled, Pictured):
     """Models beside each other on the same recordings; `gbid.compare` makes it.
 
     Attributes
@@ -37,8 +37,8 @@ class Comparison(Tabled, Pictured):
     parameters : (n_models,) integer array
         Numbers of estimated parameters; of a model without structure those that its response has.
     fit_percent : (n_models, n_recordings, n_outputs) array
-        ``100 (1 - |y - yhat| / |y - mean y|)`` of simulations whose initial state is estimated on the recording. A plain
-        model is one of deviations from the means; a fit has the trend that it was fitted with.
+        ``100 (1 - |y - yhat| / |y - mean y|)`` of simulations whose initial state is estimated on the recording. A
+        plain model is one of deviations from the means; a fit has the trend that it was fitted with.
     aic : (n_models,) array
         Akaike's information criterion of these simulations; the smallest is the best. It counts the errors as white.
     whiteness : (n_models, n_outputs) array
@@ -92,7 +92,7 @@ def compare(
     *,
     inputs: str | Sequence[str] | None = None,
     outputs: str | Sequence[str] | None = None,
-) -> Comparison:
+) -> ModelComparison:
     """Return models beside each other on the same recordings.
 
     Parameters
@@ -107,7 +107,7 @@ def compare(
 
     Returns
     -------
-    Comparison
+    ModelComparison
         Its ``table()`` has a row for each model, its ``plot()`` their frequency responses.
 
     Raises
@@ -157,7 +157,7 @@ def compare(
         products = np.asarray(sum(e.T @ e for e in errors)) / n
         aic[i] = n * (np.linalg.slogdet(products)[1] + n_y * (1 + np.log(2 * np.pi))) + 2 * counts[-1]
     names = tuple(each.name for each in several)
-    return Comparison(named, names, labels, np.array(orders), np.array(counts), percent, aic, white)
+    return ModelComparison(named, names, labels, np.array(orders), np.array(counts), percent, aic, white)
 
 
 def _named(models: Models) -> dict[str, LinearModel | FitResult]:
