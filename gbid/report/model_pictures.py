@@ -133,8 +133,9 @@ def bode_data(sources: Sources, frequency_hz: npt.ArrayLike | None = None) -> di
 
 
 def _common_grid(models: Mapping[str, UncertainModel]) -> FloatArray:
-    """Return frequencies that show the poles of all models [Hz]."""
-    return np.unique(np.concatenate([default_grid(m.model) for m in models.values()]))
+    """Return frequencies that show the poles of all models, up to half the rate of those that are sampled [Hz]."""
+    grid = np.unique(np.concatenate([default_grid(m.model) for m in models.values()]))
+    return grid[grid < min((0.5 / m.model.dt for m in models.values() if m.model.dt), default=np.inf)]
 
 
 @styled
