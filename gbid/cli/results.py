@@ -36,7 +36,9 @@ def show(
     """Show a stored result: its tables or its description; a result that is a text is printed as it is."""
     from gbid.cli.printing import print_json, print_tables
     from gbid.core.errors import DataError, UsageError
+    from gbid.core.hdf5 import read_made_with
     from gbid.core.names import printable
+    from gbid.report.fit_tables import origin_table
 
     if result.is_dir():
         raise UsageError(f"{result}: a folder; name one of its files, or give two folders to `gbid diff`")
@@ -51,12 +53,13 @@ def show(
             typer.echo("\n".join(map(printable, text.rstrip().splitlines())))
         return
     kind, document, tables = _described(result)
+    made_with = read_made_with(result)
     if options.as_json:
-        print_json({"file": result, "kind": kind, **document})
-    elif tables:
-        print_tables(*tables)
-    else:
+        print_json({"file": result, "kind": kind, **document, "made_with": made_with})
+        return
+    if not tables:
         typer.echo(document["text"])
+    print_tables(*tables, origin_table([made_with]))
 
 
 def _described(path: Path) -> tuple[str, dict[str, Any], list[Table]]:
@@ -131,6 +134,9 @@ def diff(
         before, after = (load(path, TunedDesign) for path in paths)
         document["designs"] += _differences(name, _design_figures(before), _design_figures(after))
         document["settings"] += _differences(name, _design_settings(before), _design_settings(after))
+    first_pair = next(iter([*fits.values(), *designs.values()]), None)
+    if first_pair is not None:  # all results of a folder have nearly the same origin: one row for each difference
+        document["settings"] += _differences("made with", *map(_origin, first_pair))
     document["compared"] = {"fits": len(fits), "designs": len(designs)}
     document["only_in_a"], document["only_in_b"] = ([*p, *q] for p, q in zip(fit_sides, design_sides, strict=True))
     if not fits and not designs:
@@ -180,6 +186,15 @@ def parameter_differences(name: str, first: FitResult, second: FitResult) -> lis
         in_std = (b - a) / spread if spread and a is not None and b is not None else None
         rows.append({"fit": name, "parameter": parameter, "a": a, "b": b, "std": spread or None, "in_std": in_std})
     return rows
+
+
+def _origin(path: Path) -> dict[str, Any]:
+    """Return versions, YAML and seeds of a result; its data and its command are its own."""
+    from gbid.core.hdf5 import read_made_with
+
+    origin = read_made_with(path)
+    seeds = {f"seed ({key})": seed for key, seed in origin.pop("seeds", {}).items()}
+    return {**{key: value for key, value in origin.items() if key not in ("data", "command")}, **seeds}
 
 
 def _fit_settings(fit: FitResult) -> dict[str, Any]:

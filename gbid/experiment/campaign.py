@@ -7,8 +7,10 @@ import fcntl
 import json
 import os
 import re
+import shlex
 import shutil
 import socket
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -221,7 +223,9 @@ def working(
         chosen = make_engine(engine, workers, scheduler)
         try:
             remove_stale_parts(experiment.results)
-            yield Job(experiment, overwrite, reporter or Reporter(), chosen, retry)
+            # Kept in the job, because a worker of a pool has another command line.
+            command = shlex.join([*(Path(word).name for word in sys.argv[:1]), *sys.argv[1:]])
+            yield Job(experiment, overwrite, reporter or Reporter(), chosen, retry, command)
         finally:
             chosen.close()
             remove_stale_parts(experiment.results)

@@ -19,7 +19,7 @@ from gbid.core.names import file_stem, given_path
 from gbid.core.notes import DataNote
 from gbid.core.units import SIGNALS
 from gbid.core.yaml_file import CHANGED, YamlFile
-from gbid.experiment.fields import Found, Location, Problem, Result, content_key, dotted, nearest
+from gbid.experiment.fields import Found, Location, Problem, Result, content_key, dotted, file_digest, nearest, needed
 from gbid.experiment.rig_schema import OperatingPoint, Place, RigSection
 from gbid.experiment.schema import (
     ExperimentFile,
@@ -40,6 +40,13 @@ from gbid.recording.text_files import read_table
 POINT = ("pressure_bar", "speed_rpm")
 _RESULTS = (".h5", ".hdf5")  # endings of our own results, which may lie in the same folder
 _NAMED = 5  # largest number of files without match that are listed
+
+
+def _digest_or_not(path: Path) -> str:
+    try:
+        return file_digest(path)
+    except OSError:
+        return "cannot be read"
 
 
 @dataclass(frozen=True)
@@ -487,6 +494,38 @@ class Experiment:
         """
         keys = [source if isinstance(source, str) else source.key for source in sources]
         return Result(stage, item, path, content_key(stage, settings, keys))
+
+    def data_file(self, entry: ImportedSection) -> Path:
+        """Return the path of the file of an imported recording."""
+        return self.folder / needed(self.spec.imported, "import").data_folder / entry.file
+
+    def origin(self, recordings: Iterable[str] = ()) -> dict[str, Any]:
+        """Return what a result came from: the YAML, its seeds, and the data files of its recordings, with their sha256.
+
+        Parameters
+        ----------
+        recordings : iterable of str
+            Recordings from which the result is made; those of the rig have no data files.
+        """
+        imported = [self.recordings[name].imported for name in recordings if name in self.recordings]
+        files = [self.data_file(entry) for entry in imported if entry is not None]
+        yaml = {"file": str(self.file.path), "sha256": _digest_or_not(self.file.path)}
+        return {"experiment": yaml, "seeds": self._seeds, "data": {str(path): _digest_or_not(path) for path in files}}
+
+    @cached_property
+    def _seeds(self) -> dict[str, int]:
+        """Seeds of the YAML with their defaults, by the keys that lead to them."""
+        seeds: dict[str, int] = {}
+
+        def search(value: Any, keys: str) -> None:
+            if isinstance(value, dict):
+                for key, entry in value.items():
+                    if key == "seed" and isinstance(entry, int):
+                        seeds[f"{keys}{key}"] = entry
+                    search(entry, f"{keys}{key}.")
+
+        search(self.spec.model_dump(), "")
+        return seeds
 
     def problem(self, location: Location, text: str) -> Problem:
         """Return a problem at the position of a key."""

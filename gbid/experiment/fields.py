@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
-from types import NoneType, UnionType
+from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import (
@@ -30,7 +30,7 @@ from pydantic_core import ErrorDetails
 from gbid._version import __version__
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import add_text_checksum, atomic_path, is_changed
-from gbid.core.hdf5 import changing, opened
+from gbid.core.hdf5 import MADE_WITH, changing, opened, versions
 from gbid.core.names import given_path
 from gbid.core.option_types import Finite
 from gbid.discretise import Hold
@@ -440,13 +440,17 @@ def is_current(path: Path, key: str, overwrite: bool) -> bool:
 
 
 @contextmanager
-def writing_keyed(path: Path, key: str) -> Iterator[Path]:
-    """Return a context that gives a path to write to; at its end the file gets its key and replaces `path`."""
+def writing_keyed(path: Path, key: str, origin: Mapping[str, Any] = MappingProxyType({})) -> Iterator[Path]:
+    """Return a context that gives a path to write to; at its end the file gets its key and replaces `path`.
+
+    An HDF5 file also gets its origin, beside the versions of the programs that wrote it.
+    """
     with atomic_path(path, overwrite=True) as part:
         yield part
         if path.suffix == ".h5":
             with changing(part) as file:
                 file.attrs[ATTRIBUTE] = key
+                file.attrs[MADE_WITH] = json.dumps({**versions(), **origin})
         else:
             content = part.read_bytes() if path.suffix in _KEYED_TEXT else b""  # pictures and pages state it themselves
             if content and not _IN_TEXT.search(content):

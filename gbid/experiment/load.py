@@ -22,7 +22,7 @@ from gbid.core.tables import file_size
 from gbid.core.yaml_file import read_yaml
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, planned_recordings
 from gbid.experiment.fields import ExperimentError, Found, Location, Problem, dotted, in_file_order, schema_faults
-from gbid.experiment.recordings import data_file, mapping_of
+from gbid.experiment.recordings import mapping_of
 from gbid.experiment.run import has_section
 from gbid.experiment.schema import ExperimentFile
 from gbid.experiment.stages import registry
@@ -243,7 +243,7 @@ def peek_recordings(experiment: Experiment) -> tuple[dict[str, Peek], list[tuple
             continue
         try:
             mapping = ImportMapping.from_dict(mapping_of(planned.imported))
-            heads[name] = peek(data_file(experiment, planned.imported), mapping)
+            heads[name] = peek(experiment.data_file(planned.imported), mapping)
         except GbidError as error:
             broken.append((planned, error))
     return heads, broken

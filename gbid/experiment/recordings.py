@@ -11,7 +11,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.excite import ExcitationLimits, rig_limits
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Result, file_digest, needed, stored_key
+from gbid.experiment.fields import Result, file_digest, stored_key
 from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
 from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
@@ -20,11 +20,6 @@ from gbid.lpv import load_model
 from gbid.recording import ProblemKind, Recording, find_problems, load_recording
 
 # ---- File and mapping of an imported recording.
-
-
-def data_file(experiment: Experiment, entry: ImportedSection) -> Path:
-    """Return the path of the file of an imported recording."""
-    return experiment.folder / needed(experiment.spec.imported, "import").data_folder / entry.file
 
 
 def mapping_of(entry: ImportedSection) -> dict[str, Any]:
@@ -115,7 +110,7 @@ def recording_result(experiment: Experiment, planned: PlannedRecording) -> Resul
         return _rig_result(experiment, planned.name)
     settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
     try:
-        digest = file_digest(data_file(experiment, planned.imported))
+        digest = file_digest(experiment.data_file(planned.imported))
     except OSError:  # the import reports the error; the key changes when the file can be read
         digest = "cannot be read"
     return experiment.result("import", planned.name, path, settings, [digest])

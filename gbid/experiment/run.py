@@ -174,6 +174,8 @@ class Job:
         Engine that runs the tasks; without it they run one after the other in this process.
     retry : bool
         Whether tasks that failed in an earlier run, with the same settings and data, are tried again.
+    command : str
+        Command line that runs the job, for its result files.
     """
 
     experiment: Experiment
@@ -181,6 +183,7 @@ class Job:
     reporter: Reporter = field(default_factory=Reporter)
     engine: TaskEngine | None = None
     retry: bool = False
+    command: str = ""
 
     def path(self, folder: str, name: str, ending: str = ".h5") -> Path:
         """Return the path of a result, as `Experiment.path`."""
@@ -347,7 +350,8 @@ def perform(job: Job, task: Task) -> Outcome:
 
 def _make(job: Job, task: Task) -> Outcome:
     began = time.perf_counter()
-    with writing_keyed(task.path, task.key) as part:
+    origin = {**job.experiment.origin(task.recordings), "command": job.command}
+    with writing_keyed(task.path, task.key, origin) as part:
         made = task.write(job, part) or Made()
     return task.ended("made", made, time.perf_counter() - began)
 

@@ -862,3 +862,29 @@ def static_table(document: Row) -> Table:
 
 def _times(factor: float, value: float | None) -> float | None:
     return None if value is None else factor * value
+
+
+# ---- Origin of results: programs, YAML, seeds, data and command.
+
+
+def origin_table(origins: Iterable[Mapping[str, Any]]) -> Table:
+    """Return the table of what results were made with; different values of several results stand side by side.
+
+    Parameters
+    ----------
+    origins : iterable of dict
+        What `gbid.core.hdf5.read_made_with` returns for each file.
+    """
+    values: dict[str, dict[str, None]] = {}
+    for origin in origins:
+        words: dict[str, str] = {key: value for key, value in origin.items() if isinstance(value, str)}
+        if "experiment" in origin:
+            words["experiment"] = f"{origin['experiment']['file']} (sha256 {origin['experiment']['sha256']})"
+        for key, seed in origin.get("seeds", {}).items():
+            words[f"seed ({key})"] = str(seed)
+        for text in words:
+            values.setdefault(text, {})[words[text]] = None
+        for file, digest in origin.get("data", {}).items():
+            values.setdefault("data", {})[f"{file} (sha256 {digest})"] = None
+    rows: list[list[Entry]] = [[key, "\n".join(each)] for key, each in values.items()]
+    return Table("made with", [Column(""), Column("", wrap=True)], rows)

@@ -13,6 +13,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.hdf5 import read_made_with
 from gbid.core.tables import Cell, Column, Entry, Table, shown_unit
 from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
@@ -25,6 +26,7 @@ from gbid.report.fit_tables import (
     lpv_document,
     nominal_document,
     nominal_table,
+    origin_table,
     prefilter_table,
     static_document,
     static_table,
@@ -538,6 +540,16 @@ def summary_section(results: Results, links: list[Link]) -> PageSection:
     heads = ("there", "failed", "not made", "of other settings")
     blocks.append(Table("Results", [Column("stage"), *(Column(head, format="d") for head in heads)], rows))
     return PageSection("summary", "At a glance", blocks)
+
+
+def origin_section(results: Results) -> PageSection | None:
+    """Return programs, YAML, seeds, data and commands behind fits, surfaces and designs; None without any of them."""
+    job = results.job
+    paths = [job.path("fits", f"{q.fit}/{q.model}") for q in results.fits]
+    paths += [job.path("lpv", name) for name in results.surfaces]
+    paths += [job.path("controller", name) for name in results.designs.made]
+    origins = [read_made_with(path) for path in paths if path.is_file()]
+    return PageSection("origin", "Made with", [origin_table(origins)]) if origins else None
 
 
 def not_done(results: Results) -> list[str]:

@@ -22,6 +22,7 @@ from gbid.report.sections import (
     fits_section,
     nominal_section,
     not_done,
+    origin_section,
     quality_section,
     static_section,
     summary_section,
@@ -84,6 +85,7 @@ def report_text(results: Results, key: str = "") -> str:
         controller_section(results, pictures),
         impacts_section(results, pictures),
         cycle_section(results),
+        origin_section(results),
     ]
     spec = results.experiment.spec
     sections = [_with_named(section, results, pictures) for section in middle if section is not None]

@@ -1,9 +1,14 @@
 """One stage or those up to it by `gbid run`, and stored results: `gbid show` and `gbid diff`."""
 
+import hashlib
 import json
 import re
+import shlex
 import shutil
+import sys
 
+import casadi
+import numpy as np
 import pytest
 from experiment_files import files_in, gbid, json_of, printed_by, write_spring
 
@@ -87,7 +92,7 @@ def test_show_prints_what_a_file_holds(spring, capsys):
     assert re.search(r"^k +\d", text, re.MULTILINE)
     assert "damping" in text
     recording = spring.parent / "results/spring/recordings/run1.h5"
-    assert printed_by(capsys, "show", recording).out.strip() == repr(package.load(recording)).strip()
+    assert printed_by(capsys, "show", recording).out.startswith(repr(package.load(recording)))
     assert json_of(capsys, "show", recording)["kind"] == "Recording"
     assert printed_by(capsys, "show", spring).out.strip() == spring.read_text().strip()
 
@@ -130,3 +135,27 @@ def test_peek_and_import_peek_are_the_same(spring, capsys):
     file = spring.parent / "data/run1.csv"
     assert printed_by(capsys, "peek", file) == printed_by(capsys, "import", "--peek", file)
     assert json.loads(printed_by(capsys, "peek", file, "--json").out) == json_of(capsys, "import", "--peek", file)
+
+
+def test_a_result_says_what_it_was_made_with(spring, tmp_path, capsys):
+    results = spring.parent / "results/spring"
+    origin = json_of(capsys, "show", results / "fits/spring/run1.h5")["made_with"]
+    data = spring.parent / "data/run1.csv"
+    assert origin["data"] == {str(data): hashlib.sha256(data.read_bytes()).hexdigest()}
+    assert origin["experiment"] == {"file": str(spring), "sha256": hashlib.sha256(spring.read_bytes()).hexdigest()}
+    assert origin["command"].endswith(shlex.join(sys.argv[1:]))
+    assert [origin[name] for name in ("gbid", "numpy", "casadi")] == [
+        *(package.__version__, np.__version__, casadi.__version__)
+    ]
+    assert {"python", "platform", "scipy", "seeds"} <= set(origin)
+    page = tmp_path / "report.html"
+    assert gbid("report", spring, "--output", page) == 0
+    end = page.read_text().partition('id="origin"')[2]
+    for words in (origin["platform"], origin["experiment"]["sha256"], *origin["data"].values()):
+        assert words in end
+
+
+def test_a_saved_value_says_its_versions_and_no_experiment(tmp_path, capsys):
+    package.save(package.Recording({"u": np.zeros((8, 2))}, 1e-3, name="still"), tmp_path / "a.h5")
+    origin = json_of(capsys, "show", tmp_path / "a.h5")["made_with"]
+    assert set(origin) == {"gbid", "python", "numpy", "scipy", "casadi", "platform"}

@@ -157,7 +157,7 @@ def test_tree_of_fit_results_names_what_is_written(tmp_path: Path) -> None:
     section = (DOCS / "file-formats.md").read_text(encoding="utf-8").split("## Fit results")[1].split("\n## ")[0]
     written: dict[str, set[str]] = {"/": set(), "parameters": set(), "model": set()}
     with h5py.File(tmp_path / "fit.h5") as file:
-        common = {"gbid_kind", "schema_version", "creator", "created", "checksum"}
+        common = {"gbid_kind", "schema_version", "creator", "created", "made_with", "checksum"}
         for place in written:
             written[place] = set(file[place]) | set(file[place].attrs) - common
     names = set.union(*written.values())

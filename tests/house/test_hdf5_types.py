@@ -243,7 +243,18 @@ VALUES = {
 }
 # Written for other programs only, or of fields that may be absent.
 UNREAD = {
-    *("units", "long_name", "creator", "created", "default", "NX_class", "signal", "axes", "auxiliary_signals"),
+    *(
+        "units",
+        "long_name",
+        "creator",
+        "created",
+        "made_with",
+        "default",
+        "NX_class",
+        "signal",
+        "axes",
+        "auxiliary_signals",
+    ),
     *("amplitudes", "either", "choice", "number", "window", "model", "K", "dt", "pressure_bar", "speed_rpm", "c"),
     *("source_file", "free", "lag_rates", "gain_names", "checksum"),
 }

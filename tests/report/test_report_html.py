@@ -164,7 +164,12 @@ def test_headings_links_and_ids_hang_together(page):
     titles = [text for tag, text in outline.headings if tag == "h2"]
     expected = ["At a glance", "Data quality", "Fits", "Cross-validation", "Nominal actuator"]
     assert titles[:5] == expected
-    assert titles[5:] == ["Surfaces over pressure and speed", "Controller", "What was not done in this experiment"]
+    assert titles[5:] == [
+        "Surfaces over pressure and speed",
+        "Controller",
+        "Made with",
+        "What was not done in this experiment",
+    ]
     ids = [a["id"] for _, a in outline.elements if "id" in a]
     assert len(ids) == len(set(ids))
     named = embedded(page, "fit-data")["fits"]

@@ -1,6 +1,7 @@
 """Public names of `gbid.core.hdf5`, and the files that define them: the one list."""
 
 from .file import (
+    MADE_WITH as MADE_WITH,
     DamagedError as DamagedError,
     FileKind as FileKind,
     add_dataset as add_dataset,
@@ -12,7 +13,9 @@ from .file import (
     read_group as read_group,
     read_text as read_text,
     read_texts as read_texts,
+    read_made_with as read_made_with,
     reading as reading,
+    versions as versions,
     writing as writing,
 )
 from .types import (

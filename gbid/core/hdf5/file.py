@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator
+import json
+import platform
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -180,6 +184,30 @@ class FileKind:
 _ANY = FileKind("result", "make it again")
 
 
+MADE_WITH = "made_with"
+"""Attribute of the root: JSON with the versions of programs and, for the result of an experiment, what it came from."""
+
+
+@cache
+def versions() -> Mapping[str, str]:
+    """Return the versions of gbid, Python, numpy, scipy and CasADi, and the platform."""
+    libraries = {name: metadata.version(name) for name in ("numpy", "scipy", "casadi")}
+    return {"gbid": __version__, "python": platform.python_version(), **libraries, "platform": platform.platform()}
+
+
+def read_made_with(path: Path) -> dict[str, Any]:
+    """Return what an HDF5 file was made with; empty for a file that does not say it.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read.
+    """
+    with reading(path) as file:
+        text = file.attrs.get(MADE_WITH, "{}")
+        return dict(json.loads(text)) if isinstance(text, str) else {}
+
+
 @contextlib.contextmanager
 def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterator[h5py.File]:
     """Return a context with a new HDF5 file, which appears under its name only when it is complete.
@@ -203,6 +231,7 @@ def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterat
         file.attrs["schema_version"] = kind.schema_version
         file.attrs["creator"] = f"gbid {__version__}"
         file.attrs["created"] = datetime.now(UTC).isoformat(timespec="seconds")
+        file.attrs[MADE_WITH] = json.dumps(dict(versions()))
         try:
             yield file
         except ValueError as error:

@@ -10,7 +10,6 @@ from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, content_key, file_digest, needed
 from gbid.experiment.recordings import (
-    data_file,
     driving_channels,
     mapping_of,
     recording_result,
@@ -32,7 +31,7 @@ def data_can_be_read(experiment: Experiment) -> Found:
     by_place = {str(file.location): file for file in reversed(experiment.imports.files)}
     for file in by_place.values():  # all files of a folder share one mapping; that of the first is checked
         entry, here = file.entry, file.location
-        path = data_file(experiment, entry)
+        path = experiment.data_file(entry)
         listed = "recordings" in here
         here_file = (*here, "file") if listed else here
         file_format = file_formats().get(path.suffix.lower())
@@ -73,7 +72,7 @@ def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
         When a unit does not suit its signal.
     """
     assert planned.imported is not None
-    file = data_file(experiment, planned.imported)
+    file = experiment.data_file(planned.imported)
     refuse_same_content(experiment, planned)
     recording = import_recording(file, mapping_of(planned.imported))
     driving = driving_channels(experiment, planned.name)
@@ -131,7 +130,7 @@ def _content(experiment: Experiment, planned: PlannedRecording) -> str:
     columns = {name: list(signal.columns) for name, signal in planned.imported.signals.items()}
     taken = {**{key: getattr(planned.imported, key) for key in _RANGE}, "signals": columns}
     try:
-        return content_key("content", taken, [file_digest(data_file(experiment, planned.imported))])
+        return content_key("content", taken, [file_digest(experiment.data_file(planned.imported))])
     except OSError:
         return f"unreadable {planned.name}"
 
