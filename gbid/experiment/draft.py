@@ -21,6 +21,7 @@ from gbid.core.units import conversion_factor
 from gbid.experiment.experiment import POINT, by_count
 from gbid.experiment.schema import KINDS, Kind, NamePattern, name_of, name_pattern
 from gbid.lpv.estimates import order_words, possible_order
+from gbid.prefilter.filtering import repair_overloads
 from gbid.prefilter.runout import running_median
 from gbid.prefilter.runout_identification import compare_runout
 from gbid.recording import Recording, import_recording
@@ -603,7 +604,7 @@ def _import(options: DraftOptions, file: MeasuredFile, conditions: Mapping[str, 
     clock = {"sample_time_s": options.sample_time_s} if options.sample_time_s else {"time": file.time}
     units = {name: {"unit": unit} for name, unit in file.units.items()}
     signals = {name: {"columns": list(names), **units.get(name, {})} for name, names in file.signals.items()}
-    return import_recording(file.path, {**clock, "signals": signals, "conditions": conditions})
+    return repair_overloads(import_recording(file.path, {**clock, "signals": signals, "conditions": conditions}))
 
 
 def _angle_units(options: DraftOptions, files: Sequence[MeasuredFile]) -> tuple[list[MeasuredFile], list[str]]:

@@ -98,6 +98,49 @@ def remove_spikes(values: FloatArray, threshold: float = THRESHOLD, measured: Fl
     return Despiked(cleaned, tuple(wrong))
 
 
+OVERLOAD = 3.0
+"""Distance of an overload from the median of its channel, over the largest distance of samples that are no spikes. A
+sample nearer than this has less than a tenth of the power of 1 000 samples with a crest factor of 3 (9 * 9 / 1 000), so
+that the checks of a recording bear it."""
+_MEASURED = ("u", "p")
+
+
+def repair_overloads(rec: Recording) -> Recording:
+    """Return a recording without overloads: spikes far beyond the range of all other samples, in u and p.
+
+    Such a sample (a full scale, 9999, 1e37) stands for no position, and decides means, spectra and maps. It is replaced
+    as `remove_spikes` does, and ``import_remarks`` of the provenance tells of it. Smaller spikes stay for the
+    prefilter. The command r stays: a single pulse may be meant.
+
+    Parameters
+    ----------
+    rec : Recording
+        The recording.
+    """
+    repaired, texts = {}, []
+    for name in filter(rec.signals.__contains__, _MEASURED):
+        values = rec.signal(name)
+        distance = np.abs(values - np.median(values, axis=0))
+        if not np.any(distance.max(axis=0) > OVERLOAD * np.percentile(distance, 99.0, axis=0)):
+            continue
+        cleaned = np.array(values)
+        despiked = remove_spikes(values)
+        for i, samples in enumerate(despiked.samples):
+            usual = np.delete(distance[:, i], samples).max()
+            wrong = samples[distance[samples, i] > OVERLOAD * usual]
+            if wrong.size:
+                cleaned[wrong, i] = despiked.values[wrong, i]
+                worst = values[wrong[distance[wrong, i].argmax()], i]
+                which = f"{wrong.size} overload{'s' if wrong.size > 1 else ''} of {name}_{rec.channels[name][i]}"
+                texts.append(f"{which} replaced, up to {worst:g} {rec.units[name]}, the first at sample {wrong[0]}")
+        repaired[name] = cleaned
+    if not texts:
+        return rec
+    earlier = rec.provenance.get("import_remarks")
+    said = "; ".join([*([earlier] if earlier else []), *texts])
+    return replace(rec, signals={**rec.signals, **repaired}, provenance={**rec.provenance, "import_remarks": said})
+
+
 def _clean(x: FloatArray, threshold: float, step: float) -> IntArray:
     """Replace the spikes of one channel in place; return where they were."""
     spikes: list[int] = []

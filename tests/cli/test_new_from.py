@@ -7,7 +7,7 @@ import pytest
 from experiment_files import gbid, printed_by
 from scipy.io import savemat
 
-from gbid import load_fit
+from gbid import load_fit, load_recording
 from gbid.cli import files as new
 from gbid.experiment.draft import find_roles, read_names
 from gbid.experiment.load import load_experiment
@@ -168,7 +168,7 @@ def test_all_open_roles_are_asked_at_once_and_unused_columns_are_told(tmp_path, 
     assert "no controller: --signal r=X,Y" in said
     assert "no run-up is cut away: --signal phi=X" in said
     assert gbid("new", tmp_path / "wrong", *flags, "--signal", "r=K1,K9") == 2
-    assert "did you mean" in capsys.readouterr().err
+    assert "no file has the channels K1, K9" in capsys.readouterr().err
 
 
 def test_files_of_two_kinds_take_two_sets_of_names(tmp_path):
@@ -181,6 +181,27 @@ def test_files_of_two_kinds_take_two_sets_of_names(tmp_path):
     text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
     for columns in ('"K1", "K2"', '"M1", "M2"', '"K7"', '"M7"'):
         assert columns in text
+
+
+@pytest.mark.parametrize("overload", ["9999", "1e37", "100"])
+def test_one_overload_decides_neither_check_nor_harmonics(tmp_path, capsys, overload):
+    names = "t [s];r_x [um];r_y [um];u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
+    for word, moving in (("ruhe", False), ("rauschen", True)):
+        path = tmp_path / "m" / f"6bar_4000rpm_{word}.csv"
+        write(path, moving, names=names)
+        lines = path.read_text(encoding="cp1252").splitlines()
+        cells = lines[496].split(";")
+        cells[5] = overload
+        lines[496] = ";".join(cells)
+        path.write_text("\n".join(lines), encoding="cp1252")
+    said = printed_by(capsys, "new", tmp_path / "own", "--from", tmp_path / "m").err
+    assert "1 overload of p_x replaced" in said
+    assert "harmonics: 3" in (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
+    assert gbid("check", tmp_path / "own" / "experiment.yaml") == 0
+    assert gbid("import", tmp_path / "own" / "experiment.yaml", "--engine", "serial") == 0
+    rec = load_recording(next((tmp_path / "own").rglob("*rauschen.h5")))
+    assert "1 overload of p_x replaced" in rec.provenance["import_remarks"]
+    assert np.abs(rec.signal("p")).max() < 10e-6
 
 
 def test_the_magnetic_bearing_of_the_template_is_identified(tmp_path):

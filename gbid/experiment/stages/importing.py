@@ -18,6 +18,7 @@ from gbid.experiment.recordings import (
     used_channels,
 )
 from gbid.experiment.run import Job, Made, Stage, Task
+from gbid.prefilter.filtering import repair_overloads
 from gbid.recording import ImportMapping, Recording, find_group_problems, import_recording, save_recording
 from gbid.recording.formats import file_formats
 
@@ -74,7 +75,7 @@ def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
     assert planned.imported is not None
     file = experiment.data_file(planned.imported)
     refuse_same_content(experiment, planned)
-    recording = import_recording(file, mapping_of(planned.imported))
+    recording = repair_overloads(import_recording(file, mapping_of(planned.imported)))
     driving = driving_channels(experiment, planned.name)
     refuse_bad_signals(planned, recording, used_channels(experiment, planned.name), file, driving=driving)
     if not planned.imported.remove_mean:
