@@ -81,7 +81,7 @@ def bare_job(job: Job) -> Job:
     file = YamlFile(experiment.file.path.resolve(), {}, CommentedMap())
     bare = replace(experiment, file=file, results=experiment.results.resolve())
     vars(bare)["recordings"] = experiment.recordings  # searched once: the files of a folder may change
-    return Job(bare, job.overwrite, retry=job.retry)
+    return Job(bare, job.overwrite, retry=job.retry, command=job.command)
 
 
 def bare_task(task: Task) -> Task:

@@ -14,7 +14,9 @@ from experiment_files import files_in, gbid, json_of, printed_by, write_spring
 
 import gbid as package
 from gbid.cli.options import STAGE_VERBS
-from gbid.experiment.run import no_tasks
+from gbid.experiment.engines import bare_job
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run import Job, no_tasks
 from gbid.experiment.stages import registry
 
 
@@ -159,3 +161,8 @@ def test_a_saved_value_says_its_versions_and_no_experiment(tmp_path, capsys):
     package.save(package.Recording({"u": np.zeros((8, 2))}, 1e-3, name="still"), tmp_path / "a.h5")
     origin = json_of(capsys, "show", tmp_path / "a.h5")["made_with"]
     assert set(origin) == {"gbid", "python", "numpy", "scipy", "casadi", "platform"}
+
+
+def test_a_worker_writes_the_command_of_the_run(spring):
+    job = Job(load_experiment(spring), command="gbid run a.yaml")
+    assert bare_job(job).command == job.command
