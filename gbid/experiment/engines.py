@@ -435,7 +435,7 @@ def _local_cluster(n_workers: int) -> Any:
     import dask
     from distributed import LocalCluster
 
-    options = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0", "host": "127.0.0.1"}
+    options = {"threads_per_worker": 1, "processes": True, "dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
     for trial in range(1, ATTEMPTS + 1):
         try:
             with dask.config.set(_CALM), _environment(_OF_WORKERS):

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import sys
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -150,6 +154,10 @@ def _drawn(positions: Any, place: int) -> list[float | None]:
 # ---- Present results of an experiment, read anew when they change.
 
 
+_ELSEWHERE_S = 60.0
+"""Longest time until a change elsewhere is told, as of data in other folders: a poll does not look there [s]."""
+
+
 class Live:
     """Pages of one experiment, for several threads of a server.
 
@@ -170,23 +178,43 @@ class Live:
         self._where = experiment, results
         self._lock = threading.Lock()  # matplotlib draws in one thread at a time
         self._key, self._page = "", ""
+        self._look: tuple[frozenset[tuple[str, int, int, int]], dict[str, Any]] | None = None  # seen, and answer
+        self._read_s = 0.0  # when the results were read for `_look`
+        self._folder = Path()
         self._designs: dict[str, AssessedDesign] = {}
         self.name = self._read().experiment.spec.name
 
     def _read(self) -> Results:
         """Return the present results; forget what was made of earlier ones."""
         results = Results(Job(load_experiment(*self._where)))
+        self._folder = results.experiment.results
         if (key := report_key(results)) != self._key:
             self._key, self._page, self._designs = key, "", {}
         return results
 
+    def _seen(self) -> frozenset[tuple[str, int, int, int]]:
+        """Return path, inode, size and time of each file of the results, and of those beside the experiment."""
+        walk = [(folder, files) for folder, _, files in os.walk(self._folder)]
+        beside = self._where[0].absolute().parent
+        seen = set()
+        for folder, names in (*walk, (str(beside), [path.name for path in beside.iterdir()])):
+            for path in (f"{folder}/{name}" for name in names):
+                with contextlib.suppress(OSError):  # gone meanwhile
+                    stat = Path(path).stat()
+                    seen.add((path, stat.st_ino, stat.st_size, stat.st_mtime_ns))
+        return frozenset(seen)
+
     def state(self) -> dict[str, Any]:
         """Return how far the campaign is: the key of the present results, and counts of results by stage and state."""
         with self._lock:
-            stages: dict[str, Counter[str]] = {}
-            for standing in self._read().standings:
-                stages.setdefault(standing.stage, Counter())[standing.state] += 1
-            return {"key": self._key, "stages": stages}
+            seen = self._seen()  # before the reading: what is made meanwhile is seen next time
+            if self._look is None or self._look[0] != seen or time.monotonic() > self._read_s + _ELSEWHERE_S:
+                results, self._read_s = self._read(), time.monotonic()
+                stages: dict[str, Counter[str]] = {}
+                for standing in results.standings:
+                    stages.setdefault(standing.stage, Counter())[standing.state] += 1
+                self._look = seen, {"key": self._key, "stages": stages}
+            return self._look[1]
 
     def page(self) -> str:
         """Return the report of the present results; drawn anew only when they changed."""
@@ -279,6 +307,15 @@ def _control(name: str, label: str, unit: str, low: float, high: float, value: f
 
 HOST = "127.0.0.1"
 _OWN = ("127.0.0.1", "localhost")  # a request to another name comes from a page of another site
+THREADS = 16
+"""Requests that are answered at a time: a browser opens at most six connections to a server."""
+PATIENCE_S = 10.0
+"""Time for a client to send the next bytes of its request or to take those of the answer [s]; it is on this machine."""
+# All of a page is in the page itself; it asks this server for states and loops only.
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data:; font-src data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
 _HTML, _JSON = "text/html; charset=utf-8", "application/json"
 
 
@@ -292,6 +329,33 @@ class Server(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+
+    def __init__(self, *given: Any) -> None:
+        self._free = threading.BoundedSemaphore(THREADS)
+        super().__init__(*given)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own; a connection beyond `THREADS` is closed at once."""
+        if not self._free.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except RuntimeError:  # the system starts no more threads
+            self._free.release()
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer one request."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print a defect, but not that a client has left or sends nothing."""
+        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
+            super().handle_error(request, client_address)
 
     @property
     def address(self) -> str:
@@ -333,6 +397,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     server_version = "gbid"
     sys_version = ""
+    timeout = PATIENCE_S
 
     def __init__(self, live: Live, *given: object) -> None:
         self._live = live
@@ -378,7 +443,7 @@ class _Handler(BaseHTTPRequestHandler):
         body = text.encode()
         headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store"}
         self.send_response(status)
-        for name, value in {**headers, "X-Content-Type-Options": "nosniff"}.items():
+        for name, value in {**headers, "X-Content-Type-Options": "nosniff", "Content-Security-Policy": _POLICY}.items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(body)

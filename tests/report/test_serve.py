@@ -1,9 +1,13 @@
 """Server of the results: pages, loops by the library, and only for this machine."""
 
+import contextlib
 import json
 import re
+import socket
+import struct
 import subprocess
 import threading
+import time
 import urllib.error
 import urllib.request
 from http.client import HTTPConnection
@@ -24,7 +28,7 @@ from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.rig import RIG
 from gbid.report.read import AssessedDesign
 from gbid.serve import open_server
-from gbid.serve.server import Explored, explored_loop
+from gbid.serve.server import THREADS, Explored, Live, explored_loop
 
 PAPER = gbid.load_model("theisen2016")
 CHROMIUM = find_chromium()
@@ -93,6 +97,53 @@ def test_only_this_machine_and_only_these_pages(served):
     assert refused(server, "loop?design=none") == (400, "no design 'none'; there are published")
     with pytest.raises(UsageError, match=f"port {server.server_address[1]}: .*; choose another with --port"):
         open_server(served[1] / "e.yaml", port=server.server_address[1])
+
+
+def test_a_poll_reads_results_only_when_a_file_has_changed(served, monkeypatch):
+    server, folder = served
+    before = json.loads(get(server, "state"))
+    reads, read = [], Live._read
+    monkeypatch.setattr(Live, "_read", lambda live: reads.append(1) or read(live))
+    assert json.loads(get(server, "state")) == before
+    assert not reads
+    many = folder / "results" / "served" / "many"
+    many.mkdir(parents=True)
+    for number in range(1000):
+        (many / f"{number}.txt").touch()
+    get(server, "state")
+    assert len(reads) == 1
+    took = []
+    for _ in range(5):
+        began = time.thread_time()
+        live = server.RequestHandlerClass.args[0]
+        live.state()
+        took.append(time.thread_time() - began)
+    assert len(reads) == 1
+    assert min(took) < 0.02
+
+
+def test_half_open_requests_hold_few_threads_for_a_short_time(served, monkeypatch, capfd):
+    server, _ = served
+    monkeypatch.setattr(server.RequestHandlerClass.func, "timeout", 0.5)
+    before = threading.active_count()
+    half_open = [socket.create_connection(server.server_address) for _ in range(60)]
+    for connection in half_open:
+        with contextlib.suppress(OSError):
+            connection.sendall(b"GET / HTTP/1.1\r\n")
+    assert threading.active_count() - before <= THREADS
+    time.sleep(0.8)
+    assert json.loads(get(server, "state"))["key"]
+    for connection in half_open:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # a reset, as of a crash
+        connection.close()
+    for _ in range(3):  # clients that leave before their answer
+        with socket.create_connection(server.server_address) as leaving:
+            leaving.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            leaving.sendall(b"GET /explorer HTTP/1.1\r\nHost: localhost:1\r\n\r\n")
+    time.sleep(0.3)
+    assert "Traceback" not in capfd.readouterr().err
+    with urllib.request.urlopen(server.address + "state", timeout=60) as answer:
+        assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
 
 
 def design_of(kind, gains):
