@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtrc
 
-from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Dual
 from gbid.identify.data import FitData, Record
 from gbid.identify.disturbances import UNDISTURBED
-from gbid.identify.frequency_data import FrequencyData, ResponseErrors, check_linear
+from gbid.identify.frequency_data import FrequencyData, ResponseErrors, ResponseSums, check_linear
 from gbid.identify.judge import not_determined
 from gbid.identify.options import FitArguments
 from gbid.identify.predictor import build_predictor, matrices_with_slopes
@@ -80,8 +80,10 @@ def fitted_to_responses(
     solution, evaluations = _least(errors, known, start, box, options.max_iterations)
     theta = np.asarray(solution.x, float)
     held = np.asarray(solution.active_mask != 0)
-    spread, rest = _spread(errors, known, theta, held)
-    p_values, follows = _tests(errors, theta, int((~held).sum()))
+    at_end, sums = [each.at(theta) for each in errors], [each.sums(theta) for each in errors]
+    spread, rest = _spread(errors, at_end, sums, (theta - known[0], known[1]), held)
+    left = [error for error, _ in at_end]
+    p_values, follows = _tests(errors, left, int((~held).sum()))
     refused = bool((p_values < _UNLIKELY / len(p_values)).any())
     kind: StdKind = "robust" if refused or p_values.size > 1 else "white"
     chosen = spread.of(kind)
@@ -91,12 +93,12 @@ def fitted_to_responses(
     (A, B, C, D, _, B_delayed, _), slopes, dt = matrices_with_slopes(predictor, theta)
     modes, gain = spreads_of((A, Dual(B.value + B_delayed.value, B.slope + B_delayed.slope), C, D), chosen, dt)
     model = kind_of(structure).model(estimates, data[0].input_names, data[0].output_names)
-    costs = [each.sums(theta).cost for each in errors]
+    costs = [each.cost for each in sums]
     count = sum(2 * int(each.measured.sum()) for each in errors)
     likelihood = -sum(costs) - sum(
         each.weight * float(np.log(2 * np.pi * each.data.std[each.measured] ** 2).sum()) for each in errors
     )
-    squares = sum(np.einsum("fyu,fzu->yz", e, e.conj()).real for e in (each.at(theta)[0] for each in errors)) / count
+    squares = sum(np.einsum("fyu,fzu->yz", e, e.conj()).real for e in left) / count
     status = FitStatus.CONVERGED
     if not np.isfinite(theta).all() or not np.isfinite(sum(costs)):
         status = FitStatus.OVERFLOW
@@ -123,7 +125,7 @@ def fitted_to_responses(
         initial_states=np.zeros((len(data), model.n_states)),
         loss=2 * sum(costs) / count,
         error_covariance=squares,
-        fit_percent=np.array([_fit_percent(each, theta) for each in errors]),
+        fit_percent=np.array([_fit_percent(each, error) for each, error in zip(errors, left, strict=True)]),
         aic=2 * len(theta) - 2 * likelihood,
         fpe=np.nan,
         log_likelihood=likelihood,
@@ -265,16 +267,21 @@ def _least(
 
 
 def _spread(
-    errors: Sequence[ResponseErrors], known: tuple[FloatArray, FloatArray], theta: FloatArray, held: BoolArray
+    errors: Sequence[ResponseErrors],
+    at_end: Sequence[tuple[ComplexArray, ComplexArray]],
+    sums: Sequence[ResponseSums],
+    known: tuple[FloatArray, FloatArray],
+    held: BoolArray,
 ) -> tuple[Covariance, float]:
     """Return the covariance of the parameters, and the length of the next step in standard deviations.
 
-    The robust one takes the products of the gradients of all frequencies: it contains what outputs have in common.
+    `at_end` and `sums` are those of the errors at the estimates; `known` is how far these are from what was known, and
+    its standard deviations. The robust one takes the products of the gradients of all frequencies: it contains what
+    outputs have in common.
     """
-    sums = [each.sums(theta) for each in errors]
     information = sum(s.hessian for s in sums) + np.diag(1 / known[1] ** 2)
-    gradient = sum(s.gradient for s in sums) + (theta - known[0]) / known[1] ** 2
-    n_p, scale = len(theta), np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    gradient = sum(s.gradient for s in sums) + known[0] / known[1] ** 2
+    n_p, scale = len(held), np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     scale[held] = np.inf
     eigenvalues, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     count = int(held.sum())
@@ -282,8 +289,7 @@ def _spread(
     undetermined = eigenvalues < UNDETERMINED * eigenvalues[-1]
     root = vectors[:, ~undetermined] / np.sqrt(eigenvalues[~undetermined]) / scale[:, None]
     products = np.diag(1 / known[1] ** 2)
-    for each in errors:
-        error, changes = each.at(theta)
+    for each, (error, changes) in zip(errors, at_end, strict=True):
         each_frequency = each.weight * np.einsum("fyu,pfyu->fp", error.conj(), changes).real
         products = products + each_frequency.T @ each_frequency / each.weight
     white = root @ root.T
@@ -298,12 +304,11 @@ def _spread(
     return spread, float(np.linalg.norm(root.T @ gradient))
 
 
-def _tests(errors: Sequence[ResponseErrors], theta: FloatArray, n_free: int) -> tuple[FloatArray, bool]:
+def _tests(errors: Sequence[ResponseErrors], left: Sequence[ComplexArray], n_free: int) -> tuple[FloatArray, bool]:
     """Return for each output the probability of larger errors, and whether errors of neighbours follow each other."""
     n_y = len(errors[0].data.output_names)
     squares, freedom, products, chance = np.zeros(n_y), np.zeros(n_y), 0.0, 0.0
-    for each in errors:
-        error, _ = each.at(theta)
+    for each, error in zip(errors, left, strict=True):
         spread = 1 + 2 * float(np.square(each.data.correlation).sum())
         squares += (np.abs(error) ** 2).sum(axis=(0, 2)) / spread
         freedom += 2 * each.measured.sum(axis=(0, 2)) / spread
@@ -333,9 +338,8 @@ def _notes(refused: bool, follows: bool, p_values: FloatArray) -> list[str]:
     return [FitNote.NOT_WHITE(text)]
 
 
-def _fit_percent(errors: ResponseErrors, theta: FloatArray) -> FloatArray:
+def _fit_percent(errors: ResponseErrors, error: ComplexArray) -> FloatArray:
     """Return ``100 (1 - |e| / |G|)`` for each output, both in standard deviations."""
-    error, _ = errors.at(theta)
     data, measured = errors.data, errors.measured
     size = np.where(measured, np.nan_to_num(data.response) / np.where(measured, data.std, 1.0), 0.0)
     return np.asarray(100 * (1 - np.linalg.norm(error, axis=(0, 2)) / np.linalg.norm(size, axis=(0, 2))))
