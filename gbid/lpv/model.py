@@ -17,6 +17,7 @@ from gbid.core.arrays import FloatArray, oscillatory_modes, point_label
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import ExtrapolationWarning, UsageError
 from gbid.core.published import PUBLISHED_RMS
+from gbid.discretise import check_holds
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
 from gbid.structure.linear import Structure, model_function
 from gbid.structure.scheduling import EXPONENTS, SCHEDULING, TERMS, Exponents, monomials, term_name
@@ -382,7 +383,8 @@ class LPVModel(Brief):
         Returns
         -------
         LinearModel
-            Model in continuous time; of a gas bearing with inputs u_x, u_y and outputs p_x, p_y [m].
+            Model in continuous time; of a gas bearing with inputs u_x, u_y and outputs p_x, p_y [m]. Its inter-sample
+            behaviour is that of the structure: the piezo positions go linearly from sample to sample.
 
         Raises
         ------
@@ -397,7 +399,8 @@ class LPVModel(Brief):
         place = self._in_order(point, variables, scalar=True)
         values = self._values(place, extrapolate)
         structure = self.structure or _bearing(self.pade_order if pade_order is None else pade_order)
-        return self._evaluate(structure, values, place, self.input_names)
+        model = self._evaluate(structure, values, place, self.input_names)
+        return replace(model, intersample=check_holds(structure.intersample, len(self.input_names)))
 
     def plant_at(
         self, *point: float, pade_order: int | None = None, extrapolate: bool = False, **variables: float

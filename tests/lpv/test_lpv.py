@@ -8,6 +8,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -97,6 +98,13 @@ def test_at_holds_the_key_parameters(model: LPVModel) -> None:
     assert at.dt is None
     assert at.K is None
     assert at.name == "theisen2016 at 4 bar, 1000 rpm"
+
+
+def test_at_has_the_hold_of_its_structure(model: LPVModel) -> None:
+    linear, u = model.at(3.0, 0.0), np.random.default_rng(1).normal(size=(400, 2)) * 1e-5
+    A, B, C, D = (np.array(each) for each in (linear.A, linear.B, linear.C, linear.D))
+    _, expected, _ = scipy.signal.lsim((A, B, C, D), u, np.arange(400) / 5000, interp=True)
+    np.testing.assert_allclose(linear.simulate(u, 1 / 5000), expected, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(
