@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from gain_problems import damping_problem
 
+import gbid
 from gbid.control.tuning.local import optimise_locally
 from gbid.control.tuning.problem import GainProblem, Score
+from gbid.control.tuning.result import GainStatus
 from gbid.control.tuning.search import SearchOptions, SearchOutcome, SearchTask, search
 
 
@@ -59,3 +61,37 @@ def test_basin_hopping_crosses_ripples_that_hold_a_climb() -> None:
     assert found.best.score.value == pytest.approx(0.6, abs=1e-6)
     assert found.best.x == pytest.approx(np.zeros(4), abs=1e-3)
     assert {step.stage for step in found.history} == {"global", "local", "basin hopping"}
+
+
+# ---- Independent searches, and what a status says.
+
+MODEL = gbid.load_model("theisen2016")
+
+
+def test_independent_seeds_are_tried_and_the_words_say_how_many() -> None:
+    options = {"operating_points": [(6, 0)], "peak_sensitivity": 2.2832}
+    grid = gbid.tune(MODEL, **options)
+    assert (grid.seed_values, grid.optimality) == ((), "local optimum, certified")
+    one = gbid.tune(MODEL, starts=1, **options)
+    assert one.optimality == "local optimum, certified; one search, other seeds were not tried"
+    many = gbid.tune(MODEL, starts=1, seeds=4, **options)
+    assert len(set(many.seed_values)) > 1
+    assert many.value == pytest.approx(max(many.seed_values), rel=1e-6)
+    assert many.optimality == "local optimum, certified; the best of 4 independent searches, 4 of them within 2 %"
+    alike = gbid.tune(MODEL, starts=1, seeds=6, operating_points=[(6, 0)], peak_sensitivity=2.0)
+    assert len(alike.seed_values) == 3  # with the same design, which ends the others
+
+
+def test_a_design_without_a_certificate_is_no_success_but_keeps_its_limits() -> None:
+    found = gbid.tune(MODEL, operating_points=[(6, 0)], peak_sensitivity=2.2832)
+    verdicts = {status: replace(found, status=status) for status in GainStatus}
+    assert [str(s) for s, r in verdicts.items() if r.success] == ["optimal"]
+    assert [str(s) for s, r in verdicts.items() if r.keeps_limits] == ["optimal", "stalled", "iteration limit"]
+    assert verdicts[GainStatus.STALLED].optimality.startswith("no certified optimum")
+
+
+def test_a_budget_in_seconds_ends_all_searches() -> None:
+    result = gbid.tune(MODEL, "biquad", operating_points=[(6, 0)], seeds=50, seconds=1e-3)
+    assert result.status in (GainStatus.ITERATION_LIMIT, GainStatus.LIMITS_CONTRADICT)
+    assert len(result.seed_values) == 1
+    assert len(result.history) < 5

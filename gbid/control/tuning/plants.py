@@ -194,6 +194,7 @@ class DesignOptions:
     start: Annotated[Mapping[str, Finite], Allowed("a dict by the names of the gains")] | None = None
     starts: CountOrZero | None = None
     seed: CountOrZero = 0
+    seeds: Count = 1
     evaluations: Count | None = None
     seconds: Positive | None = None
 
@@ -238,10 +239,13 @@ class TuneOptions(DesignOptions):
         Number of starts, as for `gbid.maximise_damping`.
     seed : int
         Seed of the starts.
+    seeds : int
+        Number of independent searches, with the seeds from `seed` on; the result is the best of them. They end early
+        when three have found the same design, and when the budget is used up. Up to three gains need one search only.
     evaluations : int, optional
-        Budget of the search: number of designs after which it ends, about.
+        Budget of all searches: number of designs after which they end, about.
     seconds : float, optional
-        Budget of the search: time after which it ends, about. With a budget that ends the search, the status is
+        Budget of all searches: time after which they end, about. With a budget that ends a search, the status is
         ``"iteration limit"`` unless the design so far has a certificate.
 
     Raises

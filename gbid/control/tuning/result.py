@@ -24,6 +24,8 @@ from gbid.core.extras import data_frame
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.structure import LinearModel
 
+SAME_DESIGN = 0.02
+"""Relative difference below which the values of independent searches count as alike: no rig shows less."""
 Points = Annotated[tuple[tuple[float, float], ...], Stored("bar, rpm", "operating points of the design")]
 
 
@@ -33,11 +35,12 @@ class GainStatus(StrEnum):
     OPTIMAL = "optimal"
     """All limits hold, and the design is a certified local optimum: no small change of the gains improves it.
 
-    Another seed may find a better one; only the grid of up to three gains looks at the whole box.
+    `GainResult.optimality` says how many independent searches stand behind it.
     """
     STALLED = "stalled"
     """All limits hold, and no method improved the design any more, but it has no certificate."""
     ITERATION_LIMIT = "iteration limit"
+    """All limits hold, but the budget or the iterations ended before there was a certificate."""
     LIMITS_CONTRADICT = "limits contradict"
     """Stable, but no design keeps all limits."""
     NO_STABILISING_GAINS = "no stabilising gains"
@@ -137,6 +140,9 @@ class GainResult(Brief):
     certificate_room : float, optional
         Share of its value by which the objective could still rise within the ball, or if eigenvalues that are near each
         other met. ``OPTIMAL`` needs at most 0.005.
+    seed_values : tuple of float
+        Value of each independent search, in the order of their seeds; NaN where it kept not all limits. Empty for up
+        to three gains, whose search begins with a grid over the whole box.
     """
 
     gains: Annotated[Mapping[str, float], Stored("", "gains", "gains")]
@@ -161,14 +167,33 @@ class GainResult(Brief):
     certificate_room: float | None = None
     computation_s: float | None = None
     method: Method | None = None
+    seed_values: Annotated[tuple[float, ...], Stored("", "value of each independent search")] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", MappingProxyType(dict(self.gains)))
 
     @property
     def success(self) -> bool:
-        """Whether the design is stable and keeps all limits, and the search ended by itself."""
-        return self.status in (GainStatus.OPTIMAL, GainStatus.STALLED)
+        """Whether the design is stable, keeps all limits, and is a certified local optimum."""
+        return self.status is GainStatus.OPTIMAL
+
+    @property
+    def keeps_limits(self) -> bool:
+        """Whether the design is stable and keeps all limits, with or without a certificate."""
+        return self.status in (GainStatus.OPTIMAL, GainStatus.STALLED, GainStatus.ITERATION_LIMIT)
+
+    @property
+    def optimality(self) -> str:
+        """What the status claims: a local optimum or less, and of how many independent searches it is the best."""
+        local = "local optimum, certified" if self.success else "no certified optimum"
+        n = len(self.seed_values)
+        if not n:
+            return local
+        if n == 1:
+            return f"{local}; one search, other seeds were not tried"
+        best = np.nanmax([*self.seed_values, -np.inf])
+        near = sum(value >= best - SAME_DESIGN * abs(best) for value in self.seed_values)
+        return f"{local}; the best of {n} independent searches, {near} of them within {100 * SAME_DESIGN:g} %"
 
     def design(
         self, *, name: str = "", sample_time: float | None = None, method: Method | None = None, plant: str = ""
@@ -222,6 +247,7 @@ class GainResult(Brief):
             self,
             f"{self.objective} {self.value:.6g}, {self.status}",
             gains=self.gains,
+            search=self.optimality,
             **known,
             worst=f"{self.worst.where}, {self.worst.frequency_hz:.5g} Hz, damping {self.worst.damping:.4g}",
             active=self.active,

@@ -247,7 +247,7 @@ def tune_robust(
     for _ in range(given.rounds):
         seen = trial.on(known, result.gains)
         failing = _shortfall(seen, result.value)
-        if float((failing > 0).mean()) <= 1 - target or not result.success:
+        if float((failing > 0).mean()) <= 1 - target or not result.keeps_limits:
             break
         edge = np.argsort(-failing)[int(np.floor((1 - target) * draws))]
         if int(edge) in chosen:

@@ -153,6 +153,11 @@ GRID = {1: 61, 2: 25, 3: 9}
 """Number of grid points per gain, for up to three gains."""
 
 
+def on_grid(n_gains: int, options: SearchOptions) -> bool:
+    """Return whether a search begins with a grid over the whole box, which no seed changes."""
+    return n_gains in GRID and options.starts is None
+
+
 @dataclass(frozen=True, eq=False)
 class LocalSearch:
     """Local search of a problem: SQP over all active functions, and BFGS where nothing but eigenvalues counts.
@@ -608,16 +613,16 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
 
     given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (task.neutral, *task.first)]
     local = LocalSearch(problem, gain_units(problem, given[0]), options)
-    on_grid = d in GRID and options.starts is None
-    if on_grid:
+    gridded = on_grid(d, options)
+    if gridded:
         starts = grid_starts(problem, given[0], local.unit, GRID[d], options.nodes)
     else:
         starts = random_starts(problem, given[0], local.unit, _n_starts(local), options.seed)
-    many = not (on_grid or local.free) and len(given) + len(starts) > 2 * options.finalists
+    many = not (gridded or local.free) and len(given) + len(starts) > 2 * options.finalists
     designs: list[LocalOptimum] = []
     for i, start in enumerate((*given, *starts)):
         # the grid shows already how good its nodes are; given designs count also where the budget is used up
-        if on_grid or problem.evaluations.exhausted:
+        if gridded or problem.evaluations.exhausted:
             designs.append(LocalOptimum(start, problem.score(start), 0, False))
         else:
             designs.append(local.short(start, max(map(rank, designs), default=-np.inf)))
@@ -634,7 +639,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
     finals: list[LocalOptimum] = []
     same = options.neighbours * (problem.upper - problem.lower)
     for design in designs:
-        if (len(finals) == options.finalists and not on_grid) or (finals and local.settled(finals)):
+        if (len(finals) == options.finalists and not gridded) or (finals and local.settled(finals)):
             break
         if any((np.abs(design.x - other.x) <= same).all() for other in finals):
             continue

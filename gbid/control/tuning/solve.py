@@ -35,6 +35,7 @@ from gbid.control.tuning.search import (
     better,
     certificate_units,
     gain_units,
+    on_grid,
     search,
     typical_rate,
     usable_start,
@@ -60,6 +61,11 @@ class GainSolution:
     problem: GainProblem
     best: LocalOptimum
     history: tuple[SearchStep, ...] = ()
+
+    @property
+    def stable(self) -> bool:
+        """Whether all loops are stable."""
+        return self.problem.stable(self.best.x)
 
     def noted(self, stage: str, progress: Progress | None) -> GainSolution:
         """Return this solution with one more step of its history, which is told, too."""
@@ -441,7 +447,9 @@ def maximise_damping(
     solution = solve(problem, SearchTask(neutral, tuple(given), search_options, options.progress))
     n_loops = sum(len(family) for family in families)
     norms = " and exact H-infinity norms" if limits.has_responses else ""
-    return summarise(solution, names, f"eigenvalues{norms} of the {n_loops} closed-loop matrices")
+    values = () if on_grid(len(names), search_options) else (problem.in_units(solution.best.score.value),)
+    verified = f"eigenvalues{norms} of the {n_loops} closed-loop matrices"
+    return summarise(solution, names, verified, seed_values=values)
 
 
 def _listed(functions: Any) -> list[Any]:

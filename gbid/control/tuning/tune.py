@@ -23,10 +23,10 @@ from gbid.control.tuning.plants import (
     TuneOptions,
     plants_of,
 )
-from gbid.control.tuning.problem import Evaluations, GainProblem, Limits
+from gbid.control.tuning.problem import FEASIBLE, Evaluations, GainProblem, Limits
 from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.control.tuning.result import GainResult, GoalFigure, distance_to_edge
-from gbid.control.tuning.search import Progress, SearchOptions, SearchTask, typical_rate
+from gbid.control.tuning.search import Progress, SearchOptions, SearchTask, on_grid, rank, typical_rate
 from gbid.control.tuning.solve import (
     GainSolution,
     add_worst_points,
@@ -139,8 +139,8 @@ def tune(
     **options
         Fields of `gbid.control.TuneOptions`: goals, or the short forms ``objective="damping"`` and
         ``peak_sensitivity=2.6``; ``operating_points``, ``actuator``, ``inputs``, ``outputs`` and ``uncertainty`` of the
-        plant; ``bounds``, ``start``, ``starts`` and ``seed`` of the search; ``sample_time``, ``computation_s`` and
-        ``method`` for a sampled loop.
+        plant; ``bounds``, ``start``, ``starts``, ``seed`` and ``seeds`` of the search; ``sample_time``,
+        ``computation_s`` and ``method`` for a sampled loop.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def tuned(
     if isinstance(structure, Scheduled) and structure.terms != ("1",) and isinstance(plants, LpvPlants):
         first.append(_constant_gains(plants, structure, limits, search, budget))
     task = SearchTask(box[2], tuple(first), search, progress)
-    solution = _search(plants, limits, box, task, budget)
+    solution, values = _independent_searches(plants, limits, box, (task, options.seeds), budget)
     verified = f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops"
     if isinstance(plants, LpvPlants) and plants.domain is not None:
         solution, verified = add_worst_points(solution, plants, plants.domain, task)
@@ -202,7 +202,7 @@ def tuned(
         text = f"the design holds for {len(plants.models)} models at corners and middles; no worst points between them"
         notes += (ControlNote.WORST_POINTS_NOT_SEARCHED(text),)
     more = {"points": points, "controller": structure, **({} if plants.sampling is None else vars(plants.sampling))}
-    return goal_figures(solution, summarise(solution, names, verified, notes, **more))
+    return goal_figures(solution, summarise(solution, names, verified, notes, seed_values=values, **more))
 
 
 Box = tuple[FloatArray, FloatArray, FloatArray]
@@ -226,6 +226,37 @@ def _search(plants: Plants, limits: Limits, box: Box, task: SearchTask, budget: 
     task = replace(task, first=first, options=options)
     solution = solve_over_points(_problem(plants, limits, box, budget), plants, plants.points, task)
     return replace(solution, history=sketch.history + solution.history)
+
+
+_ALIKE = 3
+"""Number of independent searches with the same design that end the others."""
+
+
+def _independent_searches(
+    plants: Plants, limits: Limits, box: Box, tasks: tuple[SearchTask, int], budget: Evaluations
+) -> tuple[GainSolution, tuple[float, ...]]:
+    """Best design of a number of searches with different seeds, and the value of each; none for a grid."""
+    task, n = tasks
+    options = task.options
+    if on_grid(len(task.neutral), options):
+        return _search(plants, limits, box, task, budget), ()
+    found: list[GainSolution] = []
+    for seed in range(options.seed, options.seed + n):
+        if found and budget.exhausted:
+            break
+        seeded = replace(task, options=replace(options, seed=seed))
+        found.append(_search(plants, limits, box, seeded, budget))
+        best = max(found, key=lambda one: (one.stable, one.best.score.violation <= FEASIBLE, rank(one.best)))
+        top = best.best.score.value
+        if sum(_reached(one) >= top - options.same * abs(top) for one in found) == _ALIKE:
+            break
+    history = tuple(step for one in found for step in one.history)
+    return replace(best, history=history), tuple(best.problem.in_units(_reached(one)) for one in found)
+
+
+def _reached(solution: GainSolution) -> float:
+    """Value of a design that keeps its limits; NaN for another one."""
+    return solution.best.score.value if solution.stable and solution.best.score.violation <= FEASIBLE else np.nan
 
 
 def _gain_bounds(structure: Structure | Scheduled, bounds: Mapping[str, tuple[float, float]] | None) -> Box:
@@ -301,7 +332,7 @@ class ParetoFront(Brief):
     @property
     def values(self) -> tuple[float, ...]:
         """Damping factor (or decay rate [1/s]) for each limit; NaN when no design satisfies it."""
-        return tuple(design.value if design.success else float("nan") for design in self.designs)
+        return tuple(design.value if design.keeps_limits else float("nan") for design in self.designs)
 
 
 def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
@@ -338,7 +369,7 @@ def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
     designs: list[GainResult] = []
     given, goals = options.pop("start", None), options.pop("goals", None)
     for cap in rising:
-        start = designs[-1].gains if designs and designs[-1].success else given
+        start = designs[-1].gains if designs and designs[-1].keeps_limits else given
         limit = {"peak_sensitivity": cap} if goals is None else {"goals": [*goals, PeakSensitivity(cap)]}
         designs.append(tune(lpv, start=start, **limit, **options))
     return ParetoFront(tuple(rising), tuple(designs))

@@ -368,6 +368,9 @@ def _made(design: TunedDesign) -> Made:
     stuck = [f"under the cap {cap:g}: {entry.status}" for cap, entry in design.front if not entry.success]
     if result.success:
         return Made("; ".join(stuck))
+    if result.keeps_limits:
+        text = f"{result.status}: all limits are kept, without a certificate; see the notes of the design"
+        return Made("; ".join([text, *stuck]), converged=False)
     worst = result.worst
     mode = f"{worst.frequency_hz:.0f} Hz with damping {worst.damping:.3f} at {worst.where}"
     active = f", limited by {', '.join(result.active)}" if result.active else ""
