@@ -317,6 +317,9 @@ def run_batch(path: Path, options: CommonOptions, scheduler: str | None, shard: 
     if options.dry_run:
         print_plan(experiment, [stage for stage in registry.STAGES if stage.early], options)
         return
+    if scheduler is not None and not scheduler.startswith("tls:"):
+        where = "has no encryption and no password: whoever reaches it can run code here and on its workers"
+        tell(f"gbid: {scheduler} {where}; use it in a network that you trust")
     options = replace(options, engine="serial") if collected else options
     with opened(experiment, options, scheduler=scheduler, shared=part is not None) as job:
         outcomes = [] if collected else run_campaign(job, part)

@@ -75,9 +75,10 @@ def test_one_of_two_workers_is_killed(engine, tmp_path):
     assert left_over(two.parent / "results") == []
 
 
-def test_a_scheduler_by_its_address(engine, tmp_path):
+def test_a_scheduler_by_its_address(engine, tmp_path, capsys):
     path = write_springs(tmp_path, 3)
     assert gbid("batch", path, "--scheduler", engine.client.scheduler_info()["address"]) == 0
+    assert capsys.readouterr().err.count("has no encryption and no password") == 1
     assert len(rows_of(tmp_path / "results" / "springs" / "table.csv")) == 3
 
 
