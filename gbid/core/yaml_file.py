@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.comments import CommentedMap, CommentedSeq, TaggedScalar
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
@@ -149,7 +149,7 @@ def _check_size(path: Path, tree: Any, length: int) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Return plain dicts, lists, numbers and text from ruamel's annotated ones."""
+    """Return plain dicts, lists, numbers and text from ruamel's annotated ones; a value with an unknown tag is text."""
     if isinstance(value, dict):
         return {plain(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -157,7 +157,7 @@ def plain(value: Any) -> Any:
     for kind in (bool, int, float, str):
         if isinstance(value, kind):
             return kind(value)
-    return value
+    return value.value if isinstance(value, TaggedScalar) else value
 
 
 def write_yaml(data: dict[str, Any], path: Path, comment: str = "") -> None:
