@@ -284,11 +284,11 @@ def export(
     ] = None,
 ) -> None:
     """Write models and controllers for other programs."""
-    from gbid.cli.printing import print_json, print_notes, tell
+    from gbid.cli.printing import print_json, print_notes, tell, tell_line
     from gbid.experiment.exporting import find_exports, write_exports
 
     export_target(to)
-    exports = find_exports(source, at, options.results)
+    exports = find_exports(source, at, options.results, tell_line)
     request = ExportRequest(output or exports.folder, options.overwrite, at, number, mass)
     files = [str(path) for path in write_exports(exports, to, request)]
     if options.as_json:
@@ -319,7 +319,7 @@ def clean(
     from gbid.core.compiled import cache_folder
     from gbid.experiment.campaign import locked, remove, stale_files
 
-    loaded = options.load(experiment)
+    loaded = options.load(experiment, form_only=True)
     cache = cache_folder() if kernels else None
     if options.dry_run or not loaded.results.is_dir():
         stale = stale_files(loaded.results, everything, cache)

@@ -75,11 +75,12 @@ class CommonOptions:
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on standard output, in SI units.")] = False
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False
 
-    def load(self, path: Path) -> Experiment:
-        """Return the experiment of a YAML file, with the folder of results that was given."""
+    def load(self, path: Path, *, form_only: bool = False) -> Experiment:
+        """Return the experiment of a YAML file, with the folder of results that was given; see `load_experiment`."""
+        from gbid.cli.printing import tell_line
         from gbid.experiment.load import load_experiment
 
-        return load_experiment(path, self.results)
+        return load_experiment(path, self.results, announce=tell_line, form_only=form_only)
 
 
 COMMON = tuple(field.name for field in fields(CommonOptions))

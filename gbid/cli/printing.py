@@ -32,6 +32,11 @@ def tell(text: str) -> None:
         print(printable(line), file=sys.stderr, flush=True)  # noqa: T201
 
 
+def tell_line(text: str) -> None:
+    """Print a line of gbid on standard error."""
+    tell(f"gbid: {text}")
+
+
 _PIPE_WIDTH = 140
 
 

@@ -186,9 +186,10 @@ def serve(
     """Show the results as pages on this machine; they follow a running campaign. Ctrl-C ends it."""
     import webbrowser
 
+    from gbid.cli.printing import tell_line
     from gbid.serve import open_server
 
-    with open_server(experiment, options.results, port) as server:
+    with open_server(experiment, options.results, port, tell_line) as server:
         typer.echo(f"report: {server.address}\ngain explorer: {server.address}explorer")
         if browser:
             webbrowser.open(server.address)

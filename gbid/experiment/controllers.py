@@ -39,12 +39,13 @@ from gbid.experiment.schema import (
     GoalEntry,
     TargetSection,
 )
+from gbid.experiment.user_code import user_structure, user_structure_or_model
 from gbid.export.chain import ChainOptions, chain_of
 from gbid.export.chain_c import CompiledChain
 from gbid.lpv import Domain, LPVModel, ProportionalDesign, PublishedMachine, load_machine
 from gbid.prefilter import identify_runout
 from gbid.rig import ProgramController, SampledController, Stationary
-from gbid.structure import LinearModel, LinearStructure, kind_of, load_structure, load_structure_or_model
+from gbid.structure import LinearModel, LinearStructure, kind_of
 from gbid.structure.linear import Structure
 
 # ---- Goals of a design from the entries of its controller section.
@@ -228,7 +229,7 @@ def design_structure(
         raise UsageError(text, "structure")
     else:
         with about("structure"):
-            linear = kind_of(load_structure(section.structure, experiment.folder)).linear
+            linear = kind_of(user_structure(section.structure, experiment.folder)).linear
             if linear is None:
                 raise UsageError(f"structure {section.structure!r}: a controller is a gbid.LinearStructure")
             with about(wrong):
@@ -664,7 +665,7 @@ def _as_design(section: ControllerChoice) -> ControllerSection:
 
 
 def _of_python(experiment: Experiment, word: str) -> ControllerDesign | Structure:
-    made = load_structure_or_model(word, experiment.folder_of(word.rpartition(":")[0]))
+    made = user_structure_or_model(word, experiment.folder_of(word.rpartition(":")[0]))
     if isinstance(made, LinearModel):
         return ControllerDesign(word, None, {}, made.dt or rig_time(experiment), models={None: made})
     linear = kind_of(made).linear

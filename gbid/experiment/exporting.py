@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from gbid.core.hdf5 import load
 from gbid.core.names import file_stem
 from gbid.core.yaml_file import read_yaml
 from gbid.experiment.controllers import TUNED, chain_options, design_structure
-from gbid.experiment.experiment import fit_models
+from gbid.experiment.experiment import Experiment, fit_models
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.experiment.stages.fit import load_made_fit
@@ -53,7 +53,9 @@ class Exports:
     notes: tuple[str, ...] = ()
 
 
-def find_exports(source: str, at: Point | None = None, results: Path | None = None) -> Exports:
+def find_exports(
+    source: str, at: Point | None = None, results: Path | None = None, announce: Callable[[str], None] | None = None
+) -> Exports:
     """Return the models and controllers of an experiment, model, controller file or fit.
 
     Parameters
@@ -64,6 +66,8 @@ def find_exports(source: str, at: Point | None = None, results: Path | None = No
         Operating point. LPV models give their linear models there.
     results : path, optional
         Folder of the results of an experiment, instead of the one in its YAML.
+    announce : callable, optional
+        See `gbid.experiment.load.load_experiment`.
 
     Returns
     -------
@@ -87,7 +91,7 @@ def find_exports(source: str, at: Point | None = None, results: Path | None = No
             design = load_controller(path)
             return Exports(source, (ExportItem(_controller_name(design), design),), Path(), notes=design.notes)
         if kind != "lpv_model":
-            return _of_experiment(path, at, results)
+            return _of_experiment(load_experiment(path, results, announce=announce), at)
     model = load_model(source)
     return Exports(source, _of_model(identifier(model.name), model, at), Path(), notes=model.notes)
 
@@ -110,9 +114,8 @@ def _controller_name(design: ControllerDesign) -> str:
     return identifier(f"controller_{design.name}")
 
 
-def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Exports:
-    job = Job(load_experiment(path, results))
-    folder = job.experiment.results
+def _of_experiment(experiment: Experiment, at: Point | None) -> Exports:
+    job, path, folder = Job(experiment), experiment.file.path, experiment.results
     items: list[ExportItem] = []
     left_out = []
     for fit in job.experiment.spec.fits:

@@ -7,7 +7,7 @@ import inspect
 import re
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
@@ -27,6 +27,7 @@ from gbid.experiment.run import has_section
 from gbid.experiment.schema import ExperimentFile
 from gbid.experiment.stages import registry
 from gbid.experiment.structures import fit_disturbances, structure_or_none
+from gbid.experiment.user_code import forget_failures, new_code
 from gbid.identify.problem.states import initial_states
 from gbid.recording import ImportMapping
 from gbid.recording.importing import Peek, peek
@@ -78,7 +79,13 @@ def names_are_unique(experiment: Experiment) -> Found:
         seen.add(q.name)
 
 
-def load_experiment(path: str | Path, results: str | Path | None = None) -> Experiment:
+def load_experiment(
+    path: str | Path,
+    results: str | Path | None = None,
+    *,
+    announce: Callable[[str], None] | None = None,
+    form_only: bool = False,
+) -> Experiment:
     """Return the experiment of a file, after all checks that are possible before a run.
 
     Parameters
@@ -87,6 +94,10 @@ def load_experiment(path: str | Path, results: str | Path | None = None) -> Expe
         The YAML.
     results : path, optional
         Folder of the results, instead of the folder that the file names.
+    announce : callable, optional
+        Told in one line of each Python file with equations whose content is new to this user, before it is executed.
+    form_only : bool
+        Whether to check keys, types and ranges alone; nothing that the file names is then read or executed.
 
     Returns
     -------
@@ -112,7 +123,11 @@ def load_experiment(path: str | Path, results: str | Path | None = None) -> Expe
     if spec is not None:
         folder = Path(results) if results else path.parent / (spec.results or f"results/{file_stem(spec.name)}")
         experiment = Experiment(file, spec, folder)
-        across = find_experiment_problems(experiment)
+        if announce is not None and not form_only:
+            for line in new_code(experiment):
+                announce(line)
+        forget_failures()
+        across = [] if form_only else find_experiment_problems(experiment)
         problems += [experiment.problem(place, text) for place, text in across if not _touches(place, faults)]
         if not problems:
             return experiment

@@ -15,6 +15,7 @@ from gbid.experiment.controllers import at_point, controller_identity, found_con
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import about, file_digest, nearest
 from gbid.experiment.rig_schema import LoopSection
+from gbid.experiment.user_code import user_structure
 from gbid.identify.disturbances import Disturbances, disturbances_of
 from gbid.structure import (
     AnyStructure,
@@ -26,7 +27,6 @@ from gbid.structure import (
     ScheduledStructure,
     Structure,
     kind_of,
-    load_structure,
     scheduled,
 )
 
@@ -188,7 +188,7 @@ def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
     if options:
         raise UsageError(f"options are for {', '.join(BUILT_IN)}; {spec.structure} has none: remove them", "options")
     with about("structure"):
-        return load_structure(spec.structure, experiment.folder_of(spec.structure.rpartition(":")[0]))
+        return user_structure(spec.structure, experiment.folder_of(spec.structure.rpartition(":")[0]))
 
 
 def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:

@@ -167,6 +167,8 @@ class Live:
         The experiment YAML; it is read again with each page.
     results : path, optional
         Folder of the results, instead of the one in the YAML.
+    announce : callable, optional
+        See `gbid.experiment.load.load_experiment`.
 
     Raises
     ------
@@ -174,8 +176,10 @@ class Live:
         When the YAML has problems.
     """
 
-    def __init__(self, experiment: Path, results: Path | None = None) -> None:
-        self._where = experiment, results
+    def __init__(
+        self, experiment: Path, results: Path | None = None, announce: Callable[[str], None] | None = None
+    ) -> None:
+        self._where, self._announce = (experiment, results), announce
         self._lock = threading.Lock()  # matplotlib draws in one thread at a time
         self._key, self._page = "", ""
         self._look: tuple[frozenset[tuple[str, int, int, int]], dict[str, Any]] | None = None  # seen, and answer
@@ -186,7 +190,7 @@ class Live:
 
     def _read(self) -> Results:
         """Return the present results; forget what was made of earlier ones."""
-        results = Results(Job(load_experiment(*self._where)))
+        results = Results(Job(load_experiment(*self._where, announce=self._announce)))
         self._folder = results.experiment.results
         if (key := report_key(results)) != self._key:
             self._key, self._page, self._designs = key, "", {}
@@ -363,7 +367,9 @@ class Server(ThreadingHTTPServer):
         return f"http://{HOST}:{self.server_address[1]}/"
 
 
-def open_server(experiment: Path, results: Path | None = None, port: int = 0) -> Server:
+def open_server(
+    experiment: Path, results: Path | None = None, port: int = 0, announce: Callable[[str], None] | None = None
+) -> Server:
     """Return a server of the results, which listens on this machine only.
 
     Parameters
@@ -374,6 +380,8 @@ def open_server(experiment: Path, results: Path | None = None, port: int = 0) ->
         Folder of the results, instead of the one in the YAML.
     port : int
         Port; 0 for any free one.
+    announce : callable, optional
+        See `gbid.experiment.load.load_experiment`.
 
     Returns
     -------
@@ -385,7 +393,7 @@ def open_server(experiment: Path, results: Path | None = None, port: int = 0) ->
     UsageError
         When the YAML has problems, or when the port is not free.
     """
-    live = Live(experiment, results)
+    live = Live(experiment, results, announce)
     try:
         return Server((HOST, port), partial(_Handler, live))
     except (OSError, OverflowError) as error:

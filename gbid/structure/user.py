@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import casadi as ca
@@ -43,10 +44,13 @@ def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
     UsageError
         When the file is missing, when its import fails, when it has no such name, or when its equations do not fit.
     """
-    loaded = load_structure_or_model(reference, folder)
+    return not_a_model(load_structure_or_model(reference, folder), *python_file(reference, folder))
+
+
+def not_a_model(loaded: AnyStructure | LinearModel, path: Path, name: str) -> AnyStructure:
+    """Return what a file gave; refuse a model with numbers with a UsageError."""
     if isinstance(loaded, LinearModel):
-        file, _, name = reference.rpartition(":")
-        raise UsageError(f"{(folder or Path()) / file}: {name} is not a structure; {_REMEDY}")
+        raise UsageError(f"{path}: {name} is not a structure; {_REMEDY}")
     return loaded
 
 
@@ -58,20 +62,43 @@ def load_structure_or_model(reference: str, folder: Path | None = None) -> AnySt
     UsageError
         As `load_structure`, but for a `LinearModel`.
     """
+    path, name = python_file(reference, folder)
+    return structure_in(execute_file(path), path, name)
+
+
+def python_file(reference: str, folder: Path | None = None) -> tuple[Path, str]:
+    """Return the existing file and the name of a reference ``file.py:name``; raises UsageError for any other."""
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py"):
         raise UsageError(f"structure {reference!r}: write it as file.py:name")
     path = given_path((folder or Path()) / file)
     if not path.is_file():
         raise UsageError(f"structure {reference!r}: no file {path}")
+    return path, name
+
+
+def execute_file(path: Path) -> ModuleType:
+    """Return the module of a Python file after its execution.
+
+    The text of the file itself is compiled: a ``__pycache__`` beside it is neither read nor written.
+
+    Raises
+    ------
+    UsageError
+        When the file cannot be read, or its execution fails.
+    """
     spec = importlib.util.spec_from_file_location(f"gbid_user_{path.stem}", path)
     assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        exec(compile(path.read_bytes(), str(path), "exec"), vars(module))
     except (Exception, SystemExit) as error:
         raise UsageError(f"{path}: import failed: {in_one_line(error)}") from error
+    return module
+
+
+def structure_in(module: ModuleType, path: Path, name: str) -> AnyStructure | LinearModel:
+    """Return the structure or the model of a name in an executed file; raises as `load_structure_or_model`."""
     if not hasattr(module, name):
         raise UsageError(f"{path}: no name {name!r} in this file")
     loaded = getattr(module, name)

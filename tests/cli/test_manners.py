@@ -22,6 +22,7 @@ from gbid.cli.guard import guarded
 from gbid.cli.progress import LiveBar
 from gbid.core.errors import NoSpaceError
 from gbid.core.files import atomic_path
+from gbid.experiment import user_code
 
 
 @pytest.fixture(scope="module")
@@ -243,3 +244,48 @@ def test_no_color_takes_the_colours_out(monkeypatch):
     assert "fit spring" in written["1"]
     assert "\x1b[38;" in written[""] or "\x1b[3" in written[""]
     assert "\x1b[38;" not in written["1"]
+
+
+def test_a_python_file_is_executed_once_by_a_verb_and_never_by_clean(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("GBID_CACHE_DIR", str(tmp_path / "cache"))
+    path, count = write_spring(tmp_path / "spring"), tmp_path / "count.txt"
+    code, lines = path.parent / "spring.py", []
+    code.write_text(code.read_text() + f"with open({str(count)!r}, 'a') as file:\n    file.write('x')\n")
+    for verb, expected in (("check", 1), ("import", 1), ("fit", 1), ("fit", 1), ("export", 1), ("clean", 0)):
+        user_code._made.clear()  # as another process
+        assert gbid(verb, path) == 0
+        assert len(count.read_text() if count.exists() else "") == expected, verb
+        count.unlink(missing_ok=True)
+        lines += [line for line in capsys.readouterr().err.splitlines() if "is executed with your rights" in line]
+    assert len(lines) == 1
+    assert "spring.py" in lines[0]
+    assert not list(path.parent.rglob("__pycache__"))
+    code.write_text(code.read_text() + "raise OSError('no licence')\n")
+    assert gbid("clean", path, "--everything") == 0
+    assert not count.exists()
+    assert gbid("check", path) == 2
+    assert len(count.read_text()) == 1  # also when it fails
+    words = capsys.readouterr().err
+    assert words.index("is executed with your rights") < words.index("no licence")
+
+
+def test_what_a_failed_python_file_imports_may_appear_later(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(tmp_path)
+    path = write_spring(tmp_path / "spring")
+    code = path.parent / "spring.py"
+    code.write_text("import helper_of_spring\n" + code.read_text())
+    assert gbid("check", path) == 2
+    (tmp_path / "helper_of_spring.py").touch()
+    assert gbid("check", path) == 0
+    capsys.readouterr()
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners of files")
+def test_a_memory_that_others_may_write_is_not_believed(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("GBID_CACHE_DIR", str(tmp_path / "cache"))
+    path = write_spring(tmp_path / "spring")
+    for said in (1, 0, 1):
+        assert gbid("check", path) == 0
+        assert capsys.readouterr().err.count("is executed with your rights") == said
+        if not said:
+            (tmp_path / "cache" / "seen-code").chmod(0o777)
