@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from gbid.discretise import check_holds
 from gbid.identify.bias import Bias, bias_of
 from gbid.identify.data import FitData, column_means
 from gbid.identify.data_notes import data_notes
-from gbid.identify.options import DRAWS
+from gbid.identify.options import DRAWS, SettledOptions
 from gbid.identify.pose import Optimum
 from gbid.identify.problem.assemble import window_length
 from gbid.identify.problem.integration import at_working_point, with_integration_error
@@ -29,12 +29,13 @@ from gbid.identify.uncertainty.covariance import (
     FLATTEST,
     Covariance,
     Estimate,
+    ModelSpreads,
     covariance,
     filtered_records,
     model_spreads,
 )
 from gbid.identify.uncertainty.profiles import Profiler
-from gbid.identify.uncertainty.residual_tests import whiteness_test
+from gbid.identify.uncertainty.residual_tests import Whiteness, whiteness_test
 from gbid.structure import kind_of
 
 _EQUAL = (
@@ -46,175 +47,361 @@ _NEAR = 1e-2  # of the range between both bounds, farther from which an estimate
 
 def judge(optimum: Optimum) -> FitResult:
     """Return the result of a fit, evaluated at the optimum of its problem, without its wall time."""
+    problem, solution = optimum.problem, optimum.solution
+    task, assembly = problem.task, problem.assembly
+    residuals = _residuals(optimum)
+    certainty = _certainty(optimum, residuals)
+    estimate, spread, bias, whiteness = residuals.estimate, certainty.spread, certainty.bias, residuals.whiteness
+    shooting, theta = estimate.problem, estimate.theta
+    parameters, local_names = _parameters(optimum, theta)
+    std = _standard_deviations(optimum, parameters, certainty)
+    model = _model(optimum, estimate, parameters)
+    spreads = _spreads_of_model(optimum, estimate, certainty.covariance, model)
+    scores = _scores(optimum, residuals)
+    units = {q.name: q.unit for q in problem.parameters} | task.disturbances.units(task.data.output_units)
+    short_name = {**dict(zip(parameters, parameters, strict=True)), **assembly.own_names}
+    at_edge = residuals.finite and any(shooting.parts_at_edge(theta))
+    shaft = shaft_notes(model.modes(), task.data) if residuals.finite else ()
+    result = FitResult(
+        structure=task.structure.name,
+        recordings=tuple(record.name for record in task.data.records),
+        parameters=parameters,
+        std=std,
+        units={name: units[short_name[name]] for name in parameters},
+        free=_free_names(optimum),
+        covariance=certainty.covariance,
+        covariance_white=spread.white,
+        covariance_robust=spread.robust,
+        covariance_bootstrap=spread.bootstrap,
+        trusted="none" if bias.left_out else certainty.kind,
+        whiteness=whiteness.p_value if residuals.finite else np.full(len(residuals.products), np.nan),
+        modes_std=spreads.modes,
+        static_gain_std=spreads.static_gain,
+        initial_states=_initial_states(estimate)[:, : assembly.n_states],
+        loss=scores.loss,
+        error_covariance=residuals.mean_square,
+        fit_percent=residuals.fit_percent,
+        aic=scores.aic,
+        log_likelihood=scores.log_likelihood,
+        fpe=scores.fpe,
+        condition=spread.condition,
+        status=verdict(
+            solution.status,
+            overflows=not residuals.finite,
+            worse_than_constant=residuals.worse_than_constant,
+            at_edge=at_edge,
+            shaft=bool(shaft),
+            undetermined=~certainty.on_bound & ~np.isfinite([std[q.name] for q in assembly.free]),
+        ),
+        optimality=solution.rest,
+        iterations=solution.iterations,
+        phases=solution.phases,
+        wall_time_s=0.0,
+        start={name: problem.begin[name] for name in parameters},
+        start_origin={name: _origin(optimum, short_name[name]) for name in parameters},
+        notes=(
+            *certainty.notes,
+            *bias.notes,
+            *_notes_on_coverage(optimum, residuals, spread, model),
+            *((FitNote.PREDICTOR_AT_EDGE(_AT_EDGE),) if at_edge else ()),
+            *certainty.notes_on_poles,
+            *shaft,
+            *optimum.notes,
+            *task.begin.notes,
+            *task.states.notes,
+            *((FitNote.OVERFLOWS(_OVERFLOWS.format(solution.overflows)),) if solution.overflows else ()),
+            *decay_notes(task.data),
+            *data_notes(task.data, {q.name for q in task.parameters}, task.options.left_out or {}),
+            *extra_notes(optimum.shooting, solution.unknowns),
+        ),
+        options=_settled_options(optimum, estimate),
+        disturbances=task.disturbances,
+        engine=assembly.engine,
+        schedule=task.courses.schedule if task.courses else None,
+        model=model,
+        sample_time=task.data.sample_time,
+        local_names=local_names,
+        model_slopes=spreads.slopes,
+        hold_shift=bias.moved,
+        profiler=_profiler(optimum, residuals, certainty, scores.loss),
+        error_models=_error_models(optimum),
+    )
+    return with_integration_error(result, optimum.integration_shift)
+
+
+# ---- The questions of a judgement, in their order.
+
+
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """Errors of a fit at its estimates, and what they are.
+
+    Attributes
+    ----------
+    estimate : Estimate
+        Estimates, with the weighted problem where a loss or filters weigh the errors.
+    by_record : list of (n_samples, n_y) array
+        Weighted and filtered errors of each record.
+    products : (n_y, n_y) array
+        Sum of their products.
+    mean_square : (n_y, n_y) array
+        Mean of the products of the errors as they are: outliers count in full.
+    fit_percent : (n_records, n_y) array
+        ``100 (1 - |e| / |y - mean y|)`` of the errors as they are.
+    whiteness : Whiteness
+        Test of `by_record`.
+    finite : bool
+        Whether errors and parameters are finite.
+    worse_than_constant : bool
+        Whether the mean of each record explains the outputs as well, see `explains_nothing`.
+    noisy : (n_y,) boolean array
+        Outputs with noise; the others are simulated ones, whose errors are at rounding.
+    """
+
+    estimate: Estimate
+    by_record: list[FloatArray]
+    products: FloatArray
+    mean_square: FloatArray
+    fit_percent: FloatArray
+    whiteness: Whiteness
+    finite: bool
+    worse_than_constant: bool
+    noisy: BoolArray
+
+    @property
+    def sound(self) -> bool:
+        """Whether the errors are those of a model that explains something."""
+        return self.finite and not self.worse_than_constant
+
+    @property
+    def coloured(self) -> bool:
+        """Whether standard deviations for white errors are not to be trusted."""
+        return not (self.sound and self.whiteness.accepted[self.noisy].all())
+
+
+def _residuals(optimum: Optimum) -> _Residuals:
+    """Return what the model leaves unexplained: the errors at the optimum."""
     problem, shooting, solution = optimum.problem, optimum.shooting, optimum.solution
-    task, assembly, options = problem.task, problem.assembly, problem.task.options
-    structure, data, free = task.structure, task.data, assembly.free
-    names = [q.name for q in free]
+    data, windows = problem.task.data, problem.assembly.record_window
     theta, starts = shooting.unpack(solution.unknowns)
-    windows = assembly.record_window
-    every = shooting.by_record(shooting.errors(shooting.values(theta), starts), windows)  # outliers count in full
+    every = shooting.by_record(shooting.errors(shooting.values(theta), starts), windows)
     used = shooting.by_record([part.blocks.used[:, :, None] for part in shooting.parts], windows)
     outputs = [r.outputs.compress(rows[:, 0] > 0, axis=0) for r, rows in zip(data.records, used, strict=True)]
     squares = np.asarray(sum(e.T @ e for e in every))
     weighted = shooting if optimum.reweighted is None else optimum.reweighted.problem
-    residuals = weighted.errors(weighted.values(theta), starts)
-    products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in residuals))
-    by_record = weighted.by_record(residuals, windows)
-    known_starts = task.states.in_shooting(weighted.n_states)
-    estimate = Estimate(weighted, theta, starts, windows, known_starts)
+    errors = weighted.errors(weighted.values(theta), starts)
+    products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in errors))
+    by_record = weighted.by_record(errors, windows)
+    estimate = Estimate(weighted, theta, starts, windows, problem.task.states.in_shooting(weighted.n_states))
     if optimum.weighted is not None:
         estimate = replace(estimate, filters=optimum.weighted.filters)
     if estimate.filters and solution.status is not FitStatus.GROWS:
         by_record = [record.errors for record in filtered_records(estimate)]
         products = np.asarray(sum(e.T @ e for e in by_record))
     finite = bool(np.isfinite(products).all() and np.isfinite(theta).all())
-    worse = finite and optimum.weighted is None and explains_nothing(weighted, squares, outputs)
-    white = whiteness_test(by_record)
-    sound = finite and not worse
-    noisy = np.diag(squares) > weighted.floors  # the rest are simulated outputs without noise: errors at rounding
-    coloured = not (sound and white.accepted[noisy].all())
-    bootstrap = None
-    if options.std == "bootstrap":
-        bootstrap = Bootstrap(options.bootstrap_draws or DRAWS, options.bootstrap_seed or 0)
-    settled = sound and solution.status.success
-    drawn = bootstrap if settled else None
-    on_bound, spread = _uncertainty(optimum, estimate, products, coloured, drawn)
-    spread, meeting = _with_equal_poles(optimum, theta, spread)
-    kind_of_std: StdKind = "bootstrap" if spread.bootstrap is not None else "robust" if coloured else "white"
-    sigma = np.where(on_bound | spread.open, np.nan, np.sqrt(np.diag(spread.of(kind_of_std))))
-    bias = bias_of(optimum, [e * noisy for e in by_record], sigma, white=not coloured) if settled else Bias()
-    told = _notes(optimum, theta, on_bound, spread, kind_of_std if coloured and not bias.explains_colour else None)
+    return _Residuals(
+        estimate=estimate,
+        by_record=by_record,
+        products=products,
+        mean_square=squares / weighted.n_samples,
+        fit_percent=_fit_percent(every, outputs),
+        whiteness=whiteness_test(by_record),
+        finite=finite,
+        worse_than_constant=finite and optimum.weighted is None and explains_nothing(weighted, squares, outputs),
+        noisy=np.diag(squares) > weighted.floors,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Certainty:
+    """How well the estimates are known.
+
+    Attributes
+    ----------
+    on_bound : (n_theta,) boolean array
+        Free parameters on a bound.
+    spread : Covariance
+        Their covariances, widened by what delay, hold and other maxima move.
+    kind : {"white", "robust", "bootstrap"}
+        The one that counts.
+    bias : Bias
+        What the estimates are off by beside the noise.
+    notes, notes_on_poles : sequence of str
+        Notes on the standard deviations, and on poles that meet.
+    by_blocks : bool
+        Whether the standard deviations are those for coloured errors, or drawn.
+    """
+
+    on_bound: BoolArray
+    spread: Covariance
+    kind: StdKind
+    bias: Bias
+    notes: tuple[str, ...]
+    notes_on_poles: list[str]
+    by_blocks: bool
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance that counts, (n_theta, n_theta)."""
+        return self.spread.of(self.kind)
+
+    @property
+    def unknown(self) -> BoolArray:
+        """Free parameters without a standard deviation, (n_theta,)."""
+        return np.asarray(self.on_bound | self.spread.open)
+
+
+def _certainty(optimum: Optimum, residuals: _Residuals) -> _Certainty:
+    """Return how far the estimates may be off: their covariance and bias."""
+    theta, coloured, noisy = residuals.estimate.theta, residuals.coloured, residuals.noisy
+    settled = residuals.sound and optimum.solution.status.success
+    drawn = _bootstrap(optimum) if settled else None
+    on_bound, spread = _uncertainty(optimum, residuals.estimate, residuals.products, coloured, drawn)
+    spread, notes_on_poles = _with_equal_poles(optimum, theta, spread)
+    kind: StdKind = "bootstrap" if spread.bootstrap is not None else "robust" if coloured else "white"
+    std = np.where(on_bound | spread.open, np.nan, np.sqrt(np.diag(spread.of(kind))))
+    errors = [e * noisy for e in residuals.by_record]
+    bias = bias_of(optimum, errors, std, white=not coloured) if settled else Bias()
+    notes = _notes(optimum, theta, on_bound, spread, kind if coloured and not bias.explains_colour else None)
     if bias.moved is not None and bias.widens:
         spread = spread.widened(bias.moved)
-    for moved in optimum.weighted.elsewhere if optimum.weighted else ():
-        spread = spread.widened(moved)
-    chosen = spread.of(kind_of_std)
+    for shift in optimum.weighted.elsewhere if optimum.weighted else ():
+        spread = spread.widened(shift)
+    return _Certainty(on_bound, spread, kind, bias, notes, notes_on_poles, coloured or drawn is not None)
 
-    estimates = {
+
+def _bootstrap(optimum: Optimum) -> Bootstrap | None:
+    """Return the bootstrap that the options ask for."""
+    options = optimum.problem.task.options
+    if options.std != "bootstrap":
+        return None
+    return Bootstrap(options.bootstrap_draws or DRAWS, options.bootstrap_seed or 0)
+
+
+def _free_names(optimum: Optimum) -> tuple[str, ...]:
+    """Return the names of the free parameters in the order of the covariance."""
+    return tuple(q.name for q in optimum.problem.assembly.free)
+
+
+def _error_models(optimum: Optimum) -> tuple[ErrorModel, ...]:
+    """Return the models of the errors that weigh them; none without ``errors="ar"``."""
+    return tuple(f.model for f in optimum.weighted.filters) if optimum.weighted else ()
+
+
+def _parameters(optimum: Optimum, theta: FloatArray) -> tuple[dict[str, float], dict[str, dict[str, str]]]:
+    """Return all parameters by full name, and the full names of those that are local to a recording."""
+    problem, assembly = optimum.problem, optimum.problem.assembly
+    parameters = {
         **problem.begin,
         **dict.fromkeys(assembly.unused, 0.0),
-        **dict(zip(names, theta.tolist(), strict=True)),
+        **dict(zip(_free_names(optimum), theta.tolist(), strict=True)),
     }
     local_names = {
         record.name: local
-        for record, full_names in zip(data.records, assembly.record_names, strict=True)
+        for record, full_names in zip(problem.task.data.records, assembly.record_names, strict=True)
         if (local := {short: full for short, full in full_names.items() if short != full})
     }
     for name in {short for local in local_names.values() for short in local}:
-        estimates.pop(name, None)
-    fixed = {q.name for q in problem.parameters if q.fixed}
-    std = {name: 0.0 if name in fixed else np.nan for name in estimates}
-    for i in np.flatnonzero(~(on_bound | spread.open)):
-        std[names[i]] = float(np.sqrt(chosen[i, i]))
-    mean_square = squares / weighted.n_samples
-    error_models = tuple(f.model for f in optimum.weighted.filters) if optimum.weighted else ()
-    at_edge = finite and any(weighted.parts_at_edge(theta))
-    units = {q.name: q.unit for q in problem.parameters} | task.disturbances.units(data.output_units)
-    short_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
-    first = {**estimates, **{short: estimates[full] for short, full in assembly.record_names[0].items()}}
-    stated = [q.name for q in structure.parameters]
-    kind = kind_of(structure)
-    model = kind.model({name: first[name] for name in stated}, data.input_names, data.output_names)
-    if kind.nonlinear:
-        model = at_working_point(model, weighted, theta, starts, data)
-    # White residuals tell of disturbances where a gain takes them in; one that is held at zero does not.
-    fed_back = not coloured and model.K is not None and bool(model.K.any())
-    shaft = shaft_notes(model.modes(), data) if finite else ()
-    tie = centre_tie(kind.scheduled, weighted.parts[0].predictor.free, names) if kind.scheduled else None
-    spreads = model_spreads(estimate, chosen, model, stated, tie)
-    n, k = weighted.n_samples, len(theta) + int((~known_starts).sum())
-    first_states = starts[windows] + released_states(weighted, theta, windows)
+        parameters.pop(name, None)
+    return parameters, local_names
+
+
+def _standard_deviations(optimum: Optimum, parameters: Iterable[str], certainty: _Certainty) -> dict[str, float]:
+    """Return the standard deviation of each parameter: zero for a fixed one, nan for one that is not determined."""
+    fixed, names = {q.name for q in optimum.problem.parameters if q.fixed}, _free_names(optimum)
+    std, covariance = {name: 0.0 if name in fixed else np.nan for name in parameters}, certainty.covariance
+    for i in np.flatnonzero(~certainty.unknown):
+        std[names[i]] = float(np.sqrt(covariance[i, i]))
+    return std
+
+
+def _model(optimum: Optimum, estimate: Estimate, parameters: dict[str, float]) -> Any:
+    """Return the model of the first recording."""
+    task, record_names = optimum.problem.task, optimum.problem.assembly.record_names[0]
+    kind, data = kind_of(task.structure), task.data
+    first = {**parameters, **{short: parameters[full] for short, full in record_names.items()}}
+    stated = {q.name: first[q.name] for q in task.structure.parameters}
+    model = kind.model(stated, data.input_names, data.output_names)
+    return at_working_point(model, estimate.problem, estimate.theta, estimate.starts, data) if kind.nonlinear else model
+
+
+def _spreads_of_model(optimum: Optimum, estimate: Estimate, covariance: FloatArray, model: Any) -> ModelSpreads:
+    """Return slopes and standard deviations of the model."""
+    structure, scheduled = optimum.problem.task.structure, kind_of(optimum.problem.task.structure).scheduled
+    free = estimate.problem.parts[0].predictor.free
+    tie = centre_tie(scheduled, free, list(_free_names(optimum))) if scheduled else None
+    return model_spreads(estimate, covariance, model, [q.name for q in structure.parameters], tie)
+
+
+def _initial_states(estimate: Estimate) -> FloatArray:
+    """Return the initial states of the records, (n_records, n)."""
+    windows = estimate.record_window
+    return estimate.starts[windows] + released_states(estimate.problem, estimate.theta, windows)
+
+
+class _Scores(NamedTuple):
+    """Loss, likelihood and criteria of information of a fit."""
+
+    loss: float
+    log_likelihood: float
+    aic: float
+    fpe: float
+
+
+def _scores(optimum: Optimum, residuals: _Residuals) -> _Scores:
+    """Return how good the fit is for its number of parameters: loss and criteria of information."""
+    estimate, mean_square = residuals.estimate, residuals.mean_square
+    n, k = estimate.problem.n_samples, len(estimate.theta) + int((~estimate.given).sum())
     log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
-    loss = float(np.trace(mean_square) if weighted.criterion == "trace" else np.linalg.det(mean_square))
-    per_sample = len(products) * (1 + float(np.log(2 * np.pi)))
+    per_sample = len(mean_square) * (1 + float(np.log(2 * np.pi)))
     if optimum.weighted is not None:  # likelihood and coefficients of the models of the errors
         log_det = -2 * optimum.weighted.log_likelihood / n - per_sample
         k += sum(f.model.coefficients.size for f in optimum.weighted.filters)
-    result = FitResult(
-        structure=structure.name,
-        recordings=tuple(record.name for record in data.records),
-        parameters=estimates,
-        std=std,
-        units={name: units[short_name[name]] for name in estimates},
-        free=tuple(names),
-        covariance=chosen,
-        covariance_white=spread.white,
-        covariance_robust=spread.robust,
-        covariance_bootstrap=spread.bootstrap,
-        trusted="none" if bias.left_out else kind_of_std,
-        whiteness=white.p_value if finite else np.full(len(products), np.nan),
-        modes_std=spreads.modes,
-        static_gain_std=spreads.static_gain,
-        initial_states=first_states[:, : assembly.n_states],
-        loss=loss,
-        error_covariance=mean_square,
-        fit_percent=_fit_percent(every, outputs),
-        aic=n * log_det + 2 * k,
+    return _Scores(
+        loss=float(np.trace(mean_square) if estimate.problem.criterion == "trace" else np.linalg.det(mean_square)),
         log_likelihood=-0.5 * n * (log_det + per_sample),
+        aic=n * log_det + 2 * k,
         fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
-        condition=spread.condition,
-        status=verdict(
-            solution.status,
-            overflows=not finite,
-            worse_than_constant=worse,
-            at_edge=at_edge,
-            shaft=bool(shaft),
-            undetermined=~on_bound & ~np.isfinite([std[name] for name in names]),
-        ),
-        optimality=solution.rest,
-        iterations=solution.iterations,
-        phases=solution.phases,
-        wall_time_s=0.0,
-        start={name: problem.begin[name] for name in estimates},
-        start_origin={name: _origin(optimum, short_name[name]) for name in estimates},
-        notes=(
-            *told,
-            *bias.notes,
-            *may_cover_less(error_models or spread.models, model.modes(), data.sample_time, n, gain=fed_back),
-            *((FitNote.PREDICTOR_AT_EDGE(_AT_EDGE),) if at_edge else ()),
-            *meeting,
-            *shaft,
-            *optimum.notes,
-            *task.begin.notes,
-            *task.states.notes,
-            *((FitNote.OVERFLOWS(_OVERFLOWS.format(solution.overflows)),) if solution.overflows else ()),
-            *decay_notes(data),
-            *data_notes(data, {q.name for q in task.parameters}, options.left_out or {}),
-            *extra_notes(shooting, solution.unknowns),
-        ),
-        options=options.settled(
-            intersample=check_holds(task.hold, len(data.input_names)),
-            criterion=weighted.criterion,
-            initial_state=task.states.choice,
-            window=problem.window and window_length(shooting),
-            robust_threshold=task.loss and task.loss.threshold,
-            bootstrap_draws=bootstrap and bootstrap.draws,
-            bootstrap_seed=bootstrap and bootstrap.seed,
-        ),
-        disturbances=task.disturbances,
-        engine=assembly.engine,
-        schedule=task.courses.schedule if task.courses else None,
-        model=model,
-        sample_time=data.sample_time,
-        local_names=local_names,
-        model_slopes=spreads.slopes,
-        hold_shift=bias.moved,
-        profiler=None
-        if optimum.weighted
-        else Profiler(
-            tuple(names),
-            estimate,
-            problem.box,
-            products,
-            on_bound,
-            np.where(on_bound | spread.open, np.nan, np.diag(chosen)),
-            np.diag(spread.curvature),
-            coloured or drawn is not None,
-            loss,
-        ),
-        error_models=error_models,
     )
-    return with_integration_error(result, optimum.integration_shift)
+
+
+def _notes_on_coverage(optimum: Optimum, residuals: _Residuals, spread: Covariance, model: Any) -> list[str]:
+    """Return notes on intervals that contain the truth less often than they state."""
+    # White residuals tell of disturbances where a gain takes them in; one that is held at zero does not.
+    gain = not residuals.coloured and model.K is not None and bool(model.K.any())
+    models, data = _error_models(optimum) or spread.models, optimum.problem.task.data
+    return may_cover_less(models, model.modes(), data.sample_time, residuals.estimate.problem.n_samples, gain=gain)
+
+
+def _settled_options(optimum: Optimum, estimate: Estimate) -> SettledOptions:
+    """Return the options of the fit with what it chose itself."""
+    problem, task, bootstrap = optimum.problem, optimum.problem.task, _bootstrap(optimum)
+    return task.options.settled(
+        intersample=check_holds(task.hold, len(task.data.input_names)),
+        criterion=estimate.problem.criterion,
+        initial_state=task.states.choice,
+        window=problem.window and window_length(optimum.shooting),
+        robust_threshold=task.loss and task.loss.threshold,
+        bootstrap_draws=bootstrap and bootstrap.draws,
+        bootstrap_seed=bootstrap and bootstrap.seed,
+    )
+
+
+def _profiler(optimum: Optimum, residuals: _Residuals, certainty: _Certainty, loss: float) -> Profiler | None:
+    """Return what computes profiles of the cost later; none for a model of the errors."""
+    if optimum.weighted:
+        return None
+    return Profiler(
+        _free_names(optimum),
+        residuals.estimate,
+        optimum.problem.box,
+        residuals.products,
+        certainty.on_bound,
+        np.where(certainty.unknown, np.nan, np.diag(certainty.covariance)),
+        np.diag(certainty.spread.curvature),
+        certainty.by_blocks,
+        loss,
+    )
 
 
 def _uncertainty(
