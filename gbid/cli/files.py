@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -16,6 +17,7 @@ from gbid.export.targets import TARGETS, ExportRequest, export_target
 
 if TYPE_CHECKING:
     from gbid.experiment.draft import Draft, DraftOptions
+    from gbid.lpv import MachineData
 
 
 class Template(StrEnum):
@@ -44,6 +46,10 @@ ABOUT = {
 
 def _drafting(help: str, metavar: str | None = None) -> Any:
     return typer.Option(metavar=metavar, help=f"Of measured files: {help}.", show_default="found")
+
+
+def _of_machine(help: str, metavar: str) -> Any:
+    return typer.Option(metavar=metavar, help=f"Of the machine: {help}.", show_default="left out")
 
 
 def _peeking(help: str) -> Any:
@@ -80,6 +86,9 @@ def new(
     pressure: Annotated[float | None, _drafting("pressure of all files", "BAR")] = None,
     speed: Annotated[float | None, _drafting("speed of all files", "RPM")] = None,
     controller: Annotated[str, typer.Option(help="Of measured files: structure of the controller.")] = "P",
+    moving_mass: Annotated[float | None, _of_machine("mass that an impact moves", "KG")] = None,
+    travel: Annotated[float | None, _of_machine("whole travel of a piezo stack", "UM")] = None,
+    clearance: Annotated[float | None, _of_machine("clearance of the bearing", "UM")] = None,
     _list: Annotated[
         bool, typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and exit.")
     ] = False,
@@ -93,6 +102,7 @@ def new(
         written = write_template(template.value, folder)
     else:
         from gbid.experiment.draft import DraftOptions
+        from gbid.lpv import MachineData
 
         refuse_used(folder)
         columns: dict[str, tuple[tuple[str, ...], ...]] = {}
@@ -110,6 +120,10 @@ def new(
             pressure,
             speed,
             controller,
+            MachineData(
+                moving_mass,
+                *(None if value is None else float(f"{1e-6 * value:.12g}") for value in (travel, clearance)),
+            ),
             ask=sys.stdin.isatty(),
         )
         draft = _drafted(drafted, folder)
@@ -160,6 +174,27 @@ def _signal(text: str) -> tuple[str, tuple[str, ...]]:
     return name.strip(), names
 
 
+_OF_MACHINE = {
+    "moving_mass_kg": ("moving mass [kg]", 1.0),
+    "piezo_travel_m": ("whole travel of a piezo stack [um]", 1e-6),
+    "clearance_m": ("radial clearance of the bearing [um]", 1e-6),
+}
+"""Questions on a machine by the field of `gbid.lpv.MachineData`, with the factor to SI."""
+
+
+def _asked_machine(known: MachineData) -> MachineData:
+    """Return the numbers of a machine with answers for those that are not known."""
+    answers = {}
+    for name, (question, factor) in _OF_MACHINE.items():
+        if getattr(known, name) is None:
+            text = typer.prompt(f"{question}, empty when unknown", default="", show_default=False, err=True)
+            try:
+                answers[name] = float(f"{factor * float(text.replace(',', '.')):.12g}") if text.strip() else None
+            except ValueError:
+                raise UsageError(f"{question}: expected a number, found {text!r}") from None
+    return replace(known, **answers)
+
+
 def _drafted(options: DraftOptions, target: Path) -> Draft:
     """Return the draft; ask for all that the files do not say, where there is someone to answer."""
     from gbid.cli.printing import tell
@@ -167,7 +202,7 @@ def _drafted(options: DraftOptions, target: Path) -> Draft:
 
     while True:
         try:
-            return draft_experiment(options, target)
+            return draft_experiment(options, target, _asked_machine if options.ask else None)
         except UnansweredError as error:
             tell("\n".join(error.columns))
             if not options.ask:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
-from math import inf, nan
+from math import inf, isnan, nan
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import h5py
@@ -171,7 +171,8 @@ class Assessment(Brief):
     method : str
         Method by which the controller was discretised.
     impact : HalfSine
-        The reference impact, applied along x and along y.
+        The reference impact, applied along x and along y; without a mass when the moving mass is not known. The figures
+        of its response are then nan.
     """
 
     name: str
@@ -212,7 +213,7 @@ class Assessment(Brief):
 
     @property
     def worst(self) -> dict[str, tuple[float, PointAssessment]]:
-        """Worst value of each of `FIGURES`, and the point where it occurs."""
+        """Worst value of each of `FIGURES`, and the point where it occurs; nan where it is not known."""
         worst = {}
         for name, figure in FIGURES.items():
             entries = [(figure.of(point), point) for point in self.points]
@@ -231,7 +232,7 @@ def assess(
     computation_s: float | None = None,
     method: Method | None = None,
     impact: HalfSine | None = None,
-    piezo_travel_m: float = 45e-6,
+    piezo_travel_m: float | None = None,
 ) -> Assessment:
     """Return the performance figures of a design over operating points.
 
@@ -256,9 +257,10 @@ def assess(
     method : {"tustin", "zoh"}, optional
         Method by which the controller is discretised. By default that of the result, or ``"tustin"``.
     impact : HalfSine, optional
-        Reference impact, along x and along y; by default that of `HalfSine`.
-    piezo_travel_m : float
-        Whole travel of one stack [m].
+        Reference impact, along x and along y; by default that of `HalfSine`. Its moving mass is by default that of the
+        LPV model (`gbid.lpv.MachineData`); where nobody gives it, the figures of the response are nan.
+    piezo_travel_m : float, optional
+        Whole travel of one stack [m]; by default that of the LPV model.
 
     Returns
     -------
@@ -285,6 +287,9 @@ def assess(
         raise UsageError("assess: give sample_time=, the time between samples of the target in seconds")
     T = 2e-4 if sample_time is None else sample_time
     computation, impact = T if computation_s is None else computation_s, impact or HalfSine()
+    if (lpv := plants[0].lpv) is not None:
+        impact = impact.on(lpv.machine)
+        piezo_travel_m = lpv.machine.piezo_travel_m if piezo_travel_m is None else piezo_travel_m
     about = name or structure.name, structure.name, dict(gains)
     plan = Assessment(*about, (), T, computation, method or "tustin", impact)
     results = (_assess_point(plant, structure, plan, piezo_travel_m) for plant in plants)
@@ -322,7 +327,7 @@ def _plants(
 
 
 def _assess_point(
-    assessed: _AssessedPlant, structure: Structure | Scheduled, plan: Assessment, piezo_travel_m: float
+    assessed: _AssessedPlant, structure: Structure | Scheduled, plan: Assessment, piezo_travel_m: float | None
 ) -> PointAssessment:
     """Return all figures of a design with one plant, under the conditions of an assessment."""
     plant, lpv = assessed.continuous, assessed.lpv
@@ -330,7 +335,7 @@ def _assess_point(
     loop = sensitivities(plant, controller)
     closed = loop.model("plant")
     impacts = []
-    if lpv is not None:
+    if lpv is not None and plan.impact.mass_kg is not None:
         actuators = evaluate(PiezoPair(), lpv.actuators, plant.input_names, ("u_x", "u_y"))
         given: dict[str, Any] = {"actuators": actuators, "piezo_travel_m": piezo_travel_m}
         impacts = [impact_response(plant, controller, plan.impact.towards(angle), **given) for angle in (0.0, 90.0)]
@@ -430,6 +435,7 @@ def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
     Returns
     -------
     Comparison
+        Without the figures that are known for none of them, as those of an impact without a moving mass.
 
     Raises
     ------
@@ -445,15 +451,14 @@ def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
                 f"compare_designs: {other.name!r} and {first.name!r} were assessed at other points, with other impacts "
                 "or another sampling; assess them alike"
             )
-    values = tuple(
-        tuple(figure.factor * assessment.worst[name][0] for name, figure in FIGURES.items())
-        for assessment in assessments
-    )
+    worst = [{name: value for name, (value, _) in assessment.worst.items()} for assessment in assessments]
+    shown = {name: figure for name, figure in FIGURES.items() if any(not isnan(row[name]) for row in worst)}
+    values = tuple(tuple(figure.factor * row[name] for name, figure in shown.items()) for row in worst)
     rows = tuple(
-        (assessment.name, *(format(value, figure.format) for value, figure in zip(row, FIGURES.values(), strict=True)))
+        (assessment.name, *(format(value, figure.format) for value, figure in zip(row, shown.values(), strict=True)))
         for assessment, row in zip(assessments, values, strict=True)
     )
-    return Comparison(("design", *(figure.heading for figure in FIGURES.values())), values, rows)
+    return Comparison(("design", *(figure.heading for figure in shown.values())), values, rows)
 
 
 def _conditions(assessment: Assessment) -> tuple[object, ...]:

@@ -31,7 +31,7 @@ from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import InputError, Result, about, file_digest, nearest, needed, stored_key
-from gbid.experiment.machine import PlannedRun, rig_machine, rig_model
+from gbid.experiment.machine import PlannedRun, machine_data, rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection, Place
 from gbid.experiment.schema import (
     GOALS,
@@ -167,7 +167,8 @@ def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
     """
     word = model_word(experiment, section)
     if word is not None:
-        return with_actuators(load_machine(model_source(experiment, word)).model)
+        model = with_actuators(load_machine(model_source(experiment, word)).model)
+        return replace(model, machine=machine_data(experiment).filled(model.machine))
     if experiment.spec.rig is None:
         raise UsageError("needs a model; name one, or add a section lpv")
     return with_actuators(rig_model(experiment))
@@ -421,22 +422,17 @@ def tuned_design(experiment: Experiment, word: str) -> str:
 
 # ---- Plan of the control chain of an experiment: its options.
 
-_SHARE_OF_CLEARANCE = 0.8
-
 
 def chain_options(experiment: Experiment) -> ChainOptions:
-    """Return the options of the control chain from the section target, or the defaults.
+    """Return the options of the control chain from the section target, else from the numbers of the machine.
 
     Raises
     ------
     UsageError
         When values do not fit each other.
     """
-    settings = (experiment.spec.target or TargetSection()).model_dump()
-    if settings["disc_limit_m"] is None:
-        rig = experiment.spec.rig
-        settings["disc_limit_m"] = ChainOptions().disc_limit_m if rig is None else _SHARE_OF_CLEARANCE * rig.clearance_m
-    return ChainOptions(**settings)
+    settings = (experiment.spec.target or TargetSection()).model_dump(exclude_unset=True)
+    return ChainOptions(**settings).on(machine_data(experiment))
 
 
 # ---- What closes the loop of impacts on the rig: sampled matrices, or the control chain in C as it is exported.

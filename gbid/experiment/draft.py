@@ -6,7 +6,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -20,6 +20,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.units import conversion_factor
 from gbid.experiment.experiment import POINT, by_count
 from gbid.experiment.schema import KINDS, Kind, NamePattern, name_of, name_pattern
+from gbid.lpv import MachineData
 from gbid.lpv.estimates import order_words, possible_order
 from gbid.prefilter.filtering import repair_overloads
 from gbid.prefilter.runout import running_median
@@ -236,6 +237,8 @@ class DraftOptions:
         Operating point of all files, where the names do not contain it.
     controller : str
         Structure of the controller.
+    machine : gbid.lpv.MachineData
+        Moving mass, travel of the piezos and clearance, which no file says.
     ask : bool
         Whether someone answers; signals that an experiment can do without are asked for only then.
     """
@@ -251,6 +254,7 @@ class DraftOptions:
     pressure_bar: float | None = None
     speed_rpm: float | None = None
     controller: str = "P"
+    machine: MachineData = field(default_factory=MachineData)
     ask: bool = False
 
     def answered(self, option: str, text: str) -> DraftOptions:
@@ -760,7 +764,9 @@ class Draft:
     columns: tuple[str, ...]
 
 
-def draft_experiment(options: DraftOptions, target: Path) -> Draft:
+def draft_experiment(
+    options: DraftOptions, target: Path, complete: Callable[[MachineData], MachineData] | None = None
+) -> Draft:
     """Return an experiment for a gas bearing with the recordings of a folder.
 
     Columns, units, operating points, kinds of recordings, the part with a constant speed and the harmonics of run-out
@@ -772,6 +778,8 @@ def draft_experiment(options: DraftOptions, target: Path) -> Draft:
         The folder, and what is given.
     target : pathlib.Path
         Folder that the experiment will be written to.
+    complete : callable, optional
+        Asks for the numbers of the machine that are not given; called when everything else is known.
 
     Raises
     ------
@@ -784,8 +792,29 @@ def draft_experiment(options: DraftOptions, target: Path) -> Draft:
     """
     found = survey(options)
     data = read_data(options, found.files)
+    text = draft_text(target, options, data)
+    if complete is not None:
+        options = replace(options, machine=complete(options.machine))
+        text = draft_text(target, options, data)
     left_out = (f"left out, of a kind that is not imported: {', '.join(found.others)}",) if found.others else ()
-    return Draft(draft_text(target, options, data), (*data.notes, *found.notes, *left_out), found.columns)
+    return Draft(text, (*data.notes, *found.notes, *left_out, *_unknown(options)), found.columns)
+
+
+_NEEDED = {
+    "moving_mass_kg": ("--moving-mass KG", "the response to an impact (rows disc, stack and decay)"),
+    "piezo_travel_m": ("--travel UM", "limits of the stacks in the control chain in C"),
+    "clearance_m": ("--clearance UM", "the limit of the disc in the control chain in C"),
+}
+"""Numbers of a machine by their key: the option that gives each, and what is left out without it."""
+
+
+def _unknown(options: DraftOptions) -> list[str]:
+    """Return a line on the numbers of the machine that are not given."""
+    missing = [words for key, words in _NEEDED.items() if getattr(options.machine, key) is None]
+    if not missing:
+        return []
+    what, flags = "; ".join(what for _, what in missing), ", ".join(flag for flag, _ in missing)
+    return [f"not known, so left out: {what}. Give {flags}, or the section machine of the YAML"]
 
 
 def draft_text(target: Path, options: DraftOptions, data: DraftData) -> str:
@@ -816,6 +845,7 @@ def draft_text(target: Path, options: DraftOptions, data: DraftData) -> str:
         name=name_of(target.name),
         data_folder=os.path.relpath(options.folder.resolve(), target.resolve()),
         options=options,
+        machine={key: getattr(options.machine, key) for key in _NEEDED},
         data=data,
         patterned=patterned,
         alone=[file for file in data.files if file not in patterned],

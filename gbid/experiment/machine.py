@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from math import modf
@@ -19,7 +19,7 @@ from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, needed
 from gbid.experiment.rig_schema import ActuatorSection, Place, RigSection
 from gbid.experiment.schema import HammerTrain
-from gbid.lpv import Domain, LPVModel, PublishedMachine, load_machine
+from gbid.lpv import Domain, LPVModel, MachineData, PublishedMachine, load_machine
 from gbid.recording import Recording
 from gbid.rig import (
     Course,
@@ -27,6 +27,7 @@ from gbid.rig import (
     Hammer,
     Impact,
     Machine,
+    PiezoStack,
     PiezoStacks,
     Played,
     Prbs,
@@ -79,8 +80,16 @@ def rig_machine(experiment: Experiment) -> PublishedMachine:
 
 
 def rig_model(experiment: Experiment) -> LPVModel:
-    """Return the LPV model of `rig_machine`."""
-    return rig_machine(experiment).model
+    """Return the LPV model of `rig_machine`, with the numbers of `machine_data`."""
+    model = rig_machine(experiment).model
+    return replace(model, machine=machine_data(experiment).filled(model.machine))
+
+
+def machine_data(experiment: Experiment) -> MachineData:
+    """Return what is known of the machine of an experiment: of its section machine, else of its virtual rig."""
+    rig = experiment.spec.rig
+    given = MachineData(*(getattr(experiment.spec.machine, entry.name) for entry in fields(MachineData)))
+    return given if rig is None else given.filled(MachineData(rig.moving_mass_kg, PiezoStack.stroke, rig.clearance_m))
 
 
 def _true_parameters(model: LPVModel, pressure_bar: float, speed_rpm: float) -> dict[str, float]:

@@ -42,6 +42,7 @@ from gbid.experiment.fields import (
 from gbid.experiment.rig_schema import Axes, LoopSection, Places, RigSection
 from gbid.export.chain import ChainOptions
 from gbid.identify.options import FitOptions, Scope
+from gbid.lpv import MachineData
 
 
 class CrossvalSection(Section):
@@ -436,16 +437,26 @@ def wanted_signals(section: StaticSection) -> dict[str, str]:
     return {"command": section.command or "r", **source, "position": position}
 
 
+# ---- Schema of the machine section.
+
+
+class MachineSection(OptionsSection, MachineData, frozen=True):
+    """Numbers of a real machine that no recording shows; see `gbid.lpv.MachineData`.
+
+    `moving_mass_kg`: without it the response to an impact is left out of tables, report and explorer. `piezo_travel_m`
+    and `clearance_m`: without them there is no control chain in C, unless the section target has its limits. A virtual
+    rig and a model that comes with gbid have their own.
+    """
+
+
 # ---- Schema of the target section.
 
 
 class TargetSection(OptionsSection, ChainOptions, frozen=True):
     """Limits, ramps, guards and watchdog of the control chain in C; see `gbid.export.ChainOptions`.
 
-    `disc_limit_m`: 0.8 of the clearance of the rig when left out, else 20 um.
+    What is left out follows from the travel of the stacks and the clearance, which the section machine or rig gives.
     """
-
-    disc_limit_m: Positive | None = None  # type: ignore[assignment]
 
 
 # ---- Schema of the goals of a design: one section for each goal of gbid.control, made from its arguments.
@@ -510,6 +521,7 @@ _KINDS: dict[Any, Any] = {
     float: Finite,
     bool: Switch,
     int | None: CountOrZero,
+    float | None: Positive,
     BoundLike: Annotated[
         Finite | Annotated[tuple[Pair, ...], Field(min_length=1)] | TransferFunction,
         Allowed(
@@ -650,6 +662,7 @@ class ExperimentFile(Section):
     title: str = ""
     results: Text | None = None
     rig: Annotated[RigSection | None, BeforeValidator(given)] = None
+    machine: MachineSection = MachineSection()
     imported: Annotated[ImportSection | None, BeforeValidator(given)] = Field(default=None, alias="import")
     prefilter: Annotated[PrefilterSection | None, BeforeValidator(given)] = None
     static: dict[Name, StaticSection] = Field(default_factory=dict)

@@ -6,10 +6,11 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -23,7 +24,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.notes import ControlNote
 from gbid.core.option_types import Exact, Finite, NotNegative, Positive, check_options
-from gbid.lpv import Domain
+from gbid.lpv import Domain, MachineData, load_model
 from gbid.prefilter import RunoutMap
 from gbid.prefilter.runout_identification import refuse_lost_index
 from gbid.recording import Recording
@@ -105,22 +106,23 @@ class ChainOptions:
 
     Parameters
     ----------
-    limit_m : float
-        Limit of the magnitude of r_x and r_y [m].
-    offset_m : float
-        r_0, position of each stack at rest [m].
-    stroke_m : float
-        Largest reference of a stack [m].
+    limit_m : float, optional
+        Limit of the magnitude of r_x and r_y [m]; by default what the stroke leaves around `offset_m`.
+    offset_m : float, optional
+        r_0, position of each stack at rest [m]; by default half of the stroke.
+    stroke_m : float, optional
+        Largest reference of a stack [m]; by default the travel of the machine, see `on`.
     zero_m : tuple of float
         p_0, subtracted from the position after the run-out map [m]; zero for the mean of the map. Of other inputs than
         p_x and p_y in their unit; empty for zeros.
     median : {1, 3}
         Size of the median. 3 removes single wrong samples and delays the position by a sample.
-    spike_limit_m : float or None
+    spike_limit_m : float, "auto" or None
         Largest deviation of a sample from the straight line through the two before it [m]. Up to three such samples
-        in a row are replaced by this line, without delay. None for no guard.
-    disc_limit_m : float
-        Distance of the disc from its zero position at which the watchdog ends the control [m].
+        in a row are replaced by this line, without delay. ``"auto"``: 0.4 of `disc_limit_m`. None for no guard.
+    disc_limit_m : float, optional
+        Distance of the disc from its zero position at which the watchdog ends the control [m]; by default 0.8 of the
+        clearance of the machine, see `on`.
     beyond_samples, bad_samples, stuck_samples : int
         Samples in a row after which the watchdog acts: beyond the limit, not finite, or without any change.
     stuck_speed_rpm : float
@@ -155,13 +157,13 @@ class ChainOptions:
         When a value has no meaning.
     """
 
-    limit_m: Positive = 22.5e-6
-    offset_m: Positive = 22.5e-6
-    stroke_m: Positive = 45e-6
+    limit_m: Positive | None = None
+    offset_m: Positive | None = None
+    stroke_m: Positive | None = None
     zero_m: tuple[Finite, ...] = ()
     median: Literal[1, 3] = 1
-    spike_limit_m: Positive | None = 8e-6
-    disc_limit_m: Positive = 20e-6
+    spike_limit_m: Positive | Literal["auto"] | None = "auto"
+    disc_limit_m: Positive | None = None
     beyond_samples: Samples = 3
     bad_samples: Samples = 5
     stuck_samples: Samples = 50
@@ -188,13 +190,40 @@ class ChainOptions:
             raise UsageError(
                 "limits without beyond: give the deviation of each input at which the watchdog acts", "beyond"
             )
-        room = min(self.offset_m, self.stroke_m - self.offset_m)
-        if not self.limit_m <= room + 1e-12:
-            raise UsageError(
-                f"limit_m = {self.limit_m:g} m around offset_m = {self.offset_m:g} m leaves the stroke of "
-                f"{self.stroke_m:g} m; at most {max(room, 0.0):g} m fit",
-                "limit_m",
-            )
+        if self.stroke_m is not None:
+            offset = self.stroke_m / 2 if self.offset_m is None else self.offset_m
+            room = min(offset, self.stroke_m - offset)
+            limit = room if self.limit_m is None else self.limit_m
+            if not 0 < limit <= room + 1e-12:
+                raise UsageError(
+                    f"limit_m = {limit:g} m around offset_m = {offset:g} m leaves the stroke of {self.stroke_m:g} m; "
+                    f"at most {max(room, 0.0):g} m fit",
+                    "limit_m",
+                )
+            object.__setattr__(self, "offset_m", offset)
+            object.__setattr__(self, "limit_m", limit)
+
+    def on(self, machine: MachineData) -> ChainOptions:
+        """Return these options with stroke and limit of the disc from a machine, where they are left out.
+
+        Parameters
+        ----------
+        machine : MachineData
+            Travel of the piezos and clearance, as far as they are known.
+        """
+        clearance, disc = machine.clearance_m, self.disc_limit_m
+        return replace(
+            self,
+            stroke_m=machine.piezo_travel_m if self.stroke_m is None else self.stroke_m,
+            disc_limit_m=float(f"{0.8 * clearance:.12g}") if disc is None and clearance is not None else disc,
+        )
+
+    @property
+    def spike_guard_m(self) -> float | None:
+        """Limit of the spike guard [m], with ``"auto"`` as a number; None for no guard."""
+        if self.spike_limit_m != "auto":
+            return self.spike_limit_m
+        return None if self.disc_limit_m is None else self.disc_limit_m / 2.5
 
     def samples(self, seconds: float, sample_time: float) -> int:
         """Return a time as a whole number of samples, at least one.
@@ -456,28 +485,29 @@ class Chain(Brief):
     @property
     def limits(self) -> tuple[float, ...]:
         """Limit of the magnitude of each output (m,)."""
-        return self.options.limits or (self.options.limit_m,) * len(self.output_names)
+        return self.options.limits or (cast(float, self.options.limit_m),) * len(self.output_names)
 
     @property
     def spikes(self) -> tuple[float, ...] | None:
         """Limit of the spike guard of each input (n,); None for no guard."""
         if self.options.limits is not None:
             return self.options.spikes
-        limit = self.options.spike_limit_m
+        limit = self.options.spike_guard_m
         return None if limit is None else (limit,) * len(self.input_names)
 
     @property
     def watched(self) -> tuple[tuple[tuple[int, ...], float], ...]:
         """Inputs that the watchdog takes together, as a radius, with their limit: the disc, or each input alone."""
         if self.options.beyond is None:
-            return ((tuple(range(len(self.input_names))), self.options.disc_limit_m),)
+            return ((tuple(range(len(self.input_names))), cast(float, self.options.disc_limit_m)),)
         return tuple(((i,), limit) for i, limit in enumerate(self.options.beyond))
 
     @property
     def commands(self) -> tuple[tuple[float, float, float], ...]:
         """Value at rest, lower and upper limit of each command: of the stacks, or of the outputs themselves."""
         if self.options.limits is None:
-            return ((self.options.offset_m, 0.0, self.options.stroke_m),) * len(STACKS)
+            stack = self.options.offset_m, 0.0, self.options.stroke_m
+            return (cast(tuple[float, float, float], stack),) * len(STACKS)
         rest = self.options.offsets or (0.0,) * len(self.limits)
         return tuple((at, at - limit, at + limit) for at, limit in zip(rest, self.limits, strict=True))
 
@@ -631,7 +661,8 @@ def chain_of(
     still : sequence of Recording
         Recordings with the encoder of the target. A map whose zero of the angle is another one is refused.
     options : ChainOptions, optional
-        Limits, ramps, guards and watchdog.
+        Limits, ramps, guards and watchdog. `stroke_m` and `disc_limit_m` of the four stacks are required, unless the
+        provenance of the design has piezo_travel_m and clearance_m, or its plant is a model that comes with gbid.
 
     Returns
     -------
@@ -654,6 +685,7 @@ def chain_of(
         _check(design, model, point)
     pattern, model = np.any(table.rows != 0, axis=0), models[0][1]
     inputs, references = model.input_names, model.output_names
+    options = options.on(_machine_of(design))
     _check_channels(design.name, inputs, references, options)
     outputs, states = _sums(pattern, model.n_states, len(inputs), len(references))
     entries = GridTable(table.pressure_bar, table.speed_rpm, table.rows[:, pattern], table.error)
@@ -702,6 +734,16 @@ def _controller_table(design: ControllerDesign) -> tuple[list[tuple[Point | None
     return list(models.items()), table
 
 
+def _machine_of(design: ControllerDesign) -> MachineData:
+    """Return the numbers of the machine that the file of a design contains, else those of a model of gbid it names."""
+    given = {name: design.provenance[name] for name in MachineData.__dataclass_fields__ if name in design.provenance}
+    machine = MachineData(**given)  # type: ignore[arg-type]
+    if design.plant.isidentifier():
+        with suppress(UsageError):
+            return machine.filled(load_model(design.plant).machine)
+    return machine
+
+
 def _check_channels(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...], options: ChainOptions) -> None:
     """Refuse limits that are missing, and options for another number of channels."""
     n, m = len(inputs), len(outputs)
@@ -710,6 +752,13 @@ def _check_channels(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
             f"controller {name!r} has {n} inputs ({', '.join(inputs)}) and {m} outputs ({', '.join(outputs)}), the "
             "four stacks 2 and 2; give limits of the outputs and beyond of the inputs, in their units",
             "limits",
+        )
+    missing = [key for key in ("stroke_m", "disc_limit_m") if options.limits is None and getattr(options, key) is None]
+    if missing:
+        raise UsageError(
+            f"controller {name!r}: nobody said the travel of the stacks and the clearance of this machine; give "
+            f"{' and '.join(missing)}, or in an experiment machine: piezo_travel_m and clearance_m",
+            missing[0],
         )
     for key, count in (("zero_m", n), ("beyond", n), ("spikes", n), ("limits", m), ("offsets", m)):
         given = getattr(options, key)

@@ -207,18 +207,17 @@ class UnitVariable:
     high: float | None = None
 
 
-def unit_variables(domain: Domain, in_loop: bool, limit_m: float) -> list[UnitVariable]:
+def unit_variables(domain: Domain, limit_m: float | None) -> list[UnitVariable]:
     """Return the variables in the order of their value references, the Boolean last.
 
     Parameters
     ----------
     domain : Domain
         Range of pressure and speed.
-    in_loop : bool
-        Whether the unit has a controller.
-    limit_m : float
-        Limit of the references [m].
+    limit_m : float or None
+        Limit of the references of the controller [m]; None for a unit without one.
     """
+    in_loop = limit_m is not None
     letter, what = (
         ("w", "added to the reference of the controller") if in_loop else ("r", "position reference of the piezos")
     )
@@ -346,7 +345,7 @@ def save_fmu(
     controller: ControllerDesign | None = None,
     delay: Delay = "exact",
     pade_order: int | None = None,
-    limit_m: float = 22.5e-6,
+    limit_m: float | None = None,
     computation_s: float | None = None,
     binary: bool = True,
     overwrite: bool = False,
@@ -369,8 +368,9 @@ def save_fmu(
         Exact delays of the bearing, or their Pade approximations as in `LPVModel.plant_at`.
     pade_order : int, optional
         Order of the approximation; by default that of the model.
-    limit_m : float
-        Limit of the magnitude of each reference of the controller [m]; a parameter of the unit.
+    limit_m : float, optional
+        Limit of the magnitude of each reference of the controller [m], a parameter of the unit; by default half of the
+        travel of the piezos (`gbid.lpv.MachineData`).
     computation_s : float, optional
         Time from a sample of p to the change of r [s]; one sample of the controller when not given.
     binary : bool
@@ -387,7 +387,7 @@ def save_fmu(
     ------
     UsageError
         When the file exists and `overwrite` is not set, when its name does not fit, when the model has no actuators,
-        when a number is not positive, or when there is no C compiler.
+        when a number is not positive, when nobody said the limit of the references, or when there is no C compiler.
     DataError
         When the file cannot be written.
 
@@ -405,11 +405,16 @@ def save_fmu(
         raise UsageError(f"{path}: delay = {delay!r}; choose 'exact' or 'pade'")
     sample_time = None if controller is None else controller.sample_time
     computation = sample_time if computation_s is None else computation_s
+    travel = model.machine.piezo_travel_m
+    if limit_m is None and travel is not None:
+        limit_m = travel / 2
+    if limit_m is None and controller is not None:
+        raise UsageError(f"{path}: nobody said the travel of the piezos; give limit_m, the limit of their references")
     for name, value in (("limit_m", limit_m), ("computation_s", computation)):
         if value is not None and not (isfinite(value) and (value > 0 or (value == 0 and name == "computation_s"))):
             raise UsageError(f"{path}: {name} = {value}; give a positive number")
     equations = unit_equations(model, delay, pade_order, controller)
-    variables = unit_variables(_domain(path, model, controller), controller is not None, limit_m)
+    variables = unit_variables(_domain(path, model, controller), None if controller is None else limit_m)
     sources = _sources(equations, variables, sample_time, computation)
     guid = "{" + sha256("".join(sources.values()).encode()).hexdigest()[:32] + "}"
     sources = {name: text.replace("@GUID@", guid) for name, text in sources.items()}

@@ -21,6 +21,7 @@ from .model import (
     Deviation as Deviation,
     Domain as Domain,
     LPVModel as LPVModel,
+    MachineData as MachineData,
     basis as basis,
     characteristics as characteristics,
     polynomial as polynomial,

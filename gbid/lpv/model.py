@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from gbid.core.arrays import FloatArray, oscillatory_modes, point_label
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import ExtrapolationWarning, UsageError
+from gbid.core.option_types import Positive, check_options
 from gbid.core.published import PUBLISHED_RMS
 from gbid.discretise import check_holds
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
@@ -221,6 +222,38 @@ def _numbers(name: str, value: Any, owner: str) -> FloatArray:
 
 # ---- The model.
 
+
+@dataclass(frozen=True)
+class MachineData:
+    """Numbers of a machine that no recording shows; None where one is not known.
+
+    Parameters
+    ----------
+    moving_mass_kg : float, optional
+        Mass that an impact accelerates [kg], to which the coefficients per kg refer.
+    piezo_travel_m : float, optional
+        Whole travel of a piezo stack [m].
+    clearance_m : float, optional
+        Radial clearance between rotor and bearing [m].
+
+    Raises
+    ------
+    UsageError
+        When a number is not positive.
+    """
+
+    moving_mass_kg: Positive | None = None
+    piezo_travel_m: Positive | None = None
+    clearance_m: Positive | None = None
+
+    def __post_init__(self) -> None:
+        check_options(self, "machine")
+
+    def filled(self, other: MachineData) -> MachineData:
+        """Return these numbers, with those of another where one is not known."""
+        return MachineData(*(a if a is not None else b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+
 ACTUATOR_PARAMETERS = tuple(parameter.name for parameter in PiezoPair().parameters)
 """Names of the actuators' parameters: p1, p2 [rad/s] and kappa [m/m] of each axis (Eq. 12)."""
 
@@ -255,6 +288,8 @@ class LPVModel(Brief):
         Values of the parameters that are no surfaces.
     input_names, output_names : tuple of str
         Names of the channels.
+    machine : MachineData
+        Moving mass, travel of the piezos and clearance, as far as they are known.
     title, source : str
         Title, and publication or origin of the model.
     notes : tuple of str
@@ -280,6 +315,7 @@ class LPVModel(Brief):
     title: str = ""
     source: str = ""
     notes: tuple[str, ...] = field(default=(), compare=False)
+    machine: MachineData = MachineData()
 
     def __post_init__(self) -> None:
         where = f"model {self.name!r}"

@@ -16,7 +16,7 @@ from gbid.core.files import atomic_path, share_folder
 from gbid.core.names import given_path
 from gbid.core.units import conversion_factor
 from gbid.core.yaml_file import YamlFile, read_yaml, write_yaml
-from gbid.lpv.model import TERMS, Domain, LPVModel
+from gbid.lpv.model import TERMS, Domain, LPVModel, MachineData
 from gbid.structure import KEY_PARAMETERS
 
 # ---- Values of a file, with unit and source.
@@ -296,6 +296,7 @@ def parse(file: YamlFile) -> PublishedMachine:
             title=table.title,
             source=table.source,
             notes=file.notes,
+            machine=_machine_data(file, table.rig),
         )
     except UsageError as error:
         raise UsageError(f"{file.path}: {error}") from None
@@ -306,6 +307,27 @@ def parse(file: YamlFile) -> PublishedMachine:
     }
     published = table.piezo_controllers, table.reference_modes, table.corrections
     return PublishedMachine(model, table.controller, table.rig, *published, alternatives)
+
+
+_OF_MACHINE = {
+    "moving_mass": ("moving_mass_kg", "kg"),
+    "piezo_travel": ("piezo_travel_m", "m"),
+    "clearance": ("clearance_m", "m"),
+}
+"""Entries of the table ``rig`` that a `MachineData` has: its field and unit."""
+
+
+def _machine_data(file: YamlFile, rig: Mapping[str, Quantity]) -> MachineData:
+    """Return the numbers of the machine that its file gives."""
+    known = {}
+    for entry, (name, unit) in _OF_MACHINE.items():
+        if entry in rig:
+            try:
+                known[name] = float(f"{rig[entry].to(unit):.12g}")  # 45 um, not 44.999999999999996
+                MachineData(**known)
+            except UsageError as error:
+                raise UsageError(f"{file.position(('rig', entry))}: {error}") from None
+    return MachineData(**known)
 
 
 def _coefficients(values: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
@@ -482,5 +504,10 @@ def _contents(model: LPVModel) -> dict[str, Any]:
             "coefficients": {key: list(values) for key, values in model.coefficients.items()},
         },
         "actuators": dict(model.actuators),
+        "rig": {
+            entry: {"value": value, "unit": unit}
+            for entry, (name, unit) in _OF_MACHINE.items()
+            if (value := getattr(model.machine, name)) is not None
+        },
     }
     return {key: value for key, value in contents.items() if value not in (None, "", [], {})}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
+from math import isnan
 from typing import Any, Literal
 
 import numpy as np
@@ -44,7 +45,7 @@ from gbid.report.loop_pictures import (
     sensitivity_curves,
 )
 from gbid.report.page import Block, Fold, Gallery, Listed, PageSection, Pictures, Shown, Templated, Words
-from gbid.report.read import AssessedDesign, Results, conditions_words, place_of
+from gbid.report.read import NO_IMPACT, AssessedDesign, Results, conditions_words, place_of
 from gbid.report.surface_pictures import modes_data, plot_over_pressure, plot_surfaces, surfaces_data
 from gbid.structure import KEY_PARAMETERS, LinearModel
 
@@ -92,6 +93,8 @@ def _damping_map(pictures: Pictures, design: AssessedDesign) -> Block:
 def _impact(
     pictures: Pictures, design: AssessedDesign, plant: LinearModel, controller: LinearModel, place: str, axis: str
 ) -> Block:
+    if design.impact.mass_kg is None:
+        return Words(NO_IMPACT)
     impact = design.impact.towards({"x": 0.0, "y": 90.0}[axis])
     opened, closed = (impact_response(plant, k, impact, duration_s=_SHOWN_S) for k in (None, controller))
     if not (len(opened.time_s) and len(closed.time_s)):
@@ -183,7 +186,7 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection:
             drawn = [Words(f"{design.name} cannot be drawn: {error}", "warn")]
         blocks += drawn if i == 0 else [Fold(f"Pictures of {design.name}", drawn)]
     if model is not None:
-        impact = designs[0].impact if designs else HalfSine()
+        impact = designs[0].impact if designs else HalfSine().on(model.machine)
         shown = [(design.name, design.structure, design.figures.gains) for design in designs]
         blocks.append(explorer_part(model, words, model.operating_points, shown, impact))
     return PageSection("controller", TITLE, blocks)
@@ -239,11 +242,12 @@ def _modes(results: Results, design: AssessedDesign) -> list[Block]:
 
 
 def _by_point(design: AssessedDesign) -> Block:
+    shown = [entry for entry in _BY_POINT if not isnan(design.figures.worst[entry[2]][0])]
     rows: list[list[Entry]] = [
-        [point_label(*point), *(factor * design.figures.at(i)[name] for _, _, name, factor, _ in _BY_POINT)]
+        [point_label(*point), *(factor * design.figures.at(i)[name] for _, _, name, factor, _ in shown)]
         for i, point in enumerate(design.figures.points)
     ]
-    columns = [Column("operating point"), *(Column(name, unit, form) for name, unit, _, _, form in _BY_POINT)]
+    columns = [Column("operating point"), *(Column(name, unit, form) for name, unit, _, _, form in shown)]
     return Fold(f"{design.name} at each operating point", [Table(design.name, columns, rows)])
 
 
@@ -269,15 +273,17 @@ def explorer_model(model: LPVModel, impact: HalfSine) -> dict[str, Any]:
     Returns
     -------
     dict
-        coefficients (Eq. 16), actuators (Eq. 12), pade_order, impact (peak [N], duration [s], mass [kg]),
-        frequency [Hz] (first and last), peak_sensitivity.
+        coefficients (Eq. 16), actuators (Eq. 12), pade_order, impact (peak [N], duration [s], mass [kg]; None
+        without a moving mass), frequency [Hz] (first and last), peak_sensitivity.
     """
     return {
         "name": model.name,
         "coefficients": {key: list(values) for key, values in model.coefficients.items()},
         "actuators": dict(model.actuators),
         "pade_order": model.pade_order,
-        "impact": {"peak": impact.peak_n, "duration": impact.duration_s, "mass": impact.mass_kg},
+        "impact": None
+        if impact.mass_kg is None
+        else {"peak": impact.peak_n, "duration": impact.duration_s, "mass": impact.mass_kg},
         "frequency": list(FREQUENCY_RANGE),
         "peak_sensitivity": PEAK_SENSITIVITY,
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import groupby
+from math import isnan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -209,7 +210,7 @@ def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDes
             "points": [list(point) for point in design.result.points],
             "sample_time_s": design.sample_time,
             "method": design.method,
-            "impact": {"peak_n": design.impact.peak_n, "duration_s": design.impact.duration_s},
+            "impact": {name: getattr(design.impact, name) for name in ("peak_n", "duration_s", "mass_kg")},
             "performance": [_performance_row(performance) for performance in design.performance],
             "pareto": [{"cap": cap, **_result_row(result)} for cap, result in design.front],
             "promises": [{**promise._asdict(), "holds": promise.holds} for promise in design.promises],
@@ -228,7 +229,7 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
     """
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for document in documents:
-        impact = tuple(document["impact"].values())
+        impact = tuple(document["impact"].items())
         points = tuple(map(tuple, document["points"]))
         alike = document["plant"], points, impact, document["sample_time_s"], document["method"]
         groups.setdefault(alike, []).append(document)
@@ -237,7 +238,7 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
         where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
         shown = [document["performance"][0] for document in group] + group[0]["performance"][1:]
         worst = {row["name"]: {name: figure["value"] for name, figure in row["worst"].items()} for row in shown}
-        notes = [conditions_words(HalfSine(*impact), sample_time, method)]
+        notes = [conditions_words(HalfSine(**dict(impact)), sample_time, method)]
         notes += [f"{row['name']} ({row['structure']}): {gains_words(row['gains'])}" for row in shown]
         tables.append(_compared(f"{plant}, worst over {where}", worst, notes))
     return [*tables, *design_tables(documents)]
@@ -264,10 +265,16 @@ def comparison_table(title: str, performances: Sequence[DesignFigures], note: st
     return _compared(title, worst, [note])
 
 
+def _unknown(value: float | None) -> bool:
+    """Return whether a figure is not known: nan, or null in a document."""
+    return value is None or isnan(value)
+
+
 def _compared(title: str, worst: Mapping[str, Mapping[str, float]], notes: Sequence[str]) -> Table:
     rows = [
         [shown.heading, *(formatted(shown.factor * figures[name], shown.format) for figures in worst.values())]
         for name, shown in POINT_FIGURES.items()
+        if not all(_unknown(figures[name]) for figures in worst.values())
     ]
     return Table(title, [Column("figure"), *(Column(name, format=4) for name in worst)], rows, notes)
 

@@ -44,7 +44,7 @@ const Explorer = (() => {
     const grid = logSpaced(model.frequency[0], model.frequency[1], 300);
     const modes = ExplorerMath.modes(model, s);
     const curve = ExplorerMath.sensitivity(model, s, grid);
-    const impact = { ...model.impact, axis: s.axis };
+    const response = (at) => (model.impact ? ExplorerMath.impactResponse(model, at, { ...model.impact, axis: s.axis }, IMPACT.step, IMPACT.count) : []);
     const off = { ...s, gains: [0, 0] };
     return {
       grid,
@@ -54,8 +54,8 @@ const Explorer = (() => {
       damping: Math.min(...modes.oscillatory.map((m) => m.damping), modes.real.some((p) => p >= 0) ? -1 : Infinity),
       peak: modes.stable ? peak(s, grid, curve.largest, modes.oscillatory) : { value: Infinity, frequency: NaN },
       rest: modes.stable ? ExplorerMath.largestSingularValue(ExplorerMath.sensitivityAt(model, s, 0)) : Infinity,
-      closedImpact: ExplorerMath.impactResponse(model, s, impact, IMPACT.step, IMPACT.count),
-      openImpact: ExplorerMath.impactResponse(model, off, impact, IMPACT.step, IMPACT.count),
+      closedImpact: response(s),
+      openImpact: response(off),
     };
   }
 
@@ -124,6 +124,7 @@ const Explorer = (() => {
         { name: "y from y", style: 2, x: found.grid, y: found.curve.yy },
       ],
     });
+    if (!model.impact) return; // the moving mass is not known
     const time = found.closedImpact.map((_, i) => 1e3 * IMPACT.step * i);
     const part = (positions) => positions.map((p) => 1e6 * p[s.axis]);
     const openPart = part(found.openImpact);

@@ -146,7 +146,12 @@ def assessed_published(job: Job, model: LPVModel | None) -> tuple[AssessedDesign
     if model is None or came is None or figures is None:
         return ()
     section = ControllerSection()
-    conditions = impact(section), sample_time(job.experiment, section), section.method, peak_cap(section)
+    conditions = (
+        impact(section).on(model.machine),
+        sample_time(job.experiment, section),
+        section.method,
+        peak_cap(section),
+    )
     about = figures.name, figures.name, figures, published_structure(came), model
     return (AssessedDesign(*about, *conditions, came=True),)
 
@@ -188,9 +193,14 @@ def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigure
     return [*(design.performance[0] for design in chosen if design.performance), *chosen[0].performance[1:]]
 
 
+NO_IMPACT = "disc and stack under an impact left out: moving mass not known (machine: moving_mass_kg)"
+
+
 def conditions_words(impact: HalfSine, sample_time: float, method: Method) -> str:
     """Return impact and sampling of the figures of designs as text."""
-    hit = f"disc and stack under a half-sine impact of {impact.peak_n:g} N, {1e3 * impact.duration_s:g} ms"
+    hit = NO_IMPACT
+    if impact.mass_kg is not None:
+        hit = f"disc and stack under a half-sine impact of {impact.peak_n:g} N, {1e3 * impact.duration_s:g} ms"
     return f"{hit}; {sampling_words(sample_time, method)} with one sample for computation"
 
 

@@ -34,7 +34,8 @@
       box.append(label, slider, number);
       host.appendChild(box);
     }
-    at("impact-words").textContent = design().impact;
+    at("impact-words").textContent = design().impact || "";
+    at("impact-part").hidden = !design().impact; // the moving mass is not known
     soon();
   }
 
@@ -101,6 +102,7 @@
         { name: "y from y", style: 2, x: found.frequency_hz, y: found.yy },
       ],
     });
+    if (!found.time_s.length) return void (document.body.dataset.shown = JSON.stringify({ damping: found.damping, peak: found.peak.value }));
     const axis = at("axis").value;
     const time = found.time_s.map((t) => 1e3 * t);
     const motion = (values) => values.map((v) => (v === null ? NaN : 1e6 * v));

@@ -85,7 +85,7 @@ def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
         stable, damping, peak {value, frequency_hz}, static_amplification, modes [[frequency_hz, damping, decay_per_s]],
         open_modes, real [1/s], frequency_hz, largest, xx, yy (magnitudes of S_o), time_s, closed_m, open_m (motion
         along the axis of the impact; null where it is not finite), stack_travel_m. The impact acts on the
-        continuous loop.
+        continuous loop. Without a moving mass the last four are empty.
 
     Raises
     ------
@@ -114,8 +114,10 @@ def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
     peak = loop.peak("output")
     place = "xy".index(settings.axis)
     impact = design.impact.towards(90.0 * place)
-    response = impact_response(plant, controller, impact, duration_s=_SHOWN_S)
-    alone = impact_response(plant, None, impact, duration_s=_SHOWN_S)
+    known = impact.mass_kg is not None
+    response, alone = (
+        impact_response(plant, law, impact, duration_s=_SHOWN_S) if known else None for law in (controller, None)
+    )
     rates = _rates(closed)
     return {
         "stable": stable,
@@ -129,10 +131,10 @@ def explored_loop(design: AssessedDesign, settings: Explored) -> dict[str, Any]:
         "largest": largest_singular_values(S).tolist(),
         "xx": np.abs(S[:, 0, 0]).tolist(),
         "yy": np.abs(S[:, 1, 1]).tolist(),
-        "time_s": alone.time_s[::_EVERY].tolist(),
-        "closed_m": _drawn(response.p, place),
-        "open_m": _drawn(alone.p, place),
-        "stack_travel_m": finite_or_none(response.stack_travel_m),
+        "time_s": [] if alone is None else alone.time_s[::_EVERY].tolist(),
+        "closed_m": [] if response is None else _drawn(response.p, place),
+        "open_m": [] if alone is None else _drawn(alone.p, place),
+        "stack_travel_m": None if response is None else finite_or_none(response.stack_travel_m),
     }
 
 
@@ -299,7 +301,9 @@ def _described(design: AssessedDesign) -> dict[str, Any]:
         "structure": design.structure.name,
         "cap": design.cap,
         "sample_time_ms": 1e3 * design.sample_time,
-        "impact": f"{design.impact.peak_n:g} N, {1e3 * design.impact.duration_s:g} ms",
+        "impact": None
+        if design.impact.mass_kg is None
+        else f"{design.impact.peak_n:g} N, {1e3 * design.impact.duration_s:g} ms",
         "controls": controls,
     }
 

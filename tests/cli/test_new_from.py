@@ -82,9 +82,13 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
     ):
         assert option in printed_by(capsys, "new", tmp_path / "own", "--from", tmp_path / "a", *flags, code=2).err
         flags += more
-    assert gbid("new", tmp_path / "own", "--from", tmp_path / "a", *flags) == 0
+    flags += ["--moving-mass", "2.5", "--clearance", "40"]
+    left_out = printed_by(capsys, "new", tmp_path / "own", "--from", tmp_path / "a", *flags).err
+    assert "not known, so left out: limits of the stacks in the control chain in C. Give --travel UM" in left_out
+    known = load_experiment(tmp_path / "own" / "experiment.yaml").spec.machine
+    assert (known.moving_mass_kg, known.piezo_travel_m, known.clearance_m) == (2.5, None, 40e-6)
     given = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
-    answers = iter(["c3,c4", "c5, c6", "um", "5", "4000"])
+    answers = iter(["c3,c4", "c5, c6", "um", "5", "4000", "2,5", "", "40"])
     monkeypatch.setattr(new.sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setattr(new.typer, "prompt", lambda *_, **__: next(answers))
     assert gbid("new", tmp_path / "asked", "--from", tmp_path / "a", "--signal", "r=c1,c2") == 0

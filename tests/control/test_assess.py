@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import gbid
 from gbid.control import PStructure, scheduled
-from gbid.control.assessment import FIGURES
+from gbid.control.assessment import FIGURES, DesignFigures
 from gbid.core.errors import UsageError
+from gbid.report.control_tables import comparison_table
+from gbid.report.read import conditions_words
 
 MACHINE = gbid.load_model("theisen2016")
 GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}
@@ -103,3 +107,22 @@ def test_a_controller_with_integrators_is_assessed() -> None:
     found = gbid.assess(MACHINE, "PI", gains, [(6, 0)])
     assert found.worst["static_amplification"][0] == pytest.approx(0.0, abs=1e-8)
     assert found.worst["stiffness_ratio"][0] == np.inf  # no deflection is left under a steady force
+
+
+def test_figures_of_an_impact_need_the_moving_mass_of_this_machine() -> None:
+    def assessed(**known: float) -> gbid.Assessment:
+        model = replace(MACHINE, machine=gbid.lpv.MachineData(**known))
+        return gbid.assess(model, "P", GAINS, [(6, 0)], name="own")
+
+    heavy = assessed(moving_mass_kg=4.36, piezo_travel_m=1e-6)
+    (published,) = gbid.assess(MACHINE, "P", GAINS, [(6, 0)]).points
+    assert 2 * heavy.points[0].impact_p_m == pytest.approx(published.impact_p_m, rel=1e-12)
+    assert heavy.points[0].exceeds_travel
+    assert not published.exceeds_travel
+    unknown = assessed()
+    assert unknown.impact.mass_kg is None
+    assert np.isnan(unknown.points[0].impact_p_m)
+    assert "disc [um]" not in gbid.compare_designs([unknown]).columns
+    table = comparison_table("own", [DesignFigures.of(unknown)], conditions_words(unknown.impact, 2e-4, "tustin"))
+    assert not {"disc [um]", "stack [um]", "decay [ms]"} & {row[0] for row in table.rows}
+    assert "left out: moving mass not known" in str(table)

@@ -14,7 +14,7 @@ import gbid
 from gbid.cli.main import app
 from gbid.control import BiquadStructure, GainStatus, PStructure, controller_model, sample_controller, scheduled
 from gbid.core.errors import UsageError
-from gbid.export.chain import chain_of
+from gbid.export.chain import ChainOptions, chain_of
 
 GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}
 BIQUAD = dict(
@@ -117,7 +117,7 @@ def test_bad_files(tmp_path: Path) -> None:
 
 def test_gains_changed_by_hand(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
-    gbid.save_controller(path, "P", GAINS, sample_time=2e-4)
+    gbid.save_controller(path, "P", GAINS, sample_time=2e-4, plant="theisen2016")
     assert gbid.load_controller(path).notes == ()
     path.write_bytes(path.read_bytes().replace(b"value: 1.125", b"value: 1.2").replace(b"\n", b"\r\n"))
     design = gbid.load_controller(path)
@@ -150,7 +150,7 @@ def test_a_tuned_design_is_saved_for_the_target_it_was_designed_for(tmp_path: Pa
     assert (saved.sample_time, saved.gains, saved.structure) == (4e-4, dict(tuned.gains), tuned.controller)
     assert saved.provenance["status"] == "optimal"
     assert gbid.load_controller(path).sample_time == 4e-4
-    assert chain_of(tuned, name="damper").sample_time == 4e-4
+    assert chain_of(tuned, name="damper", options=ChainOptions(stroke_m=45e-6, disc_limit_m=2e-5)).sample_time == 4e-4
     continuous = gbid.tune(model, operating_points=[(6, 0)])
     with pytest.raises(UsageError, match="give sample_time"):
         gbid.save_controller(tmp_path / "c.yaml", continuous)

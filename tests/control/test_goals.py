@@ -224,7 +224,11 @@ def test_modes_in_a_band() -> None:
 @pytest.mark.parametrize(
     "goal",
     [goal for goal, _ in CASES.values()]
-    + [MinDamping(0.3, low_hz=50, soft=True), SlowestPole(90.0, low_hz=1.0), PiezoTravel(HalfSine(peak_n=20.0))],
+    + [
+        MinDamping(0.3, low_hz=50, soft=True),
+        SlowestPole(90.0, low_hz=1.0),
+        PiezoTravel(HalfSine(peak_n=20.0, mass_kg=2.18), travel_m=45e-6),
+    ],
     ids=[*CASES, "damping", "decay", "travel"],
 )
 def test_gradients_are_those_of_differences(goal: Goal, sampled: bool) -> None:

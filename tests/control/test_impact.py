@@ -13,6 +13,7 @@ from gbid.structure import LinearModel, PiezoPair, evaluate
 
 MACHINE = gbid.load_model("theisen2016")
 PLANT = MACHINE.plant_at(6, 0)
+HIT = HalfSine(mass_kg=2.18)
 PAPER = p_controller(1.125, 0.99)
 ACTUATORS = evaluate(PiezoPair(), MACHINE.actuators)
 
@@ -66,7 +67,7 @@ def test_published_loop_against_an_adaptive_integrator() -> None:
 def test_feedback_shortens_the_ring_down() -> None:
     """Figs. 22 and 23: the impact does much the same, and rings down far faster."""
     for direction in (0.0, 90.0):
-        impact = HalfSine(direction_deg=direction)
+        impact = HalfSine(mass_kg=2.18, direction_deg=direction)
         opened, closed = impact_response(PLANT, impact=impact), impact_response(PLANT, PAPER, impact)
         assert closed.peak_p_m == pytest.approx(opened.peak_p_m, rel=0.2)
         assert closed.decay_time_s < opened.decay_time_s / 5
@@ -75,16 +76,16 @@ def test_feedback_shortens_the_ring_down() -> None:
 
 
 def test_travel_is_flagged_where_it_ends() -> None:
-    small = impact_response(PLANT, PAPER, HalfSine(10.0))
+    small = impact_response(PLANT, PAPER, HalfSine(10.0, mass_kg=2.18), piezo_travel_m=45e-6)
     assert not small.exceeds_travel
     force = 10.0 * small.travel_limit_m / small.stack_travel_m
     assert small.travel_limit_m == 22.5e-6
-    assert not impact_response(PLANT, PAPER, HalfSine(0.999 * force)).exceeds_travel
-    assert impact_response(PLANT, PAPER, HalfSine(1.001 * force)).exceeds_travel
+    assert not impact_response(PLANT, PAPER, HalfSine(0.999 * force, mass_kg=2.18), piezo_travel_m=45e-6).exceeds_travel
+    assert impact_response(PLANT, PAPER, HalfSine(1.001 * force, mass_kg=2.18), piezo_travel_m=45e-6).exceeds_travel
 
 
 def test_unstable_loop_ends_in_infinity() -> None:
-    found = impact_response(PLANT, p_controller(2, 2))
+    found = impact_response(PLANT, p_controller(2, 2), HalfSine(mass_kg=2.18), piezo_travel_m=45e-6)
     assert found.peak_p_m == found.decay_time_s == np.inf
     assert found.exceeds_travel
 
@@ -107,8 +108,15 @@ def test_force_entry_finds_the_velocities() -> None:
         (lambda: HalfSine(mass_kg=np.nan), "mass_kg = nan; give a number above 0"),
         (lambda: HalfSine(direction_deg=np.inf), "direction_deg = inf"),
         (lambda: impact_response(exact_plant(MACHINE, 6, 0), PAPER), "has exact delays; replace them first"),
-        (lambda: impact_response(PLANT, PAPER, piezo_travel_m=0.0), "piezo_travel_m = 0.0; give a positive"),
-        (lambda: impact_response(PLANT, PAPER, entry=np.zeros((3, 2))), "entry has 3 rows for the 10 states"),
+        (lambda: impact_response(PLANT, PAPER), "the moving mass is not known; give mass_kg"),
+        (
+            lambda: impact_response(PLANT, PAPER, HalfSine(mass_kg=2.18), piezo_travel_m=0.0),
+            "piezo_travel_m = 0.0; give a positive",
+        ),
+        (
+            lambda: impact_response(PLANT, PAPER, HalfSine(mass_kg=2.18), entry=np.zeros((3, 2))),
+            "entry has 3 rows for the 10 states",
+        ),
         (lambda: force_entry(ACTUATORS), "is not a position whose velocity is a state"),
         (lambda: force_entry(PLANT.discretise(1e-4)), "it is sampled; give the continuous model"),
     ],

@@ -124,12 +124,12 @@ def test_all_limits_hold_at_once() -> None:
 
 
 def test_piezo_travel_limits_the_gains() -> None:
-    impact = HalfSine(peak_n=20.0)
+    impact = HalfSine(peak_n=20.0, mass_kg=2.18)
 
     def travel(gains: dict[str, float]) -> float:
         plant, controller = MODEL.plant_at(6, 0), p_controller(**gains)
         return max(
-            impact_response(plant, controller, HalfSine(20.0, direction_deg=a), duration_s=0.05).peak_r_m
+            impact_response(plant, controller, HalfSine(20.0, mass_kg=2.18, direction_deg=a), duration_s=0.05).peak_r_m
             for a in (0, 90)
         )
 
@@ -150,8 +150,8 @@ def test_travel_of_all_loops_is_that_of_simulated_responses() -> None:
     values = {p.name: gains[p.name[:-2]] * (1.1 if p.name.endswith("x") else 1.0) for p in structure.parameters}
     points = np.array([(3.0, 0.0), (5.0, 4000.0), (7.0, 6000.0)])
     family = plants_of(MODEL, structure, TuneOptions(operating_points=points)).family(points)
-    impact = HalfSine(peak_n=9.0, duration_s=1.5e-3)
-    limit = PiezoTravel(impact=impact).measure(MODEL.plant_at(3, 0))
+    impact = HalfSine(peak_n=9.0, duration_s=1.5e-3, mass_kg=2.18)
+    limit = PiezoTravel(impact=impact, travel_m=45e-6).measure(MODEL.plant_at(3, 0))
     found = limit.function(family, np.array(list(values.values())))
     assert limit.limit == 22.5e-6
     for point, value in zip(points, found, strict=True):

@@ -8,7 +8,7 @@ import gbid
 from gbid.core.files import add_text_checksum, is_changed, with_text_checksum
 from gbid.core.tables import plain_table, write_csv
 from gbid.experiment.fields import writing_keyed
-from gbid.export.chain import chain_of
+from gbid.export.chain import ChainOptions, chain_of
 from gbid.export.chain_c import write_chain
 from gbid.lpv import load_model, save_model
 
@@ -33,7 +33,7 @@ def table(folder):
 
 def source(folder):
     controller(folder)
-    chain = chain_of(gbid.load_controller(folder / "p.yaml"))
+    chain = chain_of(gbid.load_controller(folder / "p.yaml"), options=ChainOptions(stroke_m=45e-6, disc_limit_m=2e-5))
     return write_chain(chain, folder)[:-1]  # the last one holds the digests of the others
 
 

@@ -177,5 +177,5 @@ def test_a_description_of_a_unit_is_xml():
     model = gbid.load_model("theisen2016")
     for name in AWFUL:
         awful = replace(model, name=name, title=name)
-        text = model_description("unit", awful, unit_variables(model.domain, False, 1e-6), "g", (), 1e-4, name)
+        text = model_description("unit", awful, unit_variables(model.domain, None), "g", (), 1e-4, name)
         assert ET.fromstring(text).attrib["description"] == " ".join(printable(name).split())

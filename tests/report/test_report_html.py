@@ -384,7 +384,7 @@ def test_explorer_computes_what_the_library_computes(job, opened, seed):
     assert found["static_amplification"] == pytest.approx(at_rest, rel=1e-6)
     assert found["damping"] == pytest.approx(min(damping for _, damping in closed.modes()), rel=1e-9)
     assert f"{found['damping']:.3f}" in verdict
-    impact = HalfSine().towards({"x": 0.0, "y": 90.0}[axis])
+    impact = HalfSine(mass_kg=2.18).towards({"x": 0.0, "y": 90.0}[axis])
     answer = impact_response(plant, controller, impact, duration_s=0.2)
     time = np.array(found["time_s"])
     at = np.rint(time / 2e-5).astype(int)
@@ -406,4 +406,4 @@ def test_explorer_says_when_the_loop_is_unstable(job, opened):
 
 def test_explorer_gets_the_model_as_it_is(page, job):
     model = Results(job).loop_model
-    assert embedded(page, "explorer-model") == json.loads(json.dumps(explorer_model(model, HalfSine())))
+    assert embedded(page, "explorer-model") == json.loads(json.dumps(explorer_model(model, HalfSine(mass_kg=2.18))))

@@ -149,7 +149,7 @@ def test_half_open_requests_hold_few_threads_for_a_short_time(served, monkeypatc
 def design_of(kind, gains):
     structure = controller_structure(kind)
     figures = DesignFigures.of(assess(PAPER, structure, gains, [(6.0, 0.0)]))
-    return AssessedDesign(kind, kind, figures, structure, PAPER, HalfSine(), 2e-4, "tustin", 2.0)
+    return AssessedDesign(kind, kind, figures, structure, PAPER, HalfSine(mass_kg=2.18), 2e-4, "tustin", 2.0)
 
 
 GAINS = {"kappa_x": 0.9, "kappa_y": 0.7, "kd_x": 0.2, "kd_y": -0.1}
@@ -176,7 +176,7 @@ def test_explored_loops_are_those_of_the_library(sampled):
     S = curves.response("output", [found["frequency_hz"][k]])[0]
     assert found["largest"][k] == pytest.approx(np.linalg.norm(S, 2))
     assert found["yy"][k] == pytest.approx(abs(S[1, 1]))
-    response = impact_response(plant, controller, HalfSine().towards(90.0), duration_s=0.2)
+    response = impact_response(plant, controller, HalfSine(mass_kg=2.18).towards(90.0), duration_s=0.2)
     np.testing.assert_allclose(found["closed_m"], response.p[::10, 1])
     json.dumps(found, allow_nan=False)
 

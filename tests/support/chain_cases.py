@@ -21,15 +21,15 @@ KINDS = ("P", "biquad", "scheduled")
 def design(kind: str) -> ControllerDesign:
     """Return a controller: P, biquad, or a biquad scheduled over pressure and speed."""
     if kind == "P":
-        return ControllerDesign("damper", controller_structure("P"), GAINS, sample_time=2e-4)
+        return ControllerDesign("damper", controller_structure("P"), GAINS, sample_time=2e-4, plant="theisen2016")
     if kind == "biquad":
-        return ControllerDesign("damper", controller_structure("biquad"), BIQUAD, sample_time=2e-4)
+        return ControllerDesign("damper", controller_structure("biquad"), BIQUAD, sample_time=2e-4, plant="theisen2016")
     structure = scheduled(controller_structure("biquad"))
     gains = {}
     for parameter in structure.parameters:
         gain, _, term = parameter.name.rpartition("_")
         gains[parameter.name] = BIQUAD[gain] * {"1": 1.0, "P": 0.15, "Omega": -0.1}[term]
-    return ControllerDesign("damper", structure, gains, sample_time=2e-4)
+    return ControllerDesign("damper", structure, gains, sample_time=2e-4, plant="theisen2016")
 
 
 def runout_map(method: str = "harmonics", pressure: float = 6.0, speed: float = 6000.0, size: float = 1.0) -> RunoutMap:

@@ -13,11 +13,11 @@ import gbid
 from gbid.control import ControllerDesign
 from gbid.export.chain import STACKS, ChainOptions, anti_windup_gain, chain_of
 from gbid.export.chain_python import ChainFault, ChainInput, ChainMode, PythonChain
-from gbid.rig import PiezoStacks
+from gbid.rig import PiezoStack, PiezoStacks
 from gbid.rig.piezo import ALLOCATION
 from gbid.structure import LinearModel
 
-QUICK = {"ramp_s": 2e-4, "fade_s": 2e-4, "spike_limit_m": None}
+QUICK = {"stroke_m": 45e-6, "disc_limit_m": 20e-6, "ramp_s": 2e-4, "fade_s": 2e-4, "spike_limit_m": None}
 """One sample of ramp and one of fade."""
 
 
@@ -47,8 +47,8 @@ def test_in_the_linear_range_it_is_the_filter_and_the_sampled_controller(kind: s
 
 def test_the_allocation_is_that_of_the_rig() -> None:
     np.testing.assert_array_equal(STACKS, ALLOCATION)
-    assert PiezoStacks().offset == ChainOptions().offset_m
-    assert PiezoStacks().travel == ChainOptions().limit_m
+    assert PiezoStacks().offset == ChainOptions(stroke_m=PiezoStack.stroke).offset_m
+    assert PiezoStacks().travel == ChainOptions(stroke_m=PiezoStack.stroke).limit_m
 
 
 def test_a_schedule_is_the_exact_controller_within_its_tolerance_and_changes_without_a_bump() -> None:
@@ -168,7 +168,7 @@ def test_anti_windup_of_an_integrator_is_back_calculation() -> None:
     np.testing.assert_allclose(gain, one * (h / (np.sqrt(2) * ti)), rtol=0.01)  # T_t = 1.4 T_i
 
     slow = ControllerDesign("slow", None, {}, h, models={None: integrator_like(kp, ti)})
-    chain = chain_of(slow, options=ChainOptions(**QUICK, disc_limit_m=1.0, stuck_samples=30000))
+    chain = chain_of(slow, options=ChainOptions(**{**QUICK, "disc_limit_m": 1.0}, stuck_samples=30000))
     twin, without = PythonChain(chain), PythonChain(chain)
     without._chain = without_gain(chain)
     push = [ChainInput((40e-6, 0.0))] * 2000 + [ChainInput((-15e-6, 0.0))] * 400

@@ -107,7 +107,12 @@ def test_free_texts_cannot_leave_their_comment(tmp_path: Path) -> None:
     assert c_comment(wild).isascii()
     assert not any(mark in c_comment(wild) for mark in ("*/", "/*", "\n", "\\", "??"))
     map_ = replace(runout_map(), sources=(wild,))
-    chain = chain_of(replace(design("P"), plant=wild), name="damper", runout_maps=[map_])
+    chain = chain_of(
+        replace(design("P"), plant=wild),
+        name="damper",
+        runout_maps=[map_],
+        options=ChainOptions(stroke_m=45e-6, disc_limit_m=20e-6),
+    )
     chain = replace(chain, notes=(wild,))
     write_chain(chain, tmp_path)
     if shutil.which("cc"):
@@ -150,7 +155,7 @@ def test_a_map_of_another_encoder_is_refused() -> None:
         ({"number": "half"}, "choose 'double' or 'float'"),
         ({"median": 5}, "median = 5; give 1 or 3"),
         ({"zero_m": (0.0, float("nan"))}, r"zero_m\[1\] = nan; give a number"),
-        ({"spike_limit_m": -1.0}, "give a number above 0 or None"),
+        ({"spike_limit_m": -1.0}, "give a number above 0"),
         ({"stuck_samples": 30001}, "of at least 1 and of at most 30000"),
     ],
 )
@@ -176,10 +181,17 @@ def test_without_a_compiler_the_compiled_chain_says_what_to_do(monkeypatch: pyte
 
 def test_a_controller_file_has_no_map_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "damper.yaml"
-    gbid.save_controller(path, controller_structure("biquad"), BIQUAD, name="damper", sample_time=2e-4)
+    options = {"name": "damper", "sample_time": 2e-4}
+    gbid.save_controller(path, controller_structure("biquad"), BIQUAD, **options)
+    assert "give stroke_m and disc_limit_m" in printed_by(capsys, "export", path, "--to", "c", code=2).err
+    known = {"piezo_travel_m": 38e-6, "clearance_m": 40e-6}
+    gbid.save_controller(path, controller_structure("biquad"), BIQUAD, **options, provenance=known, overwrite=True)
     assert run("export", path, "--to", "c", "--output", tmp_path) == 0
     header = (tmp_path / "controller_damper.h").read_text()
     assert "it holds no run-out map. A shaft that turns needs one." in header
+    notes = (tmp_path / "controller_damper_notes.md").read_text()
+    assert "1.9e-05 m at rest, within 0 and 3.8e-05 m" in notes
+    assert "beyond 3.2e-05 m" in notes
 
 
 TOOLS = pytest.mark.skipif(not (shutil.which("cc") and shutil.which("make")), reason="no C compiler and make here")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil, cos, inf, isfinite, pi, radians, sin
+from math import ceil, cos, inf, isfinite, nan, pi, radians, sin
 
 import numpy as np
 from scipy.linalg import expm
@@ -17,7 +17,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Finite, Positive, check_options
 from gbid.discretise import propagate
-from gbid.rig import Machine
+from gbid.lpv import MachineData
 from gbid.structure import LinearModel
 
 STEP_S = 2e-5
@@ -34,21 +34,20 @@ class HalfSine:
         Peak force [N].
     duration_s : float
         Duration [s].
-    mass_kg : float
-        Moving mass [kg], to which the coefficients of the model refer; ``1 / mass_kg`` is g_f of the paper.
+    mass_kg : float, optional
+        Moving mass [kg], to which the coefficients of the model refer; ``1 / mass_kg`` is g_f of the paper. Without it
+        that of the LPV model (`gbid.lpv.MachineData`), where one is at hand.
     direction_deg : float
         Direction from x to y [degrees].
 
     Notes
     -----
-    The paper does not give the mass. The default is that of the rig, `gbid.rig.Machine.moving_mass`: disc and shaft of
-    Table 1 rotate about the ball bearing at the other end of the shaft, so the disc and a third of the shaft move. The
-    default impact moves the disc by about 8 of the 25 um of clearance.
+    The default impact moves the disc of the paper's rig by about 8 of its 25 um of clearance.
     """
 
     peak_n: Positive = 12.0
     duration_s: Positive = 2e-3
-    mass_kg: Positive = Machine.moving_mass
+    mass_kg: Positive | None = None
     direction_deg: Finite = 0.0
 
     def __post_init__(self) -> None:
@@ -63,6 +62,23 @@ class HalfSine:
             Angle from x to y [degrees].
         """
         return replace(self, direction_deg=direction_deg)
+
+    def on(self, machine: MachineData) -> HalfSine:
+        """Return the same impact on a machine, whose moving mass it takes where it has none of its own."""
+        return self if self.mass_kg is not None else replace(self, mass_kg=machine.moving_mass_kg)
+
+    @property
+    def peak_per_mass(self) -> float:
+        """Peak force per moving mass [N/kg].
+
+        Raises
+        ------
+        UsageError
+            When the moving mass is not known.
+        """
+        if self.mass_kg is None:
+            raise UsageError("impact: the moving mass is not known; give mass_kg, such as HalfSine(mass_kg=2.18)")
+        return self.peak_n / self.mass_kg
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +103,7 @@ class ImpactResponse(Brief):
     stack_travel_m : float
         Largest motion of a single stack from its middle, commanded or actual [m]: ``|r|``, or ``|u| / 2``.
     travel_limit_m : float
-        Available motion of a stack to each side of its middle, half its travel [m].
+        Available motion of a stack to each side of its middle, half its travel [m]; nan when that is not known.
     """
 
     time_s: FloatArray
@@ -104,7 +120,7 @@ class ImpactResponse(Brief):
 
     @property
     def exceeds_travel(self) -> bool:
-        """Whether a stack exceeds its travel; the simulated response is linear and has no saturation."""
+        """Whether a stack exceeds its travel, if that is known; the simulated response is linear, not saturated."""
         return self.stack_travel_m > self.travel_limit_m
 
 
@@ -115,7 +131,7 @@ def impact_response(
     *,
     actuators: LinearModel | None = None,
     duration_s: float | None = None,
-    piezo_travel_m: float = 45e-6,
+    piezo_travel_m: float | None = None,
     entry: FloatArray | None = None,
 ) -> ImpactResponse:
     """Return the response to an impact on the rotor, without delay and actuators, ``p = G_b g_f f`` (Sec. 5.1).
@@ -127,13 +143,14 @@ def impact_response(
     controller : LinearModel, optional
         K, from p to r; open loop when not given.
     impact : HalfSine, optional
-        The impact; by default that of `HalfSine`.
+        The impact, with its moving mass.
     actuators : LinearModel, optional
         Actuators from r to u, for the motion of the piezos.
     duration_s : float, optional
         Simulated time [s]; by default until all poles have decayed, but at most 2 s.
-    piezo_travel_m : float
-        Whole travel of one stack [m]; the stack rests in its middle and moves with r (Eq. 1).
+    piezo_travel_m : float, optional
+        Whole travel of one stack [m]; the stack rests in its middle and moves with r (Eq. 1). Without it nothing is
+        said on whether a stack exceeds it.
     entry : (n, n_outputs) array, optional
         Input matrix of a force per mass; from `force_entry` when not given.
 
@@ -145,14 +162,15 @@ def impact_response(
     Raises
     ------
     UsageError
-        When the plant has exact delays or is sampled, when models do not fit together, or when the plant has no
-        positions and velocities as states.
+        When the plant has exact delays or is sampled, when models do not fit together, when the plant has no positions
+        and velocities as states, or when the moving mass is not given.
     """
     impact = impact or HalfSine()
     if plant.delay is not None:
         raise UsageError(f"model {plant.name!r} has exact delays; replace them first: with_pade(model, order)")
-    if not (isfinite(piezo_travel_m) and piezo_travel_m > 0):
+    if piezo_travel_m is not None and not (isfinite(piezo_travel_m) and piezo_travel_m > 0):
         raise UsageError(f"impact: piezo_travel_m = {piezo_travel_m}; give a positive number")
+    acceleration, limit = impact.peak_per_mass, nan if piezo_travel_m is None else piezo_travel_m / 2
     E = force_entry(plant) if entry is None else np.asarray(entry, float)
     if len(E) != plant.n_states:
         raise UsageError(f"impact: entry has {len(E)} rows for the {plant.n_states} states of {plant.name!r}")
@@ -172,11 +190,11 @@ def impact_response(
     poles = np.linalg.eigvals(A)
     if poles.real.max() >= 0:
         nothing, none = np.zeros((0, n_p)), np.zeros(0)
-        return ImpactResponse(none, none, nothing, nothing, nothing, inf, inf, inf, inf, inf, piezo_travel_m / 2)
+        return ImpactResponse(none, none, nothing, nothing, nothing, inf, inf, inf, inf, inf, limit)
     if duration_s is None:
         duration_s = min(impact.duration_s + 7.0 / float(-poles.real.max()), 2.0)
     angle = radians(impact.direction_deg)
-    push = E @ np.array([cos(angle), sin(angle)])[: E.shape[1]] * (impact.peak_n / impact.mass_kg)
+    push = E @ np.array([cos(angle), sin(angle)])[: E.shape[1]] * acceleration
     time, states = _simulate(A, push, impact.duration_s, duration_s)
     p, r, u = np.split(states @ C.T, [n_p, n_p + n_r], axis=1)
     force = np.where(time <= impact.duration_s, impact.peak_n * np.sin(pi * time / impact.duration_s), 0.0)
@@ -196,7 +214,7 @@ def impact_response(
         peak_u,
         float(time[last + 1]) if last + 1 < len(time) else inf,
         max(peak_r, peak_u / 2),
-        piezo_travel_m / 2,
+        limit,
     )
 
 

@@ -27,6 +27,7 @@ from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray, is_finit
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, Finite, NotNegative, Number, Positive, check_options
+from gbid.lpv import MachineData
 from gbid.recording import Recording
 from gbid.structure import LinearModel
 
@@ -39,6 +40,10 @@ class Goal(ABC):
         low, high = getattr(self, "low_hz", 0.0), getattr(self, "high_hz", inf)
         if not low < high:
             raise UsageError(f"{type(self).__name__}: low_hz = {low!r}, high_hz = {high!r}; give 0 <= low < high")
+
+    def on(self, machine: MachineData) -> Goal:
+        """Return this goal with what it needs of a machine and does not give itself."""
+        return self
 
     @abstractmethod
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
@@ -98,8 +103,8 @@ class Wanted(Goal):
         return replace(limits, **changed)
 
 
-def limits_of(goals: Sequence[Goal], plant: LinearModel) -> Limits:
-    """Return objective and limits of a list of goals.
+def limits_of(goals: Sequence[Goal], plant: LinearModel, machine: MachineData | None = None) -> Limits:
+    """Return objective and limits of a list of goals, with the mass and travel of a machine where they are known.
 
     Raises
     ------
@@ -108,7 +113,7 @@ def limits_of(goals: Sequence[Goal], plant: LinearModel) -> Limits:
     """
     limits = Limits(weight=inf)  # no objective yet
     for goal in goals:
-        limits = goal.add_to(limits, plant)
+        limits = goal.on(machine or MachineData()).add_to(limits, plant)
     if limits.weight == inf:
         if not limits.soft:
             raise UsageError("goals: none of them is an objective; add MaxDamping(), or make one soft=True")

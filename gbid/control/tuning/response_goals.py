@@ -32,6 +32,7 @@ from gbid.control.tuning.problem import ExtraLimit, LoopState, Measure, Pieces
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, Finite, NotNegative, Positive
+from gbid.lpv import MachineData
 from gbid.structure import LinearModel
 
 # ---- Measure of a response over frequency: its peak over a bound, with exact gradients.
@@ -478,20 +479,32 @@ class PiezoTravel(Wanted):
     Parameters
     ----------
     impact : HalfSine
-        The impact.
-    travel_m : float
-        Whole travel of a stack [m].
+        The impact. Without a mass it takes that of the LPV model.
+    travel_m : float, optional
+        Whole travel of a stack [m]; by default that of the LPV model.
     soft, weight
         See `Wanted`.
     """
 
     impact: Annotated[HalfSine, Allowed("a HalfSine")] = field(default_factory=HalfSine)
-    travel_m: Positive = 45e-6
+    travel_m: Positive | None = None
+
+    def on(self, machine: MachineData) -> PiezoTravel:
+        """Return this goal with moving mass and travel of a machine where it gives none."""
+        travel = machine.piezo_travel_m if self.travel_m is None else self.travel_m
+        return replace(self, impact=self.impact.on(machine), travel_m=travel)
 
     def measure(self, plant: LinearModel) -> ExtraLimit:
-        """Measure of this goal; the entry of a force is the same for all plants."""
-        entry = force_entry(plant) * (self.impact.peak_n / self.impact.mass_kg)
-        limit = self.travel_m / 2
+        """Measure of this goal; the entry of a force is the same for all plants.
+
+        Raises
+        ------
+        UsageError
+            When the moving mass or the travel is not known.
+        """
+        if self.travel_m is None:
+            raise UsageError("PiezoTravel: the travel of a stack is not known; give travel_m")
+        entry, limit = force_entry(plant) * self.impact.peak_per_mass, self.travel_m / 2
 
         def largest(family: LoopFamily, gains: FloatArray) -> FloatArray:
             # of sampled loops the continuous ones with the delay of sampling

@@ -288,7 +288,7 @@ class _Trial:
         plants = plants_of(self.lpv, self.structure, replace(self.options, uncertainty=drawn))
         x = np.array([gains[p.name] for p in self.structure.parameters])
         nominal = plants.family(plants.points, range(len(plants.points)))
-        limits = limits_of(self.options.goals or (), plants.plant)
+        limits = limits_of(self.options.goals or (), plants.plant, self.lpv.machine)
         low, high = (np.array([getattr(p, side) for p in self.structure.parameters]) for side in ("lower", "upper"))
         problem = GainProblem((nominal,), limits, low, high, typical_rate((nominal,), x))
         return on_draws(problem, plants, plants.points, x, drawn.draws)

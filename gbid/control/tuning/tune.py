@@ -181,7 +181,7 @@ def tuned(
     structure = with_schedule(structure, getattr(model, "domain", None))
     plants = plants_of(model, structure, options)
     goals = options.default_goals(min(plants.slowest)) if options.goals is None else options.goals
-    limits = limits_of(goals, plants.plant)
+    limits = limits_of(goals, plants.plant, plants.lpv.machine if isinstance(plants, LpvPlants) else None)
     box = _gain_bounds(structure, options.bounds)
     names = tuple(parameter.name for parameter in structure.parameters)
     given = _by_gain("start", options.start, names)

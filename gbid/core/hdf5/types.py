@@ -420,6 +420,8 @@ record: Callable[[Any], DataclassGroup] = cache(_record)
 
 
 def _codec(hint: Any, stored: Stored | None) -> Codec:
+    if get_origin(hint) is Annotated:  # a type with its range inside a union
+        hint = get_args(hint)[0]
     origin, args = type_parts(hint)
     if origin in (Union, UnionType):
         return OneOf(tuple(_codec(arg, stored) for arg in args if arg is not NoneType), NoneType in args)

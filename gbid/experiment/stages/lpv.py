@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from gbid.core.errors import GbidError, UsageError
 from gbid.core.files import scratch_folder
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, InputError, Location, Result, needed, refusal, stored_key
+from gbid.experiment.machine import machine_data
 from gbid.experiment.recordings import lpv_actuators
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, cause_of
 from gbid.experiment.schema import LpvSection
@@ -21,7 +23,7 @@ from gbid.experiment.stages.fit import a_fit_is_named, fit_arguments, fit_entrie
 from gbid.experiment.stages.prefilter import load_fit_input
 from gbid.experiment.structures import make_structure, structure_or_none
 from gbid.identify import TableEntry, tabulate
-from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct, load_lpv_fit, lpv_of
+from gbid.lpv import LPVFit, MachineData, fit_lpv, fit_lpv_direct, load_lpv_fit, lpv_of
 from gbid.lpv.estimates import check_points, chosen_exponents
 from gbid.lpv.fit import KIND, write_uncertainty
 from gbid.lpv.model import ACTUATOR_PARAMETERS
@@ -96,12 +98,15 @@ class Surfaces:
         experiment, fit = self._job.experiment, self._section.fit
         models = [entry.model for entry in self._entries if entry.result is not None]
         settings = {**self._section.model_dump(), "models": models, "found_actuators": self._actuators}
+        known = machine_data(experiment)
+        settings |= {"machine": known} if known != MachineData() else {}
         sources = [fit_result(experiment, fit, model) for model in models]
         return experiment.result("lpv", f"{item} uncertainty", experiment.path(FOLDER, item), settings, sources)
 
     def make(self, item: str) -> LPVFit:
         """Return the surfaces of one item: those of the fit, or of its direct LPV fit."""
-        return self._two_step if item == self._section.fit else self._direct()
+        fit = self._two_step if item == self._section.fit else self._direct()
+        return replace(fit, model=replace(fit.model, machine=machine_data(self._job.experiment)))
 
     @cached_property
     def _entries(self) -> list[TableEntry]:

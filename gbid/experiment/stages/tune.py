@@ -48,13 +48,13 @@ from gbid.experiment.controllers import (
 )
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found, InputError, Location, Result, nearest, needed, refusal, stored_key
-from gbid.experiment.machine import outside_domain
+from gbid.experiment.machine import machine_data, outside_domain
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
-from gbid.experiment.schema import ControllerSection, GoalEntry, RobustSection
+from gbid.experiment.schema import ControllerSection, RobustSection
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv import read_surfaces
-from gbid.lpv import LPVModel, load_lpv_fit, load_model
+from gbid.lpv import LPVModel, MachineData, load_lpv_fit, load_model
 
 
 def designs_can_be_tuned(experiment: Experiment) -> Found:
@@ -96,7 +96,8 @@ def _design_problems(experiment: Experiment, section: ControllerSection) -> Foun
         if section.pareto:
             yield ("pareto",), "is not for robust designs; write price: [...] below robust, or a second design"
     if section.goals is not None:
-        yield from _goal_problems(experiment, section, section.goals)
+        known = machine_data(experiment) if model is None else model.machine
+        yield from _goal_problems(experiment, section, known)
     try:
         structure = design_structure(experiment, section, None if model is None else model.domain)
     except GbidError as error:
@@ -121,7 +122,8 @@ def _point_problems(section: ControllerSection, model: LPVModel) -> Found:
             yield from outside_domain(model.domain, model.name, point, ("operating_points", i))
 
 
-def _goal_problems(experiment: Experiment, section: ControllerSection, entries: Sequence[GoalEntry]) -> Found:
+def _goal_problems(experiment: Experiment, section: ControllerSection, known: MachineData) -> Found:
+    entries = section.goals or ()
     for key in ("peak_sensitivity", "objective"):
         if key in section.model_fields_set:
             yield (key,), "stands beside goals; write it as a goal, too"
@@ -136,7 +138,7 @@ def _goal_problems(experiment: Experiment, section: ControllerSection, entries: 
                 yield ("goals", i, "disturbance"), text
     if len(goals) == len(entries):
         plant = load_model("theisen2016").plant_at(6.0, 0.0)  # every plant has the channels of this one
-        yield from refusal(("goals",), lambda: limits_of(goals, plant))
+        yield from refusal(("goals",), lambda: limits_of(goals, plant, known))
 
 
 def _disturbance_problems(experiment: Experiment, pattern: str) -> Iterator[str]:
@@ -282,7 +284,7 @@ def assess_options(experiment: Experiment, section: ControllerSection) -> dict[s
         "sample_time": sample_time(experiment, section),
         "method": section.method,
         "impact": impact(section),
-        **({} if goal is None else {"piezo_travel_m": goal.travel_m}),
+        "piezo_travel_m": None if goal is None else goal.travel_m,
     }
 
 
@@ -316,7 +318,7 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
     assessed = assess(model, structure, result.gains, result.points, name=name, **assess_options(experiment, section))
     published = assess_published(experiment, model, section, result.points)
     figures = (DesignFigures.of(assessed), *(() if published is None else (published,)))
-    conditions = (impact(section), sample_time(experiment, section), section.method)
+    conditions = (impact(section).on(model.machine), sample_time(experiment, section), section.method)
     design = TunedDesign(name, model.name, result, figures, front, *conditions, promises)
     save(design, part, overwrite=True)
     return _made(design)
@@ -393,6 +395,7 @@ def _write_controller(job: Job, part: Path, name: str) -> None:
         result.objective: result.value,
         "verified_on": result.verified_on,
     }
+    provenance |= {name: value for name, value in vars(model.machine).items() if value is not None}
     cap = peak_cap(section)
     if cap is not None:
         provenance["cap_peak_sensitivity"] = cap
