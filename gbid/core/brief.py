@@ -74,7 +74,9 @@ def _read_only(entries: dict[Any, Any]) -> MappingProxyType[Any, Any]:
     return MappingProxyType(entries)
 
 
-# Results hold read-only views of dicts, which pickle cannot store: they go to other processes as dicts.
+# Results hold read-only views of dicts, which pickle cannot store: they go to other processes as dicts. The rule is for
+# the whole process: results of ten modules have such fields, and so may classes of others that contain a result. It
+# takes nothing away, because without it pickle and copy refuse a view.
 copyreg.pickle(MappingProxyType, lambda view: (_read_only, (dict(view),)))
 
 

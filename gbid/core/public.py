@@ -26,8 +26,10 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
 
     def get(name: str) -> Any:
         value = imported(name)
-        if isinstance(value, FunctionType):
-            value = _checked_function(value, package)
+        if isinstance(value, FunctionType) and value.__globals__ is not globals():  # else another package has checked it
+            module, value = value.__module__, _checked_function(value)
+            if value.__module__ == module:  # pickles name it by the first package that hands it out
+                value.__module__ = package
         elif isinstance(value, type):
             _check_calls_of(value)
         vars(sys.modules[package])[name] = value
@@ -36,17 +38,14 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
     return get, names, listed
 
 
-_checked_functions: dict[Any, Any] = {}
-"""Functions that check their arguments, by those that do not: packages that make the same one public share it."""
+_REPLACING = ("dataclasses", "copy")
+"""Modules through which a constructor is called by `dataclasses.replace`: what counts is who calls that."""
 
 
-def _checked_function(function: Any, package: str) -> Any:
-    """Return a function that checks its arguments; pickles name it by the first package that hands it out."""
-    if function not in _checked_functions:
-        checked = _checked(function, function.__name__)
-        checked.__module__ = package
-        _checked_functions[function] = _checked_functions[checked] = checked
-    return _checked_functions[function]
+@cache
+def _checked_function(function: Any) -> Any:
+    """Return a function that checks its arguments: one for all packages that make the same function public."""
+    return _checked(function, function.__name__)
 
 
 @cache
@@ -60,7 +59,11 @@ def _check_calls_of(kind: type) -> None:
 def _checked(function: Any, owner: str, of: type | None = None) -> Any:
     @wraps(function)
     def checked(*args: Any, **keywords: Any) -> Any:
-        caller = sys._getframe(1).f_globals.get("__name__") or ""
+        frame = sys._getframe(1)
+        caller = frame.f_globals.get("__name__") or ""
+        while caller in _REPLACING and frame.f_back:
+            frame = frame.f_back
+            caller = frame.f_globals.get("__name__") or ""
         if not caller.startswith("gbid."):
             from gbid.core.option_types import check_call
 

@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from random import Random
 
 import numpy as np
@@ -65,6 +66,16 @@ def test_public_functions_are_found_again_by_pickle():
     assert pickle.loads(pickle.dumps(gbid.fit)) is gbid.fit
     assert gbid.fit.__module__ == "gbid"
     assert gbid.cross_validate is gbid.validate.cross_validate
+
+
+def test_a_copy_with_other_values_is_checked_for_its_caller_alone(monkeypatch):
+    """`dataclasses.replace` calls the constructor: gbid's own copies, thousands in an export, are not checked."""
+    calls = []
+    monkeypatch.setattr("gbid.core.option_types.check_call", lambda function, owner, *_: calls.append(owner))
+    replace(PLANT, name="here")
+    assert calls == ["LinearModel"]
+    exec("replace(PLANT, name='inside')", {"__name__": "gbid.inside", "replace": replace, "PLANT": PLANT})
+    assert calls == ["LinearModel"]
 
 
 def test_the_check_is_not_imported_before_a_call():
