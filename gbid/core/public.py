@@ -26,7 +26,7 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
 
     def get(name: str) -> Any:
         value = imported(name)
-        if isinstance(value, FunctionType) and value.__globals__ is not globals():  # else another package has checked it
+        if isinstance(value, FunctionType) and value.__globals__ is not globals():  # else it is a checked one already
             module, value = value.__module__, _checked_function(value)
             if value.__module__ == module:  # pickles name it by the first package that hands it out
                 value.__module__ = package

@@ -268,7 +268,7 @@ class FitPairs:
 
     def __init__(self, job: Job, name: str) -> None:
         self._job, self._name = job, name
-        # A model is discretised once for all recordings. The cache of files behind it would compute content keys per pair.
+        # A model is discretised once for all recordings; the cache of files behind it needs a content key per pair.
         self._model = lru_cache(maxsize=_MODELS_IN_MEMORY)(self._load_model)
         self._model_key = cache(lambda model: fit_result(job.experiment, name, model).key)
         self._data_key = cache(lambda recording: data_key(job.experiment, name, recording))
