@@ -247,7 +247,7 @@ def with_mapaccum(n: int, most_s: float) -> dict[str, Any]:
 
 def as_nonlinear(n: int) -> dict[str, Any]:
     """Return the times of the linear bearing as it is, and of the same equations as a nonlinear structure."""
-    recording, bearing = film_recording(n, c_x=0.0, c_y=0.0), gbid.RotorBearing()
+    recording, bearing = film_recording(n, c_x=0.0, c_y=0.0), gbid.RotorBearing(pade_order=1)
     p, m = symbolic_matrices(bearing)
     start = gbid.fit(bearing, recording).parameters
     function = ca.Function("m", [p], [m.A, m.B, m.K])
