@@ -86,6 +86,7 @@ class FitNote(NoteKind):
     SPIKE = "GB135"
     SAME_INPUTS = "GB136"
     LIKELY_ELSEWHERE = "GB138"
+    REDUCED = "GB141"
 
 
 class DataNote(NoteKind):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import cos, isfinite, pi, sin
@@ -15,13 +16,18 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
+from scipy.optimize import linear_sum_assignment
 
-from gbid.core.arrays import FloatArray
+from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.extras import extra_package
+from gbid.core.notes import FitNote
+from gbid.discretise import Hold
 from gbid.identify import FitResult
 from gbid.lpv import LPVModel
 from gbid.structure import LinearStructure, Parameter, Values
+from gbid.structure.linear import as_names
+from gbid.structure.parameter import set_fields
 
 # ---- Import of ROSS without the messages of the packages that it loads.
 
@@ -151,8 +157,8 @@ def bearing_element(
 # ---- Finite-element matrices of the lateral motion of a rotor of ROSS, without the bearings that are unknown.
 
 _LATERAL = {4: (0, 1, 2, 3), 6: (0, 1, 3, 4)}  # x, y and their rotations, by the degrees of freedom of a node
-Place = tuple[int, str | float]
-"""Node, and axis "x" or "y", or angle from x to y [rad]."""
+Place = tuple[int | str, str | float]
+"""Node, and axis "x" or "y", or angle from x to y [rad]. A magnetic bearing's tag in place of the node: its current."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +175,10 @@ class UnknownBearing:
         Coefficients in the rotor at its speed [N/m], [N s/m]: the start values.
     entry : (n, 2) array
         Degrees of freedom x and y of the node.
+    tag : str
+        Tag of the element.
+    force_per_current : float, optional
+        Of a magnetic bearing k_i [N/A]. Its stiffness is then the magnetic one alone, without that of its controller.
     """
 
     name: str
@@ -176,6 +186,8 @@ class UnknownBearing:
     stiffness: FloatArray
     damping: FloatArray
     entry: FloatArray
+    tag: str = ""
+    force_per_current: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,6 +218,8 @@ class LateralMatrices:
         """
         n_nodes = len(self.mass) // self.n_per_node
         node, axis = (place.node, place.angle) if hasattr(place, "angle") else _pair(what, place)
+        if isinstance(node, str):
+            node = self.magnetic(what, node).node
         if isinstance(node, bool) or not isinstance(node, int | np.integer) or not 0 <= node < n_nodes:
             raise UsageError(f"{what}: node {node!r}; the rotor has nodes 0 to {n_nodes - 1}")
         if axis in ("x", "y"):
@@ -217,6 +231,37 @@ class LateralMatrices:
         direction = np.zeros(len(self.mass))
         direction[self.n_per_node * node : self.n_per_node * node + 2] = along
         return direction
+
+    def magnetic(self, what: str, tag: str) -> UnknownBearing:
+        """Return the magnetic bearing of a tag.
+
+        Raises
+        ------
+        UsageError
+            When there is none among the unknown bearings.
+        """
+        found = {b.tag: b for b in self.bearings if b.force_per_current is not None}
+        if tag not in found:
+            known = ", ".join(map(repr, found)) or "none"
+            raise UsageError(f"{what}: {tag!r} is no magnetic bearing among the unknown ones; there is {known}")
+        return found[tag]
+
+    def state_matrix(self, shapes: FloatArray | None = None) -> FloatArray:
+        """Return the matrix of the positions and velocities, with all bearings at their start values.
+
+        Parameters
+        ----------
+        shapes : (n, m) array, optional
+            Shapes that are orthonormal in the mass; all degrees of freedom by default.
+        """
+        stiffness = self.stiffness + sum(b.entry @ b.stiffness @ b.entry.T for b in self.bearings)
+        damping = self.damping + sum(b.entry @ b.damping @ b.entry.T for b in self.bearings)
+        if shapes is None:
+            blocks = np.linalg.solve(self.mass, stiffness), np.linalg.solve(self.mass, damping)
+        else:
+            blocks = shapes.T @ stiffness @ shapes, shapes.T @ damping @ shapes
+        n = len(blocks[0])
+        return np.block([[np.zeros((n, n)), np.eye(n)], [-blocks[0], -blocks[1]]])
 
 
 def lateral_matrices(
@@ -253,7 +298,12 @@ def lateral_matrices(
         damping[square] -= c
         entry = np.zeros((len(keep), 2))
         entry[keep.index(dofs[0]), 0] = entry[keep.index(dofs[1]), 1] = 1.0
-        unknown.append(UnknownBearing(name, int(element.n), k[:2, :2], c[:2, :2], entry))
+        tag, n = str(element.tag), int(element.n)
+        magnetic = _magnetic_coefficients(element)
+        if magnetic is None:
+            unknown.append(UnknownBearing(name, n, k[:2, :2], c[:2, :2], entry, tag))
+        else:
+            unknown.append(UnknownBearing(name, n, magnetic[0] * np.eye(2), np.zeros((2, 2)), entry, tag, magnetic[1]))
         if k.shape[0] > 2:  # what acts along the shaft is no part of the lateral motion
             stiffness[dofs[2], dofs[2]] += k[2, 2]
             damping[dofs[2], dofs[2]] += c[2, 2]
@@ -263,6 +313,16 @@ def lateral_matrices(
     )
 
 
+def _magnetic_coefficients(element: Any) -> tuple[float, float] | None:
+    """Return stiffness [N/m], negative, and force per current [N/A] of a magnetic bearing; None of another one."""
+    if not (hasattr(element, "ks") and hasattr(element, "ki")):
+        return None
+    pairs = [np.unique(np.asarray(value, float)) for value in (element.ks, element.ki)]
+    if any(len(values) != 1 for values in pairs):
+        raise UsageError(f"bearings: {element.tag!r} has different coefficients in its two axes; give it equal ones")
+    return float(pairs[0][0]), float(pairs[1][0])
+
+
 def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None) -> dict[str, Any]:
     """Return the unknown bearing elements by the names of their parameters."""
     elements = list(rotor.bearing_elements)
@@ -270,11 +330,11 @@ def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None
         raise UsageError("the rotor has no bearings; give it some, whose coefficients are the start values")
     choices = ", ".join(f"{element.tag!r} at node {element.n}" for element in elements)
     if bearings is None:
-        named: dict[str, int | str] = {element.tag: element.tag for element in elements}
+        named: dict[str, int | str] = {_as_name(element.tag): element.tag for element in elements}
     elif isinstance(bearings, Mapping):
         named = dict(bearings)
     else:
-        named = {tag: tag for tag in ((bearings,) if isinstance(bearings, str) else bearings)}
+        named = {_as_name(tag): tag for tag in ((bearings,) if isinstance(bearings, str) else bearings)}
     if not named:
         raise UsageError(f"bearings: none is named; there is {choices}")
     chosen: dict[str, Any] = {}
@@ -295,6 +355,11 @@ def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None
             raise UsageError(f"bearings: {key!r} is named twice; name each bearing once")
         chosen[str(name)] = matching[0]
     return chosen
+
+
+def _as_name(tag: Any) -> Any:
+    """Return a tag as the end of names of parameters: ROSS's own "Bearing 0" becomes "Bearing_0"."""
+    return re.sub(r"\W", "_", tag) if isinstance(tag, str) else tag
 
 
 def _pair(what: str, place: Any) -> tuple[Any, Any]:
@@ -375,6 +440,94 @@ def _support(stiffness: FloatArray, shaft: FloatArray) -> float:
 # ---- Structure of a finite-element rotor of ROSS whose bearing coefficients are to be identified.
 
 _PAIRS = ("xx", "xy", "yx", "yy")
+_REDUCED_WELL = 0.01
+"""Largest relative error of a frequency without a note: finite-element rotors and measured ones agree no better."""
+_SPLIT = 1e-3
+"""Share of an imaginary part from which on a pole oscillates: rounding splits a double real pole, one in each axis."""
+
+
+@dataclass(frozen=True)
+class ReducedMode:
+    """A mode of the reduced rotor beside that of the whole one, with the bearings at their start values.
+
+    Attributes
+    ----------
+    frequency_hz, damping : float
+        Natural frequency [Hz] and damping factor in the reduced model.
+    whole_frequency_hz, whole_damping : float
+        The same in the model with all lateral degrees of freedom.
+    """
+
+    frequency_hz: float
+    damping: float
+    whole_frequency_hz: float
+    whole_damping: float
+
+    @property
+    def error(self) -> float:
+        """Relative error of the natural frequency."""
+        return self.frequency_hz / self.whole_frequency_hz - 1.0
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class RotorStructure(LinearStructure):
+    """A finite-element rotor of ROSS as a structure, with what its reduction costs.
+
+    Attributes
+    ----------
+    reduction : tuple of ReducedMode
+        The lowest oscillating modes of the whole rotor, as many as were asked for, and the nearest ones of the reduced
+        rotor.
+    notes : tuple of str
+        Remarks on the reduction.
+    """
+
+    reduction: tuple[ReducedMode, ...] = ()
+
+    def __init__(
+        self,
+        name: str,
+        parameters: Sequence[Parameter],
+        matrices: Callable[[Values], Mapping[str, Any]],
+        inputs: str | Sequence[str] = "u",
+        outputs: str | Sequence[str] = "y",
+        intersample: Hold | tuple[Hold, ...] = "zoh",
+        reduction: tuple[ReducedMode, ...] = (),
+    ) -> None:
+        names = {"inputs": as_names(inputs), "outputs": as_names(outputs)}
+        set_fields(self, {**locals(), **names, "parameters": tuple(parameters)})
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks on the reduction, in sentences."""
+        off = [mode for mode in self.reduction if abs(mode.error) > _REDUCED_WELL]
+        if not off:
+            return ()
+        worst = max(off, key=lambda mode: abs(mode.error))
+        text = (
+            f"{len(off)} of {len(self.reduction)} modes of the reduced rotor differ from the whole one by more than "
+            f"{100 * _REDUCED_WELL:g} % in frequency; the worst has {worst.frequency_hz:.4g} Hz and damping "
+            f"{worst.damping:.3g} in place of {worst.whole_frequency_hz:.4g} Hz and {worst.whole_damping:.3g}"
+        )
+        return (FitNote.REDUCED(text),)
+
+
+def _reduction(equations: LateralMatrices, shapes: FloatArray, modes: int) -> tuple[ReducedMode, ...]:
+    """Return the lowest oscillating modes of the whole rotor and the nearest of the reduced one."""
+    whole, reduced = (_oscillating(equations.state_matrix(basis)) for basis in (None, shapes))
+    whole = whole[:modes]
+    rows, columns = linear_sum_assignment(np.abs(whole[:, None] - reduced) / np.abs(whole)[:, None])
+    return tuple(ReducedMode(*_mode(reduced[j]), *_mode(whole[i])) for i, j in zip(rows, columns, strict=True))
+
+
+def _oscillating(A: FloatArray) -> ComplexArray:
+    values = np.linalg.eigvals(A)
+    values = values[values.imag > _SPLIT * np.abs(values)]
+    return np.asarray(values[np.argsort(np.abs(values))], complex)
+
+
+def _mode(value: complex) -> tuple[float, float]:
+    return float(abs(value) / (2 * pi)), float(-value.real / abs(value))
 
 
 def from_ross(
@@ -388,7 +541,7 @@ def from_ross(
     outputs: str | Sequence[str] = "p",
     inputs: str | Sequence[str] = "f",
     name: str = "rotor",
-) -> LinearStructure:
+) -> RotorStructure:
     r"""Return a finite-element rotor of ROSS, modally reduced, as a structure with unknown bearing coefficients.
 
     Parameters
@@ -398,12 +551,14 @@ def from_ross(
     sensors : sequence of (int, str) or ross.Probe
         Node and axis of each position that is measured, one for each output channel. The axis is ``"x"``, ``"y"`` or
         an angle from x to y [rad].
-    actuators : sequence of (int, str)
-        Node and axis of each force that is known, one for each input channel.
+    actuators : sequence of (int or str, str)
+        Node and axis of each force that is known, one for each input channel. With the tag of a magnetic bearing in
+        place of the node, the input is its current along the axis [A].
     bearings : dict of str to (int or str), sequence of str, optional
         Bearings whose coefficients are unknown: tags of bearing elements, or names with the tag or node of each,
-        ``{"left": 0, "right": 6}``. The names end the names of the parameters. All bearings when not given. Bearings
-        that are not named keep their coefficients.
+        ``{"left": 0, "right": 6}``. The names end the names of the parameters; a tag does so with ``_`` for blanks. All
+        bearings when not given. Bearings that are not named keep their coefficients, magnetic ones those of bearing and
+        controller together.
     speed_rpm : float
         Speed of the recordings, for gyroscopic moments and for coefficients over frequency.
     modes : int
@@ -415,9 +570,10 @@ def from_ross(
 
     Returns
     -------
-    LinearStructure
-        For `gbid.fit`. The parameters of a bearing are ``k_xx_NAME`` to ``k_yy_NAME`` [N/m] and ``c_xx_NAME`` to
-        ``c_yy_NAME`` [N s/m].
+    RotorStructure
+        A `gbid.LinearStructure` for `gbid.fit`. The parameters of a bearing are ``k_xx_NAME`` to ``k_yy_NAME`` [N/m]
+        and ``c_xx_NAME`` to ``c_yy_NAME`` [N s/m]; those of a magnetic bearing ``k_s_NAME`` [N/m] and ``k_i_NAME``
+        [N/A]. `reduction` has the modes beside those of the whole rotor, `notes` name large errors of these.
 
     Raises
     ------
@@ -432,6 +588,9 @@ def from_ross(
     positive, contrary to those of `gbid.RotorBearing`, and are not divided by a mass. In modal coordinates
     :math:`q = \Phi \eta`; the states are :math:`\omega_0 \eta` and :math:`\dot \eta`, with :math:`\omega_0` the lowest
     natural frequency, so that both are of one magnitude.
+
+    A magnetic bearing is the plant of its controller: it acts with :math:`k_s (x, y)^T + k_i (i_x, i_y)^T`. The
+    controller that ROSS mixes into stiffness and damping of the element, its amplifier and its sensor are left out.
     """
     if not all(hasattr(rotor, part) for part in ("bearing_elements", "number_dof", "M", "K", "C", "G")):
         raise UsageError(f"a {type(rotor).__name__} is no rotor of ROSS; give a ross.Rotor")
@@ -445,12 +604,19 @@ def from_ross(
     seen = _entries(equations, "sensors", sensors)
     driven = _entries(equations, "actuators", actuators)
     shapes = modal_basis(equations, int(modes), driven)
-    return LinearStructure(
+    currents = [
+        equations.magnetic(f"actuators[{i}]", place[0]).name
+        if not hasattr(place, "angle") and isinstance(place[0], str)
+        else None
+        for i, place in enumerate(actuators)
+    ]
+    return RotorStructure(
         name,
         [parameter for bearing in equations.bearings for parameter in _parameters(bearing)],
-        _matrices(equations, shapes, seen, driven),
+        _matrices(equations, shapes, seen, driven, currents),
         inputs=inputs,
         outputs=outputs,
+        reduction=_reduction(equations, shapes, int(modes)),
     )
 
 
@@ -460,6 +626,9 @@ def _entries(equations: LateralMatrices, what: str, places: Sequence[Any]) -> Fl
 
 
 def _parameters(bearing: UnknownBearing) -> list[Parameter]:
+    if bearing.force_per_current is not None:
+        k_s = Parameter(f"k_s_{bearing.name}", -float(bearing.stiffness[0, 0]), unit="N/m")
+        return [k_s, Parameter(f"k_i_{bearing.name}", bearing.force_per_current, unit="N/A")]
     coefficients = (("k", bearing.stiffness, "N/m"), ("c", bearing.damping, "N s/m"))
     return [
         Parameter(f"{letter}_{pair}_{bearing.name}", float(value), unit=unit)
@@ -468,11 +637,21 @@ def _parameters(bearing: UnknownBearing) -> list[Parameter]:
     ]
 
 
-def _matrices(equations: LateralMatrices, shapes: FloatArray, seen: FloatArray, driven: FloatArray) -> Any:
-    """Return the function of the matrices, with everything but the coefficients computed."""
+def _matrices(
+    equations: LateralMatrices,
+    shapes: FloatArray,
+    seen: FloatArray,
+    driven: FloatArray,
+    currents: Sequence[str | None],
+) -> Any:
+    """Return the function of the matrices, with everything but the coefficients computed.
+
+    `currents` are the names of the magnetic bearings that the actuators drive; None for forces.
+    """
     n = shapes.shape[1]
     stiffness, damping = (shapes.T @ matrix @ shapes for matrix in (equations.stiffness, equations.damping))
     at = {bearing.name: shapes.T @ bearing.entry for bearing in equations.bearings}
+    magnetic = {bearing.name for bearing in equations.bearings if bearing.force_per_current is not None}
     held = stiffness + sum(at[b.name] @ b.stiffness @ at[b.name].T for b in equations.bearings)
     lowest = np.sort(np.abs(np.linalg.eigvals(held)))
     scale = float(np.sqrt(lowest[lowest > 1e-9 * lowest[-1]][0]))
@@ -481,11 +660,16 @@ def _matrices(equations: LateralMatrices, shapes: FloatArray, seen: FloatArray, 
         k, c = ca.SX(ca.DM(stiffness)), ca.SX(ca.DM(damping))
         for name, entry in at.items():
             side = ca.DM(entry)
+            if name in magnetic:
+                k -= p[f"k_s_{name}"] * (side @ side.T)
+                continue
             k += side @ _square(p, "k", name) @ side.T
             c += side @ _square(p, "c", name) @ side.T
+        forces = ca.DM(shapes.T @ driven)
+        columns = [forces[:, i] * (1.0 if name is None else p[f"k_i_{name}"]) for i, name in enumerate(currents)]
         return {
             "A": ca.blockcat([[ca.SX(n, n), scale * ca.SX.eye(n)], [-k / scale, -c]]),
-            "B": ca.vertcat(ca.SX(n, driven.shape[1]), ca.SX(ca.DM(shapes.T @ driven))),
+            "B": ca.vertcat(ca.SX(n, len(columns)), ca.SX(ca.horzcat(*columns)) if columns else ca.SX(n, 0)),
             "C": ca.horzcat(ca.SX(ca.DM(seen.T @ shapes / scale)), ca.SX(seen.shape[1], n)),
         }
 

@@ -240,3 +240,75 @@ def test_a_model_without_operating_points_is_written_at_the_ends_of_its_domain(t
     item = ExportItem("bare", replace(MODEL, operating_points=()))
     files = write_elements(item, ExportRequest(tmp_path, mass_kg=1.0))
     assert [file.name for file in files] == ["bare_p3.toml", "bare_p7.toml"]
+
+
+def test_the_structure_says_how_good_its_reduction_is():
+    machine = rotor(**TRUE)
+    whole = np.linalg.eigvals(lateral(machine, 300.0)[0])
+    whole = whole[whole.imag > 0]
+    whole = whole[np.argsort(np.abs(whole))]
+    options = {"sensors": SENSORS, "actuators": ACTUATORS, "speed_rpm": 300.0 * 30 / np.pi}
+    few, many = (gbid.from_ross(machine, modes=modes, **options) for modes in (6, 28))
+    model = evaluate(few, {parameter.name: parameter.start for parameter in few.parameters})
+    for mode, expected in zip(few.reduction, whole, strict=False):
+        assert mode.whole_frequency_hz == pytest.approx(abs(expected) / (2 * np.pi), rel=1e-9)
+        assert mode.whole_damping == pytest.approx(-expected.real / abs(expected), rel=1e-6)
+        assert np.abs(np.abs(model.poles()) / (2 * np.pi) / mode.frequency_hz - 1).min() < 1e-9
+    assert len(few.reduction) == 6
+    assert max(abs(mode.error) for mode in many.reduction) < 1e-7
+    assert many.notes == ()
+    # shapes at rest are no basis for gyroscopic moments ten times as large: 2.8 % of the lowest frequency
+    fast = gbid.from_ross(machine, bearings={"one": 6}, sensors=SENSORS, actuators=[], speed_rpm=30000, modes=3)
+    worst = max(fast.reduction, key=lambda mode: abs(mode.error))
+    assert abs(worst.error) > 0.02
+    assert len(fast.notes) == 1
+    assert "1 of 3 modes of the reduced rotor differ from the whole one by more than 1 %" in fast.notes[0]
+    assert f"the worst has {worst.frequency_hz:.4g} Hz" in fast.notes[0]
+    assert fast.notes[0].endswith("[GB141]")
+
+
+def magnetic_rotor():
+    """The rotor of the book on two magnetic bearings with the tags that ROSS gives by itself."""
+    ross = ross_package("these tests")
+    steel = ross.Material(name="steel", rho=7810, E=211e9, G_s=81.2e9)
+    shaft = [ross.ShaftElement(0.25, 0.0, 0.05, material=steel) for _ in range(6)]
+    disc = ross.DiskElement.from_geometry(n=2, material=steel, width=0.07, i_d=0.05, o_d=0.28)
+    coils = {"g0": 1e-3, "i0": 1.0, "ag": 1e-4, "nw": 200, "kp_pid": 5000.0, "kd_pid": 100.0}
+    bearings = [ross.MagneticBearingElement(n=n, **coils) for n in (0, 6)]
+    return ross.Rotor(shaft, [disc], bearings)
+
+
+@pytest.mark.filterwarnings("ignore:the matrix subclass:PendingDeprecationWarning")  # of ROSS
+def test_a_rotor_with_magnetic_bearings_is_the_plant_of_its_controller():
+    machine = magnetic_rotor()
+    element = machine.bearing_elements[0]
+    name, currents = element.tag, [(element.tag, "x"), (element.tag, np.pi / 2), (6, "y")]
+    structure = gbid.from_ross(machine, sensors=SENSORS, actuators=currents, speed_rpm=3000, modes=28)
+    starts = {parameter.name: parameter.start for parameter in structure.parameters}
+    end = name.replace(" ", "_")
+    assert set(starts) == {f"{k}_{e.tag.replace(' ', '_')}" for k in ("k_s", "k_i") for e in machine.bearing_elements}
+    assert starts[f"k_s_{end}"] == pytest.approx(-element.ks)
+    assert starts[f"k_i_{end}"] == pytest.approx(element.ki)
+    model = evaluate(structure, starts)
+    # the whole rotor: free shaft and disc with negative springs at both nodes, written here without gbid
+    omega, per = 100 * np.pi, machine.number_dof
+    keep = [i for i in range(machine.ndof) if i % per in (0, 1, 3, 4)]
+    K, M, C = machine.K(omega), machine.M(omega), machine.C(omega) + omega * machine.G()
+    for e in machine.bearing_elements:
+        dofs = [per * e.n, per * e.n + 1]
+        K[np.ix_(dofs, dofs)] += float(e.ks) * EYE - np.asarray(e.K(omega), float)[:2, :2]
+        C[np.ix_(dofs, dofs)] -= np.asarray(e.C(omega), float)[:2, :2]
+    K, M, C = (matrix[np.ix_(keep, keep)] for matrix in (K, M, C))
+    places = np.zeros((len(K), 3))
+    places[keep.index(0), 0] = places[keep.index(1), 1] = float(element.ki)
+    places[keep.index(6 * per + 1), 2] = 1.0
+    rows = [keep.index(per * node + "xy".index(axis)) for node, axis in SENSORS]
+    for hz in (0.0, 20.0, 150.0):
+        s = 2j * np.pi * hz
+        expected = np.linalg.solve(M * s**2 + C * s + K, places)[rows]
+        np.testing.assert_allclose(
+            model.frequency_response([hz])[0], expected, rtol=1e-5, atol=1e-9 * np.abs(expected).max()
+        )
+    assert (model.poles().real > 1).sum() == 4  # unstable without the controller
+    with pytest.raises(UsageError, match="'left' is no magnetic bearing among the unknown ones; there is"):
+        gbid.from_ross(machine, sensors=SENSORS, actuators=[("left", "x")])
