@@ -88,10 +88,11 @@ def test_at_all_points_the_intervals_hold(order, hold):
     assert shifted <= (1.2 if hold == 100 else 2.0)
 
 
-def test_the_joint_fit_has_no_such_bias():
-    results = [gbid.fit(gbid.Plant(), recording(POINTS[seed], seed)) for seed in (0, 7, 14)]
+@pytest.mark.parametrize("seeds", [(0,), pytest.param((0, 7, 14), marks=pytest.mark.slow)])
+def test_the_joint_fit_has_no_such_bias(seeds):
+    results = [gbid.fit(gbid.Plant(), recording(POINTS[seed], seed)) for seed in seeds]
     assert all(result.success and result.hold_shift is None and codes(result) <= {"GB119"} for result in results)
-    assert rms([off(result, truth_at(POINTS[seed])) for result, seed in zip(results, (0, 7, 14), strict=True)]) <= 1.2
+    assert rms([off(result, truth_at(POINTS[seed])) for result, seed in zip(results, seeds, strict=True)]) <= 1.2
 
 
 @pytest.mark.parametrize("structure", [gbid.RotorBearing(), gbid.RotorBearing(pade_order=1)])
@@ -158,14 +159,15 @@ def test_without_noise_there_is_no_colour_to_tell():
     assert codes(result) == {"GB108"}
 
 
-def test_clean_fits_are_hardly_ever_called_biased():
+@pytest.mark.parametrize(("count", "most"), [(15, 0), pytest.param(50, 1, marks=pytest.mark.slow)])
+def test_clean_fits_are_hardly_ever_called_biased(count, most):
     """One in a thousand by chance."""
     told = 0
-    for seed in range(50):
+    for seed in range(count):
         u, y = second_mode(400, seed, 0.0)
         noise = 0.2 * y.std() * np.random.default_rng(2000 + seed).standard_normal(y.shape)
         told += "GB123" in codes(gbid.fit(MODE, gbid.Recording({"u": u, "y": y + noise}, H), focus="simulation"))
-    assert told <= 1
+    assert told <= most
 
 
 def test_a_controller_without_delay_is_no_structure_left_out():

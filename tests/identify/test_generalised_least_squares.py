@@ -61,10 +61,12 @@ def distances(result, truth):
 # ---- Estimates.
 
 
-def test_with_noise_at_the_mode_intervals_are_honest_and_narrower():
+@pytest.mark.parametrize(("count", "coverage"), [(4, 0.66), pytest.param(15, 0.85, marks=pytest.mark.slow)])
+def test_with_noise_at_the_mode_intervals_are_honest_and_narrower(count, coverage):
+    """Of ``3 count`` intervals, three standard deviations below 95 % may miss the truth."""
     structure, truth, recording = oscillator((0.99 * np.exp(0.3j), 0.99 * np.exp(-0.3j)), damping=0.05)
     off, z, narrower, noted = {"white": [], "ar": []}, [], [], 0
-    for seed in range(15):
+    for seed in range(count):
         data = recording(seed, 1800, 1.0)
         fits = {kind: gbid.fit(structure, data, focus="simulation", errors=kind) for kind in off}
         assert fits["ar"].success
@@ -75,10 +77,10 @@ def test_with_noise_at_the_mode_intervals_are_honest_and_narrower():
             off[kind].append([result.parameters[name] - value for name, value in truth.items()])
         z.append(distances(fits["ar"], truth))
     white, ar = (np.sqrt((np.array(off[kind]) ** 2).mean(axis=0)) for kind in ("white", "ar"))
-    assert (np.abs(z) < 1.96).mean() > 0.85  # 45 intervals: three standard deviations below 95 %
+    assert (np.abs(z) < 1.96).mean() > coverage
     assert np.exp(np.log(ar / white).mean()) < 0.75
     assert np.median(narrower) < 0.75
-    assert noted == 15  # the fit with errors="white" says so
+    assert noted == count  # the fit with errors="white" says so
 
 
 def test_white_errors_have_no_lags_and_the_estimates_of_least_squares():
