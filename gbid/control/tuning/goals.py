@@ -465,8 +465,8 @@ def recorded_disturbance(
 
 # ---- Goals on the rms of position and reference under a measured disturbance (an H2 norm).
 
-_LINES = 384
-"""Number of frequencies at which a response is computed."""
+_BANDS = 384
+"""Number of bands of frequency over which a response is integrated."""
 _LOW = 1e-3
 """Share of the highest frequency below which intervals are no longer in proportion to the frequency."""
 
@@ -500,17 +500,17 @@ class RmsGoal(Wanted):
                 f"{type(self).__name__}: the disturbance has {given.density.shape[1]} channels, the plant "
                 f"{len(plant.C)} outputs"
             )
-        hz, power = _lines(given)
+        edges, power = _bands(given)
 
         def rms(family: LoopFamily, gains: FloatArray) -> FloatArray:
             loops = family.matrices(gains)
             system = Eigensystem.of(loops.A)
             rows = slice(family.n_outputs, None) if self.control else slice(0, family.n_outputs)
             T = family.sample_time
-            below = hz < (np.inf if T is None else 0.499 / T)
-            w = searched_frequencies(2 * np.pi * hz[below], T)
-            M = ModalResponse(loops, system, rows)(np.tile(w, (len(family), 1)))
-            squares = np.einsum("mkij,kjl,mkil->m", M, power[below], M.conj(), optimize=True).real
+            below = edges < (np.inf if T is None else 0.499 / T)
+            w = searched_frequencies(2 * np.pi * edges[below], T)
+            products = ModalResponse(loops, system, rows).mean_products(w)
+            squares = np.einsum("kjl,mkjl->m", power[: len(w) - 1], products).real
             return np.asarray(np.sqrt(np.maximum(squares, 1e-300)))
 
         return ExtraLimit(f"rms of {self.label}", rms, self.limit_m / self.weight)
@@ -544,11 +544,11 @@ class RmsControl(RmsGoal):
     label = "r"
 
 
-def _lines(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
-    """Return the middles of `_LINES` intervals [Hz] and the power in each (k, n, n).
+def _bands(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
+    """Return the edges of `_BANDS` bands [Hz] and the power in each (k, n, n).
 
-    They are narrow where there is much power, and in proportion to the frequency, as resonances are. They do not follow
-    the resonances of a loop: the rms would not be a smooth function of the gains.
+    They are narrow where there is much power, and in proportion to the frequency: within a band the density counts as
+    constant. They do not follow the resonances of a loop, which are integrated exactly within a band.
     """
     f = given.frequency_hz
     fine = np.union1d(f, np.concatenate([np.linspace(f[0], f[-1], 400), np.geomspace(_LOW * f[-1], f[-1], 1200)]))
@@ -559,8 +559,8 @@ def _lines(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
     power, pitch = np.einsum("kii->k", below).real, np.log(np.maximum(fine, _LOW * f[-1]))
     parts = [power, pitch - pitch[0], fine - fine[0]]
     share = sum(part / max(float(part[-1]), 1e-300) * weight for part, weight in zip(parts, (2, 3, 1), strict=True))
-    nodes = np.interp(np.linspace(0.0, share[-1], _LINES + 1), share, fine)
-    return (nodes[1:] + nodes[:-1]) / 2, np.diff(_between(nodes, fine, below), axis=0)
+    nodes = np.interp(np.linspace(0.0, share[-1], _BANDS + 1), share, fine)
+    return nodes, np.diff(_between(nodes, fine, below), axis=0)
 
 
 def _between(hz: FloatArray, known: FloatArray, values: ComplexArray) -> ComplexArray:

@@ -76,6 +76,41 @@ class ModalResponse:
             found[loops == loop] = self._without_modes(int(loop), frequency[loops == loop])
         return found
 
+    def mean_products(self, edges: FloatArray) -> ComplexArray:
+        r"""Return the means of :math:`M^T \bar M` of every loop between neighbours of f + 1 frequencies [rad/s].
+
+        They are exact, however narrow a resonance is: with :math:`M = \sum_a R_a / (j w - \lambda_a) + D`
+
+        .. math:: M^T \bar M = \sum_a \frac{C_a}{j w - \lambda_a} + \Big(\cdot\Big)^H + D^T D, \quad
+                  C_a = R_a^T \Big(D - \sum_b \frac{\bar R_b}{\lambda_a + \bar\lambda_b}\Big),
+
+        whose integrals are logarithms. Loops that have no use of their modes are taken at the middles.
+
+        Parameters
+        ----------
+        edges : (f + 1,) array
+            Rising frequencies [rad/s].
+
+        Returns
+        -------
+        (m, f, n_d, n_d) array
+        """
+        poles, D = self._poles, self._D
+        residues = self._residues.reshape(*poles.shape, *D.shape[1:])
+        poles = np.where(poles.real == 0, poles + _AXIS, poles)
+        sums = poles[:, :, None] + poles.conj()[:, None]
+        inner = D[:, None] - np.einsum("mab,mbil->mail", 1 / np.where(sums == 0, _AXIS, sums), residues.conj())
+        weights = np.einsum("maij,mail->majl", residues, inner)
+        off = 1j * edges[None, :, None] - poles[:, None]
+        means = -1j * np.log(off[:, 1:] / off[:, :-1]) / np.diff(edges)[:, None]
+        half = np.einsum("mfa,majl->mfjl", means, weights)
+        found = half + half.conj().swapaxes(2, 3) + (D.swapaxes(1, 2) @ D)[:, None]
+        loops = np.flatnonzero(self._useless)
+        if len(loops):
+            M = self(np.tile((edges[1:] + edges[:-1]) / 2, (len(loops), 1)), loops)
+            found[loops] = np.einsum("mfij,mfil->mfjl", M, M.conj())
+        return np.asarray(found)
+
     @cached_property
     def _useless(self) -> BoolArray:
         """Which loops have no use of their modes."""
