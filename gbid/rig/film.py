@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.special import j1
 
 from gbid.core.arrays import FloatArray, frequencies_and_dampings, one_blas_thread
 from gbid.core.compiled import load_library
@@ -93,6 +94,11 @@ class GasFilm:
         """Radius of the bearing [m]."""
         return self.diameter_m / 2
 
+    @property
+    def steps(self) -> tuple[float, float]:
+        """Distance of the cells around and along the bearing [m]."""
+        return np.pi * self.diameter_m / self.around, self.length_m / 2 / self.along
+
 
 @dataclass(frozen=True)
 class FilmPoint:
@@ -119,23 +125,7 @@ class FilmPoint:
     @property
     def steps(self) -> tuple[float, float]:
         """Distance of the cells around and along the bearing [m]."""
-        return np.pi * self.film.diameter_m / self.film.around, self.film.length_m / 2 / self.film.along
-
-    @property
-    def links(self) -> tuple[np.ndarray, FloatArray]:
-        """Injector and cell, (n, 2), and the part of the injector's mouth that lies in the cell, (n,)."""
-        (dx, dz), film = self.steps, self.film
-        grid = (np.arange(200) + 0.5) / 100 - 1
-        x, z = (film.orifice_diameter_m / 2 * a.ravel() for a in np.meshgrid(grid, grid))
-        inside = np.hypot(x, z) < film.orifice_diameter_m / 2
-        column = np.round(x[inside] / dx).astype(int)
-        row = np.floor(np.abs(z[inside]) / dz + 0.5).astype(int)
-        quarter, pairs, parts = film.around // 4, [], []
-        for injector, turn in enumerate((1, 0, 3, 2)):  # 2 moves the disc along +x when it closes, 1 along +y
-            cells, counts = np.unique(row * film.around + (column + turn * quarter) % film.around, return_counts=True)
-            pairs += [(injector, cell) for cell in cells]
-            parts += list(counts / counts.sum())
-        return np.array(pairs), np.array(parts)
+        return self.film.steps
 
     def arrays(self, centre: FloatArray, rest: FloatArray) -> tuple[np.ndarray, FloatArray]:
         """Return the constants of the C code.
@@ -154,7 +144,7 @@ class FilmPoint:
         (n,) array
             Numbers in the order of the enum in the C code, then tables.
         """
-        film, (dx, dz), (pairs, parts) = self.film, self.steps, self.links
+        film, (dx, dz), (pairs, parts) = self.film, self.steps, mouths(self.film)
         supply, rt = AMBIENT_PA + 1e5 * self.pressure_bar, GAS_CONSTANT * film.temperature_k
         areas = dx * dz * np.where(pairs[:, 1] < film.around, 0.5, 1.0)
         pocket = np.zeros(film.around * film.along)
@@ -224,6 +214,55 @@ class FilmPoint:
         push = A[2:4, 4:] @ gas[:, 2:]
         delay = np.mod(-np.angle(np.diag(push)), 2 * np.pi) / s.imag
         return film.real, film.imag / s.imag, (push * np.exp(s * delay)).real, delay
+
+
+@lru_cache(maxsize=64)
+def mouths(film: GasFilm) -> tuple[np.ndarray, FloatArray]:
+    r"""Return the cells that the injectors feed, and the part of the flow of each.
+
+    Pressure around a source rises with the logarithm of its size, so one cell of 2.6 mm fed alone is not a mouth of
+    2 mm. The flow is spread over the cells of a disc whose radius gives the mean pressure over the fed cells,
+    :math:`\sum_k |s_k|^2 / \lambda_k`, of the mouth itself, :math:`\sum_k |2 J_1(kR)/(kR)|^2 / k^2`: :math:`s` is the
+    Fourier transform of the parts and :math:`\lambda` of the five-point Laplacian. Cells too coarse for any disc with
+    this pressure (one cell gives less) feed that of the mouth's own radius.
+
+    Returns
+    -------
+    (n, 2) integer array
+        Injector and cell.
+    (n,) array
+        Part of the injector's flow.
+    """
+    from scipy.optimize import brentq  # half a second, which a rig without a film does not need
+
+    (dx, dz), R, (rows, columns) = film.steps, film.orifice_diameter_m / 2, (2 * film.along, film.around)
+    grid = (np.arange(200) + 0.5) / 100 - 1
+    x, z = (a.ravel() for a in np.meshgrid(grid, grid))
+    x, z = (a[np.hypot(x, z) < 1] for a in (x, z))
+    sines = [4 * np.sin(np.pi * np.arange(n) / n) ** 2 / d**2 for n, d in ((rows, dz), (columns, dx))]
+    laplacian = sines[0][:, None] + sines[1]
+    k = np.hypot(*np.meshgrid(*(2 * np.pi / (n * d) * np.arange(-400, 401) for n, d in ((rows, dz), (columns, dx)))))
+    laplacian[0, 0] = k[400, 400] = np.inf  # the mean is not part of it
+    k_R = np.where(np.isfinite(k), k * R, 1.0)
+    mouth = np.sum((2 * j1(k_R) / (k_R * k)) ** 2)
+
+    def cells(radius: float) -> tuple[np.ndarray, np.ndarray]:
+        return np.round(radius * z / dz).astype(int), np.round(radius * x / dx).astype(int)
+
+    def excess(radius: float) -> float:
+        parts = np.zeros((rows, columns))
+        np.add.at(parts, tuple(c % n for c, n in zip(cells(radius), parts.shape, strict=True)), 1 / len(x))
+        return float(np.sum(np.abs(np.fft.fft2(parts)) ** 2 / laplacian) - mouth)
+
+    widest = 0.4 * min(film.length_m, np.pi * film.diameter_m / 4)
+    fits = excess(0.0) > 0 > excess(widest)
+    row, column = cells(brentq(excess, 0.0, widest, xtol=1e-6) if fits else R)
+    quarter, pairs, shares = film.around // 4, [], []
+    for injector, turn in enumerate((1, 0, 3, 2)):  # 2 moves the disc along +x when it closes, 1 along +y
+        fed, counts = np.unique(np.abs(row) * film.around + (column + turn * quarter) % film.around, return_counts=True)
+        pairs += [(injector, cell) for cell in fed]
+        shares += list(counts / counts.sum())
+    return np.array(pairs), np.array(shares)
 
 
 @lru_cache(maxsize=64)
