@@ -14,6 +14,7 @@ import json
 import multiprocessing
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -196,7 +197,11 @@ def _faulty_calls(node: ast.Call, func: ast.expr, args: list[ast.expr], keywords
 # ---- The study.
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("identify", "lpv", "control", "prefilter", "validate")
+PACKAGES = ("structure", "lpv", "control", "prefilter", "validate", "characterise", "rig")
+CITATION = re.compile(r"\bEqs?\. \d|\bTables? (?:\d|A\.5|B\.6)|\bpaper\b|\bSec\. \d")
+"""What the docstring of a function says that stands for a formula of the paper."""
+OTHERS = ("gbid/rig/film.py",)
+"""Files that cite the paper for what they do not take from it."""
 LIBRARIES = (
     *("numpy", "scipy.signal", "scipy.optimize", "scipy.stats"),
     *("casadi", "h5py", "pydantic", "matplotlib.pyplot", "pytest"),
@@ -316,10 +321,28 @@ def _run_selected(tree: Path, cpu_s: int) -> None:
     os._exit(int(code))
 
 
-def sample(number: int, seed: int, packages: Sequence[str]) -> list[Mutant]:
-    """Return mutants drawn from all of the packages with equal chance, each another program."""
+def formulas(path: Path) -> set[str]:
+    """Return the functions and classes of a file whose docstring names the paper, an equation, a table or a section."""
+
+    def named(node: ast.AST, outer: str) -> Iterator[str]:
+        for child in ast.iter_child_nodes(node):
+            name = outer
+            if isinstance(child, ast.FunctionDef | ast.ClassDef):
+                name = f"{outer}.{child.name}".lstrip(".")
+                if CITATION.search(ast.get_docstring(child) or ""):
+                    yield name
+            yield from named(child, name)
+
+    return set(named(ast.parse(path.read_text(encoding="utf-8")), ""))
+
+
+def sample(number: int, seed: int, packages: Sequence[str], everywhere: bool = True) -> list[Mutant]:
+    """Return mutants drawn with equal chance, each another program: of all functions, or of formulas of the paper."""
     files = [path for package in packages for path in sorted((ROOT / "gbid" / package).rglob("*.py"))]
-    drawn = [mutant for path in files for mutant in mutants(path, ROOT)]
+    drawn = []
+    for path in files:
+        cited = formulas(path)
+        drawn += [m for m in mutants(path, ROOT) if everywhere or (m.function in cited and m.file not in OTHERS)]
     random.Random(seed).shuffle(drawn)
     chosen: list[Mutant] = []
     for mutant in drawn:
@@ -370,11 +393,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         __doc__,
         arguments,
         "mutants.json",
-        number=(300, "mutants in the sample"),
+        number=(60, "mutants in the sample"),
         seed=(1, "of the sample"),
         packages=(PACKAGES, "packages of gbid, tested by tests/PACKAGE"),
         jobs=(2, "processes"),
-        budget=(40.0, "time of the tests of one mutant [s]"),
+        everywhere=(False, "faults of all functions, not only of those whose docstring cites the paper"),
+        budget=(20.0, "time of the tests of one mutant [s]"),
         work=(ROOT / "build" / "mutants", "folder of what is measured first"),
     )
     options.work.mkdir(parents=True, exist_ok=True)
@@ -385,7 +409,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in LIBRARIES:  # once, before the forks
         importlib.import_module(name)
     touching = Touching(options.work, options.budget)
-    tasks = [(mutant, touching.tests(mutant)) for mutant in sample(options.number, options.seed, options.packages)]
+    drawn = sample(options.number, options.seed, options.packages, options.everywhere)
+    tasks = [(mutant, touching.tests(mutant)) for mutant in drawn]
     before = stored_run(options.output, [])
     judged = {_key(entry): entry["equivalent"] for entry in before if "equivalent" in entry}
     unharmed = replace(tasks[0][0], start=0, old="", new="")

@@ -208,6 +208,10 @@ HALF_WINDOW_S = 2e-3
 SHORT_S = 0.6e-3
 """Half the length of the window without u and r [s]. The effect of the piezos grows with it, that of an impact does
 not."""
+SHARP = 2 / 3
+"""Smallest median of the change in half the window over that in the window, when u or r is recorded. An impact gives
+1, a contact of 1.5 ms 0.73; what the equation of motion leaves out for longer than the window, as gas does, gives 0.5.
+"""
 _HARMONICS = 6  # of the shaft angle, for run-out and unbalance
 _LAGS = (-2, 0, 2, 4, 6, 8)  # delays of the piezos in samples
 _EVERY = 3  # every third sample in motion is used for the regression
@@ -231,6 +235,7 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
     regressed on the integrals of p, of u (or r) at several delays, of a cubic film, and on the harmonics of the shaft
     angle. The residual is projected inwards and evaluated beyond 0.7 of the largest radius. Residuals above six robust
     standard deviations are impacts, when there are at least two and when no outward residual nearby is almost as large.
+    With u or r, most of them must be as large in half the window: an error of the equation that lasts gives half.
     Single wrong samples are removed before by a median of three. Times with a measured impact force are left out.
     Where speed or pressure are recorded and change, the equation is another one on the way: each 0.25 s have their own.
     """
@@ -240,16 +245,9 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
         return
     p = _median_of_three(rec.signal("p"))
     p = p - p.mean(axis=0)
-    k = np.arange(half - 1, rec.n_samples - half + 1)
-    weighted, basis = _weak_form(rec, p, half)
-    sound = (k >= max(_LAGS) + half) & (k < rec.n_samples - half + min(_LAGS)) & ~_struck(rec, half)[k]
-    k, weighted, basis = k[sound], weighted[sound], basis[sound]
+    k, residual, sigma = _unexplained(rec, p, half)
     if len(k) < _MIN_SAMPLES // 2:
         return
-    residual, sigma = np.empty_like(weighted), np.empty(len(k))
-    for part in _parts(rec, k):
-        some = _in_motion(weighted[part])[::_EVERY]
-        residual[part], sigma[part] = _robust_residual(weighted[part], basis[part], some)
     speed = float(np.sqrt(np.mean(np.sum(np.diff(p, axis=0) ** 2, axis=1))))
     limit = np.maximum(SIGMAS * sigma, LEAST * speed)
     radius = np.hypot(*p[k].T)
@@ -259,7 +257,7 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
     outward = inward[_apart(at, at[inward > limit], 2 * half)].min(initial=0.0)
     hit = at[inward > np.maximum(limit, -OVER_OUTWARD * outward)]
     impacts = np.split(hit, np.flatnonzero(np.diff(hit) > 2 * half) + 1) if hit.size else []
-    if len(impacts) < MIN_IMPACTS:
+    if len(impacts) < MIN_IMPACTS or (known and not _sharp(rec, p, half, dict(zip(at, inward, strict=True)), impacts)):
         return
     reached = np.hypot(*p[hit].T)
     size = float((inward / np.maximum(sigma, 1e-300)).max())
@@ -270,6 +268,38 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
         "lower the excitation and record again, or cut that part away."
     )
     yield SignalProblem("p", "", "rub", text)
+
+
+def _unexplained(rec: Recording, p: FloatArray, half: int) -> tuple[npt.NDArray[np.int_], FloatArray, FloatArray]:
+    """Return samples, the changes of velocity that the equation of motion leaves, (n, 2), and their deviation, (n,)."""
+    k = np.arange(half - 1, rec.n_samples - half + 1)
+    weighted, basis = _weak_form(rec, p, half)
+    sound = (k >= max(_LAGS) + half) & (k < rec.n_samples - half + min(_LAGS)) & ~_struck(rec, half)[k]
+    k, weighted, basis = k[sound], weighted[sound], basis[sound]
+    residual, sigma = np.empty_like(weighted), np.empty(len(k))
+    for part in _parts(rec, k) if len(k) >= _MIN_SAMPLES // 2 else ():
+        some = _in_motion(weighted[part])[::_EVERY]
+        residual[part], sigma[part] = _robust_residual(weighted[part], basis[part], some)
+    return k, residual, sigma
+
+
+def _sharp(
+    rec: Recording,
+    p: FloatArray,
+    half: int,
+    inward: dict[int, float],
+    impacts: Sequence[npt.NDArray[np.int_]],
+) -> bool:
+    """Return whether most impacts, by the samples of each, change the velocity as much within half the window."""
+    short = max(3, half // 2)
+    k, residual, _ = _unexplained(rec, p, short)
+    within = -np.sum(p[k] * residual, axis=1) / np.hypot(*p[k].T)
+    shares = []
+    for samples in impacts:
+        largest = max(samples, key=lambda sample: inward[sample])
+        near = np.abs(k - largest) <= short // 2
+        shares.append(within[near].max(initial=0.0) / inward[largest])
+    return float(np.median(shares)) >= SHARP
 
 
 def _parts(rec: Recording, k: npt.NDArray[np.int_]) -> list[slice]:

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import gbid
 from gbid.control import HalfSine, close_loop, exact_plant, force_entry, impact_response, p_controller
+from gbid.control.impact.half_sine import force_response
 from gbid.core.errors import UsageError
 from gbid.structure import LinearModel, PiezoPair, evaluate
 
@@ -124,3 +125,12 @@ def test_force_entry_finds_the_velocities() -> None:
 def test_bad_input(make: object, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         make()  # type: ignore[operator]
+
+
+def test_a_loop_on_its_limit_has_no_response_to_compare_with() -> None:
+    """A free mass, p'' = f: its eigenvalues are one exactly."""
+    free = LinearModel(
+        np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 4))]]), np.zeros((4, 2)), np.eye(2, 4), np.zeros((2, 2))
+    )
+    with pytest.raises(UsageError, match="unstable"):
+        force_response(free, None, (), 10, 2e-4, entry=np.eye(4)[:, 2:])

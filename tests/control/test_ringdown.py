@@ -12,7 +12,7 @@ from scipy.stats import binom
 import gbid
 from gbid.control import find_impacts
 from gbid.control.impact.measured import pulse_forcing, pulses_of
-from gbid.control.impact.ringdown import covariance_of_sum
+from gbid.control.impact.ringdown import RingProblem, covariance_of_sum
 from gbid.core.errors import DataError, UsageError
 
 H = 2e-4
@@ -95,6 +95,15 @@ def test_known_modes_without_noise() -> None:
 def test_one_impact_tells_both_modes_where_they_are_coupled() -> None:
     found = gbid.fit_ringdown(recording(axis=0, starts=(0.1,)))
     assert (np.abs(values(found) - TRUE) < 4 * np.sqrt(np.diag(found.covariance))).all()
+
+
+def test_skipped_time_changes_the_samples_that_are_fitted() -> None:
+    """What is wrong in the first 5 ms after an impact does not count with 6 ms skipped."""
+    rec = recording(axis=0, starts=(0.1,), noise=0.0, noise_f=0.0)
+    p = rec.signal("p").copy()
+    p[512:535] += np.linspace(2e-5, 0.0, 23)[:, None]  # the pulse ends at sample 510
+    skipped = gbid.fit_ringdown(rec.with_signals(p=p), lags=0, skip_s=6e-3)
+    np.testing.assert_allclose(values(skipped), TRUE, rtol=1e-6)
 
 
 @pytest.mark.parametrize("seeds", [8, pytest.param(40, marks=pytest.mark.slow)])
@@ -225,3 +234,19 @@ def test_bad_arguments(options, text: str) -> None:
         gbid.fit_ringdown(recording(), **options)
     with pytest.raises(UsageError, match="no recording given"):
         gbid.fit_ringdown([])
+
+
+def test_an_overflow_on_the_way_to_the_weighted_fit_is_no_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop that rings in no two modes ended in a ValueError of scipy; the fit of equal weights is told of."""
+
+    def overflows(self: RingProblem, theta: np.ndarray) -> None:
+        raise ValueError("array must not contain infs or NaNs")
+
+    def fit(self: RingProblem, theta: np.ndarray) -> object:
+        return solve(self, theta) if np.ptp(self.weights) == 0 else overflows(self, theta)
+
+    solve = RingProblem.solve
+    monkeypatch.setattr(RingProblem, "solve", fit)
+    found = gbid.fit_ringdown(recording(axis=0, starts=(0.1,)), lags=0)
+    assert not found.success
+    assert "overflows" in " ".join(found.notes)

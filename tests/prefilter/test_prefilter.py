@@ -157,6 +157,7 @@ def test_report_says_what_was_taken_out_and_raw_data_can_be_rebuilt():
     share = 1 - NOISE**2 / raw.signal("p").var(axis=0)
     np.testing.assert_allclose(report.runout_share, share, atol=1e-4)
     assert "run-out map (harmonics) of still" in filtered.provenance["prefilter"]
+    assert "means of r, u, p removed" in filtered.provenance["prefilter"]
     assert raw.provenance == {}
 
 

@@ -112,6 +112,7 @@ def test_each_number_moves_its_own_quantity_by_half_its_deviation() -> None:
 
 def test_the_scatter_is_that_of_the_papers_recordings() -> None:
     paper = Scatter()
+    assert (paper.share, paper.minimum_damping, paper.minimum_delay_s) == (0.5, 0.01, 2e-5)  # as the docs say
     stated = (*paper.delay_s, *paper.frequency_hz, *paper.damping, *paper.static_gain)
     assert stated == tuple(PUBLISHED_RMS.values())
 

@@ -20,6 +20,7 @@ from gbid.structure import (
     evaluate,
     load_structure,
     pade_delay,
+    scheduled,
     symbolic_matrices,
 )
 
@@ -322,3 +323,29 @@ def test_load_structure_refuses(folder, reference, text):
     with pytest.raises(UsageError, match=text) as caught:
         load_structure(reference, folder)
     assert "\n" not in str(caught.value)
+
+
+def test_unbalance_is_a_rotating_acceleration_of_the_disc():
+    """B of (cos phi, sin phi) is [[c, -s], [s, c]] in the rows of the velocities; these inputs have no delay."""
+    structure = RotorBearing(unbalance=True)
+    values = {parameter.name: 1.0 + k for k, parameter in enumerate(structure.parameters)}
+    parts = structure.matrices(values)
+    B, B_delayed, D, delay = (np.array(ca.evalf(parts[key])) for key in ("B", "B_delayed", "D", "delay"))
+    c, s = values["e_cos"], values["e_sin"]
+    assert np.array_equal(B, np.block([[np.zeros((2, 4))], [np.zeros((2, 2)), np.array([[c, -s], [s, c]])]]))
+    assert B_delayed.shape == (4, 4)
+    assert not B_delayed[:, 2:].any()
+    assert not D.any()
+    assert D.shape == (2, 4)
+    assert delay.ravel().tolist() == [values["tau_x"], values["tau_y"], 0.0, 0.0]
+
+
+def test_a_schedule_has_the_key_parameters_or_those_that_start_off_zero():
+    assert scheduled(RotorBearing(), "pressure_bar").scheduling == ("pressure_bar",)
+    assert scheduled(RotorBearing(), ("pressure_bar", "speed_rpm")).surfaces == KEY_PARAMETERS
+    free = [Parameter("a", 1.0), Parameter("e", 0.0)]
+    lag = LinearStructure("lag", free, lambda p: {"A": [[p.e - p.a]], "B": [[1]], "C": [[1]]}, "u", "y")
+    assert scheduled(lag, "speed_rpm").surfaces == ("a",)
+    for wrong in ((), ("speed_rpm", "speed_rpm")):
+        with pytest.raises(UsageError, match="each variable once"):
+            scheduled(lag, wrong)

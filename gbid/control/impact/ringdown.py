@@ -380,6 +380,11 @@ class RingProblem:
             return self.solve(theta)
         return None
 
+    def go_on(self, first: SeparableFit) -> SeparableFit:
+        """Return the fit from the parameters of another one; that one, not converged, when a response overflows."""
+        again = self.try_solve(first.theta)
+        return replace(first, converged=False, message="a response overflows") if again is None else again
+
     def _alive(self, theta: FloatArray) -> int:
         """Return the number of samples until the slowest free response is below 1e-6 of its start."""
         slowest = self.scale.rate * float(-np.linalg.eigvals(self.scale.matrix(theta)).real.max())
@@ -893,7 +898,7 @@ def fit_ringdown(
     rms = solved.channel_rms
     if (rms > 0).all():  # the noise of the channels differs: fit again with weights from the residuals
         weights = float(np.sqrt(np.mean(rms**2))) / rms
-        solved = replace(solved.problem, weights=weights).solve(solved.theta)
+        solved = replace(solved.problem, weights=weights).go_on(solved)
     return _result(solved, group, unit, impacts, max(counts))
 
 
