@@ -88,7 +88,7 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 	$(BIN)/python -m benchmarks.campaign_speed --output docs/campaign-speed.json
 	$(BIN)/python -m benchmarks.campaign_bill --output docs/campaign-bill.json
 
-mutants: $(VENV)/.installed-test  ## put 300 small faults into the source, one at a time, and count those that the tests notice
+mutants: $(VENV)/.installed-test  ## put 60 small faults into the formulas of the paper, one at a time, and count those that the tests notice
 	$(BIN)/python -m pip install --quiet --editable '.[test,mutants]'
 	$(BIN)/python -m benchmarks.mutants
 

@@ -394,7 +394,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments,
         "mutants.json",
         number=(60, "mutants in the sample"),
-        seed=(1, "of the sample"),
+        seed=(30, "of the sample"),
         packages=(PACKAGES, "packages of gbid, tested by tests/PACKAGE"),
         jobs=(2, "processes"),
         everywhere=(False, "faults of all functions, not only of those whose docstring cites the paper"),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import is_another_program, mutants, summary, verdict
+from benchmarks.mutants import formulas, is_another_program, mutants, summary, verdict
 
 SOURCE = '''"""Words."""
 
@@ -58,3 +58,11 @@ def test_the_share_leaves_equivalent_faults_out() -> None:
     entries += [{"file": "gbid/lpv/model.py", "outcome": "survived", "equivalent": "only the speed"}]
     assert [verdict(e) for e in entries] == ["killed", "killed", "survived", "equivalent"]
     assert summary(entries).splitlines()[-1] == "| all | 4 | 2 | 1 | 1 | 66.7 % |"
+
+
+def test_formulas_are_functions_that_cite_the_paper(tmp_path):
+    text = '"""Eq. 1 of the paper."""\n\n\ndef cited():\n    """Return Eq. 12."""\n\n\ndef other():\n    """Words."""\n'
+    text += '\n\nclass Pair:\n    """Words."""\n\n    def gain(self):\n        """Return the gain (paper, Sec. 3.3)."""\n'
+    path = tmp_path / "a.py"
+    path.write_text(text, encoding="utf-8")
+    assert formulas(path) == {"cited", "Pair.gain"}
