@@ -62,7 +62,7 @@ def test_the_share_leaves_equivalent_faults_out() -> None:
 
 def test_formulas_are_functions_that_cite_the_paper(tmp_path):
     text = '"""Eq. 1 of the paper."""\n\n\ndef cited():\n    """Return Eq. 12."""\n\n\ndef other():\n    """Words."""\n'
-    text += '\n\nclass Pair:\n    """Words."""\n\n    def gain(self):\n        """Return the gain (paper, Sec. 3.3)."""\n'
+    text += '\n\nclass Pair:\n    """Words."""\n\n    def gain(self):\n        """Gain (paper, Sec. 3.3)."""\n'
     path = tmp_path / "a.py"
     path.write_text(text, encoding="utf-8")
     assert formulas(path) == {"cited", "Pair.gain"}
