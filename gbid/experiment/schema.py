@@ -272,6 +272,7 @@ class ColumnsSection(Section):
     unit: str | None = None
     stored_unit: str | None = None
     channels: Names | None = None
+    hold: Switch = False
     rests_at_limits: Switch = False
 
 
@@ -288,6 +289,7 @@ class FileSection(Section):
     from_s: NotNegative | None = None
     to_s: Positive | None = None
     piece: Count | None = None
+    gaps: Literal["pieces", "missing"] | None = None
     encoding: Text | None = None
     decimal: Literal[".", ","] | None = None
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None

@@ -11,6 +11,7 @@ import numpy as np
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.errors import DataError
 from gbid.recording import Recording
+from gbid.recording.recording import without_gaps
 
 
 class Channels(NamedTuple):
@@ -34,12 +35,16 @@ class Record:
         Outputs in SI units.
     conditions : dict of str to float
         Operating point of the recording.
+    missing : (n_samples, n_outputs) boolean array or None
+        Outputs that are missing; None when none is. In their place `outputs` has straight lines between neighbours,
+        which only start values and scales use.
     """
 
     name: str
     inputs: FloatArray
     outputs: FloatArray
     conditions: Mapping[str, float] = field(default_factory=dict)
+    missing: BoolArray | None = None
 
     @property
     def n_samples(self) -> int:
@@ -75,7 +80,9 @@ class FitData:
         return sum(record.n_samples for record in self.records)
 
 
-def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list[str], list[str]]:
+def select(
+    recording: Recording, names: Sequence[str], *, gaps: bool = False
+) -> tuple[FloatArray, list[str], list[str]]:
     """Return signals or single channels of a recording as columns of one array.
 
     Parameters
@@ -84,6 +91,8 @@ def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list
         The recording.
     names : sequence of str
         Signals (``"p"``: all channels) or channels (``"p.x"``). A signal with exactly this name comes first.
+    gaps : bool
+        Whether samples may be missing (NaN).
 
     Returns
     -------
@@ -104,7 +113,7 @@ def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list
     units: list[str] = []
     for name in names:
         signal, channel = _meant(recording, name)
-        values, channels = recording.signal(signal), recording.channels[signal]
+        values, channels = recording.signal(signal, gaps=gaps), recording.channels[signal]
         if channel and channel not in channels:
             raise DataError(
                 f"recording {recording.name!r}: signal {signal!r} has no channel {channel!r}; "
@@ -126,7 +135,7 @@ def _meant(recording: Recording, name: str) -> tuple[str, str]:
 
 
 def same_columns(
-    recordings: Sequence[Recording], names: Sequence[str]
+    recordings: Sequence[Recording], names: Sequence[str], *, gaps: bool = False
 ) -> tuple[list[FloatArray], list[str], list[str]]:
     """Return signals or channels of several recordings as columns, and names and units of the channels, as `select`.
 
@@ -137,7 +146,7 @@ def same_columns(
     """
     if not recordings:
         raise DataError("no recordings; give at least one")
-    first, (_, labels, units) = recordings[0], select(recordings[0], names)
+    first, (_, labels, units) = recordings[0], select(recordings[0], names, gaps=gaps)
     columns = []
     for recording in recordings:
         if not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
@@ -145,7 +154,7 @@ def same_columns(
                 f"recordings {first.name!r} and {recording.name!r} have different sample times: "
                 f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one, or use them separately"
             )
-        values, others, _ = select(recording, names)
+        values, others, _ = select(recording, names, gaps=gaps)
         if others != labels:
             raise DataError(
                 f"recordings {first.name!r} and {recording.name!r} have different channels, {', '.join(labels)} and "
@@ -155,7 +164,9 @@ def same_columns(
     return columns, labels, units
 
 
-def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequence[str], minimum: int) -> FitData:
+def gather(
+    recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequence[str], minimum: int, *, gaps: bool = False
+) -> FitData:
     """Return the data of a fit from recordings, after checks.
 
     Parameters
@@ -166,6 +177,8 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
         Signals or channels.
     minimum : int
         Smallest number of samples of a record.
+    gaps : bool
+        Whether outputs may be missing (NaN).
 
     Returns
     -------
@@ -179,13 +192,14 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
         An input may be constant or zero: see `gbid.identify.problem.states`.
     """
     u, input_names, _ = same_columns(recordings, inputs)
-    y, output_names, output_units = same_columns(recordings, outputs)
+    y, output_names, output_units = same_columns(recordings, outputs, gaps=gaps)
     records = []
     for recording, u_columns, y_columns in zip(recordings, u, y, strict=True):
         if recording.n_samples < minimum:
             raise DataError(
                 f"recording {recording.name!r} has {recording.n_samples} samples; this fit needs at least {minimum}"
             )
+        y_columns, missing = without_gaps(y_columns)
         for label in np.array(output_names)[~moves(y_columns)].tolist():
             value = y_columns[0, output_names.index(label)]
             raise DataError(
@@ -193,7 +207,7 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
                 "constant: is the sensor connected"
             )
         arrays = np.ascontiguousarray(u_columns), np.ascontiguousarray(y_columns)
-        records.append(Record(recording.name, *arrays, recording.conditions))
+        records.append(Record(recording.name, *arrays, recording.conditions, missing))
     names = tuple(input_names), tuple(output_names), tuple(output_units)
     return FitData(tuple(records), recordings[0].sample_time, *names)
 

@@ -13,7 +13,7 @@ from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.notes import FitNote
 from gbid.discretise import check_holds
 from gbid.identify.bias import Bias, bias_of
-from gbid.identify.data import FitData, column_means
+from gbid.identify.data import FitData, Record, column_means
 from gbid.identify.data_notes import data_notes
 from gbid.identify.options import DRAWS, SettledOptions
 from gbid.identify.pose import Optimum
@@ -186,11 +186,11 @@ def _residuals(optimum: Optimum) -> _Residuals:
     theta, starts = shooting.unpack(solution.unknowns)
     every = shooting.by_record(shooting.errors(shooting.values(theta), starts), windows)
     used = shooting.by_record([part.blocks.used[:, :, None] for part in shooting.parts], windows)
-    outputs = [r.outputs.compress(rows[:, 0] > 0, axis=0) for r, rows in zip(data.records, used, strict=True)]
-    squares = np.asarray(sum(e.T @ e for e in every))
+    outputs = [_counted_outputs(r, rows[:, 0] > 0) for r, rows in zip(data.records, used, strict=True)]
+    squares = np.asarray(sum(e.T @ e for e in every) + shooting.absent)
     weighted = shooting if optimum.reweighted is None else optimum.reweighted.problem
     errors = weighted.errors(weighted.values(theta), starts)
-    products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in errors))
+    products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in errors) + weighted.absent)
     by_record = weighted.by_record(errors, windows)
     estimate = Estimate(weighted, theta, starts, windows, problem.task.states.in_shooting(weighted.n_states))
     if optimum.weighted is not None:
@@ -199,6 +199,7 @@ def _residuals(optimum: Optimum) -> _Residuals:
         by_record = [record.errors for record in filtered_records(estimate)]
         products = np.asarray(sum(e.T @ e for e in by_record))
     finite = bool(np.isfinite(products).all() and np.isfinite(theta).all())
+    worse = finite and optimum.weighted is None and explains_nothing(weighted, squares - shooting.absent, outputs)
     return _Residuals(
         estimate=estimate,
         by_record=by_record,
@@ -207,7 +208,7 @@ def _residuals(optimum: Optimum) -> _Residuals:
         fit_percent=_fit_percent(every, outputs),
         whiteness=whiteness_test(by_record),
         finite=finite,
-        worse_than_constant=finite and optimum.weighted is None and explains_nothing(weighted, squares, outputs),
+        worse_than_constant=worse,
         noisy=np.diag(squares) > weighted.floors,
     )
 
@@ -357,10 +358,11 @@ def _scores(optimum: Optimum, residuals: _Residuals) -> _Scores:
     if optimum.weighted is not None:  # likelihood and coefficients of the models of the errors
         log_det = -2 * optimum.weighted.log_likelihood / n - per_sample
         k += sum(f.model.coefficients.size for f in optimum.weighted.filters)
+    for_gaps = sum(gains.spread for part in estimate.problem.parts for gains in part.blocks.gains)
     return _Scores(
         loss=float(np.trace(mean_square) if estimate.problem.criterion == "trace" else np.linalg.det(mean_square)),
-        log_likelihood=-0.5 * n * (log_det + per_sample),
-        aic=n * log_det + 2 * k,
+        log_likelihood=-0.5 * (n * (log_det + per_sample) + for_gaps),
+        aic=n * log_det + for_gaps + 2 * k,
         fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
     )
 
@@ -457,6 +459,14 @@ def _with_equal_poles(optimum: Optimum, theta: FloatArray, spread: Covariance) -
                 )
             )
     return spread, notes
+
+
+def _counted_outputs(record: Record, counted: BoolArray) -> FloatArray:
+    """Return the outputs of the samples that count, with their mean where they are missing."""
+    if record.missing is None:
+        return record.outputs.compress(counted, axis=0)
+    measured = np.where(record.missing, np.nan, record.outputs)[counted]
+    return np.where(np.isnan(measured), np.nanmean(measured, axis=0), measured)
 
 
 def _fit_percent(errors: list[FloatArray], outputs: list[FloatArray]) -> FloatArray:

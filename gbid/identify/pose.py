@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -16,7 +16,9 @@ from gbid.identify.data import FitData, gather
 from gbid.identify.disturbances import Disturbances, disturbances_of
 from gbid.identify.frequency_data import FrequencyData, check_linear
 from gbid.identify.generalised_least_squares import WeightedErrors, WeightedProblem, weighted_solution
+from gbid.identify.kernel.gaps import with_kalman_gains
 from gbid.identify.options import FitArguments
+from gbid.identify.predictor import Predictor
 from gbid.identify.problem.assemble import (
     Assembly,
     assemble,
@@ -27,7 +29,7 @@ from gbid.identify.problem.assemble import (
 )
 from gbid.identify.problem.hessian import in_one_window, in_windows, neighbours, passed_on, simulated, starts_from
 from gbid.identify.problem.integration import AIM, ROUNDS, TOLERATED, integrated_finely
-from gbid.identify.problem.nlp import Shooting
+from gbid.identify.problem.nlp import RecordGroup, Shooting
 from gbid.identify.problem.solve import Solution, gauss_newton_step, in_standard_deviations, solve
 from gbid.identify.problem.states import (
     InitialStates,
@@ -224,7 +226,7 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
     hold = structure.intersample if options.intersample is None else options.intersample
     from_data = options.start == "data"
     parameters = with_options(structure.parameters, options)
-    data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10)
+    data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10, gaps=True)
     options = replace(options, inputs=inputs, outputs=outputs)
     stated, structure = structure, equations_of(structure)
     scheduled = kind_of(structure).scheduled
@@ -348,6 +350,8 @@ def minimise(problem: PosedProblem) -> Optimum:
         shooting, solution, shift = integrated_finely(problem.shooting, solution, box, run)
     if kind_of(task.structure).nonlinear:
         solution = _without_gaps(shooting, np.clip(problem.unknowns, *box), solution, first)
+    if solution.status.success:
+        shooting, solution = _with_kalman_gains(shooting, solution, run)
     reweighted = weighted = None
     if task.loss is not None and solution.status.success:
         reweighted, solution = reweighted_solution(shooting, solution, task.loss, run)
@@ -358,6 +362,53 @@ def minimise(problem: PosedProblem) -> Optimum:
         weighted, solution = weighted_solution(weighting, solution, np.clip(problem.unknowns, *box))
         notes = (*notes, *weighted.notes)
     return Optimum(problem, shooting, solution, shift, reweighted, weighted, notes)
+
+
+# ---- Missing outputs: gains and variances after gaps, in rounds.
+
+_GAIN_ROUNDS = 60
+_SETTLED = 1e-3  # largest relative change of the covariance of the innovations: that of its own estimate is far larger
+_AT_REST = 0.01  # largest step of a round in standard deviations: no digit of an interval depends on less
+
+
+def _with_kalman_gains(
+    shooting: Shooting, solution: Solution, run: Callable[[FloatArray, Shooting], Solution]
+) -> tuple[Shooting, Solution]:
+    """Return problem and solution with the gains of the Kalman filter of the estimates after each gap.
+
+    Each round takes gains and variances of the estimates before. At rest the predictions are those of the model, so the
+    estimates are consistent; what the gains after gaps would tell of the noise in addition is not used.
+    """
+    det = shooting.criterion == "det"
+
+    def changes(part: RecordGroup) -> bool:
+        simple = isinstance(part.predictor, Predictor) and part.predictor.feedback is None
+        return bool(part.blocks.gains) and simple and (det or part.predictor.feeds_back)
+
+    if not any(map(changes, shooting.parts)):
+        return shooting, solution
+    innovation = np.full((len(shooting.output_weights),) * 2, np.inf)
+    for _ in range(_GAIN_ROUNDS):
+        theta, starts = shooting.unpack(solution.unknowns)
+        values = shooting.values(theta)
+        before = innovation
+        innovation = shooting.error_products(values, starts) / shooting.n_samples + np.diag(shooting.floors)
+        if not np.isfinite(innovation).all():
+            break
+        parts = tuple(
+            replace(part, blocks=with_kalman_gains(v, part.blocks, innovation, mixes=det)) if changes(part) else part
+            for part, v in zip(shooting.parts, values, strict=True)
+        )
+        shooting = replace(shooting, parts=parts)
+        following = run(solution.unknowns, shooting)
+        step = (following.unknowns - solution.unknowns)[: shooting.n_theta]
+        at_rest = float(np.linalg.norm(step)) * np.sqrt(shooting.likelihood_size) < _AT_REST
+        status = solution.status if at_rest else following.status  # stuck where a round starts at its end
+        solution = replace(following, status=status, iterations=solution.iterations + following.iterations)
+        settled = np.abs(innovation - before).max() <= _SETTLED * np.abs(innovation).max()
+        if (at_rest and settled) or not following.status.success:
+            return shooting, solution
+    return shooting, replace(solution, status=FitStatus.ITERATION_LIMIT)
 
 
 # ---- Pieces of a course with constant parameters, as short as the estimates need.

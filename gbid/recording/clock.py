@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from gbid.core.arrays import FloatArray
@@ -203,12 +204,52 @@ class Clock:
         Times at which the samples were taken [s], where they jitter so much that signals must be interpolated.
     remarks : tuple of str
         What was found and done.
+    places : (n_samples,) array of int or None
+        Numbers of the samples on the grid of an import with missing samples.
     """
 
     rows: np.ndarray[tuple[int], np.dtype[np.intp]]
     sample_time: float
     time: FloatArray | None = None
     remarks: tuple[str, ...] = ()
+    places: npt.NDArray[np.intp] | None = None
+
+
+_LONGEST_GRID = 100  # samples of the grid for each measured one: passes of a fit go over all of them
+
+
+def _grid(path: Path, mapping: ImportMapping, time: FloatArray, start: int) -> Clock:
+    """Return a clock whose samples stand on a grid of times, between which samples are missing."""
+    steps = np.diff(time)
+    if not (steps > 0).all():
+        k = int(np.flatnonzero(steps <= 0)[0])
+        raise DataError(f"{path}: time column {mapping.time!r} does not rise at sample {start + k + 1}; correct it")
+    step = mapping.sample_time or float(np.median(steps))
+    places = np.concatenate([[0], np.cumsum(np.rint(steps / step))]).astype(np.intp)
+    if mapping.sample_time is None:
+        step = _round_time(float(np.polyfit(places, time - time[0], 1)[0]), MAX_JITTER / max(1, int(places[-1])))
+    else:
+        places = np.rint((time - time[0]) / step).astype(np.intp)
+    off = np.abs((time - time[0]) / step - places)
+    if off.max() > MAX_JITTER or (np.diff(places) < 1).any():
+        raise DataError(
+            f"{path}: gaps: missing: the times are up to {off.max():.2g} of a step off an even grid of {step:g} s; "
+            "give the resolution of the clock as sample_time_s, of which all times are multiples"
+        )
+    if places[-1] >= _LONGEST_GRID * len(time):
+        raise DataError(
+            f"{path}: gaps: missing: with steps of {step:g} s there would be {places[-1] + 1} samples for {len(time)} "
+            "measured ones; give a longer sample_time_s, or import pieces"
+        )
+    rows = np.arange(len(time))
+    return Clock(rows, step, None, (f"{places[-1] + 1 - len(rows)} of {places[-1] + 1} samples are missing",), places)
+
+
+def on_grid(values: FloatArray, places: npt.NDArray[np.intp]) -> FloatArray:
+    """Return samples (n, n_channels) at their places of a grid; others are NaN."""
+    grid = np.full((int(places[-1]) + 1, values.shape[1]), np.nan)
+    grid[places] = values
+    return grid
 
 
 def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], start: int) -> Clock:
@@ -241,6 +282,8 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
     time = times_of(path, mapping, mapping.time, columns)
     if len(time) < 2:
         raise DataError(f"{path}: time column {mapping.time!r} has one sample; at least two make a sample time")
+    if mapping.gaps == "missing":
+        return _grid(path, mapping, time, start)
     pieces = even_pieces(path, mapping.time, time, {name: c.values for name, c in columns.items()}, start)
     piece, remarks = _chosen(path, mapping, pieces, time, start)
     time = time[piece.rows]

@@ -18,7 +18,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.files import refuse_special
 from gbid.core.names import given_path
 from gbid.core.units import SIGNALS
-from gbid.recording.clock import read_clock, resampled, times_of, untimed_sample_time
+from gbid.recording.clock import on_grid, read_clock, resampled, times_of, untimed_sample_time
 from gbid.recording.formats import file_formats
 from gbid.recording.mapping import ImportMapping, SignalMapping, TextOptions
 from gbid.recording.readers import FileChannel, FileFormat
@@ -73,7 +73,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     start, stop = sample_range(path, mapping, columns)
     rows = _rows_in_words(columns)
     columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
-    check_finite(path, columns, start)
+    check_finite(path, columns, start, time=mapping.time)
     clock = read_clock(path, mapping, columns, start)
     columns = {name: c._replace(values=c.values[clock.rows]) for name, c in columns.items()}
     first, last = start + int(clock.rows[0]), start + int(clock.rows[-1])
@@ -81,8 +81,20 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     for name, signal in mapping.signals.items():
         signals[name], units[name] = _signal(path, name, signal, columns)
         if clock.time is not None:
+            if np.isnan(signals[name]).any():
+                raise DataError(
+                    f"{path}: the times jitter, and signal {name!r} has missing samples; samples between them cannot "
+                    "be interpolated: leave time out and give sample_time_s, or repair them"
+                )
             signals[name] = resampled(signals[name], units[name], clock.time, clock.sample_time)
-    said = [text for text in (*dict.fromkeys(c.remark for c in columns.values()), *clock.remarks) if text]
+        if clock.places is not None:
+            signals[name] = on_grid(signals[name], clock.places)
+    missing = [
+        f"signal {name!r}: {count} samples missing" + (", the last value held" if mapping.signals[name].hold else "")
+        for name, values in signals.items()
+        if (count := int(np.isnan(values).sum()))
+    ]
+    said = [text for text in (*dict.fromkeys(c.remark for c in columns.values()), *clock.remarks, *missing) if text]
     remarks = {"import_remarks": "; ".join(said)} if said else {}
     try:
         return Recording(
@@ -99,7 +111,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
                 "source_samples": f"{first} to {last + 1}",
                 **remarks,
             },
-        )
+        ).held(*(name for name, signal in mapping.signals.items() if signal.hold))
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
 
@@ -187,10 +199,10 @@ def _from_times(path: Path, mapping: ImportMapping, columns: dict[str, FileColum
     return start, None if mapping.to_s is None else stop
 
 
-def check_finite(path: Path, columns: dict[str, FileColumn], start: int) -> None:
-    """Refuse columns with values that are not finite; `start` is the number of their first sample."""
+def check_finite(path: Path, columns: dict[str, FileColumn], start: int, *, time: str | None) -> None:
+    """Refuse infinite values, and times that are missing; `start` is the number of the first sample."""
     for name, (values, *_) in columns.items():
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~np.isfinite(values) if name == time else np.isinf(values))
         if bad.size:
             raise DataError(
                 f"{path}: column {name!r} holds {bad.size} values that are not finite, the first "
@@ -335,9 +347,10 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
     start, stop = sample_range(path, mapping, columns)
     columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
     if mapping.time is not None:
-        check_finite(path, {mapping.time: columns[mapping.time]}, start)
+        check_finite(path, {mapping.time: columns[mapping.time]}, start, time=mapping.time)
     clock = read_clock(path, mapping, columns, start)
-    return Peek(len(clock.rows), clock.sample_time)
+    n = len(clock.rows) if clock.places is None else int(clock.places[-1]) + 1
+    return Peek(n, clock.sample_time)
 
 
 def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, FileColumn]) -> Peek | None:
@@ -349,7 +362,7 @@ def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, Fi
         sample_time = float(time[-1] - time[0]) / (n - 1)
         steps = np.diff(time[:-1])
         typical = float(np.median(steps)) if steps.size else sample_time
-        if mapping.piece is not None or not abs(sample_time - typical) <= _ALIKE * typical:
+        if mapping.piece is not None or mapping.gaps != "pieces" or not abs(sample_time - typical) <= _ALIKE * typical:
             return None
         sample_time = mapping.sample_time or sample_time
     times = (mapping.from_s or 0.0, math.inf if mapping.to_s is None else mapping.to_s)

@@ -80,6 +80,8 @@ class SignalMapping:
         (`gbid.core.units.SIGNALS`), otherwise the unit of the file.
     channels : tuple of str, optional
         Names of the channels; when not given, the default names of `Recording`.
+    hold : bool
+        Whether missing samples have the last value before them, as a command has between its samples.
 
     Raises
     ------
@@ -91,6 +93,7 @@ class SignalMapping:
     unit: str | None = None
     stored_unit: str | None = None
     channels: tuple[str, ...] | None = None
+    hold: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", _words("columns", self.columns))
@@ -140,6 +143,10 @@ class ImportMapping:
     piece : int, optional
         Number of the piece to take, from 1, where gaps of the time column cut the file into pieces; by default the
         longest.
+    gaps : {"pieces", "missing"}
+        What gaps of the time column are. "pieces" cut the file. "missing" makes samples NaN: the times are those of an
+        even grid, whose step is `sample_time`, else the median step. With the resolution of the clock as `sample_time`
+        any time stamps are such a grid: the model goes on from one to the next exactly.
     encoding, decimal, delimiter, header_line : optional
         Layout of a text file, where it is not to be found in the file; see `TextOptions`.
 
@@ -159,6 +166,7 @@ class ImportMapping:
     from_s: NotNegative | None = None
     to_s: NotNegative | None = None
     piece: Count | None = None
+    gaps: Literal["pieces", "missing"] = "pieces"
     encoding: str | None = None
     decimal: Literal[".", ","] | None = None
     delimiter: str | None = None

@@ -16,7 +16,7 @@ import scipy
 from scipy.special import betaincinv
 
 from gbid.core.arrays import BoolArray, FloatArray
-from gbid.recording.recording import Recording
+from gbid.recording.recording import Recording, without_gaps
 
 # ---- One quality problem of a recording.
 
@@ -618,6 +618,7 @@ def find_problems(
         When the recording has no signal of a given name.
     """
     problems: list[SignalProblem] = []
+    rec = _bridged(rec)
     looked_at = list(rec.signals if signals is None else signals)
     if rec.n_samples < MIN_SAMPLES:
         text = (
@@ -648,6 +649,13 @@ def find_problems(
         if (kinds is None or set(kinds_of_check) & set(kinds)) and (not about or set(about) & set(looked_at)):
             problems += [problem for problem in find(rec) if not problem.signal or problem.signal in looked_at]
     return [problem for problem in problems if kinds is None or problem.kind in kinds]
+
+
+def _bridged(rec: Recording) -> Recording:
+    """Return a recording with straight lines across missing samples: no check looks for these."""
+    return (
+        rec.with_signals(**{name: without_gaps(rec.signals[name])[0] for name in rec.missing}) if rec.missing else rec
+    )
 
 
 def _find_rub(rec: Recording) -> Iterator[SignalProblem]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.core import hdf5
-from gbid.core.arrays import FloatArray
+from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.extras import Pictured, data_frame
@@ -124,7 +125,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
     ----------
     signals : dict of str to (n_samples, n_channels) or (n_samples,) array
         Names are free. Rows are samples, columns are channels; arrays are never transposed. An array of one dimension
-        is one channel.
+        is one channel. NaN is a missing sample; the outputs of a fit may have such gaps.
     sample_time : float
         Time between samples [s].
     conditions : dict of str to float, optional
@@ -142,8 +143,8 @@ class Recording(Brief, Pictured, hdf5.InFile):
     Raises
     ------
     DataError
-        When a signal is not an array of one or two dimensions of finite numbers, when the lengths differ, or when the
-        sample time is not positive.
+        When a signal is not an array of one or two dimensions of numbers that are finite or NaN, when the lengths
+        differ, or when the sample time is not positive.
     """
 
     signals: Mapping[_Key, Annotated[FloatArray, Own()]]
@@ -246,7 +247,9 @@ class Recording(Brief, Pictured, hdf5.InFile):
     def _brief(self) -> Description:
         about = f"{self.name}, {self.n_samples} samples of {self.sample_time:g} s, {self.duration:g} s"
         signals = {
-            name: f"{', '.join(self.channels[name])} [{self.units[name]}] {values.min():.4g} to {values.max():.4g}"
+            name: f"{', '.join(self.channels[name])} [{self.units[name]}] "
+            f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g}"
+            + (f", {self.missing[name]} missing" if name in self.missing else "")
             for name, values in self.signals.items()
         }
         return brief(self, about, **signals, conditions=self.conditions)
@@ -352,25 +355,61 @@ class Recording(Brief, Pictured, hdf5.InFile):
         """Sample times from zero [s], shape (n_samples,)."""
         return np.asarray(self.sample_time * np.arange(self.n_samples), dtype=np.float64)
 
-    def signal(self, name: str) -> FloatArray:
+    def signal(self, name: str, *, gaps: bool = False) -> FloatArray:
         """Return the values of one signal, shape (n_samples, n_channels).
 
         Parameters
         ----------
         name : str
             Name of the signal.
+        gaps : bool
+            Whether samples may be missing (NaN). By default a signal with missing samples is refused.
 
         Raises
         ------
         DataError
-            When the recording has no such signal.
+            When the recording has no such signal, or when samples of it are missing.
         """
-        try:
-            return self.signals[name]
-        except KeyError:
+        if name not in self.signals:
+            raise DataError(f"recording {self.name!r} has no signal {name!r}; it has {', '.join(self.signals)}")
+        values = self.signals[name]
+        if not gaps and self.missing.get(name):
             raise DataError(
-                f"recording {self.name!r} has no signal {name!r}; it has {', '.join(self.signals)}"
-            ) from None
+                f"recording {self.name!r}: {self.missing[name]} samples of signal {name!r} are missing, the first "
+                f"{_first_missing(values)}; only the outputs of a fit may have gaps: hold the last value of an input "
+                f"with recording.held({name!r}), or take a stretch without gaps"
+            )
+        return values
+
+    @cached_property
+    def missing(self) -> Mapping[str, int]:
+        """Number of missing samples (NaN) of each signal that has any, over all its channels."""
+        counts = {name: int(np.isnan(values).sum()) for name, values in self.signals.items()}
+        return MappingProxyType({name: count for name, count in counts.items() if count})
+
+    def held(self, *names: str) -> Recording:
+        """Return a copy in which missing samples have the last value before them.
+
+        That is what a command is between its samples; it is no repair of a measured signal.
+
+        Parameters
+        ----------
+        *names : str
+            The signals.
+
+        Raises
+        ------
+        DataError
+            When there is no such signal, or when its first sample is missing.
+        """
+        signals = {}
+        for name in names:
+            values = self.signal(name, gaps=True)
+            if np.isnan(values[0]).any():
+                raise DataError(f"recording {self.name!r}: the first sample of signal {name!r} is missing; begin later")
+            last = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(len(values))[:, None]))
+            signals[name] = np.take_along_axis(values, last, axis=0)
+        return replace(self, signals={**self.signals, **signals})
 
     def with_signals(self, **signals: npt.ArrayLike) -> Recording:
         """Return a copy with some signals replaced or added.
@@ -409,6 +448,23 @@ class Recording(Brief, Pictured, hdf5.InFile):
         self.__dict__.update(state)  # arrays come from another process writable
         for values in self.signals.values():
             values.setflags(write=False)
+
+
+def without_gaps(values: FloatArray) -> tuple[FloatArray, BoolArray | None]:
+    """Return samples (n, n_columns) with straight lines across missing ones, and which are missing; None when none."""
+    missing = np.isnan(values)
+    if not missing.any():
+        return values, None
+    every, values = np.arange(len(values)), values.copy()
+    for column, gone in zip(values.T, missing.T, strict=True):
+        column[gone] = np.interp(every[gone], every[~gone], column[~gone])
+    return values, missing
+
+
+def _first_missing(values: FloatArray) -> str:
+    """Return in words where the first sample is missing."""
+    row, column = np.argwhere(np.isnan(values))[0]
+    return f"at sample {row}, channel {column}"
 
 
 def _is_finite(value: object) -> bool:
@@ -450,13 +506,15 @@ def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
             f"{where} has shape {array.shape}: more channels than samples; "
             "arrays are (n_samples, n_channels), transpose it yourself if it is stored the other way"
         )
-    if not np.isfinite(array).all():
-        row, column = np.argwhere(~np.isfinite(array))[0]
-        count = int((~np.isfinite(array)).sum())
+    if np.isinf(array).any():
+        row, column = np.argwhere(np.isinf(array))[0]
+        count = int(np.isinf(array).sum())
         raise DataError(
             f"{where} holds {count} values that are not finite, the first {array[row, column]} "
-            f"at sample {row}, channel {column}; leave those samples out or repair them"
+            f"at sample {row}, channel {column}; leave those samples out, or make missing ones NaN"
         )
+    if np.isnan(array).all(axis=0).any():
+        raise DataError(f"{where}: all samples of channel {int(np.isnan(array).all(axis=0).argmax())} are missing")
     array.setflags(write=False)
     return array
 

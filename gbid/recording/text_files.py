@@ -599,7 +599,7 @@ class TextTable:
         Raises
         ------
         DataError
-            As for `cells`; also when a cell is not a number.
+            As for `cells`; also when a cell is neither a number nor empty; an empty one is a missing sample, NaN.
         """
         fast = self._fast(indices)
         return np.column_stack([self._numbers(i) for i in indices]) if fast is None else fast
@@ -624,14 +624,13 @@ class TextTable:
     def _numbers(self, index: int) -> FloatArray:
         decimal, column = self.layout.decimal, [row[index] for row in self.cells]
         for line, cell in zip(self.rows, column, strict=False):
-            if not is_number(cell, decimal):
+            if cell.strip() and not is_number(cell, decimal):
                 raise self._not_a_number(line, index, cell)
-        return np.array([float(cell.replace(decimal, ".").lower().replace("d", "e")) for cell in column])
+        cells = (cell.replace(decimal, ".").lower().replace("d", "e") if cell.strip() else "nan" for cell in column)
+        return np.array([float(cell) for cell in cells])
 
     def _not_a_number(self, line: NumberedLine, index: int, cell: str) -> DataError:
         where = f"{self.path}: line {line.number}, column {self.headings[index]!r}:"
-        if not cell.strip():
-            return DataError(f"{where} the cell is empty; leave those samples out or repair them")
         other = "," if self.layout.decimal == "." else "."
         hint = f"; the decimal sign is {self.layout.decimal!r} here (decimal: ...)" if is_number(cell, other) else ""
         return DataError(f"{where} {cell!r} is not a number{hint}")

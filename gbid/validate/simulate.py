@@ -16,6 +16,7 @@ from gbid.discretise import discretise
 from gbid.identify import FitResult, select
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.recording import Recording
+from gbid.recording.recording import without_gaps
 from gbid.structure import LinearModel, NonlinearModel
 
 _WELL_APART = 1e5  # largest condition number of the eigenvectors at which the modes are simulated one by one
@@ -471,8 +472,14 @@ def validation_data(result: FitResult, recording: Recording, left_out: Ranges = 
         When the recording lacks a signal, or has no sample that counts.
     """
     u, input_names, input_units = select(recording, result.options.inputs)
-    y, output_names, output_units = select(recording, result.options.outputs)
+    y, output_names, output_units = select(recording, result.options.outputs, gaps=True)
     counted = counted_samples(recording, left_out)
+    y, missing = without_gaps(y)
+    if missing is not None:
+        whole = np.asarray(~missing.any(axis=1), bool)
+        counted = whole if counted is None else whole & counted
+        if not counted.any():
+            raise DataError(f"recording {recording.name!r}: no sample has all outputs; validate on one at their rate")
     kept = y if counted is None else y[counted]
     return ValidationData(
         recording.name,

@@ -174,6 +174,39 @@ def test_mat_version_4_and_integers(tmp_path):
     np.testing.assert_array_equal(rec.signals["s"], counts)
 
 
+GAPS = "t,u,y\n0,1,5\n0.1,,6\n0.2,3,\n0.3,nan,8\n0.6,5,9\n"
+
+
+def test_missing_cells_and_steps_are_missing_samples(tmp_path):
+    """What the rows mean is written out by hand."""
+    path = tmp_path / "a.csv"
+    path.write_text(GAPS)
+    mapping = {"signals": {"u": {"columns": ["u"], "unit": "V", "stored_unit": "V", "hold": True}}, "sample_time": 0.1}
+    mapping["signals"]["y"] = {"columns": ["y"], "unit": "V", "stored_unit": "V"}
+    rec = import_recording(path, mapping)
+    np.testing.assert_array_equal(rec.signals["u"][:, 0], [1, 1, 3, 3, 5])
+    np.testing.assert_array_equal(rec.signals["y"][:, 0], [5, 6, np.nan, 8, 9])
+    remarks = rec.provenance["import_remarks"]
+    assert "signal 'u': 2 samples missing, the last value held" in remarks
+    assert "signal 'y': 1 samples missing" in remarks
+    timed = {**mapping, "time": "t", "gaps": "missing"}
+    for sample_time in (0.1, None):
+        rec = import_recording(path, {**timed, "sample_time": sample_time})
+        np.testing.assert_array_equal(rec.signals["u"][:, 0], [1, 1, 3, 3, 3, 3, 5])
+        np.testing.assert_array_equal(rec.signals["y"][:, 0], [5, 6, np.nan, 8, np.nan, np.nan, 9])
+        assert rec.sample_time == 0.1
+        assert "2 of 7 samples are missing" in rec.provenance["import_remarks"]
+    fine = import_recording(path, {**timed, "sample_time": 0.05})
+    assert fine.n_samples == 13
+    assert fine.missing == {"y": 9}
+    refused(path, {**timed, "sample_time": 0.07}, "off an even grid of", "resolution of the clock")
+    refused(path, {**timed, "sample_time": 0.001}, "there would be 601 samples for 5")
+    path.write_text(GAPS.replace("0.2,", ","))
+    refused(path, timed, "column 't' holds 1 values that are not finite, the first nan at sample 2")
+    path.write_text(GAPS.replace("0.2,", "0.1,"))
+    refused(path, timed, "does not rise at sample 2")
+
+
 def test_samples_cut_the_file(tmp_path):
     values = np.column_stack([T, DATA])
     values[5, 0], values[7, 1] = 99.0, np.nan  # outside the range: a cut is the cure for them
@@ -303,15 +336,10 @@ GOOD = "t,a,b\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50))
         (GOOD.replace("t,a,b", "t,a,bb"), "did you mean 'bb'? there is t, a, bb"),
         (GOOD.replace("t,a,b", "t,a [um],a [mm]"), "may be any of 'a [um]', 'a [mm]'"),
         (GOOD.replace("10,3,0", "10,three,0"), "line 12, column 'a': 'three' is not a number"),
-        (GOOD.replace("10,3,0", "10,3,"), "line 12, column 'b': the cell is empty"),
         (GOOD.replace("10,3,0", "10,3,1_0"), "line 12, column 'b': '1_0' is not a number"),
         ("# x\n\n" + GOOD.replace("10,3,0", "10,3,?"), "line 14, column 'b': '?'"),
         (GOOD.replace("10,3,0", "10,3"), "line 12 has 2 cells, the header line has 3"),
         (GOOD.replace("10,3,0", "10,3,0,0"), "line 12 has 4 cells"),
-        (
-            GOOD.replace("10,3,0", "10,3,nan"),
-            "column 'b' holds 1 values that are not finite, the first nan at sample 10",
-        ),
         (GOOD.replace("10,3,0", "10,inf,0"), "column 'a' holds 1 values"),
         (
             GOOD.replace("3\n", "3.5\n").replace("10,3,0", '10,"3,5",0'),
@@ -372,14 +400,14 @@ def test_pickled_objects_are_never_loaded(tmp_path):
         ("text", "not an array of real numbers"),
         ("complex", "not an array of real numbers"),
         ("short", "different numbers of samples: data[0] 300, short 299"),
-        ("nan", "column 'nan' holds 1 values that are not finite, the first nan at sample 12"),
+        ("inf", "column 'inf' holds 1 values that are not finite, the first inf at sample 12"),
         ("empty", "empty"),
     ],
 )
 def test_bad_columns_of_arrays(tmp_path, write, column, words):
-    nan = DATA[:, [0]].copy()
-    nan[12] = np.nan
-    content = {"data": DATA, "wide": DATA.T, "number": 3.0, "short": DATA[1:, [0]], "nan": nan, "text": "hello"}
+    inf = DATA[:, [0]].copy()
+    inf[12] = np.inf
+    content = {"data": DATA, "wide": DATA.T, "number": 3.0, "short": DATA[1:, [0]], "inf": inf, "text": "hello"}
     if write is write_v73:
         path = write(tmp_path / "a.mat", content)
         with h5py.File(path, "r+") as file:

@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
+import gbid
 from gbid.core.errors import DataError
 from gbid.recording import Recording, find_problems
 
@@ -70,8 +71,8 @@ def test_slice_and_with_signals():
         rec.signal("q")
 
 
-NAN = RNG.standard_normal((N, 2))
-NAN[17, 1] = np.nan
+INFINITE = RNG.standard_normal((N, 2))
+INFINITE[17, 1] = np.inf
 
 
 @pytest.mark.parametrize(
@@ -80,8 +81,8 @@ NAN[17, 1] = np.nan
         (np.ones((2, N)), "more channels than samples"),
         (np.ones((N, 2, 1)), "(n_samples, n_channels)"),
         (np.ones((0, 2)), "empty"),
-        (NAN, "the first nan at sample 17, channel 1"),
-        (np.ma.masked_greater(RNG.standard_normal((N, 2)), 2.0), "not finite"),
+        (INFINITE, "the first inf at sample 17, channel 1"),
+        (np.column_stack([np.ones(N), np.full(N, np.nan)]), "all samples of channel 1 are missing"),
         (np.ones((N, 2)) * 1j, "real numbers"),
         (np.full((N, 2), "1.0"), "real numbers"),
         ([[1.0, 2.0], [3.0]], "real numbers"),
@@ -95,6 +96,26 @@ def test_bad_signals_are_refused(values, words):
     text = str(caught.value)
     assert text.startswith("recording 'a': signal 'p'")
     assert words in text
+
+
+def test_missing_samples_are_counted_refused_by_default_and_held_on_demand(tmp_path):
+    p = RNG.standard_normal((N, 2))
+    p[17, 1] = p[40:43, 0] = np.nan
+    rec = Recording({"p": p, "u": np.ma.masked_greater(np.arange(float(N)), 190.0)}, 1.0, name="a")
+    assert rec.missing == {"p": 4, "u": 9}
+    assert "4 missing" in str(rec)
+    with pytest.raises(DataError, match="4 samples of signal 'p' are missing, the first at sample 17, channel 1"):
+        rec.signal("p")
+    np.testing.assert_array_equal(rec.signal("p", gaps=True), p)
+    held = rec.held("p", "u")
+    assert not held.missing
+    assert held.signal("p")[17, 1] == p[16, 1]
+    assert set(held.signal("p")[39:43, 0]) == {p[39, 0]}
+    assert held.signal("u")[-1] == 190
+    with pytest.raises(DataError, match="the first sample of signal 'p' is missing"):
+        rec.slice(17).held("p")
+    gbid.save_recording(rec, tmp_path / "a.h5")
+    assert gbid.load_recording(tmp_path / "a.h5").missing == rec.missing
 
 
 def test_other_bad_contents_are_refused():

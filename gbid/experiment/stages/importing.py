@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, content_key, file_digest, needed
@@ -80,7 +82,7 @@ def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
     refuse_bad_signals(planned, recording, used_channels(experiment, planned.name), file, driving=driving)
     if not planned.imported.remove_mean:
         return recording
-    centred = {name: values - values.mean(axis=0) for name, values in recording.signals.items()}
+    centred = {name: values - np.nanmean(values, axis=0) for name, values in recording.signals.items()}
     provenance = {**recording.provenance, "remove_mean": "mean of each signal removed"}
     return replace(recording, signals=centred, provenance=provenance)
 

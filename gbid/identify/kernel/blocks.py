@@ -15,7 +15,27 @@ from gbid.identify.data import FitData
 from gbid.identify.predictor import GeneralPredictor
 
 LONGEST_BLOCK = 512  # samples; a longer shooting window consists of several blocks, see gbid.identify.kernel.sums
+_LONGEST_WITH_GAPS = 64  # the same where numpy runs all blocks side by side, sample by sample
 LANES = 8  # blocks in one group: number of doubles in the widest vector register
+
+
+class Gains(NamedTuple):
+    """Weights and gains of the samples of a segment, for a `gbid.identify.kernel.gaps.GapKernel`.
+
+    Attributes
+    ----------
+    columns : (n_samples, m) array
+        Entries of T (n_y, n_y) and L of each sample of the record; they stand behind its regressors.
+    absent : (n_y, n_y) array
+        Expected products of the weighted errors that are missing in samples with other outputs.
+    spread : float
+        What is added to -2 log-likelihood: the logarithms of the determinants of the covariances of errors over that of
+        the innovations, less ``1 + log(2 pi)`` for each output that is missing beside others.
+    """
+
+    columns: FloatArray
+    absent: FloatArray
+    spread: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +54,10 @@ class Segment:
         First sample and the sample after the last; `stop` is None at the end of the record.
     weights : (n_samples,) array or None
         Weights of the squared errors of all samples of the record; None when all are 1.
+    missing : (n_samples, n_outputs) boolean array or None
+        Outputs of the record that are missing, with values in their place; None when none is.
+    gains : Gains or None
+        What a kernel for missing samples needs; None for other kernels.
     """
 
     inputs: FloatArray
@@ -42,6 +66,27 @@ class Segment:
     start: int = 0
     stop: int | None = None
     weights: FloatArray | None = None
+    missing: BoolArray | None = None
+    gains: Gains | None = None
+
+    @property
+    def present(self) -> BoolArray:
+        """Which outputs of the part are measured, (n, n_outputs)."""
+        return ~np.isnan(self.part(self.measured))
+
+    @property
+    def measured(self) -> FloatArray:
+        """Outputs of the record, NaN where they are missing."""
+        return self.outputs if self.missing is None else np.where(self.missing, np.nan, self.outputs)
+
+    @property
+    def targets(self) -> FloatArray:
+        """Outputs to predict, (n, n_outputs), weighted by their gains."""
+        if self.gains is None:
+            return self.part(self.outputs)
+        n_y = self.outputs.shape[1]
+        T = self.gains.columns[:, : n_y**2].reshape(-1, n_y, n_y)
+        return self.part(np.einsum("kij,kj->ki", T, self.outputs))
 
     def part(self, rows: FloatArray) -> FloatArray:
         """Return the rows of the record that belong to the part."""
@@ -92,6 +137,11 @@ class Blocks:
     _regressors: dict[tuple[int, ...], FloatArray] = field(default_factory=dict)
 
     @property
+    def gains(self) -> list[Gains]:
+        """Gains of the segments that have some."""
+        return [segment.gains for segment in self.segments if segment.gains is not None]
+
+    @property
     def length(self) -> int:
         """Number of samples in a block."""
         return int(self.y.shape[1])
@@ -135,8 +185,11 @@ class Blocks:
         if shift not in self._regressors:
             if len(self._regressors) > 3:
                 self._regressors.clear()
-            parts = [p.part(self.predictor.regressors(p.inputs, p.outputs, shift)) for p in self.segments]
-            self._regressors[shift] = _in_groups(parts, self.length)
+            parts = []
+            for p in self.segments:
+                rows = self.predictor.regressors(p.inputs, p.measured, shift)
+                parts.append(p.part(rows if p.gains is None else np.hstack([rows, p.gains.columns])))
+            self._regressors[shift] = in_groups(parts, self.length)
         return self._regressors[shift]
 
     def by_whole_segments(self) -> Blocks:
@@ -193,7 +246,9 @@ def cut(
     if isinstance(data, FitData):
         data = [Segment(record.inputs, record.outputs) for record in data.records]
     segments = tuple(data)
-    targets = [segment.part(segment.outputs) for segment in segments]
+    if any(segment.gains is not None for segment in segments):
+        longest_block = min(longest_block, _LONGEST_WITH_GAPS)
+    targets = [segment.targets for segment in segments]
     longest = max(len(target) for target in targets)
     window = longest if window is None else min(window, longest)
     per_window = -(-window // longest_block)
@@ -207,7 +262,7 @@ def cut(
         first += (len(block_size) + starts).tolist()
         size += np.minimum(per_window, count - starts).tolist()
         block_size += [length] * (count - 1) + [n - (count - 1) * length]
-    y = _in_groups(targets, length)
+    y = in_groups(targets, length)
     block_size += [0] * (y.shape[0] * LANES - len(block_size))
     return Blocks(
         y,
@@ -239,7 +294,7 @@ def _use(segments: Sequence[Segment], length: int) -> FloatArray:
     rows = [
         _of_samples(segment, segment.counts) * np.sqrt(_of_samples(segment, segment.weights)) for segment in segments
     ]
-    return np.ascontiguousarray(_in_groups(rows, length)[:, :, 0])
+    return np.ascontiguousarray(in_groups(rows, length)[:, :, 0])
 
 
 def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
@@ -247,7 +302,7 @@ def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
     return segment.part(np.ones(len(segment.outputs)) if values is None else values)[:, None]
 
 
-def _in_groups(parts: Sequence[FloatArray], length: int) -> FloatArray:
+def in_groups(parts: Sequence[FloatArray], length: int) -> FloatArray:
     """Return (n_samples, n) arrays as groups of blocks, (n_groups, length, n, lanes)."""
     n = parts[0].shape[1]
     counts = [-(-len(part) // length) for part in parts]

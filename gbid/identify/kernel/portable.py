@@ -17,6 +17,20 @@ class PortablePasses(SampleKernel):
 
     engine = "numpy"
 
+    def begin(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the state at the start of each block; see `Kernel`."""
+        z = flat(blocks.z(v.shift))
+        result = np.zeros((starts.shape[1], len(blocks.size)))
+        x = starts
+        for i in range(blocks.per_window):
+            live = blocks.window_size > i
+            at = np.where(live, blocks.window_first + i, 0)
+            result[:, at[live]] = x[live].T
+            if i + 1 < blocks.per_window:
+                for k in range(blocks.length):
+                    x = self.onwards(v, x, z[k, at])[0]
+        return result
+
     def passed(self, v: Any, blocks: Blocks, begin: FloatArray) -> Prediction:
         """Return states and errors; see `Kernel`."""
         z, y = flat(blocks.z(v.shift)), flat(blocks.y)
@@ -27,7 +41,7 @@ class PortablePasses(SampleKernel):
             states[k] = x
             x, yhat = self.onwards(v, x, z[k])
             errors[k] = _counted(used[k], (y[k] - yhat) * used[k])
-        return Prediction(_grouped(states, blocks), _grouped(errors, blocks), x.T)
+        return Prediction(grouped(states, blocks), grouped(errors, blocks), x.T)
 
     def sample_sums(self, v: Any, blocks: Blocks, begin: FloatArray, root: FloatArray) -> SampleSums:
         """Return the sums of a pass with sensitivities; see `SampleKernel`."""
@@ -90,7 +104,7 @@ def flat(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(values.transpose(1, 0, 3, 2)).reshape(length, n_groups * lanes, n)
 
 
-def _grouped(values: FloatArray, blocks: Blocks) -> FloatArray:
+def grouped(values: FloatArray, blocks: Blocks) -> FloatArray:
     """Return (length, n_groups * lanes, n) values as groups of blocks, (n_groups, length, n, lanes)."""
     length, _, n = values.shape
     return np.ascontiguousarray(values.reshape(length, -1, blocks.lanes, n).transpose(1, 0, 3, 2))

@@ -407,8 +407,70 @@ class SampleSums(NamedTuple):
     end_start: FloatArray
 
 
+def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -> Linked:
+    """Return the sensitivities of the starts of blocks, each of which has its own transition.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        The blocks.
+    end_theta : (W, n, n_p) array
+        Derivatives of the end of each block by the parameters.
+    end_start : (W, n, n) array
+        By its start.
+    """
+    n, n_p = end_theta.shape[1:]
+    if blocks.per_window == 1:
+        own = slice(blocks.n_windows)
+        by_start = np.zeros((len(end_theta), n, n))
+        by_start[own] = np.eye(n)
+        return Linked(np.zeros_like(end_theta), by_start, end_theta[own], end_start[own])
+    both = np.zeros((len(end_theta), n, n_p + n))
+    both[blocks.window_first, :, n_p:] = np.eye(n)
+    ends = np.zeros((blocks.n_windows, n, n_p + n))
+    for i in range(blocks.per_window):
+        live = np.flatnonzero(blocks.window_size > i)
+        at = blocks.window_first[live] + i
+        ends[live] = end_start[at] @ both[at]
+        ends[live, :, :n_p] += end_theta[at]
+        more = blocks.window_size[live] > i + 1
+        both[at[more] + 1] = ends[live[more]]
+    return Linked(both[:, :, :n_p], both[:, :, n_p:], ends[:, :, :n_p], ends[:, :, n_p:])
+
+
 class SampleKernel(Kernel):
-    """Kernel by the functions of one sample; a `Kernel`."""
+    """Kernel by the functions of one sample; a `Kernel`.
+
+    A block begins where the model passes by, so that windows of several blocks are exact as well. Each block has a
+    transition of its own.
+    """
+
+    def trace(self, v: Any, blocks: Blocks, starts: FloatArray, weights: Sequence[FloatArray]) -> list[Traced]:
+        """Return the sums of each block for each weight; see `Kernel`."""
+        begin, passes = self.begin(v, blocks, starts), []
+        for weight in weights:
+            root = np.ascontiguousarray(np.linalg.cholesky(weight).T)
+            by_block, start_hessian, end_start = self.sample_sums(v, blocks, begin, root)
+            linked = linked_along(blocks, by_block.end_theta, end_start)
+            passes.append(Traced(begin, joined(blocks, by_block, start_hessian, linked), linked, by_block))
+        return passes
+
+    def gradient(self, v: Any, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
+        """Return the gradient from a pass with sensitivities; see `Kernel`."""
+        s = self.sweep(v, blocks, at.starts, at.weight)
+        by_theta, by_start = (np.einsum("wn,wnm->wm", at.ends, each) for each in (s.end_theta, s.end_start))
+        return s.gradient + by_theta.sum(axis=0), s.gradient_start + by_start
+
+    def left_out(self, v: Any, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]) -> tuple[FloatArray, FloatArray]:
+        """Return the second-order term by differences of the gradient; see `Kernel`."""
+        gauss_newton = self.sweep(v, blocks, at.starts, at.weight)
+        theta, mixed = np.zeros_like(gauss_newton.hessian), np.zeros_like(gauss_newton.hessian_mixed)
+        here = self.gradient(v, blocks, at)
+        for j, step, other in moved:
+            after = self.gradient(other, blocks, at)
+            theta[:, j] = (after[0] - here[0]) / step - gauss_newton.hessian[:, j]
+            mixed[:, j] = (after[1] - here[1]) / step - gauss_newton.hessian_mixed[:, j]
+        return theta, mixed
 
     @abstractmethod
     def onwards(self, v: Any, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:

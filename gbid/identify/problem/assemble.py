@@ -22,6 +22,7 @@ from gbid.identify.data import FitData, Record
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.frequency_data import FrequencyData, ResponseErrors
 from gbid.identify.kernel.blocks import LANES, LONGEST_BLOCK, Segment, cut
+from gbid.identify.kernel.gaps import GapKernel, with_constant_gain
 from gbid.identify.kernel.lanes import LanesKernel
 from gbid.identify.kernel.linear import (
     LONGEST_SOURCE,
@@ -179,7 +180,11 @@ def segments_of(
         raise DataError(f"recording {record.name!r}: all samples are left out")
     if feeds_back:
         cuts |= set((np.flatnonzero(np.diff(counts)) + 1).tolist())
-    whole = Segment(record.inputs, record.outputs, None if counts.all() else counts)
+    if record.missing is not None:
+        counts = np.where(record.missing.all(axis=1), 0.0, counts)
+        if not counts.any():
+            raise DataError(f"recording {record.name!r}: all samples are left out or missing")
+    whole = Segment(record.inputs, record.outputs, None if counts.all() else counts, missing=record.missing)
     return [(replace(whole, start=a, stop=b), bisect_right(edges, a)) for a, b in pairwise(sorted(cuts))]
 
 
@@ -215,15 +220,20 @@ def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, f
     parts, windows, base = [], [(0, 0)] * len(members), 0  # first and last window of each segment
     for (key, _, _), places in groups.items():
         _, _, predictor, index, tie = members[places[0]]
-        if key not in kernels:
+        segments = [members[i].segment for i in places]
+        gaps = _needs_gap_kernel(predictor, segments)
+        if gaps:
+            sizes = predictor.n_states, predictor.feeds_back
+            segments = [with_constant_gain(each, sizes[0], feeds_back=sizes[1]) for each in segments]
+        if not gaps and key not in kernels:
             kernels[key], on_choice = choose_kernel(predictor, begin)
             notes |= dict.fromkeys(on_choice)
-        segments = [members[i].segment for i in places]
         # A lone short segment fills all lanes with blocks of itself.
         longest = max(len(s.part(s.outputs)) for s in segments)
         size = -(-longest // LANES) if len(segments) == 1 and tie is not None else LONGEST_BLOCK
         blocks = cut(segments, predictor, window, longest_block=min(size, LONGEST_BLOCK))
-        parts.append(RecordGroup(predictor, blocks, np.array(index), kernels[key], tie))
+        kernel = GapKernel() if gaps else kernels[key]
+        parts.append(RecordGroup(predictor, blocks, np.array(index), kernel, tie))
         edges = pairwise([*blocks.segment_first.tolist(), blocks.n_windows])
         for i, (first, stop) in zip(places, edges, strict=True):
             windows[i] = base + first, base + stop - 1
@@ -237,6 +247,25 @@ def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, f
     return Grouped(tuple(parts), np.array(links, np.int64).reshape(-1, 2), np.array([*firsts.values()]), tuple(notes))
 
 
+def _needs_gap_kernel(predictor: GeneralPredictor, segments: Sequence[Segment]) -> bool:
+    """Return whether a missing output is a regressor, or is missing where other outputs are measured.
+
+    Raises
+    ------
+    UsageError
+        When that is so for a structure that is not linear.
+    """
+    gaps = [~s.present for s in segments if s.missing is not None]
+    if not any(gap.any() if predictor.feeds_back else (gap.any(1) != gap.all(1)).any() for gap in gaps):
+        return False
+    if not isinstance(predictor, Predictor):
+        raise UsageError(
+            "a nonlinear structure takes missing outputs (NaN) only without a disturbance gain (focus='simulation'), "
+            "and only where all outputs of a sample are missing together"
+        )
+    return True
+
+
 # ---- Assembly of a fit from recordings and options: parts, links, and shared parameters.
 
 _WINDOWS = {"prediction": (256, 64), "simulation": (128, 192)}
@@ -244,6 +273,8 @@ _WINDOWS = {"prediction": (256, 64), "simulation": (128, 192)}
 
 Measured outputs stabilise a prediction, so its windows are longer.
 """
+_WITH_GAPS = 64
+"""Samples in a window where outputs are missing: numpy runs all windows side by side, sample by sample."""
 
 
 class OwnStructure(NamedTuple):
@@ -476,6 +507,11 @@ def automatic_window(data: FitData, focus: Focus) -> int:
     """
     n = data.n_samples
     usual, most = _WINDOWS[focus]
+    if any(
+        r.missing is not None and (focus == "prediction" or (r.missing.any(1) != r.missing.all(1)).any())
+        for r in data.records
+    ):
+        usual, most = _WITH_GAPS, n
     return -(-n // min(LANES * -(-n // (usual * LANES)), most))
 
 

@@ -440,7 +440,13 @@ class Shooting:
     def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
         """Return ``sum e e'`` over all parts, (n_y, n_y)."""
         each = self.each(values, starts)
-        return np.asarray(sum(part.kernel.products(v, part.blocks, begin).sum(axis=0) for v, part, begin in each))
+        products = sum(part.kernel.products(v, part.blocks, begin).sum(axis=0) for v, part, begin in each)
+        return np.asarray(products + self.absent)
+
+    @cached_property
+    def absent(self) -> FloatArray | float:
+        """Expected products of the errors of missing outputs, (n_y, n_y), a step of the EM algorithm; 0 without any."""
+        return sum((gains.absent for part in self.parts for gains in part.blocks.gains), 0.0)
 
     def weight(self, error_products: FloatArray) -> FloatArray:
         """Return the weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
@@ -624,7 +630,7 @@ class Shooting:
             if self.criterion == "trace":  # the weight is one factor, applied after the pass
                 W = np.diag(self.output_weights)
                 sweeps = self.sweeps(values, starts, W / self._power)
-                products = np.asarray(sum(s.error_products for s in sweeps))
+                products = np.asarray(sum(s.error_products for s in sweeps) + self.absent)
                 factor = self._power / (float(np.trace(W @ products)) + self._floor)
             else:
                 products = self.error_products(values, starts)

@@ -34,6 +34,7 @@ from gbid.identify.uncertainty.coloured import (
     whitened,
 )
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes, std_of
+from gbid.recording.recording import without_gaps
 
 _GROWTH = 1e3  # of a model over a record, up to which one pass over the record is accurate
 
@@ -314,6 +315,11 @@ class _Passed:
             by_theta = np.einsum("op,yot->ypt", tie, psi[:, : len(tie)], optimize=True)
             psi = np.concatenate([by_theta, psi[:, len(tie) :]], axis=1)
         errors, counted = self._errors[some].reshape(-1, n_y)[:n_samples], self._counted[some].ravel()[:n_samples]
+        segment, first = blocks.window_samples[i]
+        if segment.missing is not None:  # their sensitivities are zero; the colour is that of the errors around
+            missing = segment.missing[first : first + n_samples]
+            errors = without_gaps(np.where(missing & (errors == 0), np.nan, errors))[0]
+            counted = counted | missing.all(axis=1)
         return _SegmentSensitivities(psi, errors, counted, part.index, start)
 
 

@@ -93,9 +93,26 @@ def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
     statistic, used = np.zeros(errors[0].shape[1]), [record for record in errors if len(record) > 2 * lags]
     for record in used:
         n, centred = len(record), record - column_means(record)
+        if not record.all():  # samples are missing or left out: fewer pairs, each for itself
+            statistic += [_statistic_of_pairs(channel, lags) for channel in record.T]
+            continue
         rho = np.array([correlation(channel, channel, lags)[1:] for channel in centred.T])
         statistic += n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum(axis=1)
     return Whiteness(statistic, np.asarray(chdtrc(lags * max(1, len(used)), statistic)), lags)
+
+
+def _statistic_of_pairs(residuals: FloatArray, lags: int) -> float:
+    """Return the statistic for residuals (n_samples,) that are zero where there are none.
+
+    The correlation at each lag is over its variance for white residuals, one over the number of pairs; a lag without
+    pairs has the statistic that it has on average.
+    """
+    there = residuals != 0
+    count = int(there.sum())
+    centred = np.where(there, residuals - residuals.sum() / max(count, 1), 0.0)
+    rho, pairs = correlation(centred, centred, lags)[1:], correlation(there * 1.0, there * 1.0, lags)[1:] * count
+    each = np.where(pairs > 0.5, (rho * count) ** 2 / np.maximum(pairs, 1.0), 1.0)
+    return float(each.sum()) * (1 + 2 / max(count, 1))
 
 
 # ---- Independence of the inputs.
