@@ -19,7 +19,7 @@ _LONGEST_WITH_GAPS = 64  # the same where numpy runs all blocks side by side, sa
 LANES = 8  # blocks in one group: number of doubles in the widest vector register
 
 
-class Gains(NamedTuple):
+class GapGains(NamedTuple):
     """Weights and gains of the samples of a segment, for a `gbid.identify.kernel.gaps.GapKernel`.
 
     Attributes
@@ -56,7 +56,7 @@ class Segment:
         Weights of the squared errors of all samples of the record; None when all are 1.
     missing : (n_samples, n_outputs) boolean array or None
         Outputs of the record that are missing, with values in their place; None when none is.
-    gains : Gains or None
+    gains : GapGains or None
         What a kernel for missing samples needs; None for other kernels.
     """
 
@@ -67,7 +67,7 @@ class Segment:
     stop: int | None = None
     weights: FloatArray | None = None
     missing: BoolArray | None = None
-    gains: Gains | None = None
+    gains: GapGains | None = None
 
     @property
     def present(self) -> BoolArray:
@@ -137,8 +137,8 @@ class Blocks:
     _regressors: dict[tuple[int, ...], FloatArray] = field(default_factory=dict)
 
     @property
-    def gains(self) -> list[Gains]:
-        """Gains of the segments that have some."""
+    def gains(self) -> list[GapGains]:
+        """GapGains of the segments that have some."""
         return [segment.gains for segment in self.segments if segment.gains is not None]
 
     @property

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gbid.core.arrays import BoolArray, FloatArray
-from gbid.identify.kernel.blocks import Blocks, Gains, Prediction, Segment, in_groups
+from gbid.identify.kernel.blocks import Blocks, GapGains, Prediction, Segment, in_groups
 from gbid.identify.kernel.portable import PortablePasses, flat, grouped
 from gbid.identify.kernel.sums import Sweep, spectral_radius
 from gbid.identify.predictor import PredictorValues
@@ -116,7 +116,7 @@ def with_constant_gain(segment: Segment, n_states: int, *, feeds_back: bool) -> 
     n, n_y = segment.outputs.shape
     T = (np.eye(n_y) * ~np.isnan(segment.measured)[:, None, :]).reshape(n, -1)
     columns = np.hstack([T, np.zeros((n, n_states * n_y))]) if feeds_back else T
-    return replace(segment, gains=Gains(columns, np.zeros((n_y, n_y))))
+    return replace(segment, gains=GapGains(columns, np.zeros((n_y, n_y))))
 
 
 class _Filter(NamedTuple):
@@ -169,7 +169,7 @@ def with_kalman_gains(v: PredictorValues, blocks: Blocks, innovation: FloatArray
         gains = part[:, : n * n_y] if blocks.predictor.feeds_back else part[:, :0]
         columns = np.zeros((len(segment.outputs), n_y**2 + gains.shape[1]))
         segment.part(columns)[:] = np.hstack([T.reshape(-1, n_y**2), gains])
-        segments.append(replace(segment, gains=Gains(columns, absent, spread)))
+        segments.append(replace(segment, gains=GapGains(columns, absent, spread)))
     y = in_groups([segment.targets for segment in segments], blocks.length)
     return replace(blocks, y=y, segments=tuple(segments), _regressors={})
 
