@@ -6,7 +6,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,6 @@ from gbid.identify.predictor import Predictor, matrices_with_slopes
 from gbid.identify.uncertainty.curves import ChannelCurves, response_slopes
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
 from gbid.structure import AnyStructure, LinearModel, Structure, as_names, kind_of
-
-_NUMBERS = ("frequency_hz", "magnitude", "magnitude_std", "phase_deg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +71,7 @@ class FrequencyData(ChannelCurves, Pictured):
     Data, 2010, Sec. 9.2, for the coherence without a root).
     """
 
+    _title: ClassVar[str] = "frequency response"
     frequency_hz: FloatArray
     response: ComplexArray
     std: FloatArray
@@ -130,9 +129,14 @@ class FrequencyData(ChannelCurves, Pictured):
 
     def table(self) -> Table:
         """Return the numbers as a table, with a row for each output, input and frequency; `read` reads its CSV."""
-        columns = [Column("output"), Column("input"), *(Column(name, format=8) for name in _NUMBERS)]
-        rows = self._rows(self.frequency_hz, np.abs(self.response), self.std, np.degrees(np.angle(self.response)))
-        return Table("frequency response", columns, rows)
+        numbers = self._numbers()
+        columns = [Column("output"), Column("input"), *(Column(name, format=8) for name in ("frequency_hz", *numbers))]
+        return Table(self._title, columns, self._rows(self.frequency_hz, *numbers.values()))
+
+    def _numbers(self) -> dict[str, FloatArray]:
+        """Return the columns of the table after that of the frequency, each (n, n_outputs, n_inputs)."""
+        G = self.response
+        return {"magnitude": np.abs(G), "magnitude_std": self.std, "phase_deg": np.degrees(np.angle(G))}
 
     @classmethod
     def read(cls, path: str | Path, *, averages: float | None = None) -> FrequencyData:

@@ -7,7 +7,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from gbid import LinearStructure, Parameter, Recording, RotorBearing, fit
 
-H, N = 1e-3, 4000
+H, N = 1e-3, 2500
 TRUE = {"k_xx": -6e5, "k_xy": -1e4, "k_yx": 1.2e4, "k_yy": -5e5, "d_xx": -120.0, "d_yy": -100.0}
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, UsageError
-from gbid.core.tables import Column, Table
 from gbid.discretise import check_holds, hold_response
 from gbid.identify.data import same_columns, select
 from gbid.identify.frequency_data import FrequencyData
@@ -21,7 +21,6 @@ _SEGMENTS = 12  # usual number of segments of the shortest recording, which over
 HANN = (4 / 9, 1 / 36)
 """Correlation of the errors of responses one and two frequencies apart: those of Hann spectra, (2/3)^2 and (1/6)^2."""
 _CORRELATED = 1 / 18  # twice the squared correlation of the spectra of neighbouring Hann segments (Welch, 1967)
-_NUMBERS = ("frequency_hz", "magnitude", "magnitude_std", "phase_deg", "coherence")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +47,7 @@ class MeasuredResponse(FrequencyData):
         Equivalent number of independent segments.
     """
 
+    _title: ClassVar[str] = "measured frequency response"
     coherence: FloatArray = field(kw_only=True)
     averages: float = field(kw_only=True)
 
@@ -55,15 +55,8 @@ class MeasuredResponse(FrequencyData):
         about = f"{len(self.frequency_hz)} frequencies, {self.averages:.1f} averages"
         return brief(self, about, input_names=self.input_names, output_names=self.output_names)
 
-    def table(self) -> Table:
-        """Return the numbers as a table, with a row for each output, input and frequency."""
-        columns = [Column("output"), Column("input"), *(Column(name, format=8) for name in _NUMBERS)]
-        phase, coherence = (
-            np.degrees(np.angle(self.response)),
-            np.broadcast_to(self.coherence[..., None], self.std.shape),
-        )
-        rows = self._rows(self.frequency_hz, np.abs(self.response), self.std, phase, coherence)
-        return Table("measured frequency response", columns, rows)
+    def _numbers(self) -> dict[str, FloatArray]:
+        return {**super()._numbers(), "coherence": np.broadcast_to(self.coherence[..., None], self.std.shape)}
 
 
 def measured_response(
