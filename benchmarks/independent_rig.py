@@ -280,7 +280,7 @@ def impacts_table(run: Mapping[str, Any]) -> str:
                     hit["loop"],
                     "; ".join(f"{f:.1f} Hz, {z:.3f}" for f, z in hit["expected"]),
                     "; ".join(f"{f:.1f} Hz, {z:.3f} ± {s:.3f}" for (f, z), s in zip(hit["ringdown"], std, strict=True))
-                    if np.isfinite(measured).all()
+                    if np.isfinite(measured).all() and hit["status"].startswith("converged")
                     else hit["status"],
                     "; ".join(f"{f:.1f} Hz, {z:.3f}" for f, z in hit["judge"]),
                     " / ".join(f"{v:.0f}" for v in hit["along_percent"]),
