@@ -7,6 +7,7 @@ Property tests draw the same examples in every run, so that a change is judged b
 import gc
 import os
 import signal
+import sys
 from collections import Counter
 from collections.abc import Iterator
 
@@ -32,6 +33,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
     gc.collect()
     collect_less()  # else each collection of garbage goes through half a million objects of pytest
+
+
+@pytest.fixture(autouse=True)
+def _no_figures_left() -> Iterator[None]:
+    """Close the figures of a test: where pyplot was imported, pictures belong to it, and it warns at 20 of them."""
+    yield
+    if (pyplot := sys.modules.get("matplotlib.pyplot")) is not None:
+        pyplot.close("all")
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -10,7 +10,7 @@ import typer
 from gbid.cli.options import CommonOptions, ExperimentPath, with_options
 
 
-@with_options("results", "as_json", "debug")
+@with_options("results", "changes", "as_json", "debug")
 def check(
     experiment: ExperimentPath,
     options: CommonOptions,

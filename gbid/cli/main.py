@@ -33,12 +33,13 @@ gbid init measured rig3 --speed 6000
 gbid new rig1
 gbid new --list
 gbid new rig2 --template own-recordings
-gbid new rig3 --from measured
+gbid init measured rig3 --moving-mass 2.4 --travel 45 --clearance 25
 gbid check rig1/experiment.yaml
 gbid run rig1/experiment.yaml
 gbid run rig1/experiment.yaml --json > results.json
 gbid run rig1/experiment.yaml --until fit
 gbid run rig1/experiment.yaml --only tune --overwrite
+gbid run rig1/experiment.yaml --set controller.feedback.structure=biquad
 gbid show rig1/results/quickstart/fits/bearing/p6_n0_prbs1.h5
 gbid show rig1/results/quickstart/fits/bearing/p6_n0_prbs1.h5 --json
 gbid diff rig1/results/quickstart rig2/results/quickstart

@@ -50,6 +50,12 @@ class CommonOptions:
         Path | None,
         typer.Option("--results", metavar="DIR", help="Folder of the results, instead of the one in the YAML."),
     ] = None
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Another value for a key of the YAML, in this command only; repeatable."
+        ),
+    ] = None
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace files that were made with other settings or data.")
     ] = False
@@ -80,7 +86,7 @@ class CommonOptions:
         from gbid.cli.printing import tell_line
         from gbid.experiment.load import load_experiment
 
-        return load_experiment(path, self.results, announce=tell_line, form_only=form_only)
+        return load_experiment(path, self.results, changes=self.changes or (), announce=tell_line, form_only=form_only)
 
 
 COMMON = tuple(field.name for field in fields(CommonOptions))

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import cache, wraps
 from types import FunctionType
 from typing import Any
 
 import lazy_loader  # type: ignore[import-untyped]
 
+Around = Callable[[Any, tuple[Any, ...], dict[str, Any]], AbstractContextManager[object]]
+"""From a function and the arguments of a call to the context of the call."""
 
-def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+
+def attach(
+    package: str, file: str, around: Around | None = None
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package whose stub lists its public names.
 
     Functions and constructors check their arguments, see `gbid.core.option_types.check_call`. Calls from
@@ -21,13 +27,15 @@ def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], 
     ----------
     package, file : str
         ``__name__`` and ``__file__`` of the package.
+    around : callable, optional
+        Context of a call of a function from outside.
     """
     imported, names, listed = lazy_loader.attach_stub(package, file)
 
     def get(name: str) -> Any:
         value = imported(name)
         if isinstance(value, FunctionType) and value.__globals__ is not globals():  # else it is a checked one already
-            module, value = value.__module__, _checked_function(value)
+            module, value = value.__module__, _checked_function(value, around)
             if value.__module__ == module:  # pickles name it by the first package that hands it out
                 value.__module__ = package
         elif isinstance(value, type):
@@ -43,9 +51,9 @@ _REPLACING = ("dataclasses", "copy")
 
 
 @cache
-def _checked_function(function: Any) -> Any:
+def _checked_function(function: Any, around: Around | None) -> Any:
     """Return a function that checks its arguments: one for all packages that make the same function public."""
-    return _checked(function, function.__name__)
+    return _checked(function, function.__name__, around=around)
 
 
 @cache
@@ -56,7 +64,7 @@ def _check_calls_of(kind: type) -> None:
         setattr(kind, "__init__", _checked(constructor, kind.__name__, kind))  # noqa: B010
 
 
-def _checked(function: Any, owner: str, of: type | None = None) -> Any:
+def _checked(function: Any, owner: str, of: type | None = None, around: Around | None = None) -> Any:
     @wraps(function)
     def checked(*args: Any, **keywords: Any) -> Any:
         frame = sys._getframe(1)
@@ -68,6 +76,9 @@ def _checked(function: Any, owner: str, of: type | None = None) -> Any:
             from gbid.core.option_types import check_call
 
             check_call(function, owner, args, keywords, of)
+            if around is not None:
+                with around(function, args, keywords):
+                    return function(*args, **keywords)
         return function(*args, **keywords)
 
     return checked

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import StringIO
 from pathlib import Path
@@ -107,6 +107,58 @@ def read_yaml(path: Path) -> YamlFile:
         raise UsageError(f"{path}:1:1: expected keys with values, found {kind}; write lines as `name: value`")
     notes = (DataNote.CHANGED_BY_HAND(f"{path}: {CHANGED}"),) if is_changed(content) else ()
     return YamlFile(path, plain(tree), tree, notes)
+
+
+def with_changes(file: YamlFile, changes: Sequence[str]) -> YamlFile:
+    """Return a file with other values, which are read as YAML; the file on disk stays.
+
+    Parameters
+    ----------
+    file : YamlFile
+        The file.
+    changes : sequence of str
+        ``KEY=VALUE``, the keys on the way to the value with dots between them, and numbers from 0 for entries of lists.
+
+    Raises
+    ------
+    UsageError
+        When a change is not of this form, its value is no YAML, or its key leads through a value or beyond a list.
+    """
+    data = plain(file.data)
+    for change in changes:
+        keys, equals, text = change.partition("=")
+        if not keys or not equals:
+            raise UsageError(f"--set {change}: expected KEY=VALUE, such as --set controller.feedback.structure=biquad")
+        try:
+            value = plain(_tree(text))
+        except YAMLError:
+            raise UsageError(f"--set {change}: the value is not valid YAML; write it as in the file") from None
+        _change(data, keys, value)
+    return replace(file, data=data)
+
+
+def _change(data: Any, keys: str, value: Any) -> None:
+    """Set one value below its keys; sections that are missing on the way are made."""
+    node, rest = data, keys
+    while True:
+        if isinstance(node, list):
+            word, _, rest = rest.partition(".")
+            if not word.isdecimal() or int(word) >= len(node):
+                raise UsageError(f"--set {keys}: {word!r} is no entry of a list of {len(node)}; count from 0")
+            key: Any = int(word)
+        elif isinstance(node, dict):  # a name may contain dots
+            known = [str(k) for k in node if rest == str(k) or rest.startswith(f"{k}.")]
+            key = max(known, key=len, default=rest.partition(".")[0])
+            rest = rest[len(key) + 1 :]
+            key = next((k for k in node if str(k) == key), key)
+        else:
+            raise UsageError(f"--set {keys}: {rest!r} lies below a value, not below a section; name a key of the file")
+        if not rest:
+            node[key] = value
+            return
+        if isinstance(node, dict) and node.get(key) is None:
+            node[key] = {}
+        node = node[key]
 
 
 def _tree(text: str) -> Any:

@@ -224,7 +224,11 @@ def working(
         try:
             remove_stale_parts(experiment.results)
             # Kept in the job, because a worker of a pool has another command line.
-            command = shlex.join([*(Path(word).name for word in sys.argv[:1]), *sys.argv[1:]])
+            words = (
+                "=".join(experiment.beside(part) if Path(part).is_absolute() else part for part in word.split("="))
+                for word in sys.argv[1:]
+            )
+            command = shlex.join([*(Path(word).name for word in sys.argv[:1]), *words])
             yield Job(experiment, overwrite, reporter or Reporter(), chosen, retry, command)
         finally:
             chosen.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -502,6 +503,8 @@ class Experiment:
     def origin(self, recordings: Iterable[str] = ()) -> dict[str, Any]:
         """Return what a result came from: the YAML, its seeds, and the data files of its recordings, with their sha256.
 
+        Paths are relative to the folder of the experiment.
+
         Parameters
         ----------
         recordings : iterable of str
@@ -509,8 +512,16 @@ class Experiment:
         """
         imported = [self.recordings[name].imported for name in recordings if name in self.recordings]
         files = [self.data_file(entry) for entry in imported if entry is not None]
-        yaml = {"file": str(self.file.path), "sha256": _digest_or_not(self.file.path)}
-        return {"experiment": yaml, "seeds": self._seeds, "data": {str(path): _digest_or_not(path) for path in files}}
+        yaml = {"file": self.file.path.name, "sha256": _digest_or_not(self.file.path)}
+        data = {self.beside(path): _digest_or_not(path) for path in files}
+        return {"experiment": yaml, "seeds": self._seeds, "data": data}
+
+    def beside(self, path: str | Path) -> str:
+        """Return a path relative to the folder of the experiment: results name no folders of this machine's users."""
+        try:
+            return Path(os.path.relpath(Path(path).resolve(), self.folder.resolve())).as_posix()
+        except ValueError:  # on another drive
+            return Path(path).name
 
     @cached_property
     def _seeds(self) -> dict[str, int]:

@@ -7,7 +7,7 @@ import inspect
 import re
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.names import file_stem, given_path
 from gbid.core.tables import file_size
-from gbid.core.yaml_file import read_yaml
+from gbid.core.yaml_file import read_yaml, with_changes
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, planned_recordings
 from gbid.experiment.fields import ExperimentError, Found, Location, Problem, dotted, in_file_order, schema_faults
 from gbid.experiment.recordings import mapping_of
@@ -83,6 +83,7 @@ def load_experiment(
     path: str | Path,
     results: str | Path | None = None,
     *,
+    changes: Sequence[str] = (),
     announce: Callable[[str], None] | None = None,
     form_only: bool = False,
 ) -> Experiment:
@@ -94,6 +95,8 @@ def load_experiment(
         The YAML.
     results : path, optional
         Folder of the results, instead of the folder that the file names.
+    changes : sequence of str
+        Values other than those of the file, each as ``KEY=VALUE``; see `gbid.core.yaml_file.with_changes`.
     announce : callable, optional
         Told in one line of each Python file with equations whose content is new to this user, before it is executed.
     form_only : bool
@@ -115,6 +118,7 @@ def load_experiment(
     except UsageError as error:
         position, _, text = str(error).partition(": ")
         raise ExperimentError([Problem(position, "", text)]) from None
+    file = with_changes(file, changes) if changes else file
     spec, faults = _parse(file.data)
     if faults:
         # The other values are checked as well, so that the user sees all problems at once.

@@ -4,6 +4,15 @@ The public names are those of the stub beside this file, ``__init__.pyi``. Figur
 because only they need matplotlib.
 """
 
+from typing import Any
+
 from gbid.core.public import attach
 
-__getattr__, __dir__, __all__ = attach(__name__, __file__)
+
+def _around(*call: Any) -> Any:
+    from gbid.report.canvas import around_public
+
+    return around_public(*call)
+
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__, _around)

@@ -6,9 +6,11 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
+from inspect import signature
 from pathlib import Path
+from threading import current_thread, main_thread
 from typing import TYPE_CHECKING, Any, Literal, TextIO, TypeAlias
 
 import matplotlib as mpl
@@ -188,18 +190,37 @@ def shown_by_pyplot() -> Iterator[None]:
     figure = pyplot.figure()
 
     def made(figsize: tuple[float, float], layout: LayoutName) -> Figure:
+        _MAKER.set(Figure)  # a second figure of the same call is one of its own
         figure.set_size_inches(figsize)
         figure.set_layout_engine(layout)
         return figure
 
     token = _MAKER.set(made)
+    kept = False
     try:
         yield
-    except BaseException:
-        pyplot.close(figure)
-        raise
+        kept = _MAKER.get() is not made
     finally:
         _MAKER.reset(token)
+        if not kept:
+            pyplot.close(figure)
+
+
+def around_public(function: Callable[..., Any], arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
+    """Return the context of a call of a public function from outside of gbid.
+
+    A picture function without axes gets a figure of pyplot where that is imported, so that a notebook and `plt.show()`
+    show it. A program without pyplot, and a thread beside the main one, where no window can be opened, gets a figure
+    that nobody keeps.
+    """
+    if not (
+        "matplotlib.pyplot" in sys.modules
+        and function.__name__.startswith("plot_")
+        and current_thread() is main_thread()
+    ):
+        return nullcontext()
+    given = signature(function).bind_partial(*arguments, **keywords).arguments
+    return nullcontext() if given.get("ax") is not None else shown_by_pyplot()
 
 
 def panels(

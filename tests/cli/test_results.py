@@ -14,6 +14,7 @@ from experiment_files import files_in, gbid, json_of, printed_by, write_spring
 
 import gbid as package
 from gbid.cli.options import STAGE_VERBS
+from gbid.core.errors import UsageError
 from gbid.experiment.engines import bare_job
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, no_tasks
@@ -143,8 +144,8 @@ def test_a_result_says_what_it_was_made_with(spring, tmp_path, capsys):
     results = spring.parent / "results/spring"
     origin = json_of(capsys, "show", results / "fits/spring/run1.h5")["made_with"]
     data = spring.parent / "data/run1.csv"
-    assert origin["data"] == {str(data): hashlib.sha256(data.read_bytes()).hexdigest()}
-    assert origin["experiment"] == {"file": str(spring), "sha256": hashlib.sha256(spring.read_bytes()).hexdigest()}
+    assert origin["data"] == {"data/run1.csv": hashlib.sha256(data.read_bytes()).hexdigest()}
+    assert origin["experiment"] == {"file": spring.name, "sha256": hashlib.sha256(spring.read_bytes()).hexdigest()}
     assert origin["command"].endswith(shlex.join(sys.argv[1:]))
     assert [origin[name] for name in ("gbid", "numpy", "casadi")] == [
         *(package.__version__, np.__version__, casadi.__version__)
@@ -153,8 +154,28 @@ def test_a_result_says_what_it_was_made_with(spring, tmp_path, capsys):
     page = tmp_path / "report.html"
     assert gbid("report", spring, "--output", page) == 0
     end = page.read_text().partition('id="origin"')[2]
+    assert str(spring.parent) not in page.read_text()
     for words in (origin["platform"], origin["experiment"]["sha256"], *origin["data"].values()):
         assert words in end
+
+
+def test_set_gives_a_key_another_value_in_one_command(spring, tmp_path, capsys):
+    before = spring.read_bytes()
+    changes = ("name=feder", "fits.spring.together=true", "crossval={}")
+    other = ("--results", tmp_path / "other", *(word for change in changes for word in ("--set", change)))
+    assert json_of(capsys, "check", spring, *other)["experiment"] == "feder"
+    with pytest.raises(UsageError, match="expected KEY=VALUE"):
+        load_experiment(spring, changes=["name"])
+    for change, words in (
+        ("fits.spring.tgether=true", "fits.spring.tgether"),
+        ("fits.spring.together=often", "fits.spring.together"),
+        ("name.first=a", "lies below a value"),
+        ("import.recordings.7.name=a", "count from 0"),
+        ("fits: [", "expected KEY=VALUE"),
+        ("fits=[", "not valid YAML"),
+    ):
+        assert words in printed_by(capsys, "check", spring, "--set", change, code=2).err
+    assert spring.read_bytes() == before
 
 
 def test_a_saved_value_says_its_versions_and_no_experiment(tmp_path, capsys):

@@ -1,5 +1,8 @@
 """Figures of a model with its uncertainty."""
 
+import sys
+from threading import Thread
+
 import numpy as np
 import pytest
 from experiment_files import gbid, write_spring
@@ -170,3 +173,24 @@ def test_orbit_and_its_mean_over_the_revolutions():
         report.orbit_data(still, from_s=9.0)
     with pytest.raises(UsageError, match="two channels"):
         report.orbit_data(rec, "phi")
+
+
+def test_a_picture_without_axes_belongs_to_pyplot_where_that_is_used(monkeypatch):
+    model = load_model("theisen2016").at(6, 0)
+    with monkeypatch.context() as patch:
+        patch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
+        report.plot_poles(model)
+        assert "matplotlib.pyplot" not in sys.modules
+    from matplotlib import pyplot
+
+    pyplot.close("all")
+    drawn = report.plot_poles(model)
+    assert pyplot.gcf() is drawn.figure
+    report.plot_poles(model, drawn)
+    worker = Thread(target=report.plot_poles, args=(model,))
+    worker.start()
+    worker.join()
+    with pytest.raises(UsageError):
+        report.plot_poles(())
+    assert len(pyplot.get_fignums()) == 1
+    pyplot.close("all")
