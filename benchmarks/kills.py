@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.kills [--kills N] [--minutes M] [--seed S] [--output FILE]``
 
-The verbs are `run`, `batch` (with a pool of two workers), `tune`, `report` and `figures`. A campaign is one verb on a
+The verbs are `run`, `batch` (with a pool of two workers), `tune`, `report`, `figures`, `export` (C source of a tuned
+controller) and `serve` (it never ends, so each of its campaigns is one kill). A campaign is one verb on a
 fresh copy of what it needs: it is killed, checked and started again until it ends by itself. The instant of a kill is
 drawn uniformly from the time that the verb takes undisturbed, so that it may fall into anything. Most signals are
 SIGKILL; the others are SIGTERM, SIGINT and SIGHUP. With `batch` every third victim is a worker.
@@ -12,6 +13,10 @@ Each command is a fork of this process, which has done the same work before: oth
 After each kill:
 
 - orphans: processes of the command that are there after two seconds.
+
+After each kill of `export` also:
+
+- half: sets of C files of which some are missing or differ, and which the Makefile beside them would compile.
 
 At the end of each campaign:
 
@@ -36,6 +41,7 @@ import random
 import resource
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -48,14 +54,18 @@ from typing import Any
 
 from benchmarks.running import options_of, store
 
-VERBS = {"run": 0.3, "batch": 0.06, "tune": 0.24, "report": 0.2, "figures": 0.2}
+VERBS = {"run": 0.26, "batch": 0.06, "tune": 0.2, "report": 0.14, "figures": 0.14, "export": 0.14, "serve": 0.06}
 """Share of the kills of each verb; `batch` has fewer, because its workers import everything anew."""
 _SERIAL = ("--engine", "serial")
-_ENGINES = {"run": _SERIAL, "tune": _SERIAL, "batch": ("--engine", "pool", "--workers", "2")}
+_ENGINES = {
+    **{"run": _SERIAL, "tune": _SERIAL, "batch": ("--engine", "pool", "--workers", "2")},
+    **{"export": ("--to", "c"), "serve": ("--port", "0")},
+}
 _MARK = "GBID_KILL_STUDY"
 _PATIENCE = 2.0  # time after which a process of a killed command is an orphan [s]
 _LONGEST = 300.0  # time after which a command counts as hanging [s]
 _SIGNALS = (signal.SIGKILL,) * 7 + (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+_SERVED = 1.5  # time within which a server is killed [s]
 _FULL = 0.2  # share of campaigns whose first command meets a limit on the size of files
 _YEARS = 10 * 365.25 * 86400
 
@@ -75,7 +85,9 @@ crossval:
 {more}"""
 _CONTROLLER = """\
 controller:
-  small: {structure: P, model: theisen2016, operating_points: [{pressure_bar: 6.0, speed_rpm: 0.0}], starts: 2}
+  small:
+    {structure: P, model: theisen2016, operating_points: [{pressure_bar: 6.0, speed_rpm: 0.0}], starts: 2,
+     sample_time_s: 2.0e-4}
 """
 _STRUCTURE = """\
 import gbid
@@ -91,7 +103,7 @@ structure = gbid.LinearStructure("spring", parameters, matrices)
 
 
 _COUNTED = ("kills", "campaigns", "clocks", "full")
-_FAULTS = ("lost", "twice", "orphans", "left", "failed")
+_FAULTS = ("lost", "twice", "half", "orphans", "left", "failed")
 
 
 @dataclass
@@ -219,12 +231,15 @@ def left_over(folder: Path) -> list[str]:
 
 
 def make_cases(folder: Path) -> list[Case]:
-    """Return the cases after an undisturbed run of each; `tune`, `report` and `figures` start from made results."""
+    """Return the cases after an undisturbed run of each; the later verbs start from made results."""
     small, many = folder / "small", folder / "many"
     write_experiment(small, 2, _CONTROLLER)
     write_experiment(many, 10, "")
     cases = []
-    before = {"tune": ("import", "fit", "crossval"), "report": ("run",), "figures": ("run",)}
+    before = {
+        "tune": ("import", "fit", "crossval"),
+        **dict.fromkeys(("report", "figures", "export", "serve"), ("run",)),
+    }
     for verb in VERBS:
         template = folder / verb
         shutil.copytree(many if verb == "batch" else small, template)
@@ -233,6 +248,10 @@ def make_cases(folder: Path) -> list[Case]:
         if verb == "report":
             (template / "results/killed/report.html").unlink()
         arguments = _ENGINES.get(verb, ())
+        if verb == "serve":
+            expected = {name: key for name, (key, _, _) in complete(template / "results/killed").items()}
+            cases.append(Case(verb, template, arguments, expected, _SERVED))
+            continue
         done = folder / f"{verb}_done"
         shutil.copytree(template, done)
         if verb != "batch":
@@ -276,7 +295,7 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
         largest = chance.randrange(2_000, 60_000) if full else 0
         process = begin(arguments, log, mark, clock and attempt > 0, largest)
         by_worker = case.verb == "batch" and attempt % 3 == 2
-        allowed = tally.counts["kills"] < most and not full
+        allowed = (tally.counts["kills"] < most and not full) or case.verb == "serve"
         status = ended(process, chance.uniform(0.0, case.seconds) if allowed else _LONGEST)
         number = chance.choice(_SIGNALS)
         if status is None and allowed:
@@ -292,13 +311,15 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
             status = ended(process, 30.0)
             tally.fault("failed", f"{folder.name}: hangs after {number.name}: {log.read_text()[-300:]}")
         _check_orphans(mark, tally, folder)
+        if case.verb == "export" and (half := compiled_half_set(results / "export", case.expected)):
+            tally.fault("half", f"{folder.name}: {half}")
         now = complete(results)
         for name, entry in seen.items():
             if name not in now:
                 tally.fault("lost", f"{folder.name}: {name} is gone")
             elif now[name][0] == entry[0] and now[name][1:] != entry[1:]:
                 tally.fault("twice", f"{folder.name}: {name} was made twice")
-        if status == 0:
+        if status == 0 or case.verb == "serve":
             break
         code = os.waitstatus_to_exitcode(status or 0)
         if full and code == 3 and "may write (ulimit -f)" in log.read_text():
@@ -323,6 +344,17 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
     for name in left_over(folder):
         tally.fault("left", f"{folder.name}: left over {name}")
     shutil.rmtree(folder)
+
+
+def compiled_half_set(folder: Path, expected: Mapping[str, str]) -> str:
+    """Return what is wrong with a folder of C source that is not whole and compiles all the same; else nothing."""
+    missing = [name for name in expected if name.startswith("export/") and not (folder.parent / name).is_file()]
+    makefiles = list(folder.glob("*.mk")) if missing else []
+    for makefile in makefiles:
+        command = ["make", "-B", "-C", str(folder), "-f", makefile.name]
+        if subprocess.run(command, capture_output=True, check=False).returncode == 0:
+            return f"{makefile.name} compiles without {', '.join(missing)}"
+    return ""
 
 
 def _is_worker(process: int) -> bool:

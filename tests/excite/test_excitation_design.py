@@ -138,6 +138,15 @@ def test_limits_are_kept_and_the_one_reached_is_named(kind, multisine):
         assert "y" in multisine.reached, "without the other machine, the limit of the output itself"
 
 
+def test_a_clearance_alone_is_kept_less_what_is_taken():
+    limits = ExcitationLimits(peaks={"u": 1.0}, clearance=0.3, disc="y", taken=0.02)
+    found = gbid.design_excitation(KNOWN, duration=3.0, sample_time=DT, limits=limits)
+    u = found.signals["u"]
+    motion = np.abs(evaluate(spring(), TRUTH).simulate(np.tile(u, (4, 1)), DT)[len(u) :]).max()
+    assert motion == pytest.approx(0.98 * 0.28, rel=5e-3)
+    assert "clearance" in found.reached
+
+
 def test_what_counts_becomes_better(multisine):
     chosen = gbid.design_excitation(KNOWN, duration=3.0, sample_time=DT, limits=LIMITS, focus="damping_1")
     assert chosen.counted == ("damping_1",)

@@ -5,7 +5,8 @@ import random
 import pytest
 
 import gbid
-from gbid.core.files import add_text_checksum, is_changed, with_text_checksum
+from gbid.core.errors import DataError
+from gbid.core.files import add_text_checksum, has_valid_checksum, is_changed, with_checksum, with_text_checksum
 from gbid.core.tables import plain_table, write_csv
 from gbid.experiment.fields import writing_keyed
 from gbid.export.chain import ChainOptions, chain_of
@@ -56,6 +57,20 @@ def test_each_writer(write, tmp_path):
 
 def without_checksum(content):
     return [line for line in bytes(content).replace(b"\r", b"").rstrip().split(b"\n") if b"sha" not in line]
+
+
+def test_a_changed_byte_of_a_binary_file_is_noticed(tmp_path):
+    path, content = tmp_path / "file.h5", bytearray(with_checksum(bytes(range(256))))
+    path.write_bytes(content)
+    assert has_valid_checksum(path)
+    for place in (0, 255, len(content) - 2):  # of the content, and of the digest
+        changed = content.copy()
+        changed[place] ^= 1
+        path.write_bytes(changed)
+        with pytest.raises(DataError, match="checksum"):
+            has_valid_checksum(path)
+    path.write_bytes(content[:-1])
+    assert not has_valid_checksum(path)
 
 
 def test_text_of_people_and_new_checksum(tmp_path):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +16,7 @@ from chain_cases import BIQUAD, design, runout_map
 from experiment_files import gbid as run
 from experiment_files import json_of, printed_by
 from figure_cases import BlankPictures
+from places import ROOT, SUPPORT
 from target_files import write_box
 
 import gbid
@@ -197,35 +201,45 @@ def test_a_controller_file_has_no_map_and_says_so(tmp_path: Path, capsys: pytest
 TOOLS = pytest.mark.skipif(not (shutil.which("cc") and shutil.which("make")), reason="no C compiler and make here")
 
 
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from chain_cases import design
+from gbid.export.chain import ChainOptions, chain_of
+from gbid.export.chain_c import write_chain
+
+folder, survivors, replaced, replace = Path(sys.argv[1]), int(sys.argv[2]), [], Path.replace
+
+def dying(self, target):
+    if self.suffix != ".part" and target.parent == folder:
+        if len(replaced) == survivors:
+            os.kill(os.getpid(), signal.SIGKILL)
+        replaced.append(target.name)
+    return replace(self, target)
+
+Path.replace = dying
+write_chain(chain_of(design("P"), name="damper", options=ChainOptions(ramp_s=0.2)), folder, overwrite=True)
+"""
+
+
 @TOOLS
 @pytest.mark.parametrize("survivors", [0, 1, 3])
-def test_a_killed_export_leaves_no_set_that_can_be_built(
-    survivors: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Killed between its renames: neither make nor the compiler takes old and new; the same command goes on."""
+def test_a_killed_export_leaves_no_set_that_can_be_built(survivors: int, tmp_path: Path) -> None:
+    """SIGKILL between two renames: neither make nor the compiler takes old and new; the same command goes on."""
     first, second = (chain_of(design("P"), name="damper", options=ChainOptions(ramp_s=ramp)) for ramp in (0.1, 0.2))
     write_chain(first, tmp_path)
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
-    replaced, replace = [], Path.replace
-
-    def dying(self: Path, target: Path) -> Path:
-        if self.suffix != ".part" and target.parent == tmp_path:
-            if len(replaced) == survivors:
-                raise KeyboardInterrupt
-            replaced.append(target.name)
-        return replace(self, target)
-
-    monkeypatch.setattr(Path, "replace", dying)
-    with pytest.raises(KeyboardInterrupt):
-        write_chain(second, tmp_path, overwrite=True)
-    monkeypatch.undo()
+    folders = os.pathsep.join((str(ROOT), str(SUPPORT)))
+    killed = [sys.executable, "-c", KILLED, str(tmp_path), str(survivors)]
+    run = subprocess.run(killed, env={**os.environ, "PYTHONPATH": folders}, check=False)
+    assert run.returncode == -signal.SIGKILL
     changed = [name for name, content in before.items() if (tmp_path / name).read_bytes() != content]
     assert len(changed) == survivors
-    assert not list(tmp_path.glob(".*"))
     assert built(tmp_path) == (survivors == 0)
     compiled = subprocess.run(["cc", "-std=c99", "-c", "damper.c"], cwd=tmp_path, capture_output=True, check=False)
     assert (compiled.returncode == 0) == (survivors != 1)
     write_chain(second, tmp_path, overwrite=True)
+    assert not list(tmp_path.glob(".*"))
     assert built(tmp_path)
 
 
