@@ -12,18 +12,24 @@ export OMP_NUM_THREADS := 1
 # The tests start hundreds of processes: each would compile the whole package anew where this forbids to keep that.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run paper test test-quick lint types imports unit test-slow mutants kills fuzz bench docs release-check clean help
+.PHONY: run paper test test-quick lint types imports unit test-slow mutants kills fuzz bench licences docs release-check clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
-$(VENV)/.installed: pyproject.toml constraints.txt
+# What runs with `make run` is compared with its digest; pip takes none for an editable package, so that comes after.
+$(VENV)/.installed: pyproject.toml constraints.txt requirements.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --editable .
+	PIP_CONSTRAINT= $(BIN)/python -m pip install --quiet --require-hashes --requirement requirements.txt
+	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	@touch $@
 
+# What ROSS imports. Its own list of dependencies has clients of Google's services, which no test needs.
+FOR_ROSS := CoolProp ctREFPROP methodtools numba openpyxl prettytable scikit-learn toml tqdm
+
 $(VENV)/.installed-test: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --editable '.[test]' $(FOR_ROSS)
+	$(BIN)/python -m pip install --quiet --no-deps ross-rotordynamics ccp-performance
 	@touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
@@ -94,6 +100,9 @@ mutants: $(VENV)/.installed-test  ## put 60 small faults into the formulas of th
 
 kills: $(VENV)/.installed  ## kill gbid at 1000 random instants, in all verbs, and count what is lost, made twice or left
 	$(BIN)/python -m benchmarks.kills --output docs/kills.json
+
+licences: $(VENV)/.installed-test  ## the table of licences in docs/install.md, from the metadata of the packages
+	PYTHONPATH=$(CURDIR)/tests/support $(BIN)/python tests/support/licences.py
 
 docs: $(VENV)/.installed-docs  ## the pages, code blocks executed, warnings as errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html

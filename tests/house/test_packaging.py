@@ -3,6 +3,7 @@
 import re
 import tomllib
 
+import licences
 from places import ROOT
 
 from gbid.core.files import share_folder
@@ -58,3 +59,20 @@ def test_the_readme_of_a_package_index_has_no_link_to_a_file_beside_it():
         text = re.sub(step["pattern"], step["replacement"], text)
     assert not re.findall(r"\]\((?!https?:)", text)
     assert "Four ways in: rig engineers, MATLAB users" in text
+
+
+def test_the_licence_of_each_dependency_is_named():
+    assert "LGPL" in licences.licence("casadi") or "Lesser" in licences.licence("casadi")
+    page = licences.PAGE.read_text(encoding="utf-8")
+    found = re.findall(r"^\| `([^`]+)` \| (?:always|`[a-z]+`) \| ([^|]+) \|$", page, re.MULTILINE)
+    assert [package for package, _ in found] == list(licences.extras())
+    assert not {"not known", "none stated"} & {words for _, words in found}
+    for package in ("casadi", "nptdms", "asammdf"):
+        assert re.search("LGPL|Lesser", dict(found)[package])
+
+
+def test_the_tests_need_no_client_of_a_service():
+    """ROSS asks for one, so its own list of dependencies stays out of the environment of the tests."""
+    assert not [wanted for wanted in PROJECT["project"]["optional-dependencies"]["test"] if "ross" in wanted]
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert "--no-deps ross-rotordynamics ccp-performance" in makefile
