@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from gbid.identify.frequency_data import FrequencyData, ResponseErrors, Response
 from gbid.identify.judge import not_determined
 from gbid.identify.options import FitArguments
 from gbid.identify.predictor import build_predictor, matrices_with_slopes
-from gbid.identify.problem.solve import TOLERANCES
+from gbid.identify.problem.solve import TOLERANCES, Progress
 from gbid.identify.result import FitResult, FitStatus, StdKind
 from gbid.identify.start.start import Begin, begin_values
 from gbid.identify.uncertainty.covariance import UNDETERMINED, Covariance, spreads_of
@@ -77,7 +77,7 @@ def fitted_to_responses(
     known = _prior_of(names, options.prior or {})
     box = np.array([next((q.lower, q.upper) for q in parameters if q.name == name) for name in names]).T
     start = np.array([begin.values[name] for name in names])
-    solution, evaluations = _least(errors, known, start, box, options.max_iterations)
+    solution, evaluations = _least(errors, known, start, box, options.max_iterations, options.progress)
     theta = np.asarray(solution.x, float)
     held = np.asarray(solution.active_mask != 0)
     at_end, sums = [each.at(theta) for each in errors], [each.sums(theta) for each in errors]
@@ -227,11 +227,25 @@ def _least(
     start: FloatArray,
     box: FloatArray,
     max_iterations: int,
+    progress: Callable[[Progress], None] | None,
 ) -> tuple[Any, int]:
-    """Return the best of two solutions, from the start and from a fit with wider errors, and all iterations."""
+    """Return the best of two solutions, from the start and from a fit with wider errors, and all iterations.
+
+    `progress` is called where the slopes are computed: at the start of each search, and after each step of it.
+    """
     from scipy.optimize import least_squares  # half a second, which other fits do not need
 
     mean, std = known
+    passed: list[FloatArray] = []
+
+    def report(theta: FloatArray, rows: FloatArray, slopes: FloatArray) -> None:
+        if progress is not None:
+            size = np.where(theta != 0, np.abs(theta), 1.0)
+            step = np.abs((theta - passed[-1]) / size).max() if passed else np.inf
+            onward = np.linalg.lstsq(slopes, rows, rcond=None)[0]
+            sigma = float(np.linalg.norm(slopes @ onward))
+            progress(Progress(len(passed), 0.5 * float(rows @ rows), 0.0, float(step), sigma))
+            passed.append(theta.copy())
 
     def solved(begin: FloatArray, relative: float) -> Any:
         parts = [replace(each, relative=relative) for each in errors]
@@ -247,11 +261,15 @@ def _least(
                 )
             return last[theta.tobytes()]
 
+        def slopes_at(theta: FloatArray) -> FloatArray:
+            report(theta, *both(theta))
+            return both(theta)[1]
+
         inside = np.clip(begin, *box)
         return least_squares(
             lambda theta: both(theta)[0],
             inside,
-            lambda theta: both(theta)[1],
+            slopes_at,
             tuple(box),
             x_scale="jac",
             ftol=1e-14,

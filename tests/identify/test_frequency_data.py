@@ -190,6 +190,21 @@ def test_a_reference_gives_the_deviation_that_repeated_loops_have():
     assert np.sqrt((scatter**2).mean() / (stated**2).mean()) == pytest.approx(1, abs=0.15)
 
 
+def test_progress_is_called_at_every_step_and_may_end_the_fit():
+    seen = []
+    result = gbid.fit(OSCILLATOR, measured(1), progress=seen.append)
+    assert [each.iteration for each in seen] == list(range(len(seen)))
+    assert 3 < len(seen) <= result.iterations
+    assert seen[-1].cost < seen[0].cost
+    assert seen[-1].sigma < 0.01
+
+    def stop(progress):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        gbid.fit(OSCILLATOR, measured(1), progress=stop)
+
+
 def test_prior_and_bound_and_fixed_values_hold():
     data = measured(6)
     known = gbid.fit(OSCILLATOR, data, prior={"k": (TRUTH["k"], 1.0)}, fixed={"tau": 3e-4})
