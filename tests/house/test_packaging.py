@@ -1,5 +1,6 @@
 """What travels inside the wheel, and from where; read from the build's own settings."""
 
+import itertools
 import re
 import tomllib
 
@@ -76,3 +77,18 @@ def test_the_tests_need_no_client_of_a_service():
     assert not [wanted for wanted in PROJECT["project"]["optional-dependencies"]["test"] if "ross" in wanted]
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert "--no-deps ross-rotordynamics ccp-performance" in makefile
+
+
+def test_each_digest_is_of_the_version_that_the_tests_run_with():
+    def pinned(name):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        found = re.findall(r"^([\w.-]+)==([^\s;]+)", text, re.MULTILINE)
+        return {re.sub("[-_.]+", "-", package).lower(): version for package, version in found}
+
+    constraints, installed = pinned("constraints.txt"), pinned("requirements.txt")
+    needed = {re.sub("[-_.]+", "-", name) for name, extra in licences.extras().items() if not extra}
+    assert needed <= set(installed)
+    assert {name: installed[name] for name in installed if name in constraints}.items() <= constraints.items()
+    lines = (ROOT / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    for line, following in itertools.pairwise(lines):
+        assert "==" not in line or line.startswith("#") or following.lstrip().startswith("--hash=sha256:")
