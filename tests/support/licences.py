@@ -28,7 +28,8 @@ def licence(package: str) -> str | None:
         return None
     classifiers = [c.split(" :: ")[-1] for c in found.metadata.get_all("Classifier") or () if "License ::" in c]
     named = [c for c in classifiers if c != "OSI Approved"]
-    words = [found.metadata["License-Expression"], *named, *(found.metadata["License"] or "").strip().splitlines()[:1]]
+    written = (found.metadata.get("License") or "").strip().splitlines()
+    words = [found.metadata.get("License-Expression"), *named, *written[:1]]
     texts = [file for file in found.files or () if re.search(r"dist-info/.*LICEN[CS]E", str(file))]
     words += ["see its file " + texts[0].name] if texts else []
     return next(word for word in [*words, "none stated"] if word)
