@@ -137,7 +137,7 @@ TRUTH = {
     **{"c_x": 5e14, "c_y": 4e14, "g_xx": 0.0, "g_xy": 0.0, "g_yx": 0.0, "g_yy": 0.0},
 }
 """A bearing whose film stiffens: cubic stiffness c [1/(m s)^2], and four disturbance gains g."""
-LINEAR = gbid.RotorBearing(disturbance_gain="none")
+LINEAR = gbid.RotorBearing(pade_order=1, disturbance_gain="none")
 FILM = 1.3e9
 """Stiffening of the built-in structure [1/m^2]: 2 % more stiffness at 4 um."""
 
