@@ -12,10 +12,10 @@ import pytest
 from gain_problems import damping_problem
 
 import gbid
-from gbid.control.tuning.local import optimise_locally
-from gbid.control.tuning.problem import GainProblem, Score
+from gbid.control.tuning.local import ascend, optimise_locally
+from gbid.control.tuning.problem import Evaluations, GainProblem, Score
 from gbid.control.tuning.result import GainStatus
-from gbid.control.tuning.search import SearchOptions, SearchOutcome, SearchTask, search
+from gbid.control.tuning.search import SearchOptions, SearchOutcome, SearchTask, grid_starts, random_starts, search
 
 
 def searched(
@@ -95,3 +95,17 @@ def test_a_budget_in_seconds_ends_all_searches() -> None:
     assert result.status in (GainStatus.ITERATION_LIMIT, GainStatus.LIMITS_CONTRADICT)
     assert len(result.seed_values) == 1
     assert len(result.history) < 5
+
+
+def test_a_used_budget_ends_starts_and_ascents() -> None:
+    problem = damping_problem(two_basins, [-3.0], [3.0])
+    spent = replace(problem, evaluations=Evaluations(0, 0))
+    unit, neutral = np.ones(1), np.zeros(1)
+    assert len(random_starts(problem, neutral, unit, 5, 0)) == 5
+    assert random_starts(spent, neutral, unit, 5, 0) == []
+    assert len(grid_starts(problem, neutral, unit, 61, 5)) > 0
+    assert grid_starts(spent, neutral, unit, 61, 5) == []
+    climbed = ascend(problem.merit_and_slope, neutral, problem.lower, problem.upper, unit, max_evaluations=100)
+    assert climbed.evaluations > 5
+    options = {"max_evaluations": 100, "stop": lambda: True}
+    assert ascend(problem.merit_and_slope, neutral, problem.lower, problem.upper, unit, **options).evaluations == 1

@@ -486,7 +486,7 @@ def _in_ball(problem: GainProblem, x: FloatArray, unit: FloatArray, radius: floa
     hull = _bounds(problem, x, unit, radius)
     hull.add(here)
     gain = np.inf
-    while problem.evaluations.count - before < most:
+    while problem.evaluations.count - before < most and not problem.evaluations.exhausted:
         direction = hull.shortest()
         length = float(np.linalg.norm(direction))
         gain = length / value

@@ -407,6 +407,7 @@ def ascend(
     max_evaluations: int,
     tolerance: float = 1e-9,
     enough: float = np.inf,
+    stop: Callable[[], bool] = bool,
 ) -> Ascent:
     """Return a point from which BFGS climbs no higher.
 
@@ -432,6 +433,8 @@ def ascend(
         Gain over 40 steps, in units of the value, below which the ascent ends.
     enough : float
         Value at which the ascent ends.
+    stop : callable
+        Whether the ascent ends before its next step; by default never.
 
     Returns
     -------
@@ -443,7 +446,7 @@ def ascend(
     value, gradient = evaluate(u * unit)
     count, H, fresh = 1, np.eye(d), True
     milestone, steps = value, 0
-    while count < max_evaluations and np.isfinite(value) and value < enough:
+    while count < max_evaluations and np.isfinite(value) and value < enough and not stop():
         g = gradient * unit
         held = ((u <= low) & (g < 0)) | ((u >= high) & (g > 0))
         direction = _direction(H, g, held)

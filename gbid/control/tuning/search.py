@@ -265,6 +265,7 @@ class LocalSearch:
             problem.upper,
             self.unit,
             max_evaluations=most,
+            stop=lambda: evaluations.exhausted,
         )
         return LocalOptimum(ascent.x, problem.score(ascent.x), ascent.evaluations, True)
 
@@ -375,6 +376,8 @@ def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n
     first, last = np.where(decades, low, 1.0), np.where(decades, high, 1.0)
     starts = []
     for u, far in zip(rows[:, :d], rows[:, d], strict=True):
+        if problem.evaluations.exhausted:
+            break
         x = np.where(decades, first * (last / first) ** u, low + u * (high - low))
         reach = np.where(decades, 1.0, np.minimum(WIDE * unit / (high - low), 1.0) ** (1.0 - far))
         x = neutral + reach * (x - neutral)
@@ -400,6 +403,7 @@ def stabilised(problem: GainProblem, x: FloatArray, unit: FloatArray) -> FloatAr
         unit,
         max_evaluations=60 + 15 * len(x),
         enough=enough,
+        stop=lambda: problem.evaluations.exhausted,
     )
     return found.x
 
@@ -430,7 +434,7 @@ def grid_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n: 
     heapify(queue)
     merits = np.full(len(grid), -np.inf)
     best = -np.inf
-    while queue and -queue[0][0] > best - _BEHIND_GAIN_GRID:
+    while queue and -queue[0][0] > best - _BEHIND_GAIN_GRID and not problem.evaluations.exhausted:
         _, i, tight = heappop(queue)
         if tighter and not tight:
             heappush(queue, (-merit(problem.score(grid[i], best - _BEHIND_GAIN_GRID, some)), i, True))
