@@ -588,3 +588,34 @@ def _stored_tdms(channel: Any) -> StoredArray:
 
 
 TDMS = array_format((".tdms",), "TDMS file", open_tdms, states_sample_time=True)
+
+
+# ---- WAV files of sound cards and acoustic front ends, by scipy.
+
+
+@contextmanager
+def open_wav(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
+    """Return a context with a WAV file, whose array `data` (n_samples, n_channels) is in parts of the full scale.
+
+    Whole numbers are divided by their full scale (of 24 bits, which are read as 32, too); floating-point numbers stay.
+    """
+    from scipy.io import wavfile
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks that are not understood
+        warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
+        rate, values = wavfile.read(path)
+    offset, scale = (128, 128) if values.dtype == np.uint8 else (0, 1)
+    if values.dtype.kind == "i":
+        scale = -int(np.iinfo(values.dtype).min)
+    data = StoredArray((values.astype(float) - offset) / scale, "", 1 / rate)
+
+    def get(name: str) -> StoredArray:
+        if name != "data":
+            raise DataError(f"{path}: no channel {name!r}; a WAV file has data[0], data[1], ...")
+        return data
+
+    yield OpenFile(get, lambda: iter([("data", data)]))
+
+
+WAV = array_format((".wav",), "WAV file", open_wav, states_sample_time=True)

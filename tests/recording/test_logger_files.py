@@ -1,6 +1,7 @@
 """Files of loggers and of other programs: TDMS, MDF, Parquet, Feather, HDF5; their import and their listing."""
 
 import sys
+import wave
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from refusals import refused
 import gbid
 from gbid.core.errors import DataError, UsageError
 from gbid.recording import importing
-from gbid.recording.importing import list_channels
+from gbid.recording.importing import import_recording, list_channels
 
 N, DT = 500, 2e-4
 RNG = np.random.default_rng(8)
@@ -273,3 +274,24 @@ def test_every_accepted_bit_flip_of_a_parquet_file_with_checksums_gives_the_same
         else:
             np.testing.assert_array_equal(read, p)
     assert refusals > 20
+
+
+@pytest.mark.parametrize("width", [1, 2, 4])
+def test_wav_in_parts_of_the_full_scale(tmp_path, width):
+    """The bytes are written by the standard library; 8 bits are offset by 128 (Microsoft, RIFF specification, 1991)."""
+    path, n, full = tmp_path / "a.wav", 64, 2 ** (8 * width - 1)
+    values = np.random.default_rng(width).integers(-full, full, (n, 2))
+    stored = (values + 128).astype("u1") if width == 1 else values.astype(f"<i{width}")
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(2)
+        file.setsampwidth(width)
+        file.setframerate(8000)
+        file.writeframes(stored.tobytes())
+    volts = {"unit": "V", "stored_unit": "V"}
+    mapping = {"signals": {"y": {"columns": ["data[1]", "data[0]"], "stored_unit": ""}}}
+    rec = import_recording(path, mapping)
+    assert rec.sample_time == 1 / 8000
+    np.testing.assert_allclose(rec.signals["y"], values[:, ::-1] / full, rtol=0, atol=1e-12)
+    refused(path, {"signals": {"y": {"columns": ["left"], **volts}}}, "no channel 'left'", "data[0]")
+    path.write_bytes(path.read_bytes()[:-40])
+    refused(path, mapping, "WAV file")
