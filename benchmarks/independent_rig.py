@@ -80,8 +80,19 @@ def spread_of_modes(fit: FitResult) -> tuple[FloatArray, FloatArray]:
 
     best = modes(fit.parameters)
     draws = random.multivariate_normal([fit.parameters[name] for name in names], fit.covariance, _DRAWS)
-    spread = [modes({**fit.parameters, **dict(zip(names, draw, strict=True))}) for draw in draws]
+    spread = [matched(modes({**fit.parameters, **dict(zip(names, draw, strict=True))}), best) for draw in draws]
     return best, np.nanstd(spread, axis=0)
+
+
+def matched(modes: FloatArray, reference: FloatArray) -> FloatArray:
+    """Return two modes in the order that is nearer to the reference, by their poles: frequencies alone may cross."""
+
+    def poles(rows: FloatArray) -> np.ndarray:
+        f, zeta = rows.T
+        return np.asarray(f * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0))))
+
+    direct, swapped = (np.sum(np.abs(poles(rows) - poles(reference))) for rows in (modes, modes[::-1]))
+    return modes[::-1] if swapped < direct else modes
 
 
 def _two(found: FloatArray) -> FloatArray:
@@ -110,9 +121,11 @@ def figures(results: Results) -> dict[str, Any]:
     points = []
     for fit in fits:
         place = tuple(experiment.recordings[fit.model].conditions.values())
-        best, std = spread_of_modes(fit.result)
-        surface = _two(np.array(model.at(*place).modes()))
-        row = {"point": place, "truth": truths[place], "fit": best, "std": std, "surface": surface}
+        truth, (modes, std) = truths[place], spread_of_modes(fit.result)
+        best = matched(modes, truth)
+        std = std if best is modes else std[::-1]
+        surface = matched(_two(np.array(model.at(*place).modes())), truth)
+        row = {"point": place, "truth": truth, "fit": best, "std": std, "surface": surface}
         points.append({**row, "status": str(fit.result.status), "fit_percent": fit.result.fit_percent[0]})
     summary = results.summary("rotor_bearing")
     designs = {}
