@@ -17,6 +17,7 @@ from start_problems import MAGLEV, start_problem
 import gbid
 from gbid.core.errors import UsageError
 from gbid.identify.problem.nlp import Shooting
+from gbid.identify.uncertainty.profiles import Side, _end
 from gbid.structure import LinearStructure, NonlinearStructure, Parameter
 
 DT, W = 0.005, 20 * np.pi
@@ -337,3 +338,11 @@ def test_the_picture():
     at = np.interp(profiles["d"].interval, parabola.get_xdata(), parabola.get_ydata())
     assert at == pytest.approx(profiles["d"].threshold, rel=0.15)
     assert len(np.ravel(profiles["w"].plot())) == 1
+
+
+def test_the_end_of_an_interval_is_on_the_parabola_through_all_points():
+    """Values are 1 + 2 r + 3 r^2 of the root r of the ratio, at r = 0, 1 and 2."""
+    side = Side([1.0, 6.0, 17.0], [0.0, 1.0, 4.0], "crossed")
+    assert _end(side, 1, 1.5**2) == pytest.approx(1 + 2 * 1.5 + 3 * 1.5**2)
+    fallen = Side([1.0, 2.0, 6.0, 17.0], [0.0, 9.0, 1.0, 4.0], "crossed")  # another minimum on the way: from there on
+    assert _end(fallen, 1, 1.5**2) == pytest.approx(11.5)
