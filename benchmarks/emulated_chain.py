@@ -155,7 +155,7 @@ def main() -> int:
     ):
         gains = {p.name: half[p.name.split("_")[0]] * (p.name[-1] in "1xy" or 0.1) for p in structure.parameters}
         design = ControllerDesign("chain", structure, gains, sample_time=2e-4)
-        chain = chain_of(design, options=ChainOptions(number="float"))
+        chain = chain_of(design, options=ChainOptions(number="float", stroke_m=45e-6, disc_limit_m=20e-6))
         run = run_emulated(chain, selftest_rows(chain))
         rate = f"{run.largest_rate_hz / 1e3:.0f} kHz"
         print(f"{name:18}{run.instructions:13.0f}{run.code_bytes:7}{run.state_bytes:7}{rate:>27}")
