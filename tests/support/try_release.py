@@ -50,7 +50,7 @@ assert gbid.load("fit.h5").parameters == result.parameters
 assert result.plot().shape == (4, 2)
 gains = gbid.tune(machine, operating_points=[(6.0, 0.0)])
 assert gains.success, gains
-gbid.save_controller("controller.yaml", gains, sample_time=2e-4)
+gbid.save_controller("controller.yaml", gains, sample_time=2e-4, plant="theisen2016")
 print("fit:", result.status, "tune:", gains.status)
 """
 
