@@ -114,6 +114,14 @@ def test_unknown_gain_is_estimated_along_and_its_mode_has_a_standard_deviation()
     assert 0 < found.modes_std[0, 1] < 1e-2
 
 
+def test_a_sampled_loop_with_missing_outputs_is_refused_in_prediction():
+    w, loop = levels(200), gbid.ClosedLoop(MODE, LAG, sample_time=H)
+    y = evaluate(loop, VALUES).simulate(w)[:, 0]
+    y[50:53] = np.nan
+    with pytest.raises(UsageError, match="a loop with a sampled controller takes missing outputs"):
+        gbid.fit(loop, gbid.Recording({"w": w, "y": y}, H), focus="prediction", start=VALUES, window=None)
+
+
 def test_what_does_not_fit_is_refused():
     law = evaluate(LAG, LAG_AT)
     with pytest.raises(UsageError, match="takes 1 signals and makes 1"):

@@ -253,7 +253,7 @@ def _needs_gap_kernel(predictor: GeneralPredictor, segments: Sequence[Segment]) 
     Raises
     ------
     UsageError
-        When that is so for a structure that is not linear.
+        When that is so for a structure that is not linear, or predictions correct a loop with a sampled controller.
     """
     gaps = [~s.present for s in segments if s.missing is not None]
     if not any(gap.any() if predictor.feeds_back else (gap.any(1) != gap.all(1)).any() for gap in gaps):
@@ -262,6 +262,11 @@ def _needs_gap_kernel(predictor: GeneralPredictor, segments: Sequence[Segment]) 
         raise UsageError(
             "a nonlinear structure takes missing outputs (NaN) only without a disturbance gain (focus='simulation'), "
             "and only where all outputs of a sample are missing together"
+        )
+    if predictor.feeds_back and predictor.feedback is not None:
+        raise UsageError(
+            "a loop with a sampled controller takes missing outputs (NaN) only without a disturbance gain "
+            "(focus='simulation'): the gain of its Kalman filter after a gap is not computed"
         )
     return True
 
