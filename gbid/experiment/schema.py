@@ -187,7 +187,7 @@ class FigureSection(Section):
 class StructureOptions(Section):
     """Options of a built-in structure; `order` and `piece_s` are for scheduled ones, see `gbid.scheduled`."""
 
-    delay: Literal["pade", "exact"] | None = None
+    delay: Literal["exact", "pade"] | None = None
     pade_order: Count | None = None
     disturbance_gain: Literal["full", "diagonal", "states", "none"] | None = None
     poles: Literal["real", "any"] | None = None

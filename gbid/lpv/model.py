@@ -250,7 +250,13 @@ class MachineData:
         check_options(self, "machine")
 
     def filled(self, other: MachineData) -> MachineData:
-        """Return these numbers, with those of another where one is not known."""
+        """Return these numbers, with those of another where one is not known.
+
+        Parameters
+        ----------
+        other : MachineData
+            Numbers that take the places of those that are None.
+        """
         return MachineData(*(a if a is not None else b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 

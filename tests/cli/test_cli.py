@@ -292,7 +292,7 @@ def test_a_missed_threshold_ends_with_5_and_is_written(spring, tmp_path, capsys)
 def test_a_defect_of_ours_ends_with_1(spring, monkeypatch, capsys):
     import gbid.experiment.load as load
 
-    def broken(*_):
+    def broken(*_, **__):
         raise ZeroDivisionError("oh")
 
     monkeypatch.setattr(load, "load_experiment", broken)
@@ -359,4 +359,7 @@ def test_without_a_home_folder_there_are_no_lines_of_other_libraries(tmp_path, m
     _, err = process.communicate(timeout=120)
     assert process.returncode == 0
     said = [line.partition(" (")[0] for line in err.splitlines()]
-    assert said == ["report report.html: made", f"next: gbid export {path} --to matlab"]
+    executed = (
+        f"gbid: {path.with_name('spring.py')}: this Python file is executed with your rights"  # no cache knows it
+    )
+    assert said == [executed, "report report.html: made", f"next: gbid export {path} --to matlab"]

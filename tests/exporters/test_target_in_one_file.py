@@ -32,7 +32,7 @@ def test_a_new_target_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_controller_file_is_exported(to: str, tmp_path: Path, capsys) -> None:
     gains = {"kappa_x": 0.9, "kappa_y": 0.8}
     path = tmp_path / "damper.yaml"
-    design = gbid.save_controller(path, "P", gains, name="damper", sample_time=2e-4)
+    design = gbid.save_controller(path, "P", gains, name="damper", sample_time=2e-4, plant="theisen2016")
     files = [Path(name) for name in json_of(capsys, "export", path, "--to", to, "--output", tmp_path / to)["files"]]
     assert all(file.is_file() and file.name.startswith("controller_damper") for file in files)
     if to == "matlab":

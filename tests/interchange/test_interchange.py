@@ -69,7 +69,7 @@ def test_scipy_simulates_the_same(dt):
     assert isinstance(system, signal.StateSpace)
     u = np.random.default_rng(1).standard_normal((300, 2))
     time = 2e-4 * np.arange(300)
-    found = signal.lsim(system, u, time, interp=False)[1] if dt is None else signal.dlsim(system, u)[1]
+    found = signal.lsim(system, u, time, interp=True)[1] if dt is None else signal.dlsim(system, u)[1]
     expected = model.simulate(u, 2e-4)
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 

@@ -109,11 +109,11 @@ def change(item, name, value):
     item[name].attrs.update(attributes)
 
 
-NAN = np.ones((N, 2))
-NAN[3, 1] = np.nan
+OVERFLOWN = np.ones((N, 2))
+OVERFLOWN[3, 1] = np.inf
 DAMAGES = [
     (lambda f: [f["signals"].pop(k) for k in ("u", "p", "aux")], "no signals"),
-    (lambda f: change(f["signals"], "p", NAN), "the first nan at sample 3, channel 1"),
+    (lambda f: change(f["signals"], "p", OVERFLOWN), "the first inf at sample 3, channel 1"),
     (lambda f: change(f["signals"], "p", np.ones((2, N))), "more channels than samples"),
     (lambda f: change(f["signals"], "p", np.ones(N)), "1 channels, expected 2 (x, y)"),
     (lambda f: change(f["signals"], "p", np.ones((N - 1, 2))), "different numbers of samples"),
