@@ -757,8 +757,8 @@ def _check_channels(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
     if missing:
         raise UsageError(
             f"controller {name!r}: nobody said the travel of the stacks and the clearance of this machine; give "
-            f"{' and '.join(missing)}, in an experiment machine: piezo_travel_m and clearance_m, or with save_controller "
-            "plant='theisen2016' or provenance={'piezo_travel_m': ..., 'clearance_m': ...}",
+            f"{' and '.join(missing)}, in an experiment machine: piezo_travel_m and clearance_m, or with "
+            "save_controller plant='theisen2016' or provenance={'piezo_travel_m': ..., 'clearance_m': ...}",
             missing[0],
         )
     for key, count in (("zero_m", n), ("beyond", n), ("spikes", n), ("limits", m), ("offsets", m)):

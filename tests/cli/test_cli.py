@@ -360,6 +360,6 @@ def test_without_a_home_folder_there_are_no_lines_of_other_libraries(tmp_path, m
     assert process.returncode == 0
     said = [line.partition(" (")[0] for line in err.splitlines()]
     executed = (
-        f"gbid: {path.with_name('spring.py')}: this Python file is executed with your rights"  # no cache knows it
+        f"gbid: {path.with_name('spring.py')}: this Python file is executed with your rights"
     )
     assert said == [executed, "report report.html: made", f"next: gbid export {path} --to matlab"]
