@@ -359,7 +359,5 @@ def test_without_a_home_folder_there_are_no_lines_of_other_libraries(tmp_path, m
     _, err = process.communicate(timeout=120)
     assert process.returncode == 0
     said = [line.partition(" (")[0] for line in err.splitlines()]
-    executed = (
-        f"gbid: {path.with_name('spring.py')}: this Python file is executed with your rights"
-    )
+    executed = f"gbid: {path.with_name('spring.py')}: this Python file is executed with your rights"
     assert said == [executed, "report report.html: made", f"next: gbid export {path} --to matlab"]
