@@ -26,7 +26,7 @@ def executed(tmp_path, monkeypatch):
     "command",
     [
         [str(Path(sys.executable).with_name("gbid")), "--version"],
-        [sys.executable, "-m", "gbid", "--version"],
+        [sys.executable, "-P", "-m", "gbid", "--version"],
         [*(_packaged() or [["true"]])[0], "--version"],
     ],
     ids=["command", "module", "packaged compiler"],
@@ -35,6 +35,11 @@ def test_python_files_beside_the_data_are_not_executed(executed, command):
     ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert executed.read_text() == ""
     assert ended.returncode == 0, ended.stderr
+
+
+def test_without_its_option_p_python_itself_loads_importlib_before_it_comes_to_gbid(executed):
+    subprocess.run([sys.executable, "-m", "gbid", "--version"], capture_output=True, timeout=120, check=False)
+    assert set(executed.read_text().split()) <= {"importlib"}  # unless a .pth file of an installed package loaded it
 
 
 def test_nor_by_the_reader_of_foreign_files(executed):
