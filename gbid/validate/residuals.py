@@ -27,6 +27,7 @@ from gbid.validate.simulate import (
 )
 
 _LEVEL = 0.99
+_LAGS = 50  # largest lag that is tested, by default
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,9 @@ class ResidualTest(Brief, Pictured):
         return tuple(words)
 
 
-def check_residuals(result: FitResult, recording: Recording, lags: int = 50, left_out: Ranges = ()) -> ResidualTest:
+def check_residuals(
+    result: FitResult, recording: Recording, lags: int | None = None, left_out: Ranges = ()
+) -> ResidualTest:
     """Return residual tests of a fitted model on a recording.
 
     The residuals are one-step-ahead prediction errors for a fit with prediction focus, and simulation errors
@@ -135,11 +138,13 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
         The fit.
     recording : Recording
         The recording.
-    lags : int
-        Largest lag [samples].
+    lags : int, optional
+        Largest lag [samples]; by default 50, or a fourth of the samples that are tested.
     left_out : sequence of (start, stop)
         Ranges of samples that are not tested. The longest stretch without them is tested, because correlations need
-        consecutive samples.
+        consecutive samples. Where outputs are missing (nan), a simulation goes on; its residuals count at the samples
+        that have all outputs, and each correlation is that of the pairs there are. A prediction needs every output:
+        its longest stretch has none missing.
 
     Returns
     -------
@@ -150,34 +155,42 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     UsageError
         When the recording is shorter than four times the lags.
     DataError
-        When the recording lacks a signal, or when the predictions overflow.
+        When the recording lacks a signal, when no four samples in a row can be tested, or when the predictions
+        overflow.
     """
     refuse_scheduled(result)
     u, input_names, _ = select(recording, result.options.inputs)
-    output_names = select(recording, result.options.outputs)[1]
-    stretch = _longest(counted_samples(recording, left_out), len(u))
+    output_names = select(recording, result.options.outputs, gaps=True)[1]
+    stretch, counted = _tested(result, recording, left_out)
     u = u[stretch]
+    if len(u) < 4:
+        raise DataError(
+            f"recording {recording.name!r}: no four samples in a row have all outputs, and residuals of a fit in "
+            "prediction focus need them; fit in simulation focus, or write residuals: none"
+        )
+    lags = min(_LAGS, len(u) // 4) if lags is None else lags
     if lags < 1 or len(u) < 4 * lags:
         raise UsageError(
             f"lags = {lags}: recording {recording.name!r} has {len(u)} samples; lags must be 1 to a fourth"
         )
-    y, predicted = _predicted(result, recording, stretch)
-    error = y - predicted
-    e, v = error - error.mean(0), u - u.mean(0)
+    y, predicted = _predicted(result, recording, stretch, counted)
+    error = y[counted] - predicted[counted]
+    e, v = np.zeros(y.shape), u - u.mean(0)  # zero where there is no residual: it is in no sum
+    e[counted] = error - error.mean(0)
     n, pairs = len(e), list(np.ndindex(e.shape[1], v.shape[1]))
     quantile = float(ndtri(0.5 + _LEVEL / 2))
-    test = input_test(error, u, lags)
+    test = input_test(e, u, lags)
     before = np.array([correlation(e[:, j], v[:, i], lags)[:0:-1] for j, i in pairs])
     cross = np.concatenate([before.reshape(*test.statistic.shape, lags), test.correlation], axis=2)
     band = quantile * np.sqrt(test.variance[:, :, 0] / n)
     outside = (np.abs(cross[:, :, lags:]) > band[:, :, None]).mean(axis=2)
-    white = whiteness_test([error])
+    white = whiteness_test([e])
     return ResidualTest(
         recording=recording.name,
         lags=np.arange(lags + 1),
         time=recording.time[: lags + 1],
         autocorrelation=np.array([correlation(channel, channel, lags) for channel in e.T]),
-        band=quantile / float(np.sqrt(n)),
+        band=quantile / float(np.sqrt(counted.sum())),
         cross_lags=np.arange(-lags, lags + 1),
         crosscorrelation=cross,
         cross_band=band,
@@ -186,17 +199,31 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
         outside=outside,
         infinity_norm=np.abs(error).max(axis=0),
         rms=np.sqrt((error**2).mean(axis=0)),
-        fit_percent=fit_percent(y, predicted),
+        fit_percent=fit_percent(y[counted], predicted[counted]),
         input_names=tuple(input_names),
         output_names=tuple(output_names),
     )
 
 
-def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple[FloatArray, FloatArray]:
-    """Return the outputs without their disturbances, and their predictions."""
+def _tested(result: FitResult, recording: Recording, left_out: Ranges) -> tuple[slice, BoolArray]:
+    """Return the stretch that is tested, and which of its samples have all outputs."""
+    whole = ~np.isnan(select(recording, result.options.outputs, gaps=True)[0]).any(axis=1)
+    counted = counted_samples(recording, left_out)
+    tested = np.ones(len(whole), bool) if counted is None else counted
+    if result.options.focus == "prediction":
+        tested = tested & whole
+    edges = np.flatnonzero(np.diff(tested, prepend=False, append=False)).reshape(-1, 2)
+    start, stop = edges[np.argmax(edges[:, 1] - edges[:, 0])].tolist() if len(edges) else (0, 0)
+    return slice(start, stop), whole[start:stop]
+
+
+def _predicted(
+    result: FitResult, recording: Recording, stretch: slice, counted: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the outputs without their disturbances, and their predictions; only samples that count are explained."""
     u = select(recording, result.options.inputs)[0][stretch]
-    y = select(recording, result.options.outputs)[0][stretch]
-    model = result.model
+    y = select(recording, result.options.outputs, gaps=True)[0][stretch]
+    model, some = result.model, None if counted.all() else counted
     overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     with np.errstate(over="ignore", invalid="ignore"):
         disturbances = result.disturbances
@@ -205,11 +232,11 @@ def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple
             fitted = replace(
                 fitted, predicts=bool(fitted.model.K.any()) and not disturbances.instead_of_walks(1).n_columns
             )
-        state = fitted.explain(u.T, y.T).initial_state
+        state = fitted.explain(u.T, y.T, some).initial_state
         if not np.isfinite(state).all():
             raise overflow
         predicted = fitted.run(u.T, state).T
-        y = y - fitted.disturbed((y - predicted).T).T
+        y = y - fitted.disturbed((y - predicted).T, some).T
         if result.options.focus == "prediction":
             model = disturbances.with_walks_as_states(model, result.parameters)
             state = np.concatenate([state, np.zeros(len(disturbances.walking))])
@@ -217,15 +244,6 @@ def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple
     if not np.isfinite(predicted).all():
         raise overflow
     return y, predicted
-
-
-def _longest(counted: BoolArray | None, n: int) -> slice:
-    """Return the longest stretch of samples that count."""
-    if counted is None:
-        return slice(0, n)
-    edges = np.flatnonzero(np.diff(counted, prepend=False, append=False)).reshape(-1, 2)
-    start, stop = edges[np.argmax(edges[:, 1] - edges[:, 0])].tolist()
-    return slice(start, stop)
 
 
 # ---- Lines of the shaft in the residuals of a fit: run-out that the prefilter left.
@@ -273,7 +291,7 @@ def shaft_lines(result: FitResult, recording: Recording, left_out: Ranges = ()) 
     Returns
     -------
     list of ShaftLine
-        Empty for a shaft at rest, and without phi.
+        Empty for a shaft at rest, without phi, where outputs of a simulation are missing, and for less than a turn.
 
     Raises
     ------
@@ -283,8 +301,11 @@ def shaft_lines(result: FitResult, recording: Recording, left_out: Ranges = ()) 
     turning = turns_per_second(recording)
     if turning is None:
         return []
-    names = select(recording, result.options.outputs)[1]
-    y, predicted = _predicted(result, recording, _longest(counted_samples(recording, left_out), recording.n_samples))
+    names = select(recording, result.options.outputs, gaps=True)[1]
+    stretch, counted = _tested(result, recording, left_out)
+    if not counted.all() or len(counted) * recording.sample_time * turning < 1:  # gaps have lines of their own
+        return []
+    y, predicted = _predicted(result, recording, stretch, counted)
     error = y - predicted
     power, frequency = power_of(error - error.mean(axis=0), recording.sample_time)
     clear = []

@@ -12,6 +12,7 @@ from scipy.stats import chi2, kstest, norm
 from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.identify.disturbances import Disturbances, Trend
+from gbid.identify.uncertainty.residual_tests import input_test
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 from gbid.validate import check_residuals, cross_validate, estimate_initial_state
@@ -292,3 +293,39 @@ def test_a_recording_has_an_offset_of_its_own(model):
     assert check_residuals(model, other).white.all()
     without = replace(model, disturbances=Disturbances())
     assert cross_validate(without, other).fit_percent.min() < 90
+
+
+def test_a_simulation_is_tested_where_outputs_are_missing_and_a_prediction_between(result):
+    random = np.random.default_rng(5)
+    true, other = (simulated(LAG, {**LAG_AT, "a": a}, levels(4000, seed=3), noise=0.05) for a in (1.5, 1.6))
+    gone = random.random(4000) < 0.1
+    with_gaps = [
+        Recording({"u": r.signals["u"], "y": np.where(gone, np.nan, r.signals["y"][:, 0])}, H, name="gaps")
+        for r in (true, other)
+    ]
+    of_simulation = fit(LAG, true, focus="simulation", fixed={"k": 0.0})
+    right, wrong = (check_residuals(of_simulation, r) for r in with_gaps)
+    assert right.white.all()
+    assert not right.follows[0]
+    assert right.rms[0] == pytest.approx(0.05, rel=0.05)
+    assert wrong.follows[0] == ("u",)
+    assert len(check_residuals(result, with_gaps[0]).lags) - 1 == np.diff(np.flatnonzero(gone)).max() // 4
+    every_second = Recording(
+        {"u": true.signals["u"], "y": np.where(np.arange(4000) % 2, np.nan, true.signals["y"][:, 0])}, H
+    )
+    with pytest.raises(DataError, match=r"no four samples in a row have all outputs.*simulation focus"):
+        check_residuals(result, every_second)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.7])
+def test_an_input_in_step_with_the_gaps_is_followed_no_more_often_than_by_chance(rho):
+    """Every second output is missing, and the levels of the input change at even samples."""
+    n, p = 1500, []
+    for seed in range(400):
+        random = np.random.default_rng(seed)
+        residuals = lfilter([1.0], [1.0, -rho], random.normal(size=(n, 1)), axis=0)
+        residuals[1::2] = 0.0
+        inputs = np.repeat(random.choice([-1.0, 1.0], (n // 10, 1)), 10, axis=0)
+        p.append(input_test(residuals, inputs, 25, white=rho == 0).p_value[0, 0])
+    assert 0.025 < np.mean(np.array(p) < 0.05) < 0.08
+    assert np.mean(np.array(p) < 0.01) < 0.025

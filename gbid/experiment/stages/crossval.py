@@ -88,8 +88,6 @@ def _partner_problems(experiment: Experiment, name: str, on: Sequence[str]) -> I
 
 # ---- Cross-validation of one model on one recording.
 
-_LAGS = 50  # largest lag of the residual test
-
 
 def validate_pair(job: Job, name: str, model: str, recording: str) -> Validation:
     """Return the scores of one model of a fit on one recording.
@@ -118,10 +116,7 @@ def model_and_recording(job: Job, name: str, model: str, recording: str) -> tupl
 
 def residuals_on(job: Job, name: str, result: FitResult, data: Recording) -> ResidualTest:
     """Return the residual tests of a loaded model on a loaded recording."""
-    left_out = left_out_of(job, name, data)
-    edges = [0, *sorted(edge for stretch in left_out for edge in stretch), data.n_samples]
-    longest = max(stop - start for start, stop in zip(edges[::2], edges[1::2], strict=True))
-    return check_residuals(result, data, lags=max(1, min(_LAGS, longest // 4)), left_out=left_out)
+    return check_residuals(result, data, left_out=left_out_of(job, name, data))
 
 
 def data_key(experiment: Experiment, name: str, recording: str) -> str:

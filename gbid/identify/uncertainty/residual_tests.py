@@ -167,7 +167,14 @@ def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: b
     a slow input the correlations at neighbouring lags are almost equal: directions with hardly a variance do not count.
     """
     n, most = len(residuals), 0 if white else 2 * lags
-    e, u = (np.asarray(part - column_means(part)) for part in (residuals, inputs))
+    u = np.asarray(inputs - column_means(inputs))
+    there = residuals != 0
+    gaps = not there.all()  # samples are missing or left out
+    e = (
+        np.where(there, residuals - residuals.sum(0) / there.sum(0).clip(1), 0.0)
+        if gaps
+        else (residuals - column_means(residuals))
+    )
     size_e, size_u = (np.sqrt(np.einsum("ki,ki->i", part, part)) for part in (e, u))
     scale = np.where((size_e > 0)[:, None] & (size_u > 0), np.outer(size_e, size_u), np.inf)
     e, u = np.ascontiguousarray(e.T), np.ascontiguousarray(u.T)
@@ -182,13 +189,31 @@ def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: b
     statistic, freedom = np.zeros((2, *scale.shape))
     for i in range(len(u)):
         for j in range(len(e)):
-            if j == 0 or not white:  # for white residuals it is the same for all outputs
-                values, vectors = np.linalg.eigh(toeplitz(variance[j, i]))
+            if j == 0 or gaps or not white:  # for white residuals it is the same for all outputs
+                covariance = _of_pairs(e[j], u[i], of_residual[j], lags) if gaps else toeplitz(variance[j, i])
+                variance[j, i] = covariance[0]
+                values, vectors = np.linalg.eigh(covariance)
                 kept = values > 1e-6 * values[-1]
                 spread = vectors[:, kept] / np.sqrt(values[kept])
             statistic[j, i] = n * float(((cross[j, i] @ spread) ** 2).sum())
             freedom[j, i] = spread.shape[1]
     return InputTest(cross, variance, statistic, freedom)
+
+
+def _of_pairs(residuals: FloatArray, source: FloatArray, colour: FloatArray, lags: int) -> FloatArray:
+    """Return the covariance of the correlations, (n_lags + 1, n_lags + 1), where some residuals are zero (none).
+
+    It is that of the samples of the input that meet a residual. An input whose levels change in step with the gaps is
+    not alike at all of them.
+    """
+    there, n = residuals != 0, len(residuals)
+    count = float(there.sum())
+    pairs = correlation(there * 1.0, there * 1.0, len(colour) - 1)
+    rho = np.where(pairs * count > 0.5, colour / np.maximum(pairs, 1 / max(count, 1)), 0.0)
+    met = np.array([np.concatenate([np.zeros(lag), source[: n - lag]]) for lag in range(lags + 1)]) * there
+    size = next_fast_len(n + len(rho), real=True)
+    filtered = irfft(rfft(met, size) * (2 * rfft(rho, size).real - rho[0]), size)[:, :n]
+    return np.asarray(met @ filtered.T) * (n / max(count * float(source @ source), np.finfo(float).tiny))
 
 
 def followed(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], *, white: bool) -> FloatArray:
