@@ -207,7 +207,8 @@ def check_residuals(
 
 def _tested(result: FitResult, recording: Recording, left_out: Ranges) -> tuple[slice, BoolArray]:
     """Return the stretch that is tested, and which of its samples have all outputs."""
-    whole = ~np.isnan(select(recording, result.options.outputs, gaps=True)[0]).any(axis=1)
+    missing = np.isnan(select(recording, result.options.outputs, gaps=True)[0])
+    whole = np.asarray(~missing.any(axis=1), bool)
     counted = counted_samples(recording, left_out)
     tested = np.ones(len(whole), bool) if counted is None else counted
     if result.options.focus == "prediction":
