@@ -175,11 +175,11 @@ def check_residuals(
         )
     y, predicted = _predicted(result, recording, stretch, counted)
     error = y[counted] - predicted[counted]
-    e, v = np.zeros(y.shape), u - u.mean(0)  # zero where there is no residual: it is in no sum
+    e, v = np.zeros_like(y), u - u.mean(0)  # zero where there is no residual: it is in no sum
     e[counted] = error - error.mean(0)
-    n, pairs = len(e), list(np.ndindex(e.shape[1], v.shape[1]))
     quantile = float(ndtri(0.5 + _LEVEL / 2))
     test = input_test(e, u, lags)
+    n, pairs = len(e), list(np.ndindex(test.statistic.shape))
     before = np.array([correlation(e[:, j], v[:, i], lags)[:0:-1] for j, i in pairs])
     cross = np.concatenate([before.reshape(*test.statistic.shape, lags), test.correlation], axis=2)
     band = quantile * np.sqrt(test.variance[:, :, 0] / n)
