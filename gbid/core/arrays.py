@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -136,8 +137,8 @@ if hasattr(os, "register_at_fork"):  # a child has none of the threads that may 
 
 
 @cache
-def _controller() -> Any:
-    return ThreadpoolController()  # inspects every loaded library, so it is made only once
+def _controller(_with_scipy: bool) -> Any:
+    return ThreadpoolController()  # inspects every loaded library, so it is made once, and again with that of scipy
 
 
 @contextmanager
@@ -149,7 +150,7 @@ def one_blas_thread() -> Iterator[None]:
     """
     with _shared.counting:
         if _shared.users == 0:
-            _shared.limit = _controller().limit(limits=1, user_api="blas")
+            _shared.limit = _controller("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")
         _shared.users += 1
     try:
         yield

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from functools import cache, wraps
 from types import FunctionType
 from typing import Any
@@ -21,7 +21,8 @@ def attach(
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package whose stub lists its public names.
 
     Functions and constructors check their arguments, see `gbid.core.option_types.check_call`. Calls from
-    gbid itself are not checked: mypy did.
+    gbid itself are not checked: mypy did. Functions run with one thread of BLAS: their matrices are small, and threads
+    that wait for each other take several times the processor time.
 
     Parameters
     ----------
@@ -73,11 +74,12 @@ def _checked(function: Any, owner: str, of: type | None = None, around: Around |
             frame = frame.f_back
             caller = frame.f_globals.get("__name__") or ""
         if not caller.startswith("gbid."):
+            from gbid.core.arrays import one_blas_thread
             from gbid.core.option_types import check_call
 
             check_call(function, owner, args, keywords, of)
-            if around is not None:
-                with around(function, args, keywords):
+            if of is None:
+                with one_blas_thread(), nullcontext() if around is None else around(function, args, keywords):
                     return function(*args, **keywords)
         return function(*args, **keywords)
 

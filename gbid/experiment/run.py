@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol, get_args
 
 from gbid.control.tuning.problem import SearchStep
+from gbid.core.arrays import one_blas_thread
 from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError, from_interrupt
 from gbid.core.files import atomic_path
 from gbid.core.tables import Column, Table
@@ -351,7 +352,7 @@ def perform(job: Job, task: Task) -> Outcome:
 def _make(job: Job, task: Task) -> Outcome:
     began = time.perf_counter()
     origin = {**job.experiment.origin(task.recordings), "command": job.command}
-    with writing_keyed(task.path, task.key, origin) as part:
+    with one_blas_thread(), writing_keyed(task.path, task.key, origin) as part:
         made = task.write(job, part) or Made()
     return task.ended("made", made, time.perf_counter() - began)
 

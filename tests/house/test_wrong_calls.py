@@ -1,5 +1,6 @@
 """Public names called with wrong arguments: gbid's own error names the argument, its value, and what is expected."""
 
+import os
 import pickle
 import subprocess
 import sys
@@ -81,3 +82,29 @@ def test_a_copy_with_other_values_is_checked_for_its_caller_alone(monkeypatch):
 def test_the_check_is_not_imported_before_a_call():
     code = "import sys, gbid; assert not {'numpy', 'gbid.core.option_types'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_public_function_runs_with_one_thread_of_blas_and_leaves_the_number_as_it_was():
+    """Threads that wait for each other took 96 s of processor time for 14. `fit_ringdown` has no limit of its own."""
+    code = """
+import os
+import numpy as np, scipy.linalg, threadpoolctl
+import gbid
+from gbid.core.arrays import one_blas_thread
+from gbid.core.errors import DataError
+from gbid.control.impact import ringdown
+def threads():
+    return {each["num_threads"] for each in threadpoolctl.threadpool_info() if each["user_api"] == "blas"}
+with one_blas_thread():
+    pass
+before, inside = threads(), []
+ringdown._check_arguments = lambda *args: inside.append(threads())
+try:
+    gbid.fit_ringdown(gbid.Recording({"p": np.ones((200, 2))}, 1e-3))
+except DataError:
+    pass
+print(before == {2}, inside == [{1}], threads() == before)
+"""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2", "MKL_NUM_THREADS": "2"}
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == ["True", "True", "True"]
