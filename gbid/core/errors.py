@@ -6,7 +6,8 @@ Exit codes: 0 fine, 1 a defect of ours, 2 wrong usage or YAML, 3 bad data, 4 not
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import difflib
+from collections.abc import Iterable, Iterator
 
 
 class GbidError(Exception):
@@ -76,3 +77,17 @@ def origins(error: BaseException) -> Iterator[BaseException]:
     while current is not None:
         yield current
         current = current.__cause__ or current.__context__
+
+
+# ---- The nearest known name, for messages.
+
+_LISTED, _FIRST = 30, 8  # longest list of names that is shown in full; number of names shown of a longer one
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return a hint with the most similar known name and the known names; of many, only the first ones."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1)
+    meant = f"did you mean {close[0]!r}? " if close else ""
+    listed, more = (known, 0) if len(known) <= _LISTED else (known[:_FIRST], len(known) - _FIRST)
+    return f"{meant}there is {', '.join(listed) or 'nothing'}{f' and {more} more' if more else ''}"

@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 from annotated_types import Ge, Gt, Le, Lt
 
-from gbid.core.errors import UsageError
+from gbid.core.errors import UsageError, nearest
 
 
 @dataclass(frozen=True)
@@ -367,7 +367,7 @@ def check_call(
     owner : str
         Name of the function for the message.
     given, keywords
-        Arguments of the call; those that Python itself refuses are left to it.
+        Arguments of the call.
     of : type, optional
         Class of a method or constructor, whose first argument is the object.
 
@@ -375,12 +375,16 @@ def check_call(
     ------
     UsageError
         For the first argument that its annotation does not allow; names it, its value, and what is allowed.
+    TypeError
+        When an argument is missing, or when there is none of its name.
     """
     signature, kinds = _annotated(function, of)
     try:
         arguments = signature.bind(*given, **keywords).arguments
-    except TypeError:
-        return
+    except TypeError as error:
+        unknown = next((name for name in keywords if name not in signature.parameters), None)
+        hint = f"; {nearest(unknown, signature.parameters)}" if unknown else ""
+        raise TypeError(f"{owner}() {error}{hint}") from None
     for name, kind in kinds.items():
         if name not in arguments:
             continue
@@ -484,6 +488,15 @@ def takes_options(
         return called
 
     return decorate
+
+
+def options_of_call(kind: type[_Made], owner: str, options: Mapping[str, Any]) -> _Made:
+    """Return a dataclass of the further keywords of a call; TypeError for one that it does not have."""
+    names = inspect.signature(kind).parameters
+    for name in options:
+        if name not in names:
+            raise TypeError(f"{owner}() got an unexpected keyword argument {name!r}; {nearest(name, names)}")
+    return kind(**options)
 
 
 def _with_options(text: str, kind: Any) -> str:

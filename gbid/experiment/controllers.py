@@ -27,10 +27,10 @@ from gbid.control.assessment import TunedDesign
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.structures import with_schedule
 from gbid.control.loop.close import sample_controller
-from gbid.core.errors import UsageError
+from gbid.core.errors import UsageError, nearest
 from gbid.core.hdf5 import load
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import InputError, Result, about, file_digest, nearest, needed, stored_key
+from gbid.experiment.fields import InputError, Result, about, file_digest, needed, stored_key
 from gbid.experiment.machine import PlannedRun, machine_data, rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection, Place
 from gbid.experiment.schema import (

@@ -16,7 +16,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gbid.core.arrays import point_label
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.units import conversion_factor
 from gbid.experiment.experiment import POINT, by_count
 from gbid.experiment.schema import KINDS, Kind, NamePattern, name_of, name_pattern
@@ -28,7 +28,6 @@ from gbid.prefilter.runout_identification import compare_runout
 from gbid.recording import Recording, import_recording
 from gbid.recording.formats import file_formats
 from gbid.recording.importing import list_channels
-from gbid.recording.mapping import nearest
 from gbid.recording.quality import speed_change
 from gbid.recording.readers import FileChannel
 

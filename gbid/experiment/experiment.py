@@ -14,13 +14,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.errors import DataError, GbidError, UsageError, nearest
 from gbid.core.files import is_changed, share_folder
 from gbid.core.names import file_stem, given_path
 from gbid.core.notes import DataNote
 from gbid.core.units import SIGNALS
 from gbid.core.yaml_file import CHANGED, YamlFile
-from gbid.experiment.fields import Found, Location, Problem, Result, content_key, dotted, file_digest, nearest, needed
+from gbid.experiment.fields import Found, Location, Problem, Result, content_key, dotted, file_digest, needed
 from gbid.experiment.rig_schema import OperatingPoint, Place, RigSection
 from gbid.experiment.schema import (
     ExperimentFile,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import re
@@ -28,7 +27,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails
 
 from gbid._version import __version__
-from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.errors import DataError, GbidError, UsageError, nearest
 from gbid.core.files import add_text_checksum, atomic_path, is_changed
 from gbid.core.hdf5 import MADE_WITH, changing, opened, versions
 from gbid.core.names import given_path
@@ -101,7 +100,6 @@ Location = tuple[str | int, ...]
 """Keys and list positions that lead to a value of the YAML."""
 Found = Iterator[tuple[Location, str]]
 """Result of a check: location in the YAML and text of each problem."""
-_LISTED, _FIRST = 30, 8  # longest list of names that is shown in full; number of names shown of a longer one
 
 
 @dataclass(frozen=True)
@@ -164,15 +162,6 @@ def refusal(where: Location, made: Callable[[], object], key: str = "") -> Found
     except GbidError as error:
         named = error.key or key
         yield (*where, named) if named else where, str(error)
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a hint with the most similar known name and the known names; of many, only the first ones."""
-    known = list(known)
-    close = difflib.get_close_matches(name, known, n=1)
-    meant = f"did you mean {close[0]!r}? " if close else ""
-    listed, more = (known, 0) if len(known) <= _LISTED else (known[:_FIRST], len(known) - _FIRST)
-    return f"{meant}there is {', '.join(listed) or 'nothing'}{f' and {more} more' if more else ''}"
 
 
 def schema_faults(model: type[BaseModel], data: Any, error: ValidationError) -> dict[Location, str]:

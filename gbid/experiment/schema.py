@@ -24,7 +24,7 @@ from gbid import control
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.tuning.goals import BoundLike, DisturbanceSpectrum, Goal
 from gbid.control.tuning.plants import DesignOptions
-from gbid.core.errors import UsageError
+from gbid.core.errors import UsageError, nearest
 from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Finite, NotNegative, Positive
 from gbid.experiment.fields import (
     Holds,
@@ -37,7 +37,6 @@ from gbid.experiment.fields import (
     Switch,
     Text,
     given,
-    nearest,
 )
 from gbid.experiment.rig_schema import Axes, LoopSection, Places, RigSection
 from gbid.export.chain import ChainOptions

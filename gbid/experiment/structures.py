@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 
 from gbid.control import ControllerDesign, sample_controller
-from gbid.core.errors import GbidError, UsageError
+from gbid.core.errors import GbidError, UsageError, nearest
 from gbid.experiment.controllers import at_point, controller_identity, found_controller, rig_time
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import about, file_digest, nearest
+from gbid.experiment.fields import about, file_digest
 from gbid.experiment.rig_schema import LoopSection
 from gbid.experiment.user_code import user_structure
 from gbid.identify.disturbances import Disturbances, disturbances_of

@@ -13,6 +13,7 @@ from gbid.core.arrays import BoolArray, FloatArray, is_whole
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.notes import FitNote
+from gbid.core.option_types import options_of_call
 from gbid.identify.fit import fitted, with_profiles
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import Measured
@@ -128,7 +129,7 @@ def fit_multistart(
         raise UsageError(f"starts = {starts!r}; give a whole number of at least 1")
     if not isinstance(reach, float | int | np.number) or not 0 < reach < np.inf:
         raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")
-    asked = FitArguments(**options)
+    asked = options_of_call(FitArguments, "fit_multistart", options)
     arguments = replace(asked, profile=())  # of the best only
     first = fitted(structure, recordings, arguments)
     results = {0: first}

@@ -20,10 +20,10 @@ import h5py
 import numpy as np
 
 from gbid.core.arrays import FloatArray
-from gbid.core.errors import DataError
+from gbid.core.errors import DataError, nearest
 from gbid.core.extras import extra_package
 from gbid.recording.clock import even_step
-from gbid.recording.mapping import TextOptions, nearest
+from gbid.recording.mapping import TextOptions
 from gbid.recording.readers import FileChannel, FileFormat, OpenFile, StoredArray, array_format, with_values
 from gbid.recording.text_files import (
     FileColumn,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import codecs
-import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-from gbid.core.errors import UsageError
+from gbid.core.errors import UsageError, nearest
 from gbid.core.option_types import Count, CountOrZero, Finite, NotNegative, Positive, check_options
 
 # ---- What a user says about the layout of a text file; the rest is found in the file.
@@ -225,15 +224,6 @@ class ImportMapping:
         """Return the names of all columns, each once, with the time column first."""
         named = [column for signal in self.signals.values() for column in signal.columns]
         return list(dict.fromkeys([*([self.time] if self.time else []), *named]))
-
-
-def nearest(name: str, known: Iterable[str], limit: int = 30) -> str:
-    """Return the end of a message about an unknown name: the most similar name and the known names."""
-    known = list(known)
-    close = difflib.get_close_matches(name, known, n=1)
-    meant = f"did you mean {close[0]!r}? " if close else ""
-    listed = ", ".join(known[:limit]) + (f" and {len(known) - limit} more" if len(known) > limit else "")
-    return f"{meant}there is {listed or 'nothing'}"
 
 
 def _signals(signals: object) -> dict[str, SignalMapping]:

@@ -17,11 +17,11 @@ import numpy as np
 
 from gbid.core.apart import usable_memory
 from gbid.core.arrays import FloatArray
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.files import refuse_special
 from gbid.core.tables import file_size
 from gbid.core.units import conversion_factor, is_unit
-from gbid.recording.mapping import DECIMALS, DELIMITERS, TextOptions, nearest
+from gbid.recording.mapping import DECIMALS, DELIMITERS, TextOptions
 
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _CONTROL = frozenset(map(chr, range(32))) - set("\t\n\r\x0b\x0c\x1a")  # characters that no text has

@@ -46,6 +46,23 @@ def test_wrong_kinds_are_refused_at_the_door(call, words):
         call()
 
 
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (
+            lambda: gbid.fit(gbid.RotorBearing(), DATA, focuss="simulation"),
+            r"fit\(\) .* 'focuss'; did you mean 'focus'",
+        ),
+        (lambda: gbid.tune(LPV, bound={}), r"tune\(\) .* 'bound'; did you mean 'bounds'"),
+        (lambda: gbid.fit_multistart(gbid.RotorBearing(), DATA, fix={}), r"fit_multistart\(\) .* did you mean 'fixed'"),
+        (lambda: gbid.fit(DATA), r"fit\(\) missing a required argument: 'recordings'"),
+    ],
+)
+def test_a_call_that_does_not_fit_names_the_function_and_the_nearest_argument(call, words):
+    with pytest.raises(TypeError, match=words):
+        call()
+
+
 def test_ranges_in_seconds_are_refused():
     data = simulated(MODE, MODE_AT, levels(60), noise=0.1)
     with pytest.raises(UsageError, match=r"left_out\[0\]\[0\] = 0.5; give a whole number"):

@@ -11,11 +11,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import BeforeValidator
 
-from gbid.core.errors import DataError
+from gbid.core.errors import DataError, nearest
 from gbid.core.option_types import Positive
 from gbid.core.tables import Column, Table
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Names, Section, Text, given, nearest
+from gbid.experiment.fields import Found, Names, Section, Text, given
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Document, Job, Made, Outcome, Stage, Task, View
 from gbid.experiment.schema import ExperimentFile

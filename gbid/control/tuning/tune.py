@@ -41,6 +41,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.extras import data_frame
 from gbid.core.notes import ControlNote
+from gbid.core.option_types import options_of_call
 from gbid.lpv import LPVModel
 from gbid.structure.linear import Structure
 
@@ -167,7 +168,7 @@ def tune(
     >>> round(result.value, 3)
     0.318
     """
-    return tuned(model, controller, TuneOptions(**options), progress)
+    return tuned(model, controller, options_of_call(TuneOptions, "tune", options), progress)
 
 
 def tuned(

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from gbid.core.errors import DataError
+from gbid.core.errors import DataError, nearest
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import Value, csv_rows, plain_table, write_csv
 from gbid.experiment.experiment import SPECIAL, Experiment, validation_pairs
-from gbid.experiment.fields import Found, Result, nearest, needed, stored_key
+from gbid.experiment.fields import Found, Result, needed, stored_key
 from gbid.experiment.run import (
     Cause,
     Failure,

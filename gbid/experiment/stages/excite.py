@@ -6,10 +6,10 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from gbid.core.errors import GbidError
+from gbid.core.errors import GbidError, nearest
 from gbid.excite import ExcitationLimits, design_excitation, known_model, save_excitation
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, nearest
+from gbid.experiment.fields import Found
 from gbid.experiment.recordings import excitation_limits
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import ExciteSection

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy.typing as npt
 
-from gbid.core.errors import DataError, GbidError
+from gbid.core.errors import DataError, GbidError, nearest
 from gbid.core.hdf5 import read_attribute, read_dataset, reading
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
-from gbid.experiment.fields import Found, Location, Result, file_digest, nearest, refusal, version_of
+from gbid.experiment.fields import Found, Location, Result, file_digest, refusal, version_of
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.experiment.schema import FitSection

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from gbid.core.errors import UsageError
+from gbid.core.errors import UsageError, nearest
 from gbid.core.tables import read_values, table_of_values, write_csv
 from gbid.experiment.controllers import early_design, is_tuned, tuned_design
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, nearest
+from gbid.experiment.fields import Found, Location
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.fit import fit_entries, fit_result
 from gbid.experiment.stages.prefilter import load_fit_input

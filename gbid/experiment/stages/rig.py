@@ -10,7 +10,7 @@ import numpy as np
 
 from gbid.control import close_loop, exact_plant, load_controller, sample_plant
 from gbid.core.arrays import FloatArray, point_label
-from gbid.core.errors import GbidError, UsageError
+from gbid.core.errors import GbidError, UsageError, nearest
 from gbid.experiment.controllers import (
     LoopController,
     chosen,
@@ -20,7 +20,7 @@ from gbid.experiment.controllers import (
     stationary_at,
 )
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Found, InputError, Location, nearest, needed, refusal
+from gbid.experiment.fields import Found, InputError, Location, needed, refusal
 from gbid.experiment.machine import PlannedRun, machine_at, outside_domain, rig_experiment, rig_model, rig_run
 from gbid.experiment.recordings import recording_result, recording_tasks
 from gbid.experiment.rig_schema import ControllerChoice, RigLoopSection, RigSection

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from gbid.characterise import PiezoCurve, StaticMap, characterise_piezo, characterise_staircase, static_rows
+from gbid.core.errors import nearest
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, Location, Result, nearest
+from gbid.experiment.fields import Found, Location, Result
 from gbid.experiment.recordings import load_made, recording_result, refuse_bad_signals
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task
 from gbid.experiment.schema import wanted_signals

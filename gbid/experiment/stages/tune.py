@@ -26,7 +26,7 @@ from gbid.control import (
 from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
 from gbid.control.tuning.goals import limits_of
 from gbid.control.tuning.plants import DesignOptions
-from gbid.core.errors import GbidError
+from gbid.core.errors import GbidError, nearest
 from gbid.core.files import scratch_folder
 from gbid.core.hdf5 import load, save
 from gbid.experiment.controllers import (
@@ -47,7 +47,7 @@ from gbid.experiment.controllers import (
     without_cap,
 )
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.fields import Found, InputError, Location, Result, nearest, needed, refusal, stored_key
+from gbid.experiment.fields import Found, InputError, Location, Result, needed, refusal, stored_key
 from gbid.experiment.machine import machine_data, outside_domain
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
