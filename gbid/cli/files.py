@@ -219,7 +219,7 @@ def _drafted(options: DraftOptions, target: Path) -> Draft:
 _Encoding = Annotated[str | None, _peeking("its encoding")]
 _Decimal = Annotated[str | None, _peeking("its decimal sign")]
 _Delimiter = Annotated[str | None, _peeking("the character between its cells")]
-_HeaderLine = Annotated[int | None, _peeking("number of its line with the names")]
+_HeaderLine = Annotated[int | None, _peeking("number of its line with the names; 0 for none")]
 
 
 @with_options("as_json", "debug")

@@ -26,7 +26,7 @@ from gbid.prefilter.filtering import repair_overloads
 from gbid.prefilter.runout import running_median
 from gbid.prefilter.runout_identification import compare_runout
 from gbid.recording import Recording, import_recording
-from gbid.recording.formats import file_formats
+from gbid.recording.formats import file_formats, format_of
 from gbid.recording.importing import list_channels
 from gbid.recording.quality import speed_change
 from gbid.recording.readers import FileChannel
@@ -342,7 +342,8 @@ def survey(options: DraftOptions) -> Survey:
     if not folder.is_dir():
         raise UsageError(f"no folder {folder}; name the folder of the measured files")
     listed = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
-    channels = {path: list_channels(path) for path in listed if path.suffix.lower() in file_formats()}
+    known = [path for path in listed if path.suffix.lower() in file_formats()]
+    channels = {path: list_channels(path) for path in known or filter(format_of, listed)}
     if not channels:
         raise UsageError(f"{folder} holds no file that can be imported; expected {', '.join(file_formats())}")
     _refuse_unknown(options, channels)

@@ -33,7 +33,7 @@ from gbid.experiment.schema import (
     name_of,
     name_pattern,
 )
-from gbid.recording.formats import file_formats
+from gbid.recording.formats import file_formats, format_of
 from gbid.recording.text_files import read_table
 
 # ---- Entries of the import section for the files of a folder or the rows of a table.
@@ -137,13 +137,13 @@ def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterato
         if name not in pattern.numbers:
             raise UsageError(f"{words} has no field {name}; write {{{name}:g}}, or remove it from more_conditions")
     suffix = Path(section.pattern).suffix.lower()
-    if suffix not in file_formats():
-        raise UsageError(f"{words}: unknown ending {suffix!r}; expected one of {', '.join(file_formats())}")
+    if not suffix:
+        raise UsageError(f"{words} has no ending; write that of the files, such as .csv or .txt")
     for name in _needed_point(section):
         if name not in pattern.numbers:
             raise UsageError(f"{words} has no field {name}; write {{{name}:g}} into it, or give it in conditions")
     paths = folder.rglob("*") if "/" in section.pattern else folder.glob("*")
-    endings = {ending for ending in file_formats() if ending not in _RESULTS or suffix in _RESULTS}
+    endings = {suffix, *(ending for ending in file_formats() if ending not in _RESULTS or suffix in _RESULTS)}
     files = sorted((p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in endings), key=by_count)
     read = {f: pattern.read(f) for f in files if f not in skip and not any(fnmatchcase(f, p) for p in section.ignore)}
     unmatched = [file for file, fields in read.items() if fields is None]
@@ -174,6 +174,8 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
     try:
         table = read_table(path)
         cells = table.cells
+        if table.layout.remark:  # no line of conditions is left out
+            raise DataError(f"{path}: {table.layout.remark}")
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}; give a CSV table") from None
     except DataError as error:
@@ -196,7 +198,7 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
             faults.append(f"{where}: file is empty; name the file, or remove the line")
         elif not _is_file(folder / file):
             faults.append(f"{where}: no file {folder / file}; put it there, or remove the line")
-        elif Path(file).suffix.lower() not in file_formats():
+        elif format_of(folder / file) is None:
             faults.append(f"{where}: file {file}: unknown ending; expected one of {', '.join(file_formats())}")
         yield from faults
         if not faults:

@@ -292,7 +292,7 @@ class FileSection(Section):
     encoding: Text | None = None
     decimal: Literal[".", ","] | None = None
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
-    header_line: Count | None = None
+    header_line: CountOrZero | None = None
     remove_mean: Switch = False
     conditions: dict[Text, Finite] = Field(default_factory=dict)
     signals: Annotated[dict[Text, ColumnsSection], Field(min_length=1)]

@@ -29,11 +29,18 @@ from gbid.recording.text_files import (
     FileColumn,
     TextTable,
     find_heading,
+    holds_text,
     name_and_unit,
     read_table,
     seconds,
     short_names,
 )
+
+
+def format_of(path: Path) -> FileFormat | None:
+    """Return the format of a file by its ending; that of tables in text for another one, unless it is not text."""
+    known = file_formats().get(path.suffix.lower())
+    return CSV if known is None and (not path.is_file() or holds_text(path)) else known
 
 
 @cache
@@ -183,9 +190,12 @@ _CUT = "left out: it has no line break, so the file may have been cut there"
 
 
 def _columns(table: TextTable, references: Sequence[str]) -> dict[str, FileColumn]:
-    indices = [find_heading(table.path, table.headings, reference) for reference in references]
+    indices = [table.index(reference) for reference in references]
     values = table.columns(indices) if indices else np.zeros((len(table.rows), 0))
-    remark = f"the last line is {_CUT}" if table.is_cut else ""
+    for i, each in zip(indices, values.T, strict=True):
+        if (np.diff(each[~np.isnan(each)]) > 0).all():  # a time column
+            table.check_clock(i, indices)
+    remark = "; ".join(filter(None, (table.layout.remark, f"the last line is {_CUT}" if table.is_cut else "")))
     return {
         reference: FileColumn(np.ascontiguousarray(values[:, k]), table.units[i], remark=remark)
         for k, (reference, i) in enumerate(zip(references, indices, strict=True))

@@ -19,7 +19,7 @@ from gbid.core.files import refuse_special
 from gbid.core.names import given_path
 from gbid.core.units import SIGNALS
 from gbid.recording.clock import on_grid, read_clock, resampled, times_of, untimed_sample_time
-from gbid.recording.formats import file_formats
+from gbid.recording.formats import file_formats, format_of
 from gbid.recording.mapping import ImportMapping, SignalMapping, TextOptions
 from gbid.recording.readers import FileChannel, FileFormat
 from gbid.recording.recording import Recording
@@ -144,10 +144,10 @@ def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:
     UsageError
         When a layout of text is given for a file of another kind.
     """
-    known = file_formats()
-    kind = known.get(path.suffix.lower())
+    kind = format_of(path)
     if kind is None:
-        raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(known)}")
+        known = ", ".join(file_formats())
+        raise DataError(f"{path}: unknown file ending {path.suffix!r}, and no text; expected text or one of {known}")
     refuse_special(path)
     given = options.given() if options else []
     if given and kind.layout is None:

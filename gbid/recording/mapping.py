@@ -31,7 +31,7 @@ class TextOptions:
     delimiter : str, optional
         Character between the cells: ``","``, ``";"``, ``"\t"``, or ``" "`` for any number of blanks.
     header_line : int, optional
-        Number of the line with the names of the columns, counted from 1.
+        Number of the line with the names of the columns, counted from 1; 0 numbers the columns (``"column 1"``).
 
     Raises
     ------
@@ -42,7 +42,7 @@ class TextOptions:
     encoding: str | None = None
     decimal: Literal[".", ","] | None = None
     delimiter: str | None = None
-    header_line: Count | None = None
+    header_line: CountOrZero | None = None
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -169,7 +169,7 @@ class ImportMapping:
     encoding: str | None = None
     decimal: Literal[".", ","] | None = None
     delimiter: str | None = None
-    header_line: Count | None = None
+    header_line: CountOrZero | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "signals", _signals(self.signals))

@@ -8,8 +8,10 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import date
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -98,6 +100,18 @@ def read_text(path: Path, encoding: str | None = None, *, ends: bool = False) ->
     data = path.read_bytes()
     codec = encoding or _encoding(data)
     return FileText(_decoded(path, data, codec), codec)
+
+
+def holds_text(path: Path) -> bool:
+    """Return whether the first bytes of a file are text."""
+    refuse_special(path)
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    text = head[: head.rfind(b"\n") + 1 or None].decode(_encoding(head), errors="replace")
+    return not _CONTROL.intersection(text)
+
+
+_HEAD = 1 << 16
 
 
 def _is_wide(codec: str) -> bool:
@@ -214,12 +228,28 @@ def unit_factor(path: Path, what: str, unit: str, target: str) -> float:
 COMMENTS = ("#", "%", "//")
 """Beginnings of lines that are comments."""
 _TAIL, _SPREAD = 20, 300  # lines at the end that show the columns; lines over the whole file that show the decimal sign
-_DESCRIBED = 4  # largest number of lines below the names within which a line of units is looked for
+_DESCRIBED = 40  # largest number of lines below the names within which a line of units is looked for
+_RULE = "***"  # beginning of a line that ends a block above the names: LabVIEW's ***End_of_Header***
+_UNUSED = ("", "Comment")  # last heading of a column that rows do not have: LabVIEW's
 _MOST = 0.75  # share of the cells of a column that are numbers, where the column is one of numbers
 _DIGITS = {  # digits are not given back (++): else a long cell that is no number takes the square of its length
     ".": re.compile(r"[-+]?(?:\d++\.?\d*+|\.\d++)(?:[eEdD][-+]?\d++)?|[-+]?(?:nan|inf|infinity)", re.IGNORECASE),
     ",": re.compile(r"[-+]?(?:\d++,?\d*+|,\d++)(?:[eEdD][-+]?\d++)?|[-+]?(?:nan|inf|infinity)", re.IGNORECASE),
 }
+
+_GROUPED = {  # thousands signs: a point or comma, where it is not the decimal sign, an apostrophe, a narrow blank
+    decimal: re.compile(
+        rf"[-+]?\d{{1,3}}(?:(?P<sign>[{other}'’\u2009\u202f\xa0])\d{{3}})(?P<more>(?:(?P=sign)\d{{3}})*)"
+        rf"(?P<part>\{decimal}\d*)?"
+    )
+    for decimal, other in ((".", ","), (",", "."))
+}
+_GROUPED_TWICE = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")  # a number of thousands, or of three decimals
+_THOUSAND, _ROUNDING, _UNLIKELY = 1e3, 1e-6, 2  # more than two such numbers, and none of one or two decimals
+_STAMP = re.compile(
+    r"(?:(?:(?P<year>\d{4})[-/](?P<month>\d\d)[-/](?P<day>\d\d)|(?P<German>\d{1,2}\.\d{1,2}\.\d{4}))(?:T|,? +))?"
+    r"(?P<hour>[01]?\d|2[0-3]):(?P<minute>[0-5]\d):(?P<second>[0-5]\d)(?:[.,](?P<part>\d{1,9}))?(?P<zone>Z|[-+]\d\d:?\d\d)?"
+)
 
 
 class NumberedLine(NamedTuple):
@@ -247,6 +277,12 @@ class TextLayout:
         NumberedLine with the units below it.
     rows_from : int
         Number of the line of the first row.
+    block : tuple of int
+        Numbers of the first and the last line that were skipped between the names and the rows; empty for none.
+    rows_to : int
+        Number of the line of the last row, where a trailer follows; otherwise 0.
+    is_decimal_given : bool
+        Whether the decimal sign was given, and not found.
     """
 
     encoding: str
@@ -255,9 +291,13 @@ class TextLayout:
     header: NumberedLine | None
     unit_line: NumberedLine | None
     rows_from: int
+    block: tuple[int, ...] = ()
+    rows_to: int = 0
+    is_decimal_given: bool = False
 
     def stated(self) -> dict[str, str | int | None]:
         """Return the layout as plain values."""
+        skipped = {"lines_skipped": " to ".join(map(str, self.block))} if self.block else {}
         return {
             "encoding": self.encoding,
             "delimiter": self.delimiter,
@@ -265,7 +305,25 @@ class TextLayout:
             "header_line": self.header.number if self.header else None,
             "unit_line": self.unit_line.number if self.unit_line else None,
             "first_row_in_line": self.rows_from,
+            **skipped,
+            **({"last_row_in_line": self.rows_to} if self.rows_to else {}),
         }
+
+    @property
+    def remark(self) -> str:
+        """What was assumed or left out; empty for a file of names, units and rows."""
+        said = []
+        if self.header is None:
+            said.append(f"no line has names: the columns are numbered, and line {self.rows_from} is the first row")
+        if self.block:
+            said.append(f"{_lines_in_words(*self.block)} between names and numbers left out")
+        if self.rows_to:
+            said.append(f"what follows line {self.rows_to} begins with a word and is left out")
+        return "; ".join(said)
+
+
+def _lines_in_words(first: int, last: int) -> str:
+    return f"line {first}" if first == last else f"lines {first} to {last}"
 
 
 def is_comment(text: str) -> bool:
@@ -276,6 +334,24 @@ def is_comment(text: str) -> bool:
 def is_number(cell: str, decimal: str) -> bool:
     """Return whether a cell is a number with this decimal sign."""
     return bool(_DIGITS[decimal].fullmatch(cell.strip()))
+
+
+def is_stamp(cell: str) -> bool:
+    """Return whether a cell is a time of day, alone or after an ISO or German date."""
+    return bool(_STAMP.fullmatch(cell.strip()))
+
+
+def has_thousands(cell: str, decimal: str) -> bool:
+    """Return whether a cell is a number with thousands signs that cannot be read in another way.
+
+    ``1.234`` may be 1.234 or 1234, and is none. ``1.234,5``, ``1.234.567`` and ``1'234`` are.
+    """
+    match = _GROUPED[decimal].fullmatch(cell.strip())
+    return match is not None and (match["sign"] not in ".," or bool(match["more"]) or bool(match["part"]))
+
+
+def _is_value(cell: str, decimal: str) -> bool:
+    return is_number(cell, decimal) or is_stamp(cell) or has_thousands(cell, decimal)
 
 
 def split_cells(text: str, delimiter: str) -> list[str]:
@@ -292,9 +368,11 @@ def split_cells(text: str, delimiter: str) -> list[str]:
 def find_layout(lines: Sequence[NumberedLine], encoding: str, options: TextOptions) -> TextLayout:
     """Return the layout of a table.
 
-    The last lines show the columns: delimiter and decimal sign are those that give the most columns of numbers, beside
-    the fewest others. The rows begin at the first line with such numbers. The names are in the first complete line of
-    text directly above, or in a comment above when no other line has them. A line of units may follow the names.
+    The last lines that do not begin with a word show the columns: delimiter and decimal sign are those that give the
+    most columns of numbers, beside the fewest others. The rows begin at the first line with such numbers. The names are
+    in the first complete line of text directly above, else in the first complete line of text, else in a comment. A
+    line of units, and a block of lines that are no rows, may follow the names. A file that begins with a row has no
+    names.
 
     Parameters
     ----------
@@ -311,10 +389,42 @@ def find_layout(lines: Sequence[NumberedLine], encoding: str, options: TextOptio
         for delimiter in ([options.delimiter] if options.delimiter else DELIMITERS)
         for decimal in ([options.decimal] if options.decimal else DECIMALS)
     ]
-    tried = sorted((_Candidate(content, *pair) for pair in pairs), key=lambda each: each.rank, reverse=True)
-    sensible = [columns for columns in tried if columns.numeric] or tried[:1]
-    layouts = (_with_header(columns, lines, content, encoding, options) for columns in sensible)
-    return next((each for each in layouts if each.header), _with_header(tried[0], lines, content, encoding, options))
+    table = _without_trailer(content)
+    tried = sorted((_Candidate(table, *pair) for pair in pairs), key=lambda each: each.rank, reverse=True)
+    best = _with_header(tried[0], lines, content, encoding, options)
+    if best.header is None and not (content and best.rows_from == content[0].number):
+        others = (_with_header(each, lines, content, encoding, options) for each in tried[1:] if each.numeric)
+        best = next((each for each in others if each.header), best)
+    columns = next(each for each in tried if (each.delimiter, each.decimal) == (best.delimiter, best.decimal))
+    end = next((line for line in reversed(content) if _is_number_like(line.text, columns)), None)
+    if end is None or _begins_with_word(end.text) or not best.rows_from <= end.number < content[-1].number:
+        return best  # where rows begin with a word, the last line may be a damaged one
+    return replace(best, rows_to=end.number)
+
+
+def _begins_with_word(text: str) -> bool:
+    word = text.lstrip(" \t,;\"'*<[({=-")
+    return word[:1].isalpha() and not _NO_VALUE.match(word)
+
+
+_NO_VALUE = re.compile(
+    r"(?:na?n?|n/a|inf(?:inity)?|null|none|invalid|error|fault|open|over(?:flow|range|load)?|ovf|ol)"
+    r"[\"'\s]*(?:[,;\t ]|$)",
+    re.IGNORECASE,
+)  # what loggers write in place of a number, also where the file was cut within it
+
+
+def _is_number_like(text: str, columns: _Candidate) -> bool:
+    """Return whether a line is a row, or may be a damaged one."""
+    return not _begins_with_word(text) or columns.is_row(text)
+
+
+def _without_trailer(content: Sequence[NumberedLine]) -> Sequence[NumberedLine]:
+    """Return the lines without the last ones that begin with a word; all when no other has numbers."""
+    end = len(content)
+    while end > 0 and _begins_with_word(content[end - 1].text):
+        end -= 1
+    return content[:end] if end else content
 
 
 class _Candidate:
@@ -328,19 +438,22 @@ class _Candidate:
         rows = [row for row in tail if len(row) == self.count]
         self.numeric = [i for i in range(self.count) if self._is_numeric([row[i] for row in rows])]
         self.open_end = bool(rows) and self.count > 1 and not any(row[-1] for row in rows)
-        others = sum(any(row[i] for row in rows) for i in range(self.count)) - len(self.numeric)
+        self.filled = [i for i in range(self.count) if any(row[i] for row in rows)]
+        others = len(self.filled) - len(self.numeric)
         spread = content[1 :: max(1, len(content) // _SPREAD)]
-        numbers = sum(is_number(cell, decimal) for line in spread for cell in split_cells(line.text, delimiter))
+        numbers = sum(_is_value(cell, decimal) for line in spread for cell in split_cells(line.text, delimiter))
         numeric = len(self.numeric)
         self.rank = (bool(numeric), alike >= _MOST * len(tail), numeric - others if numeric else self.count, numbers)
 
     def _is_numeric(self, cells: list[str]) -> bool:
         filled = [cell for cell in cells if cell]
-        return bool(filled) and sum(is_number(c, self.decimal) for c in filled) >= _MOST * len(filled)
+        return bool(filled) and sum(_is_value(c, self.decimal) for c in filled) >= _MOST * len(filled)
 
     def cells(self, text: str) -> list[str] | None:
         """Return the cells of a line, without an empty last one when all rows have it; None for another number."""
         row = split_cells(text, self.delimiter)
+        if len(row) == self.count + 1 and row[-1] in _UNUSED:
+            row = row[:-1]
         if self.open_end and len(row) == self.count and not row[-1]:
             row = row[:-1]
         return row if len(row) == self.count - self.open_end else None
@@ -348,20 +461,28 @@ class _Candidate:
     def is_row(self, text: str) -> bool:
         """Return whether a line has numbers in the columns of numbers."""
         row = self.cells(text)
-        if row is None or not self.numeric:
+        if row is None or not self.numeric or any(cell and i not in self.filled for i, cell in enumerate(row)):
             return False
         filled = [row[i] for i in self.numeric if row[i]]
-        return bool(filled) and all(is_number(cell, self.decimal) for cell in filled)
+        return bool(filled) and all(_is_value(cell, self.decimal) for cell in filled)
 
     def is_names(self, text: str) -> bool:
         """Return whether a line may hold the names of the columns."""
         row = self.cells(text)
-        return row is not None and all(row) and not any(is_number(cell, self.decimal) for cell in row)
+        return row is not None and all(row) and not any(_is_value(cell, self.decimal) for cell in row)
 
     def is_units(self, text: str) -> bool:
         """Return whether a line may hold the units of the columns."""
         row = self.cells(text)
-        return row is not None and any(row) and all(is_file_unit(cell) for cell in row)
+        if row is None:
+            return False
+        units = [row[i] for i in self.filled if i < len(row)]  # where rows have no cell, a line may have its kind
+        return any(units) and all(is_file_unit(cell) for cell in units)
+
+    def is_block(self, text: str) -> bool:
+        """Return whether a line between the names and the rows is surely no row."""
+        values = any(_is_value(cell, sign) for cell in split_cells(text, self.delimiter) for sign in DECIMALS)
+        return (not values or _begins_with_word(text)) and not self.is_row(text)
 
 
 def _with_header(
@@ -371,23 +492,39 @@ def _with_header(
     encoding: str,
     options: TextOptions,
 ) -> TextLayout:
-    def layout(header: NumberedLine | None, unit_line: NumberedLine | None, rows_from: int) -> TextLayout:
-        return TextLayout(encoding, columns.delimiter, columns.decimal, header, unit_line, rows_from)
+    def layout(
+        header: NumberedLine | None, unit_line: NumberedLine | None, rows_from: int, block: tuple[int, ...] = ()
+    ) -> TextLayout:
+        return TextLayout(encoding, columns.delimiter, columns.decimal, header, unit_line, rows_from, block, 0, given)
 
+    given = options.decimal is not None
     first = next((i for i, line in enumerate(content) if columns.is_row(line.text)), len(content))
+    rows_from = content[first].number if first < len(content) else 0
+    if options.header_line == 0:
+        return layout(None, None, rows_from)
     if options.header_line is not None:
         header = next((line for line in lines if line.number == options.header_line), None)
         return layout(header, *_below(columns, [line for line in content if line.number > options.header_line]))
     start = first
-    while start > 0 and columns.cells(content[start - 1].text) is not None:
+    while start > 0 and not content[start - 1].text.startswith(_RULE) and columns.cells(content[start - 1].text):
         start -= 1
-    at = next((i for i in range(start, first) if columns.is_names(content[i].text)), None)
-    if at is not None:
-        return layout(content[at], *_below(columns, content[at + 1 :]))
-    rows_from = content[first].number if first < len(content) else 0
+    named = [i for i in [*range(start, first), *range(start)] if columns.is_names(content[i].text)]
     above = [line for line in lines if line.number < rows_from and is_comment(line.text)]
     header = next((line for line in reversed(above) if columns.is_names(without_mark(line.text))), None)
-    return layout(header, None, rows_from)
+    sure = [i for i in named if not (_repeats(columns, content[i]) and columns.is_units(content[i].text))]
+    named = sure if sure or header else named
+    at = next((i for i in named if len(set(columns.cells(content[i].text) or ())) > 1 or columns.count == 1), None)
+    if at is None and named:
+        at = named[0]
+    if at is not None:
+        return layout(content[at], *_below(columns, content[at + 1 :]))
+    units = next((line for line in content[start:first] if columns.is_units(line.text)), None)
+    return layout(header, units if header else None, rows_from)
+
+
+def _repeats(columns: _Candidate, line: NumberedLine) -> bool:
+    cells = columns.cells(line.text) or []
+    return len(set(cells)) < len(cells)
 
 
 def without_mark(text: str) -> str:
@@ -396,14 +533,16 @@ def without_mark(text: str) -> str:
     return text.lstrip("#%/").lstrip() if is_comment(text) else text
 
 
-def _below(columns: _Candidate, below: Sequence[NumberedLine]) -> tuple[NumberedLine | None, int]:
-    """Return the line of units, which may follow the names and their descriptions, and the number of the first row."""
-    for i, line in enumerate(below[:_DESCRIBED]):
-        if columns.is_row(line.text):
-            break
-        if columns.is_units(line.text):
-            return line, below[i + 1].number if i + 1 < len(below) else 0
-    return None, below[0].number if below else 0
+def _below(columns: _Candidate, below: Sequence[NumberedLine]) -> tuple[NumberedLine | None, int, tuple[int, ...]]:
+    """Return the line of units, the number of the first row, and the first and last line between that are skipped."""
+    ends = next((i for i, line in enumerate(below) if not columns.is_block(line.text)), len(below))
+    at = next((i for i in range(min(ends, _DESCRIBED)) if columns.is_units(below[i].text)), None)
+    skipped = [] if ends == len(below) else [line.number for i, line in enumerate(below[:ends]) if i != at]
+    if ends == len(below):
+        ends = 0 if at is None or at + 1 == len(below) else at + 1
+    described = at is not None and all(number < below[at].number for number in skipped)
+    block = () if described or not skipped else (skipped[0], skipped[-1])
+    return None if at is None else below[at], below[ends].number if below else 0, block
 
 
 # ---- Columns of a file: their values and units, their names, and the notation ``name[3]`` for one column of an array.
@@ -495,6 +634,17 @@ def name_and_unit(heading: str) -> tuple[str, str | None]:
     return match["name"], written_unit(match["square"] if match["square"] is not None else match["round"])
 
 
+def numbered_twins(headings: Sequence[str]) -> tuple[str, ...]:
+    """Return the headings; those that occur several times are named ``Time #1``, ``Time #2``, without their unit."""
+    count = Counter(headings)
+    return tuple(
+        f"{name_and_unit(heading)[0]} #{headings[: i + 1].count(heading)}"
+        if heading and count[heading] > 1
+        else heading
+        for i, heading in enumerate(headings)
+    )
+
+
 def short_names(headings: Sequence[str]) -> list[str]:
     """Return the headings without their units, except where several columns would have one name."""
     names = [name_and_unit(heading)[0] for heading in headings]
@@ -526,6 +676,12 @@ def seconds(times: np.ndarray[Any, Any]) -> FloatArray:
     if times.dtype.kind == "M" and times.size:
         times = times - times.flat[0]
     return np.asarray(times / np.timedelta64(1, "s"), dtype=float)
+
+
+def _twin(heading: str) -> str:
+    """Return the name of a column of which there are several; empty for others."""
+    match = re.fullmatch(r"(.+) #\d+", heading)
+    return match[1] if match else ""
 
 
 # ---- Table in a text file: its headings, its units, and its columns as numbers.
@@ -593,6 +749,46 @@ class TextTable:
                 )
         return rows
 
+    def index(self, reference: str) -> int:
+        """Return the index of a column; several of one name, ``Time #1`` and so on, are one when they are equal.
+
+        Raises
+        ------
+        DataError
+            When there is no such column, or when several columns of this name have different numbers.
+        """
+        twins = [i for i, heading in enumerate(self.headings) if _twin(heading) == reference]
+        if not twins or reference in self.headings:
+            return find_heading(self.path, self.headings, reference)
+        if not self.are_equal(twins):
+            raise DataError(
+                f"{self.path}: column {reference!r} occurs {len(twins)} times with different numbers; name one, "
+                f"{self.headings[twins[0]]!r} to {self.headings[twins[-1]]!r}"
+            )
+        return twins[0]
+
+    def are_equal(self, indices: Sequence[int]) -> bool:
+        """Return whether columns have the same numbers."""
+        values = self.columns(indices)
+        return all(np.array_equal(values[:, 0], other, equal_nan=True) for other in values.T)
+
+    def check_clock(self, time: int, indices: Sequence[int]) -> None:
+        """Check that columns have the times of a given time column, where there is one for each channel.
+
+        Raises
+        ------
+        DataError
+            When the last time column of the same name before one of them has other times.
+        """
+        twins = [i for i, heading in enumerate(self.headings) if _twin(heading) == _twin(self.headings[time])]
+        for index in set(indices) - set(twins):
+            own = max((i for i in twins if i < index), default=time)
+            if _twin(self.headings[time]) and not self.are_equal([time, own]):
+                raise DataError(
+                    f"{self.path}: column {self.headings[index]!r} has the times {self.headings[own]!r}, which differ "
+                    f"from {self.headings[time]!r}; import columns of one clock together"
+                )
+
     def columns(self, indices: Sequence[int]) -> FloatArray:
         """Return columns as numbers, (n_rows, n_columns).
 
@@ -602,7 +798,10 @@ class TextTable:
             As for `cells`; also when a cell is neither a number nor empty; an empty one is a missing sample, NaN.
         """
         fast = self._fast(indices)
-        return np.column_stack([self._numbers(i) for i in indices]) if fast is None else fast
+        values = np.column_stack([self._numbers(i) for i in indices]) if fast is None else fast
+        if not self.layout.is_decimal_given:
+            self._refuse_unclear(indices, values)
+        return values
 
     def _fast(self, indices: Sequence[int]) -> FloatArray | None:
         """Return the columns by numpy's reader; None where the rows need a closer look."""
@@ -623,11 +822,43 @@ class TextTable:
 
     def _numbers(self, index: int) -> FloatArray:
         decimal, column = self.layout.decimal, [row[index] for row in self.cells]
+        if column and is_stamp(column[0]):
+            return self._times(index, column)
+        if any(has_thousands(cell, decimal) for cell in column):
+            column = [_ungrouped(cell, decimal) for cell in column]
         for line, cell in zip(self.rows, column, strict=False):
             if cell.strip() and not is_number(cell, decimal):
                 raise self._not_a_number(line, index, cell)
         cells = (cell.replace(decimal, ".").lower().replace("d", "e") if cell.strip() else "nan" for cell in column)
         return np.array([float(cell) for cell in cells])
+
+    def _times(self, index: int, column: Sequence[str]) -> FloatArray:
+        """Return time stamps in seconds from the first one."""
+        times = [_stamp_ns(cell.strip()) for cell in column]
+        k = next((k for k, (form, _) in enumerate(times) if not form or form != times[0][0]), None)
+        if k is not None:
+            of = f" of the form of {column[0]!r} in line {self.rows[0].number}" if times[k][0] else ""
+            text = f"{column[k]!r} is no time stamp{of}"
+            raise DataError(f"{self.path}: line {self.rows[k].number}, column {self.headings[index]!r}: {text}")
+        return np.array([time - times[0][1] for _, time in times]) * 1e-9
+
+    def _refuse_unclear(self, indices: Sequence[int], values: FloatArray) -> None:
+        """Refuse columns that may have thousands signs: `1.001` after `998`, with no other number of decimals."""
+        for index, column in zip(indices, values.T, strict=True):
+            size = np.abs(column[~np.isnan(column)])
+            whole = size == np.floor(size)
+            with np.errstate(over="ignore", invalid="ignore"):
+                if whole.all() or not whole.any() or size.max() >= _THOUSAND or size[~whole].min() < 1:
+                    continue
+            if np.abs(1e3 * size - np.round(1e3 * size)).max() > _ROUNDING:
+                continue
+            cells = [row[index].strip() for row in self.cells]
+            grouped = [cell for cell in cells if _GROUPED_TWICE.fullmatch(cell)]
+            if len(set(grouped)) > _UNLIKELY and all(c in grouped or re.fullmatch(r"[-+]?\d{0,3}", c) for c in cells):
+                raise DataError(
+                    f"{self.path}: column {self.headings[index]!r}: {grouped[0]!r} may be a number of thousands; write "
+                    f"it without the sign, or give decimal: {self.layout.decimal!r} if it is the decimal sign"
+                )
 
     def _not_a_number(self, line: NumberedLine, index: int, cell: str) -> DataError:
         where = f"{self.path}: line {line.number}, column {self.headings[index]!r}:"
@@ -636,13 +867,35 @@ class TextTable:
         return DataError(f"{where} {cell!r} is not a number{hint}")
 
 
+def _ungrouped(cell: str, decimal: str) -> str:
+    match = _GROUPED[decimal].fullmatch(cell.strip())
+    return cell.replace(match["sign"], "") if match else cell
+
+
+def _stamp_ns(cell: str) -> tuple[str, int]:
+    """Return the form of a time stamp, empty when it is none, and the time in nanoseconds."""
+    match = _STAMP.fullmatch(cell)
+    if match is None:
+        return "", 0
+    form = "zone " * bool(match["zone"]) + ("date" if match["year"] else "German" if match["German"] else "clock")
+    try:
+        parts = match["German"].split(".")[::-1] if match["German"] else match.group("year", "month", "day")
+        days = date(*map(int, parts)).toordinal() if parts[0] else 0
+    except ValueError:
+        return "", 0
+    second = 60 * (60 * (24 * days + int(match["hour"])) + int(match["minute"])) + int(match["second"])
+    if (zone := match["zone"] or "Z") != "Z":
+        second -= int(f"{zone[0]}60") * (60 * int(zone[1:3]) + int(zone[-2:]))
+    return form, 10**9 * second + int((match["part"] or "").ljust(9, "0"))
+
+
 def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = False) -> TextTable:
     """Return the table in a text file, with its layout as given or as found; of a large file the ends if asked for.
 
     Raises
     ------
     DataError
-        When the file is not text, when it has no line with names or no rows, or when a name occurs twice.
+        When the file is not text, or when it has no line with names or no rows.
     OSError
         When the file cannot be read.
     """
@@ -651,29 +904,33 @@ def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = F
     numbered = enumerate(text.split("\n"), start=1)
     lines = [NumberedLine(i + lines_left_out * (i > gap_after), line) for i, line in numbered if line.strip()]
     layout = find_layout(lines, encoding, options)
-    rows = tuple(q for q in lines if q.number >= layout.rows_from > 0 and not is_comment(q.text))
-    if layout.header is None and options.header_line is not None:
+    last = layout.rows_to or (lines[-1].number if lines else 0)
+    rows = tuple(q for q in lines if last >= q.number >= layout.rows_from > 0 and not is_comment(q.text))
+    cells = split_cells(rows[0].text, layout.delimiter) if rows else []
+    if layout.header is None and options.header_line:
         raise DataError(f"{path}: header_line: line {options.header_line} is empty or beyond the end of the file")
-    if layout.header is None and rows:
+    content = [line.number for line in lines if not is_comment(line.text)]
+    counted = any(cells == [str(i + k) for i in range(len(cells))] for k in (0, 1))  # they are names, or may be
+    if layout.header is None and rows and options.header_line != 0 and (counted or rows[0].number != content[0]):
         raise DataError(
             f"{path}: no header line: no line above the numbers has a name for each column; add a line with the "
-            "column names, or name it with header_line"
+            "column names, or name it with header_line (header_line: 0 numbers the columns: column 1, column 2, ...)"
         )
-    if layout.header is None or not rows:
-        count = sum(not is_comment(line.text) for line in lines)
-        raise DataError(f"{path}: expected a header line and rows of numbers, found {count} lines")
-    headings = split_cells(without_mark(layout.header.text), layout.delimiter)
-    if headings and not headings[-1]:
+    if not rows or (layout.header is None and len(rows) < 2):
+        raise DataError(f"{path}: expected a header line and rows of numbers, found {len(content)} lines")
+    if layout.header is None:
+        headings = [f"column {i}" for i in range(1, len(cells) + (1 if cells[-1] else 0))]
+    else:
+        headings = split_cells(without_mark(layout.header.text), layout.delimiter)
+    if headings and headings[-1] in _UNUSED and (not headings[-1] or len(headings) == len(cells) + 1):
         headings = headings[:-1]  # a delimiter at the end of the line
-    twice = [name for name, count in Counter(headings).items() if name and count > 1]
-    if twice:
-        raise DataError(f"{path}: the header line has column {twice[0]!r} more than once; rename one")
     below = split_cells(layout.unit_line.text, layout.delimiter) if layout.unit_line else []
     units: list[str | None] = [name_and_unit(heading)[1] for heading in headings]
     for i, cell in enumerate(below[: len(headings)]):
-        if units[i] is None and cell:
+        if units[i] is None and cell and is_file_unit(cell):
             units[i] = written_unit(cell.strip("[]() "))
+    units = ["s" if is_stamp(cell) else unit for unit, cell in zip_longest(units, cells[: len(units)], fillvalue="")]
     is_open = len(rows) > 1 and not text.endswith("\n") and rows[-1] == lines[-1]
     is_cut = is_open and len(split_cells(rows[-1].text, layout.delimiter)) >= len(headings)  # fewer cells are an error
     n_first = sum(line.number <= gap_after for line in rows) if gap_after else len(rows)
-    return TextTable(path, layout, tuple(headings), tuple(units), rows, is_cut, n_first, rows_left_out)
+    return TextTable(path, layout, numbered_twins(headings), tuple(units), rows, is_cut, n_first, rows_left_out)

@@ -213,7 +213,7 @@ def test_a_long_list_of_what_there_is_ends_early(tmp_path):
     ("old", "new", "place", "words"),
     [
         ("run1.csv", "run9.csv", "file: run9", ["import.recordings[0].file", "no file", "run9.csv"]),
-        ("run1.csv", "run1.txt", "file: run1.txt", ["unknown ending '.txt'", ".csv"]),
+        ("run1.csv", "run1.txt", "file: run1.txt", ["no file", "run1.txt"]),
         ("data_folder: data", "data_folder: dat", "data_folder: dat", ["no folder"]),
         ("name: run2", "name: run1", "name: run1\n      file: run2", ["a second recording named 'run1'"]),
         ("      time: time\n", "", "name: run1", ["neither sample_time_s nor time"]),

@@ -187,7 +187,7 @@ def test_files_that_do_not_fit_are_named(tmp_path):
         ("_n{speed", "_s{speed", "_s{speed_rpm:d}_{kind}{nr:d}.npz'; there is p5_n6000_prbs1.npz"),
         ("{nr:d}", "", "file p5_n6000_prbs1.npz: unknown kind 'prbs1'"),
         ("{kind}{nr:d}", "{name}{nr:d}", "p5_n6000_prbs1.npz both give the name 'prbs'; without {name}"),
-        (".npz", ".txt", "unknown ending '.txt'"),
+        ("{nr:d}.npz", "{nr:d}", "has no ending; write that of the files"),
         ("data_folder: data", "data_folder: nowhere", "no folder"),
         ("  folder:", "  files:", "unknown key"),
         ("u: {columns: [u_x, u_y], unit: um}", "u: {columns: [u_x, u_y], channels: [a], unit: um}", "one name each"),

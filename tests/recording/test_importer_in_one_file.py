@@ -73,8 +73,10 @@ def test_an_experiment_reads_it(dat, measured: Path, tmp_path: Path) -> None:
 
 
 def test_without_the_constant_it_is_unknown(measured: Path, tmp_path: Path) -> None:
+    measured.write_bytes(b"\x00\x01" * 200)
     with pytest.raises(
-        DataError, match=r"unknown file ending '\.dat'; expected one of \.parquet, .*\.csv, .*\.mat, .*\.npz"
+        DataError,
+        match=r"unknown file ending '\.dat', and no text; expected text or one of \.parquet, .*\.csv, .*\.npz",
     ):
         gbid.import_recording(measured, MAPPING)
     path = tmp_path / "own.yaml"

@@ -332,7 +332,7 @@ GOOD = "t,a,b\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50))
         ("t,a,b\n", "header line"),
         ("# only\n# comments\n", "header line"),
         ("1,2,3\n4,5,6\n7,8,9\n", "no header line"),
-        (GOOD.replace("t,a,b", "t,a,a"), "'a' more than once"),
+        (GOOD.replace("t,a,b", "t,a,a"), "'a' occurs 2 times with different numbers; name one, 'a #1' to 'a #2'"),
         (GOOD.replace("t,a,b", "t,a,bb"), "did you mean 'bb'? there is t, a, bb"),
         (GOOD.replace("t,a,b", "t,a [um],a [mm]"), "may be any of 'a [um]', 'a [mm]'"),
         (GOOD.replace("10,3,0", "10,three,0"), "line 12, column 'a': 'three' is not a number"),
@@ -478,8 +478,11 @@ def test_files_that_are_not_there_or_of_unknown_kind(tmp_path):
         refused(tmp_path / f"none.{kind}", mapping, "cannot be read: No such file")
     (tmp_path / "dir.csv").mkdir()
     refused(tmp_path / "dir.csv", mapping, "directory")
-    refused(tmp_path / "a.xlsx", mapping, "unknown file ending '.xlsx'; expected one of", ".csv, ", ".npz, ")
-    refused(tmp_path / "a", mapping, "unknown file ending ''")
+    for name in ("a.xlsx", "a"):
+        refused(tmp_path / name, mapping, "cannot be read: No such file")
+        (tmp_path / name).write_bytes(b"PK\x03\x04\x14\x00\x06\x00")
+        ending = Path(name).suffix
+        refused(tmp_path / name, mapping, f"unknown file ending {ending!r}, and no text; expected", ".csv, ", ".npz, ")
 
 
 @pytest.mark.parametrize("ending", ["csv", "npz"])

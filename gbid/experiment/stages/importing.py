@@ -22,7 +22,7 @@ from gbid.experiment.recordings import (
 from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.prefilter.filtering import repair_overloads
 from gbid.recording import ImportMapping, Recording, find_group_problems, import_recording, save_recording
-from gbid.recording.formats import file_formats
+from gbid.recording.formats import file_formats, format_of
 
 
 def data_can_be_read(experiment: Experiment) -> Found:
@@ -37,7 +37,7 @@ def data_can_be_read(experiment: Experiment) -> Found:
         path = experiment.data_file(entry)
         listed = "recordings" in here
         here_file = (*here, "file") if listed else here
-        file_format = file_formats().get(path.suffix.lower())
+        file_format = format_of(path)
         if file_format is None:
             yield here_file, f"unknown ending {path.suffix!r}; expected one of {', '.join(file_formats())}"
         elif folder.is_dir() and not path.is_file():

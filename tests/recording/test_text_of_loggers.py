@@ -1,0 +1,167 @@
+"""Text files as twelve loggers write them, from one table of numbers; and files that are nearly such ones."""
+
+import numpy as np
+import pytest
+from experiment_files import json_of
+
+from gbid.core.errors import DataError
+from gbid.recording import import_recording
+from gbid.recording.importing import list_channels
+
+N, STEP = 40, 1e-3
+TIME = STEP * np.arange(N)
+X = np.round(1500 * np.sin(40 * TIME) + np.random.default_rng(3).standard_normal(N), 3)
+Y = np.round(0.5 * np.cos(40 * TIME), 5)
+
+
+def numbers(delimiter, decimal=".", lead="", columns=(TIME, X, Y)):
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return "".join(lead + delimiter.join(repr(v).replace(".", decimal) for v in row) + "\n" for row in rows)
+
+
+def stamped(text):
+    """Rows with a text for the time and, below it, x and y with decimal commas."""
+    rows = zip(TIME, X.tolist(), Y.tolist(), strict=True)
+    return "".join(f"{text(t)};{x};{y}\n".replace(".", ",") for t, x, y in rows).replace("22,11,", "22.11.")
+
+
+def grouped(value, sign, decimal):
+    return f"{value:,.3f}".translate(str.maketrans(",.", sign + decimal))
+
+
+DSPACE = """type,string
+origin,ControlDesk 7
+trace,Time,x,y
+path,Model/a,Model/b,Model/c
+description,none
+unit,s,V,V
+min,0,0,0
+raster,HostService
+trace_values
+"""
+SPEEDGOAT = """Time,x,y
+Application: gasbearing
+File log version 2
+double,double,double
+1x1,1x1,1x1
+s,V,V
+sample time 0.001
+"""
+BECKHOFF = "Name\tScope\nStartTime\t132\n\nTime\tx\tTime\ty\ns\tV\ts\tV\n"
+TRAILER = "\nEnde der Messung;22.11.2026\nMittelwert;0,5;0,2\nAnzahl Werte: 40"
+LABVIEW = """LabVIEW Measurement\t
+Separator\tTab
+Decimal_Separator\t,
+X_Columns\tOne
+Date\t2026/11/22
+***End_of_Header***\t
+\t
+Channels\t2\t\t
+Samples\t40\t40\t
+Date\t2026/11/22\t2026/11/22\t
+Time\t10:00:00,5\t10:00:00,5\t
+X_Dimension\tTime\tTime\t
+Delta_X\t0,001\t0,001\t
+***End_of_Header***\t\t\t
+X_Value\tx\ty\tComment
+"""
+
+
+def with_thousands(sign, decimal):
+    rows = zip(TIME.tolist(), X.tolist(), Y.tolist(), strict=True)
+    return "Zeit;x;y\n" + "".join(
+        ";".join([repr(t).replace(".", decimal), grouped(x, sign, decimal), repr(y).replace(".", decimal)]) + "\n"
+        for t, x, y in rows
+    )
+
+
+FILES = {
+    "dspace.csv": (DSPACE + numbers(",", lead=","), "Time", "lines 4 to 9 between names and numbers left out"),
+    "speedgoat.csv": (SPEEDGOAT + numbers(","), "Time", "lines 2 to 7 between names and numbers left out"),
+    "trailer.csv": ("Zeit;x;y\ns;V;V\n" + numbers(";", ",") + TRAILER, "Zeit", "what follows line 42 begins with"),
+    "beckhoff.csv": (BECKHOFF + numbers("\t", columns=(TIME, X, TIME, Y)), "Time", ""),
+    "thousands.csv": (with_thousands(".", ","), "Zeit", ""),
+    "swiss.csv": (with_thousands("'", "."), "Zeit", ""),
+    "iso.csv": ("Zeit;x;y\n" + stamped(lambda t: f"2026-11-22T10:59:{59 + t:.3f}+01:00"), "Zeit", ""),
+    "german.csv": ("Zeit;x;y\n" + stamped(lambda t: f"22.11.2026 23:59:5{9.95 + t:.3f}"), "Zeit", ""),
+    "headerless.csv": (numbers(";"), "column 1", "no line has names"),
+    "units.csv": ("# Zeit;x;y\nV;V;V\n" + numbers(";"), "Zeit", ""),
+    "text.asc": ("Zeit;x;y\n" + numbers(";", ","), "Zeit", ""),
+    "labview.lvm": (LABVIEW + numbers("\t", ","), "X_Value", ""),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_files_of_twelve_loggers(tmp_path, name):
+    text, time, said = FILES[name]
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    if name == "units.csv":
+        path.write_text(text.replace("V;V;V", "s;V;V"))
+    x, y = ("column 2", "column 3") if name == "headerless.csv" else ("x", "y")
+    made = import_recording(path, {"time": time, "signals": {"d": {"columns": [x, y], "unit": "V"}}})
+    np.testing.assert_allclose(made.signal("d"), np.column_stack([X, Y]), rtol=0, atol=1e-9)
+    assert made.sample_time == STEP
+    assert said in made.provenance.get("import_remarks", "")
+    assert bool(said) == ("import_remarks" in made.provenance)
+
+
+GOOD = numbers(";", columns=(TIME, np.arange(N) / 2, np.arange(N) % 7 * 1.0))
+TWO_CLOCKS = "a;b;a;c\n" + numbers(";", columns=(TIME, X, 2 * TIME, Y))
+
+
+def thousands(sign):
+    return "a;b\n" + "".join(f"{k / 1000};{980 + k:,}\n".replace(",", sign) for k in range(N))
+
+
+@pytest.mark.parametrize(
+    ("text", "time", "words"),
+    [
+        ("a;b;c\n" + GOOD + "na", "a", "line 42 has 1 cells"),  # cut within a number
+        ("a;b;c\n" + GOOD + "1e", "a", "line 42 has 1 cells"),
+        ("a;b;c\nn/a;1;2\n" + GOOD, "a", "line 2, column 'a': 'n/a' is not a number"),
+        ("a;b;c\n0x;1;2\n" + GOOD, "a", "line 2, column 'a': '0x' is not a number"),
+        ("a;b;b\n" + GOOD, "a", "column 'b' occurs 2 times with different numbers; name one, 'b #1' to 'b #2'"),
+        (TWO_CLOCKS, "a", "column 'a' occurs 2 times"),
+        (TWO_CLOCKS.replace("c\n", "b\n"), "a #1", "column 'b' occurs 2 times"),
+        (TWO_CLOCKS.replace(";b;", ";c;").replace("c\n", "b\n"), "a #1", "has the times 'a #2', which differ"),
+        (thousands("."), "a", "'1.000' may be a number of thousands"),
+        (thousands(",").replace("0.", "0,"), "a", "'1,000' may be a number of thousands"),
+        ("0;1;2\n" + GOOD, "column 1", "no header line"),
+        ("Messung 1\n" + GOOD, "column 1", "header_line: 0 numbers the columns"),
+        ("a;b\n31.02.2026 10:00:00;1\n31.02.2026 10:00:01;1\n", "a", "'31.02.2026 10:00:00' is no time stamp"),
+        ("a;b\n2026-11-22 10:00:00Z;1\n2026-11-22 10:00:01;1\n", "a", "no time stamp of the form of '2026-11-22 10:0"),
+        ("a;b\n11/22/2026 10:00:00;1\n11/22/2026 10:00:01;1\n", "a", "'11/22/2026 10:00:00' is not a number"),
+    ],
+)
+def test_what_may_be_read_in_two_ways_is_refused(tmp_path, text, time, words):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    column = "b" if time[0] == "a" else "column 2"
+    with pytest.raises(DataError) as error:
+        import_recording(path, {"time": time, "signals": {"s": {"columns": [column], "unit": "V"}}})
+    assert words in str(error.value)
+
+
+def test_a_point_is_the_decimal_sign_where_it_is_said(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(thousands("."))
+    mapping = {"time": "a", "decimal": ".", "signals": {"s": {"columns": ["b"], "unit": "V"}}}
+    assert import_recording(path, mapping).signal("s")[20, 0] == 1.0
+
+
+def test_a_pass_of_midnight_without_a_date_is_a_gap_that_is_said(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = (f"{'23:59:59' if k < 30 else '00:00:00'},{(970 + k) % 1000:03d};{k}\n" for k in range(60))
+    path.write_text("a;b\n" + "".join(rows))
+    made = import_recording(path, {"time": "a", "signals": {"s": {"columns": ["b"], "unit": "V"}}})
+    assert "the clock goes back by 86400 s after sample 29" in made.provenance["import_remarks"]
+
+
+def test_lines_are_named_by_the_listing(tmp_path, capsys):
+    path = tmp_path / "messung.txt"
+    path.write_text(SPEEDGOAT + numbers(",") + "End of file\n")
+    layout = json_of(capsys, "import", "--peek", str(path))["layout"]
+    assert (layout["header_line"], layout["unit_line"], layout["first_row_in_line"]) == (1, 6, 8)
+    assert (layout["lines_skipped"], layout["last_row_in_line"]) == ("2 to 7", 47)
+    assert [channel.unit for channel in list_channels(path)] == ["s", "V", "V"]
