@@ -108,7 +108,7 @@ def designs_table(results: Results) -> Table:
 
 def impacts_table(results: Results) -> Table:
     """Return measured and simulated responses to the same impact in each loop."""
-    shown = (("disc", "um", "peak", "m", 1e6), ("over", "ms", "decay", "s", 1e3), ("piezo", "um", "piezo", "m", 1e6))
+    shown = (("disc", "µm", "peak", "m", 1e6), ("over", "ms", "decay", "s", 1e3), ("piezo", "µm", "piezo", "m", 1e6))
     heads = [Column(f"{what}{word}", unit, 4) for what, unit, *_ in shown for word in ("", " std", " simulated")]
     rows: list[tuple[Entry, ...]] = []
     for loops in results.beside:

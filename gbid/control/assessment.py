@@ -141,8 +141,8 @@ FIGURES = {
         "stiffness ratio", lambda q: min(q.stiffness_ratio) if q.stable else -inf, lowest_is_worst=True
     ),
     "slowest_decay_hz": Figure("slowest decay [Hz]", lambda q: q.slowest_decay_hz, format=".1f", lowest_is_worst=True),
-    "impact_p_m": Figure("disc [um]", lambda q: q.impact_p_m, 1e6, ".2f"),
-    "stack_travel_m": Figure("stack [um]", lambda q: q.stack_travel_m, 1e6, ".2f"),
+    "impact_p_m": Figure("disc [µm]", lambda q: q.impact_p_m, 1e6, ".2f"),
+    "stack_travel_m": Figure("stack [µm]", lambda q: q.stack_travel_m, 1e6, ".2f"),
     "decay_time_s": Figure("decay [ms]", lambda q: q.decay_time_s, 1e3, ".1f"),
     "sampled_damping": Figure("sampled damping", lambda q: q.sampled_damping, lowest_is_worst=True),
     "sampled_peak_output": Figure("sampled peak S_o", lambda q: q.sampled_peak_output.value),

@@ -20,7 +20,7 @@ const Charts = (() => {
     const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= rough * 0.999);
     const found = [];
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
-    return found;
+    return found.length > 1 || wanted > 20 ? found : ticks(low, high, 2 * wanted); // one label alone is no scale
   }
 
   function logTicks(low, high) {

@@ -290,7 +290,7 @@ def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
     kind = "not trusted" if trusted == "none" else trusted
     columns = [Column("parameter"), Column("estimate", format=5), Column(f"std\n({kind})", format=2)]
     if with_truth:
-        columns += [Column("truth", format=5), Column("off by", format="+.2f"), Column("in std", format="+.1f")]
+        columns += [Column("truth", format=5), Column("off by", format="+z.2f"), Column("in std", format="+z.1f")]
     laid: list[list[Entry]] = []
     for row in rows:
         factor, unit = shown_unit(row["unit"])
@@ -302,7 +302,7 @@ def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
         digits = max(1, 2 + floor(log10(abs(estimate))) - floor(log10(spread))) if fewer else 5
         cells = [row["parameter"], _in_power(row["estimate"], digits, exponent, factor), std]
         if with_truth:
-            off = formatted(row["deviation_percent"], "+.2f", "%")
+            off = formatted(row["deviation_percent"], "+z.2f", "%")
             cells += [_in_power(row["truth"], 5, exponent, factor), off, row["deviation_std"]]
         laid.append([*cells, unit])
     return Table(title, [*columns, Column("unit")], laid)
@@ -477,7 +477,7 @@ def validation_table(document: Row, paper: Mapping[str, str] | None = None) -> T
     )
     columns = [
         *(Column(""), Column("output"), Column("pairs", format="d")),
-        *(Column("fit\n", "%", ".2f"), Column("+-\n", "%", ".2g"), Column("least\n", "%", ".2f")),
+        *(Column("fit\n", "%", ".2f"), Column("std\n", "%", ".2g"), Column("least\n", "%", ".2f")),
         Column("largest\nerror", format=2),
         Column("worst pair", wrap=True),
         *([Column("paper", "%")] if paper else []),
@@ -765,7 +765,7 @@ def prefilter_table(rows: Sequence[Row]) -> Table:
         harmonics = " ".join(f"{factor * amplitude:.2f}" for amplitude in row["harmonics"][:3]) or None
         sizes = (factor * row[key] for key in ("rms_before", "rms_after", "offset"))
         laid.append([f"{row['recording']} {row['channel']}", *sizes, row["runout_share"], harmonics, row["spikes"]])
-    return Table("prefilter", columns, laid)
+    return Table("Prefilter: what it removed from each channel", columns, laid)
 
 
 # ---- Documents (SI units) and tables (micrometres instead of metres) of static maps and piezo curves.

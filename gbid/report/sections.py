@@ -57,7 +57,7 @@ from gbid.report.page import (
     Words,
 )
 from gbid.report.read import MadeFit, Results, Standing, place_of
-from gbid.report.views import summary_lines
+from gbid.report.views import converged_words, design_lines, mode_rows, note_rows, outcome_words
 from gbid.validate import Validation, ValidationSummary
 
 _NAMED = 5
@@ -367,18 +367,23 @@ def quality_section(results: Results) -> PageSection:
         text = f"{len(recordings)} excited recordings checked: no dead, saturated or swapped channel, no rub."
         blocks.append(Words(text, "good"))
     signals = list(dict.fromkeys(signal for q in recordings for signal in q.signals))
+    units = {signal: {q.units[signal] for q in recordings if signal in q.signals} for signal in signals}
     rows: list[list[Entry]] = []
     for q in recordings:
         if q.alike is not None and abs(q.alike) > ALIKE:
             blocks.append(Words(f"{q.name}: the excitations of x and y are correlated ({q.alike:+.2f})", "warn"))
         rows.append([q.name, point_words(results.experiment, q.name), f"{q.duration:g} s, {q.n_samples}"])
         for signal in signals:
-            channels = (f"{channel} {in_units(rms, q.units[signal])}" for channel, rms, _ in q.signals.get(signal, ()))
-            rows[-1].append(", ".join(channels) or None)
+            sizes = [(channel, in_units(rms, q.units[signal])) for channel, rms, _ in q.signals.get(signal, ())]
+            if len(units[signal]) == 1:  # the heading has it
+                sizes = [(channel, size.partition(" ")[0]) for channel, size in sizes]
+            rows[-1].append(", ".join(map(" ".join, sizes)) or None)
         rows[-1].append(q.alike)
-    headings = ("recording", "operating point", "length, samples", *(f"{name}, rms" for name in signals))
+    one_unit = {name: shown_unit(next(iter(unit)))[1] if len(unit) == 1 else "" for name, unit in units.items()}
+    columns = [*map(Column, ("recording", "operating point", "length, samples"))]
+    columns += [Column(f"{name}, rms", one_unit[name]) for name in signals]
     title = "Excited recordings: rms about the mean of each channel, correlation of the two excitations"
-    table = Table(title, [*map(Column, headings), Column("correlation x, y", format="+.3f")], rows)
+    table = Table(title, [*columns, Column("correlation x, y", format="+.3f")], rows)
     blocks += [_folded(f"Excitation of {len(rows)} recordings", table), *_prefilter(results)]
     return PageSection("data", "Data quality", blocks)
 
@@ -531,13 +536,23 @@ def summary_section(results: Results, links: list[Link]) -> PageSection:
         ],
         "tuning": tuning_documents((), results.designs.made),
     }
-    blocks.append(Listed(summary_lines(document)))
+    lines = [begin + ", ".join(words) for begin, words in outcome_words(document) if words]
+    lines += [line for design in document["tuning"] for line in design_lines(design)]
+    blocks.append(Listed([converged_words(document["fits"]), *lines] if results.fits else lines))
+    if modes := mode_rows(document["fits"]):
+        ranges = any(span for *_, span in modes)
+        heads = ("fit", "frequency [Hz]", "damping", *(["range of the frequency [Hz]"] if ranges else []))
+        blocks.append(
+            Table("Modes with 95 % intervals", [Column(head) for head in heads], [row[: len(heads)] for row in modes])
+        )
+    if notes := note_rows(document):
+        blocks.append(Fold(f"Notes ({len(notes)})", [Listed([begin + text for begin, text in notes])]))
     counts: dict[str, Counter[str]] = {}
     for f in results.standings:
         counts.setdefault(_STAGES[f.stage], Counter())[f.state] += 1
     states = ("there", "failed", "missing", "stale")
     rows: list[tuple[Entry, ...]] = [(stage, *(count[state] for state in states)) for stage, count in counts.items()]
-    heads = ("there", "failed", "not made", "of other settings")
+    heads = ("made", "failed", "not made", "made with other settings")
     blocks.append(Table("Results", [Column("stage"), *(Column(head, format="d") for head in heads)], rows))
     return PageSection("summary", "At a glance", blocks)
 

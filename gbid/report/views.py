@@ -179,17 +179,29 @@ def summary_lines(document: Document) -> list[str]:
     document : dict
         Has ``fits``, ``crossval_summary``, ``lpv`` and ``tuning`` as the JSON of ``gbid run``.
     """
-    fits = document["fits"]
-    lines = []
+    fits, lines = document["fits"], []
     if fits:
-        converged = sum(fit["success"] for fit in fits)
-        lines.append(f"fits: {converged} of {len(fits)} converged; modes with 95 % intervals:")
-        lines += _few([line for name in dict.fromkeys(fit["fit"] for fit in fits) for line in _mode_lines(name, fits)])
+        lines.append(f"{converged_words(fits)}; modes with 95 % intervals:")
+        lines += _few([_mode_line(*row) for row in mode_rows(fits)])
+    lines += [line for begin, words in outcome_words(document) for line in _wrapped(begin, words)]
+    lines += _few([line for design in document["tuning"] for line in design_lines(design)])
+    notes = _few([shorten(f"  {begin}{text}", WIDTH - 2, placeholder=" ...") for begin, text in note_rows(document)])
+    return [
+        *lines,
+        *(["notes (whole text with -v; gbid explain CODE):", *(f"  {line}" for line in notes)] if notes else []),
+    ]
+
+
+def converged_words(fits: Sequence[Row]) -> str:
+    """Return how many of the fits converged."""
+    return f"fits: {sum(fit['success'] for fit in fits)} of {len(fits)} converged"
+
+
+def outcome_words(document: Document) -> list[tuple[str, list[str]]]:
+    """Return the fit on other recordings and the states of the surfaces, each with its beginning."""
     scores = [f"{row['fit']} {min(row['least']):.1f}" for row in document["crossval_summary"]]
-    lines += _wrapped("fit on other recordings, worst output [%]: ", scores)
-    lines += _wrapped("surfaces: ", [f"{row['item']} {row['status']}" for row in document["lpv"]])
-    lines += _few([line for design in document["tuning"] for line in _design_lines(design)])
-    return [*lines, *_note_lines(document)]
+    surfaces = [f"{row['item']} {row['status']}" for row in document["lpv"]]
+    return [("fit on other recordings, worst output [%]: ", scores), ("surfaces: ", surfaces)]
 
 
 def _few(lines: list[str]) -> list[str]:
@@ -201,18 +213,26 @@ def _wrapped(begin: str, words: Sequence[str]) -> list[str]:
     return wrap(begin + ", ".join(words), WIDTH, subsequent_indent="  ", max_lines=2) if words else []
 
 
-def _mode_lines(name: str, fits: Sequence[Row]) -> list[str]:
-    """Return the modes of a fit's first converged model, with the range over its other models."""
-    models = [fit for fit in fits if fit["fit"] == name and fit["success"] and fit["modes"]]
-    lines = []
-    for i, mode in enumerate(models[0]["modes"]) if models else ():
-        frequency = _interval(mode["frequency_hz"], mode["frequency_std_hz"])
-        line = f"  {name}: {frequency} Hz, damping {_interval(mode['damping'], mode['damping_std'])}"
-        others = [model["modes"][i]["frequency_hz"] for model in models if i < len(model["modes"])]
-        if len(others) > 1:
-            line += f" ({len(others)} models: {min(others):.5g} to {max(others):.5g} Hz)"
-        lines.append(line if len(line) <= WIDTH else line.partition(" (")[0])
-    return lines
+def mode_rows(fits: Sequence[Row]) -> list[tuple[str, str, str, str]]:
+    """Return name of the fit, frequency [Hz], damping and range [Hz] of each mode.
+
+    They are those of the first model of a fit that converged; the range is that of the frequency over its other models.
+    """
+    rows = []
+    for name in dict.fromkeys(fit["fit"] for fit in fits):
+        models = [fit for fit in fits if fit["fit"] == name and fit["success"] and fit["modes"]]
+        for i, mode in enumerate(models[0]["modes"]) if models else ():
+            others = [model["modes"][i]["frequency_hz"] for model in models if i < len(model["modes"])]
+            span = f"{len(others)} models: {min(others):.7g} to {max(others):.7g}" if len(others) > 1 else ""
+            frequency = _interval(mode["frequency_hz"], mode["frequency_std_hz"])
+            rows.append((name, frequency, _interval(mode["damping"], mode["damping_std"]), span))
+    return rows
+
+
+def _mode_line(name: str, frequency: str, damping: str, span: str) -> str:
+    line = f"  {name}: {frequency} Hz, damping {damping}"
+    whole = f"{line} ({span} Hz)" if span else line
+    return whole if len(whole) <= WIDTH else line
 
 
 def _interval(value: float, std: float | None) -> str:
@@ -224,7 +244,7 @@ def _interval(value: float, std: float | None) -> str:
     return f"{value:.{digits}f} ± {half:.{digits}f}"
 
 
-def _design_lines(design: Row) -> list[str]:
+def design_lines(design: Row) -> list[str]:
     """Return the worst damping, peak and margin of a design over its points, and its gains."""
     worst = design["performance"][0]["worst"] if design["performance"] else {}
     sampled = "sampled_" if "sampled_damping" in worst else ""  # the loop as it runs
@@ -238,16 +258,16 @@ def _design_lines(design: Row) -> list[str]:
 _CODE = re.compile(r" ?\[(GB\d+)\]")
 
 
-def _note_lines(document: Document) -> list[str]:
-    """Return each note once, by its code, with the number of results that have it."""
+def note_rows(document: Document) -> list[tuple[str, str]]:
+    """Return each note once, by its code: code and number of results that have it, and the text of the first."""
     rows = [*document["fits"], *document["lpv"], *document["tuning"]]
     notes: dict[str, list[str]] = {}
     for text in (text for row in rows for text in row["notes"]):
-        found = _CODE.search(text)
-        notes.setdefault(found[1] if found else text.partition(":")[0], []).append(text)
+        match = _CODE.search(text)
+        notes.setdefault(match[1] if match else text.partition(":")[0], []).append(text)
     lines = []
     for code, texts in notes.items():
         times = f" ({len(texts)} times)" if len(texts) > 1 else ""
         begin = f"{code}{times}: " if _CODE.search(texts[0]) else f"{len(texts)} times: " if times else ""
-        lines.append(shorten(f"  {begin}{_CODE.sub('', texts[0])}", WIDTH - 2, placeholder=" ..."))
-    return ["notes (whole text with -v; gbid explain CODE):", *(f"  {line}" for line in _few(lines))] if lines else []
+        lines.append((begin, _CODE.sub("", texts[0])))
+    return lines

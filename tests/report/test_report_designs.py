@@ -94,7 +94,7 @@ def test_table_of_designs_has_what_the_tuning_stored(made, results) -> None:
     stored = load(made.parent / "results" / "designs" / "controller" / "feedback.h5", TunedDesign)
     rows = {row[0]: [value_of(cell) for cell in row[1:]] for row in table.rows}
     assert rows["smallest damping"][0] == pytest.approx(stored.performance[0].worst["damping"][0], abs=5e-4)
-    assert rows["stack [um]"][2] == pytest.approx(1e6 * stored.performance[1].worst["stack_travel_m"][0], abs=5e-3)
+    assert rows["stack [µm]"][2] == pytest.approx(1e6 * stored.performance[1].worst["stack_travel_m"][0], abs=5e-3)
 
 
 def test_impacts_of_each_loop_stand_beside(results) -> None:
@@ -104,7 +104,7 @@ def test_impacts_of_each_loop_stand_beside(results) -> None:
         results.beside_at(True)
     table = paper().TABLES["designs_impacts"](results)
     assert [row[1:3] for row in table.rows] == [(label, axis) for label in loops for axis in "xy"]
-    column = [column.heading for column in table.columns].index("disc [um]")
+    column = [column.heading for column in table.columns].index("disc [µm]")
     assert table.rows[0][column] == pytest.approx(1e6 * loops["open loop"].figures[0].peak_m)
 
 
@@ -113,7 +113,7 @@ def test_reproduction_ends_with_what_the_paper_has_no_figures_for(made, capsys) 
     titles = [table["title"] for table in document["past_the_paper"]]
     assert [title.split(" ")[0] for title in titles] == ["the", "readings", "Designs", "The"]
     out = printed_by(capsys, "reproduce", made).out
-    assert "stack [um]" in out
+    assert "stack [µm]" in out
     text = paper().reproduction_markdown(document)
     for table in document["past_the_paper"]:
         lines = text[text.index(table["title"]) :].split("\n\n")[1].splitlines()
