@@ -103,14 +103,17 @@ from .tuning.problem import (
     SearchStep as SearchStep,
 )
 from .tuning.response_goals import (
+    AxisSensitivity as AxisSensitivity,
     MinDiskMargin as MinDiskMargin,
     MinGainMargin as MinGainMargin,
     MinPhaseMargin as MinPhaseMargin,
     PeakComplementary as PeakComplementary,
     PeakControl as PeakControl,
+    PeakResponse as PeakResponse,
     PeakSensitivity as PeakSensitivity,
     PiezoTravel as PiezoTravel,
     ResponseGoal as ResponseGoal,
+    RmsResponse as RmsResponse,
     RollOff as RollOff,
     StaticAmplification as StaticAmplification,
 )

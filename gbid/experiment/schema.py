@@ -473,12 +473,14 @@ GOALS: dict[str, type[Goal]] = {
         control.PeakComplementary,
         control.PeakControl,
         control.StaticAmplification,
+        control.AxisSensitivity,
         control.RollOff,
         control.MinDiskMargin,
         control.MinGainMargin,
         control.MinPhaseMargin,
         control.RmsPosition,
         control.RmsControl,
+        control.PeakResponse,
         control.PiezoTravel,
     )
 }
@@ -532,6 +534,8 @@ _KINDS: dict[Any, Any] = {
     ],
     HalfSine: HitSection,
     DisturbanceSpectrum: Names,
+    tuple[str, ...]: Names,
+    tuple[float, ...]: tuple[Finite, ...],
 }
 """Type in the YAML of each type of argument of a goal."""
 

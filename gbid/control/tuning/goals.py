@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from annotated_types import Gt, Lt
 
-from gbid.control.tuning.loops import LoopFamily
+from gbid.control.tuning.loops import ControlLoops, LoopFamily, Path
 from gbid.control.tuning.peaks import ModalResponse
 from gbid.control.tuning.plane import (
     Eigensystem,
@@ -99,8 +99,12 @@ class Wanted(Goal):
             changed: dict[str, Any] = {self.native: float(limit if known is None else min(known, limit))}
             return replace(limits, **changed)
         where = "soft" if self.soft else "extra"
-        changed = {where: (*getattr(limits, where), self.measure(plant))}
+        changed = {where: (*getattr(limits, where), *self.measures(plant))}
         return replace(limits, **changed)
+
+    def measures(self, plant: LinearModel) -> tuple[Measure, ...]:
+        """Return the measures of this goal: one, if it is not of each axis."""
+        return (self.measure(plant),)
 
 
 def limits_of(goals: Sequence[Goal], plant: LinearModel, machine: MachineData | None = None) -> Limits:
@@ -500,20 +504,40 @@ class RmsGoal(Wanted):
                 f"{type(self).__name__}: the disturbance has {given.density.shape[1]} channels, the plant "
                 f"{len(plant.C)} outputs"
             )
-        edges, power = _bands(given)
-
-        def rms(family: LoopFamily, gains: FloatArray) -> FloatArray:
-            loops = family.matrices(gains)
-            system = Eigensystem.of(loops.A)
-            rows = slice(family.n_outputs, None) if self.control else slice(0, family.n_outputs)
-            T = family.sample_time
-            below = edges < (np.inf if T is None else 0.499 / T)
-            w = searched_frequencies(2 * np.pi * edges[below], T)
-            products = ModalResponse(loops, system, rows).mean_products(w)
-            squares = np.einsum("kjl,mkjl->m", power[: len(w) - 1], products).real
-            return np.asarray(np.sqrt(np.maximum(squares, 1e-300)))
-
+        rms = rms_under(given, self.control)
         return ExtraLimit(f"rms of {self.label}", rms, self.limit_m / self.weight)
+
+
+def rms_under(
+    spectrum: DisturbanceSpectrum, control: bool = False, path: Path | None = None
+) -> Callable[[LoopFamily, FloatArray], FloatArray]:
+    """Return the rms of every loop under a disturbance as a function of loops and gains.
+
+    Parameters
+    ----------
+    spectrum : DisturbanceSpectrum
+        Disturbance d of the measured outputs, or of the sources of a path.
+    control : bool
+        Whether the rms is that of the references, else of the outputs.
+    path : Path, optional
+        Signals from and to which the response is taken.
+    """
+    edges, power = _bands(spectrum)
+
+    def rms(family: LoopFamily, gains: FloatArray) -> FloatArray:
+        if path is not None:
+            assert isinstance(family, ControlLoops)
+            family = family.along(path)
+        loops = family.matrices(gains)
+        rows = slice(family.n_outputs, None) if control else slice(0, family.n_outputs)
+        T = family.sample_time
+        below = edges < (np.inf if T is None else 0.499 / T)
+        w = searched_frequencies(2 * np.pi * edges[below], T)
+        products = ModalResponse(loops, Eigensystem.of(loops.A), rows).mean_products(w)
+        squares = np.einsum("kjl,mkjl->m", power[: len(w) - 1], products).real
+        return np.asarray(np.sqrt(np.maximum(squares, 1e-300)))
+
+    return rms
 
 
 @dataclass(frozen=True)

@@ -438,9 +438,9 @@ static double length_of(long n, const num *v, long stride)
 long eigensystems(long m, long n, const double *A, double longest, num *value, num *right, num *left)
 {
     long ended = fit(m * n * n, A);
-    num *T = malloc((2 * n * n + (n + 1) / 2 + 3 * n) * sizeof(num));
+    num *T = malloc((3 * n * n + (n + 1) / 2 + 2 * n) * sizeof(num));
     if (!T) return -1;
-    num *Z = T + n * n, *own = Z + n * n + (n + 1) / 2, *x = own + n, *y = x + n;
+    num *Z = T + n * n, *own = Z + n * n + (n + 1) / 2, *y = own + n, *X = y + n;
     const double *unit = (const double *)(Z + n * n);
     for (long l = 0; l < m && ended == 1; l++, A += n * n, value += n, right += n * n, left += n * n) {
         ended = schur_form(n, A, T);
@@ -448,22 +448,33 @@ long eigensystems(long m, long n, const double *A, double longest, num *value, n
         memcpy(value, own, n * sizeof(num));
         double size = 0.0;
         for (long i = 0; i < n * n; i++) size = fmax(size, fmax(fabs(T[i].re), fabs(T[i].im)));
-        for (long k = 0; k < n; k++) {
-            for (int side = 0; side < 2; side++) {
-                num *v = side ? y : x;
-                long step = side ? 1 : -1;
-                v[k] = (num){1.0, 0.0};
-                for (long i = k + step; i >= 0 && i < n; i += step) {
-                    num sum = {0.0, 0.0}, off = {T[k * n + k].re - T[i * n + i].re, T[k * n + k].im - T[i * n + i].im};
-                    for (long j = k; j != i; j += step) {
-                        num t = times(v[j], side ? T[j * n + i] : T[i * n + j]);
-                        sum.re += t.re, sum.im += t.im;
-                    }
-                    if (!(square(off) > 4.9e-32 * size * size)) off = (num){2.2e-16 * size + 1e-300, 0.0};
-                    v[i] = over(sum, off);
-                    if (!(square(v[i]) < 1e200))
-                        for (long j = k; j != i + step; j += step) v[j].re *= 1e-100, v[j].im *= 1e-100;
+        for (long k = 0; k < n; k++) { /* right eigenvectors of T, in the columns of X */
+            num *x = X + k * n;
+            x[k] = (num){1.0, 0.0};
+            for (long i = k - 1; i >= 0; i--) {
+                num sum = {0.0, 0.0}, off = {T[k * n + k].re - T[i * n + i].re, T[k * n + k].im - T[i * n + i].im};
+                for (long j = k; j > i; j--) {
+                    num t = times(x[j], T[i * n + j]);
+                    sum.re += t.re, sum.im += t.im;
                 }
+                if (!(square(off) > 4.9e-32 * size * size)) off = (num){2.2e-16 * size + 1e-300, 0.0};
+                x[i] = over(sum, off);
+                if (!(square(x[i]) < 1e200))
+                    for (long j = k; j >= i; j--) x[j].re *= 1e-100, x[j].im *= 1e-100;
+            }
+        }
+        for (long k = 0; k < n; k++) { /* left ones are the rows of its inverse: those of equal eigenvalues fit, too */
+            const num *x = X + k * n;
+            y[k] = (num){1.0, 0.0};
+            for (long i = k + 1; i < n; i++) {
+                num sum = {0.0, 0.0};
+                for (long j = k; j < i; j++) {
+                    num t = times(y[j], X[i * n + j]);
+                    sum.re -= t.re, sum.im -= t.im;
+                }
+                y[i] = over(sum, X[i * n + i]);
+                if (!(square(y[i]) < 1e200))
+                    for (long j = k; j <= i; j++) y[j].re *= 1e-100, y[j].im *= 1e-100;
             }
             for (long b = 0; b < n; b++) {
                 num v = {0.0, 0.0}, w = {0.0, 0.0};

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -402,6 +402,87 @@ def _as_sx(value: Any) -> ca.SX:
     return ca.SX(value)
 
 
+class Path(NamedTuple):
+    """Names of the signals from and to which a response is taken; see `gbid.control.PeakResponse`."""
+
+    sources: tuple[str, ...]
+    targets: tuple[str, ...]
+
+
+class Ports(NamedTuple):
+    """Disturbances w and outputs q of m loops, with ``x' = A x + B r + E w``, ``p = C x + D r + F w``.
+
+    The outputs are ``q = H x + J_r r + J_w w`` with the references r below them, of which `rows` are kept.
+    """
+
+    E: FloatArray
+    F: FloatArray
+    H: FloatArray
+    J_r: FloatArray
+    J_w: FloatArray
+    rows: list[int]
+
+
+@dataclass(frozen=True, eq=False)
+class WholePlants:
+    """Plants with all their channels, of which a controller drives some inputs and measures some outputs.
+
+    Parameters
+    ----------
+    plants : PlantMatrices
+        Continuous plants.
+    inputs, outputs : tuple of str
+        Names of all channels.
+    driven, measured : tuple of str
+        Channels of the controller, in the order of its outputs and inputs.
+    """
+
+    plants: PlantMatrices
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    driven: tuple[str, ...]
+    measured: tuple[str, ...]
+
+    def controlled(self) -> PlantMatrices:
+        """Plants with the channels of the controller."""
+        A, B, C, D = vars(self.plants).values()
+        r, p = ([all_names.index(name) for name in own] for all_names, own in self._channels)
+        return PlantMatrices(A, B[:, :, r], C[:, p], D[:, p][:, :, r])
+
+    def ports(self, path: Path) -> Ports:
+        """Disturbances and outputs of a path.
+
+        Raises
+        ------
+        UsageError
+            When the plant has no such signals.
+        """
+        A, B, C, D = vars(self.plants).values()
+        r, p = ([all_names.index(name) for name in own] for all_names, own in self._channels)
+        for name in path.sources:
+            if name not in (*self.inputs, *self.measured):
+                known = ", ".join((*self.inputs, *self.measured))
+                raise UsageError(f"no source {name!r}; there are the inputs and measured outputs {known}")
+        for name in path.targets:
+            if name not in (*self.outputs, *self.driven):
+                known = ", ".join((*self.outputs, *self.driven))
+                raise UsageError(f"no target {name!r}; there are the outputs and driven inputs {known}")
+        q = [self.outputs.index(name) for name in path.targets if name in self.outputs]
+        E, J = np.zeros((*A.shape[:2], len(path.sources))), np.zeros((len(A), len(self.outputs), len(path.sources)))
+        for i, name in enumerate(path.sources):
+            if name in self.inputs:
+                E[:, :, i], J[:, :, i] = B[:, :, self.inputs.index(name)], D[:, :, self.inputs.index(name)]
+            else:
+                J[:, self.outputs.index(name), i] = 1.0
+        places = iter(range(len(q)))
+        rows = [next(places) if name in self.outputs else len(q) + self.driven.index(name) for name in path.targets]
+        return Ports(E, J[:, p], C[:, q], D[:, q][:, :, r], J[:, q], rows)
+
+    @property
+    def _channels(self) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
+        return (self.inputs, self.driven), (self.outputs, self.measured)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ControlLoops(LoopFamily):
     r"""Loops of plants given by their matrices, with the controller ``r = K (p + d)``.
@@ -411,7 +492,8 @@ class ControlLoops(LoopFamily):
 
     .. math:: S = S_0 + L\, (I - K E)^{-1} K\, R
 
-    where R leads to ``(z, C x + d)``, L leads from ``(z', r)``, and E adds the feedthrough D r of the plant.
+    where R leads to ``(z, C x + d)``, L leads from ``(z', r)``, and E adds the feedthrough D r of the plant. With
+    `ports` the disturbances and outputs are other signals of the plant.
 
     Parameters
     ----------
@@ -421,13 +503,38 @@ class ControlLoops(LoopFamily):
         The controller.
     companion : LoopFamily, optional
         The same loops in continuous time, for measures that need it.
+    whole : callable, optional
+        Returns the plants with all their channels.
+    ports : Ports, optional
+        Disturbances and outputs in place of d and ``p + d``.
     labels, points, n_outputs, sample_time
         See `LoopFamily`.
     """
 
     plants: PlantMatrices
     law: ControllerLaw
-    companion: LoopFamily | None = None
+    companion: ControlLoops | None = None
+    whole: Callable[[], WholePlants] | None = None
+    ports: Ports | None = None
+    _paths: dict[Path, ControlLoops] = field(default_factory=dict, init=False, repr=False)
+
+    def along(self, path: Path) -> ControlLoops:
+        """Return the continuous loops with the disturbances and outputs of a path.
+
+        Raises
+        ------
+        UsageError
+            When the plant has no such signals.
+        """
+        if self.companion is not None:
+            return self.companion.along(path)
+        if path not in self._paths:
+            assert self.whole is not None
+            whole = self.whole()
+            self._paths[path] = replace(
+                self, plants=whole.controlled(), ports=whole.ports(path), n_outputs=len(path.targets)
+            )
+        return self._paths[path]
 
     @cached_property
     def _calls(self) -> tuple[DirectCall, DirectCall]:
@@ -440,14 +547,17 @@ class ControlLoops(LoopFamily):
         plants, k = self.plants, self.law.n_states
         m, n, n_r = plants.B.shape
         n_p = plants.C.shape[1]
-        rest = np.zeros((m, n + k + n_p + n_r, n + k + n_p))
-        rest[:, :n, :n], rest[:, n + k : -n_r, :n] = plants.A, plants.C
-        rest[:, n + k : -n_r, n + k :] = np.eye(n_p)
+        unit = np.broadcast_to(np.eye(n_p), (m, n_p, n_p))
+        ports = self.ports or Ports(np.zeros((m, n, n_p)), unit, plants.C, plants.D, unit, [])
+        n_q, n_w = ports.J_w.shape[1:]
+        rest = np.zeros((m, n + k + n_q + n_r, n + k + n_w))
+        rest[:, :n, :n], rest[:, n + k : -n_r, :n] = plants.A, ports.H
+        rest[:, :n, n + k :], rest[:, n + k : -n_r, n + k :] = ports.E, ports.J_w
         left = np.zeros((m, rest.shape[1], k + n_r))
         left[:, :n, k:], left[:, n : n + k, :k] = plants.B, np.eye(k)
-        left[:, n + k : -n_r, k:], left[:, -n_r:, k:] = plants.D, np.eye(n_r)
+        left[:, n + k : -n_r, k:], left[:, -n_r:, k:] = ports.J_r, np.eye(n_r)
         right = np.zeros((m, k + n_p, rest.shape[2]))
-        right[:, :k, n : n + k], right[:, k:, :n], right[:, k:, n + k :] = np.eye(k), plants.C, np.eye(n_p)
+        right[:, :k, n : n + k], right[:, k:, :n], right[:, k:, n + k :] = np.eye(k), plants.C, ports.F
         through = np.zeros((m, k + n_p, k + n_r))
         through[:, k:, k:] = plants.D
         return rest, left, right, through
@@ -476,4 +586,7 @@ class ControlLoops(LoopFamily):
     def _parts(self, system: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return A, B, C and D of system matrices."""
         n = self.plants.A.shape[-1] + self.law.n_states
+        if self.ports is not None:
+            kept = [*range(n), *(n + row for row in self.ports.rows)]
+            system = system[..., kept, :]
         return system[..., :n, :n].copy(), system[..., :n, n:], system[..., n:, :n], system[..., n:, n:]

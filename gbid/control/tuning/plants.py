@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated, Any, Literal, Self
 
 import casadi as ca
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.control.controllers.structures import Scheduled
-from gbid.control.loop.close import Method, sample_plant
+from gbid.control.loop.close import Method, force_entry, sample_plant
 from gbid.control.loop.sampled import exact_plant, exact_plant_of
 from gbid.control.tuning.goals import Goal, MaxDamping, MaxDecay, SlowestPole
 from gbid.control.tuning.loops import (
@@ -22,6 +22,7 @@ from gbid.control.tuning.loops import (
     ControlLoops,
     LoopFamily,
     PlantMatrices,
+    WholePlants,
 )
 from gbid.control.tuning.problem import Objective
 from gbid.control.tuning.response_goals import PeakSensitivity
@@ -331,7 +332,8 @@ class Plants(ABC):
         chosen = list(range(len(scenarios)) if which is None else which)
         rows, names = scenarios[chosen], tuple(labels[i] for i in chosen)
         where, n_p = np.ascontiguousarray(rows[:, :2]), self.plant.D.shape[0]
-        continuous = ControlLoops(names, where, n_p, plants=self.continuous_plants(rows), law=self._law)
+        plants, whole = self.continuous_plants(rows), partial(self.whole_plants, rows)
+        continuous = ControlLoops(names, where, n_p, plants=plants, law=self._law, whole=whole)
         if self.sampling is None:
             return continuous
         for row in map(tuple, rows):
@@ -363,6 +365,10 @@ class Plants(ABC):
     @abstractmethod
     def continuous_plants(self, scenarios: FloatArray) -> PlantMatrices:
         """Continuous plants of scenarios, with Padé delays."""
+
+    @abstractmethod
+    def whole_plants(self, scenarios: FloatArray) -> WholePlants:
+        """Continuous plants with all their channels; of an LPV model with a force on the rotor in each direction."""
 
     @abstractmethod
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
@@ -471,6 +477,19 @@ class LpvPlants(Plants):
         parts = (np.array(side_by_side) for side_by_side in every)
         return PlantMatrices(*(M.reshape(len(M), m, -1).transpose(1, 0, 2) for M in parts)).delayed(self.delay_s)
 
+    def whole_plants(self, scenarios: FloatArray) -> WholePlants:
+        """Continuous plants with forces f_x, f_y on the rotor as further inputs; per mass when the mass is not known.
+
+        The names of the forces are those of the outputs with ``f`` in place of ``p``.
+        """
+        G, (A, B, C, D) = self.plant, vars(self.continuous_plants(scenarios)).values()
+        mass = self.lpv.machine.moving_mass_kg or 1.0
+        E = np.zeros((*A.shape[:2], len(G.C)))
+        E[:, : G.n_states] = force_entry(G) / mass
+        whole = PlantMatrices(A, np.concatenate([B, E], 2), C, np.concatenate([D, np.zeros_like(C @ E)], 2))
+        forces = tuple(name.replace("p", "f", 1) for name in G.output_names)
+        return WholePlants(whole, (*G.input_names, *forces), G.output_names, G.input_names, G.output_names)
+
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
         """Plant of a scenario, sampled with exact delays."""
         values = dict(self.lpv.key_parameters(*scenario[:2]))
@@ -510,9 +529,12 @@ class ModelPlants(Plants):
         Continuous plants with equal inputs and outputs; delays may be exact.
     unfinished : tuple of FitResult
         Plants that are fits which did not converge.
+    whole : tuple of LinearModel
+        The models with all their channels.
     """
 
     models: tuple[LinearModel, ...] = field(kw_only=True)
+    whole: tuple[LinearModel, ...] = field(kw_only=True)
     unfinished: tuple[FitResult, ...] = ()
 
     @property
@@ -536,6 +558,22 @@ class ModelPlants(Plants):
         """Continuous models, with Padé delays."""
         models = [with_pade(self.models[int(i)], PADE_ORDER) for i in scenarios[:, 0]]
         return PlantMatrices.stacked(models).delayed(self.delay_s)
+
+    def whole_plants(self, scenarios: FloatArray) -> WholePlants:
+        """Continuous models with all their channels.
+
+        Raises
+        ------
+        UsageError
+            When the names of a channel differ between the models.
+        """
+        models = [self.whole[int(i)] for i in scenarios[:, 0]]
+        first = self.whole[0]
+        if any((each.input_names, each.output_names) != (first.input_names, first.output_names) for each in models):
+            raise UsageError("goals on responses between named signals need models with the same channels")
+        plants = PlantMatrices.stacked([with_pade(model, PADE_ORDER) for model in models]).delayed(self.delay_s)
+        channels = self.plant.input_names, self.plant.output_names
+        return WholePlants(plants, first.input_names, first.output_names, *channels)
 
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
         """Model, sampled with exact delays."""
@@ -646,7 +684,9 @@ def plants_of(
     chosen = checked_models(models, structure, options.inputs, options.outputs)
     points = np.column_stack([np.arange(len(chosen), dtype=float), np.zeros(len(chosen))])
     unfinished = tuple(each for each in given if isinstance(each, FitResult) and not each.success)
-    return ModelPlants(structure, points, options.delay_s, options.sampling, models=chosen, unfinished=unfinished)
+    return ModelPlants(
+        structure, points, options.delay_s, options.sampling, models=chosen, whole=tuple(models), unfinished=unfinished
+    )
 
 
 def _with_actuators(lpv: LPVModel, actuator: Mapping[str, float] | None) -> LPVModel:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from math import pi, radians
+from math import inf, pi, radians
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -15,9 +15,16 @@ from gbid.control.impact.half_sine import HalfSine
 from gbid.control.loop.close import force_entry
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.loop.sensitivity import structured_singular_values
-from gbid.control.tuning.goals import Bound, BoundLike, Wanted, bound_over_frequency
+from gbid.control.tuning.goals import (
+    Bound,
+    BoundLike,
+    DisturbanceSpectrum,
+    Wanted,
+    bound_over_frequency,
+    rms_under,
+)
 from gbid.control.tuning.kernels import IntArray
-from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
+from gbid.control.tuning.loops import ControlLoops, Derivatives, LoopFamily, Loops, Path
 from gbid.control.tuning.peaks import (
     ModalResponse,
     Peaks,
@@ -31,7 +38,7 @@ from gbid.control.tuning.plane import Eigensystem, searched_frequencies, true_fr
 from gbid.control.tuning.problem import ExtraLimit, LoopState, Measure, Pieces
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, Finite, NotNegative, Positive
+from gbid.core.option_types import Allowed, Finite, NotNegative, Number, Positive
 from gbid.lpv import MachineData
 from gbid.structure import LinearModel
 
@@ -313,6 +320,205 @@ class MinDiskMargin(Wanted):
         name = "disk margin" if self.channel is None else f"disk margin of {plant.output_names[self.channel]}"
         bound = bound_over_frequency(2 / self.alpha, "MinDiskMargin")
         return ResponseMeasure(name, LoopResponse.BALANCED, bound, True, self.channel, self.weight)
+
+
+@dataclass(frozen=True)
+class AxisSensitivity(ResponseGoal):
+    """Peak of the sensitivity of each measured axis with the other axes closed, ``|S_ii|``, as in ISO 14839-3.
+
+    Zone A of ISO 14839-3 is ``AxisSensitivity(gbid.control.ISO_LIMITS["A"])``.
+
+    Parameters
+    ----------
+    limit, soft, weight
+        See `ResponseGoal`.
+    """
+
+    response = LoopResponse.SENSITIVITY
+    label = "sensitivity of an axis"
+
+    def measures(self, plant: LinearModel) -> tuple[ResponseMeasure, ...]:
+        """Return a measure for each axis."""
+        common = self.measure(plant)
+        return tuple(
+            replace(common, name=f"sensitivity of {name}", channel=i) for i, name in enumerate(plant.output_names)
+        )
+
+
+# ---- Goals on responses between any signals of plant and controller.
+
+
+@dataclass(frozen=True)
+class PathMeasure(ResponseMeasure):
+    """Excess of a response between named signals, over all frequencies or at multiples of the speed.
+
+    Parameters
+    ----------
+    path : Path
+        Signals from and to which the response is taken.
+    orders : tuple of float
+        Multiples of the speed at which the response counts; empty for all frequencies.
+    speeds_rpm : tuple of float
+        Speed of each model; empty for an LPV model, whose points have it.
+    name, response, bound, weight
+        See `ResponseMeasure`; the response is taken as it is (``SENSITIVITY``).
+    """
+
+    path: Path = field(kw_only=True)
+    orders: tuple[float, ...] = ()
+    speeds_rpm: tuple[float, ...] = ()
+
+    def excess(self, state: LoopState) -> FloatArray:
+        """Return the excess of each loop."""
+        return super().excess(self._along(state))
+
+    def pieces(self, state: LoopState, window: float) -> Pieces:
+        """Return the peaks near the limit, or the response at the multiples of the speed."""
+        return super().pieces(self._along(state), window)
+
+    def _along(self, state: LoopState) -> LoopState:
+        assert isinstance(state.family, ControlLoops)
+        family = state.family.along(self.path)
+        take = family.derivatives if isinstance(state.loops, Derivatives) else family.matrices
+        loops = take(state.gains)
+        return replace(state, family=family, loops=loops, system=Eigensystem.of(loops.A))
+
+    def _peaks(self, state: LoopState) -> Peaks:
+        if not self.orders:
+            return super()._peaks(state)
+        assert state.family.points is not None
+        index, speed = state.family.points[:, :2].T
+        if not speed.any():
+            if not 0 <= index.max() < len(self.speeds_rpm):
+                raise UsageError(f"PeakResponse: speeds_rpm = {self.speeds_rpm}; give a speed for each plant")
+            speed = np.asarray(self.speeds_rpm)[index.astype(int)]
+        hz = np.abs(speed[:, None]) / 60 * np.asarray(self.orders)
+        response = ModalResponse(state.loops, state.system, slice(None))(2 * np.pi * hz)
+        gains = largest_singular_values(response) / self.bound.of_hz(hz)
+        loop = np.repeat(np.arange(len(hz)), len(self.orders))
+        return Peaks(loop, 2 * np.pi * hz.ravel(), gains.ravel())
+
+
+@dataclass(frozen=True)
+class PathGoal(Wanted):
+    """Base of the goals on a response between named signals.
+
+    Sources are inputs of the plant and measured outputs. An input that the controller drives has the disturbance added
+    to the reference, a measured output as in S_o, where the disturbed output is the target. Targets are outputs of the
+    plant and references of the controller, by the names of the inputs it drives. A linear model may have inputs and
+    outputs beside those of the controller (``inputs=`` and ``outputs=`` of `gbid.tune`): forces, currents, other
+    planes. An LPV model has forces f_x and f_y on the rotor [N] (per mass [m/s^2] if its moving mass is not known).
+    For a sampled loop the response is that of the continuous loop with the delay of sampling and computation.
+
+    Parameters
+    ----------
+    sources, targets : tuple of str
+        Names of the signals.
+    soft, weight
+        See `Wanted`.
+    """
+
+    sources: Annotated[tuple[str, ...], Allowed("names of signals")]
+    targets: Annotated[tuple[str, ...], Allowed("names of signals")]
+
+    @property
+    def path(self) -> Path:
+        """Names of the signals.
+
+        Raises
+        ------
+        UsageError
+            When there is none on one side, or one twice.
+        """
+        path = Path(tuple(self.sources), tuple(self.targets))
+        if not all(side and len(set(side)) == len(side) for side in path):
+            raise UsageError(f"{type(self).__name__}: sources = {path[0]}, targets = {path[1]}; give each name once")
+        return path
+
+    def title(self, what: str) -> str:
+        """Return the name of the limit."""
+        return f"{what} from {', '.join(self.path.sources)} to {', '.join(self.path.targets)}"
+
+
+@dataclass(frozen=True)
+class PeakResponse(PathGoal):
+    """Largest singular value of the response from some signals to others, such as a compliance.
+
+    The dynamic stiffness is at least k where the compliance is at most 1/k. With an unbalance U [kg m] the amplitude is
+    at most a [m] where the compliance is at most ``a / (U (2 pi f)^2)``, which two breakpoints give exactly. The slew
+    rate of a current under a force F is at most s where the response is at most ``s / (2 pi f F)``. Its voltage is at
+    most V where the response is at most the gain of the model ``V / (F (R + s L))``.
+
+    Parameters
+    ----------
+    sources, targets : tuple of str
+        See `PathGoal`.
+    limit : float, sequence of (frequency_hz, limit), or LinearModel
+        See `ResponseGoal`, in units of the targets over those of the sources.
+    low_hz, high_hz : float
+        Band of frequencies in which the limit holds [Hz].
+    orders : tuple of float
+        Multiples of the speed of rotation at which alone the limit holds, such as ``(1.0, 2.0)``.
+    speeds_rpm : float or tuple of float
+        Speed of the plant, or of each one of a list; an LPV model has its own.
+    soft, weight
+        See `Wanted`.
+    """
+
+    limit: BoundLike
+    low_hz: NotNegative = 0.0
+    high_hz: Number = inf
+    orders: tuple[float, ...] = ()
+    speeds_rpm: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.measure(None)
+
+    def measure(self, plant: LinearModel | None) -> PathMeasure:
+        """Return the measure of this goal."""
+        bound = bound_over_frequency(self.limit, "PeakResponse: limit")
+        orders = tuple(float(order) for order in self.orders)
+        if not all(order > 0 for order in orders):
+            raise UsageError(f"PeakResponse: orders = {self.orders}; give positive multiples of the speed")
+        edges = np.array([self.low_hz * (1 + 1e-9), self.high_hz * (1 - 1e-9)])
+        places = np.union1d(bound.places_hz, edges[(edges > 0) & (edges < np.inf)])
+        within = Bound(lambda hz: np.where((hz >= self.low_hz) & (hz <= self.high_hz), bound.of_hz(hz), 1e300), places)
+        return PathMeasure(
+            self.title("response"),
+            LoopResponse.SENSITIVITY,
+            within,
+            weight=self.weight,
+            path=self.path,
+            orders=orders,
+            speeds_rpm=tuple(map(float, self.speeds_rpm)),
+        )
+
+
+@dataclass(frozen=True)
+class RmsResponse(PathGoal):
+    """Rms of some signals together under a spectrum of others, such as of positions under a force.
+
+    Parameters
+    ----------
+    sources, targets : tuple of str
+        See `PathGoal`.
+    limit : float
+        Largest allowed rms, in units of the targets.
+    spectrum : DisturbanceSpectrum
+        Spectral density of the sources, in their units squared per Hz.
+    soft, weight
+        See `Wanted`.
+    """
+
+    limit: Positive
+    spectrum: Annotated[DisturbanceSpectrum, Allowed("DisturbanceSpectrum(frequency_hz, density)")]
+
+    def measure(self, plant: LinearModel) -> ExtraLimit:
+        """Return the measure of this goal."""
+        if (n := self.spectrum.density.shape[1]) != len(self.path.sources):
+            raise UsageError(f"RmsResponse: the spectrum has {n} channels for {len(self.path.sources)} sources")
+        return ExtraLimit(self.title("rms"), rms_under(self.spectrum, path=self.path), self.limit / self.weight)
 
 
 # ---- Goals on the classical margins of each loop: gain and phase.
