@@ -15,6 +15,7 @@ from .exact import (
     discretise as discretise,
     exponentials as exponentials,
     hold_response as hold_response,
+    over_sample as over_sample,
     propagate as propagate,
     squarings_for as squarings_for,
 )

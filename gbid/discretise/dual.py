@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gbid.core.arrays import FloatArray
 
 
-class Dual:
+class Dual(NamedTuple):
     """Matrix with its derivatives, for forward differentiation of the discretisation.
 
     A formula written for arrays gives value and derivatives when its arguments are duals. Operands may also be plain
@@ -24,12 +24,9 @@ class Dual:
         Derivative with respect to each parameter.
     """
 
-    __slots__ = ("slope", "value")
+    value: FloatArray
+    slope: FloatArray
     __array_ufunc__ = None  # makes numpy call the operators of this class when an array is on the left
-
-    def __init__(self, value: FloatArray, slope: FloatArray) -> None:
-        self.value = value
-        self.slope = slope
 
     @property
     def shape(self) -> tuple[int, ...]:

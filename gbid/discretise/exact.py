@@ -180,8 +180,30 @@ def hold_response(cycles: FloatArray, holds: Sequence[str]) -> ComplexArray:
     return np.column_stack([flat if hold == "zoh" else np.sinc(cycles) ** 2 for hold in holds])
 
 
+def over_sample(A: Any, t: Any, squarings: int | None = None) -> Exponentials:
+    """Return ``e^(A t)``, ``phi_1(A t)`` and ``phi_2(A t)``; for numbers the doublings need not be given.
+
+    Parameters
+    ----------
+    A : (n, n) casadi.SX, numpy array or Dual
+        System matrix [1/s].
+    t : float, or Dual or casadi.SX of shape (1, 1)
+        Time [s].
+    squarings : int, optional
+        Number of doublings, from `squarings_for`.
+    """
+    Z = A * t
+    return exponentials(Z, squarings_for(each(Z)) if squarings is None else squarings)
+
+
 def discretise(
-    A: Any, B: Any, sample_time: float, hold: str | Sequence[str] = "zoh", squarings: int | None = None
+    A: Any,
+    B: Any,
+    sample_time: float,
+    hold: str | Sequence[str] = "zoh",
+    squarings: int | None = None,
+    *,
+    whole: Exponentials | None = None,
 ) -> Discrete:
     """Return the exact discretisation of ``xd = A x + B u`` for the given hold.
 
@@ -198,6 +220,8 @@ def discretise(
     squarings : int, optional
         Number of doublings; required for a symbolic `A` only (see `gbid.discretise.squarings_for`). For a numeric `A`
         it is computed.
+    whole : Exponentials, optional
+        Those of ``A h``, where they are known.
 
     Returns
     -------
@@ -216,11 +240,9 @@ def discretise(
     """
     holds = check_holds(hold, B.shape[1])
     numeric = not isinstance(A, ca.SX)
-    if squarings is None:
-        if not numeric:
-            raise UsageError("a symbolic matrix needs the number of squarings; take it from squarings_for")
-        squarings = squarings_for(each(A * sample_time))
-    exp, phi1, phi2 = exponentials(A * sample_time, squarings)
+    if squarings is None and not numeric:
+        raise UsageError("a symbolic matrix needs the number of squarings; take it from squarings_for")
+    exp, phi1, phi2 = whole or over_sample(A, sample_time, squarings)
     linear: Any = np.diag([float(h == "foh") for h in holds])
     if not numeric:
         linear = ca.sparsify(ca.SX(linear))
@@ -248,7 +270,14 @@ class Taps(NamedTuple):
 
 
 def delayed_taps(
-    A: Any, b: Any, delay: Any, sample_time: float, hold: Hold, *, near: tuple[float, int] | None = None
+    A: Any,
+    b: Any,
+    delay: Any,
+    sample_time: float,
+    hold: Hold,
+    *,
+    near: tuple[float, int] | None = None,
+    whole: Exponentials | None = None,
 ) -> Taps:
     """Return the exact discretisation of ``xd(t) = A x(t) + b u(t - delay)`` for a held or interpolated input.
 
@@ -266,6 +295,8 @@ def delayed_taps(
         Zero- or first-order hold of the input.
     near : (float, int), optional
         For symbols: a delay [s] with the same whole samples, and the number of doublings (see `squarings_for`).
+    whole : Exponentials, optional
+        Those of ``A h``, where they are known.
 
     Returns
     -------
@@ -280,9 +311,9 @@ def delayed_taps(
     -----
     With ``delay = d h + e``, ``0 <= e < h``, the delayed input changes to its next piece at ``e`` within each sample.
     After ``e`` it is on the piece that starts at ``u[k - d]``, before ``e`` on the one that starts at ``u[k - d - 1]``.
-    Each piece contributes ``int_0^t e^(A s) ds = t phi_1(A t)`` and ``int_0^t e^(A (t - s)) s ds = t^2 phi_2(A t)``;
-    the first piece is then multiplied by ``e^(A (h - e))``. The result is a continuous function of the delay, also at
-    whole samples.
+    With ``I_1(t) = t phi_1(A t)`` and ``I_2(t) = t^2 phi_2(A t)`` the later piece contributes ``I_1(h - e) b`` of its
+    value and ``I_2(h - e) b`` of its slope, and the earlier one what is left of ``I_1(h) b`` and
+    ``(I_2(h) - e I_1(h - e)) b``. The result is a continuous function of the delay, also at whole samples.
     """
     h = sample_time
     doublings = None if near is None else near[1]
@@ -290,32 +321,16 @@ def delayed_taps(
     if seconds < 0:
         raise UsageError(f"delay = {seconds:g} s; it must not be negative")
     shift = int(np.floor(seconds / h))
-    early = delay - shift * h  # time in the sample before the delayed input changes to its next piece
-    rest = h - early
-    integrals = _integrals(A, h, doublings)
-    after = _integrals(A, rest, doublings)
-    held_after = after.first @ b
-    held_before = integrals.first @ b - held_after
+    early = (delay - shift * h) * (1 / h)  # share of the sample before the delayed input changes to its next piece
+    rest = 1.0 - early
+    whole, after = whole or over_sample(A, h, doublings), over_sample(A, rest * h, doublings)
+    held_after = (after.phi1 @ b) * (rest * h)
+    held_before = (whole.phi1 @ b) * h - held_after
     if hold == "zoh":
         return Taps(shift, [0.0 * held_after, held_after, held_before])
-    before = _integrals(A, early, doublings)
-    rise_after = (after.second @ b) * (1 / h)
-    rise_before = (after.exp @ (before.second @ b)) * (1 / h) + held_before * (rest * (1 / h))
+    rise_after = (after.phi2 @ b) * (rest * rest * h)
+    rise_before = (whole.phi2 @ b) * h - rise_after - held_after * early + held_before * rest
     return Taps(shift, [rise_after, held_after - rise_after + rise_before, held_before - rise_before])
-
-
-class _Integrals(NamedTuple):
-    exp: Any  # e^(A t)
-    first: Any  # int_0^t e^(A s) ds
-    second: Any  # int_0^t e^(A (t - s)) s ds
-
-
-def _integrals(A: Any, t: Any, squarings: int | None) -> _Integrals:
-    Z = A * t
-    if squarings is None:
-        squarings = squarings_for(each(Z))
-    exp, phi1, phi2 = exponentials(Z, squarings)
-    return _Integrals(exp, phi1 * t, phi2 * t * t)
 
 
 # ---- Linear recursion over a long record, in blocks of samples.

@@ -12,7 +12,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.discretise import Dual, Hold, check_holds, constant, delayed_taps, discretise, side_by_side
+from gbid.discretise import Dual, Hold, check_holds, constant, delayed_taps, discretise, over_sample, side_by_side
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
 from gbid.structure import Matrices, Parameter, Structure, kind_of, symbolic_matrices
@@ -226,9 +226,8 @@ class Predictor(GeneralPredictor):
         by_law = [law[4]] if law else []
         acting = [B.columns(prompt), *by_law, K] if self.feeds_back else [B.columns(prompt), *by_law]
         n_held = sum(part.shape[1] for part in acting[1:])
-        F, now, following = discretise(
-            A, side_by_side(acting), self.sample_time, [self.holds[i] for i in prompt] + ["zoh"] * n_held
-        )
+        step, holds, whole = self.sample_time, [self.holds[i] for i in prompt], over_sample(A, self.sample_time)
+        F, now, following = discretise(A, side_by_side(acting), step, holds + ["zoh"] * n_held, whole=whole)
         # Effect of the inputs without feedback, in the order of the regressors: state part, then output part.
         drives, shift = [now.columns(slice(0, len(prompt)))], []
         feeds = [D.columns(prompt)]
@@ -237,7 +236,7 @@ class Predictor(GeneralPredictor):
             feeds.append(constant(np.zeros((n_y, len(lead))), n_p))
         for position, i in enumerate(self.delayed):
             tau = delay.rows(slice(position, position + 1))
-            taps = delayed_taps(A, B_delayed.columns([i]), tau, self.sample_time, self.holds[i])
+            taps = delayed_taps(A, B_delayed.columns([i]), tau, step, self.holds[i], whole=whole)
             columns = taps.columns if self.holds[i] == "foh" else taps.columns[1:]
             drives += columns
             feeds.append(constant(np.zeros((n_y, len(columns))), n_p))
