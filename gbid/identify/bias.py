@@ -13,6 +13,7 @@ from gbid.core.notes import FitNote
 from gbid.discretise import check_holds
 from gbid.identify.data import Record
 from gbid.identify.pose import Optimum
+from gbid.identify.problem.assemble import unknown_bounds
 from gbid.identify.problem.nlp import Shooting
 from gbid.identify.problem.solve import Box, gauss_newton_step
 from gbid.identify.problem.states import initial_states
@@ -109,21 +110,18 @@ def _posed_anew(
     choice = task.options.initial_state if isinstance(task.options.initial_state, str) else "estimated"
     begins = initial_states(structure, task.parameters, choice, [record.name for record in task.data.records])
     other = replace(task, structure=structure, states=begins)
-    names = [q.name for q in problem.assembly.free]
-    for gain_held in (False, True):
-        posed = other.problem(problem.start, problem.window, gain_held=gain_held)
-        if [q.name for q in posed.assembly.free] == names:
-            break
-    else:
+    _, _, assembly = other.assembled(problem.start, problem.parameters, problem.window)
+    if [q.name for q in assembly.free] != [q.name for q in problem.assembly.free]:
         return None
-    starts = given.unpack(optimum.solution.unknowns)[1]
     walking = len(problem.assembly.parts[0].predictor.disturbances.walking)
-    starts = np.hstack([starts[:, list(states)], starts[:, starts.shape[1] - walking :]])
+    kept = [*states, *range(given.n_states - walking, given.n_states)]
     parts = [
         replace(part, blocks=replace(part.blocks, used=weighted.blocks.used))
-        for part, weighted in zip(posed.shooting.parts, given.parts, strict=True)
+        for part, weighted in zip(assembly.parts, given.parts, strict=True)
     ]
-    return replace(posed.shooting, parts=tuple(parts)), starts, posed.box
+    shooting = replace(given, parts=tuple(parts), links=assembly.links, state_scale=given.state_scale[kept])
+    starts = given.unpack(optimum.solution.unknowns)[1][:, kept]
+    return shooting, starts, unknown_bounds(shooting, assembly, begins)
 
 
 def _on_curves(problem: Shooting, inputs: Sequence[int]) -> Shooting:

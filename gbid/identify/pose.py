@@ -106,7 +106,7 @@ class FitTask:
             parameters = tuple(
                 replace(q, fixed=True) if q.name in gains and q.start is not None else q for q in parameters
             )
-        structure, begin, assembly = self._assembled(start, parameters, window)
+        structure, begin, assembly = self.assembled(start, parameters, window)
         full = full_start(
             assembly, start, disturbance_starts(self.disturbances, structure, begin, self.data, self.hold)
         )
@@ -118,7 +118,7 @@ class FitTask:
 
         Windows begin where the model passes at the given `unknowns`.
         """
-        _, _, assembly = self._assembled(problem.start, problem.parameters, problem.window)
+        _, _, assembly = self.assembled(problem.start, problem.parameters, problem.window)
         shooting = replace(problem.shooting, parts=assembly.parts, links=assembly.links, extra=None)
         theta, starts = problem.shooting.unpack(unknowns)
         begins = starts_from(problem.shooting, theta, starts, shooting)
@@ -132,7 +132,7 @@ class FitTask:
             shooting.pack(theta, begins),
         )
 
-    def _assembled(
+    def assembled(
         self, start: Mapping[str, float], parameters: tuple[Parameter, ...], window: int | None
     ) -> tuple[AnyStructure, Mapping[str, float], Assembly]:
         """Return the equations with constant parameters, their start values, and the assembly."""

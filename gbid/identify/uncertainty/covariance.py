@@ -277,7 +277,8 @@ def _sensitivities(
     records: list[list[int]] = [[] for _ in at.record_window]
     for window in sorted(at.segments):
         records[chains[window][1]].append(window)
-    return (_joined([of_segment(window) for window in windows]) for windows in records)  # holds none that it gave away
+    for windows in records:
+        yield _joined([of_segment(window) for window in windows])  # holds none that it gave away
 
 
 class _Passed:
