@@ -113,9 +113,9 @@ class LinearKind(Kind):
         ]
         if m.has_delay:
             parts.append(m.delay[every if moving is None else list(moving), :])
-        only = _names([m.K]) - _names([*parts, m.x0])
+        begun, acting, gain = _by_row(m.x0), _names(parts), _names([m.K])
         has_gain = m.K.nnz() > 0 or m.feedback is not None
-        return Anatomy(m.n_states, len(every), _names([*parts, m.K]), _by_row(m.x0), has_gain, only)
+        return Anatomy(m.n_states, len(every), acting | gain, begun, has_gain, gain - acting.union(*begun))
 
     def model(self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()) -> LinearModel:
         """Return the model; see `Kind`."""
@@ -146,8 +146,8 @@ class NonlinearKind(Kind):
         at = ca.vertcat(*(e.u[i] if driven is None or i in driven else ca.SX(0) for i in range(n_u)))
         acting = ca.substitute([e.dx, e.y], [e.u], [at]) if n_u else [e.dx, e.y]
         acting = [*acting, e.delay[list(range(n_u)) if moving is None else list(moving), :]]
-        only = _names([e.K]) - _names([*acting, e.x0])
-        return Anatomy(e.x.numel(), n_u, _names([*acting, e.K]), _by_row(e.x0), e.K.nnz() > 0, only)
+        begun, seen, gain = _by_row(e.x0), _names(acting), _names([e.K])
+        return Anatomy(e.x.numel(), n_u, seen | gain, begun, e.K.nnz() > 0, gain - seen.union(*begun))
 
     def model(self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()) -> NonlinearModel:
         """Return the model; see `Kind`."""
@@ -213,8 +213,7 @@ def _by_row(x0: ca.SX) -> tuple[frozenset[str], ...]:
 
 
 def _names(parts: Sequence[ca.SX]) -> frozenset[str]:
-    inside = {symbol.name() for part in parts for symbol in ca.symvar(ca.veccat(part))}
-    return frozenset(inside)
+    return frozenset(symbol.name() for symbol in ca.symvar(ca.veccat(*parts)))
 
 
 # ---- Rotor bearing whose film stiffens, as a nonlinear structure.
