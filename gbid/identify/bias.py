@@ -86,7 +86,7 @@ def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
     try:
         for _ in range(2 if exact else 1):  # the filters are further away
             x = np.clip(x + gauss_newton_step(other, other.at(x), x, box), *box)
-        gain = (given.at(unknowns).cost - other.at(x).cost) * given.likelihood_size
+        gain = (given.at(unknowns).cost - other.cost_alone(*other.unpack(x))) * given.likelihood_size
     except (RuntimeError, ValueError):
         gain = np.nan
     if white and gain < -_DECISIVE:

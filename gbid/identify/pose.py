@@ -535,13 +535,12 @@ def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArr
         return None
     joined, kept = in_one_window(problem)
     theta, starts = joined.unpack(unknowns[kept])
-    least, best = joined.cost(joined.error_products(joined.values(theta), starts)), None
+    least, best = joined.cost_alone(theta, starts), None
     size = np.abs(theta[gains]).max()
     for signs in product((-1.0, 1.0), repeat=len(gains)):
         candidate = theta.copy()
         candidate[gains] = np.clip(size * np.array(signs), *(edge[gains] * problem.theta_scale[gains] for edge in box))
-        values = joined.valid_values(candidate)
-        cost = joined.cost(joined.error_products(values, starts)) if values is not None else np.inf
+        cost = joined.cost_alone(candidate, starts)
         if cost < least:
             least, best = cost, candidate
     return None if best is None else in_windows(problem, joined, joined.pack(best, starts))

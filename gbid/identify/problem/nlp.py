@@ -465,6 +465,15 @@ class Shooting:
         units = np.sqrt(self.output_weights / self._power)
         return 0.5 * float(np.linalg.slogdet((error_products + np.diag(self.floors)) * np.outer(units, units))[1])
 
+    def cost_alone(self, theta: FloatArray, starts: FloatArray) -> float:
+        """Return the cost at a point in physical units without a pass with sensitivities; NaN for a bad predictor."""
+        values, away = self.valid_values(theta), theta - self.prior.mean
+        if values is None:
+            return np.nan
+        known = 0.5 * float(self.prior.information @ away**2)
+        known += self.extra.at(theta, starts).cost if self.extra is not None else 0.0
+        return self.cost(self.error_products(values, starts)) + known / self.likelihood_size
+
     def at(self, unknowns: FloatArray) -> Iterate:
         """Return the values at a point."""
         return self.of(*self.unpack(unknowns))
