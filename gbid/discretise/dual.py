@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from gbid.core.arrays import FloatArray
 
 
-class Dual(NamedTuple):
+class Dual:
     """Matrix with its derivatives, for forward differentiation of the discretisation.
 
     A formula written for arrays gives value and derivatives when its arguments are duals. Operands may also be plain
@@ -24,9 +24,12 @@ class Dual(NamedTuple):
         Derivative with respect to each parameter.
     """
 
-    value: FloatArray
-    slope: FloatArray
+    __slots__ = ("slope", "value")
     __array_ufunc__ = None  # makes numpy call the operators of this class when an array is on the left
+
+    def __init__(self, value: FloatArray, slope: FloatArray) -> None:
+        self.value = value
+        self.slope = slope
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -1,6 +1,7 @@
 """The compiled pass of a nonlinear structure against CasADi's own forward derivatives through all steps."""
 
 from contextlib import nullcontext
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,7 @@ from gbid import NonlinearStructure, Parameter
 from gbid.identify.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import Segment, cut
 from gbid.identify.kernel.sample import build_nonlinear_predictor
+from gbid.identify.kernel.sums import Lagrangian
 from gbid.identify.problem.assemble import choose_kernel
 
 AT = {"k": 90.0, "c": 4.0, "tau": 0.03, "g": 2.0, "start": 0.2, "lag": 0.053}
@@ -87,3 +89,30 @@ def test_pass_is_that_of_casadi_through_all_steps(case, engine):
         gradient -= np.einsum("kyi,yz,kz->i", psi, weight, error)
     np.testing.assert_allclose(sweep.hessian, hessian[:n_p, :n_p], rtol=1e-12, atol=1e-13 * np.abs(hessian).max())
     np.testing.assert_allclose(sweep.gradient, gradient[:n_p], rtol=1e-11, atol=1e-13 * np.abs(gradient).max())
+
+
+@NEEDS_COMPILER
+def test_gradient_of_a_single_window_is_that_of_its_adjoint_and_points_run_side_by_side(case):
+    predictor, values, blocks, starts = case
+    kernel, _ = choose_kernel(predictor, AT)
+    (segment,) = blocks.segments
+    whole = cut([segment], predictor, None, longest_block=LENGTH)
+    assert (whole.n_windows, whole.n_blocks) == (1, WINDOWS)
+    points = [values._replace(theta=values.theta * (1 + 1e-3 * i)) for i in range(11)]  # more than lanes
+    begins = kernel.begins(points, whole, starts[:1])
+    for point, begin in zip(points, begins, strict=True):
+        np.testing.assert_array_equal(begin, kernel.begin(point, whole, starts[:1]))
+    # Ten windows have the adjoint; chained backwards, one at a time, they make up the single one.
+    ends, weight = np.array([[1.0, -2.0, 0.5]]), np.array([[2.0, 0.3], [0.3, 1.0]])
+    alone = kernel.gradient(values, whole, Lagrangian(starts[:1], ends, weight))
+    chained, by_start = np.zeros_like(alone[0]), ends
+    along = begins[0].T[:WINDOWS]
+    for w in reversed(range(WINDOWS)):  # by the ends of windows, from the last to the first
+        every_end = np.zeros((WINDOWS, 3))
+        every_end[w] = by_start[0]
+        own = np.arange(blocks.used.size // LENGTH).reshape(-1, 1, blocks.lanes) == w
+        masked = replace(blocks, used=np.where(own, blocks.used, 0.0))
+        by_theta, start_of = kernel.gradient(values, masked, Lagrangian(along, every_end, weight))
+        chained, by_start = chained + by_theta, start_of[w : w + 1]
+    np.testing.assert_allclose(alone[0], chained, rtol=1e-10, atol=1e-12 * np.abs(chained).max())
+    np.testing.assert_allclose(alone[1], by_start, rtol=1e-10)

@@ -28,8 +28,8 @@ typedef struct {
   v of_step_jacobian[step_jacobian_size], of_output_back[output_back_size], of_step_back[step_back_size];
 } point;
 
-static void point_of(point *p, const double *theta, const double *known, long steps) {
-  for (int i = 0; i < NP; i++) p->theta[i] = all(theta[i]);
+static void point_at(point *p, const v *theta, const double *known, long steps) {
+  for (int i = 0; i < NP; i++) p->theta[i] = theta[i];
   for (int i = 0; i < NQ; i++) p->known[i] = all(known[i]);
   p->steps = steps;
   p->part = all(1.0/steps);
@@ -39,6 +39,12 @@ static void point_of(point *p, const double *theta, const double *known, long st
   step_jacobian_once(p->theta, p->known, &p->part, p->of_step_jacobian);
   output_back_once(p->theta, p->known, p->of_output_back);
   step_back_once(p->theta, p->known, &p->part, p->of_step_back);
+}
+
+static void point_of(point *p, const double *theta, const double *known, long steps) {
+  v same[NP];
+  for (int i = 0; i < NP; i++) same[i] = all(theta[i]);
+  point_at(p, same, known, steps);
 }
 
 /* State after a sample; x is overwritten. */
@@ -235,13 +241,17 @@ static long block_of(const long long *first, const long long *count, long window
   return first[w] + (i < count[w] ? i : count[w] - 1);
 }
 
-/* States at the starts of the blocks of windows, eight windows at a time. */
+/* States at the starts of the blocks of windows, eight windows at a time. Each window has parameters of its own, and a
+   row of the result to which its blocks are added. */
 void gbid_begin(long windows, long length, long steps, const double *theta, const double *known, const double *zs,
-                const long long *first, const long long *count, const double *starts, double *begin) {
-  point p;
-  point_of(&p, theta, known, steps);
+                const long long *first, const long long *count, const long long *row, const double *starts,
+                double *begin) {
   for (long w = 0; w < windows; w += 8) {
-    v x[N], yhat[NY], z[NZ];
+    v x[N], yhat[NY], z[NZ], own_theta[NP];
+    point p;
+    for (int i = 0; i < NP; i++)
+      for (int l = 0; l < 8; l++) own_theta[i][l] = theta[(w + l < windows ? w + l : windows - 1)*NP + i];
+    point_at(&p, own_theta, known, steps);
     long most = 0;
     for (int l = 0; l < 8; l++) {
       const long own = w + l < windows ? w + l : windows - 1;
@@ -253,7 +263,7 @@ void gbid_begin(long windows, long length, long steps, const double *theta, cons
       for (int l = 0; l < 8; l++) {
         at[l] = block_of(first, count, w + l, windows, i);
         if (w + l < windows && i < count[w + l])
-          for (int c = 0; c < N; c++) begin[at[l]*N + c] = x[c][l];
+          for (int c = 0; c < N; c++) begin[(row[w + l] + at[l])*N + c] = x[c][l];
       }
       if (i + 1 == most) break;
       for (long k = 0; k < length; k++) {

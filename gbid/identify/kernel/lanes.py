@@ -285,10 +285,23 @@ class LanesKernel(CompiledPasses, NonlinearKernel):
         """Return the state at the start of each block; see `Kernel`."""
         if blocks.per_window == 1:
             return at_windows(blocks, starts)
-        begin = np.zeros((len(blocks.size), self._n))
-        arrays = [blocks.z(v.shift), blocks.window_first, blocks.window_size, starts]
-        self._call("begin", v, blocks, blocks.n_windows, arrays, [begin])
-        return begin.T
+        return self.begins([v], blocks, starts)[0]
+
+    def begins(self, points: Sequence[NonlinearValues], blocks: Blocks, starts: FloatArray) -> list[FloatArray]:
+        """Return the states at the starts of blocks for several points, which are run side by side; see `SampleKernel`.
+
+        Points with other whole samples in their delays have other regressors, and are run one by one.
+        """
+        v, n_blocks, n_windows = points[0], len(blocks.size), blocks.n_windows
+        if blocks.per_window == 1 or any(other.shift != v.shift for other in points):
+            return super().begins(points, blocks, starts)
+        begin = np.zeros((len(points), n_blocks, self._n))
+        thetas = np.repeat([other.theta for other in points], n_windows, axis=0)
+        rows = np.repeat(np.arange(len(points)) * n_blocks, n_windows)
+        windows = [np.tile(each, len(points)) for each in (blocks.window_first, blocks.window_size)]
+        arrays = [blocks.z(v.shift), *windows, rows, np.tile(starts, (len(points), 1))]
+        self._call("begin", v._replace(theta=thetas), blocks, len(thetas), arrays, [begin])
+        return list(begin.transpose(0, 2, 1))
 
     def run_forwards(
         self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]
@@ -310,14 +323,16 @@ class LanesKernel(CompiledPasses, NonlinearKernel):
         sums = BlockSums(hessian, products, by_theta, gradient[:, n_p:], mixed, end, onto[:, :, :n_p])
         return SampleSums(sums, by_start, onto[:, :, n_p:])
 
-    def gradient(self, v: NonlinearValues, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
-        """Return the gradient by the adjoint of each step, of few windows by a pass over their blocks; see `Kernel`.
+    def gradient_from(
+        self, v: NonlinearValues, blocks: Blocks, at: Lagrangian, begin: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the gradient by the adjoint of each step, of few windows by a pass over their blocks; see `SampleKernel`.
 
         The adjoint has a window in each lane. In a single window it would take eight times as long as in eight.
         """
         if blocks.n_windows < LANES < blocks.n_blocks:
-            return super().gradient(v, blocks, at)
-        prediction = self.predict(v, blocks, at.starts)
+            return super().gradient_from(v, blocks, at, begin)
+        prediction = self.passed(v, blocks, begin)
         weighted = at.weight @ prediction.errors * blocks.used[:, :, None]
         by_theta, by_start = np.empty(self._n_p), np.empty((blocks.n_windows, self._n))
         windows = [blocks.size, blocks.window_first, blocks.window_size]

@@ -447,7 +447,11 @@ class SampleKernel(Kernel):
 
     def trace(self, v: Any, blocks: Blocks, starts: FloatArray, weights: Sequence[FloatArray]) -> list[Traced]:
         """Return the sums of each block for each weight; see `Kernel`."""
-        begin, passes = self.begin(v, blocks, starts), []
+        return self.trace_from(v, blocks, self.begin(v, blocks, starts), weights)
+
+    def trace_from(self, v: Any, blocks: Blocks, begin: FloatArray, weights: Sequence[FloatArray]) -> list[Traced]:
+        """Return the sums of each block for each weight, from the starts of blocks (n, W)."""
+        passes = []
         for weight in weights:
             root = np.ascontiguousarray(np.linalg.cholesky(weight).T)
             by_block, start_hessian, end_start = self.sample_sums(v, blocks, begin, root)
@@ -455,19 +459,28 @@ class SampleKernel(Kernel):
             passes.append(Traced(begin, joined(blocks, by_block, start_hessian, linked), linked, by_block))
         return passes
 
+    def begins(self, points: Sequence[Any], blocks: Blocks, starts: FloatArray) -> list[FloatArray]:
+        """Return the states at the starts of blocks, (n, W), for predictors at several points."""
+        return [self.begin(v, blocks, starts) for v in points]
+
     def gradient(self, v: Any, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
-        """Return the gradient from a pass with sensitivities; see `Kernel`."""
-        s = self.sweep(v, blocks, at.starts, at.weight)
+        """Return the gradient of a Lagrangian; see `Kernel`."""
+        return self.gradient_from(v, blocks, at, self.begin(v, blocks, at.starts))
+
+    def gradient_from(self, v: Any, blocks: Blocks, at: Lagrangian, begin: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the gradient from the starts of blocks (n, W), by a pass with sensitivities."""
+        s = self.trace_from(v, blocks, begin, [at.weight])[0].sums
         by_theta, by_start = (np.einsum("wn,wnm->wm", at.ends, each) for each in (s.end_theta, s.end_start))
         return s.gradient + by_theta.sum(axis=0), s.gradient_start + by_start
 
     def left_out(self, v: Any, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]) -> tuple[FloatArray, FloatArray]:
         """Return the second-order term by differences of the gradient; see `Kernel`."""
-        gauss_newton = self.sweep(v, blocks, at.starts, at.weight)
+        begins = self.begins([v, *(each.v for each in moved)], blocks, at.starts)
+        gauss_newton = self.trace_from(v, blocks, begins[0], [at.weight])[0].sums
         theta, mixed = np.zeros_like(gauss_newton.hessian), np.zeros_like(gauss_newton.hessian_mixed)
-        here = self.gradient(v, blocks, at)
-        for j, step, other in moved:
-            after = self.gradient(other, blocks, at)
+        here = self.gradient_from(v, blocks, at, begins[0])
+        for (j, step, other), begin in zip(moved, begins[1:], strict=True):
+            after = self.gradient_from(other, blocks, at, begin)
             theta[:, j] = (after[0] - here[0]) / step - gauss_newton.hessian[:, j]
             mixed[:, j] = (after[1] - here[1]) / step - gauss_newton.hessian_mixed[:, j]
         return theta, mixed
