@@ -92,7 +92,7 @@ def test_pass_is_that_of_casadi_through_all_steps(case, engine):
 
 
 @NEEDS_COMPILER
-def test_gradient_of_a_single_window_is_that_of_its_adjoint_and_points_run_side_by_side(case):
+def test_points_run_side_by_side_and_the_gradient_of_a_single_window_is_chained_from_its_blocks(case):
     predictor, values, blocks, starts = case
     kernel, _ = choose_kernel(predictor, AT)
     (segment,) = blocks.segments
@@ -102,7 +102,7 @@ def test_gradient_of_a_single_window_is_that_of_its_adjoint_and_points_run_side_
     begins = kernel.begins(points, whole, starts[:1])
     for point, begin in zip(points, begins, strict=True):
         np.testing.assert_array_equal(begin, kernel.begin(point, whole, starts[:1]))
-    # Ten windows have the adjoint; chained backwards, one at a time, they make up the single one.
+    # Ten windows chained backwards, one at a time, as an adjoint would, make up the single one.
     ends, weight = np.array([[1.0, -2.0, 0.5]]), np.array([[2.0, 0.3], [0.3, 1.0]])
     alone = kernel.gradient(values, whole, Lagrangian(starts[:1], ends, weight))
     chained, by_start = np.zeros_like(alone[0]), ends

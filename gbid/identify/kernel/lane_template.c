@@ -17,7 +17,6 @@ static inline v one(m8 is) { return kept(all(1.0), is); }
 #define BUF (ROWS*NY)
 #define TILE 4
 #define PAD (((NC + 1 + TILE - 1)/TILE)*TILE) /* columns of the derivatives, then the error */
-#define MOST 256
 @PRODUCTS@
 
 /* Parameters, the part of a sample that is one step, and what depends on them alone. */
@@ -25,7 +24,7 @@ typedef struct {
   v theta[NP], known[NQ], part;
   long steps;
   v of_output[output_size], of_step[step_size], of_output_jacobian[output_jacobian_size];
-  v of_step_jacobian[step_jacobian_size], of_output_back[output_back_size], of_step_back[step_back_size];
+  v of_step_jacobian[step_jacobian_size];
 } point;
 
 static void point_at(point *p, const v *theta, const double *known, long steps) {
@@ -37,8 +36,6 @@ static void point_at(point *p, const v *theta, const double *known, long steps) 
   step_once(p->theta, p->known, &p->part, p->of_step);
   output_jacobian_once(p->theta, p->known, p->of_output_jacobian);
   step_jacobian_once(p->theta, p->known, &p->part, p->of_step_jacobian);
-  output_back_once(p->theta, p->known, p->of_output_back);
-  step_back_once(p->theta, p->known, &p->part, p->of_step_back);
 }
 
 static void point_of(point *p, const double *theta, const double *known, long steps) {
@@ -273,67 +270,4 @@ void gbid_begin(long windows, long length, long steps, const double *theta, cons
       }
     }
   }
-}
-
-/* Adjoint of the cost, backwards from its value at the ends of the windows. */
-void gbid_adjoint(long windows, long length, long steps, const double *theta, const double *known, const double *zs,
-                  const double *states, const double *weighted, const long long *size, const long long *first,
-                  const long long *count, const double *ends, double *by_theta, double *starts) {
-  static __thread v passed[MOST + 1][N];
-  v sum[NP];
-  point p;
-  point_of(&p, theta, known, steps);
-  for (int i = 0; i < NP; i++) sum[i] = all(0.0);
-  for (long w = 0; w < windows; w += 8) {
-    v a[N];
-    long most = 0;
-    for (int l = 0; l < 8; l++) {
-      const long own = w + l < windows ? w + l : windows - 1;
-      if (w + l < windows && count[own] > most) most = count[own];
-      for (int c = 0; c < N; c++) a[c][l] = ends[own*N + c];
-    }
-    for (long i = most - 1; i >= 0; i--) {
-      long at[8];
-      for (int l = 0; l < 8; l++) at[l] = block_of(first, count, w + l, windows, i);
-      for (long k = length - 1; k >= 0; k--) {
-        v x[N], z[NZ], e[NY], yhat[NY], onto[NY], by_error[NY], own[NP], back[N], more[NP], be[NY];
-        m8 live = {0};
-        long any = 0;
-        for (int l = 0; l < 8; l++) {
-          const int counts = w + l < windows && i < count[w + l] && k < size[at[l]];
-          live[l] = counts ? -1 : 0;
-          any |= counts;
-          const long row = (at[l]/8)*length + k, lane = at[l]%8;
-          for (int c = 0; c < N; c++) x[c][l] = states[(row*N + c)*8 + lane];
-          for (int c = 0; c < NZ; c++) z[c][l] = zs[(row*NZ + c)*8 + lane];
-          for (int c = 0; c < NY; c++) onto[c][l] = -weighted[(row*NY + c)*8 + lane];
-        }
-        if (!any) continue;
-        output(x, z, p.theta, p.known, p.of_output, passed[0], yhat, e);
-        for (long s = 0; s + 1 < p.steps; s++) {
-          v t = all((double)s/p.steps);
-          step(passed[s], z, e, p.theta, p.known, &t, &p.part, p.of_step, passed[s + 1]);
-        }
-        for (int c = 0; c < N; c++) back[c] = a[c];
-        for (int c = 0; c < NY; c++) by_error[c] = all(0.0);
-        for (int c = 0; c < NP; c++) own[c] = all(0.0);
-        for (long s = p.steps - 1; s >= 0; s--) {
-          v t = all((double)s/p.steps), before[N];
-          step_back(passed[s], z, e, p.theta, p.known, &t, &p.part, back, p.of_step_back, before, be, more);
-          for (int c = 0; c < N; c++) back[c] = before[c];
-          for (int c = 0; c < NY; c++) by_error[c] += be[c];
-          for (int c = 0; c < NP; c++) own[c] += more[c];
-        }
-        if (FEEDS) for (int c = 0; c < NY; c++) onto[c] -= by_error[c];
-        v before[N];
-        output_back(x, z, p.theta, p.known, back, onto, p.of_output_back, before, more);
-        for (int c = 0; c < N; c++) a[c] = kept(before[c], live) + kept(a[c], ~live);
-        for (int c = 0; c < NP; c++) sum[c] += kept(own[c] + more[c], live);
-      }
-    }
-    for (int l = 0; l < 8; l++)
-      if (w + l < windows)
-        for (int c = 0; c < N; c++) starts[(w + l)*N + c] = a[c][l];
-  }
-  for (int c = 0; c < NP; c++) by_theta[c] = total(sum[c]);
 }

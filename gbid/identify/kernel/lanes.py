@@ -17,7 +17,7 @@ from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at
 from gbid.identify.kernel.linear import CompiledPasses, filled, reached, run_compiled
 from gbid.identify.kernel.nonlinear import NonlinearKernel
 from gbid.identify.kernel.sample import NonlinearValues, SampleFunctions
-from gbid.identify.kernel.sums import Lagrangian, SampleSums
+from gbid.identify.kernel.sums import SampleSums
 
 # ---- C of a casadi.Function for eight columns at once, written from CasADi's own list of instructions.
 
@@ -322,23 +322,6 @@ class LanesKernel(CompiledPasses, NonlinearKernel):
         by_theta, onto = gradient[:, :n_p], slopes.transpose(0, 2, 1)
         sums = BlockSums(hessian, products, by_theta, gradient[:, n_p:], mixed, end, onto[:, :, :n_p])
         return SampleSums(sums, by_start, onto[:, :, n_p:])
-
-    def gradient_from(
-        self, v: NonlinearValues, blocks: Blocks, at: Lagrangian, begin: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the gradient by the adjoint of each step, of few windows by a pass over their blocks; see `SampleKernel`.
-
-        The adjoint has a window in each lane. In a single window it would take eight times as long as in eight.
-        """
-        if blocks.n_windows < LANES < blocks.n_blocks:
-            return super().gradient_from(v, blocks, at, begin)
-        prediction = self.passed(v, blocks, begin)
-        weighted = at.weight @ prediction.errors * blocks.used[:, :, None]
-        by_theta, by_start = np.empty(self._n_p), np.empty((blocks.n_windows, self._n))
-        windows = [blocks.size, blocks.window_first, blocks.window_size]
-        arrays = [blocks.z(v.shift), prediction.states, weighted, *windows, at.ends]
-        self._call("adjoint", v, blocks, blocks.n_windows, arrays, [by_theta, by_start])
-        return by_theta, by_start
 
     def slopes(
         self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, first: FloatArray, some: slice

@@ -1,4 +1,4 @@
-"""Functions of one sample of a nonlinear predictor, with sensitivities and adjoint, as casadi.Function.
+"""Functions of one sample of a nonlinear predictor, with sensitivities, as casadi.Function.
 
 A sample is an output and several steps of the integrator. The functions of both are small, whatever the number of
 steps: the kernels run the loops.
@@ -83,7 +83,7 @@ class SampleEquations(NamedTuple):
 
 
 class SampleFunctions(NamedTuple):
-    """Functions of a sample, with Jacobians that keep their zeros, and adjoints.
+    """Functions of a sample, with Jacobians that keep their zeros.
 
     Attributes
     ----------
@@ -95,10 +95,6 @@ class SampleFunctions(NamedTuple):
         ``(x, z, theta, known) -> (xe, yhat, e, dxe/dtheta, dyhat/dxe, dyhat/dtheta at constant xe)``.
     step_jacobian : casadi.Function
         ``(x, z, e, theta, known, t, w) -> (x, dx/dx, dx/d[e, theta])``; without e where it is not fed back.
-    output_back : casadi.Function
-        ``(x, z, theta, known, a, v) -> `` derivatives of ``a' xe + v' yhat`` by x and theta.
-    step_back : casadi.Function
-        ``(x, z, e, theta, known, t, w, a) -> `` derivatives of ``a' x`` by the state before, e and theta.
     feeds_back : bool
         Whether the error acts on the state.
     """
@@ -107,8 +103,6 @@ class SampleFunctions(NamedTuple):
     step: ca.Function
     output_jacobian: ca.Function
     step_jacobian: ca.Function
-    output_back: ca.Function
-    step_back: ca.Function
     feeds_back: bool
 
 
@@ -176,10 +170,7 @@ def _functions(equations: _ByContent) -> SampleFunctions:
     ends = step_inputs(u, eq.holds, early, t, w)
     after = one_step(eq.integrator, f, eq.x, ends, eq.known[-1] * w)
 
-    a, v = ca.SX.sym("a", n), ca.SX.sym("v", n_y)
     every = ca.vertcat(eq.x, e, eq.theta)
-    back = ca.jtimes(ca.vertcat(at, y), both, ca.vertcat(a, v), True)
-    step_back = ca.jtimes(after, every, a, True)
     of_output, of_step = [eq.x, z, eq.theta, eq.known], [eq.x, z, e, eq.theta, eq.known, t, w]
     by_every = ca.jacobian(after, every)
     by_state, by_input = by_every[:, :n], by_every[:, n + n_y * (not feeds_back) :]
@@ -189,8 +180,6 @@ def _functions(equations: _ByContent) -> SampleFunctions:
         _function("step", of_step, [after]),
         _function("output_jacobian", of_output, [at, y, e_value], jacobians),
         _function("step_jacobian", of_step, [after], [by_state, by_input]),
-        _function("output_back", [*of_output, a, v], [back[:n], back[n:]]),
-        _function("step_back", [*of_step, a], _parts(step_back, [n, n_y, eq.theta.numel()])),
         feeds_back,
     )
 

@@ -438,6 +438,12 @@ def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -
     return Linked(both[:, :, :n_p], both[:, :, n_p:], ends[:, :, :n_p], ends[:, :, n_p:])
 
 
+def _gradient(s: Sweep, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the gradient of a Lagrangian with these multipliers (n_windows, n) of the ends of windows."""
+    by_theta, by_start = (np.einsum("wn,wnm->wm", ends, each) for each in (s.end_theta, s.end_start))
+    return s.gradient + by_theta.sum(axis=0), s.gradient_start + by_start
+
+
 class SampleKernel(Kernel):
     """Kernel by the functions of one sample; a `Kernel`.
 
@@ -464,25 +470,20 @@ class SampleKernel(Kernel):
         return [self.begin(v, blocks, starts) for v in points]
 
     def gradient(self, v: Any, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
-        """Return the gradient of a Lagrangian; see `Kernel`."""
-        return self.gradient_from(v, blocks, at, self.begin(v, blocks, at.starts))
-
-    def gradient_from(self, v: Any, blocks: Blocks, at: Lagrangian, begin: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the gradient from the starts of blocks (n, W), by a pass with sensitivities."""
-        s = self.trace_from(v, blocks, begin, [at.weight])[0].sums
-        by_theta, by_start = (np.einsum("wn,wnm->wm", at.ends, each) for each in (s.end_theta, s.end_start))
-        return s.gradient + by_theta.sum(axis=0), s.gradient_start + by_start
+        """Return the gradient from a pass with sensitivities; see `Kernel`."""
+        return _gradient(self.sweep(v, blocks, at.starts, at.weight), at.ends)
 
     def left_out(self, v: Any, blocks: Blocks, at: Lagrangian, moved: Sequence[Moved]) -> tuple[FloatArray, FloatArray]:
         """Return the second-order term by differences of the gradient; see `Kernel`."""
-        begins = self.begins([v, *(each.v for each in moved)], blocks, at.starts)
-        gauss_newton = self.trace_from(v, blocks, begins[0], [at.weight])[0].sums
-        theta, mixed = np.zeros_like(gauss_newton.hessian), np.zeros_like(gauss_newton.hessian_mixed)
-        here = self.gradient_from(v, blocks, at, begins[0])
-        for (j, step, other), begin in zip(moved, begins[1:], strict=True):
-            after = self.gradient_from(other, blocks, at, begin)
-            theta[:, j] = (after[0] - here[0]) / step - gauss_newton.hessian[:, j]
-            mixed[:, j] = (after[1] - here[1]) / step - gauss_newton.hessian_mixed[:, j]
+        points = [v, *(each.v for each in moved)]
+        here, *after = (
+            self.trace_from(point, blocks, begin, [at.weight])[0].sums
+            for point, begin in zip(points, self.begins(points, blocks, at.starts), strict=True)
+        )
+        before, theta, mixed = _gradient(here, at.ends), np.zeros_like(here.hessian), np.zeros_like(here.hessian_mixed)
+        for (j, step, _), (by_theta, by_start) in zip(moved, (_gradient(s, at.ends) for s in after), strict=True):
+            theta[:, j] = (by_theta - before[0]) / step - here.hessian[:, j]
+            mixed[:, j] = (by_start - before[1]) / step - here.hessian_mixed[:, j]
         return theta, mixed
 
     @abstractmethod

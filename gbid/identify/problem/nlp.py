@@ -407,7 +407,7 @@ class Shooting:
         return [tied(part.kernel.sweep(v, part.blocks, begin, weight), part.tie) for v, part, begin in each]
 
     def gradients(self, values: list[Any], at: Lagrangian) -> list[tuple[FloatArray, FloatArray]]:
-        """Return the gradients of cost and weighted window ends, part by part, by the adjoint of its kernel.
+        """Return the gradients of cost and weighted window ends, part by part; see `Kernel.gradient`.
 
         They are by the parameters of its predictor, and by the starts of its windows, (n_windows, n), in physical units
         and without the prior; not finite when the errors overflow.
