@@ -565,7 +565,7 @@ def gain_units(problem: GainProblem, x: FloatArray) -> FloatArray:
             )
 
         if moved(room) < _MOVED:
-            found[i] = width[i] if moved(room) > 1e-3 * _MOVED else np.nan
+            found[i] = width[i] if moved(room) > LEAST_REACH else np.nan
             continue
         low, high = np.log(room) - _DECADES * np.log(10), np.log(room)
         for _ in range(_HALVINGS):
@@ -575,6 +575,21 @@ def gain_units(problem: GainProblem, x: FloatArray) -> FloatArray:
     known = found[np.isfinite(found)]
     found = np.where(np.isfinite(found), found, np.median(known) if len(known) else np.inf)
     return np.asarray(np.minimum(found, width))
+
+
+def reach_of_bounds(problem: GainProblem) -> float:
+    """Return the largest movement of an eigenvalue, in typical rates, when one gain goes from its middle to a bound."""
+    middle, reach = (problem.lower + problem.upper) / 2, 0.0
+    for family in problem.families:
+        before = eigenvalues(family.states(middle))
+        for i, step in enumerate((problem.upper - problem.lower) / 2):
+            after = eigenvalues(family.states(middle + step * np.eye(len(middle))[i]))
+            reach = max(reach, _movement(before, after, problem.scale))
+    return reach
+
+
+LEAST_REACH = 1e-3 * _MOVED
+"""Movement below which a gain has no effect."""
 
 
 def _movement(before: ComplexArray, after: ComplexArray, scale: float) -> float:

@@ -27,6 +27,7 @@ from gbid.control.tuning.result import (
     worst_mode,
 )
 from gbid.control.tuning.search import (
+    LEAST_REACH,
     Progress,
     SearchOptions,
     SearchOutcome,
@@ -36,6 +37,7 @@ from gbid.control.tuning.search import (
     certificate_units,
     gain_units,
     on_grid,
+    reach_of_bounds,
     search,
     typical_rate,
     usable_start,
@@ -476,6 +478,8 @@ def summarise(
     if not stable:
         status = GainStatus.NO_STABILISING_GAINS
         text = f"no gains within the bounds were found that stabilise {worst.where}: {_mode(worst)}"
+        if reach_of_bounds(problem) < LEAST_REACH:
+            text += "; gains within the bounds hardly move a pole: give bounds= in the units of the plant"
         notes = (*notes, ControlNote.NO_STABILISING_GAINS(text))
     elif score.violation > FEASIBLE:
         status = GainStatus.LIMITS_CONTRADICT

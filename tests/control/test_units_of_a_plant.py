@@ -1,0 +1,47 @@
+"""Designs do not depend on the units of a plant, and bounds in other units than its own are named as the reason."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gbid
+from gbid.control import MaxDamping, PeakSensitivity
+
+PD = gbid.controller_structure("PD", axes=("",))
+GOALS = [MaxDamping(), PeakSensitivity(4.0)]
+
+
+def unstable_plant(seed: int, scale: float) -> gbid.LinearModel:
+    """Random plant of two states with a pole of 90 1/s, input and output each in units of the root of a scale."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((2, 2))
+    A -= (np.linalg.eigvals(A).real.max() - 0.3) * np.eye(2)
+    B, C = np.sqrt(scale) * rng.standard_normal((2, 1)), np.sqrt(scale) * rng.standard_normal((1, 2))
+    return gbid.LinearModel(300 * A, 300 * B, C, np.zeros((1, 1)))
+
+
+def designed(seed: int, scale: float) -> gbid.GainResult:
+    bounds = dict.fromkeys(("kappa", "kd"), (-50 / scale, 50 / scale))
+    return gbid.tune(unstable_plant(seed, scale), PD, goals=GOALS, bounds=bounds)
+
+
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 12), marks=pytest.mark.slow)])
+def test_a_plant_in_other_units_has_the_same_design(seeds):
+    for seed in seeds:
+        known = designed(seed, 1.0)
+        for scale in (1e-9, 1e9):
+            found = designed(seed, scale)
+            assert found.status == known.status
+            if known.keeps_limits:
+                assert found.value == pytest.approx(known.value, rel=1e-6)
+                assert found.value == pytest.approx(found.worst.damping, rel=1e-9)
+
+
+def test_bounds_in_other_units_are_named_as_the_reason():
+    found = gbid.tune(unstable_plant(0, 1e-9), PD, goals=GOALS)
+    assert found.status == "no stabilising gains"
+    assert "give bounds= in the units of the plant" in " ".join(found.notes)
+    far = gbid.tune(unstable_plant(0, 1.0), PD, goals=GOALS, bounds={"kappa": (-1e-1, 0.1), "kd": (-1e-1, 0.1)})
+    assert far.status == "no stabilising gains"
+    assert "give bounds=" not in " ".join(far.notes)
