@@ -285,6 +285,7 @@ class FileSection(Section):
     time: Text | None = None
     time_unit: Text | None = None
     samples: tuple[CountOrZero, Count | None] | None = None
+    axis: Literal[0, 1] | None = None
     from_s: NotNegative | None = None
     to_s: Positive | None = None
     piece: Count | None = None

@@ -23,14 +23,16 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, nearest
 from gbid.core.extras import extra_package
 from gbid.recording.clock import even_step
-from gbid.recording.mapping import TextOptions
+from gbid.recording.mapping import FilePart, TextOptions
 from gbid.recording.readers import FileChannel, FileFormat, OpenFile, StoredArray, array_format, with_values
 from gbid.recording.text_files import (
     FileColumn,
     TextTable,
     find_heading,
     holds_text,
+    is_large,
     name_and_unit,
+    read_rows,
     read_table,
     seconds,
     short_names,
@@ -102,7 +104,9 @@ SHOWN_FIRST = 200
 """Number of first rows that are read to judge a file."""
 
 
-def read_csv(path: Path, references: Sequence[str], options: TextOptions | None = None) -> dict[str, FileColumn]:
+def read_csv(
+    path: Path, references: Sequence[str], options: TextOptions | None = None, part: FilePart | None = None
+) -> dict[str, FileColumn]:
     """Return the named columns of a csv file.
 
     Encoding, delimiter, decimal sign and the lines of names and units are found in the file, or given. A cell such as
@@ -114,7 +118,10 @@ def read_csv(path: Path, references: Sequence[str], options: TextOptions | None 
         When the file is not text, when it has no header line or rows of different length, when a column is
         missing or occurs twice, or when a cell of a requested column is not a number.
     """
-    return _columns(_complete_table(path, options), references)
+    if part is None or part.samples is None or not is_large(path):
+        return _columns(_complete_table(path, options), references)
+    columns = _columns(read_rows(path, options, *part.samples), references)
+    return {name: column._replace(first=part.samples[0]) for name, column in columns.items()}
 
 
 def _complete_table(path: Path, options: TextOptions | None, *, ends: bool = False) -> TextTable:
@@ -202,7 +209,7 @@ def _columns(table: TextTable, references: Sequence[str]) -> dict[str, FileColum
     }
 
 
-CSV = FileFormat((".csv",), read_csv, csv_channels, peek_csv, layout=csv_layout)
+CSV = FileFormat((".csv",), read_csv, csv_channels, peek_csv, takes_part=True, layout=csv_layout)
 
 
 # ---- HDF5 files of other programs: datasets and fields of tables by their paths.
@@ -217,16 +224,17 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     A column is the path of a dataset, ``run1/p_x`` or ``run1/p[0]``, or the path of a table with one of its fields,
     ``run1/table/p_x``. The unit is that of the attribute ``units`` or ``unit``.
     """
+    lengths: dict[str, int] = {}  # of the datasets that were read in part
     with h5py.File(path, "r") as file:
 
-        def get(name: str) -> StoredArray:
+        def get(name: str, part: FilePart | None = None) -> StoredArray:
             name = name.strip("/")
             parent, _, field = name.rpartition("/")
             dataset, table = (file.get(place) if place else None for place in (name, parent))
             if isinstance(dataset, h5py.Dataset):
-                return _stored_hdf5(dataset, None)
+                return _stored_hdf5(dataset, None, part, lengths)
             if isinstance(table, h5py.Dataset) and field in (table.dtype.names or ()):
-                return _stored_hdf5(table, field)
+                return _stored_hdf5(table, field, part, lengths)
             raise DataError(f"{path}: no dataset {name!r}; {nearest(name, [known for known, *_ in places()])}")
 
         def places() -> list[tuple[str, h5py.Dataset, str | None]]:
@@ -241,18 +249,35 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             file.visititems(visit)
             return listed
 
-        yield OpenFile(get, lambda: ((name, _stored_hdf5(entry, field)) for name, entry, field in places()))
+        yield OpenFile(get, lambda: ((name, _stored_hdf5(entry, field)) for name, entry, field in places()), get)
 
 
-def _stored_hdf5(dataset: Any, field: str | None) -> StoredArray:
+def _stored_hdf5(
+    dataset: Any, field: str | None, part: FilePart | None = None, lengths: dict[str, int] | None = None
+) -> StoredArray:
     """Return a dataset, or one field of a table, with its unit; a table has a unit for each field, or none."""
     keys = _UNIT_ATTRIBUTES if field is None else (f"{field}_units", f"{field}_unit")
     stated = (dataset.attrs.get(key) for key in keys)
     unit = next((each for each in stated if isinstance(each, str | bytes)), None)
     if dataset.shape is None:
         return StoredArray(np.zeros(0))
-    values = dataset[()] if field is None else dataset.fields(field)[()]
-    return StoredArray(np.asarray(values), unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit)
+    where: Any = ()
+    first = None
+    is_long = dataset.ndim == 1 or (dataset.ndim == 2 and part and dataset.shape[part.axis] == max(dataset.shape))
+    if part is not None and part.samples is not None and is_long:
+        axis, (start, stop) = part.axis * (dataset.ndim - 1), part.samples
+        if stop > dataset.shape[axis]:
+            text = f"samples {start} to {stop} are not within its {dataset.shape[axis]} samples"
+            raise DataError(f"{dataset.file.filename}: {dataset.name}: {text}")
+        lengths = lengths if lengths is not None else {}
+        lengths[dataset.name] = dataset.shape[axis]
+        if len(set(lengths.values())) > 1:
+            text = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise DataError(f"{dataset.file.filename}: columns have different numbers of samples: {text}")
+        where, first = (slice(None),) * axis + (slice(start, stop),), start
+    values = dataset[where] if field is None else dataset.fields(field)[where]
+    unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+    return StoredArray(np.asarray(values), unit, first=first)
 
 
 HDF5 = array_format((".h5", ".hdf5"), "HDF5 file", open_hdf5)

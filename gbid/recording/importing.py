@@ -20,7 +20,7 @@ from gbid.core.names import given_path
 from gbid.core.units import SIGNALS
 from gbid.recording.clock import on_grid, read_clock, resampled, times_of, untimed_sample_time
 from gbid.recording.formats import file_formats, format_of
-from gbid.recording.mapping import ImportMapping, SignalMapping, TextOptions
+from gbid.recording.mapping import FilePart, ImportMapping, SignalMapping, TextOptions
 from gbid.recording.readers import FileChannel, FileFormat
 from gbid.recording.recording import Recording
 from gbid.recording.text_files import FileColumn, file_unit, unit_factor
@@ -61,7 +61,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         mapping = mapping if isinstance(mapping, ImportMapping) else ImportMapping.from_dict(mapping)
     except UsageError as error:
         raise UsageError(f"import mapping of {path}: {error}") from None
-    reader = file_format(path, mapping.text_options).read
+    reader = file_format(path, mapping.text_options, mapping.part).read
     try:
         with path.open("rb") as handle:
             digest = hashlib.file_digest(handle, "sha256").hexdigest()
@@ -72,7 +72,9 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         raise DataError(f"{path}: takes more memory than this process can use; cut it into several files") from None
     start, stop = sample_range(path, mapping, columns)
     rows = _rows_in_words(columns)
-    columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
+    columns = {
+        name: c._replace(values=c.values[start - (c.first or 0) : stop - (c.first or 0)]) for name, c in columns.items()
+    }
     check_finite(path, columns, start, time=mapping.time)
     clock = read_clock(path, mapping, columns, start)
     columns = {name: c._replace(values=c.values[clock.rows]) for name, c in columns.items()}
@@ -121,13 +123,17 @@ def _rows_in_words(columns: Mapping[str, FileColumn]) -> str:
     shown = list(columns.items())[:_SHOWN]
     more = ", ..." if len(columns) > _SHOWN else ""
     first, last = (", ".join(f"{name} = {c.values[k]:g}" for name, c in shown) + more for k in (0, -1))
-    return f"{len(shown[0][1].values)} rows; the first: {first}; the last: {last}"
+    values, before = shown[0][1].values, shown[0][1].first
+    rows = (
+        f"rows {before} to {(before or 0) + len(values)}, read alone" if before is not None else f"{len(values)} rows"
+    )
+    return f"{rows}; the first: {first}; the last: {last}"
 
 
 _SHOWN = 3  # columns of these rows
 
 
-def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:
+def file_format(path: Path, options: TextOptions | None = None, part: FilePart | None = None) -> FileFormat:
     """Return the format of a file, chosen by its ending; libraries that may crash run in a process of their own.
 
     Parameters
@@ -136,13 +142,15 @@ def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:
         The file.
     options : TextOptions, optional
         Layout of a text file, as far as it is given.
+    part : FilePart, optional
+        What is read of its arrays.
 
     Raises
     ------
     DataError
         When the ending is unknown, or when the path is that of a directory, a pipe or a device.
     UsageError
-        When a layout of text is given for a file of another kind.
+        When a layout of text is given for a file of another kind, or an axis for one without arrays.
     """
     kind = format_of(path)
     if kind is None:
@@ -152,6 +160,10 @@ def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:
     given = options.given() if options else []
     if given and kind.layout is None:
         raise UsageError(f"{path}: {given[0]} is for text files such as csv; leave it out")
+    if part is not None and part.axis and (kind.layout is not None or not kind.takes_part):
+        raise UsageError(f"{path}: axis is for files of arrays such as HDF5; leave it out")
+    if part is not None and kind.takes_part:
+        kind = replace(kind, read=partial(kind.read, part=part))
     if options and kind.layout is not None:
         bound: dict[str, Any] = {
             key: partial(each, options=options) for key in _OF_TEXT if (each := getattr(kind, key)) is not None
@@ -170,7 +182,7 @@ def sample_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColu
     DataError
         When the columns differ in length, or when the range is empty or beyond the end.
     """
-    lengths = {name: len(column.values) for name, column in columns.items()}
+    lengths = {name: (column.first or 0) + len(column.values) for name, column in columns.items()}
     n = next(iter(lengths.values()))
     if set(lengths.values()) != {n}:
         text = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -336,7 +348,7 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
         When the unit of the time column is not a unit of time.
     """
     try:
-        kind = file_format(path, mapping.text_options)
+        kind = file_format(path, mapping.text_options, mapping.part)
         if kind.peek is not None:
             seen = _from_ends(path, mapping, *kind.peek(path, mapping.all_columns()))
             if seen is not None:
@@ -345,7 +357,9 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     start, stop = sample_range(path, mapping, columns)
-    columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
+    columns = {
+        name: c._replace(values=c.values[start - (c.first or 0) : stop - (c.first or 0)]) for name, c in columns.items()
+    }
     if mapping.time is not None:
         check_finite(path, {mapping.time: columns[mapping.time]}, start, time=mapping.time)
     clock = read_clock(path, mapping, columns, start)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from gbid.core.errors import UsageError, nearest
 from gbid.core.option_types import Count, CountOrZero, Finite, NotNegative, Positive, check_options
@@ -59,6 +59,21 @@ class TextOptions:
     def given(self) -> list[str]:
         """Return the names of the options that are given."""
         return [each.name for each in fields(self) if getattr(self, each.name) is not None]
+
+
+class FilePart(NamedTuple):
+    """What is read of the arrays of a file.
+
+    Attributes
+    ----------
+    axis : int
+        Axis of time in arrays with two dimensions.
+    samples : tuple of int, optional
+        First sample and the one after the last; all when not given.
+    """
+
+    axis: int = 0
+    samples: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -137,6 +152,9 @@ class ImportMapping:
         Name of the recording; by default the name of the file without its ending.
     samples : tuple of int and (int or None), optional
         First sample and the one after the last, counted from 0; None is the end of the file.
+    axis : {0, 1}
+        Axis of time in arrays with two dimensions: 1 where channels are rows. The axis of time is never
+        the shorter one.
     from_s, to_s : float, optional
         The same as times [s] after the first sample of the file, instead of `samples`.
     piece : int, optional
@@ -162,6 +180,7 @@ class ImportMapping:
     conditions: Mapping[str, Finite] = field(default_factory=dict)
     name: str | None = None
     samples: tuple[CountOrZero, CountOrZero | None] | None = None
+    axis: Literal[0, 1] = 0
     from_s: NotNegative | None = None
     to_s: NotNegative | None = None
     piece: Count | None = None
@@ -194,6 +213,12 @@ class ImportMapping:
     def text_options(self) -> TextOptions:
         """Layout of a text file, as far as it is given."""
         return TextOptions(self.encoding, self.decimal, self.delimiter, self.header_line)
+
+    @property
+    def part(self) -> FilePart:
+        """What is read of the arrays of the file."""
+        start, stop = self.samples or (0, None)
+        return FilePart(self.axis, None if stop is None else (start, stop))
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> ImportMapping:

@@ -15,6 +15,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, GbidError
 from gbid.core.files import in_one_line
 from gbid.recording.clock import MAX_RESAMPLED, even_step, jitter_ppm
+from gbid.recording.mapping import FilePart
 from gbid.recording.text_files import FileColumn, pick_column, split_reference
 
 
@@ -77,6 +78,8 @@ class FileFormat:
     may_crash : bool
         Whether the library that reads such files may crash, hang or fill the memory when a file is damaged. Its
         functions then run in a process of their own.
+    takes_part : bool
+        Whether `read` takes a `FilePart` by the name ``part``.
     layout : callable, optional
         For text formats: from the path to the layout of the table, as plain values for the listing. The functions of
         such a format take `TextOptions` as their last argument.
@@ -88,6 +91,7 @@ class FileFormat:
     peek: Callable[..., tuple[int, dict[str, FileColumn]]] | None = None
     states_sample_time: bool = False
     may_crash: bool = False
+    takes_part: bool = False
     layout: Callable[..., dict[str, Any]] | None = None
 
 
@@ -122,6 +126,8 @@ class StoredArray(NamedTuple):
         Why it cannot be imported, and what to do; empty where it can.
     remark : str
         The same in short for the listing; empty where its numbers are listed.
+    first : int or None
+        Number of the first sample of `values`, where they are some of the samples.
     """
 
     values: Any
@@ -129,6 +135,7 @@ class StoredArray(NamedTuple):
     sample_time: float | None = None
     fault: str = ""
     remark: str = ""
+    first: int | None = None
 
 
 class OpenFile(NamedTuple):
@@ -140,10 +147,13 @@ class OpenFile(NamedTuple):
         From the name of an array to the `StoredArray`. Raises DataError for a name that is not there.
     every : callable
         Returns name and `StoredArray` of each, in the order of the listing.
+    get_part : callable, optional
+        As `get`, with the samples that are to be read.
     """
 
     get: Callable[[str], StoredArray]
     every: Callable[[], Iterable[tuple[str, StoredArray]]]
+    get_part: Callable[[str, FilePart], StoredArray] | None = None
 
 
 Opener = Callable[[Path, Sequence[str] | None], AbstractContextManager[OpenFile]]
@@ -168,19 +178,23 @@ def array_format(endings: tuple[str, ...], what: str, opener: Opener, states_sam
         partial(_list_arrays, opener, what),
         states_sample_time=states_sample_time,
         may_crash=True,
+        takes_part=True,
     )
 
 
-def _read_arrays(opener: Opener, what: str, path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
+def _read_arrays(
+    opener: Opener, what: str, path: Path, references: Sequence[str], part: FilePart | None = None
+) -> dict[str, FileColumn]:
+    part = part or FilePart()
     names = {reference: split_reference(reference)[0] for reference in references}
     columns = {}
     with _opened(opener, what, path, list(names.values())) as file:
         for reference, name in names.items():
-            stored = file.get(name)
+            stored = file.get_part(name, part) if file.get_part else file.get(name)
             if stored.fault:
                 raise DataError(f"{path}: column {reference!r}: {stored.fault}")
-            values = pick_column(path, reference, stored.values)
-            columns[reference] = FileColumn(values, stored.unit, stored.sample_time)
+            values = pick_column(path, reference, stored.values, part.axis, is_part=stored.first is not None)
+            columns[reference] = FileColumn(values, stored.unit, stored.sample_time, first=stored.first)
     return columns
 
 
@@ -205,7 +219,7 @@ def _opened(opener: Opener, what: str, path: Path, names: Sequence[str] | None) 
 
 def _array_channels(name: str, stored: StoredArray) -> list[FileChannel]:
     """Return the channels of an array, each with the name that `pick_column` takes; others have a remark."""
-    value, unit, sample_time, _, remark = stored
+    value, unit, sample_time, _, remark, _ = stored
     if remark:
         return [FileChannel(name, int(np.size(value)), unit, sample_time, remark=remark)]
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":

@@ -229,6 +229,7 @@ COMMENTS = ("#", "%", "//")
 """Beginnings of lines that are comments."""
 _TAIL, _SPREAD = 20, 300  # lines at the end that show the columns; lines over the whole file that show the decimal sign
 _DESCRIBED = 40  # largest number of lines below the names within which a line of units is looked for
+_BLOCK_LINES = 1000  # largest number of lines of a block above or below the names
 _RULE = "***"  # beginning of a line that ends a block above the names: LabVIEW's ***End_of_Header***
 _UNUSED = ("", "Comment")  # last heading of a column that rows do not have: LabVIEW's
 _MOST = 0.75  # share of the cells of a column that are numbers, where the column is one of numbers
@@ -439,6 +440,7 @@ class _Candidate:
         self.numeric = [i for i in range(self.count) if self._is_numeric([row[i] for row in rows])]
         self.open_end = bool(rows) and self.count > 1 and not any(row[-1] for row in rows)
         self.filled = [i for i in range(self.count) if any(row[i] for row in rows)]
+        self.empty = sorted(set(range(self.count)).difference(self.filled))
         others = len(self.filled) - len(self.numeric)
         spread = content[1 :: max(1, len(content) // _SPREAD)]
         numbers = sum(_is_value(cell, decimal) for line in spread for cell in split_cells(line.text, delimiter))
@@ -461,7 +463,7 @@ class _Candidate:
     def is_row(self, text: str) -> bool:
         """Return whether a line has numbers in the columns of numbers."""
         row = self.cells(text)
-        if row is None or not self.numeric or any(cell and i not in self.filled for i, cell in enumerate(row)):
+        if row is None or not self.numeric or any(row[i] for i in self.empty if i < len(row)):
             return False
         filled = [row[i] for i in self.numeric if row[i]]
         return bool(filled) and all(_is_value(cell, self.decimal) for cell in filled)
@@ -508,7 +510,7 @@ def _with_header(
     start = first
     while start > 0 and not content[start - 1].text.startswith(_RULE) and columns.cells(content[start - 1].text):
         start -= 1
-    named = [i for i in [*range(start, first), *range(start)] if columns.is_names(content[i].text)]
+    named = [i for i in [*range(start, first), *range(min(start, _BLOCK_LINES))] if columns.is_names(content[i].text)]
     above = [line for line in lines if line.number < rows_from and is_comment(line.text)]
     header = next((line for line in reversed(above) if columns.is_names(without_mark(line.text))), None)
     sure = [i for i in named if not (_repeats(columns, content[i]) and columns.is_units(content[i].text))]
@@ -535,7 +537,7 @@ def without_mark(text: str) -> str:
 
 def _below(columns: _Candidate, below: Sequence[NumberedLine]) -> tuple[NumberedLine | None, int, tuple[int, ...]]:
     """Return the line of units, the number of the first row, and the first and last line between that are skipped."""
-    ends = next((i for i, line in enumerate(below) if not columns.is_block(line.text)), len(below))
+    ends = next((i for i, line in enumerate(below[:_BLOCK_LINES]) if not columns.is_block(line.text)), len(below))
     at = next((i for i in range(min(ends, _DESCRIBED)) if columns.is_units(below[i].text)), None)
     skipped = [] if ends == len(below) else [line.number for i, line in enumerate(below[:ends]) if i != at]
     if ends == len(below):
@@ -564,12 +566,15 @@ class FileColumn(NamedTuple):
         Time between samples that the file states for this column [s]; None when it states none.
     remark : str
         What was left out of the file; empty where nothing was.
+    first : int or None
+        Number of the first sample of `values`, where the file was read in part.
     """
 
     values: FloatArray
     unit: str | None = None
     sample_time: float | None = None
     remark: str = ""
+    first: int | None = None
 
 
 def split_reference(reference: str) -> tuple[str, int | None]:
@@ -578,7 +583,7 @@ def split_reference(reference: str) -> tuple[str, int | None]:
     return (match["name"], int(match["index"])) if match else (reference, None)
 
 
-def pick_column(path: Path, reference: str, value: object) -> FloatArray:
+def pick_column(path: Path, reference: str, value: object, axis: int = 0, *, is_part: bool = False) -> FloatArray:
     """Return the column of a variable that a reference names, shape (n_samples,).
 
     Parameters
@@ -588,7 +593,11 @@ def pick_column(path: Path, reference: str, value: object) -> FloatArray:
     reference : str
         ``"name"`` or ``"name[index]"``.
     value : object
-        The variable of that name. Arrays are never transposed.
+        The variable of that name.
+    axis : int
+        Axis of time where it has two dimensions, which must not be the shorter one.
+    is_part : bool
+        Whether these are some of its samples only.
 
     Returns
     -------
@@ -610,16 +619,18 @@ def pick_column(path: Path, reference: str, value: object) -> FloatArray:
         raise DataError(f"{where} {name} is empty: shape {shape}")
     if value.ndim not in (1, 2) or value.size == 1:
         raise DataError(f"{where} {name} has shape {shape}; expected (n_samples,) or (n_samples, n_channels)")
+    if axis and value.ndim == 2:
+        value, shape = value.T, shape[::-1]
     if index is None:
         if value.ndim == 2 and shape[1] != 1:
             raise DataError(f"{where} {name} has shape {shape}; name one of its columns, e.g. {name}[0]")
         return np.asarray(value, dtype=float).reshape(-1)
     if value.ndim == 1:
         raise DataError(f"{where} {name} has one dimension; leave the index out: {name}")
-    if shape[0] < shape[1]:
+    if shape[0] < shape[1] and not is_part:
         raise DataError(
-            f"{where} {name} has shape {shape}: more columns than rows; arrays are (n_samples, n_channels), "
-            "transpose it yourself if it is stored the other way"
+            f"{where} {name} has {shape[0]} samples of {shape[1]} channels along axis {axis}; the axis of time is the "
+            f"longer one: give axis: {1 - axis} if the channels are stored the other way"
         )
     if index >= shape[1]:
         raise DataError(f"{where} {name} has shape {shape}; columns count from 0 to {shape[1] - 1}")
@@ -636,19 +647,20 @@ def name_and_unit(heading: str) -> tuple[str, str | None]:
 
 def numbered_twins(headings: Sequence[str]) -> tuple[str, ...]:
     """Return the headings; those that occur several times are named ``Time #1``, ``Time #2``, without their unit."""
-    count = Counter(headings)
-    return tuple(
-        f"{name_and_unit(heading)[0]} #{headings[: i + 1].count(heading)}"
-        if heading and count[heading] > 1
-        else heading
-        for i, heading in enumerate(headings)
-    )
+    count, seen = Counter(headings), Counter[str]()
+    names = []
+    for heading in headings:
+        seen[heading] += 1
+        is_twin = heading and count[heading] > 1
+        names.append(f"{name_and_unit(heading)[0]} #{seen[heading]}" if is_twin else heading)
+    return tuple(names)
 
 
 def short_names(headings: Sequence[str]) -> list[str]:
     """Return the headings without their units, except where several columns would have one name."""
     names = [name_and_unit(heading)[0] for heading in headings]
-    return [name if names.count(name) == 1 else heading for name, heading in zip(names, headings, strict=True)]
+    count = Counter(names)
+    return [name if count[name] == 1 else heading for name, heading in zip(names, headings, strict=True)]
 
 
 def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:
@@ -887,6 +899,37 @@ def _stamp_ns(cell: str) -> tuple[str, int]:
     if (zone := match["zone"] or "Z") != "Z":
         second -= int(f"{zone[0]}60") * (60 * int(zone[1:3]) + int(zone[-2:]))
     return form, 10**9 * second + int((match["part"] or "").ljust(9, "0"))
+
+
+def read_rows(path: Path, options: TextOptions | None, start: int, stop: int) -> TextTable:
+    """Return the table in a text file with some rows only, for which no more than these are kept in memory.
+
+    Raises
+    ------
+    DataError
+        As for `read_table`; also when the file has fewer rows.
+    OSError
+        When the file cannot be read.
+    """
+    table = read_table(path, options, ends=True)
+    layout, rows, count = table.layout, [], 0
+    with path.open(encoding=layout.encoding) as file:
+        for number, text in enumerate(file, start=1):
+            if count == stop or number > (layout.rows_to or number):
+                break
+            if number < layout.rows_from or not text.strip() or is_comment(text):
+                continue
+            if text.endswith("\n") or layout.rows_to:  # a last line without its end may be cut
+                rows += [NumberedLine(number, text.rstrip("\n"))] * (count >= start)
+                count += 1
+    if count < stop:
+        raise DataError(f"{path}: samples {start} to {stop} are not within its {count} samples")
+    return replace(table, rows=tuple(rows), is_cut=False)
+
+
+def is_large(path: Path) -> bool:
+    """Return whether a text file is so large that looks at it read its ends only."""
+    return path.stat().st_size > 2 * _END
 
 
 def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = False) -> TextTable:

@@ -395,7 +395,7 @@ def test_pickled_objects_are_never_loaded(tmp_path):
         ("data[4]", "columns count from 0 to 3"),
         ("data[-1]", "no variable 'data[-1]'"),
         ("wide", "shape (4, 300)"),
-        ("wide[0]", "more columns than rows"),
+        ("wide[0]", "channels along axis 0"),
         ("number", "expected (n_samples,) or (n_samples, n_channels)"),
         ("text", "not an array of real numbers"),
         ("complex", "not an array of real numbers"),

@@ -1,0 +1,84 @@
+"""Channels as rows (`axis`), and `samples` of a large file: no more than these are read."""
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from gbid.core.errors import DataError, UsageError
+from gbid.recording import import_recording
+from gbid.recording.formats import open_hdf5
+from gbid.recording.mapping import FilePart
+from gbid.recording.text_files import read_rows
+
+P = np.random.default_rng(0).standard_normal((3, 500))
+SIGNALS = {"s": {"columns": ["p[1]"], "unit": "V"}}
+
+
+@pytest.fixture(params=["h5", "mat", "npz"])
+def channels_as_rows(request, tmp_path):
+    path = tmp_path / f"a.{request.param}"
+    if request.param == "h5":
+        with h5py.File(path, "w") as file:
+            file["p"] = P
+            file["t"] = np.arange(500) * 1e-3
+            file["short"] = np.zeros(400)
+    elif request.param == "mat":
+        scipy.io.savemat(path, {"p": P})
+    else:
+        np.savez(path, p=P)
+    return path
+
+
+def test_channels_are_rows_where_it_is_said(channels_as_rows):
+    mapping = {"sample_time_s": 1e-3, "signals": SIGNALS}
+    made = import_recording(channels_as_rows, {**mapping, "axis": 1})
+    np.testing.assert_array_equal(made.signal("s")[:, 0], P[1])
+    some = import_recording(channels_as_rows, {**mapping, "axis": 1, "samples": [100, 102]})
+    np.testing.assert_array_equal(some.signal("s")[:, 0], P[1, 100:102])
+    assert some.provenance["source_samples"] == "100 to 102"
+    for more in ({}, {"axis": 0, "samples": [100, 102]}):
+        with pytest.raises(DataError, match=r"3 samples of 500 channels along axis 0; .* give axis: 1"):
+            import_recording(channels_as_rows, {**mapping, **more})
+    with pytest.raises(DataError, match="samples 10 to 600 are not within its 500 samples"):
+        import_recording(channels_as_rows, {**mapping, "axis": 1, "samples": [10, 600]})
+
+
+def test_an_axis_the_other_way_and_one_of_text_are_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", p=P.T)
+    (tmp_path / "a.csv").write_text("a;b\n1;2\n2;3\n")
+    mapping = {"sample_time_s": 1e-3, "signals": SIGNALS, "axis": 1}
+    with pytest.raises(DataError, match=r"3 samples of 500 channels along axis 1; .* give axis: 0"):
+        import_recording(tmp_path / "a.npz", mapping)
+    with pytest.raises(UsageError, match="axis is for files of arrays"):
+        import_recording(tmp_path / "a.csv", mapping)
+
+
+def test_samples_of_an_hdf5_file_are_read_alone(tmp_path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["p"], file["t"], file["short"] = P, np.arange(500) * 1e-3, np.zeros(400)
+    with open_hdf5(path, None) as file:
+        stored = file.get_part("p", FilePart(1, (100, 120)))
+        assert (stored.values.shape, stored.first) == ((3, 20), 100)
+    mapping = {"time": "t", "axis": 1, "signals": SIGNALS, "samples": [100, 120]}
+    made = import_recording(path, mapping)
+    assert made.provenance["source_rows"].startswith("rows 100 to 120, read alone; the first: t = 0.1, ")
+    with pytest.raises(DataError, match="columns have different numbers of samples: /t 500, /short 400"):
+        import_recording(path, {**mapping, "signals": {"s": {"columns": ["short"], "unit": "V"}}})
+
+
+def test_samples_of_a_large_text_file_are_read_alone(tmp_path):
+    path = tmp_path / "a.csv"
+    rows, filling = 10_000, "x" * 250
+    body = "".join(f"{k / 1000};{k}.25;{filling}\n" + "\n# note\n" * (k % 1000 == 7) for k in range(rows))
+    path.write_text(f"a;b;c\nRecorded by hand\n{body}End of file\n")
+    mapping = {"time": "a", "signals": {"s": {"columns": ["b"], "unit": "V"}}}
+    made = import_recording(path, {**mapping, "samples": [7000, 7100]})
+    np.testing.assert_array_equal(made.signal("s")[:, 0], np.arange(7000, 7100) + 0.25)
+    assert made.provenance["source_samples"] == "7000 to 7100"
+    assert made.provenance["source_rows"].startswith("rows 7000 to 7100, read alone")
+    assert made.sample_time == 1e-3
+    assert len(read_rows(path, None, 7000, 7100).rows) == 100
+    with pytest.raises(DataError, match=rf"samples 5 to {rows + 1} are not within its {rows} samples"):
+        import_recording(path, {**mapping, "samples": [5, rows + 1]})
