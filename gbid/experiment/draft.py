@@ -317,7 +317,7 @@ class Survey:
     columns : tuple of str
         Lines of the table of columns.
     notes : tuple of str
-        Signals that no column is taken as, though there are columns that are not used.
+        Signals that no column is taken as, though there are columns that are not used; files that cannot be read.
     """
 
     files: tuple[MeasuredFile, ...]
@@ -343,7 +343,9 @@ def survey(options: DraftOptions) -> Survey:
         raise UsageError(f"no folder {folder}; name the folder of the measured files")
     listed = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
     known = [path for path in listed if path.suffix.lower() in file_formats()]
-    channels = {path: list_channels(path) for path in known or filter(format_of, listed)}
+    channels, unread = ({path: list_channels(path) for path in known}, {}) if known else _tables_among(listed)
+    if unread and not channels:
+        raise next(iter(unread.values()))
     if not channels:
         raise UsageError(f"{folder} holds no file that can be imported; expected {', '.join(file_formats())}")
     _refuse_unknown(options, channels)
@@ -363,7 +365,20 @@ def survey(options: DraftOptions) -> Survey:
     if len(reasons) > len(optional) or (optional and options.ask):
         raise UnansweredError(reasons, columns)
     notes = tuple(f"{why}; {OPTIONAL[key]}: {_flag(key)}" for key, why in optional.items())
-    return Survey(tuple(files), tuple(path.name for path in listed if path not in channels), columns, notes)
+    notes += tuple(f"left out: {error}" for error in unread.values())
+    others = tuple(path.name for path in listed if path not in channels and path not in unread)
+    return Survey(tuple(files), others, columns, notes)
+
+
+def _tables_among(listed: Sequence[Path]) -> tuple[dict[Path, list[FileChannel]], dict[Path, DataError]]:
+    """Return the channels of files without a known ending, and the errors of those without a table."""
+    channels, unread = {}, {}
+    for path in filter(format_of, listed):
+        try:
+            channels[path] = list_channels(path)
+        except DataError as error:
+            unread[path] = error
+    return channels, unread
 
 
 def _refuse_unknown(options: DraftOptions, channels: Mapping[Path, Sequence[FileChannel]]) -> None:

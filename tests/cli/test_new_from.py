@@ -102,6 +102,21 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
     assert "r and u move in no file" in capsys.readouterr().err
 
 
+def test_a_text_without_a_table_beside_files_of_any_ending_is_left_out_with_the_reason(measured, tmp_path, capsys):
+    for path in measured.glob("*.csv"):
+        path.rename(path.with_suffix(".log"))
+    (measured / "README").write_text(
+        "Readme of this folder\n\nThese are runs of the rig, made in 2024.\nContact: someone\n"
+    )
+    said = printed_by(capsys, "new", tmp_path / "own", "--from", measured)
+    assert "left out: " in said.err
+    assert "README: no" in said.err
+    assert len(load_experiment(tmp_path / "own" / "experiment.yaml").recordings) == 6
+    for path in measured.glob("*.log"):
+        path.unlink()
+    assert "README: no" in printed_by(capsys, "new", tmp_path / "none", "--from", measured, code=3).err
+
+
 @pytest.mark.parametrize(
     ("names", "roles"),
     [

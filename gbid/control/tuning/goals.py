@@ -103,7 +103,13 @@ class Wanted(Goal):
         return replace(limits, **changed)
 
     def measures(self, plant: LinearModel) -> tuple[Measure, ...]:
-        """Return the measures of this goal: one, if it is not of each axis."""
+        """Return the measures of this goal: one, if it is not of each axis.
+
+        Parameters
+        ----------
+        plant : LinearModel
+            A plant of the design.
+        """
         return (self.measure(plant),)
 
 

@@ -338,7 +338,13 @@ class AxisSensitivity(ResponseGoal):
     label = "sensitivity of an axis"
 
     def measures(self, plant: LinearModel) -> tuple[ResponseMeasure, ...]:
-        """Return a measure for each axis."""
+        """Return a measure for each axis.
+
+        Parameters
+        ----------
+        plant : LinearModel
+            A plant of the design.
+        """
         common = self.measure(plant)
         return tuple(
             replace(common, name=f"sensitivity of {name}", channel=i) for i, name in enumerate(plant.output_names)
