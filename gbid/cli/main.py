@@ -55,6 +55,7 @@ gbid import rig2/experiment.yaml
 gbid import --peek measured/run_07.tdms
 gbid rig rig1/experiment.yaml --overwrite
 gbid fit rig1/experiment.yaml --only bearing
+gbid fit rig1/experiment.yaml --one bearing/p6_n0_prbs1   # one file, for Snakemake or an array of jobs
 gbid batch rig1/experiment.yaml                     # all processors; again to resume
 gbid batch rig1/experiment.yaml --shard 3/8         # a job of an array
 gbid batch rig1/experiment.yaml --scheduler tcp://node1:8786

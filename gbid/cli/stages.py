@@ -299,6 +299,32 @@ def run_stages(word: str, path: Path, options: CommonOptions, *, only: str | Non
     conclude(word, experiment, options, outcomes, document, tables_of(shown, document))
 
 
+def run_one(path: Path, options: CommonOptions, item: str) -> None:
+    """Make one fit with what it needs, beside other processes in the same folder; see `gbid.cli.verbs.fit`.
+
+    Raises
+    ------
+    UsageError
+        When there is no such fit, or an option is for many items.
+    """
+    if options.workers is not None or options.engine not in ("auto", "serial") or options.dry_run:
+        raise UsageError("--one is one fit in this process; leave --engine, --workers and --dry-run out")
+    experiment = options.load(path)
+    with opened(experiment, replace(options, engine="serial"), shared=True) as job:
+        outcomes = run_campaign(job, one=item)
+    document = document_of(job, [FIT], outcomes)
+    conclude("", experiment, options, outcomes, document, tables_of([FIT], document))
+
+
+def list_items(path: Path, options: CommonOptions) -> None:
+    """Print the item of each fit, and with ``--json`` its file; nothing is run or written."""
+    tasks = fit_tasks(Job(options.load(path)))
+    if options.as_json:
+        print_json({"fits": [{"item": task.item, "path": task.path} for task in tasks]})
+    else:
+        typer.echo("\n".join(task.item for task in tasks))
+
+
 def run_batch(path: Path, options: CommonOptions, scheduler: str | None, shard: str | None, collected: bool) -> None:
     """Run a campaign, or a part of it, and print its table; see `gbid.cli.verbs.batch`.
 

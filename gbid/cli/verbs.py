@@ -29,11 +29,24 @@ def fit(
     experiment: ExperimentPath,
     options: CommonOptions,
     only: Annotated[str | None, typer.Option("--only", metavar="FIT", help="Run this one of the fits.")] = None,
+    one: Annotated[
+        str | None,
+        typer.Option("--one", metavar="ITEM", help="Make one file, as FIT/RECORDING, with what it needs; for jobs."),
+    ] = None,
+    items: Annotated[bool, typer.Option("--list", help="Run nothing; list the items for --one, with files.")] = False,
 ) -> None:
     """Prefilter the recordings, if the YAML says so, and run the fits."""
-    from gbid.cli.stages import run_stages
+    from gbid.cli.stages import list_items, run_one, run_stages
+    from gbid.core.errors import UsageError
 
-    run_stages("fit", experiment, options, only=only)
+    if (only is not None) + (one is not None) + items > 1:
+        raise UsageError("--only, --one and --list exclude each other; give one of them")
+    if one is not None:
+        run_one(experiment, options, one)
+    elif items:
+        list_items(experiment, options)
+    else:
+        run_stages("fit", experiment, options, only=only)
 
 
 @with_options()

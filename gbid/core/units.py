@@ -55,6 +55,12 @@ def _registry() -> Any:
     return pint.UnitRegistry()
 
 
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
+_PREFIXED = ("m", "s", "N", "V", "A", "Hz", "rad")
+_FACTORS = {(prefix + unit, unit): factor for prefix, factor in _PREFIXES.items() for unit in _PREFIXED}
+"""Factors of the common units: to start pint takes half a second, longer than a fit."""
+
+
 def is_unit(word: str) -> bool:
     """Return whether a word is a unit as pint writes it; an empty word is dimensionless."""
     try:
@@ -82,8 +88,8 @@ def conversion_factor(unit: str, target: str) -> float:
     UsageError
         When a unit is unknown, when the units measure different quantities, or when the scale has an offset (degC).
     """
-    if unit == target:
-        return 1.0
+    if unit == target or (unit, target) in _FACTORS:
+        return _FACTORS.get((unit, target), 1.0)
     import pint
 
     registry = _registry()

@@ -17,12 +17,13 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from gbid.core.errors import DataError, UsageError
+from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.files import find_stale_parts, remove_stale_parts
 from gbid.core.tables import write_csv
 from gbid.experiment.engines import make_engine
-from gbid.experiment.experiment import Experiment, fit_models
+from gbid.experiment.experiment import Experiment, fit_models, recordings_of
 from gbid.experiment.fields import stored_key
 from gbid.experiment.run import (
     FAILED,
@@ -40,8 +41,12 @@ from gbid.experiment.run import (
 )
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks
+from gbid.experiment.stages.prefilter import with_needed
 from gbid.identify import FitTable, TableEntry, load_fit, load_table, save_table, tabulate
 from gbid.identify.table import csv_table
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 # ---- Shards: parts of a campaign for the jobs of an array, without a scheduler between them.
 
@@ -96,8 +101,33 @@ def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task])
     dealt = apart[shard.number - 1 :: shard.count]
     points = {planned.point for planned in dealt if planned.excited}
     stationary = [q.name for q in recordings if q.stationary and q.point in points]
-    mine = {*(planned.name for planned in dealt), *stationary}
+    mine = with_needed(experiment, [*(planned.name for planned in dealt), *stationary])
     return [task for task in tasks if mine.issuperset(task.recordings)]
+
+
+def tasks_for(job: Job, item: str) -> list[tuple[Stage, list[Task]]]:
+    """Return the tasks of one fit by stage: what it needs, and the fit. Only the files of its recordings are read.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    item : str
+        Name of the fit as in outcomes, ``FIT/MODEL``; the model is a recording, or ``together``.
+
+    Raises
+    ------
+    UsageError
+        When there is no such fit.
+    """
+    experiment, (fit, _, model) = job.experiment, item.partition("/")
+    if model not in (fit_models(experiment, fit) if fit in experiment.spec.fits else ()):
+        items = [f"{name}/{each}" for name in experiment.spec.fits for each in fit_models(experiment, name)]
+        raise UsageError(f"--one {item}: no such fit; {nearest(item, items)}")
+    names, part = with_needed(experiment, recordings_of(experiment, fit, model)), replace(experiment)
+    vars(part)["recordings"] = {name: q for name, q in experiment.recordings.items() if name in names}
+    early = early_tasks(replace(job, experiment=part))
+    return [(stage, [task for task in tasks if stage is not FIT or task.item == item]) for stage, tasks in early]
 
 
 def early_tasks(job: Job) -> list[tuple[Stage, list[Task]]]:
@@ -187,7 +217,7 @@ def working(
     reporter: Reporter | None = None,
     engine: str = "auto",
     workers: int | None = None,
-    scheduler: str | None = None,
+    scheduler: str | Client | None = None,
     shared: bool = False,
 ) -> Iterator[Job]:
     """Return a context that locks the results folder of an experiment and gives the job to run in it.
@@ -205,7 +235,7 @@ def working(
     engine, workers, scheduler
         Options of `make_engine`.
     shared : bool
-        Whether other shards may use the folder at the same time.
+        Whether other processes, each with a shard or a fit of its own, may use the folder at the same time.
 
     Yields
     ------
@@ -235,7 +265,7 @@ def working(
             remove_stale_parts(experiment.results)
 
 
-def run_campaign(job: Job, shard: Shard | None = None) -> list[Outcome]:
+def run_campaign(job: Job, shard: Shard | None = None, one: str | None = None) -> list[Outcome]:
     """Make, prefilter and fit the recordings of an experiment, except for results that are current.
 
     Parameters
@@ -244,6 +274,8 @@ def run_campaign(job: Job, shard: Shard | None = None) -> list[Outcome]:
         Job from `working`.
     shard : Shard, optional
         Part of the campaign to run; all of it by default.
+    one : str, optional
+        The one fit to make, with what it needs; see `tasks_for`.
 
     Returns
     -------
@@ -253,11 +285,15 @@ def run_campaign(job: Job, shard: Shard | None = None) -> list[Outcome]:
     Raises
     ------
     UsageError
-        When a result made from other settings exists and must not be replaced. No task has run then.
+        When there is no such fit, or when a result made from other settings exists and must not be replaced. No task
+        has run then.
     NoSpaceError
         When the disk is full; complete results are kept.
     """
-    plan = [(stage, tasks_of(shard, job.experiment, tasks)) for stage, tasks in early_tasks(job)]
+    if one is not None:
+        plan = tasks_for(job, one)
+    else:
+        plan = [(stage, tasks_of(shard, job.experiment, tasks)) for stage, tasks in early_tasks(job)]
     standings = [[standing(job, task) for task in tasks] for _, tasks in plan]  # of all stages before any runs
     outcomes: list[Outcome] = []
     failed: dict[str, Outcome] = {}  # by recording
@@ -267,7 +303,7 @@ def run_campaign(job: Job, shard: Shard | None = None) -> list[Outcome]:
         for outcome in made:
             if outcome.state == "failed" and stage is not FIT:
                 failed.setdefault(outcome.item, outcome)
-        outcomes += made if shard is not None or not made else go_on(job, stage, made)
+        outcomes += made if shard is not None or one is not None or not made else go_on(job, stage, made)
     return outcomes
 
 

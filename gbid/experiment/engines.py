@@ -16,13 +16,16 @@ from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from ruamel.yaml.comments import CommentedMap
 
 from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError
 from gbid.core.yaml_file import YamlFile
 from gbid.experiment.run import Failure, InTurn, Job, Outcome, Task, TaskEngine, fail, perform, standing
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 # ---- Worker process: it runs the tasks that it receives through a pipe.
 
@@ -303,27 +306,35 @@ class DaskEngine:
 
     Parameters
     ----------
-    scheduler : str, optional
-        Address of the scheduler, ``tcp://host:port``; without it, workers are started on this machine.
+    scheduler : str or distributed.Client, optional
+        Address of the scheduler, ``tcp://host:port``, or a client, which stays open. Without either, workers are
+        started on this machine.
     n_workers : int
         Number of workers to start on this machine.
 
     Raises
     ------
     UsageError
-        When Dask is not installed, or the scheduler does not answer.
+        When Dask is not installed, the scheduler does not answer, or the client is closed or asynchronous.
     GbidError
         When no workers can be started on this machine.
     """
 
-    def __init__(self, scheduler: str | None, n_workers: int) -> None:
+    def __init__(self, scheduler: str | Client | None, n_workers: int) -> None:
         try:
             from distributed import Client
         except ImportError:
             raise UsageError("Dask is not installed; install it with: pip install 'gbid[dask]'") from None
+        self._is_ours = scheduler is None or isinstance(scheduler, str)
+        if not (scheduler is None or isinstance(scheduler, str)):
+            if scheduler.status != "running" or scheduler.asynchronous:
+                text = "is not connected" if scheduler.status != "running" else "is asynchronous"
+                raise UsageError(f"the Dask client {text}; give a running Client(...) without asynchronous=True")
+            self._cluster, self.client = None, scheduler
+            return
         self._cluster = _local_cluster(n_workers) if scheduler is None else None
         try:
-            self.client: Any = Client(self._cluster or scheduler, timeout=_DASK_PATIENCE)
+            self.client = Client(self._cluster or scheduler, timeout=_DASK_PATIENCE)
         except (OSError, ValueError) as error:
             text = f"no Dask scheduler answers at {scheduler}: {' '.join(str(error).split())}"
             raise UsageError(f"{text}; start it, or correct the address") from None
@@ -416,8 +427,9 @@ class DaskEngine:
                     raise GbidError(f"the Dask workers do not answer ({error}); check them, then run again") from None
 
     def close(self) -> None:
-        """Disconnect from the scheduler, and stop the workers that this engine started."""
-        self.client.close()
+        """Disconnect from the scheduler, and stop the workers that this engine started; a given client stays open."""
+        if self._is_ours:
+            self.client.close()
         if self._cluster is not None:
             self._cluster.close()
 
@@ -483,7 +495,7 @@ FEW = 8
 """Smallest number of tasks of a stage for which worker processes are started."""
 
 
-def make_engine(name: str = "auto", workers: int | None = None, scheduler: str | None = None) -> TaskEngine:
+def make_engine(name: str = "auto", workers: int | None = None, scheduler: str | Client | None = None) -> TaskEngine:
     """Return an engine that runs tasks.
 
     Parameters
@@ -493,8 +505,8 @@ def make_engine(name: str = "auto", workers: int | None = None, scheduler: str |
         and the pool for many.
     workers : int, optional
         Number of processes; the default is the number of processors that this process may use.
-    scheduler : str, optional
-        Address of a Dask scheduler.
+    scheduler : str or distributed.Client, optional
+        Address of a Dask scheduler, or a running client.
 
     Returns
     -------

@@ -9,6 +9,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import campaign_files as files
@@ -21,8 +22,20 @@ from places import SUPPORT
 from gbid import load_table
 from gbid.core.errors import NoSpaceError, UsageError
 from gbid.core.files import remove_stale_parts
-from gbid.experiment.campaign import NOT_MADE, Shard, collect, locked, read_shard, run_campaign, tasks_of, working
+from gbid.experiment.campaign import (
+    NOT_MADE,
+    Shard,
+    collect,
+    early_tasks,
+    locked,
+    read_shard,
+    run_campaign,
+    tasks_for,
+    tasks_of,
+    working,
+)
 from gbid.experiment.engines import ATTEMPTS, FEW, ProcessPool, make_engine
+from gbid.experiment.fields import file_digest
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import InTurn, Job, remembered_failure, run_tasks
 from gbid.experiment.stages.rig import rig_tasks
@@ -274,6 +287,100 @@ def test_shards_share_staircases_but_not_stationary_recordings(tmp_path):
     assert {planned[name].kind for name in made} == {"excited", "stationary", "staircase"}
     for name, times in made.items():
         assert times == 1 or planned[name].stationary
+
+
+LOOPS = """\
+format: 1
+name: loops
+rig:
+  operating_points: [{pressure_bar: 4.0, speed_rpm: 6000}, {pressure_bar: 5.0, speed_rpm: 0}]
+  duration_s: 0.2
+  prbs: {recordings: 1}
+  loop: {structure: P, gains: {kappa_x: 1.2, kappa_y: 1.1}, recordings: 2, runout: offline}
+  courses: [{name: down, duration_s: 0.2, pressure_bar: 4.0, speed_rpm: [6000.0, 500.0], coast_down: true}]
+prefilter: {slow_roll: ["p4_*still1"]}
+fits:
+  together: {structure: plant, recordings: ["*prbs1"], together: true, left_out: {p4_n6000_prbs1: [[0.05, 0.1]]}}
+  held: {structure: plant, options: {delay: exact}, loop: {}}
+"""
+
+
+def test_parts_contain_what_their_prefilter_needs(tmp_path):
+    path = tmp_path / "loops.yaml"
+    path.write_text(LOOPS)
+    job = Job(load_experiment(path))
+    made = {"down1": {"p4_n6000_still1"}, "p5_n0_loop2": {"p5_n0_loop_still1", "p5_n0_still1"}}
+    for number in range(1, 6):
+        tasks = [task for _, stage in early_tasks(job) for task in tasks_of(Shard(number, 5), job.experiment, stage)]
+        items = {task.item for task in tasks if task.stage == "rig"}
+        for prefiltered in (each.item for each in tasks if each.stage == "prefilter"):
+            assert {prefiltered, *made.get(prefiltered, ())} <= items
+
+
+def test_one_fit_is_that_of_the_batch(tmp_path):
+    path = tmp_path / "loops.yaml"
+    path.write_text(LOOPS)
+    job = Job(load_experiment(path))
+    whole = {(task.stage, task.item): task for _, tasks in early_tasks(job) for task in tasks}
+    fits = [item for stage, item in whole if stage == "fit"]
+    assert len(fits) == 5
+    for item in fits:
+        tasks = [task for _, tasks in tasks_for(job, item) for task in tasks]
+        assert [task.item for task in tasks if task.stage == "fit"] == [item]
+        assert all(whole[task.stage, task.item].key == task.key for task in tasks)
+    needed = {task.item for _, tasks in tasks_for(job, "held/p5_n0_loop2") for task in tasks if task.stage == "rig"}
+    assert needed == {"p5_n0_loop2", "p5_n0_loop_still1", "p5_n0_still1"}
+
+
+def test_single_fits_at_the_same_time(springs, fresh, capsys):
+    """Each in a process of its own, two of them with the same item, while a shard makes others."""
+    items = json_of(capsys, "fit", fresh, "--list")["fits"]
+    assert [Path(entry["path"]).stem for entry in items] == [f"run{i}" for i in range(1, 11)]
+    assert printed_by(capsys, "fit", fresh, "--list").out.split() == [entry["item"] for entry in items]
+    verbs = [("fit", fresh, "--one", item, "-q") for item in ("spring/run2", "spring/run2", "spring/run7")]
+    verbs.append(("batch", fresh, "--shard", "2/5", "--engine", "serial", "-q"))  # run2 and run7 as well
+    with locked(results_of(fresh), shared=True):
+        started = [get_context("fork").Process(target=lambda verb: sys.exit(gbid(*verb)), args=(v,)) for v in verbs]
+        for process in started:
+            process.start()
+        for process in started:
+            process.join(60)
+    assert [process.exitcode for process in started] == [0] * 4
+    there = sorted(results_of(fresh).rglob("*.h5"))
+    assert [file.stem for file in there] == ["run2", "run7"] * 2
+    for i in (2, 7):
+        ours, batched = (load_fit(results_of(p) / "fits" / "spring" / f"run{i}.h5") for p in (fresh, springs))
+        assert ours.parameters == batched.parameters
+    assert left_over(results_of(fresh)) == []
+    assert json_of(capsys, "batch", fresh)["stages"]["fit"] == {"made": 8, "kept": 2, "failed": 0, "not_converged": 0}
+    assert table_of(fresh) == table_of(springs)
+
+
+def test_a_single_fit_reads_no_other_recording(tmp_path, capsys, monkeypatch):
+    fresh = write_springs(tmp_path, 3)
+    assert gbid("import", fresh) == 0
+    read = []
+    monkeypatch.setattr(
+        "gbid.experiment.recordings.file_digest", lambda path: read.append(path.stem) or file_digest(path)
+    )
+    assert json_of(capsys, "fit", fresh, "--one", "spring/run3")["fits"][0]["model"] == "run3"
+    assert set(read) == {"run3"}
+
+
+def test_single_fits_that_fail(tmp_path, capsys):
+    path = write_springs(tmp_path, 3, fit="focus: simulation, max_iterations: 1", damage={2: bad})
+    for item, code, words in [
+        ("spring/run1", 4, "fit spring/run1: "),
+        ("spring/run2", 3, "import run2: "),
+        ("spring/run4", 2, "--one spring/run4: no such fit; did you mean 'spring/run"),
+        ("spring", 2, "--one spring: no such fit"),
+    ]:
+        assert words in printed_by(capsys, "fit", path, "--one", item, code=code).err
+    for wrong in (["--list"], ["--only", "spring"], ["--dry-run"], ["--engine", "pool"]):
+        assert gbid("fit", path, "--one", "spring/run3", *wrong) == 2
+    with locked(results_of(path)):
+        assert gbid("fit", path, "--one", "spring/run3") == 2
+    assert {file.stem for file in results_of(path).rglob("*.h5")} == {"run1"}
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "1", "a/b", "1/0"])

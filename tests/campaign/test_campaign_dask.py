@@ -82,6 +82,20 @@ def test_a_scheduler_by_its_address(engine, tmp_path, capsys):
     assert len(rows_of(tmp_path / "results" / "springs" / "table.csv")) == 3
 
 
+def test_a_client_of_ones_own_stays_open(engine, tmp_path):
+    with working(load_experiment(write_springs(tmp_path, 3)), scheduler=engine.client) as job:
+        outcomes = run_campaign(job)
+    assert [o.state for o in outcomes] == ["made"] * 6
+    assert engine.client.status == "running"
+    assert engine.client.submit(os.getpid).result() != os.getpid()
+    with pytest.raises(UsageError, match="its own workers"):
+        make_engine("auto", 2, engine.client)
+    closed = distributed.Client(engine.client.scheduler.address)
+    closed.close()
+    with pytest.raises(UsageError, match="is not connected"):
+        make_engine(scheduler=closed)
+
+
 @pytest.fixture
 def job(engine, tmp_path):
     engine.client.register_plugin(FindTasks(), name="find-tasks")

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gbid.core.errors import UsageError
-from gbid.core.units import SIGNALS, conversion_factor
+from gbid.core.units import _FACTORS, SIGNALS, conversion_factor
 
 
 @pytest.mark.parametrize(
@@ -28,6 +28,15 @@ from gbid.core.units import SIGNALS, conversion_factor
 def test_known_factors(unit, target, factor):
     assert conversion_factor(unit, target) == pytest.approx(factor, rel=1e-14)
     assert conversion_factor(target, unit) == pytest.approx(1 / factor, rel=1e-14)
+
+
+def test_common_factors_are_those_of_pint():
+    import pint
+
+    registry = pint.UnitRegistry()
+    assert len(_FACTORS) == 28
+    for (unit, target), factor in _FACTORS.items():
+        assert conversion_factor(unit, target) == factor == registry.Quantity(1.0, unit).to(target).m
 
 
 def test_equal_units_need_no_registry():

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import save
-from gbid.experiment.controllers import answered
+from gbid.experiment.controllers import answered, stationary_at
 from gbid.experiment.experiment import NO_POINT, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Result, needed
 from gbid.experiment.recordings import (
@@ -90,12 +90,27 @@ def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
 def prefiltered_result(experiment: Experiment, planned: PlannedRecording) -> Result:
     """Return the result file of a prefiltered recording."""
     section = needed(experiment.spec.prefilter, "prefilter")
-    still = [] if section.method == "none" else _stationary(experiment, planned.point)
-    if answered(experiment, planned) and section.method != "none":
-        still = loop_stills(experiment, planned.point)
-    sources = [recording_result(experiment, q) for q in (planned, *still)]
+    sources = [recording_result(experiment, q) for q in (planned, *_stills(experiment, planned))]
     path = experiment.path(FOLDER, planned.name)
     return experiment.result("prefilter", planned.name, path, {"name": planned.name, **section.model_dump()}, sources)
+
+
+def _stills(experiment: Experiment, planned: PlannedRecording) -> list[PlannedRecording]:
+    """Return the recordings from which the run-out map of a recording is made; none without a prefilter or a map."""
+    section = experiment.spec.prefilter
+    if section is None or section.method == "none":
+        return []
+    return (loop_stills if answered(experiment, planned) else _stationary)(experiment, planned.point)
+
+
+def with_needed(experiment: Experiment, names: Iterable[str]) -> set[str]:
+    """Return the names of recordings and of all others that their prefilter or their making needs."""
+    recordings = [experiment.recordings[name] for name in names]
+    recordings += [still for planned in recordings if planned.excited for still in _stills(experiment, planned)]
+    recordings += [
+        still for planned in recordings if planned.in_loop for still in stationary_at(experiment, planned.point)
+    ]
+    return {planned.name for planned in recordings}
 
 
 def loop_stills(experiment: Experiment, point: str) -> list[PlannedRecording]:
