@@ -22,8 +22,9 @@ from target_files import write_box
 import gbid
 from gbid.control import ControllerDesign, controller_structure
 from gbid.core.errors import DataError, UsageError
-from gbid.export.chain import ChainOptions, c_comment, chain_of
+from gbid.export.chain import ChainOptions, c_comment, chain_of, table_over_domain
 from gbid.export.chain_c import CompiledChain, write_chain
+from gbid.lpv import Domain
 from gbid.recording import Recording
 from gbid.report import write as report_file
 from gbid.structure import LinearModel
@@ -263,3 +264,27 @@ def test_an_export_goes_on_where_it_was_killed(tmp_path: Path) -> None:
 
 def built(folder: Path) -> bool:
     return subprocess.run(["make", "-f", "damper.mk"], cwd=folder, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.parametrize(("bend", "nodes"), [(0.0, 2), (0.02, 5), (5.0, 9)])
+def test_a_table_over_a_rectangle_has_the_nodes_that_its_interpolation_needs(bend, nodes):
+    """A straight line between nodes h apart misses a parabola by its second derivative times h^2 / 8."""
+
+    def row_at(pressure: float, speed: float) -> list[float]:
+        return [1.0 + bend * ((pressure - 3.0) / 4.0) ** 2, 2.0 + speed / 6000.0]
+
+    table = table_over_domain(row_at, Domain((3, 7), (0, 6000)))
+    assert (len(table.pressure_bar), len(table.speed_rpm)) == (nodes, 2)
+    off = 2 * bend / (nodes - 1) ** 2 / 8 / (1 + bend)
+    assert table.error == pytest.approx(off, abs=1e-12)
+    places = [(p, s) for p in np.linspace(3, 7, 17) for s in (0.0, 1234.0, 6000.0)]
+    missed = np.abs([np.subtract(table.row(p, s), row_at(p, s)) for p, s in places]) / [1 + bend, 3.0]
+    assert missed.max() <= table.error + 1e-12
+    assert missed.max() >= 0.99 * off
+
+
+def test_a_table_over_one_pressure_is_a_line_over_the_speeds():
+    table = table_over_domain(lambda p, s: [p + s / 6000.0], Domain((5, 5), (0, 6000)))
+    assert table.row(5.0, 1500.0) == pytest.approx([5.25])
+    assert len(table.rows) == 4
+    assert len(table_over_domain(lambda p, s: [p + s], Domain((5, 5), (60, 60))).rows) == 1
