@@ -208,9 +208,9 @@ def _design_figures(design: TunedDesign) -> dict[str, Any]:
 
 def _design_settings(design: TunedDesign) -> dict[str, Any]:
     result = design.result
-    own = {"objective": result.objective, "points": [list(point) for point in result.points]}
+    goal = {"objective": result.objective, "points": [list(point) for point in result.points]}
     sampled = {"sample_time": design.sample_time, "method": design.method}
-    return {"plant": design.plant, **own, **sampled, "impact": asdict(design.impact)}
+    return {"plant": design.plant, **goal, **sampled, "impact": asdict(design.impact)}
 
 
 def _differences(name: str, first: Mapping[str, Any], second: Mapping[str, Any]) -> list[dict[str, Any]]:

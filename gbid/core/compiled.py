@@ -67,11 +67,11 @@ def why_not_trusted(path: Path) -> str:
     mine = (os.getuid(), 0)
     real = path.resolve()
     for place in (real, *real.parents):
-        found = place.stat()
-        if found.st_uid not in mine:
+        status = place.stat()
+        if status.st_uid not in mine:
             return f"{place} belongs to another user"
-        shared_safely = place != real and found.st_mode & stat.S_ISVTX  # as /tmp: entries are their owners'
-        if found.st_mode & _OTHERS_MAY_WRITE and not shared_safely:
+        shared_safely = place != real and status.st_mode & stat.S_ISVTX  # as /tmp: entries are their owners'
+        if status.st_mode & _OTHERS_MAY_WRITE and not shared_safely:
             return f"other users may write to {place}"
     return ""
 

@@ -399,18 +399,18 @@ def _given(options: DraftOptions, channels: Sequence[FileChannel]) -> tuple[dict
     names = [channel.name for channel in channels]
     given: dict[str, tuple[str, ...]] = {}
     for signal, entries in options.signals.items():
-        found = next((columns for entry in entries if (columns := _columns_in(entry, names))), None)
-        if found or not entries:
-            given[signal] = found or ()
+        columns_in_file = next((columns for entry in entries if (columns := _columns_in(entry, names))), None)
+        if columns_in_file or not entries:
+            given[signal] = columns_in_file or ()
     time = _columns_in((options.time,), names) if options.time else None
     return given, time[0] if time else None
 
 
 def _columns_in(columns: Sequence[str], names: Sequence[str]) -> tuple[str, ...] | None:
     """Return the names of columns in a file: as given, or with the name of a structure before them."""
-    found = [name if name in names else [n for n in names if n.endswith(f".{name}")] for name in columns]
+    matches = [name if name in names else [n for n in names if n.endswith(f".{name}")] for name in columns]
     single = tuple(
-        each if isinstance(each, str) else each[0] for each in found if isinstance(each, str) or len(each) == 1
+        each if isinstance(each, str) else each[0] for each in matches if isinstance(each, str) or len(each) == 1
     )
     return single if len(single) == len(columns) else None
 
@@ -426,8 +426,8 @@ def _measured(
     """Return a file with the units that its mapping states, as given or as in the other files; add what is open."""
     names = ", ".join(channel.name for channel in channels)
     for signal in _ORDER:
-        asked = signal in ("u", "p") or (roles.has_unknown and signal not in options.signals)
-        if signal not in roles.signals and asked:
+        needed = signal in ("u", "p") or (roles.has_unknown and signal not in options.signals)
+        if signal not in roles.signals and needed:
             reasons.setdefault(signal, f"{path}: its channels do not show which are {signal}: {names}")
     if roles.time is None and options.sample_time_s is None:
         reasons.setdefault("time", f"{path}: no column rises evenly as a time does")
@@ -805,14 +805,14 @@ def draft_experiment(
     DataError
         When a file cannot be read.
     """
-    found = survey(options)
-    data = read_data(options, found.files)
+    surveyed = survey(options)
+    data = read_data(options, surveyed.files)
     text = draft_text(target, options, data)
     if complete is not None:
         options = replace(options, machine=complete(options.machine))
         text = draft_text(target, options, data)
-    left_out = (f"left out, of a kind that is not imported: {', '.join(found.others)}",) if found.others else ()
-    return Draft(text, (*data.notes, *found.notes, *left_out, *_unknown(options)), found.columns)
+    left_out = (f"left out, of a kind that is not imported: {', '.join(surveyed.others)}",) if surveyed.others else ()
+    return Draft(text, (*data.notes, *surveyed.notes, *left_out, *_unknown(options)), surveyed.columns)
 
 
 _NEEDED = {

@@ -163,8 +163,8 @@ def _tuned(job: Job, name: str) -> ControllerDesign:
     path, section = job.path(TUNED, name, ".yaml"), job.experiment.spec.controller[name]
     if not path.is_file():
         raise DataError(f"{path}: file is missing; `gbid tune` makes it")
-    own = ":" in section.structure and section.schedule is None
-    return load_controller(path, design_structure(job.experiment, section) if own else None)
+    is_own = ":" in section.structure and section.schedule is None
+    return load_controller(path, design_structure(job.experiment, section) if is_own else None)
 
 
 def made_maps(job: Job) -> tuple[RunoutMap, ...]:

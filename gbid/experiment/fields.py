@@ -193,21 +193,21 @@ def _fault_text(model: type[BaseModel], fault: ErrorDetails) -> str:
     if kind == "value_error":
         return str(context["error"])
     text = "nothing" if value is None else repr(value)
-    found = text if len(text) <= 60 else f"{text[:57]}..."
+    shown = text if len(text) <= 60 else f"{text[:57]}..."
     if kind == "literal_error":
-        return f"expected {context['expected']}, found {found}"
+        return f"expected {context['expected']}, found {shown}"
     if kind == "string_pattern_mismatch":
         allowed = "letters, digits, '_', '-', '+' or '.', and begin with a letter or digit"
-        return f"{found} cannot be a name; use {allowed}"
+        return f"{shown} cannot be a name; use {allowed}"
     if kind in _EXPECTED:
         starts_as_number = isinstance(value, str) and value.strip()[:1] in tuple("+-.0123456789")
         with_unit = starts_as_number and kind in ("float_type", "int_type")
         hint = "; write a number without unit; the key names the unit" if with_unit else ""
-        return f"expected {_EXPECTED[kind]}, found {found}{hint}"
+        return f"expected {_EXPECTED[kind]}, found {shown}{hint}"
     for relation, sign in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most")):
         if relation in context:
-            return f"must be {sign} {context[relation]:g}, found {found}"
-    return f"{fault['msg'][:1].lower()}{fault['msg'][1:]}, found {found}"
+            return f"must be {sign} {context[relation]:g}, found {shown}"
+    return f"{fault['msg'][:1].lower()}{fault['msg'][1:]}, found {shown}"
 
 
 _EXPECTED = {

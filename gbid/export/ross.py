@@ -240,11 +240,11 @@ class LateralMatrices:
         UsageError
             When there is none among the unknown bearings.
         """
-        found = {b.tag: b for b in self.bearings if b.force_per_current is not None}
-        if tag not in found:
-            known = ", ".join(map(repr, found)) or "none"
+        magnetic = {b.tag: b for b in self.bearings if b.force_per_current is not None}
+        if tag not in magnetic:
+            known = ", ".join(map(repr, magnetic)) or "none"
             raise UsageError(f"{what}: {tag!r} is no magnetic bearing among the unknown ones; there is {known}")
-        return found[tag]
+        return magnetic[tag]
 
     def state_matrix(self, shapes: FloatArray | None = None) -> FloatArray:
         """Return the matrix of the positions and velocities, with all bearings at their start values.

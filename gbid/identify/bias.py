@@ -75,12 +75,12 @@ def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
     if not (exact or "foh" in holds):
         return None
     theta, starts = given.unpack(unknowns)
-    posed: tuple[Shooting, FloatArray, Box] | None = (given, starts, optimum.problem.box)
+    problem_and_box: tuple[Shooting, FloatArray, Box] | None = (given, starts, optimum.problem.box)
     if exact:
-        posed = _posed_anew(optimum, *exact)
-    if posed is None:
+        problem_and_box = _posed_anew(optimum, *exact)
+    if problem_and_box is None:
         return None
-    other, starts, box = posed
+    other, starts, box = problem_and_box
     other = _on_curves(other, [i for i, hold in enumerate(holds) if hold == "foh"])
     x = np.clip(other.pack(theta, starts), *box)
     try:
@@ -91,8 +91,8 @@ def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
         gain = np.nan
     if white and gain < -_DECISIVE:
         return None
-    found, at = other.unpack(x)
-    return OtherHold(other, found, at, found - theta if np.isfinite(gain) else np.full(len(theta), np.nan))
+    estimate, at = other.unpack(x)
+    return OtherHold(other, estimate, at, estimate - theta if np.isfinite(gain) else np.full(len(theta), np.nan))
 
 
 def _posed_anew(

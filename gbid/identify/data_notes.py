@@ -83,11 +83,11 @@ def _spikes(record: Record, names: Sequence[str], left_out: Sequence[tuple[int, 
     for name, column in zip(names, record.outputs.T, strict=True):
         size = np.abs(column - np.median(column))
         usual = float(np.partition(size, int(0.99 * len(size)))[int(0.99 * len(size))])
-        found = [i for i in np.flatnonzero((size > _ABOVE * usual) & counts)[:_MOST].tolist() if _alone(size, i)]
-        if usual > 0 and found:
+        spikes = [i for i in np.flatnonzero((size > _ABOVE * usual) & counts)[:_MOST].tolist() if _alone(size, i)]
+        if usual > 0 and spikes:
             yield FitNote.SPIKE(
-                f"recording {record.name!r}: output {name!r} has a spike at sample {found[0]}, "
-                f"{size[found[0]] / usual:.0f} times what 99 % of the samples keep; remove it (gbid.prefilter, "
+                f"recording {record.name!r}: output {name!r} has a spike at sample {spikes[0]}, "
+                f"{size[spikes[0]] / usual:.0f} times what 99 % of the samples keep; remove it (gbid.prefilter, "
                 "left_out=...), or weight outliers less (robust=...)"
             )
 

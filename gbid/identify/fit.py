@@ -153,8 +153,8 @@ _SAME_LIKELIHOOD = 0.1  # difference of log-likelihoods: far below what moves th
 
 def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Recordings) -> FitResult:
     """Return the fit of a stored result, made again from its estimates."""
-    stated, own = {q.name for q in structure.parameters}, result.own_names
-    start = {own.get(q, q): result.parameters[q] for q in result.free if own.get(q, q) in stated}
+    stated, own_names = {q.name for q in structure.parameters}, result.own_names
+    start = {own_names.get(q, q): result.parameters[q] for q in result.free if own_names.get(q, q) in stated}
     settled = {field.name: getattr(result.options, field.name) for field in fields(result.options)}
     again = fitted(structure, recordings, FitArguments(**{**settled, "start": start, "profile": ()}))
     n_samples = sum(rec.n_samples for rec in ([recordings] if isinstance(recordings, Recording) else recordings))

@@ -334,18 +334,18 @@ def _along(task: WeightedProblem, z: FloatArray, frequency: float, step: float) 
 
 def _light_modes(task: WeightedProblem, z: FloatArray) -> list[_Mode]:
     """Return the light modes of all linear predictors."""
-    problem, found = task.shooting, dict[int, list[_Mode]]()
+    problem, modes_of = task.shooting, dict[int, list[_Mode]]()
     for part, v in zip(problem.parts, problem.values(z[: problem.n_theta]), strict=True):
-        if id(v) in found or not isinstance(part.predictor, Predictor):
+        if id(v) in modes_of or not isinstance(part.predictor, Predictor):
             continue
         modes, slopes = mode_slopes(Dual(v.F, v.dF), 1.0)
-        found[id(v)] = []
-        for (frequency, damping), own in zip(modes.tolist(), slopes.transpose(1, 0, 2), strict=True):
+        modes_of[id(v)] = []
+        for (frequency, damping), slope in zip(modes.tolist(), slopes.transpose(1, 0, 2), strict=True):
             if 0 < damping < _LIGHT:
                 every = np.zeros((problem.n_theta, 2))
-                every[part.index] = own if part.tie is None else part.tie.T @ own
-                found[id(v)].append(_Mode(frequency, every))
-    return [mode for modes in found.values() for mode in modes]
+                every[part.index] = slope if part.tie is None else part.tie.T @ slope
+                modes_of[id(v)].append(_Mode(frequency, every))
+    return [mode for modes in modes_of.values() for mode in modes]
 
 
 def _with_modes_held(task: WeightedProblem, z: FloatArray) -> _Point:

@@ -129,8 +129,8 @@ def fit_multistart(
         raise UsageError(f"starts = {starts!r}; give a whole number of at least 1")
     if not isinstance(reach, float | int | np.number) or not 0 < reach < np.inf:
         raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")
-    asked = options_of_call(FitArguments, "fit_multistart", options)
-    arguments = replace(asked, profile=())  # of the best only
+    given = options_of_call(FitArguments, "fit_multistart", options)
+    arguments = replace(given, profile=())  # of the best only
     first = fitted(structure, recordings, arguments)
     results = {0: first}
     searched = not kind_of(structure).nonlinear  # start values are found in the data for linear ones only
@@ -155,7 +155,7 @@ def fit_multistart(
         with suppress(GbidError):  # of this start alone: the first fit took the same options and recordings
             results[number] = fitted(structure, recordings, replace(arguments, start=drawn))
     summary = _summary(results, starts, seed)
-    return replace(summary, best=with_profiles(summary.best, asked.profile))
+    return replace(summary, best=with_profiles(summary.best, given.profile))
 
 
 def _summary(results: Mapping[int, FitResult], starts: int, seed: int) -> MultiStart:

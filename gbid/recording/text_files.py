@@ -794,11 +794,11 @@ class TextTable:
         """
         twins = [i for i, heading in enumerate(self.headings) if _twin(heading) == _twin(self.headings[time])]
         for index in set(indices) - set(twins):
-            own = max((i for i in twins if i < index), default=time)
-            if _twin(self.headings[time]) and not self.are_equal([time, own]):
+            clock = max((i for i in twins if i < index), default=time)
+            if _twin(self.headings[time]) and not self.are_equal([time, clock]):
                 raise DataError(
-                    f"{self.path}: column {self.headings[index]!r} has the times {self.headings[own]!r}, which differ "
-                    f"from {self.headings[time]!r}; import columns of one clock together"
+                    f"{self.path}: column {self.headings[index]!r} has the times {self.headings[clock]!r}, which "
+                    f"differ from {self.headings[time]!r}; import columns of one clock together"
                 )
 
     def columns(self, indices: Sequence[int]) -> FloatArray:

@@ -200,15 +200,15 @@ def symbolic_equations(structure: NonlinearStructure) -> Equations:
     known, n, n_y = Values.of(structure.parameters, p), len(structure.states), len(structure.outputs)
 
     def column(what: str, value: Callable[[], Any], rows: int, each: str) -> ca.SX:
-        found = _expression(structure.name, what, value)
-        if found.shape == (1, rows):
-            found = found.T
-        if found.shape != (rows, 1):
+        result = _expression(structure.name, what, value)
+        if result.shape == (1, rows):
+            result = result.T
+        if result.shape != (rows, 1):
             raise UsageError(
-                f"structure {structure.name!r}: {what} returns {found.numel()} expressions, one for each {each} is "
+                f"structure {structure.name!r}: {what} returns {result.numel()} expressions, one for each {each} is "
                 f"needed: {rows}"
             )
-        return ca.densify(found)
+        return ca.densify(result)
 
     dx = column("dynamics(x, u, p)", lambda: structure.dynamics(x, u, known), n, "state")
     y = column("output(x, u, p)", lambda: structure.output(x, u, known), n_y, "output")

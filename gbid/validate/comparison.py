@@ -189,8 +189,8 @@ def _signals(models: Sequence[LinearModel | FitResult], kind: str, recording: Re
 def _labels(recording: Recording, signal: str) -> list[tuple[str, str]]:
     """Return the label of each channel of a signal, as in models, and its name in a recording."""
     channels = recording.channels[signal]
-    own = [f"{signal}.{channel}" for channel in channels] if len(channels) > 1 else [signal]
-    return list(zip(select(recording, (signal,))[1], own, strict=True))
+    labels = [f"{signal}.{channel}" for channel in channels] if len(channels) > 1 else [signal]
+    return list(zip(select(recording, (signal,))[1], labels, strict=True))
 
 
 def _freedom(model: LinearModel) -> int:

@@ -64,10 +64,10 @@ class Meeting:
     @property
     def rows(self) -> list[tuple[float, FloatArray]]:
         """Values and gradients of the power sums, which are zero where the eigenvalues meet."""
-        found = list(zip(self.cluster.powers.real.tolist(), self.cluster.powers_slope.real, strict=True))
+        sums = list(zip(self.cluster.powers.real.tolist(), self.cluster.powers_slope.real, strict=True))
         if not self.cluster.real:
-            found += zip(self.cluster.powers.imag.tolist(), self.cluster.powers_slope.imag, strict=True)
-        return found
+            sums += zip(self.cluster.powers.imag.tolist(), self.cluster.powers_slope.imag, strict=True)
+        return sums
 
 
 def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) -> list[tuple[Meeting, ...]]:
@@ -124,7 +124,7 @@ def nearby(
     with_real : bool
         Whether clusters around a place on the real axis are meant, too.
     """
-    found: list[tuple[complex, int, float]] = []
+    clusters: list[tuple[complex, int, float]] = []
     for real in (False, True) if with_real else (False,):
         members = np.array([worst])
         for size in range(2, min(most, len(values)) + 1):
@@ -136,8 +136,8 @@ def nearby(
                 break
             whole = not real or abs(members.imag.sum()) <= 1e-6 * np.abs(members).sum()
             if whole and outside > _APART * inside and (real or abs(centre.imag) > inside):
-                found.append((centre, size, inside * (1 + 1e-6)))
-    return found
+                clusters.append((centre, size, inside * (1 + 1e-6)))
+    return clusters
 
 
 def _middle(members: ComplexArray, real: bool) -> complex:
@@ -173,11 +173,11 @@ def back_to_meeting(
                 subspaces.cluster(mean.family, mean.loop, place, mean.size)
                 for mean, (place, _) in zip(means, sums, strict=True)
             ]
-            found = [cluster for cluster in clusters if cluster is not None]
-            if len(found) < len(clusters):
+            remaining = [cluster for cluster in clusters if cluster is not None]
+            if len(remaining) < len(clusters):
                 return move
-            sums = [(cluster.mean, cluster.powers) for cluster in found]
-            slopes = np.concatenate([cluster.powers_slope for cluster in found]) * width
+            sums = [(cluster.mean, cluster.powers) for cluster in remaining]
+            slopes = np.concatenate([cluster.powers_slope for cluster in remaining]) * width
             inverse = _pseudo_inverse(np.vstack([slopes.real, slopes.imag]))
         values = np.concatenate([powers for _, powers in sums])
         size = float(np.abs(values).max())
@@ -403,11 +403,11 @@ def certify(problem: GainProblem, x: FloatArray, unit: FloatArray) -> tuple[Cert
     for radius in _RADII:
         if best.holds or problem.evaluations.exhausted:
             break
-        found, y = _in_ball(problem, x, unit, radius)
+        certificate, y = _in_ball(problem, x, unit, radius)
         if y is not x:
-            x, best = y, min(_at_design(problem, y, unit), found, key=_order)
+            x, best = y, min(_at_design(problem, y, unit), certificate, key=_order)
         else:
-            best = min(best, found, key=_order)
+            best = min(best, certificate, key=_order)
     return best, x
 
 
@@ -450,9 +450,9 @@ def _at_design(problem: GainProblem, x: FloatArray, unit: FloatArray) -> Certifi
             shortest, rise = hull.combination()
             gain = float(np.linalg.norm(shortest)) / value
             # on the way to a bound that is not quite reached the objective rises by at most what it would without it
-            found = Certificate(gain, 0.0, room + nearer + rise / value, tuple(one.mean.size for one in group))
-            best, nearer = min(best, found, key=_order), _ACTIVE * gain
-            if found.holds:
+            certificate = Certificate(gain, 0.0, room + nearer + rise / value, tuple(one.mean.size for one in group))
+            best, nearer = min(best, certificate, key=_order), _ACTIVE * gain
+            if certificate.holds:
                 break
     return best
 
@@ -495,16 +495,16 @@ def _in_ball(problem: GainProblem, x: FloatArray, unit: FloatArray, radius: floa
         floor, share, added = merit(here.score), radius, False
         for trial in range(8):
             y = np.clip(x + share * direction / length * unit, problem.lower, problem.upper)
-            there = problem.functions(y, 0.0)
+            nearby = problem.functions(y, 0.0)
             share /= 2
-            if not there.score.usable:
+            if not nearby.score.usable:
                 continue
-            if trial == 0 and merit(there.score) > floor + _KEPT * radius * length:
+            if trial == 0 and merit(nearby.score) > floor + _KEPT * radius * length:
                 x, here = y, problem.functions(y, radius)
                 hull = _bounds(problem, x, unit, radius)
                 added = hull.add(here) or True
                 break
-            if hull.add(there, direction):
+            if hull.add(nearby, direction):
                 added = True
                 break
         if not added:

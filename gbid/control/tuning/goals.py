@@ -210,8 +210,8 @@ def _places(model: LinearModel) -> FloatArray:
     A, B, C, D = model.A, model.B, model.C, model.D
     whole = np.block([[A, B], [C, D]])
     zeros = scipy.linalg.eigvals(whole, np.diag([*np.ones(len(A)), 0.0]))
-    found = np.concatenate([np.linalg.eigvals(A), zeros[np.isfinite(zeros)]]) if len(A) else np.zeros(0)
-    places = np.unique(np.concatenate([np.abs(found), np.abs(found.imag)])) / (2 * np.pi)
+    roots = np.concatenate([np.linalg.eigvals(A), zeros[np.isfinite(zeros)]]) if len(A) else np.zeros(0)
+    places = np.unique(np.concatenate([np.abs(roots), np.abs(roots.imag)])) / (2 * np.pi)
     fastest = np.abs(np.linalg.eigvals(A)).max(initial=0.0) / (2 * np.pi)  # what rounding leaves of 0 and of infinity
     return np.asarray(places[(places > 1e-9 * fastest) & (places < 1e9 * max(fastest, 1e-9))])
 
@@ -297,8 +297,8 @@ class MaxDamping(Goal):
         if (self.low_hz, self.high_hz) == (0.0, inf):
             _only_one(limits)
             return replace(limits, objective="damping", weight=1 / self.weight)
-        found = ModeMeasure("damping in the band", 0.0, False, self.low_hz, self.high_hz, self.weight)
-        return replace(limits, soft=(*limits.soft, found))
+        measure = ModeMeasure("damping in the band", 0.0, False, self.low_hz, self.high_hz, self.weight)
+        return replace(limits, soft=(*limits.soft, measure))
 
 
 @dataclass(frozen=True)
@@ -456,7 +456,7 @@ def recorded_disturbance(
         raise UsageError("recorded_disturbance: give a gbid.Recording or a list of these")
     if not (is_finite(segment_s) and segment_s > 0):
         raise UsageError(f"recorded_disturbance: segment_s = {segment_s!r}; give a positive number of seconds")
-    found = []
+    spectra = []
     for recording in every:
         if signal not in recording.signals:
             raise UsageError(
@@ -469,8 +469,8 @@ def recorded_disturbance(
             raise UsageError(f"recording {recording.name!r}: {len(p)} samples; segment_s = {segment_s} does not fit")
         parts = {"fs": 1 / recording.sample_time, "nperseg": length}
         f, S = scipy.signal.csd(p.T[:, None], p.T[None], **parts)
-        found.append(np.moveaxis(S, -1, 0).transpose(0, 2, 1))
-    return DisturbanceSpectrum(f, np.mean(found, axis=0), signal)
+        spectra.append(np.moveaxis(S, -1, 0).transpose(0, 2, 1))
+    return DisturbanceSpectrum(f, np.mean(spectra, axis=0), signal)
 
 
 # ---- Goals on the rms of position and reference under a measured disturbance (an H2 norm).

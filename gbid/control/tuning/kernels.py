@@ -864,8 +864,8 @@ def compiled_eigensystems(
     A, values = np.ascontiguousarray(A), np.empty(A.shape[:2], complex)
     right, left = np.empty(A.shape, complex), np.empty(A.shape, complex)
     addresses = values.ctypes.data, right.ctypes.data, left.ctypes.data
-    found = _found(library.eigensystems(*values.shape, A.ctypes.data, longest, *addresses))
-    return (values, right, left) if found else None
+    converged = _found(library.eigensystems(*values.shape, A.ctypes.data, longest, *addresses))
+    return (values, right, left) if converged else None
 
 
 def compiled_schur_form(library: Library, A: FloatArray) -> ComplexArray | None:

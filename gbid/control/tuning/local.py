@@ -365,15 +365,15 @@ def _meeting_steps(
     penalty: float,
 ) -> list[_MeetingStep]:
     """Return steps at whose ends eigenvalues nearly meet, with the means of these, the most promising first."""
-    found = []
+    steps = []
     for group in groups:
         keep = [piece for piece in functions.aim if not any(one.holds(piece) for one in group)]
         means = tuple(one.mean for one in group)
         rows = [row for one in group for row in one.rows]
         step = ridge_step(functions, [*keep, *means], rows, H, width, box, penalty)
         if step is not None:
-            found.append((step, means))
-    return sorted(found, key=lambda pair: -pair[0].gain)
+            steps.append((step, means))
+    return sorted(steps, key=lambda pair: -pair[0].gain)
 
 
 # ---- BFGS with a weak Wolfe line search, which makes progress where a function has no gradient (Lewis, Overton, 2013).
@@ -460,18 +460,18 @@ def ascend(
             factor = min(1.0, 0.1 / float(np.linalg.norm(direction)))
             direction, slope = factor * direction, factor * slope
         length, to_bound = _to_bound(u, direction, low, high)
-        found = _line_search(evaluate, u, value, direction, slope, unit, length, max_evaluations - count)
-        count += found.evaluations
-        if found.value <= value:
+        search = _line_search(evaluate, u, value, direction, slope, unit, length, max_evaluations - count)
+        count += search.evaluations
+        if search.value <= value:
             if fresh:
                 break
             H, fresh = np.eye(d), True
             continue
-        moved = np.clip(u + found.length * direction, low, high)
-        if found.length == length:
+        moved = np.clip(u + search.length * direction, low, high)
+        if search.length == length:
             moved = np.where(to_bound, np.where(direction > 0, high, low), moved)
-        H = _update(H, moved - u, (gradient - found.gradient) * unit, fresh)
-        u, value, gradient, fresh = moved, found.value, found.gradient, False
+        H = _update(H, moved - u, (gradient - search.gradient) * unit, fresh)
+        u, value, gradient, fresh = moved, search.value, search.gradient, False
         steps += 1
         if steps % _CREEP == 0:
             if value - milestone < tolerance * max(1.0, abs(value)):

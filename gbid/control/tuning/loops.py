@@ -219,8 +219,8 @@ def _family_of_functions(group: list[tuple[str, ca.Function]], n_gains: int, n_d
     g = kind.sym("gains", n_gains)
     n, every = group[0][1].size_out(0)[0], []
     for _, function in group:
-        found = function(ca.reshape(g, *function.size_in(0)))
-        matrices = list(found) if isinstance(found, tuple | list) else [found, kind(n, 0), kind(0, n), kind(0, 0)]
+        outputs = function(ca.reshape(g, *function.size_in(0)))
+        matrices = list(outputs) if isinstance(outputs, tuple | list) else [outputs, kind(n, 0), kind(0, n), kind(0, 0)]
         every.append([ca.densify(M) for M in matrices])
     slopes = [[ca.densify(ca.jacobian(ca.vec(M), g)) for M in matrices] for matrices in every]
     matrices, jacobian = ([ca.horzcat(*column) for column in zip(*rows, strict=True)] for rows in (every, slopes))

@@ -70,11 +70,11 @@ class ModalResponse:
 
     def __call__(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
         """Return the responses of all or of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
-        found, useless = self._of_modes(frequency, which), self._useless
+        responses, useless = self._of_modes(frequency, which), self._useless
         loops = np.arange(len(frequency)) if which is None else which
         for loop in np.unique(loops[useless[loops]]) if useless.any() else ():
-            found[loops == loop] = self._without_modes(int(loop), frequency[loops == loop])
-        return found
+            responses[loops == loop] = self._without_modes(int(loop), frequency[loops == loop])
+        return responses
 
     def mean_products(self, edges: FloatArray) -> ComplexArray:
         r"""Return the means of :math:`M^T \bar M` of every loop between neighbours of f + 1 frequencies [rad/s].
@@ -104,21 +104,21 @@ class ModalResponse:
         off = 1j * edges[None, :, None] - poles[:, None]
         means = -1j * np.log(off[:, 1:] / off[:, :-1]) / np.diff(edges)[:, None]
         half = np.einsum("mfa,majl->mfjl", means, weights)
-        found = half + half.conj().swapaxes(2, 3) + (D.swapaxes(1, 2) @ D)[:, None]
+        products = half + half.conj().swapaxes(2, 3) + (D.swapaxes(1, 2) @ D)[:, None]
         loops = np.flatnonzero(self._useless)
         if len(loops):
             M = self(np.tile((edges[1:] + edges[:-1]) / 2, (len(loops), 1)), loops)
-            found[loops] = np.einsum("mfij,mfil->mfjl", M, M.conj())
-        return np.asarray(found)
+            products[loops] = np.einsum("mfij,mfil->mfjl", M, M.conj())
+        return np.asarray(products)
 
     @cached_property
     def _useless(self) -> BoolArray:
         """Which loops have no use of their modes."""
-        found = np.zeros(len(self._suspect), bool)
+        useless = np.zeros(len(self._suspect), bool)
         if self._suspect.any():
             loops = np.flatnonzero(self._suspect)
-            found[loops] = ~(self._error(loops) < _WRONG)
-        return found
+            useless[loops] = ~(self._error(loops) < _WRONG)
+        return useless
 
     def _of_modes(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
         poles, residues, D = self._poles, self._residues, self._D
@@ -166,8 +166,8 @@ class ModalResponse:
         inputs, states = np.tile(B, frequency.size), np.empty((n, frequency.size * n_d), complex)
         for i in range(n - 1, -1, -1):
             states[i] = (form[i, i + 1 :] @ states[i + 1 :] + inputs[i]) * resolvent[i]
-        found = (C @ states).reshape(len(C), *frequency.shape, n_d).transpose(1, 2, 0, 3)
-        return np.asarray(found + self._D[loop])
+        responses = (C @ states).reshape(len(C), *frequency.shape, n_d).transpose(1, 2, 0, 3)
+        return np.asarray(responses + self._D[loop])
 
 
 def direct_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, frequency: FloatArray) -> ComplexArray:
@@ -229,10 +229,10 @@ def find_peaks(
     row = np.arange(len(loop))
     for _ in range(2):
         points = low[:, None] + (high - low)[:, None] * _STEPS
-        found = gain(respond_at(points, loop), points)
-        at = np.clip(found.argmax(axis=1), 1, len(_STEPS) - 2)
+        gains = gain(respond_at(points, loop), points)
+        at = np.clip(gains.argmax(axis=1), 1, len(_STEPS) - 2)
         low, high = points[row, at - 1], points[row, at + 1]
-        three = found[row[:, None], at[:, None] + np.array([-1, 0, 1])]
+        three = gains[row[:, None], at[:, None] + np.array([-1, 0, 1])]
         better = three[:, 1] > best * (1 + _ROUNDING)
         best, place = np.where(better, three[:, 1], best), np.where(better, points[row, at], place)
     step = (high - low) / 2
@@ -293,11 +293,11 @@ def _grid(modes: Eigensystem, base: FloatArray, extra: tuple[IntArray, FloatArra
     n_extra = 0 if extra is None else len(extra[0])
     grid = np.zeros((m, len(base) + 2 * n + n_extra))
     grid[:, : len(base)] = base
-    own = grid[:, len(base) : len(base) + 2 * n]
+    frequencies = grid[:, len(base) : len(base) + 2 * n]
     # Conjugate and real eigenvalues give shifted points, because two equal frequencies would look like a maximum.
     size, pair = np.abs(modes.values), modes.values.imag > 0
-    own[:, :n] = np.where(pair, size, 1.07 * size)
-    own[:, n:] = np.where(pair, modes.values.imag, 0.93 * size)
+    frequencies[:, :n] = np.where(pair, size, 1.07 * size)
+    frequencies[:, n:] = np.where(pair, modes.values.imag, 0.93 * size)
     if extra is not None:
         grid[extra[0], len(base) + 2 * n + np.arange(n_extra)] = extra[1]
     grid.sort(axis=1)

@@ -126,12 +126,12 @@ class Uncertainty(Brief):
         normal = np.random.default_rng(self.seed).standard_normal((self.draws, len(root)))
         terms = regressors(*points.T)
         coefficients = (normal @ root.T).reshape(self.draws, len(KEY_PARAMETERS), len(TERMS))
-        found = [terms @ draw.T for draw in coefficients]
+        draws = [terms @ draw.T for draw in coefficients]
         if self.scatter is not None:
             lift = np.random.default_rng([self.seed, 1]).standard_normal((self.draws, len(KEY_PARAMETERS)))
             lift = lift @ _root(np.asarray(self.scatter, float)).T
-            found = [deviation + one for deviation, one in zip(found, lift, strict=True)]
-        return found
+            draws = [deviation + one for deviation, one in zip(draws, lift, strict=True)]
+        return draws
 
 
 def _array(name: str, given: npt.ArrayLike | None) -> FloatArray:
@@ -610,7 +610,7 @@ def checked_models(
     """
     if isinstance(structure, Scheduled):
         raise UsageError(f"controller {structure.name!r}: a schedule needs an LPV model, with pressure and speed")
-    found = []
+    plants = []
     for model in models:
         if model.dt is not None:
             raise UsageError(
@@ -624,8 +624,8 @@ def checked_models(
                     f"controller {structure.name!r} has {len(names)} {what} ({', '.join(names)}), the plant "
                     f"{model.name!r} {n}; choose channels by inputs= and outputs=, or axes= of the structure"
                 )
-        found.append(_channels(model, columns, rows))
-    return tuple(found)
+        plants.append(_channels(model, columns, rows))
+    return tuple(plants)
 
 
 def _places(model: LinearModel, what: str, names: tuple[str, ...], wanted: Sequence[str] | None) -> list[int]:

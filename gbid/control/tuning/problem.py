@@ -452,11 +452,11 @@ class GainProblem:
                 limits.append(ActiveFunction(name, 0, 0, excess, row, 0j))
         for extra in self.limits.extra:
             for f, state in enumerate(states):
-                found = zip(*extra.pieces(state, window), strict=True)
-                limits += [ActiveFunction(extra.name, f, int(i), float(v), g, complex(p)) for i, v, g, p in found]
+                pieces = zip(*extra.pieces(state, window), strict=True)
+                limits += [ActiveFunction(extra.name, f, int(i), float(v), g, complex(p)) for i, v, g, p in pieces]
         for soft, f, state, _ in softs:
-            found = zip(*soft.pieces(state, worst + window + 1e-12), strict=True)
-            aims += [ActiveFunction(soft.name, f, int(i), -float(v), -g, complex(p)) for i, v, g, p in found]
+            pieces = zip(*soft.pieces(state, worst + window + 1e-12), strict=True)
+            aims += [ActiveFunction(soft.name, f, int(i), -float(v), -g, complex(p)) for i, v, g, p in pieces]
         violation = max([0.0, *(piece.value for piece in limits)])
         if not np.isfinite(violation):
             return ActiveFunctions(UNUSABLE, (), ())
@@ -465,15 +465,15 @@ class GainProblem:
 
     def merit_and_slope(self, x: FloatArray, penalty: float = PENALTY) -> tuple[float, FloatArray]:
         """Return objective minus a penalty on the largest violation, and the gradient of the worst functions."""
-        found = self.functions(x, 0.0)
+        functions = self.functions(x, 0.0)
         slope = np.zeros_like(x)
-        if not found.score.usable:
+        if not functions.score.usable:
             return -np.inf, slope
-        if found.aim:
-            slope = slope + min(found.aim, key=lambda piece: piece.value).slope
-        if found.score.violation > 0 and found.limits:
-            slope = slope - penalty * max(found.limits, key=lambda piece: piece.value).slope
-        return merit(found.score, penalty), slope
+        if functions.aim:
+            slope = slope + min(functions.aim, key=lambda piece: piece.value).slope
+        if functions.score.violation > 0 and functions.limits:
+            slope = slope - penalty * max(functions.limits, key=lambda piece: piece.value).slope
+        return merit(functions.score, penalty), slope
 
     def _of_eigenvalues(
         self, kind: str, f: int, system: Eigensystem, derivatives: Derivatives, chosen: BoolArray
@@ -583,16 +583,16 @@ class GainProblem:
         self, every: Sequence[Loops], systems: Sequence[Eigensystem] | None = None, room: float = np.inf
     ) -> list[tuple[str, int, Peaks, float]]:
         """Return the peaks of all limited responses; those lower than their limit by `room`, as log, may be missing."""
-        found: list[tuple[str, int, Peaks, float]] = []
+        limited: list[tuple[str, int, Peaks, float]] = []
         if not self.limits.has_responses:
-            return found
+            return limited
         for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
             if family.n_outputs:
                 system = Eigensystem.of(loops.A) if systems is None else systems[f]
                 cuts = [cut for cut in self.cuts if cut.family == f and len(loops.A) == len(family)]
-                own = self._peaks(family, loops, system, cuts, room)
-                found += [(kind, f, peaks, limit) for kind, peaks, limit in own]
-        return found
+                peaks_of_family = self._peaks(family, loops, system, cuts, room)
+                limited += [(kind, f, peaks, limit) for kind, peaks, limit in peaks_of_family]
+        return limited
 
     def _peaks(
         self,
@@ -603,20 +603,24 @@ class GainProblem:
         room: float = np.inf,
     ) -> list[tuple[str, Peaks, float]]:
         """Return the peaks of all limited responses of one family: kind, peaks, limit."""
-        found = []
+        limited = []
         for kind, limit in (("sensitivity", self.limits.peak_sensitivity), ("control", self.limits.peak_control)):
             if limit is not None:
-                own = [cut for cut in cuts if cut.kind == kind]
-                extra = (np.array([c.loop for c in own], int), np.array([c.frequency for c in own])) if own else None
+                of_kind = [cut for cut in cuts if cut.kind == kind]
+                extra = (
+                    (np.array([c.loop for c in of_kind], int), np.array([c.frequency for c in of_kind]))
+                    if of_kind
+                    else None
+                )
                 peaks = find_peaks(loops, system, rows_of(family, kind), extra, least=limit * float(np.exp(-room)))
-                found.append((kind, peaks, limit))
+                limited.append((kind, peaks, limit))
         if self.limits.static_amplification is not None:
             rest = np.zeros((len(loops.A), 1))
             response = ModalResponse(loops, system, rows_of(family, "static"))(rest)
             heights = np.minimum(largest_singular_values(response)[:, 0], HIGHEST)
             peaks = Peaks(np.arange(len(rest)), rest[:, 0], heights)
-            found.append(("static", peaks, self.limits.static_amplification))
-        return found
+            limited.append(("static", peaks, self.limits.static_amplification))
+        return limited
 
 
 def _log_ratio(value: float, limit: float) -> float:

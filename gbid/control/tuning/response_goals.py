@@ -98,10 +98,10 @@ class ResponseMeasure(Measure):
         loop, place, value = peaks.loop[keep], peaks.frequency[keep], peaks.value[keep]
         whole = self._of_response(state.derivatives, state.family.n_outputs)
         assert isinstance(whole, Derivatives)
-        own = whole.of(loop)
+        derivatives = whole.of(loop)
         if self.structured:
-            own = self._scaled(own, place)
-        slopes, gains = peak_slopes(own, slice(None), Peaks(np.arange(len(loop)), place, value))
+            derivatives = self._scaled(derivatives, place)
+        slopes, gains = peak_slopes(derivatives, slice(None), Peaks(np.arange(len(loop)), place, value))
         gradient = slopes / gains[:, None]
         return Pieces(loop, np.log(self.weight * value), gradient, place.astype(complex) * 1j)
 
@@ -119,11 +119,11 @@ class ResponseMeasure(Measure):
         """Return loops and frequencies of the search at which peaks are looked for: of the bound, and around modes."""
         T, m = state.family.sample_time, len(state.family)
         true = 2 * np.pi * self.bound.places_hz
-        own = searched_frequencies(true if T is None else true[true < 0.999 * np.pi / T], T)
+        frequencies = searched_frequencies(true if T is None else true[true < 0.999 * np.pi / T], T)
         loop, which = np.nonzero(state.system.values.imag > 0)
         modes = around(state.system.values[loop, which])
-        loops = np.concatenate([np.repeat(np.arange(m), len(own)), np.repeat(loop, modes.shape[1])])
-        return loops, np.concatenate([np.tile(own, m), modes.ravel()])
+        loops = np.concatenate([np.repeat(np.arange(m), len(frequencies)), np.repeat(loop, modes.shape[1])])
+        return loops, np.concatenate([np.tile(frequencies, m), modes.ravel()])
 
     def _of_response(self, loops: Loops, n_outputs: int) -> Loops:
         """Return the loops with this response as their only outputs."""
@@ -592,10 +592,10 @@ def _largest_share(
     def largest(family: LoopFamily, gains: FloatArray) -> FloatArray:
         loops = family.matrices(gains)
         system = Eigensystem.of(loops.A)
-        found = np.full(len(family), _NONE)
+        shares = np.full(len(family), _NONE)
         for channel in range(family.n_outputs):
-            np.maximum(found, _share(family, loops, system, channel, crossing, used), out=found)
-        return found
+            np.maximum(shares, _share(family, loops, system, channel, crossing, used), out=shares)
+        return shares
 
     return largest
 
@@ -620,21 +620,23 @@ def _share(
     # with modes of the loop opened at this channel, near which its gain has its peaks
     modes = np.concatenate([system.values, _opened(loops, channel)], axis=1)
     near = around(modes).reshape(m, -1)
-    own = np.sort(np.concatenate([np.abs(modes), np.abs(modes.imag), near, np.tile(base[1:], (m, 1))], 1), axis=1)
+    frequencies = np.sort(
+        np.concatenate([np.abs(modes), np.abs(modes.imag), near, np.tile(base[1:], (m, 1))], 1), axis=1
+    )
 
-    loop, low, high, sign = _intervals(own, lambda which, w: crossing(gain(which, w)))
+    loop, low, high, sign = _intervals(frequencies, lambda which, w: crossing(gain(which, w)))
     for _ in range(45 if len(loop) else 0):
         middle = (low + high) / 2
         before = np.sign(crossing(gain(loop, middle[:, None])[:, 0])) == sign
         low, high = np.where(before, middle, low), np.where(before, high, middle)
-    found = np.full(m, _NONE)
+    shares = np.full(m, _NONE)
     if len(loop):
-        np.maximum.at(found, loop, used(gain(loop, ((low + high) / 2)[:, None])[:, 0]))
+        np.maximum.at(shares, loop, used(gain(loop, ((low + high) / 2)[:, None])[:, 0]))
     # at zero frequency the loop gain is real, which limits the gain as well; rounding may give it an imaginary part
     rest = gain(np.arange(m), np.zeros((m, 1)))[:, 0].real.astype(complex)
     real = np.abs(crossing(rest)) <= 1e-9 * np.abs(rest)
-    np.maximum(found, np.where(real, used(rest), _NONE), out=found)
-    return np.asarray(found)
+    np.maximum(shares, np.where(real, used(rest), _NONE), out=shares)
+    return np.asarray(shares)
 
 
 def _intervals(
@@ -647,11 +649,11 @@ def _intervals(
     value = value_at(np.arange(len(grid)), grid)
     side, size = np.sign(value), np.abs(value)
     loop, k = np.nonzero(side[:, 1:] * side[:, :-1] < 0)
-    found = loop, grid[loop, k], grid[loop, k + 1], side[loop, k]
+    crossings = loop, grid[loop, k], grid[loop, k + 1], side[loop, k]
     turns = (size[:, 1:-1] <= size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
     loop, k = np.nonzero(turns & (side[:, 1:-1] == side[:, :-2]) & (side[:, 1:-1] == side[:, 2:]))
     if not len(loop):
-        return found
+        return crossings
     first, last, before, row = grid[loop, k], grid[loop, k + 2], side[loop, k], np.arange(len(loop))
     low, high, top = first, last, first
     for _ in range(4):
@@ -661,10 +663,10 @@ def _intervals(
     beyond = before * value_at(loop, top[:, None])[:, 0] < 0
     first, top, last, before = first[beyond], top[beyond], last[beyond], before[beyond]
     return (
-        np.concatenate([found[0], loop[beyond], loop[beyond]]),
-        np.concatenate([found[1], first, top]),
-        np.concatenate([found[2], top, last]),
-        np.concatenate([found[3], before, -before]),
+        np.concatenate([crossings[0], loop[beyond], loop[beyond]]),
+        np.concatenate([crossings[1], first, top]),
+        np.concatenate([crossings[2], top, last]),
+        np.concatenate([crossings[3], before, -before]),
     )
 
 

@@ -285,8 +285,8 @@ def exact_norms(family: LoopFamily, x: FloatArray, kind: str, least: float = 0.0
 
     Those below `least` may be too small, but take less time.
     """
-    found = (peak_gain(model, least=least) for model in _models(family, x, kind))
-    return [Norm(peak.value, 2 * np.pi * peak.frequency_hz) for peak in found]
+    peaks = (peak_gain(model, least=least) for model in _models(family, x, kind))
+    return [Norm(peak.value, 2 * np.pi * peak.frequency_hz) for peak in peaks]
 
 
 def largest_norm(family: LoopFamily, x: FloatArray, kind: str) -> float:

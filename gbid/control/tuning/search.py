@@ -395,7 +395,7 @@ def stabilised(problem: GainProblem, x: FloatArray, unit: FloatArray) -> FloatAr
     """Return gains whose loops are stable, by an ascent of the slowest decay; or where that ascent ends."""
     decay = replace(problem, limits=Limits("decay"), linear=(), cuts=())
     enough = 1.1 * problem.slowest / problem.scale + 1e-3
-    found = ascend(
+    ascent = ascend(
         lambda y: decay.merit_and_slope(y, 0.0),
         x,
         problem.lower,
@@ -405,7 +405,7 @@ def stabilised(problem: GainProblem, x: FloatArray, unit: FloatArray) -> FloatAr
         enough=enough,
         stop=lambda: problem.evaluations.exhausted,
     )
-    return found.x
+    return ascent.x
 
 
 # ---- Start values on a grid, for few gains.
@@ -465,8 +465,8 @@ def _bounds_of_one(problem: GainProblem, designs: FloatArray, neutral: FloatArra
         rates = true_rates(eigenvalues(np.stack([family.states(x)[one] for x in designs])), T)
         value = np.minimum(value, problem.aim(rates, T).min(axis=1))
         slow = np.maximum(slow, rates.real.max(axis=1))
-    found = value - PENALTY * np.maximum(0.0, (problem.slowest + slow) / problem.scale)
-    return np.asarray(np.where(np.isnan(found), -np.inf, found))
+    merit = value - PENALTY * np.maximum(0.0, (problem.slowest + slow) / problem.scale)
+    return np.asarray(np.where(np.isnan(merit), -np.inf, merit))
 
 
 def _axis(low: float, middle: float, high: float, unit: float, n: int) -> FloatArray:
@@ -548,7 +548,7 @@ def gain_units(problem: GainProblem, x: FloatArray) -> FloatArray:
         Gains from which the changes are counted.
     """
     width = problem.upper - problem.lower
-    found = np.full(len(x), np.nan)
+    reach = np.full(len(x), np.nan)
     places = [eigenvalues(family.states(x)) for family in problem.families]
     if any(np.isnan(values).any() for values in places):
         return width
@@ -565,16 +565,16 @@ def gain_units(problem: GainProblem, x: FloatArray) -> FloatArray:
             )
 
         if moved(room) < _MOVED:
-            found[i] = width[i] if moved(room) > LEAST_REACH else np.nan
+            reach[i] = width[i] if moved(room) > LEAST_REACH else np.nan
             continue
         low, high = np.log(room) - _DECADES * np.log(10), np.log(room)
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             low, high = (low, middle) if moved(float(np.exp(middle))) >= _MOVED else (middle, high)
-        found[i] = np.exp(high)
-    known = found[np.isfinite(found)]
-    found = np.where(np.isfinite(found), found, np.median(known) if len(known) else np.inf)
-    return np.asarray(np.minimum(found, width))
+        reach[i] = np.exp(high)
+    known = reach[np.isfinite(reach)]
+    reach = np.where(np.isfinite(reach), reach, np.median(known) if len(known) else np.inf)
+    return np.asarray(np.minimum(reach, width))
 
 
 def reach_of_bounds(problem: GainProblem) -> float:

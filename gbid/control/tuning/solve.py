@@ -545,14 +545,14 @@ def _active(problem: GainProblem, x: FloatArray, names: tuple[str, ...], stable:
     bounds += [f"{n} at its upper bound" for n, at in zip(names, problem.upper - x < 1e-6 * width, strict=True) if at]
     if not stable:
         return tuple(bounds)
-    found: dict[str, dict[str, None]] = {}
+    reached: dict[str, dict[str, None]] = {}
     located = {*_TITLES, *(extra.name for extra in problem.limits.extra)}
     for piece in sorted(problem.functions(x).limits, key=lambda piece: -piece.value):
         if piece.value > -1e-4:
-            places = found.setdefault(_TITLES.get(piece.kind, piece.kind), {})
+            places = reached.setdefault(_TITLES.get(piece.kind, piece.kind), {})
             if piece.kind in located:
                 places[problem.families[piece.family].labels[piece.loop]] = None
-    return tuple(dict.fromkeys([*(text for title in found for text in _located(title, [*found[title]])), *bounds]))
+    return tuple(dict.fromkeys([*(text for title in reached for text in _located(title, [*reached[title]])), *bounds]))
 
 
 def _located(title: str, places: list[str]) -> list[str]:

@@ -87,8 +87,8 @@ def goal_figures(solution: GainSolution, result: GainResult) -> GainResult:
     figures = []
     states = [problem.state(family, family.matrices(x), x) for family in problem.families]
     for measure in limits.measures:
-        found = [(float(e), name) for s in states for e, name in zip(measure.excess(s), s.family.labels, strict=True)]
-        figures.append(GoalFigure(measure.name, measure in limits.soft, *max(found)))
+        excess = [(float(e), name) for s in states for e, name in zip(measure.excess(s), s.family.labels, strict=True)]
+        figures.append(GoalFigure(measure.name, measure in limits.soft, *max(excess)))
     result = replace(result, goals=tuple(figures))
     if not limits.soft:
         return result
@@ -241,18 +241,18 @@ def _independent_searches(
     options = task.options
     if on_grid(len(task.neutral), options):
         return _search(plants, limits, box, task, budget), ()
-    found: list[GainSolution] = []
+    solutions: list[GainSolution] = []
     for seed in range(options.seed, options.seed + n):
-        if found and budget.exhausted:
+        if solutions and budget.exhausted:
             break
         seeded = replace(task, options=replace(options, seed=seed))
-        found.append(_search(plants, limits, box, seeded, budget))
-        best = max(found, key=lambda one: (one.stable, one.best.score.violation <= FEASIBLE, rank(one.best)))
+        solutions.append(_search(plants, limits, box, seeded, budget))
+        best = max(solutions, key=lambda one: (one.stable, one.best.score.violation <= FEASIBLE, rank(one.best)))
         top = best.best.score.value
-        if sum(_reached(one) >= top - options.same * abs(top) for one in found) == _ALIKE:
+        if sum(_reached(one) >= top - options.same * abs(top) for one in solutions) == _ALIKE:
             break
-    history = tuple(step for one in found for step in one.history)
-    return replace(best, history=history), tuple(best.problem.in_units(_reached(one)) for one in found)
+    history = tuple(step for one in solutions for step in one.history)
+    return replace(best, history=history), tuple(best.problem.in_units(_reached(one)) for one in solutions)
 
 
 def _reached(solution: GainSolution) -> float:

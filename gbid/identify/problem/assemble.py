@@ -98,14 +98,14 @@ def tie_of(
     tuple of int
     (n_own, n_unknowns) array
     """
-    own = [i for i, q in enumerate(predictor.free) if q.name in names]
+    apart = [i for i, q in enumerate(predictor.free) if q.name in names]
     others = [i for i, q in enumerate(predictor.free) if q.name not in names]
     rows, n_shared = [ties.names.index(predictor.free[i].name) for i in others], len(ties.shared)
-    seen = [q.name for q in ties.shared] + [names[predictor.free[i].name] for i in own]
+    seen = [q.name for q in ties.shared] + [names[predictor.free[i].name] for i in apart]
     seen += [names[q.name] for q in ties.own]
     tie = np.zeros((len(predictor.free), len(seen)))
-    tie[own, n_shared + np.arange(len(own))] = 1.0
-    tie[others, :n_shared], tie[others, n_shared + len(own) :] = ties.maps[piece][rows], ties.lift[rows]
+    tie[apart, n_shared + np.arange(len(apart))] = 1.0
+    tie[others, :n_shared], tie[others, n_shared + len(apart) :] = ties.maps[piece][rows], ties.lift[rows]
     return tuple(position[name] for name in seen), tie
 
 
@@ -667,12 +667,12 @@ def _prior(assembly: Assembly, prior: Mapping[str, tuple[float, float]]) -> Prio
     full = {q.name: i for i, q in enumerate(assembly.free)}
     mean, information = np.zeros(len(full)), np.zeros(len(full))
     for name, (value, std) in prior.items():
-        own = [i for long, i in full.items() if name in (long, assembly.own_names.get(long))]
-        if not own:
+        positions = [i for long, i in full.items() if name in (long, assembly.own_names.get(long))]
+        if not positions:
             raise UsageError(f"prior names a parameter that is not estimated: {name}")
         if not (np.isfinite(value) and np.isfinite(std) and std > 0):
             raise UsageError(f"prior of {name} = ({value}, {std}); give a value and a positive standard deviation")
-        mean[own], information[own] = value, 1 / std**2
+        mean[positions], information[positions] = value, 1 / std**2
     return Prior(mean, information)
 
 

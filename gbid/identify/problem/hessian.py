@@ -99,12 +99,12 @@ def passed_on(problem: Shooting, unknowns: FloatArray) -> tuple[float, float]:
     gaps = np.zeros((problem.n_windows, n))
     gaps[problem.links[:, 0]] = iterate.gaps.reshape(-1, n)
     growth = amount = 0.0
-    for sweep, part, own in zip(iterate.sweeps, problem.parts, problem.by_part(gaps), strict=True):
+    for sweep, part, gaps_of_part in zip(iterate.sweeps, problem.parts, problem.by_part(gaps), strict=True):
         steps, edges = (
             sweep.end_start / problem.state_scale[:, None] * problem.state_scale,
             part.blocks.segment_first[1:],
         )
-        for transitions, opened in zip(np.split(steps, edges), np.split(own, edges), strict=True):
+        for transitions, opened in zip(np.split(steps, edges), np.split(gaps_of_part, edges), strict=True):
             passed = np.eye(n, n + 1)
             for step, gap in zip(transitions[:-1], opened[:-1], strict=True):
                 passed = step @ passed
@@ -201,15 +201,15 @@ def _moved(
 ) -> list[Moved]:
     """Return predictors of a part with one own parameter moved within its bounds, for each of some parameters."""
     here = np.array(part.own(theta), float)
-    own = np.tile(here, (len(columns) + 1, 1))  # the point itself is the first
+    points = np.tile(here, (len(columns) + 1, 1))  # the point itself is the first
     steps = []
-    for row, j in zip(own[1:], columns, strict=True):
+    for row, j in zip(points[1:], columns, strict=True):
         onto = np.eye(len(here))[j] if part.tie is None else np.abs(part.tie[j])
         step = _DIFFERENCE * float((onto * units[part.index]).max())
         step = min(step, _MOST * max(abs(float(here[j])), float((onto * problem.theta_scale[part.index]).max())))
         steps.append(-step if here[j] + step > part.predictor.free[j].upper else step)
         row[j] += steps[-1]
-    values = part.predictor.at_each(own)[1:]
+    values = part.predictor.at_each(points)[1:]
     return [Moved(j, step, v) for j, step, v in zip(columns, steps, values, strict=True)]
 
 

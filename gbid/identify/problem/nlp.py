@@ -384,10 +384,10 @@ class Shooting:
             return self._met[point]
         met, result = dict[tuple[int, bytes], Any](), []
         for part in self.parts:
-            own = part.own(theta)
-            key = (id(part.predictor), own.tobytes())
+            values = part.own(theta)
+            key = (id(part.predictor), values.tobytes())
             if key not in met:
-                met[key] = part.predictor.at(own)
+                met[key] = part.predictor.at(values)
             result.append(met[key])
         self._met.clear()
         self._met[point] = result

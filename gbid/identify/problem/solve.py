@@ -217,9 +217,9 @@ def _stacked(gaps: Pattern, limits: FloatArray, n_extra: int, used: IntArray) ->
     The entries are those of the gaps in the order of their pattern, the nonzeros of the limits row by row, and the
     slopes of the further constraints by the `used` unknowns row by row.
     """
-    own, of = np.nonzero(limits)
+    limit, of = np.nonzero(limits)
     further = np.arange(n_extra).repeat(len(used))
-    rows = np.concatenate([gaps.rows, gaps.shape[0] + own, gaps.shape[0] + len(limits) + further])
+    rows = np.concatenate([gaps.rows, gaps.shape[0] + limit, gaps.shape[0] + len(limits) + further])
     columns = np.concatenate([gaps.columns, of, np.tile(used, n_extra)])
     order = np.lexsort((rows, columns))
     shape = gaps.shape[0] + len(limits) + n_extra, gaps.shape[1]
@@ -307,8 +307,8 @@ def forces_of_bounds(problem: Shooting, unknowns: FloatArray, box: Box) -> Float
         return nothing
     # A bound that is farther than the standard deviation with all others known is met along a valley, if at all.
     pattern, curvature = problem.hessian_pattern, np.zeros(problem.n_unknowns)
-    own = pattern.rows == pattern.columns
-    curvature[pattern.rows[own]] = iterate.hessian[own]
+    diagonal = pattern.rows == pattern.columns
+    curvature[pattern.rows[diagonal]] = iterate.hessian[diagonal]
     below, above = unknowns - box[0], box[1] - unknowns
     near = np.minimum(below, above) * np.sqrt(curvature * problem.likelihood_size) <= 1.0
     near = (near & (box[0] < box[1]))[: problem.n_theta]

@@ -66,11 +66,11 @@ class Courses:
         """
         changes = []
         for values, edges in zip(self.values, self.edges, strict=True):
-            terms, own = self.schedule.terms(values), list[float]()
+            terms, of_pieces = self.schedule.terms(values), list[float]()
             for a, b in itertools.pairwise([0, *edges, len(values) - 1]):
                 halves = _time_means(terms[a : b + 1], [0, (b - a) // 2, b - a]) if b - a > 1 else np.zeros((2, 1))
-                own.append(2 * float(np.abs(halves[1] - halves[0]).max()))
-            changes.append(own)
+                of_pieces.append(2 * float(np.abs(halves[1] - halves[0]).max()))
+            changes.append(of_pieces)
         return changes
 
     def cut(self, largest: float, shortest: int = 2) -> Courses:

@@ -107,10 +107,10 @@ def _statistic_of_pairs(residuals: FloatArray, lags: int) -> float:
     The correlation at each lag is over its variance for white residuals, one over the number of pairs; a lag without
     pairs has the statistic that it has on average.
     """
-    there = residuals != 0
-    count = int(there.sum())
-    centred = np.where(there, residuals - residuals.sum() / max(count, 1), 0.0)
-    rho, pairs = correlation(centred, centred, lags)[1:], correlation(there * 1.0, there * 1.0, lags)[1:] * count
+    present = residuals != 0
+    count = int(present.sum())
+    centred = np.where(present, residuals - residuals.sum() / max(count, 1), 0.0)
+    rho, pairs = correlation(centred, centred, lags)[1:], correlation(present * 1.0, present * 1.0, lags)[1:] * count
     each = np.where(pairs > 0.5, (rho * count) ** 2 / np.maximum(pairs, 1.0), 1.0)
     return float(each.sum()) * (1 + 2 / max(count, 1))
 
@@ -168,10 +168,10 @@ def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: b
     """
     n, most = len(residuals), 0 if white else 2 * lags
     u = np.asarray(inputs - column_means(inputs))
-    there = residuals != 0
-    gaps = not there.all()  # samples are missing or left out
+    present = residuals != 0
+    gaps = not present.all()  # samples are missing or left out
     e = (
-        np.where(there, residuals - residuals.sum(0) / there.sum(0).clip(1), 0.0)
+        np.where(present, residuals - residuals.sum(0) / present.sum(0).clip(1), 0.0)
         if gaps
         else (residuals - column_means(residuals))
     )
@@ -206,11 +206,11 @@ def _of_pairs(residuals: FloatArray, source: FloatArray, colour: FloatArray, lag
     It is that of the samples of the input that meet a residual. An input whose levels change in step with the gaps is
     not alike at all of them.
     """
-    there, n = residuals != 0, len(residuals)
-    count = float(there.sum())
-    pairs = correlation(there * 1.0, there * 1.0, len(colour) - 1)
+    present, n = residuals != 0, len(residuals)
+    count = float(present.sum())
+    pairs = correlation(present * 1.0, present * 1.0, len(colour) - 1)
     rho = np.where(pairs * count > 0.5, colour / np.maximum(pairs, 1 / max(count, 1)), 0.0)
-    met = np.array([np.concatenate([np.zeros(lag), source[: n - lag]]) for lag in range(lags + 1)]) * there
+    met = np.array([np.concatenate([np.zeros(lag), source[: n - lag]]) for lag in range(lags + 1)]) * present
     size = next_fast_len(n + len(rho), real=True)
     filtered = irfft(rfft(met, size) * (2 * rfft(rho, size).real - rho[0]), size)[:, :n]
     return np.asarray(met @ filtered.T) * (n / max(count * float(source @ source), np.finfo(float).tiny))
