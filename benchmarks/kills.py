@@ -167,6 +167,7 @@ def begin(arguments: Sequence[str], log: Path, mark: str, backwards: bool = Fals
         sys.stdout, sys.stderr = (os.fdopen(os.dup(number), "w") for number in (1, 2))
         os.environ[_MARK] = mark
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the study itself runs under nohup
         signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked)
         if backwards:
             now, began = time.time() - _YEARS, time.monotonic()
