@@ -215,15 +215,16 @@ def ended(process: int, seconds: float) -> int | None:
 
 
 def complete(results: Path) -> dict[str, tuple[str, int, int]]:
-    """Return content key, inode and time of each result that is there."""
+    """Return content key, inode and time of each result that is there; what lies in a temporary folder is none."""
     from gbid.experiment.fields import stored_key
 
-    found = {}
+    results_by_name = {}
     for path in results.rglob("*"):
-        if path.is_file() and not path.name.startswith("."):
+        name = path.relative_to(results)
+        if path.is_file() and not any(part.startswith(".") for part in name.parts):
             stat = path.stat()
-            found[str(path.relative_to(results))] = (stored_key(path), stat.st_ino, stat.st_mtime_ns)
-    return found
+            results_by_name[str(name)] = (stored_key(path), stat.st_ino, stat.st_mtime_ns)
+    return results_by_name
 
 
 def left_over(folder: Path) -> list[str]:

@@ -65,6 +65,19 @@ def test_coverage_of_a_hundred_seeds():
     assert 0.92 < inside < 0.975
 
 
+def test_a_response_without_a_deviation_counts_as_not_measured():
+    """A coherence of exactly one gives the deviation 0: such a line would decide the fit alone."""
+    data, wild = measured(0), 7
+    response, std = data.response[:, 0, 0].copy(), data.std[:, 0, 0].copy()
+    response[wild], std[wild] = 1e6 * response[wild], 0.0
+    others = np.arange(len(FREQUENCIES)) != wild
+    with_it = gbid.fit(OSCILLATOR, FrequencyData(FREQUENCIES, response, std=std))
+    without = gbid.fit(OSCILLATOR, FrequencyData(FREQUENCIES[others], response[others], std=std[others]))
+    for name in TRUTH:
+        assert with_it.parameters[name] == pytest.approx(without.parameters[name], rel=1e-6)
+        assert with_it.std[name] == pytest.approx(without.std[name], rel=1e-6)
+
+
 def test_start_values_come_from_the_responses():
     blind = LinearStructure("oscillator", [Parameter(n, 1e-4 if n == "tau" else None) for n in TRUTH], matrices)
     result = gbid.fit(blind, measured(1))

@@ -67,6 +67,22 @@ def test_a_match_finds_its_way_from_far_off(factor):
     np.testing.assert_allclose(found.theta, at, rtol=1e-4)
 
 
+def test_free_decays_are_matched_with_weights_of_each_frequency_and_output():
+    """Exact decays of unknown initial states: the misfit is zero at the truth alone, whatever the weights."""
+    structure = chain(2)
+    truth = {"k0": 4e3, "k1": 4.9e3, "d0": 1.0, "d1": 1.2, "b": 500.0}
+    predictor = build_predictor(structure, {"b": 500.0}, 5e-3, "zoh", "simulation")
+    at = np.array([truth[q.name] for q in predictor.free])
+    model, s = evaluate(structure, truth), 2j * np.pi * np.geomspace(2.0, 40, 90)
+    state = np.random.default_rng(2).normal(size=len(model.A))
+    response = np.array([model.C @ np.linalg.solve(x * np.eye(len(state)) - model.A, state) for x in s])[..., None]
+    weight = np.random.default_rng(3).uniform(0.2, 5.0, response.shape) / np.abs(response).max()
+    target = Target(s, response, weight, model.poles(), True)
+    best = match(predictor, target, [1.3 * at], np.zeros(len(at)), np.full(len(at), np.inf))
+    assert best.misfit < 1e-6
+    np.testing.assert_allclose(best.theta, at, rtol=1e-4)
+
+
 @pytest.mark.parametrize("name", BY_NAME)
 def test_starts_from_the_data_lead_to_the_best_loss(name):
     case = BY_NAME[name]
