@@ -423,6 +423,13 @@ def test_bad_columns_of_arrays(tmp_path, write, column, words):
     refused(path, {"signals": {"s": {"columns": ["data[0]", column]}}, "sample_time": DT}, words)
 
 
+def test_a_null_dataset_of_hdf5_is_empty(tmp_path):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["u"], file["nothing"] = DATA[:, 0], h5py.Empty("f8")
+    refused(path, {"signals": {"s": {"columns": ["u", "nothing"]}}, "sample_time": DT}, "nothing is empty: shape (0,)")
+
+
 def test_vectors_of_npz_are_not_turned_and_have_no_columns(tmp_path):
     path = tmp_path / "a.npz"
     np.savez(path, row=DATA[:, 0][None, :], v=DATA[:, 0], cube=np.zeros((N, 2, 2)))
