@@ -337,6 +337,7 @@ class Server(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    request_queue_size = 128  # with Python's 5 the system lets a burst of connections wait for seconds
 
     def __init__(self, *given: Any) -> None:
         self._free = threading.BoundedSemaphore(THREADS)
