@@ -198,11 +198,12 @@ def _asked_machine(known: MachineData) -> MachineData:
 def _drafted(options: DraftOptions, target: Path) -> Draft:
     """Return the draft; ask for all that the files do not say, where there is someone to answer."""
     from gbid.cli.printing import tell
-    from gbid.experiment.draft import QUESTIONS, UnansweredError, draft_experiment
+    from gbid.experiment.draft import QUESTIONS, UnansweredError, draft_experiment, list_folder
 
+    content = list_folder(options.folder)  # read once, however many answers it takes
     while True:
         try:
-            return draft_experiment(options, target, _asked_machine if options.ask else None)
+            return draft_experiment(options, target, _asked_machine if options.ask else None, content)
         except UnansweredError as error:
             tell("\n".join(error.columns))
             if not options.ask:

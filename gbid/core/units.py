@@ -6,6 +6,7 @@ the field, and their names say so (``pressure_bar`` and ``speed_rpm``).
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -59,6 +60,19 @@ _PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
 _PREFIXED = ("m", "s", "N", "V", "A", "Hz", "rad")
 _FACTORS = {(prefix + unit, unit): factor for prefix, factor in _PREFIXES.items() for unit in _PREFIXED}
 """Factors of the common units: to start pint takes half a second, longer than a fit."""
+
+
+_SPEED_WORDS = {"rpm", "upm", "1min", "min1"} | {
+    f"{turn}min" for turn in ("u", "r", "rev", "revs", "tr", "umdr", "umdrehungen", "revolutions", "turns")
+}
+
+
+def is_speed_unit(word: str) -> bool:
+    """Return whether a word means turns per minute: ``U/min``, ``1/min``, ``min^-1``, ``UpM``, ``r.p.m.`` and so on.
+
+    pint takes 1/min for an angle of one radian in a minute.
+    """
+    return re.sub(r"[\W_]|per|pro", "", word.lower()) in _SPEED_WORDS
 
 
 def is_unit(word: str) -> bool:

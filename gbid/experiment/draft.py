@@ -10,14 +10,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, UsageError, nearest
-from gbid.core.units import conversion_factor
+from gbid.core.units import conversion_factor, is_speed_unit
 from gbid.experiment.experiment import POINT, by_count
 from gbid.experiment.schema import KINDS, Kind, NamePattern, name_of, name_pattern
 from gbid.lpv import MachineData
@@ -28,144 +28,9 @@ from gbid.prefilter.runout_identification import compare_runout
 from gbid.recording import Recording, import_recording
 from gbid.recording.formats import file_formats, format_of
 from gbid.recording.importing import list_channels
-from gbid.recording.quality import speed_change
+from gbid.recording.quality import speed_change, turning_increments
 from gbid.recording.readers import FileChannel
-
-# ---- Roles of the channels of a file, by their names.
-
-_WORDS = {
-    "r": {"r", "ref", "cmd", "command", "demand"},
-    "u": {"u", "stack", "stellweg", "stellgröße"},
-    "phi": {"phi", "angle", "theta", "resolver"},
-    "p": {"p", "pos", "weg", "wege", "disp", "displacement", "disc", "disk", "gap", "probe", "shaft", "rotor"},
-}
-_STEMS = {  # first letters of words, for compounds such as Sollwert and Winkelgeber
-    "r": ("soll", "refer", "setpoint", "führung", "fuehrung"),
-    "u": ("piezo", "aktor", "aktuator", "actuator"),
-    "phi": ("winkel", "drehwinkel", "drehgeber", "encoder"),
-    "p": ("spalt", "position", "wegsensor", "wegaufnehmer", "scheibe", "auslenkung", "welle"),
-}
-_OTHER = re.compile("drehzahl|speed|rpm|umin|druck|pressure|temp|kraft|force|strom|current|spannung|voltage|trigger")
-_TIME = {"t", "time", "zeit", "timestamp", "zeitstempel", "sekunden", "seconds"}
-_AXES = {
-    "x": 0,
-    "a": 0,
-    "h": 0,
-    "hor": 0,
-    "horizontal": 0,
-    "y": 1,
-    "b": 1,
-    "v": 1,
-    "ver": 1,
-    "vertical": 1,
-    "vertikal": 1,
-}
-_SHORT = re.compile(r"(r|u|p)([xyabhv12])")
-_CAMEL = re.compile(r"(?<=[a-zäöüß])(?=[A-ZÄÖÜ])")
-_ORDER = ("r", "u", "p", "phi")
-_UNKNOWN = "no known name of a signal"
-
-
-class Roles(NamedTuple):
-    """Roles of the columns of a file.
-
-    Attributes
-    ----------
-    time : str or None
-        Column of the sample times if there is one.
-    signals : dict of str to tuple of str
-        Columns by signal: two for ``r``, ``u``, ``p``, one for ``phi``.
-    columns : dict of str to tuple of str
-        Of every column, what it is taken as (empty when it is not used), and the reason.
-    """
-
-    time: str | None
-    signals: Mapping[str, tuple[str, ...]]
-    columns: Mapping[str, tuple[str, str]]
-
-    @property
-    def has_unknown(self) -> bool:
-        """Whether a column may belong to a signal that was not found: it is not used, and its name says nothing."""
-        return any(not taken and reason.startswith(_UNKNOWN) for taken, reason in self.columns.values())
-
-
-def find_roles(channels: Sequence[FileChannel], given: Mapping[str, tuple[str, ...]], time: str | None) -> Roles:
-    """Return the roles of the channels of a file, those given first.
-
-    Parameters
-    ----------
-    channels : sequence of FileChannel
-        Channels of the file.
-    given : dict of str to tuple of str
-        Columns by signal, where they are known; an empty tuple for a signal that the file does not have.
-    time : str or None
-        Column of the sample times, where it is known.
-    """
-    longest = max((channel.n_samples for channel in channels), default=0)
-    usable = {channel.name: channel for channel in channels if not channel.remark and channel.n_samples == longest}
-    reasons = {
-        channel.name: ("", channel.remark or f"{channel.n_samples} of {longest} samples") for channel in channels
-    }
-    was_given = time is not None
-    if time is None:
-        rising = [name for name, channel in usable.items() if channel.step is not None]
-        named = [name for name in rising if _TIME & set(_split(name))]
-        time = named[0] if named else rising[0] if len(rising) == 1 else None
-    axes: dict[str, dict[int, str]] = {role: {} for role in _ORDER}
-    for name in usable:
-        role, axis, why = _role(name)
-        first = axes[role].setdefault(axis, name) if role and name != time else name
-        reasons[name] = ("", why if first == name else f"{why}, as {first!r} before it")
-    pairs = {role: tuple(name for _, name in sorted(names.items())) for role, names in axes.items()}
-    complete = {role: names for role, names in pairs.items() if len(names) == (1 if role == "phi" else 2)}
-    complete = {role: names for role, names in (complete | dict(given)).items() if names}
-    for role, names in complete.items():
-        for letter, name in zip(("x", "y"), names, strict=False):
-            why = "given" if given.get(role) else reasons[name][1]
-            reasons[name] = (role if role == "phi" else f"{role} {letter}", why)
-    if time is not None:
-        reasons[time] = ("time", "given" if was_given else "rises evenly")
-    return Roles(time, {role: complete[role] for role in _ORDER if role in complete}, reasons)
-
-
-def _split(name: str) -> list[str]:
-    return re.findall(r"[^\W\d_]+|\d+", _CAMEL.sub(" ", name).lower())
-
-
-def _role(name: str) -> tuple[str | None, int, str]:
-    """Return the role of a channel by its name, the number of its axis, and the reason."""
-    words = _split(name)
-    if short := _SHORT.fullmatch("".join(words)):
-        words = [short[1], short[2]]
-    if words in (["x"], ["y"]):
-        return "p", _AXES[words[0]], f"axis {words[0]} alone"
-    for word in words:
-        if _OTHER.match(word):
-            return None, 0, f"{word!r} is none of r, u, p and phi"
-    for role in _WORDS:
-        if word := next((w for w in words if w in _WORDS[role] or w.startswith(_STEMS[role])), ""):
-            if role == "phi":
-                return role, 0, f"{word!r}"
-            axis = words[-1] if words[-1].isdecimal() else next((w for w in reversed(words) if w in _AXES), "")
-            number = int(axis) if axis.isdecimal() else _AXES.get(axis, 0)
-            return role, number, f"{word!r}, axis {axis}" if axis else f"{word!r}, no axis"
-    return None, 0, _UNKNOWN
-
-
-def column_lines(roles: Mapping[Path, Roles]) -> tuple[str, ...]:
-    """Return the lines of a table of all columns and what they are taken as, once for files with equal columns."""
-    alike: dict[tuple[object, ...], list[Path]] = {}
-    for path, each in roles.items():
-        alike.setdefault(tuple(each.columns.items()), []).append(path)
-    lines = []
-    for paths in alike.values():
-        columns = roles[paths[0]].columns
-        width = max(map(len, columns))
-        more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
-        lines.append(f"columns of {paths[0].name}{more}, and what they are taken as:")
-        lines += [f"  {name:{width}}  {taken or 'not used':8}  {why}" for name, (taken, why) in columns.items()]
-    return tuple(lines)
-
+from gbid.recording.roles import ROLES, Roles, column_lines, find_roles
 
 # ---- What a user says about a folder of measured files, and the questions that remain.
 
@@ -206,7 +71,7 @@ class UnansweredError(UsageError):
 
 
 def _flag(option: str) -> str:
-    if option in _ORDER:
+    if option in ROLES:
         return f"--signal {option}={'X' if option == 'phi' else 'X,Y'}"
     return f"--{option.split('_')[0]} ..."
 
@@ -265,7 +130,7 @@ class DraftOptions:
             When a number was expected.
         """
         value: Any = text.strip()
-        if option in _ORDER:
+        if option in ROLES:
             names = tuple(name for word in text.split(",") if (name := word.strip()))
             if len(names) not in ({0, 1} if option == "phi" else {0, 2} if option in OPTIONAL else {2}):
                 raise UsageError(f"{option}: expected the {QUESTIONS[option]}; found {text!r}")
@@ -296,12 +161,56 @@ class MeasuredFile:
         Columns by signal.
     units : dict of str to str
         Units that the mapping must state, by signal, because the file does not.
+    sources : dict of str to str
+        Columns that measure the operating point, as far as the name of the file does not contain it.
     """
 
     path: Path
     time: str | None
     signals: Mapping[str, tuple[str, ...]]
     units: Mapping[str, str]
+    sources: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class FolderContent:
+    """Files of a folder and the channels of those that can be imported.
+
+    Attributes
+    ----------
+    channels : dict of pathlib.Path to list of FileChannel
+        Channels by file.
+    unread : dict of pathlib.Path to DataError
+        Errors of text files without a table.
+    others : tuple of str
+        Names of files of other kinds.
+    """
+
+    channels: Mapping[Path, Sequence[FileChannel]]
+    unread: Mapping[Path, DataError]
+    others: tuple[str, ...]
+
+
+def list_folder(folder: Path) -> FolderContent:
+    """Return the files of a folder with their channels.
+
+    Raises
+    ------
+    UsageError
+        When the folder holds no file that can be imported.
+    DataError
+        When a file cannot be read.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"no folder {folder}; name the folder of the measured files")
+    listed = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
+    known = [path for path in listed if path.suffix.lower() in file_formats()]
+    channels, unread = ({path: list_channels(path) for path in known}, {}) if known else _tables_among(listed)
+    if unread and not channels:
+        raise next(iter(unread.values()))
+    if not channels:
+        raise UsageError(f"{folder} holds no file that can be imported; expected {', '.join(file_formats())}")
+    return FolderContent(channels, unread, tuple(p.name for p in listed if p not in channels and p not in unread))
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,8 +221,6 @@ class Survey:
     ----------
     files : tuple of MeasuredFile
         The measured files.
-    others : tuple of str
-        Names of files of other kinds.
     columns : tuple of str
         Lines of the table of columns.
     notes : tuple of str
@@ -321,33 +228,21 @@ class Survey:
     """
 
     files: tuple[MeasuredFile, ...]
-    others: tuple[str, ...]
     columns: tuple[str, ...]
     notes: tuple[str, ...]
 
 
-def survey(options: DraftOptions) -> Survey:
+def survey(options: DraftOptions, content: FolderContent) -> Survey:
     """Return the measured files of a folder, with the roles of their columns.
 
     Raises
     ------
     UsageError
-        When the folder holds no file that can be imported, or when a given channel is in no file.
+        When a given channel is in no file.
     UnansweredError
         With all that must be given: columns of u and p, time, unit, and operating point.
-    DataError
-        When a file cannot be read.
     """
-    folder = options.folder
-    if not folder.is_dir():
-        raise UsageError(f"no folder {folder}; name the folder of the measured files")
-    listed = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: by_count(p.name))
-    known = [path for path in listed if path.suffix.lower() in file_formats()]
-    channels, unread = ({path: list_channels(path) for path in known}, {}) if known else _tables_among(listed)
-    if unread and not channels:
-        raise next(iter(unread.values()))
-    if not channels:
-        raise UsageError(f"{folder} holds no file that can be imported; expected {', '.join(file_formats())}")
+    channels = content.channels
     _refuse_unknown(options, channels)
     roles = {path: find_roles(each, *_given(options, each)) for path, each in channels.items()}
     units: dict[str, str] = {}  # of each signal in the first file that states one
@@ -357,17 +252,28 @@ def survey(options: DraftOptions) -> Survey:
     reasons: dict[str, str] = {}
     files = [_measured(path, each, roles[path], units, options, reasons) for path, each in channels.items()]
     names = _names(options, files)
-    for file, key in ((file, key) for file in files for key in POINT):
-        if _conditions(options, names, file.path)[key] is None:
-            reasons.setdefault(key, f"{file.path.name}: the name does not contain {key}")
+    for i, file in enumerate(files):
+        missing = [key for key, value in _conditions(options, names, file.path).items() if value is None]
+        sources = _sources(channels[file.path], roles[file.path])
+        files[i] = replace(file, sources={key: sources[key] for key in missing if key in sources})
+        for key in (key for key in missing if key not in sources):
+            reasons.setdefault(key, f"{file.path.name}: neither the name nor a column tells {key}")
     columns = column_lines(roles)
     optional = {key: why for key, why in reasons.items() if key in OPTIONAL}
     if len(reasons) > len(optional) or (optional and options.ask):
         raise UnansweredError(reasons, columns)
     notes = tuple(f"{why}; {OPTIONAL[key]}: {_flag(key)}" for key, why in optional.items())
-    notes += tuple(f"left out: {error}" for error in unread.values())
-    others = tuple(path.name for path in listed if path not in channels and path not in unread)
-    return Survey(tuple(files), others, columns, notes)
+    notes += tuple(f"left out: {error}" for error in content.unread.values())
+    return Survey(tuple(files), columns, notes)
+
+
+def _sources(channels: Sequence[FileChannel], roles: Roles) -> dict[str, str]:
+    """Return the columns that measure the operating point: the only one with such a unit, for the speed also phi."""
+    unused = [channel for channel in channels if not channel.remark and not roles.columns[channel.name][0]]
+    speeds = [channel.name for channel in unused if is_speed_unit(channel.unit or "")]
+    pressures = [channel.name for channel in unused if (channel.unit or "").lower() in _PRESSURES]
+    columns = {"pressure_bar": pressures, "speed_rpm": speeds or list(roles.signals.get("phi", ()))}
+    return {key: names[0] for key, names in columns.items() if len(names) == 1}
 
 
 def _tables_among(listed: Sequence[Path]) -> tuple[dict[Path, list[FileChannel]], dict[Path, DataError]]:
@@ -407,12 +313,22 @@ def _given(options: DraftOptions, channels: Sequence[FileChannel]) -> tuple[dict
 
 
 def _columns_in(columns: Sequence[str], names: Sequence[str]) -> tuple[str, ...] | None:
-    """Return the names of columns in a file: as given, or with the name of a structure before them."""
-    matches = [name if name in names else [n for n in names if n.endswith(f".{name}")] for name in columns]
+    """Return the names of columns in a file: as given, or as another program writes them.
+
+    That is with the name of a structure before them, and with other signs for those that a variable cannot have.
+    """
+    alike = {name: f".{_as_variable(name)}" for name in names}
+    matches = [
+        name if name in names else [n for n in names if alike[n].endswith(f".{_as_variable(name)}")] for name in columns
+    ]
     single = tuple(
         each if isinstance(each, str) else each[0] for each in matches if isinstance(each, str) or len(each) == 1
     )
     return single if len(single) == len(columns) else None
+
+
+def _as_variable(name: str) -> str:
+    return re.sub(r"[^\w.]", "_", name)
 
 
 def _measured(
@@ -425,8 +341,8 @@ def _measured(
 ) -> MeasuredFile:
     """Return a file with the units that its mapping states, as given or as in the other files; add what is open."""
     names = ", ".join(channel.name for channel in channels)
-    for signal in _ORDER:
-        needed = signal in ("u", "p") or (roles.has_unknown and signal not in options.signals)
+    for signal in ROLES:
+        needed = signal in ("u", "p") or (signal in roles.open_roles and signal not in options.signals)
         if signal not in roles.signals and needed:
             reasons.setdefault(signal, f"{path}: its channels do not show which are {signal}: {names}")
     if roles.time is None and options.sample_time_s is None:
@@ -445,20 +361,23 @@ def _measured(
             if unit:
                 conversion_factor(unit, "rad" if is_angle else "m")
             units[signal] = unit
-    return MeasuredFile(path, roles.time, roles.signals, units)
+    return MeasuredFile(path, roles.time, roles.signals, units, {})
 
 
 # ---- Operating point and kind of recordings from the names of their files.
 
 _COMMA = re.compile(r"(?<=\d),(?=\d)")
-_TOKEN = re.compile(r"\d+(?:\.\d+)?|[^\W\d_]+|[\W_]")
-_BESIDE = {  # words before and after the number
-    "pressure_bar": ({"p", "druck", "pressure", "press"}, {"bar"}),
-    "speed_rpm": (
-        {"n", "drehzahl", "speed", "rpm", "omega"},
-        {"rpm", "upm", "u", "umin", "umdr", "umdrmin", "umdrehungen", "min", "rev", "revs"},
-    ),
+_UNIT_WITH_SIGNS = (
+    r"(?<![^\W\d_])(?:1|u|r|revs?|tr|umdr)[\W_](?:p(?:er|ro)[\W_])?min(?![^\W\d_])|(?<![^\W\d_])min[\W_]{1,2}1(?!\d)"
+)
+_TOKEN = re.compile(rf"{_UNIT_WITH_SIGNS}|\d+(?:\.\d+)?|[^\W\d_]+|[\W_]", re.IGNORECASE)
+_BEFORE = {  # words before the number
+    "pressure_bar": {"p", "ps", "psup", "druck", "pressure", "press", "bar"},
+    "speed_rpm": {"n", "drehzahl", "speed", "rpm", "upm", "omega", "om"},
 }
+_PRESSURES = {"bar": 1.0, "mbar": 1e-3, "kpa": 1e-2, "mpa": 10.0, "psi": 0.0689475729}  # in bar
+_SPEEDS = {"u": 1.0, "umdr": 1.0, "umdrehungen": 1.0, "rev": 1.0, "revs": 1.0, "krpm": 1e3, "rps": 60.0}  # in rpm
+_THOUSANDS = re.compile(r"\d{1,3}\.\d{3}")  # 4.200 rpm: decimals or a thousands sign
 
 
 @dataclass(frozen=True)
@@ -473,22 +392,27 @@ class NamesRead:
         Whether a single word differs between the files, which may be their kind.
     commas : bool
         Whether the names have decimal commas, which a pattern cannot read.
+    factors : dict of str to float
+        Factors of fields in other units, which a pattern cannot read either.
     """
 
     pattern: NamePattern
     tells_kind: bool
     commas: bool = False
+    factors: Mapping[str, float] = field(default_factory=dict)
 
     def read(self, file: str) -> dict[str, str | float] | None:
         """Return the fields of a file name, with decimal points or commas; None when it does not match."""
-        return self.pattern.read(_COMMA.sub(".", file) if self.commas else file)
+        fields = self.pattern.read(_COMMA.sub(".", file) if self.commas else file)
+        factors = self.factors if fields else {}
+        return fields and {**fields, **{key: float(f"{float(fields[key]) * f:.12g}") for key, f in factors.items()}}
 
 
 def read_names(files: Sequence[str]) -> NamesRead | None:
     """Return the pattern of file names of one form: equal words and signs, with numbers that may differ.
 
-    A number before ``bar`` or after ``p`` is the pressure, one before ``rpm`` or after ``n`` the speed. One word may
-    differ between the files.
+    A number before ``bar`` or after ``p`` is the pressure, one before ``rpm``, ``Umin``, ``1-min`` or after ``n`` the
+    speed. One word may differ between the files.
 
     Parameters
     ----------
@@ -505,12 +429,15 @@ def read_names(files: Sequence[str]) -> NamesRead | None:
         return None
     parts: list[str] = []
     words: list[str] = []
-    used: set[str] = set()
+    factors: dict[str, float] = {}
+    quantities = _quantities(split[0])
     for i, column in enumerate(zip(*split, strict=True)):
         token, differs = column[0], len(set(column)) > 1
-        quantity = _quantity([t.lower() for t in split[0]], i) if _form(token) == "number" else ""
-        if quantity and quantity not in used and (quantity != "nr" or differs):
-            used.add(quantity)
+        quantity, factor = quantities.get(i, ("nr" if _form(token) == "number" else "", 1.0))
+        if quantity == "speed_rpm" and any(map(_THOUSANDS.fullmatch, column)):
+            quantity = "nr"
+        if quantity and quantity not in factors and (quantity != "nr" or differs):
+            factors[quantity] = factor
             integers = quantity != "pressure_bar" and all(each.isdigit() for each in column)
             parts.append(f"{{{quantity}:{'d' if integers else 'g'}}}")
         elif not differs:
@@ -521,18 +448,45 @@ def read_names(files: Sequence[str]) -> NamesRead | None:
             words.append(f"word{i}" if words else "kind")
             parts.append(f"{{{words[-1]}}}")
     text = "".join(parts) + "." + files[0].rpartition(".")[2]
-    return NamesRead(name_pattern(text), len(words) == 1, any(_COMMA.search(file) for file in files))
+    others = {key: factor for key, factor in factors.items() if factor != 1.0}
+    return NamesRead(name_pattern(text), len(words) == 1, any(_COMMA.search(file) for file in files), others)
 
 
 def _form(token: str) -> str:
-    return "number" if token[0].isdigit() else "word" if token[0].isalpha() else token
+    if re.fullmatch(r"[\d.]+", token):
+        return "number"
+    return "word" if token[0].isalnum() else token
 
 
-def _quantity(tokens: list[str], at: int) -> str:
-    """Return the quantity of a number by the words beside it; ``nr`` for any other number."""
-    before = next((t for t in reversed(tokens[:at]) if t[0].isalnum()), "")
-    after = next((t for t in tokens[at + 1 :] if t[0].isalnum()), "")
-    return next((q for q, (left, right) in _BESIDE.items() if after in right or before in left), "nr")
+def _quantities(tokens: Sequence[str]) -> dict[int, tuple[str, float]]:
+    """Return the quantities of the numbers among the tokens of a name, with the factor to its unit, by their places.
+
+    A word is the unit of the number before it, unless it is joined to the one behind it, or that before it is joined to
+    a word of its own: V1 rpm4200.
+    """
+    quantities: dict[int, tuple[str, float]] = {}
+    places = [k for k, token in enumerate(tokens) if token[0].isalnum()]
+    numbers = {k for k in places if _form(tokens[k]) == "number"}
+    for at, k in enumerate(places):
+        word = tokens[k].lower()
+        left, right = ({places[j]} & numbers if 0 <= j < len(places) else set() for j in (at - 1, at + 1))
+        joined = bool(left) and k - 1 in left
+        is_labelled = bool(right) and any(j - 1 in places for j in left)
+        unit = _unit(word, joined)
+        if unit and (left - quantities.keys()) and (joined or not (k + 1 in numbers or is_labelled)):
+            quantities[min(left)] = unit
+        elif right:
+            quantities |= {min(right): (q, 1.0) for q, words in _BEFORE.items() if word in words}
+    return quantities
+
+
+def _unit(word: str, joined: bool) -> tuple[str, float] | None:
+    """Return the quantity of a unit and its factor; a single letter is one right behind a number only."""
+    if word in _PRESSURES:
+        return "pressure_bar", _PRESSURES[word]
+    if is_speed_unit(word) or (word in _SPEEDS and (len(word) > 1 or joined)):
+        return "speed_rpm", _SPEEDS.get(word, 1.0)
+    return None
 
 
 # ---- What the recordings of a folder say about an experiment: operating points, kinds, junk, and harmonics of run-out.
@@ -603,27 +557,62 @@ def read_data(options: DraftOptions, files: Sequence[MeasuredFile]) -> DraftData
     """
     names = _names(options, files)
     files, angles = _angle_units(options, files)
-    recordings = [_import(options, file, _conditions(options, names, file.path)) for file in files]
+    recordings = [_import(options, file, _point(options, names, file)) for file in files]
     part, notes = _part(options, recordings)
-    notes += angles
+    notes += [*angles, *_notes_on_points(files, recordings)]
     drafted = []
     for file, rec in zip(files, recordings, strict=True):
         first = round(part.get("from_s", 0.0) / rec.sample_time)
         last = round(part["to_s"] / rec.sample_time) if "to_s" in part else rec.n_samples
         used = rec.slice(min(first, rec.n_samples - 1), min(last, rec.n_samples))
         drafted.append(DraftedFile(**vars(file), recording=used, kind="excited" if _moves(used) else "stationary"))
-    kinds = None if names is None or names.commas else _kinds(names, drafted)
+    points = {tuple(rec.conditions[key] for key in file.sources) for file, rec in zip(files, recordings, strict=True)}
+    listed_alone = names is None or names.commas or names.factors or len(points) > 1
+    kinds = None if names is None or listed_alone else _kinds(names, drafted)
     harmonics, words = find_harmonics(drafted)
     notes += [*_remarks(recordings), *words]
     known = None if kinds is None else names
     return DraftData(tuple(drafted), known, kinds or {}, part, harmonics, words, tuple(notes))
 
 
-def _import(options: DraftOptions, file: MeasuredFile, conditions: Mapping[str, float | None]) -> Recording:
+def _import(options: DraftOptions, file: MeasuredFile, conditions: Mapping[str, float]) -> Recording:
     clock = {"sample_time_s": options.sample_time_s} if options.sample_time_s else {"time": file.time}
     units = {name: {"unit": unit} for name, unit in file.units.items()}
     signals = {name: {"columns": list(names), **units.get(name, {})} for name, names in file.signals.items()}
     return repair_overloads(import_recording(file.path, {**clock, "signals": signals, "conditions": conditions}))
+
+
+def _point(options: DraftOptions, names: NamesRead | None, file: MeasuredFile) -> dict[str, float]:
+    """Return the operating point of a file: as given, by its name, or as measured.
+
+    Measured values are rounded to two digits of the pressure and three of the speed, so that repeated recordings agree.
+    """
+    known = {key: value for key, value in _conditions(options, names, file.path).items() if value is not None}
+    if not file.sources:
+        return known
+    columns = {key: (column,) for key, column in file.sources.items()}
+    by_angle = columns.get("speed_rpm") == file.signals.get("phi")
+    signals = {"phi" if by_angle and key == "speed_rpm" else key: column for key, column in columns.items()}
+    rec = _import(options, replace(file, signals=signals, units=file.units if by_angle else {}), {})
+    point = {key: float(np.median(rec.signal(key))) for key in columns if key in rec.signals}
+    if by_angle:
+        increments = turning_increments(rec)
+        turning = 0.0 if increments is None else abs(float(np.mean(increments)))
+        point["speed_rpm"] = 30 / np.pi / rec.sample_time * turning
+    return known | {key: float(f"{value:.{2 if key == 'pressure_bar' else 3}g}") for key, value in point.items()}
+
+
+def _notes_on_points(files: Sequence[MeasuredFile], recordings: Sequence[Recording]) -> list[str]:
+    """Return a note for each part of the operating point and each column that measures it."""
+    values: dict[tuple[str, str], list[float]] = {}
+    for file, rec in zip(files, recordings, strict=True):
+        for key, column in file.sources.items():
+            values.setdefault((key, column), []).append(rec.conditions[key])
+    return [
+        f"{key} of {len(each)} file{'s' * (len(each) > 1)} is measured, by column {column}: "
+        f"{', '.join(f'{value:g}' for value in sorted(set(each)))}"
+        for (key, column), each in values.items()
+    ]
 
 
 def _angle_units(options: DraftOptions, files: Sequence[MeasuredFile]) -> tuple[list[MeasuredFile], list[str]]:
@@ -780,7 +769,10 @@ class Draft:
 
 
 def draft_experiment(
-    options: DraftOptions, target: Path, complete: Callable[[MachineData], MachineData] | None = None
+    options: DraftOptions,
+    target: Path,
+    complete: Callable[[MachineData], MachineData] | None = None,
+    content: FolderContent | None = None,
 ) -> Draft:
     """Return an experiment for a gas bearing with the recordings of a folder.
 
@@ -795,6 +787,8 @@ def draft_experiment(
         Folder that the experiment will be written to.
     complete : callable, optional
         Asks for the numbers of the machine that are not given; called when everything else is known.
+    content : FolderContent, optional
+        The files of the folder, where they are listed already.
 
     Raises
     ------
@@ -805,13 +799,14 @@ def draft_experiment(
     DataError
         When a file cannot be read.
     """
-    surveyed = survey(options)
+    content = content or list_folder(options.folder)
+    surveyed = survey(options, content)
     data = read_data(options, surveyed.files)
     text = draft_text(target, options, data)
     if complete is not None:
         options = replace(options, machine=complete(options.machine))
         text = draft_text(target, options, data)
-    left_out = (f"left out, of a kind that is not imported: {', '.join(surveyed.others)}",) if surveyed.others else ()
+    left_out = (f"left out, of a kind that is not imported: {', '.join(content.others)}",) if content.others else ()
     return Draft(text, (*data.notes, *surveyed.notes, *left_out, *_unknown(options)), surveyed.columns)
 
 

@@ -99,18 +99,19 @@ def remove_spikes(values: FloatArray, threshold: float = THRESHOLD, measured: Fl
 
 
 OVERLOAD = 3.0
-"""Distance of an overload from the median of its channel, over the largest distance of samples that are no spikes. A
+"""Distance of an overload from the median of its channel, over the largest distance of all other samples. A
 sample nearer than this has less than a tenth of the power of 1 000 samples with a crest factor of 3 (9 * 9 / 1 000), so
 that the checks of a recording bear it."""
 _MEASURED = ("u", "p")
 
 
 def repair_overloads(rec: Recording) -> Recording:
-    """Return a recording without overloads: spikes far beyond the range of all other samples, in u and p.
+    """Return a recording without overloads: samples far beyond the range of all others, in u and p.
 
     Such a sample (a full scale, 9999, 1e37) stands for no position, and decides means, spectra and maps. It is replaced
-    as `remove_spikes` does, and ``import_remarks`` of the provenance tells of it. Smaller spikes stay for the
-    prefilter. The command r stays: a single pulse may be meant.
+    as `remove_spikes` does, or on a line between its neighbours where that takes it for part of a step.
+    ``import_remarks`` of the provenance tells of it. Runs of more than three such samples stay, and smaller spikes,
+    which are the prefilter's. The command r stays: a single pulse may be meant.
 
     Parameters
     ----------
@@ -125,11 +126,13 @@ def repair_overloads(rec: Recording) -> Recording:
             continue
         cleaned = np.array(values)
         despiked = remove_spikes(values)
-        for i, samples in enumerate(despiked.samples):
-            usual = np.delete(distance[:, i], samples).max()
-            wrong = samples[distance[samples, i] > OVERLOAD * usual]
+        for i, spikes in enumerate(despiked.samples):
+            wrong = _overloaded(distance[:, i])
             if wrong.size:
-                cleaned[wrong, i] = despiked.values[wrong, i]
+                right = np.delete(np.arange(rec.n_samples), wrong)
+                cleaned[wrong, i] = np.interp(wrong, right, values[right, i])
+                smooth = np.intersect1d(wrong, spikes)
+                cleaned[smooth, i] = despiked.values[smooth, i]
                 worst = values[wrong[distance[wrong, i].argmax()], i]
                 which = f"{wrong.size} overload{'s' if wrong.size > 1 else ''} of {name}_{rec.channels[name][i]}"
                 texts.append(f"{which} replaced, up to {worst:g} {rec.units[name]}, the first at sample {wrong[0]}")
@@ -139,6 +142,16 @@ def repair_overloads(rec: Recording) -> Recording:
     earlier = rec.provenance.get("import_remarks")
     said = "; ".join([*([earlier] if earlier else []), *texts])
     return replace(rec, signals={**rec.signals, **repaired}, provenance={**rec.provenance, "import_remarks": said})
+
+
+def _overloaded(distance: FloatArray) -> IntArray:
+    """Return the samples far beyond all others, at most one in a hundred, in runs of up to three."""
+    order = np.argsort(-distance)
+    largest = distance[order[: len(order) // 100 + 1]]
+    above = np.flatnonzero((largest[:-1] > OVERLOAD * largest[1:]) & (largest[1:] > 0))
+    wrong = np.sort(order[: above[-1] + 1]) if above.size else order[:0]
+    runs = np.split(wrong, np.flatnonzero(np.diff(wrong) > 1) + 1)
+    return np.concatenate([wrong[:0], *(run for run in runs if len(run) <= LONGEST_RUN)])
 
 
 def _clean(x: FloatArray, threshold: float, step: float) -> IntArray:

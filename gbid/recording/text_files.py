@@ -22,7 +22,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.files import refuse_special
 from gbid.core.tables import file_size
-from gbid.core.units import conversion_factor, is_unit
+from gbid.core.units import conversion_factor, is_speed_unit, is_unit
 from gbid.recording.mapping import DECIMALS, DELIMITERS, TextOptions
 
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -168,9 +168,6 @@ def _encoding(data: bytes) -> str:
 _OTHER_WORDS = {
     "Grad": "deg",  # pint reads it as gigaradian
     "grd": "deg",
-    "U/min": "rpm",
-    "min^-1": "rpm",
-    "1/min": "rpm",
     "Sek": "s",
     "Sek.": "s",
     "sec": "s",
@@ -182,7 +179,7 @@ _OTHER_WORDS = {
 def written_unit(word: str) -> str:
     """Return the spelling of gbid for a unit that a file states, e.g. ``um`` for ``µm``."""
     word = word.strip()
-    return _OTHER_WORDS.get(word, word)
+    return "rpm" if is_speed_unit(word) else _OTHER_WORDS.get(word, word)
 
 
 def is_file_unit(cell: str) -> bool:
@@ -198,6 +195,7 @@ def file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> s
     DataError
         When file and mapping give different units.
     """
+    mapped, given = (None if unit is None else written_unit(unit) for unit in (mapped, given))
     if mapped is None or given is None or mapped == given:
         return given if mapped is None else mapped
     try:

@@ -9,9 +9,10 @@ from scipy.io import savemat
 
 from gbid import load_fit, load_recording
 from gbid.cli import files as new
-from gbid.experiment.draft import find_roles, read_names
+from gbid.experiment.draft import read_names
 from gbid.experiment.load import load_experiment
 from gbid.recording.readers import FileChannel
+from gbid.recording.roles import find_roles
 
 N, DT = 900, 4e-4
 
@@ -78,17 +79,17 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
         ("--signal p=X,Y", ["--signal", "p=c5,c6", "--signal", "r=c1,c2"]),
         ("--unit", ["--unit", "um"]),
         ("--pressure", ["--pressure", "5"]),
-        ("--speed", ["--speed", "4000"]),
     ):
         assert option in printed_by(capsys, "new", tmp_path / "own", "--from", tmp_path / "a", *flags, code=2).err
         flags += more
     flags += ["--moving-mass", "2.5", "--clearance", "40"]
     left_out = printed_by(capsys, "new", tmp_path / "own", "--from", tmp_path / "a", *flags).err
     assert "not known, so left out: limits of the stacks in the control chain in C. Give --travel UM" in left_out
+    assert "speed_rpm of 1 file is measured, by column angle: 4000" in left_out
     known = load_experiment(tmp_path / "own" / "experiment.yaml").spec.machine
     assert (known.moving_mass_kg, known.piezo_travel_m, known.clearance_m) == (2.5, None, 40e-6)
     given = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
-    answers = iter(["c3,c4", "c5, c6", "um", "5", "4000", "2,5", "", "40"])
+    answers = iter(["c3,c4", "c5, c6", "um", "5", "2,5", "", "40"])
     monkeypatch.setattr(new.sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setattr(new.typer, "prompt", lambda *_, **__: next(answers))
     assert gbid("new", tmp_path / "asked", "--from", tmp_path / "a", "--signal", "r=c1,c2") == 0
@@ -124,6 +125,8 @@ def test_a_text_without_a_table_beside_files_of_any_ending_is_left_out_with_the_
         ("t;rx;ry;ux;uy;px;py;phi", {"r": "r", "u": "u", "p": "p"}),
         ("Zeit;Soll_A;Soll_B;Aktor_A;Aktor_B;Spalt_A;Spalt_B;Winkelgeber", {"r": "Soll", "u": "Aktor", "p": "Spalt"}),
         ("t;CmdH;CmdV;ActuatorH;ActuatorV;GapH;GapV;ShaftEncoder", {"r": "Cmd", "u": "Actuator", "p": "Gap"}),
+        ("t;Soll hor;Soll vert;Piezo hor;Piezo vert;Lage hor;Lage vert;Drehgeber", {"r": "Soll", "p": "Lage"}),
+        ("t;set left;set right;act left;act right;prox left;prox right;enc", {"r": "set", "u": "act", "p": "prox"}),
         ("time;data.r[0];data.r[1];data.u[0];data.u[1];y;x;encoder", {"r": "data.r", "u": "data.u", "p": ""}),
     ],
 )
@@ -147,6 +150,57 @@ def test_names_of_several_forms_have_no_pattern():
         assert read_names(names).pattern.text == pattern
     assert read_names(["p5.csv", "q_5.csv"]) is None
     assert read_names(["p5,5.csv", "p6.csv"]).read("p5,5.csv") == {"pressure_bar": 5.5}
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["6bar_4200Umin_a", "6bar_4200_U-min", "6 bar 4200 1-min", "6bar_4200 min^-1", "6bar_4200UpM", "6bar_4200rpm_5min",
+     "5min_6bar_4200rpm", "6bar_4200_rev_min", "6bar_4200tr_min", "6bar n=4200", "V1_rpm4200_bar6", "V1 rpm 4200 bar 6",
+     "V1_6_bar_4200_rpm_3", "Druck_6_4200_Umdrehungen", "6bar_4.2krpm", "0.6MPa_70rps",
+     "600kPa_4200U_per_min", "6,0bar_4200U"],
+)  # fmt: skip
+def test_pressure_and_speed_in_any_spelling(name):
+    assert read_names([f"{name}.csv"]).read(f"{name}.csv") == {"pressure_bar": 6.0, "speed_rpm": 4200.0}
+
+
+@pytest.mark.parametrize(
+    "name", ["6bar_4.200Umin", "6bar_4,200rpm", "6bar_70Hz", "6bar_4200", "run1_u_6bar", "6bar_5min"]
+)
+def test_a_number_that_may_be_another_is_no_speed(name):
+    assert read_names([f"{name}.csv"]).read(f"{name}.csv") == {"pressure_bar": 6.0}
+
+
+def test_an_operating_point_that_no_name_tells_is_measured(tmp_path, capsys):
+    names = "t [s];r_x [um];r_y [um];u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
+    for number, rpm, more in ((1, 4200.0, "Drehzahl [U/min];Druck [bar]"), (2, 3000.0, "Druck [bar]")):
+        path = tmp_path / "m" / f"run{number}.csv"
+        write(path, True, rpm, names)
+        lines = path.read_text(encoding="cp1252").splitlines()
+        point = {"Drehzahl [U/min]": rpm + 3, "Druck [bar]": 4.98}
+        cells = "".join(f";{point[column]:g}" for column in more.split(";"))
+        rows = [f"{lines[0]};{more}", *(line + cells for line in lines[1:])]
+        path.write_text("\n".join(rows), encoding="cp1252")
+    said = printed_by(capsys, "init", tmp_path / "m", tmp_path / "own").err
+    for words in ("speed_rpm of 1 file is measured, by column Drehzahl: 4200", "by column phi: 3000", "Druck: 5\n"):
+        assert words in said
+    recordings = load_experiment(tmp_path / "own" / "experiment.yaml").recordings
+    assert [dict(q.conditions) for q in recordings.values()] == [
+        {"pressure_bar": 5.0, "speed_rpm": 4200.0}, {"pressure_bar": 5.0, "speed_rpm": 3000.0}
+    ]  # fmt: skip
+
+
+def test_columns_given_once_are_those_of_csv_and_mat(tmp_path):
+    names = "Zeit;Kanal 1;Kanal 2;Kanal 3;Kanal 4;Kanal 5;Kanal 6;Kanal 7"
+    write(tmp_path / "m" / "6bar_4200rpm_a.csv", True, 4200.0, names)
+    columns = np.genfromtxt(tmp_path / "m" / "6bar_4200rpm_a.csv", delimiter=";", skip_header=1).T
+    fields = dict(zip(names.replace(" ", "_").split(";"), columns, strict=True))
+    savemat(tmp_path / "m" / "7bar_4200rpm_b.mat", {"Mess": fields})
+    given = {"r": (1, 2), "u": (3, 4), "p": (5, 6), "phi": (7,)}
+    flags = [f"--signal={q}={','.join(f'Kanal {i}' for i in on)}" for q, on in given.items()]
+    assert gbid("init", tmp_path / "m", tmp_path / "own", *flags, "--unit", "um") == 0
+    text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
+    assert '["Kanal 5", "Kanal 6"]' in text
+    assert '["Mess.Kanal_5", "Mess.Kanal_6"]' in text
 
 
 GERMAN = "Zeit;Soll_A;Soll_B;Aktor_A;Aktor_B;Spalt_A;Spalt_B;Winkelgeber"
@@ -188,6 +242,14 @@ def test_all_open_roles_are_asked_at_once_and_unused_columns_are_told(tmp_path, 
     assert "no run-up is cut away: --signal phi=X" in said
     assert gbid("new", tmp_path / "wrong", *flags, "--signal", "r=K1,K9") == 2
     assert "no file has the channels K1, K9" in capsys.readouterr().err
+
+
+def test_a_signal_without_its_second_axis_is_asked_for(tmp_path, capsys):
+    write(tmp_path / "m" / "6bar_4200rpm.csv", True, 4200.0, "Zeit;Soll_x;Soll_q;u_x;u_y;p_x;p_y;phi")
+    said = printed_by(capsys, "init", tmp_path / "m", tmp_path / "own", "--unit", "um").err
+    assert "  Soll_x  not used  r by 'soll', axis x" in said
+    assert "no controller: --signal r=X,Y" in said
+    assert "phi=X" not in said
 
 
 def test_files_of_two_kinds_take_two_sets_of_names(tmp_path):

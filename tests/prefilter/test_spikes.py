@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from gbid.prefilter.filtering import ONE_SIDED, remove_spikes
+from gbid.prefilter.filtering import ONE_SIDED, remove_spikes, repair_overloads
+from gbid.recording import Recording
 
 TS = 2e-4
 NOISE = 30e-9
@@ -97,3 +98,31 @@ def test_spikes_smaller_than_the_limit_stay():
 def test_short_signals_have_no_neighbours_to_ask(n):
     values = np.full((n, 2), 3.0)
     np.testing.assert_array_equal(remove_spikes(values).values, values)
+
+
+@pytest.mark.parametrize("wrong", [9999e-6, -1e31, 32.767e-6])
+@pytest.mark.parametrize(("first", "count"), [(1000, 1), (1001, 2), (999, 3), (0, 1), (1999, 1), (1500, 2)])
+def test_overloads_are_replaced_beside_a_sharp_step_and_at_the_ends(first, count, wrong):
+    random = np.random.default_rng(first)
+    clean = np.repeat(random.choice([-4e-6, 4e-6], (20, 2)), 100, axis=0) + NOISE * random.standard_normal((2000, 2))
+    clean[900:1000, 0], clean[1000:1100, 0] = -4e-6, 4e-6  # a step at sample 1000
+    spoilt = clean.copy()
+    spoilt[first : first + count, 0] = wrong
+    repaired = repair_overloads(Recording({"u": clean, "p": spoilt}, TS, units={"u": "m", "p": "m"}))
+    np.testing.assert_allclose(repaired.signal("p"), clean, atol=8.1e-6)
+    untouched = np.delete(np.arange(2000), np.arange(first, first + count))
+    np.testing.assert_array_equal(repaired.signal("p")[untouched], clean[untouched])
+    np.testing.assert_array_equal(repaired.signal("u"), clean)
+    words = f"{count} overload{'s' * (count > 1)} of p_x replaced, up to {wrong:g} m, the first at sample {first}"
+    assert repaired.provenance["import_remarks"] == words
+
+
+def test_what_may_be_a_motion_is_no_overload():
+    clean, _ = wave(2000)
+    pulse, long, rest = clean.copy(), clean.copy(), np.zeros((2000, 2))
+    pulse[500, 0] = 2.9 * np.abs(clean[:, 0]).max()
+    long[500:504, 0] = 1.0  # a run of four
+    rest[500, 0] = 1e-9  # one step of the converter
+    for values in (clean, pulse, long, rest):
+        rec = Recording({"u": clean, "p": values}, TS)
+        assert repair_overloads(rec) is rec

@@ -1,0 +1,138 @@
+"""Roles of the columns of a measured file by their names: references, piezos, positions, shaft angle and time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from gbid.recording.readers import FileChannel
+
+ROLES = ("r", "u", "p", "phi")
+"""Signals of a gas bearing: references and positions of the piezos, position of the disc, shaft angle."""
+_WORDS = {
+    "r": {"r", "ref", "cmd", "command", "demand", "set", "target"},
+    "u": {"u", "stack", "stellweg", "stellgröße", "stellgroesse", "act"},
+    "phi": {"phi", "angle", "theta", "resolver", "enc"},
+    "p": {"p", "pos", "weg", "wege", "disp", "displacement", "disc", "disk", "gap", "probe", "prox", "shaft", "rotor"},
+}
+_STEMS = {  # first letters of words, for compounds such as Sollwert and Winkelgeber
+    "r": ("soll", "refer", "setpoint", "führung", "fuehrung"),
+    "u": ("piezo", "aktor", "aktuator", "actuator"),
+    "phi": ("winkel", "drehwinkel", "drehgeber", "encoder"),
+    "p": ("spalt", "position", "lage", "wegsensor", "wegaufnehmer", "scheibe", "auslenkung", "welle", "proximity"),
+}
+_OTHER = re.compile("drehzahl|speed|rpm|umin|druck|pressure|temp|kraft|force|strom|current|spannung|voltage|trigger")
+_TIME = {"t", "time", "zeit", "timestamp", "zeitstempel", "sekunden", "seconds"}
+_AXES = {
+    **dict.fromkeys(("x", "a", "h", "hor", "horizontal", "waagerecht", "left", "links"), 0),
+    **dict.fromkeys(("y", "b", "v", "ver", "vert", "vertical", "vertikal", "senkrecht", "right", "rechts"), 1),
+}
+_SHORT = re.compile(r"(r|u|p)([xyabhv12])")
+_CAMEL = re.compile(r"(?<=[a-zäöüß])(?=[A-ZÄÖÜ])")
+_UNKNOWN = "no known name of a signal"
+
+
+class Roles(NamedTuple):
+    """Roles of the columns of a file.
+
+    Attributes
+    ----------
+    time : str or None
+        Column of the sample times if there is one.
+    signals : dict of str to tuple of str
+        Columns by signal: two for ``r``, ``u``, ``p``, one for ``phi``.
+    columns : dict of str to tuple of str
+        Of every column, what it is taken as (empty when it is not used), and the reason.
+    """
+
+    time: str | None
+    signals: Mapping[str, tuple[str, ...]]
+    columns: Mapping[str, tuple[str, str]]
+
+    @property
+    def open_roles(self) -> tuple[str, ...]:
+        """Signals without columns, where a column is not used that may be one of them by what its name says."""
+        unused = [reason for taken, reason in self.columns.values() if not taken]
+        missing = [role for role in ROLES if role not in self.signals]
+        return tuple(q for q in missing if any(why.startswith((_UNKNOWN, f"{q} by ")) for why in unused))
+
+
+def find_roles(channels: Sequence[FileChannel], given: Mapping[str, tuple[str, ...]], time: str | None) -> Roles:
+    """Return the roles of the channels of a file, those given first.
+
+    Parameters
+    ----------
+    channels : sequence of FileChannel
+        Channels of the file.
+    given : dict of str to tuple of str
+        Columns by signal, where they are known; an empty tuple for a signal that the file does not have.
+    time : str or None
+        Column of the sample times, where it is known.
+    """
+    longest = max((channel.n_samples for channel in channels), default=0)
+    usable = {channel.name: channel for channel in channels if not channel.remark and channel.n_samples == longest}
+    reasons = {
+        channel.name: ("", channel.remark or f"{channel.n_samples} of {longest} samples") for channel in channels
+    }
+    was_given = time is not None
+    if time is None:
+        rising = [name for name, channel in usable.items() if channel.step is not None]
+        named = [name for name in rising if _TIME & set(_split(name))]
+        time = named[0] if named else rising[0] if len(rising) == 1 else None
+    axes: dict[str, dict[int, str]] = {role: {} for role in ROLES}
+    for name in usable:
+        role, axis, why = _role(name)
+        first = axes[role].setdefault(axis, name) if role and name != time else name
+        why = f"{role} by {why}" if role else why
+        reasons[name] = ("", why if first == name else f"{why}, as {first!r} before it")
+    pairs = {role: tuple(name for _, name in sorted(names.items())) for role, names in axes.items()}
+    complete = {role: names for role, names in pairs.items() if len(names) == (1 if role == "phi" else 2)}
+    complete = {role: names for role, names in (complete | dict(given)).items() if names}
+    for role, names in complete.items():
+        for letter, name in zip(("x", "y"), names, strict=False):
+            why = "given" if given.get(role) else reasons[name][1].removeprefix(f"{role} by ")
+            reasons[name] = (role if role == "phi" else f"{role} {letter}", why)
+    if time is not None:
+        reasons[time] = ("time", "given" if was_given else "rises evenly")
+    return Roles(time, {role: complete[role] for role in ROLES if role in complete}, reasons)
+
+
+def _split(name: str) -> list[str]:
+    return re.findall(r"[^\W\d_]+|\d+", _CAMEL.sub(" ", name).lower())
+
+
+def _role(name: str) -> tuple[str | None, int, str]:
+    """Return the role of a channel by its name, the number of its axis, and the reason."""
+    words = _split(name)
+    if short := _SHORT.fullmatch("".join(words)):
+        words = [short[1], short[2]]
+    if words in (["x"], ["y"]):
+        return "p", _AXES[words[0]], f"axis {words[0]} alone"
+    for word in words:
+        if _OTHER.match(word):
+            return None, 0, f"{word!r} is none of r, u, p and phi"
+    for role in _WORDS:
+        if word := next((w for w in words if w in _WORDS[role] or w.startswith(_STEMS[role])), ""):
+            if role == "phi":
+                return role, 0, f"{word!r}"
+            axis = words[-1] if words[-1].isdecimal() else next((w for w in reversed(words) if w in _AXES), "")
+            number = int(axis) if axis.isdecimal() else _AXES.get(axis, 0)
+            return role, number, f"{word!r}, axis {axis}" if axis else f"{word!r}, no axis"
+    return None, 0, _UNKNOWN
+
+
+def column_lines(roles: Mapping[Path, Roles]) -> tuple[str, ...]:
+    """Return the lines of a table of all columns and what they are taken as, once for files with equal columns."""
+    alike: dict[tuple[object, ...], list[Path]] = {}
+    for path, each in roles.items():
+        alike.setdefault(tuple(each.columns.items()), []).append(path)
+    lines = []
+    for paths in alike.values():
+        columns = roles[paths[0]].columns
+        width = max(map(len, columns))
+        more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+        lines.append(f"columns of {paths[0].name}{more}, and what they are taken as:")
+        lines += [f"  {name:{width}}  {taken or 'not used':8}  {why}" for name, (taken, why) in columns.items()]
+    return tuple(lines)
