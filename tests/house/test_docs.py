@@ -22,11 +22,14 @@ from typer.main import get_command
 
 import gbid
 from gbid.cli.main import app
+from gbid.cli.printing import print_tables
 from gbid.experiment.load import load_experiment
+from gbid.experiment.machine import true_model, true_values
 from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.rig import RIG
 from gbid.identify import FitOptions
-from gbid.structure import Structure
+from gbid.report.fit_tables import fit_document, fit_tables
+from gbid.structure import Plant, RotorBearing, Structure
 
 DOCS = ROOT / "docs"
 PAGES = sorted(p for p in DOCS.rglob("*.md") if not {"_build", "jupyter_execute"} & set(p.relative_to(DOCS).parts))
@@ -78,11 +81,23 @@ def test_readme_python_runs_on_what_make_run_leaves(
     percents = [float(percent) for percent in re.findall(r"[\d.]+", printed.rsplit("]:", 1)[1])]
     joint = next(body for info, body in fences(ROOT / "README.md") if "joint, p5_n6000_prbs1" in body)
     assert_printed(joint, result, percents)
+    structure = Plant(RotorBearing(disturbance_gain="none"))
+    truth_of = true_values(load_experiment(experiment), ["p5_n6000_prbs1"], structure)
+    document = fit_document(result, truth_of, true_model(structure, truth_of, result.linear_model))
+    print_tables(*fit_tables("joint, p5_n6000_prbs1", document))
+    lines = {skeleton(line) for line in capsys.readouterr().out.splitlines()}
+    of_the_fit = joint.partition("joint, cross-validation")[0].splitlines()
+    assert [line for line in of_the_fit if skeleton(line) not in lines] == []
 
     exec(compile(tuning, "README.md", "exec"), names)
     printed = capsys.readouterr().out
     assert "optimal" in printed
     assert "peak S_o" in printed
+
+
+def skeleton(line: str) -> str:
+    """Words and signs of a printed line, without its digits and the widths of its columns."""
+    return " ".join(re.sub(r"\d[\d.]*(e[+-]?\d+)?", "#", line).split())
 
 
 def assert_printed(joint: str, result: gbid.FitResult, percents: list[float]) -> None:

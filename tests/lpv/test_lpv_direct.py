@@ -127,6 +127,18 @@ def test_recordings_have_structures_of_their_own(one_point):
         gbid.fit_lpv_direct(one_point, start, structure=own)
 
 
+def test_rounds_that_do_not_settle_are_said(one_point, monkeypatch):
+    """The scatter between recordings and the surfaces follow from each other in rounds; one round is too few here."""
+    start = constant({key: 1.01 * value for key, value in truth_at(5.0, 4000.0).items()})
+    options = {"structure": RotorBearing(disturbance_gain="none"), "focus": "simulation"}
+    settled = gbid.fit_lpv_direct(one_point, start, **options)
+    assert int(settled.options["rounds"]) > 1
+    assert not [note for note in settled.notes if "GB304" in note]
+    monkeypatch.setattr("gbid.lpv.direct._ROUNDS", 1)
+    stopped = gbid.fit_lpv_direct(one_point, start, **options)
+    assert [note for note in stopped.notes if "GB304" in note and "after 1 rounds the coefficients" in note]
+
+
 @pytest.mark.slow
 def test_recordings_in_open_and_in_closed_loop_share_surfaces(one_point):
     """The loops are simulated from what is injected: noise that the controller feeds back is no input."""
