@@ -171,15 +171,7 @@ COLUMNS = tuple((kind, truth) for truth in ("of_rig", "of_recordings") for kind 
 
 def table(run: Mapping[str, Any]) -> str:
     """Return the figures of the surfaces as a Markdown table."""
-    lines = []
-    for key in KEY_PARAMETERS:
-        cells = [key]
-        for kind, truth in COLUMNS:
-            row = run[kind]["surfaces"][truth][key]
-            share = f"{100 * row['within']:.0f} %"
-            marked = share if row["within"] >= ENOUGH else f"**{share}**"
-            cells.append(f"{marked}, {100 * row['relative_error']:.1f} %")
-        lines.append(cells)
+    lines = [[key, *(shown(run[kind]["surfaces"][truth][key]) for kind, truth in COLUMNS)] for key in KEY_PARAMETERS]
     head = ("parameter", "linear, rig", "film, rig", "linear, machines drawn", "film, machines drawn")
     return markdown(head, lines)
 
@@ -203,7 +195,8 @@ def summary(run: Mapping[str, Any]) -> str:
             f"- Below 95 %, surfaces through the machines drawn: linear {missed[2]}; film {missed[3]}.",
             *others,
             f"- Stiffening: true {of['true'] / 1e8:.2f}, found {of['surface'] / 1e8:.2f} ± "
-            f"{of['surface_std'] / 1e8:.2f} (1e8 1/m²).",
+            f"{of['surface_std'] / 1e8:.2f} (1e8 1/m²): {100 * (of['surface'] / of['true'] - 1):+.1f} %, "
+            f"{(of['surface'] - of['true']) / of['surface_std']:+.1f} standard deviations.",
             f"- Cross-validation on another recording of the same point, {len(linear)} pairs, x and y: linear "
             f"{_both(linear)}, film {_both(film)}, a gain of {_both(gain)}; the smallest gain in a recording is "
             f"{gain.min():.2f} %, the largest {gain.max():.2f} %. Noise, which no model explains, limits both.",
@@ -215,11 +208,20 @@ def _missed(run: Mapping[str, Any], kind: str, truth: str) -> str:
     """Return the parameters within three standard deviations at too few points."""
     rows = run[kind]["surfaces"][truth]
     return (
-        ", ".join(
-            f"{key} ({100 * rows[key]['within']:.0f} %)" for key in KEY_PARAMETERS if rows[key]["within"] < ENOUGH
-        )
+        ", ".join(f"{key} ({_percent(rows[key]['within'])})" for key in KEY_PARAMETERS if rows[key]["within"] < ENOUGH)
         or "none"
     )
+
+
+def shown(row: Mapping[str, float]) -> str:
+    """Return the share of points within three standard deviations, bold where it is too small, and the rms error."""
+    share = _percent(row["within"])
+    return f"{share if row['within'] >= ENOUGH else f'**{share}**'}, {100 * row['relative_error']:.1f} %"
+
+
+def _percent(share: float) -> str:
+    """Return whole percents, rounded down: 94.9 % are not 95 %."""
+    return f"{int(100 * share + 1e-9)} %"
 
 
 def _both(percent: FloatArray) -> str:

@@ -126,3 +126,16 @@ def test_what_may_be_a_motion_is_no_overload():
     for values in (clean, pulse, long, rest):
         rec = Recording({"u": clean, "p": values}, TS)
         assert repair_overloads(rec) is rec
+
+
+def test_spikes_near_the_noise_stay():
+    """As docs/limits.md says: none below twelve standard deviations is found, half at sixteen, nearly all at twenty."""
+    where = np.arange(100, 4900, 100)
+    shares = []
+    for size in (11, 16, 20):
+        _, values = wave()
+        values[where, 0] += size * NOISE
+        shares.append(np.isin(where, remove_spikes(values).samples[0]).mean())
+    assert shares[0] == 0.0
+    assert 0.35 < shares[1] < 0.75
+    assert shares[2] > 0.9
