@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from gain_problems import damping_problem
 
+import gbid
 from benchmarks.known_loops import two_masses_canonical
+from gbid.control import GainStatus, MaxDamping
 from gbid.control.tuning.certificate import certify
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.problem import GainProblem, Limits
@@ -65,3 +67,15 @@ def test_two_eigenvalues_that_have_not_met_leave_room() -> None:
     assert 1e-4 < rise < certificate.room
     far, x = certify(parted(0.3), rest, np.ones(1))
     assert not far.holds or x[0] > 0.08
+
+
+@pytest.mark.parametrize("band", [{}, {"high_hz": 150.0}], ids=["all modes", "band"])
+def test_modes_without_damping_that_nearly_meet_are_no_optimum(band: dict[str, float]) -> None:
+    """Two equal axes without control: any damping gain is better, whatever the objective counts."""
+    none, eye, w = np.zeros((2, 2)), np.eye(2), np.array([600.0, 601.0])
+    A = np.block([[none, eye], [-np.diag(w**2), -0.02 * np.diag(w)]])
+    plant = gbid.LinearModel(A, np.vstack([none, eye]), np.hstack([eye, none]), none, output_names=("x", "y"))
+    law = gbid.controller_structure("PD", axes=("x", "y"), lower=-1e5, upper=1e5, kd_limit_ms=2e5, lowpass_hz=2000.0)
+    result = gbid.tune(plant, law, goals=[MaxDamping(**band)], starts=0, evaluations=1)
+    assert result.value == pytest.approx(0.01)
+    assert result.status is GainStatus.ITERATION_LIMIT

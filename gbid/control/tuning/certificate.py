@@ -71,10 +71,13 @@ class Meeting:
 
 
 def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) -> list[tuple[Meeting, ...]]:
-    """Return groups of clusters that may meet at a better design, one by one and several at once."""
+    """Return groups of clusters that may meet at a better design, one by one and several at once.
+
+    They are those of the damping or decay of all modes: the mean of a cluster says nothing of another objective.
+    """
     places: dict[tuple[int, int, int, complex], tuple[float, complex, float]] = {}
     near = sorted(
-        (piece for piece in functions.aim if piece.value < functions.score.value + _WINDOW),
+        (piece for piece in functions.aim if piece.kind == "aim" and piece.value < functions.score.value + _WINDOW),
         key=lambda piece: piece.value,
     )
     damping = problem.limits.objective == "damping"
