@@ -47,6 +47,7 @@ from .excite import (
     KnownModel as KnownModel,
     design_excitation as design_excitation,
 )
+from .export.data_files import save_data as save_data
 from .export.matlab import save_mat as save_mat
 from .export.ross import from_ross as from_ross
 from .export.tables import save_csv as save_csv

@@ -288,7 +288,7 @@ def export(
         typer.Argument(
             metavar="EXPERIMENT|MODEL|CONTROLLER",
             help="An experiment YAML (its fits, LPV models and controllers), a model YAML or name, a controller YAML, "
-            "or a fit in .h5.",
+            "or a fit or a recording in .h5.",
             show_default=False,
             autocompletion=complete_source,
         ),

@@ -409,7 +409,8 @@ def collect(job: Job) -> tuple[FitTable, list[Outcome]]:
 
 def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> TableEntry:
     conditions = [job.experiment.recordings[name].conditions for name in task.recordings]
-    shared = {k: v for k, v in conditions[0].items() if all(other.get(k) == v for other in conditions)}
+    first: Mapping[str, float] = conditions[0] if conditions else {}
+    shared = {k: v for k, v in first.items() if all(other.get(k) == v for other in conditions)}
     result, failure = None, state if isinstance(state, str) else ""
     if not failure:
         try:

@@ -462,7 +462,7 @@ class Experiment:
         When it names none, all excited ones; of the rig those in the loop for a fit with `loop`, else the others.
         """
         section = self.spec.fits[fit]
-        if section.recordings:
+        if section.recordings is not None:
             return self.matching(section.recordings)
         closed = section.loop is not None
         excited = (q for q in self.recordings.values() if q.excited)
@@ -502,8 +502,8 @@ class Experiment:
         """Return the path of the file of an imported recording."""
         return self.folder / needed(self.spec.imported, "import").data_folder / entry.file
 
-    def origin(self, recordings: Iterable[str] = ()) -> dict[str, Any]:
-        """Return what a result came from: the YAML, its seeds, and the data files of its recordings, with their sha256.
+    def origin(self, recordings: Iterable[str] = (), fit: str = "") -> dict[str, Any]:
+        """Return what a result came from: the YAML, its seeds, and its data files, with their sha256.
 
         Paths are relative to the folder of the experiment.
 
@@ -511,9 +511,12 @@ class Experiment:
         ----------
         recordings : iterable of str
             Recordings from which the result is made; those of the rig have no data files.
+        fit : str
+            Fit that the result is; its frequency responses are data files as well.
         """
         imported = [self.recordings[name].imported for name in recordings if name in self.recordings]
         files = [self.data_file(entry) for entry in imported if entry is not None]
+        files += [self.folder / each.file for each in (self.spec.fits[fit].responses if fit else ())]
         yaml = {"file": self.file.path.name, "sha256": _digest_or_not(self.file.path)}
         data = {self.beside(path): _digest_or_not(path) for path in files}
         return {"experiment": yaml, "seeds": self._seeds, "data": data}
@@ -578,19 +581,21 @@ def _named(value: Any) -> Iterator[str]:
 
 TOGETHER = "together"
 """Name of the one model of a fit to all its recordings together."""
+RESPONSES = "responses"
+"""Name of the one model of a fit to frequency responses alone."""
 
 
 def fit_models(experiment: Experiment, fit: str) -> dict[str, list[str]]:
     """Return the models of a fit by name, each with the recordings to which it is fitted."""
-    names = [q.name for q in experiment.fit_recordings(fit)]
-    return {TOGETHER: names} if experiment.spec.fits[fit].together else {name: [name] for name in names}
+    names, section = [q.name for q in experiment.fit_recordings(fit)], experiment.spec.fits[fit]
+    if section.responses and not names:
+        return {RESPONSES: []}
+    return {TOGETHER: names} if section.together else {name: [name] for name in names}
 
 
 def recordings_of(experiment: Experiment, fit: str, model: str) -> list[str]:
     """Return the recordings to which one model of a fit is fitted."""
-    if experiment.spec.fits[fit].together:
-        return [q.name for q in experiment.fit_recordings(fit)]
-    return [model]
+    return fit_models(experiment, fit)[model]
 
 
 # ---- Plan of a cross-validation: pairs of model and recording (paper, Sec. 3.8).
@@ -634,6 +639,8 @@ def figure_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
 
 def _next(experiment: Experiment, model: str, models: list[str]) -> str:
     """Return the next recording of the same operating point; empty when there is none."""
+    if model not in experiment.recordings:  # of a fit to frequency responses alone
+        return ""
     point = experiment.recordings[model].point
     same = [name for name in models if experiment.recordings[name].point == point]
     return same[(same.index(model) + 1) % len(same)] if len(same) > 1 else ""

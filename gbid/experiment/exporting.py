@@ -20,9 +20,10 @@ from gbid.experiment.run import Job
 from gbid.experiment.stages.fit import load_made_fit
 from gbid.experiment.stages.prefilter import MAP_FOLDER
 from gbid.export.targets import ExportItem, ExportRequest, Point, export_target
-from gbid.identify import load_fit
+from gbid.identify import FitResult
 from gbid.lpv import LPVModel, load_model
 from gbid.prefilter import PrefilterFile, RunoutMap
+from gbid.recording import Recording
 
 FOLDER = "export"
 _LONGEST = 50  # characters of a name in C and MATLAB, with room for what is added to it
@@ -61,7 +62,7 @@ def find_exports(
     Parameters
     ----------
     source : str
-        An experiment YAML, a model YAML or name, a controller YAML, or a fit in .h5.
+        An experiment YAML, a model YAML or name, a controller YAML, or a fit or a recording in .h5.
     at : (pressure_bar, speed_rpm), optional
         Operating point. LPV models give their linear models there.
     results : path, optional
@@ -83,8 +84,13 @@ def find_exports(
     path = Path(source)
     if path.suffix in (".h5", ".hdf5"):
         if at is not None:
-            raise UsageError(f"--at is for LPV models and controllers; {source} is a fit, so leave it out")
-        return Exports(source, (ExportItem(identifier(f"{path.parent.name}_{path.stem}"), load_fit(path)),), Path())
+            raise UsageError(f"--at is for LPV models and controllers, not for {source}; leave it out")
+        value, name = load(path), path.stem
+        if not isinstance(value, FitResult | Recording):
+            raise UsageError(f"{source}: a {type(value).__name__} is not exported; give a fit or a recording")
+        if isinstance(value, FitResult):
+            name = f"{path.parent.name}_{name}"
+        return Exports(source, (ExportItem(identifier(name), value),), Path())
     if path.suffix in (".yaml", ".yml"):
         kind = read_yaml(path).data.get("kind")
         if kind == "controller":
@@ -182,6 +188,7 @@ _WORDS = {
     "LPVModel": "LPV models",
     "FitResult": "fits",
     "LinearModel": "linear models",
+    "Recording": "recordings",
 }
 
 

@@ -54,8 +54,14 @@ def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str
 def has_recordings(experiment: Experiment) -> Found:
     """Yield a problem when the experiment has no recordings."""
     spec = experiment.spec
-    if spec.rig is None and spec.imported is None:
-        yield (), "no recordings: add a rig section (virtual rig) or an import section (files of your own)"
+    if spec.rig is None and spec.imported is None and not any(fit.responses for fit in spec.fits.values()):
+        yield (
+            (),
+            (
+                "no recordings: add a rig section (virtual rig) or an import section (files of your own); a fit to "
+                "frequency responses has responses"
+            ),
+        )
     elif spec.rig is not None and not (experiment.recordings or spec.impacts or spec.controller):
         yield ("rig",), "makes no recordings; set recordings of prbs or stationary to at least 1"
 

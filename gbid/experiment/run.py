@@ -351,7 +351,8 @@ def perform(job: Job, task: Task) -> Outcome:
 
 def _make(job: Job, task: Task) -> Outcome:
     began = time.perf_counter()
-    origin = {**job.experiment.origin(task.recordings), "command": job.command}
+    fit = task.item.partition("/")[0] if task.stage == "fit" else ""
+    origin = {**job.experiment.origin(task.recordings, fit), "command": job.command}
     with one_blas_thread(), writing_keyed(task.path, task.key, origin) as part:
         made = task.write(job, part) or Made()
     return task.ended("made", made, time.perf_counter() - began)

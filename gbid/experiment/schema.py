@@ -211,6 +211,22 @@ class MultiStartSection(Section):
     reach: Positive = 0.5
 
 
+class ResponseSection(Section):
+    """File of frequency responses, with what it does not state: see `gbid.FrequencyData.read`."""
+
+    file: Text
+    averages: Positive | None = None
+    std: Positive | None = None
+
+
+if TYPE_CHECKING:
+    _Response = ResponseSection
+else:
+    _file = Annotated[Text, AfterValidator(lambda file: ResponseSection(file=file)), Tag("file")]
+    _Response = Annotated[
+        _file | Annotated[ResponseSection, Tag("section")],
+        Discriminator(lambda value: "file" if isinstance(value, str) else "section"),
+    ]
 Stretches = Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length=1)]
 
 
@@ -219,15 +235,16 @@ class FitSection(OptionsSection, FitOptions, frozen=True):
 
     `left_out`: by name of a recording, stretches ``[from, to]`` [s] from the first sample; the sample at ``to`` is used
     again. `local` needs `together`. ``inputs: []`` is a free decay. `loop`: the recordings were made under a
-    controller; the structure is then that of the loop, from what was injected. `responses`: CSV files of frequency
-    responses (`gbid.FrequencyData.read`), fitted in one criterion with the recordings.
+    controller; the structure is then that of the loop, from what was injected. `responses`: files of frequency
+    responses, or such a file with its `averages` or `std`. They are fitted in one criterion with the recordings, or
+    alone with ``recordings: []``.
     """
 
     structure: Text
     options: StructureOptions = StructureOptions()
     loop: Annotated[LoopSection | None, BeforeValidator(given)] = None
-    recordings: Names | None = None
-    responses: Names = ()
+    recordings: NamesOrNone | None = None
+    responses: tuple[_Response, ...] = ()
     together: Switch = False
     multi_start: MultiStartSection | None = None
     # Options of `gbid.fit` that have another form in the YAML.

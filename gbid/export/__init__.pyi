@@ -16,6 +16,9 @@ from .chain_python import (
     ChainOutput as ChainOutput,
     PythonChain as PythonChain,
 )
+from .data_files import (
+    save_data as save_data,
+)
 from .fmu import (
     save_fmu as save_fmu,
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,7 @@ class ExportItem:
     ----------
     name : str
         Name of its files without ending: letters, digits and ``_``, a letter first.
-    what : LinearModel, FitResult, LPVModel or ControllerDesign
+    what : LinearModel, FitResult, LPVModel, ControllerDesign or Recording
         The value.
     maps : tuple of RunoutMap
         Run-out maps of the experiment, for a controller.
@@ -168,7 +169,7 @@ def write_tables(item: ExportItem, request: ExportRequest) -> list[Path]:
     for name, value in _models(item, request).items():
         model = getattr(value, "linear_model", value)
         dt = getattr(value, "sample_time", None) or model.dt
-        top = 2500.0 if dt is None else 0.5 / dt
+        top = 0.5 / dt if dt is not None and np.isfinite(dt) else 2500.0
         frequency = np.geomspace(top / 2500.0, top, _N_FREQUENCIES)
         files += [save(f"{name}_matrices", model), save(f"{name}_response", model, frequency_hz=frequency)]
     return files
@@ -278,12 +279,28 @@ def write_elements(item: ExportItem, request: ExportRequest) -> list[Path]:
     return files
 
 
+def write_data(item: ExportItem, request: ExportRequest, ending: str) -> list[Path]:
+    """Write a recording as a file of another program; see `gbid.save_data`.
+
+    Raises
+    ------
+    UsageError
+        When a file exists and `overwrite` is not set, or the format cannot hold the recording.
+    """
+    from gbid.export.data_files import save_data
+
+    return [save_data(item.what, request.folder / f"{item.name}{ending}", overwrite=request.overwrite)]
+
+
 TARGETS = {
     "c": ExportTarget(write_c, ("ControllerDesign",)),
     "csv": ExportTarget(write_tables),
     "fmu": ExportTarget(write_unit, ("LPVModel", "ControllerDesign")),
     "matlab": ExportTarget(write_matlab),
+    "mdf": ExportTarget(partial(write_data, ending=".mf4"), ("Recording",)),
+    "parquet": ExportTarget(partial(write_data, ending=".parquet"), ("Recording",)),
     "ross": ExportTarget(write_elements, ("LPVModel",)),
+    "universal": ExportTarget(partial(write_data, ending=".unv"), ("Recording",)),
     "yaml": ExportTarget(write_yaml),
 }
 """Targets by the word after ``gbid export --to``."""

@@ -19,6 +19,7 @@ from gbid.core.tables import Column, Table
 from gbid.identify.predictor import Predictor, matrices_with_slopes
 from gbid.identify.uncertainty.curves import ChannelCurves, response_slopes
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
+from gbid.recording.universal import UNIVERSAL_ENDINGS, PairResponse, read_responses
 from gbid.structure import AnyStructure, LinearModel, Structure, as_names, kind_of
 
 
@@ -139,17 +140,21 @@ class FrequencyData(ChannelCurves, Pictured):
         return {"magnitude": np.abs(G), "magnitude_std": self.std, "phase_deg": np.degrees(np.angle(G))}
 
     @classmethod
-    def read(cls, path: str | Path, *, averages: float | None = None) -> FrequencyData:
-        """Return the frequency response in a CSV file.
+    def read(cls, path: str | Path, *, averages: float | None = None, std: float | None = None) -> FrequencyData:
+        """Return the frequency response in a CSV file or a universal file.
 
         Parameters
         ----------
         path : str or path
-            File with a row for each output, input and frequency, and a header: ``frequency_hz``, then ``magnitude`` and
-            ``phase_deg``, or ``real`` and ``imaginary``; ``magnitude_std``, ``std`` or ``coherence``; ``output`` and
-            ``input`` with the names of the channels where there are several.
+            CSV file with a row for each output, input and frequency, and a header: ``frequency_hz``, then ``magnitude``
+            and ``phase_deg``, or ``real`` and ``imaginary``; ``magnitude_std``, ``std`` or ``coherence``; ``output``
+            and ``input`` with the names of the channels where there are several. Or a universal file (``.uff``,
+            ``.unv``, ``.uf``) with frequency responses in sets 58, and perhaps their coherence, or in sets 55. A value
+            at 0 Hz is left out.
         averages : float, optional
             Number of independent averages, for the coherence.
+        std : float, optional
+            Standard deviation of all responses, in place of what the file says.
 
         Returns
         -------
@@ -159,40 +164,84 @@ class FrequencyData(ChannelCurves, Pictured):
         ------
         DataError
             When the file cannot be read, or lacks a column or a value.
+        UsageError
+            When neither the file nor the caller gives standard deviations.
         """
         path = Path(path)
+        is_universal = path.suffix.lower() in UNIVERSAL_ENDINGS
         try:
-            rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-            given = set(rows[0]) if rows else set[str]()
-            polar = {"magnitude", "phase_deg"} <= given
-            spread = next((key for key in ("magnitude_std", "std", "coherence") if key in given), None)
-            if "frequency_hz" not in given or not (polar or {"real", "imaginary"} <= given) or spread is None:
-                raise DataError(
-                    f"{path}: needs the columns frequency_hz, magnitude and phase_deg (or real and imaginary), and "
-                    f"magnitude_std, std or coherence; it has {', '.join(sorted(given)) or 'nothing'}"
-                )
-            outputs = list(dict.fromkeys(row.get("output", "y") for row in rows))
-            inputs = list(dict.fromkeys(row.get("input", "u") for row in rows))
-            f = sorted({float(row["frequency_hz"]) for row in rows})
-            response = np.full((len(f), len(outputs), len(inputs)), np.nan, complex)
-            size = np.full(response.shape, np.nan)
-            for row in rows:
-                at = f.index(float(row["frequency_hz"])), outputs.index(row.get("output", "y"))
-                place = (*at, inputs.index(row.get("input", "u")))
-                a, b = (float(row[key]) for key in (("magnitude", "phase_deg") if polar else ("real", "imaginary")))
-                response[place] = a * np.exp(1j * np.radians(b)) if polar else complex(a, b)
-                size[place] = float(row[spread])
+            pairs, coherent = read_responses(path) if is_universal else _of_csv(path, std is None)
         except (OSError, UnicodeDecodeError, ValueError, TypeError) as error:
             raise DataError(f"{path}: is no table of a frequency response: {error}") from None
-        quality: dict[str, Any] = {"coherence" if spread == "coherence" else "std": size}
+        outputs, inputs = (list(dict.fromkeys(pair[k] for pair in pairs)) for k in (0, 1))
+        f = np.unique(np.concatenate([each.frequency_hz for each in pairs.values()]))
+        f = f[f != 0]
+        response = np.full((len(f), len(outputs), len(inputs)), np.nan, complex)
+        size = np.full(response.shape, np.nan)
+        for (output, source), each in pairs.items():
+            used = each.frequency_hz != 0
+            place = np.searchsorted(f, each.frequency_hz[used]), outputs.index(output), inputs.index(source)
+            response[place] = each.values[used]
+            size[place] = np.nan if each.quality is None else each.quality[used]
+        quality: dict[str, Any] = {"coherence" if coherent else "std": size}
+        if std is not None:
+            quality = {"std": std}
+        elif next(iter(pairs.values())).quality is None:
+            raise UsageError(
+                f"{path}: has no coherence, and a fit weights responses by their errors: give std, the standard "
+                "deviation of real and imaginary part"
+            )
         return cls(f, response, inputs=inputs, outputs=outputs, averages=averages, name=path.stem, **quality)
 
-    def channels(self, inputs: Sequence[str], outputs: Sequence[str]) -> FrequencyData:
+    @classmethod
+    def from_control(
+        cls,
+        data: Any,
+        std: npt.ArrayLike | None = None,
+        coherence: npt.ArrayLike | None = None,
+        *,
+        averages: float | None = None,
+        correlation: Sequence[float] = (),
+        name: str | None = None,
+    ) -> FrequencyData:
+        """Return the data of a `FrequencyResponseData` (FRD) object of python-control.
+
+        Parameters
+        ----------
+        data : control.FRD
+            Responses (n_outputs, n_inputs, n) over frequencies [rad/s], in any order, with labels of the channels.
+        std, coherence, averages, correlation, name
+            As for `FrequencyData`; standard deviations (n, n_outputs, n_inputs) are in the order of the frequencies.
+
+        Raises
+        ------
+        UsageError
+            When it is no such object, or there are no standard deviations.
+        """
+        labels: list[Any] = [getattr(data, k, None) for k in ("omega", "frdata", "input_labels", "output_labels")]
+        if any(each is None for each in labels):
+            raise UsageError(
+                f"a {type(data).__name__} is no frequency response of python-control; give control.frd(...), or "
+                "arrays to FrequencyData"
+            )
+        omega, values, inputs, outputs = labels
+        order = np.argsort(omega)
+        order = order[np.asarray(omega)[order] != 0]
+        title = name or str(getattr(data, "name", "response"))
+        sigma, squared = (
+            each if each is None or np.ndim(each) == 0 else np.asarray(each, float)[order] for each in (std, coherence)
+        )
+        responses = np.moveaxis(np.asarray(values), -1, 0)[order]
+        frequencies = np.asarray(omega)[order] / (2 * np.pi)
+        options: dict[str, Any] = {"averages": averages, "correlation": correlation, "name": title}
+        return cls(frequencies, responses, sigma, squared, inputs, outputs, **options)
+
+    def channels(self, inputs: str | Sequence[str], outputs: str | Sequence[str]) -> FrequencyData:
         """Return the responses between these channels, in this order.
 
         Parameters
         ----------
-        inputs, outputs : sequence of str
+        inputs, outputs : str or sequence of str
             Names of a structure: channels (``"u_x"``, ``"u.x"``) or signals (``"u"``: all its channels).
 
         Raises
@@ -201,7 +250,7 @@ class FrequencyData(ChannelCurves, Pictured):
             When a channel is missing.
         """
         rows, columns = (
-            _places(names, wanted, self.name)
+            _places(names, as_names(wanted), self.name)
             for names, wanted in ((self.output_names, outputs), (self.input_names, inputs))
         )
         picked = np.ix_(range(len(self.frequency_hz)), rows, columns)
@@ -215,6 +264,31 @@ class FrequencyData(ChannelCurves, Pictured):
             correlation=self.correlation,
             name=self.name,
         )
+
+
+def _of_csv(path: Path, needs_spread: bool) -> tuple[dict[tuple[str, str], PairResponse], bool]:
+    """Return the responses in a CSV file by output and input, and whether their quality is the coherence."""
+    rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+    given = set(rows[0]) if rows else set[str]()
+    polar = {"magnitude", "phase_deg"} <= given
+    spread = next((key for key in ("magnitude_std", "std", "coherence") if key in given), None)
+    lacks_spread = needs_spread and spread is None
+    if "frequency_hz" not in given or not (polar or {"real", "imaginary"} <= given) or lacks_spread:
+        raise DataError(
+            f"{path}: needs the columns frequency_hz, magnitude and phase_deg (or real and imaginary), and "
+            f"magnitude_std, std or coherence; it has {', '.join(sorted(given)) or 'nothing'}"
+        )
+    keys = ["frequency_hz", *(("magnitude", "phase_deg") if polar else ("real", "imaginary"))]
+    keys += [] if spread is None else [spread]
+    numbers: dict[tuple[str, str], list[list[float]]] = {}
+    for row in rows:
+        numbers.setdefault((row.get("output", "y"), row.get("input", "u")), []).append([float(row[k]) for k in keys])
+    pairs = {}
+    for pair, values in numbers.items():
+        f, a, b, *quality = np.array(values).T
+        response = a * np.exp(1j * np.radians(b)) if polar else a + 1j * b
+        pairs[pair] = PairResponse(f, response, quality[0] if quality else None)
+    return pairs, spread == "coherence"
 
 
 def _shaped(values: Any, shape: tuple[int, ...], what: str) -> FloatArray:

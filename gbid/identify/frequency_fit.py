@@ -65,7 +65,7 @@ def fitted_to_responses(
     of neighbours that a spectral window correlates count as fewer.
     """
     structure = check_linear(stated)
-    _refuse_other_options(options)
+    refuse_other_options(options)
     inputs = structure.inputs if options.inputs is None else as_names(options.inputs)
     outputs = structure.outputs if options.outputs is None else as_names(options.outputs)
     data = [each.channels(inputs, outputs) for each in responses]
@@ -165,14 +165,15 @@ def fitted_to_responses(
     )
 
 
-def _refuse_other_options(options: FitArguments) -> None:
-    """Refuse options that have no meaning for frequency responses."""
+def refuse_other_options(options: FitArguments) -> None:
+    """Refuse options that have no meaning for frequency responses; raises UsageError with the name of the option."""
     standard = FitArguments()
     for each in fields(FitArguments):
-        if each.name not in (*_USED, "focus", "intersample") and getattr(options, each.name) != getattr(
-            standard, each.name
-        ):
-            raise UsageError(f"{each.name} has no meaning in a fit to frequency responses alone; leave it out")
+        given, default = getattr(options, each.name), getattr(standard, each.name)
+        if each.name not in (*_USED, "focus", "intersample") and given != default and (given or default):
+            raise UsageError(
+                f"{each.name} has no meaning in a fit to frequency responses alone; leave it out", each.name
+            )
 
 
 def _begin(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -24,7 +24,15 @@ from gbid.core.errors import DataError, nearest
 from gbid.core.extras import extra_package
 from gbid.recording.clock import even_step
 from gbid.recording.mapping import FilePart, TextOptions
-from gbid.recording.readers import FileChannel, FileFormat, OpenFile, StoredArray, array_format, with_values
+from gbid.recording.readers import (
+    FileChannel,
+    FileFormat,
+    OpenFile,
+    StoredArray,
+    array_format,
+    rows_of,
+    with_values,
+)
 from gbid.recording.text_files import (
     FileColumn,
     TextTable,
@@ -37,6 +45,7 @@ from gbid.recording.text_files import (
     seconds,
     short_names,
 )
+from gbid.recording.universal import UNIVERSAL_ENDINGS, open_universal
 
 
 def format_of(path: Path) -> FileFormat | None:
@@ -66,32 +75,47 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     ``u_x``. A column of lists of fixed length is an array with several columns.
     """
     is_parquet = path.suffix.lower() in _PARQUET
-    kind, verified = ("parquet", {"page_checksum_verification": True}) if is_parquet else ("feather", {})
+    kind = "parquet" if is_parquet else "feather"
     package = extra_package(f"pyarrow.{kind}", "arrow", f"{path}: a {kind.capitalize()} file")
-    table = package.read_table(path, **verified)
+    opened: Any = package.ParquetFile(path, page_checksum_verification=True) if is_parquet else nullcontext()
+    table: Any = None if is_parquet else package.read_table(path)
+    with opened as file:
+        schema = file.schema_arrow if is_parquet else table.schema
 
-    def stored(index: int) -> StoredArray:
-        column, field = table.column(index), table.schema.field(index)
-        metadata = field.metadata or {}
-        stated = next((metadata[key].decode("utf-8", "replace") for key in _ARROW_UNITS if key in metadata), None)
-        unit = name_and_unit(field.name)[1] if stated is None else stated
-        if missing := column.null_count:
-            text = f"{missing} values are missing"
-            return StoredArray(
-                np.zeros(table.num_rows), unit, fault=f"{text}; leave them out or repair them", remark=text
-            )
-        values = column.to_numpy()
-        if values.dtype.kind in "mM":
-            values = seconds(values)
-        elif hasattr(column.type, "list_size") and len(values):
-            values = np.stack(list(values))
-        return StoredArray(values, unit)
+        def read(heading: str, part: FilePart | None) -> tuple[Any, int | None, int]:
+            """Return the values, the number of the first one, and the number of all; of Parquet no other row groups."""
+            rows, first = rows_of(part)
+            if table is not None:
+                return table.column(heading)[rows], first, table.num_rows
+            total = file.metadata.num_rows
+            if first is None:
+                return file.read(columns=[heading]).column(0), None, total
+            sizes = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
+            ends = np.cumsum(sizes)
+            chosen = np.flatnonzero((ends > first) & (ends - sizes < rows.stop)).tolist()
+            before = int(ends[chosen[0]]) - sizes[chosen[0]] if chosen else 0
+            values = file.read_row_groups(chosen, columns=[heading]).column(0)
+            return values[first - before : rows.stop - before], first, total
 
-    headings = table.column_names
-    yield OpenFile(
-        lambda name: stored(find_heading(path, headings, name)),
-        lambda: zip(short_names(headings), map(stored, range(len(headings))), strict=True),
-    )
+        def stored(index: int, part: FilePart | None = None) -> StoredArray:
+            field = schema.field(index)
+            column, first, total = read(field.name, part)
+            metadata = field.metadata or {}
+            stated = next((metadata[key].decode("utf-8", "replace") for key in _ARROW_UNITS if key in metadata), None)
+            values = column.to_numpy()  # nan for null
+            if values.dtype.kind in "mM":
+                values = seconds(values)
+            elif hasattr(column.type, "list_size") and len(values):
+                values = np.stack(list(values))
+            unit = name_and_unit(field.name)[1] if stated is None else stated
+            return StoredArray(values, unit, first=first, total=total)
+
+        headings = schema.names
+        yield OpenFile(
+            lambda name: stored(find_heading(path, headings, name)),
+            lambda: zip(short_names(headings), map(stored, range(len(headings))), strict=True),
+            lambda name, part: stored(find_heading(path, headings, name), part),
+        )
 
 
 ARROW = array_format((".parquet", ".pq", ".feather", ".arrow"), "Parquet or Feather file", open_arrow)
@@ -224,7 +248,6 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     A column is the path of a dataset, ``run1/p_x`` or ``run1/p[0]``, or the path of a table with one of its fields,
     ``run1/table/p_x``. The unit is that of the attribute ``units`` or ``unit``.
     """
-    lengths: dict[str, int] = {}  # of the datasets that were read in part
     with h5py.File(path, "r") as file:
 
         def get(name: str, part: FilePart | None = None) -> StoredArray:
@@ -232,9 +255,9 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             parent, _, field = name.rpartition("/")
             dataset, table = (file.get(place) if place else None for place in (name, parent))
             if isinstance(dataset, h5py.Dataset):
-                return _stored_hdf5(dataset, None, part, lengths)
+                return _stored_hdf5(dataset, None, part)
             if isinstance(table, h5py.Dataset) and field in (table.dtype.names or ()):
-                return _stored_hdf5(table, field, part, lengths)
+                return _stored_hdf5(table, field, part)
             raise DataError(f"{path}: no dataset {name!r}; {nearest(name, [known for known, *_ in places()])}")
 
         def places() -> list[tuple[str, h5py.Dataset, str | None]]:
@@ -252,9 +275,7 @@ def open_hdf5(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
         yield OpenFile(get, lambda: ((name, _stored_hdf5(entry, field)) for name, entry, field in places()), get)
 
 
-def _stored_hdf5(
-    dataset: Any, field: str | None, part: FilePart | None = None, lengths: dict[str, int] | None = None
-) -> StoredArray:
+def _stored_hdf5(dataset: Any, field: str | None, part: FilePart | None = None) -> StoredArray:
     """Return a dataset, or one field of a table, with its unit; a table has a unit for each field, or none."""
     keys = _UNIT_ATTRIBUTES if field is None else (f"{field}_units", f"{field}_unit")
     stated = (dataset.attrs.get(key) for key in keys)
@@ -262,22 +283,15 @@ def _stored_hdf5(
     if dataset.shape is None:
         return StoredArray(np.zeros(0))
     where: Any = ()
-    first = None
-    is_long = dataset.ndim == 1 or (dataset.ndim == 2 and part and dataset.shape[part.axis] == max(dataset.shape))
-    if part is not None and part.samples is not None and is_long:
-        axis, (start, stop) = part.axis * (dataset.ndim - 1), part.samples
-        if stop > dataset.shape[axis]:
-            text = f"samples {start} to {stop} are not within its {dataset.shape[axis]} samples"
-            raise DataError(f"{dataset.file.filename}: {dataset.name}: {text}")
-        lengths = lengths if lengths is not None else {}
-        lengths[dataset.name] = dataset.shape[axis]
-        if len(set(lengths.values())) > 1:
-            text = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise DataError(f"{dataset.file.filename}: columns have different numbers of samples: {text}")
-        where, first = (slice(None),) * axis + (slice(start, stop),), start
+    first = total = None
+    if part is not None and (
+        dataset.ndim == 1 or (dataset.ndim == 2 and dataset.shape[part.axis] == max(dataset.shape))
+    ):
+        axis, (rows, first) = part.axis * (dataset.ndim - 1), rows_of(part)
+        where, total = (slice(None),) * axis + (rows,), dataset.shape[axis]
     values = dataset[where] if field is None else dataset.fields(field)[where]
     unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
-    return StoredArray(np.asarray(values), unit, first=first)
+    return StoredArray(np.asarray(values), unit, first=first, total=total)
 
 
 HDF5 = array_format((".h5", ".hdf5"), "HDF5 file", open_hdf5)
@@ -491,16 +505,17 @@ def open_mdf(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 def _open_mdf(path: Path, file: Any) -> OpenFile:
     known = _places(file)
 
-    def stored(place: tuple[int, int]) -> StoredArray:
-        signal = file.get(group=place[0], index=place[1], ignore_invalidation_bits=True)
-        bits = signal.invalidation_bits
-        bad = np.zeros(0, int) if bits is None else np.flatnonzero(bits)
-        fault = ""
-        if bad.size:
-            fault = f"{bad.size} samples are marked as invalid, the first at sample {bad[0]}; leave those samples out"
-        return StoredArray(signal.samples, signal.unit or None, even_step(signal.timestamps), fault)
+    def stored(place: tuple[int, int], part: FilePart | None = None) -> StoredArray:
+        rows, first = rows_of(part)
+        chosen = {} if first is None else {"record_offset": first, "record_count": rows.stop - first}
+        signal = file.get(group=place[0], index=place[1], ignore_invalidation_bits=True, **chosen)
+        bits, values = signal.invalidation_bits, signal.samples
+        if bits is not None and np.any(bits) and values.dtype.kind in "fiub":
+            values = np.where(bits, np.nan, values)
+        total = file.groups[place[0]].channel_group.cycles_nr
+        return StoredArray(values, signal.unit or None, even_step(signal.timestamps), first=first, total=total)
 
-    def get(name: str) -> StoredArray:
+    def get(name: str, part: FilePart | None = None) -> StoredArray:
         places = known.get(name, [])
         if len(places) > 1:
             last = name.rpartition("/")[2]
@@ -508,13 +523,13 @@ def _open_mdf(path: Path, file: Any) -> OpenFile:
             raise DataError(f"{path}: channel {name!r} may be any of {listed}; give group and channel")
         if not places:
             raise DataError(f"{path}: no channel {name!r}; {nearest(name, known)}")
-        return stored(places[0])
+        return stored(places[0], part)
 
     names: dict[tuple[int, int], str] = {}
     for name, places in known.items():
         if len(places) == 1:
             names.setdefault(places[0], name)  # the shortest name that stands for one channel
-    return OpenFile(get, lambda: ((name, stored(place)) for place, name in sorted(names.items())))
+    return OpenFile(get, lambda: ((name, stored(place)) for place, name in sorted(names.items())), get)
 
 
 def _close_half_opened(error: Exception) -> None:
@@ -602,24 +617,26 @@ def open_tdms(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             if not known:
                 raise DataError(f"{path}: holds no channels; is it truncated?")
 
-            def get(name: str) -> StoredArray:
+            def get(name: str, part: FilePart | None = None) -> StoredArray:
                 full = [each for each, channel in known.items() if name in (each, channel.name)]
                 if len(full) > 1 and name not in known:
                     raise DataError(f"{path}: channel {name!r} may be any of {', '.join(full)}; give group and channel")
                 if not full:
                     raise DataError(f"{path}: no channel {name!r}; {nearest(name, known)}")
-                return _stored_tdms(known.get(name, known[full[0]]))
+                return _stored_tdms(known.get(name, known[full[0]]), part)
 
-            yield OpenFile(get, lambda: ((name, _stored_tdms(channel)) for name, channel in known.items()))
+            yield OpenFile(get, lambda: ((name, _stored_tdms(channel)) for name, channel in known.items()), get)
 
 
-def _stored_tdms(channel: Any) -> StoredArray:
+def _stored_tdms(channel: Any, part: FilePart | None = None) -> StoredArray:
     """Return the values of a channel with its unit, and its increment as sample time; without time it is 0 or none."""
-    values, step = channel[:], channel.properties.get("wf_increment")
+    rows, first = rows_of(part)
+    values, step = channel[rows], channel.properties.get("wf_increment")
     if getattr(values, "dtype", np.dtype(object)).kind in "mM":
         values = seconds(values)
     unit = next((str(channel.properties[key]) for key in _TDMS_UNITS if key in channel.properties), None)
-    return StoredArray(values, unit, float(step) if isinstance(step, float | int) and step > 0 else None)
+    sample_time = float(step) if isinstance(step, float | int) and step > 0 else None
+    return StoredArray(values, unit, sample_time, first=first, total=len(channel))
 
 
 TDMS = array_format((".tdms",), "TDMS file", open_tdms, states_sample_time=True)
@@ -654,3 +671,8 @@ def open_wav(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 
 
 WAV = array_format((".wav",), "WAV file", open_wav, states_sample_time=True)
+
+
+# ---- Universal files of modal analysis, by pyuff.
+
+UNIVERSAL = array_format(UNIVERSAL_ENDINGS, "universal file", open_universal, states_sample_time=True)

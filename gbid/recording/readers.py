@@ -128,6 +128,8 @@ class StoredArray(NamedTuple):
         The same in short for the listing; empty where its numbers are listed.
     first : int or None
         Number of the first sample of `values`, where they are some of the samples.
+    total : int or None
+        Number of all samples, where `values` are some of them.
     """
 
     values: Any
@@ -136,6 +138,13 @@ class StoredArray(NamedTuple):
     fault: str = ""
     remark: str = ""
     first: int | None = None
+    total: int | None = None
+
+
+def rows_of(part: FilePart | None) -> tuple[slice, int | None]:
+    """Return the samples to be read, and the number of the first one where they are some of the samples."""
+    samples = part.samples if part else None
+    return (slice(None), None) if samples is None else (slice(*samples), samples[0])
 
 
 class OpenFile(NamedTuple):
@@ -187,14 +196,22 @@ def _read_arrays(
 ) -> dict[str, FileColumn]:
     part = part or FilePart()
     names = {reference: split_reference(reference)[0] for reference in references}
-    columns = {}
+    columns, totals = {}, dict[str, int]()
     with _opened(opener, what, path, list(names.values())) as file:
         for reference, name in names.items():
             stored = file.get_part(name, part) if file.get_part else file.get(name)
             if stored.fault:
                 raise DataError(f"{path}: column {reference!r}: {stored.fault}")
+            if part.samples is not None and stored.total is not None:
+                totals[name] = stored.total
+                if part.samples[1] > stored.total:
+                    text = f"samples {part.samples[0]} to {part.samples[1]} are not within its {stored.total} samples"
+                    raise DataError(f"{path}: {name}: {text}")
             values = pick_column(path, reference, stored.values, part.axis, is_part=stored.first is not None)
             columns[reference] = FileColumn(values, stored.unit, stored.sample_time, first=stored.first)
+    if len(set(totals.values())) > 1:
+        text = ", ".join(f"{name} {total}" for name, total in totals.items())
+        raise DataError(f"{path}: columns have different numbers of samples: {text}")
     return columns
 
 
@@ -219,7 +236,7 @@ def _opened(opener: Opener, what: str, path: Path, names: Sequence[str] | None) 
 
 def _array_channels(name: str, stored: StoredArray) -> list[FileChannel]:
     """Return the channels of an array, each with the name that `pick_column` takes; others have a remark."""
-    value, unit, sample_time, _, remark, _ = stored
+    value, unit, sample_time, _, remark, *_ = stored
     if remark:
         return [FileChannel(name, int(np.size(value)), unit, sample_time, remark=remark)]
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":

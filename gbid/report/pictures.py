@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial, singledispatch
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,11 @@ from matplotlib.figure import Figure
 from gbid.control import Sensitivities
 from gbid.core.errors import DataError, UsageError
 from gbid.core.tables import write_csv
-from gbid.experiment.experiment import figure_pairs
+from gbid.experiment.experiment import figure_pairs, fit_models
 from gbid.experiment.fields import Result, content_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.experiment.stages.crossval import data_key, model_and_recording, residuals_on, validate_pair
-from gbid.experiment.stages.fit import fit_result
+from gbid.experiment.stages.fit import fit_result, load_made_fit, response_of
 from gbid.identify import FitResult, Profile, measured_response
 from gbid.identify.frequency_data import FrequencyData
 from gbid.recording import Recording
@@ -103,7 +104,7 @@ def draw_figures(job: Job) -> list[Outcome]:
 
     What is shown are the pairs of the fit's cross-validation; without one, each model on its own recordings. Where
     the experiment asks for the residuals, they come as ``..._residuals``; Bode diagrams come as ``..._bode``, with the
-    numbers as csv.
+    numbers as csv. A model on each file of frequency responses of its fit comes as ``<fit>_<model>_response_1.png``.
     """
     outcomes = []
     experiment = job.experiment
@@ -133,7 +134,22 @@ def draw_figures(job: Job) -> list[Outcome]:
                 key = content_key("figure", {"kind": kind, **settings}, sources)
                 write = partial(_save, partial(draw, job, fit, model, recording), kind, key)
                 outcomes.append(produce(job, Result("figure", f"{title}.{kind}", path, key), write))
+    for fit, section in experiment.spec.figures.items():
+        for model, i in product(fit_models(experiment, fit), range(len(experiment.spec.fits[fit].responses))):
+            title = f"{fit}_{model}_response_{i + 1}"
+            for kind in section.formats:
+                path, source = job.path(FOLDER, title, f".{kind}"), fit_result(experiment, fit, model).key
+                key = content_key("figure", {"kind": kind, "response": i}, [source])
+                write = partial(_save, partial(_on_response, job, fit, model, i), kind, key)
+                outcomes.append(produce(job, Result("figure", f"{title}.{kind}", path, key), write))
     return outcomes
+
+
+def _on_response(job: Job, fit: str, model: str, i: int) -> Figure:
+    measured = response_of(job.experiment, fit, i)
+    axes = plot_bode({f"model of {model}": load_made_fit(job, fit, model)}, measured=measured)
+    figure: Figure = axes[0, 0].figure
+    return figure
 
 
 def _response(job: Job, fit: str, model: str, recording: str) -> Figure:

@@ -23,7 +23,7 @@ from gbid.experiment.controllers import (
     published_structure,
     sample_time,
 )
-from gbid.experiment.experiment import Experiment
+from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.machine import rig_machine, rig_model, true_model, true_values
 from gbid.experiment.recordings import load_made
 from gbid.experiment.run import Job, Task, standing
@@ -238,9 +238,10 @@ class MadeFit:
 def read_fit(job: Job, fit: str, model: str) -> MadeFit:
     """Return a fit, with true values for recordings of the rig."""
     result, structure = load_made_fit(job, fit, model), make_structure(job.experiment, fit)
-    truth = true_values(job.experiment, result.recordings, structure)
+    names = recordings_of(job.experiment, fit, model)
+    truth = true_values(job.experiment, names, structure) if names else {}
     document = fit_document(result, truth, true_model(structure, truth, result.linear_model))
-    points = {job.experiment.recordings[name].point for name in result.recordings}
+    points = {job.experiment.recordings[name].point for name in names}
     return MadeFit(fit, model, points.pop() if len(points) == 1 else "", result, document)
 
 

@@ -17,6 +17,7 @@ from gbid.core.hdf5 import read_made_with
 from gbid.core.tables import Cell, Column, Entry, Table, shown_unit
 from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
+from gbid.experiment.stages.fit import response_of
 from gbid.report.control_sections import LACK, held_back
 from gbid.report.control_tables import tuning_documents
 from gbid.report.fit_tables import (
@@ -43,7 +44,7 @@ from gbid.report.measured_pictures import (
     plot_piezo_staircase,
     static_map_figure,
 )
-from gbid.report.model_pictures import plot_profile
+from gbid.report.model_pictures import plot_bode, plot_profile
 from gbid.report.named import comparison
 from gbid.report.page import (
     Block,
@@ -90,6 +91,12 @@ def fits_section(results: Results, pictures: Pictures) -> PageSection:
         verdicts = ", ".join(f"{name} {profile.verdict}" for name, profile in q.result.profiles.items())
         picture = pictures.picture(plot_profile(q.result.profiles), f"Profile likelihoods: {verdicts}")
         blocks.append(Fold(f"{q.fit}, {q.model}: profile likelihoods", [Shown(picture)]))
+    for q in results.fits:
+        for i in range(len(results.experiment.spec.fits[q.fit].responses)):
+            measured = response_of(results.experiment, q.fit, i)
+            words = f"{q.fit}, {q.model}: frequency response of the model, and measured ({measured.name})"
+            picture = pictures.picture(plot_bode({f"model of {q.model}": q.result}, measured=measured), words)
+            blocks.append(Fold(f"{q.fit}, {q.model}: frequency responses of {measured.name}", [Shown(picture)]))
     data = fit_data(results)
     if data["fits"]:
         groups: dict[str, list[tuple[str, str]]] = {}
@@ -120,6 +127,8 @@ def _smallest(q: MadeFit) -> float:
 
 
 def _place(results: Results, q: MadeFit) -> str:
+    if not recordings_of(results.experiment, q.fit, q.model):
+        return "frequency responses"
     return point_words(results.experiment, q.result.recordings[0]) if q.point else "several"
 
 
@@ -141,7 +150,7 @@ def _overview(results: Results, name: str, made: Sequence[MadeFit]) -> list[Bloc
         *(Column(output, "%", ".2f") for output in outputs),
         Column("worst"),
     ]
-    caption = f"{name}: median fit on its own recording ({how}), by operating point"
+    caption = f"{name}: median fit on its own data ({how}), by operating point"
     blocks: list[Block] = [Table(caption, columns, rows)]
     if len(made) > 2 * _NAMED:
         ordered = sorted(made, key=_smallest)

@@ -241,6 +241,25 @@ def test_a_file_gives_back_what_was_saved(tmp_path):
     assert shaker.std[0, 0, 0] == pytest.approx(np.sqrt(0.5 / (2 * 0.5 * 10)))
 
 
+def test_python_control_gives_the_response_of_its_object():
+    control = pytest.importorskip("control", reason="control is not installed: pip install 'gbid[control]'")
+    plant = control.tf([TRUTH["g"]], [1, TRUTH["d"], TRUTH["k"]], inputs="force", outputs="gap")
+    omega = 2 * np.pi * FREQUENCIES[::-1]  # in falling order
+    values = np.stack([plant(1j * omega), 2 * plant(1j * omega)])[:, None]
+    frd = control.frd(values, omega, inputs="force", outputs=["gap", "twice"], name="rig")
+    exact = response(tau=0.0)
+    std = np.linspace(1, 2, 2 * len(omega)).reshape(2, 1, -1)
+    data = FrequencyData.from_control(frd, np.moveaxis(std, -1, 0))
+    assert (data.name, data.input_names, data.output_names) == ("rig", ("force",), ("gap", "twice"))
+    np.testing.assert_allclose(data.frequency_hz, FREQUENCIES)
+    np.testing.assert_allclose(data.response[:, :, 0], np.column_stack([exact, 2 * exact]))
+    np.testing.assert_allclose(data.std, np.moveaxis(std, -1, 0)[::-1])
+    result = gbid.fit(OSCILLATOR, FrequencyData.from_control(frd, 1e-5).channels("force", ["gap"]), fixed={"tau": 0.0})
+    assert result.parameters["k"] == pytest.approx(TRUTH["k"], rel=1e-6)
+    with pytest.raises(UsageError, match="a TransferFunction is no frequency response of python-control"):
+        FrequencyData.from_control(plant, 1.0)
+
+
 def test_a_result_is_stored(tmp_path):
     result = gbid.fit(OSCILLATOR, measured(8))
     gbid.save(result, tmp_path / "fit.h5")

@@ -191,7 +191,6 @@ def test_channels_of_different_rates_are_not_put_together(tmp_path):
         (".mf4", "note", "not an array of real numbers"),
         (".parquet", "p_z", "no column 'p_z'; did you mean 'p_y'?"),
         (".parquet", "note", "not an array of real numbers"),
-        (".parquet", "holed", "column 'holed': 1 values are missing; leave them out or repair them"),
         (".feather", "u", "u has shape (500, 2); name one of its columns, e.g. u[0]"),
         (".feather", "u[2]", "columns count from 0 to 1"),
         (".h5", "run/p_z", "no dataset 'run/p_z'; did you mean 'run/p_y'?"),
@@ -213,6 +212,8 @@ def test_times_and_lists_of_a_table(tmp_path):
         )
         np.testing.assert_array_equal(recording.signal("s"), np.column_stack([X, Y]))
         assert recording.sample_time == pytest.approx(DT, rel=1e-9)
+        holed = gbid.import_recording(path, {"signals": {"s": {"columns": "holed", "unit": "um"}}, "time": "t"})
+        np.testing.assert_array_equal(np.isnan(holed.signals["s"][:, 0]), np.arange(N) == 0)  # null
 
 
 def test_samples_that_a_logger_marked_as_invalid(tmp_path):
@@ -222,8 +223,9 @@ def test_samples_that_a_logger_marked_as_invalid(tmp_path):
     with asammdf.MDF(version="4.10") as file:
         file.append([asammdf.Signal(X, T, unit="um", name="p_x", invalidation_bits=bad)], common_timebase=True)
         file.save(tmp_path / "a.mf4", overwrite=True)
-    mapping = {"signals": {"s": {"columns": ["p_x"]}}}
-    refused(tmp_path / "a.mf4", mapping, "2 samples are marked as invalid, the first at sample 7")
+    recording = gbid.import_recording(tmp_path / "a.mf4", {"signals": {"s": {"columns": ["p_x"]}}})
+    np.testing.assert_array_equal(recording.signals["s"][:, 0], np.where(bad, np.nan, X))
+    assert "signal 's': 2 samples missing" in recording.provenance["import_remarks"]
 
 
 @KINDS

@@ -64,7 +64,7 @@ def test_samples_of_an_hdf5_file_are_read_alone(tmp_path):
     mapping = {"time": "t", "axis": 1, "signals": SIGNALS, "samples": [100, 120]}
     made = import_recording(path, mapping)
     assert made.provenance["source_rows"].startswith("rows 100 to 120, read alone; the first: t = 0.1, ")
-    with pytest.raises(DataError, match="columns have different numbers of samples: /t 500, /short 400"):
+    with pytest.raises(DataError, match="columns have different numbers of samples: t 500, short 400"):
         import_recording(path, {**mapping, "signals": {"s": {"columns": ["short"], "unit": "V"}}})
 
 
@@ -82,3 +82,52 @@ def test_samples_of_a_large_text_file_are_read_alone(tmp_path):
     assert len(read_rows(path, None, 7000, 7100).rows) == 100
     with pytest.raises(DataError, match=rf"samples 5 to {rows + 1} are not within its {rows} samples"):
         import_recording(path, {**mapping, "samples": [5, rows + 1]})
+
+
+def write_part(kind, path):
+    """Write channels p (500 samples) and short (400), in pieces of 100 where the format has pieces."""
+    if kind == "parquet":
+        pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'gbid[arrow]'")
+        from pyarrow import parquet
+
+        parquet.write_table(
+            pa.table({"p": P[0], "list": list(P.T)}), path, row_group_size=100, write_page_checksum=True
+        )
+    elif kind == "tdms":
+        nptdms = pytest.importorskip("nptdms", reason="nptdms is not installed: pip install 'gbid[tdms]'")
+        with nptdms.TdmsWriter(str(path)) as writer:
+            for k in range(5):
+                here = slice(100 * k, 100 * (k + 1))
+                channels = [nptdms.ChannelObject("g", "p", P[0, here])]
+                writer.write_segment(channels + [nptdms.ChannelObject("g", "short", P[1, here])] * (k < 4))
+    else:
+        asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'gbid[mdf]'")
+        with asammdf.MDF(version="4.10") as file:
+            for name, values in (("p", P[0]), ("short", P[1, :400])):
+                file.append([asammdf.Signal(values, 1e-3 * np.arange(len(values)), name=name)])
+            file.save(path, overwrite=True)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["parquet", "tdms", "mf4"])
+def test_samples_of_a_file_of_a_logger_are_read_alone(tmp_path, kind):
+    path = write_part(kind, tmp_path / f"a.{kind}")
+    mapping = {"sample_time_s": 1e-3, "signals": {"s": {"columns": "p", "unit": "V"}}}
+    for first, stop in ((130, 270), (100, 200), (0, 2), (498, 500)):
+        made = import_recording(path, {**mapping, "samples": [first, stop]})
+        np.testing.assert_array_equal(made.signal("s")[:, 0], P[0, first:stop])
+        assert made.provenance["source_rows"].startswith(f"rows {first} to {stop}, read alone")
+    for samples in ([10, 501], [600, 700]):
+        with pytest.raises(DataError, match=rf"samples {samples[0]} to {samples[1]} are not within its 500 samples"):
+            import_recording(path, {**mapping, "samples": samples})
+    if kind == "parquet":
+        whole = path.read_bytes()
+        place = whole.index(P[0, 450:452].tobytes())
+        path.write_bytes(whole[:place] + bytes(16) + whole[place + 16 :])  # damage in the last row group
+        import_recording(path, {**mapping, "samples": [0, 400]})
+        with pytest.raises(DataError, match="not a readable Parquet"):
+            import_recording(path, mapping)
+    else:
+        several = {"s": {"columns": ["p", "short"], "unit": "V"}}
+        with pytest.raises(DataError, match="different numbers of samples: p 500, short 400"):
+            import_recording(path, {**mapping, "signals": several, "samples": [0, 10]})

@@ -25,7 +25,10 @@ def excitations_have_fits(experiment: Experiment) -> Found:
             yield ("excite", name, "fit"), f"no fit {section.fit!r}; {nearest(section.fit, experiment.spec.fits)}"
             continue
         with suppress(GbidError):  # another check reports it
-            if not fit_channels(experiment, section.fit)[0]:
+            if not experiment.fit_recordings(section.fit):
+                text = f"fit {section.fit!r} has no recordings, whose samples and operating point are needed"
+                yield ("excite", name, "fit"), text
+            elif not fit_channels(experiment, section.fit)[0]:
                 yield ("excite", name, "fit"), f"fit {section.fit!r} has no inputs; there is nothing to excite"
 
 

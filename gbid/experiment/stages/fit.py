@@ -32,6 +32,8 @@ from gbid.experiment.structures import (
     structure_settings,
 )
 from gbid.identify import FitOptions, FitResult, FrequencyData, TableEntry, fit, fit_multistart, load_fit, save_fit
+from gbid.identify.frequency_fit import refuse_other_options
+from gbid.identify.options import FitArguments
 from gbid.identify.problem.states import initial_states
 from gbid.recording import ProblemKind, Recording
 from gbid.structure import AnyStructure, kind_of
@@ -47,7 +49,7 @@ def fits_can_be_made(experiment: Experiment) -> Found:
             *_recording_problems(experiment, name, section),
             *_local_problems(experiment, name, section),
             *_left_out_problems(experiment, name, section),
-            *_response_problems(experiment, section),
+            *_response_problems(experiment, name, section),
         ]
         if structure is not None:
             problems += _parameter_problems(experiment, name, section, structure)
@@ -76,14 +78,35 @@ def _recording_problems(experiment: Experiment, name: str, section: FitSection) 
     for pattern in section.recordings or ():
         if not experiment.matching((pattern,)):
             yield ("recordings",), f"no recording matches {pattern!r}; {nearest(pattern, experiment.recordings)}"
-    if section.recordings is None and experiment.recordings and not experiment.fit_recordings(name):
-        yield (), "there are no excited recordings; name the recordings to fit"
+    if experiment.fit_recordings(name) or section.responses or section.recordings:
+        return
+    if experiment.recordings:
+        yield (), "there are no excited recordings; name the recordings to fit, or responses"
 
 
-def _response_problems(experiment: Experiment, section: FitSection) -> Found:
+def response_of(experiment: Experiment, fit: str, i: int) -> FrequencyData:
+    """Return the frequency responses in one of the files of a fit, between the channels of the fit.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read, or lacks a channel.
+    UsageError
+        When the structure cannot be made, or standard deviations are missing.
+    """
+    section = experiment.spec.fits[fit].responses[i]
+    data = FrequencyData.read(experiment.folder / section.file, averages=section.averages, std=section.std)
+    return data.channels(*fit_channels(experiment, fit))
+
+
+def _response_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
     """Yield a problem for each file of a frequency response that cannot be read."""
-    for i, file in enumerate(section.responses):
-        yield from refusal(("responses", i), partial(FrequencyData.read, experiment.folder / file))
+    for i in range(len(section.responses)):
+        yield from refusal(("responses", i), partial(response_of, experiment, name, i))
+    if section.responses and not experiment.fit_recordings(name):
+        if section.loop is not None and section.loop.beside is not None:
+            yield ("loop", "beside"), "compares fits of recordings; this one has frequency responses alone: remove it"
+        yield from refusal((), lambda: refuse_other_options(FitArguments(**fit_arguments(experiment, name, ()))))
     if section.responses and section.local:
         yield ("local",), "frequency responses need parameters that all recordings share; leave one of the two out"
 
@@ -224,8 +247,8 @@ def a_fit_is_named(experiment: Experiment, where: Location, name: str, needed: S
     if name not in experiment.spec.fits:
         yield where, f"no fit of this name; {nearest(name, experiment.spec.fits)}"
         return
-    if experiment.spec.fits[name].together:
-        yield where, f"{name} is one model for all recordings; name a fit per recording"
+    if experiment.spec.fits[name].together or not experiment.fit_recordings(name):
+        yield where, f"{name} is one model for all its data; name a fit per recording"
     structure = structure_or_none(experiment, name)
     missing = [n for n in needed if n not in {q.name for q in structure.parameters}] if structure else []
     if missing:
@@ -260,7 +283,8 @@ def fit_result(experiment: Experiment, name: str, model: str) -> Result:
     settings["structure"] = structure_settings(experiment, name)
     settings["recordings"] = recordings
     if section.responses:
-        settings["responses"] = [file_digest(experiment.folder / file) for file in section.responses]
+        files = [(file_digest(experiment.folder / each.file), each.averages, each.std) for each in section.responses]
+        settings["responses"] = files
     sources = [fit_input(experiment, experiment.recordings[recording]) for recording in recordings]
     path = experiment.path(f"{FOLDER}/{name}", model)
     return experiment.result("fit", f"{name}/{model}", path, settings, sources)
@@ -301,7 +325,7 @@ def fit_entries(job: Job, name: str) -> list[TableEntry]:
     """Return the rows of all models of a fit for `gbid.tabulate`; a missing model has its reason."""
     entries = []
     for model, recordings in fit_models(job.experiment, name).items():
-        conditions = job.experiment.recordings[recordings[0]].conditions
+        conditions = job.experiment.recordings[recordings[0]].conditions if recordings else {}
         try:
             result, failure = load_made_fit(job, name, model), ""
         except (DataError, OSError) as error:
@@ -374,7 +398,7 @@ def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
     structure, section = make_structure(job.experiment, name), job.experiment.spec.fits[name]
     arguments = fit_arguments(job.experiment, name, data)
     measured: list[Recording | FrequencyData] = [*data]
-    measured += (FrequencyData.read(job.experiment.folder / file) for file in section.responses)
+    measured += (response_of(job.experiment, name, i) for i in range(len(section.responses)))
     if section.multi_start is None:
         result = fit(structure, measured, progress=job.reporter.iteration, **arguments)
     else:
