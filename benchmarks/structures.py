@@ -55,7 +55,7 @@ def structures_table(run: Mapping[str, Any]) -> str:
     lines = []
     for kind, entry in rows:
         cells = (
-            f"{d['damping']:.3f}" + ("" if d["status"] == "optimal" else f" ({d['status']})") for d in entry["designs"]
+            f"{d['damping']:.3f}" + ("" if "optim" in d["status"] else f" ({d['status']})") for d in entry["designs"]
         )
         lines.append((kind, entry["gains"], *cells, f"{entry['designs'][1]['control']:.1f}"))
     return markdown(head, lines)

@@ -11,6 +11,7 @@ from .controllers.built_in import (
     BiquadStructure as BiquadStructure,
     PDStructure as PDStructure,
     PStructure as PStructure,
+    state_feedback as state_feedback,
 )
 from .controllers.file import (
     ControllerDesign as ControllerDesign,
@@ -84,6 +85,7 @@ from .loop.sensitivity import (
 )
 from .tuning.goals import (
     DisturbanceSpectrum as DisturbanceSpectrum,
+    FastestPole as FastestPole,
     Goal as Goal,
     MaxDamping as MaxDamping,
     MaxDecay as MaxDecay,

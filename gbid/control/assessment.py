@@ -246,7 +246,8 @@ def assess(
     gains : dict of str to float, optional
         A value for every parameter of the structure; those of a result are its own.
     points : sequence of (pressure_bar, speed_rpm), optional
-        Operating points of an LPV model; by default those of the model.
+        Operating points of an LPV model; by default those of the model. For linear models and a scheduled controller
+        those of each model, by default of the result.
     name : str
         Name of the design, for tables; by default that of the structure.
     sample_time : float, optional
@@ -279,6 +280,8 @@ def assess(
         computation_s = controller.computation_s if computation_s is None else computation_s
         method, gains = method or controller.method, controller.gains if gains is None else gains
         law = controller.controller
+        if isinstance(law, Scheduled) and points is None and not isinstance(model, LPVModel | LPVFit):
+            points = controller.points
     structure = law if isinstance(law, Scheduled) else controller_structure(law)
     if gains is None:
         raise UsageError(f"assess: give the gains of {structure.name!r}, or the result of gbid.tune")
@@ -319,11 +322,13 @@ def _plants(
                 f"assess: no operating points; give points=[(pressure_bar, speed_rpm), ...] for {model.name!r}"
             )
         return [_AssessedPlant(model.plant_at(*point), exact_plant(model, *point), point, model) for point in chosen]
-    if points is not None:
+    if points is not None and not isinstance(structure, Scheduled):
         raise UsageError("assess: points belong to an LPV model; give the linear models of a list")
-    plants = plants_of(model, structure, TuneOptions())
+    plants = plants_of(model, structure, TuneOptions(speeds_rpm=[rpm for _, rpm in points] if points else None))
     assert isinstance(plants, ModelPlants)
-    return [_AssessedPlant(with_pade(plant, PADE_ORDER), plant) for plant in plants.models]
+    where = points or [(nan, nan)] * len(plants.models)
+    pairs = zip(plants.models, where, strict=True)
+    return [_AssessedPlant(with_pade(plant, PADE_ORDER), plant, (bar, rpm)) for plant, (bar, rpm) in pairs]
 
 
 def _assess_point(

@@ -75,6 +75,15 @@ def made_goal(entry: GoalEntry, disturbance: Disturbance) -> Goal:
             arguments[name] = HalfSine(**value)
         elif name == "disturbance":
             arguments[name] = disturbance(value)
+        elif name == "spectrum":
+            n = len(arguments["sources"])
+            if any(len(row) != 1 + n for row in value):
+                raise UsageError(
+                    f"{entry.goal}: spectrum; give rows of a frequency and a density for each of {n} sources"
+                )
+            hz, *densities = zip(*value, strict=True)
+            density = np.array(densities, complex).T[:, :, None] * np.eye(n)
+            arguments[name] = DisturbanceSpectrum(np.array(hz, float), density, "spectrum")
         elif isinstance(value, Mapping):
             arguments[name] = _transfer_function(value, f"{entry.goal}: {name}")
     return GOALS[entry.goal](**arguments)

@@ -22,7 +22,7 @@ from pydantic import (
 
 from gbid import control
 from gbid.control.impact.half_sine import HalfSine
-from gbid.control.tuning.goals import BoundLike, DisturbanceSpectrum, Goal
+from gbid.control.tuning.goals import BoundLike, DisturbanceSpectrum, Goal, Whirl
 from gbid.control.tuning.plants import DesignOptions
 from gbid.core.errors import UsageError, nearest
 from gbid.core.option_types import Allowed, Count, CountOrZero, Exact, Finite, NotNegative, Positive
@@ -487,6 +487,7 @@ GOALS: dict[str, type[Goal]] = {
         control.MaxDecay,
         control.MinDamping,
         control.SlowestPole,
+        control.FastestPole,
         control.PeakSensitivity,
         control.PeakComplementary,
         control.PeakControl,
@@ -499,6 +500,7 @@ GOALS: dict[str, type[Goal]] = {
         control.RmsPosition,
         control.RmsControl,
         control.PeakResponse,
+        control.RmsResponse,
         control.PiezoTravel,
     )
 }
@@ -552,10 +554,17 @@ _KINDS: dict[Any, Any] = {
     ],
     HalfSine: HitSection,
     DisturbanceSpectrum: Names,
+    Whirl: Annotated[Whirl, Allowed("both, forward or backward")],
     tuple[str, ...]: Names,
     tuple[float, ...]: tuple[Finite, ...],
 }
 """Type in the YAML of each type of argument of a goal."""
+_Spectrum = Annotated[
+    tuple[_Row, ...],
+    Field(min_length=2),
+    Allowed("rows [frequency_hz, density of each source], in units squared per Hz, with rising frequencies"),
+]
+"""Spectrum of sources that are independent of each other."""
 
 
 def _section_of(kind: type[Goal]) -> type[Section]:
@@ -565,7 +574,8 @@ def _section_of(kind: type[Goal]) -> type[Section]:
     for argument in fields(cast(Any, kind)):
         required = str(argument.default) == str(argument.default_factory)  # both MISSING
         default = ... if required else Field(default_factory=lambda: None)  # has no default in the JSON schema
-        arguments[argument.name] = (_KINDS[hints[argument.name]], default)
+        allowed = _Spectrum if argument.name == "spectrum" else _KINDS[hints[argument.name]]
+        arguments[argument.name] = (allowed, default)
     words = f"{(kind.__doc__ or '').splitlines()[0]} For its arguments see `gbid.control.{kind.__name__}`."
     return create_model(f"{kind.__name__}Section", __base__=Section, __doc__=words, **arguments)
 

@@ -11,7 +11,11 @@ import gbid
 from gbid.control import (
     AxisSensitivity,
     DisturbanceSpectrum,
+    FastestPole,
     MaxDamping,
+    MinDamping,
+    MinGainMargin,
+    MinPhaseMargin,
     PeakResponse,
     RmsResponse,
     controller_model,
@@ -56,8 +60,10 @@ VALUES = {p.name: -GAINS[0] if p.name.startswith("kappa") else -GAINS[1] for p i
 NOMINAL = tuple(VALUES.items())
 
 
-def problem_of(goal: Goal, models: list[gbid.LinearModel]) -> tuple[GainProblem, np.ndarray]:
-    plants = plants_of(models, PD, TuneOptions(**CHANNELS))
+def problem_of(
+    goal: Goal, models: list[gbid.LinearModel], speeds_rpm: tuple[float, ...] | None = None
+) -> tuple[GainProblem, np.ndarray]:
+    plants = plants_of(models, PD, TuneOptions(**CHANNELS, speeds_rpm=speeds_rpm))
     assert isinstance(plants, ModelPlants)
     low, high = np.array([BOUNDS[p.name] for p in PD.parameters]).T
     family = plants.family(plants.points)
@@ -65,8 +71,8 @@ def problem_of(goal: Goal, models: list[gbid.LinearModel]) -> tuple[GainProblem,
     return problem, np.array([VALUES[p.name] for p in PD.parameters])
 
 
-def excess(goal: Goal, *models: gbid.LinearModel) -> np.ndarray:
-    problem, x = problem_of(goal, list(models))
+def excess(goal: Goal, *models: gbid.LinearModel, speeds_rpm: tuple[float, ...] | None = None) -> np.ndarray:
+    problem, x = problem_of(goal, list(models), speeds_rpm)
     family = problem.families[0]
     state = problem.state(family, family.matrices(x), x)
     return np.max([measure.excess(state) for measure in problem.limits.measures], axis=0)
@@ -120,7 +126,7 @@ def test_a_band_and_multiples_of_the_speed_take_their_frequencies_only():
     both = bearing(), bearing(90.0, "fast")
     path = {"sources": ("f_x", "f_y"), "targets": ("x", "y")}
     band = np.exp(excess(PeakResponse(**path, limit=1.0, low_hz=150.0, high_hz=300.0), *both))
-    orders = np.exp(excess(PeakResponse(**path, limit=1.0, orders=(1.0, 2.0), speeds_rpm=(6000.0, 9000.0)), *both))
+    orders = np.exp(excess(PeakResponse(**path, limit=1.0, orders=(1.0, 2.0)), *both, speeds_rpm=(6000.0, 9000.0)))
     for coupling, speed, in_band, at_orders in zip((0.0, 90.0), (100.0, 150.0), band, orders, strict=True):
         inside = gain(coupling, ["f_x", "f_y"], ["x", "y"], np.linspace(150.0, 300.0, 2001)).max()
         assert in_band == pytest.approx(inside, rel=1e-6)
@@ -158,18 +164,41 @@ def test_the_sensitivity_of_an_axis_is_that_with_the_others_closed():
     assert found == pytest.approx(expected, rel=5e-4)
 
 
+@pytest.mark.parametrize(("whirl", "side"), [("forward", 1.0), ("backward", -1.0)])
+def test_modes_of_one_direction_of_whirl_are_those_of_the_complex_equation(whirl, side):
+    # z = x + j y of two equal axes: m (z'' + j c z') = k_s z + k_i i, of which roots above the real axis go forward
+    c, w = 90.0, 2e3 * np.pi
+    plain = np.polymul([1, 1j * c, -NEGATIVE_STIFFNESS / MASS], np.polymul([1, AMPLIFIER], [1, w]))
+    law = FORCE_GAIN / MASS * AMPLIFIER * w * np.array([-1e-3 * GAINS[1], -GAINS[0]])
+    roots = np.roots(np.polysub(plain, law))
+    turning = roots[side * roots.imag > 1e-3 * np.abs(roots)]
+    reached = 0.9 - excess(MinDamping(0.9, whirl=whirl), bearing(c))[0]
+    assert reached == pytest.approx((-turning.real / np.abs(turning)).min(), rel=1e-6)
+    fastest = (1 + excess(FastestPole(100.0, whirl=whirl, high_hz=200.0), bearing(c))[0]) * 100.0
+    inside = np.abs(turning)[np.abs(turning) < 400 * np.pi]
+    assert fastest == pytest.approx(inside.max() / (2 * np.pi), rel=1e-6)
+    with pytest.raises(UsageError, match="x and y are needed"):
+        MinDamping(0.1, whirl=whirl).measure(gbid.LinearModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+
+
 @pytest.mark.parametrize(
     "goal",
     [
         PeakResponse(sources=("f_x", "f_y"), targets=("i_x", "y"), limit=1e-5),
-        PeakResponse(sources=("f_x",), targets=("x", "c_x"), limit=1e-5, orders=(1.0,), speeds_rpm=(4000.0, 5000.0)),
+        PeakResponse(sources=("f_x",), targets=("x", "c_x"), limit=1e-5, orders=(1.0,)),
         AxisSensitivity(1.0),
+        MinGainMargin(4.0),
+        MinPhaseMargin(50.0),
+        FastestPole(500.0),
+        MinDamping(0.9, whirl="forward"),
     ],
 )
 def test_gradients_are_those_of_differences(goal):
-    problem, x = problem_of(goal, [bearing(), bearing(90.0, "fast")])
+    problem, x = problem_of(goal, [bearing(), bearing(90.0, "fast")], (4000.0, 5000.0))
     x = x * [1.0, 1.1, 0.9, 1.05]
-    limits = {(f.kind, f.loop, round(f.place.imag)): f for f in problem.functions(x, window=30.0).limits}
+    limits = {
+        (f.kind, f.loop, round(f.place.real), round(f.place.imag)): f for f in problem.functions(x, window=30.0).limits
+    }
     top = max((f for f in limits.values() if f.kind != "pole"), key=lambda f: f.value)
 
     def value(y: np.ndarray) -> float:
@@ -235,7 +264,7 @@ def test_arguments_that_mean_nothing_are_refused():
     force = DisturbanceSpectrum([0.0, 1.0], np.ones((2, 1, 1)))
     with pytest.raises(UsageError, match="1 channels for 2 sources"):
         excess(RmsResponse(sources=("f_x", "f_y"), targets=("x",), limit=1.0, spectrum=force), bearing())
-    with pytest.raises(UsageError, match="a speed for each"):
+    with pytest.raises(UsageError, match="give speeds_rpm= to tune"):
         excess(PeakResponse(sources=("f_x",), targets=("x",), limit=1.0, orders=(1.0,)), bearing())
 
 

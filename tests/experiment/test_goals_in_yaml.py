@@ -41,6 +41,8 @@ ALL = """\
       - {goal: StaticAmplification, limit: 2.5}
       - {goal: AxisSensitivity, limit: 3.0}
       - {goal: PeakResponse, sources: [f_x, f_y], targets: p_x, limit: 1.0, orders: [1, 2]}
+      - {goal: RmsResponse, sources: [f_x, f_y], targets: p_x, limit: 1.0, spectrum: [[1, 2.0, 3.0], [99, 2.0, 4.0]]}
+      - {goal: FastestPole, hz: 5000, whirl: forward, low_hz: 30}
       - {goal: RollOff, from_hz: 500, level: 1.0}
       - {goal: MinDiskMargin, alpha: 0.4, channel: 1}
       - {goal: MinGainMargin, factor: 1.2}
@@ -61,11 +63,14 @@ def test_every_goal_has_its_entry_and_its_arguments(tmp_path: Path) -> None:
     public = {name for name in control.__all__ if isinstance(getattr(control, name), type)}
     bases = {"Goal", "Wanted", "ResponseGoal", "RmsGoal"}
     goals = {name for name in public if issubclass(getattr(control, name), control.Goal)}
-    assert goals - bases - {"RmsResponse"} == set(GOALS)  # recordings have no spectrum of a force
+    assert goals - bases == set(GOALS)
     made = {entry.goal: made_goal(entry, no_disturbance) for entry in every}
     assert made["MinDiskMargin"] == control.MinDiskMargin(0.4, channel=1)
     assert made["PeakControl"] == control.PeakControl(((50, 5.0), (500, 1.0)), soft=True, weight=0.5)
     path = {"sources": ("f_x", "f_y"), "targets": ("p_x",)}
+    assert made["FastestPole"] == control.FastestPole(5000.0, whirl="forward", low_hz=30.0)
+    np.testing.assert_array_equal(made["RmsResponse"].spectrum.density[1], np.diag([2.0, 4.0]))
+    np.testing.assert_array_equal(made["RmsResponse"].spectrum.frequency_hz, [1.0, 99.0])
     assert made["PeakResponse"] == control.PeakResponse(**path, limit=1.0, orders=(1.0, 2.0))
     assert made["PiezoTravel"] == control.PiezoTravel(control.HalfSine(8.0), travel_m=3e-5)
     lag = made["PeakComplementary"].limit.frequency_response(np.array([1000 / (2 * np.pi)]))
@@ -88,6 +93,11 @@ STILL = "{goal: RmsPosition, limit_m: 1.0e-6, disturbance: stil}"
         ("[{limit: 2}]", "goals[0]", "expected a goal with its arguments"),
         ("[{goal: MaxDamping}, {goal: RollOff, level: 1}]", "goals[1].from_hz", "is missing"),
         ("[{goal: PeakControl, limit: [[1, x]]}]", "goals[0].limit", "breakpoints as [[frequency_hz, limit]"),
+        (
+            "[{goal: RmsResponse, sources: f_x, targets: p_x, limit: 1, spectrum: [[1, 2], [3]]}]",
+            "goals[0]",
+            "1 sources",
+        ),
         ("[{goal: PeakControl, limit: -1}]", "goals[0]", "give a positive number"),
         ("[{goal: PeakControl, limit: [[9, 1], [5, 2]]}]", "goals[0]", "rising frequencies"),
         (f"[{{goal: PeakControl, limit: {IMPROPER}}}]", "goals[0]", "of a higher order than the denominator"),

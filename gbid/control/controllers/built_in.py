@@ -11,17 +11,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
+import scipy
 from annotated_types import Ge, Le
 
 from gbid.core.arrays import is_finite
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, CountOrZero, Exact, Finite, Positive, check_options
 from gbid.discretise import Hold
-from gbid.structure import Parameter
+from gbid.structure import LinearModel, LinearStructure, Parameter, with_pade
 from gbid.structure.parameter import Values
 
 # ---- Parts: gains and filter of an axis, low-pass (paper, Eq. 21), sections of filters.
@@ -64,6 +65,7 @@ NOT_OPTIONS = ("name", "inputs", "outputs", "intersample", "speed_rpm")
 
 Range = Annotated[tuple[Finite, Finite], Allowed("two numbers, lower first")]
 PositiveRange = Annotated[tuple[Positive, Positive], Allowed("two positive numbers, lower first")]
+TwoPlaces = Annotated[tuple[Finite, ...], Allowed("two numbers in m")]
 AxisNames = Annotated[tuple[str, ...], Allowed("each axis a name of its own")]
 
 
@@ -111,8 +113,6 @@ class PerAxis(ABC):
     """Base class of the built-in structures: one filter per axis in series with a low-pass.
 
     A structure gives the gains of an axis (`_axis_gains`) and the filter that they make (`_filter`); the rest is here.
-    In a full structure (`crossed`) the filter of each input drives the references of all axes: ``kappa_xy`` goes from
-    p_y to r_x, and gains of poles belong to an input, ``frequency_x``.
 
     Parameters
     ----------
@@ -129,6 +129,27 @@ class PerAxis(ABC):
         Sign with which the output is added to the input of the plant: ``r = K p`` as in the paper, or ``r = -K p``.
     gain_unit : str
         Unit of an output of the controller over that of an input, such as ``"A/m"``.
+    gain_sets : tuple of str
+        Name of the gains of each axis, which ends them. Axes with the same name have common gains: ``("",) * 4`` is one
+        set of gains for four axes. By default each axis has gains of its own.
+    sensors_m, actuators_m : tuple of two floats
+        Places of the two sensors and of the two actuators of each direction, along the shaft from the centre of mass
+        [m]. The axes are then pairs, both planes of one direction and then of the next, ``("x1", "x2", "y1", "y2")``,
+        and the filters act on translation and tilt, whose gains are ``kappa_translation_x``, ``kappa_tilt_x``. The
+        coordinates are the position of the centre of mass and half the difference of the planes. A symmetric rotor with
+        equal gains of both has decentralised control.
+    coupling : {"none", "full", "gyroscopic"}
+        ``"full"``: the filter of each input drives the outputs of all axes; ``kappa_xy`` goes from p_y to r_x, and
+        gains of poles belong to an input, ``frequency_x``. ``"gyroscopic"``: the first half of the axes is one
+        direction, the second half the other in the same order. The filter of an axis then drives the same axis of the
+        other direction as well, with ``kappa_cross_x`` from y to x and its negative from x to y, so that forward and
+        backward whirl have different phases.
+    notch_orders : tuple of float
+        Multiples of the speed at which each axis has a notch in series with its low-pass, against unbalance. The gains
+        of notch k are ``speed_width_k`` and ``speed_depth_k`` (0 blocks the frequency, 1 is no notch). The frequency
+        follows the speed, so the structure is scheduled.
+    lowest_hz : float
+        Frequency of the notch at rest, ``omega_0 / 2 pi``, with ``omega^2 = (order Omega)^2 + omega_0^2`` [Hz].
     """
 
     lowpass_hz: Positive = 1000.0
@@ -141,13 +162,21 @@ class PerAxis(ABC):
     axes: AxisNames = AXES
     feedback: Literal["positive", "negative"] = "positive"
     gain_unit: str = "m/m"
-    crossed: ClassVar[bool] = False
+    gain_sets: tuple[str, ...] = ()
+    sensors_m: TwoPlaces = ()
+    actuators_m: TwoPlaces = ()
+    coupling: Literal["none", "full", "gyroscopic"] = "none"
+    notch_orders: tuple[Positive, ...] = ()
+    lowest_hz: Positive = 20.0
+    speed_rpm: Any = 0.0
+    has_common_poles: ClassVar[bool] = True
+    """Whether its poles depend on gains of poles alone, so that all filters of an input can share them."""
 
     def __post_init__(self) -> None:
         where = f"controller {self.name!r}"
         check_options(self, where)
         for name in (
-            each.name for each in fields(self) if isinstance(each.default, tuple) and is_finite(each.default[0])
+            each.name for each in fields(self) if isinstance(each.default, tuple) and is_finite((*each.default, "")[0])
         ):
             lower, upper = getattr(self, name)
             if not lower < upper:
@@ -159,6 +188,7 @@ class PerAxis(ABC):
         if self.axes != AXES:
             object.__setattr__(self, "inputs", tuple(gain_name("p", axis) for axis in self.axes))
             object.__setattr__(self, "outputs", tuple(gain_name("r", axis) for axis in self.axes))
+        self._check_coupling(where)
         if self.tune_corner and self.order == 0:
             raise UsageError(f"{where}: tune_corner needs a low-pass; give an order of at least 1", "tune_corner")
         if self.tune_corner and not 0.05 <= self.lowpass_hz / 1e3 <= 2.5:
@@ -174,21 +204,93 @@ class PerAxis(ABC):
     def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
         """Return A, B, C, D of one axis for its gains and its low-pass."""
 
-    def _gain_name(self, gain: AxisGain, to: str, of: str) -> str:
+    def _check_coupling(self, where: str) -> None:
+        """Refuse places, sets and couplings that do not fit the axes."""
+        n = len(self.axes)
+        places = self.sensors_m, self.actuators_m
+        if any(places) and (n % 2 or any(len(pair) != 2 or pair[0] == pair[1] for pair in places)):
+            raise UsageError(
+                f"{where}: sensors_m = {places[0]}, actuators_m = {places[1]} for {n} axes; give two different places "
+                "each, and axes in pairs such as ('x1', 'x2', 'y1', 'y2')",
+                "sensors_m",
+            )
+        if self.gain_sets and (len(self.gain_sets) != n or self.coupling == "full"):
+            raise UsageError(
+                f"{where}: gain_sets = {self.gain_sets} for {n} axes with coupling {self.coupling!r}; give a name for "
+                "each axis, without full coupling",
+                "gain_sets",
+            )
+        if self.coupling != "none" and not self.has_common_poles:
+            raise UsageError(f"{where}: coupling is not possible, because all its gains move its poles", "coupling")
+        if self.coupling == "gyroscopic" and n % 2:
+            raise UsageError(f"{where}: gyroscopic coupling of {n} axes; give as many in each direction", "coupling")
+
+    @property
+    def follows_speed(self) -> bool:
+        """Whether the matrices follow the speed, so that the structure needs a schedule."""
+        return bool(self.notch_orders)
+
+    def at_speed(self, speed_rpm: Any) -> Self:
+        """Return the structure at a speed, a number or a symbol [rpm]."""
+        return replace(self, speed_rpm=speed_rpm)
+
+    def _khz_at(self, order: float) -> Any:
+        """Frequency at a multiple of the speed [kHz]."""
+        return ca.sqrt((order * self.speed_rpm / 60) ** 2 + self.lowest_hz**2) / 1e3
+
+    @property
+    def _sets(self) -> tuple[str, ...]:
+        """Name of the gains of each filter."""
+        if self.gain_sets or not self.sensors_m:
+            return self.gain_sets or self.axes
+        pairs = zip(self.axes[::2], self.axes[1::2], strict=True)
+        directions = ["".join(letter for letter in one if letter in two) for one, two in pairs]
+        if len(set(directions)) < len(directions):
+            directions = [str(i + 1) for i in range(len(directions))]
+        return tuple(gain_name(way, direction) for direction in directions for way in ("translation", "tilt"))
+
+    @property
+    def _entries(self) -> list[tuple[int, int, int]]:
+        """Row, column and sign of each filter."""
+        n = len(self.axes)
+        if self.coupling == "full":
+            return [(to, of, 1) for to in range(n) for of in range(n)]
+        direct, half = [(i, i, 1) for i in range(n)], n // 2
+        cross = [(i, i + half, 1) for i in range(half)] + [(i + half, i, -1) for i in range(half)]
+        return direct + (cross if self.coupling == "gyroscopic" else [])
+
+    def _gain_name(self, gain: AxisGain, to: int, of: int) -> str:
         """Name of a gain in the filter from an input to an output."""
-        return f"{gain.name}_{to}{of}" if self.crossed and not gain.of_poles else gain_name(gain.name, of)
+        sets = self._sets
+        if gain.of_poles or (to == of and self.coupling != "full"):
+            return gain_name(gain.name, sets[of])
+        if self.coupling == "full":
+            return f"{gain.name}_{sets[to]}{sets[of]}"
+        return gain_name(f"{gain.name}_cross", sets[min(to, of)])
+
+    def _all_gains(self) -> tuple[AxisGain, ...]:
+        """Gains of an axis with those of its notches at the speed."""
+        notches = [
+            gain_within(f"speed_{name}_{k}", start, bounds, "", of_poles=True)
+            for k in range(1, len(self.notch_orders) + 1)
+            for name, start, bounds in (("width", 0.2, (0.01, 2.0)), ("depth", 0.9, (0.0, 2.0)))
+        ]
+        return (*self._axis_gains(), *notches)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Gains of all axes, by kind; the corner frequency is last when it is tuned."""
-        gains = [
-            Parameter(name, gain.start, gain.lower, gain.upper, unit=self._unit(gain))
-            for gain in self._axis_gains()
-            for name in dict.fromkeys(self._gain_name(gain, to, of) for to in self.axes for of in self.axes)
-        ]
+        gains: dict[str, Parameter] = {}
+        for gain in self._all_gains():
+            for to, of, _ in self._entries:
+                start, low, high = gain.start, gain.lower, gain.upper
+                if to != of and high < 0 and not gain.of_poles:  # across, an integral gain may have either sign
+                    start, low, high = 0.0, low, -low
+                name = self._gain_name(gain, to, of)
+                gains.setdefault(name, Parameter(name, start, low, high, unit=self._unit(gain)))
         if self.tune_corner:
-            gains.append(Parameter("lowpass_khz", self.lowpass_hz / 1e3, 0.05, 2.5, unit="kHz"))
-        return tuple(gains)
+            gains["lowpass_khz"] = Parameter("lowpass_khz", self.lowpass_hz / 1e3, 0.05, 2.5, unit="kHz")
+        return tuple(gains.values())
 
     def _unit(self, gain: AxisGain) -> str:
         """Return the unit of a gain; those of integral and derivative are times that of a proportional gain."""
@@ -198,20 +300,35 @@ class PerAxis(ABC):
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return A, B, C and D for gains by name."""
         corner = p["lowpass_khz"] * 1e3 if self.tune_corner else self.lowpass_hz
-        lowpass, gains = lowpass_filter(corner, self.order), self._axis_gains()
-        columns = []
-        for of in self.axes:
-            filters = [
-                self._filter({gain.name: p[self._gain_name(gain, to, of)] for gain in gains}, lowpass)
-                for to in (self.axes if self.crossed else (of,))
-            ]
-            A, B = filters[0][:2]  # the filters to all outputs have the same
-            columns.append((A, B, ca.vertcat(*(f[2] for f in filters)), ca.vertcat(*(f[3] for f in filters))))
-        join, sign = ca.horzcat if self.crossed else ca.diagcat, 1 if self.feedback == "positive" else -1
-        return {
-            letter: ca.diagcat(*rows) if letter in "AB" else sign * join(*rows)
-            for letter, rows in zip("ABCD", zip(*columns, strict=True), strict=True)
-        }
+        lowpass, gains, columns = lowpass_filter(corner, self.order), self._all_gains(), []
+        for of in range(len(self.axes)):
+            rows: list[Any] = [None] * len(self.axes)
+            for to, _, sign in (entry for entry in self._entries if entry[1] == of):
+                gain = {each.name: p[self._gain_name(each, to, of)] for each in gains}
+                first = lowpass
+                for k, order in enumerate(self.notch_orders, 1):
+                    width, depth = gain[f"speed_width_{k}"], gain[f"speed_depth_{k}"]
+                    first = in_series(first, second_order((1.0, 2 * depth * width, 1.0), self._khz_at(order), width))
+                A, B, C, D = self._filter(gain, first)  # A and B are those of all filters of this input
+                rows[to] = sign * C, sign * D
+            zero = ca.SX(1, A.shape[0]), ca.SX(1, 1)
+            columns.append((A, B, *(ca.vertcat(*part) for part in zip(*(row or zero for row in rows), strict=True))))
+        A, B, C, D = zip(*columns, strict=True)
+        sense, act = self._geometry()
+        sign = 1 if self.feedback == "positive" else -1
+        C, D = (sign * act @ ca.horzcat(*part) for part in (C, D))
+        return {"A": ca.diagcat(*A), "B": ca.diagcat(*B) @ sense, "C": C, "D": D @ sense}
+
+    def _geometry(self) -> tuple[Any, Any]:
+        """Return the matrices from positions to the inputs of the filters, and from their outputs to the references."""
+        if not self.sensors_m:
+            return 1, 1
+        (s1, s2), (a1, a2) = self.sensors_m, self.actuators_m
+        each = np.eye(len(self.axes) // 2)
+        sense = np.array([[s2 / (s2 - s1), -s1 / (s2 - s1)], [-0.5, 0.5]])
+        # the sum of the forces is twice the first output, their moment the second times the distance of the planes
+        act = np.array([[2 * a2 / (a2 - a1), -1.0], [-2 * a1 / (a2 - a1), 1.0]])
+        return ca.sparsify(ca.DM(np.kron(each, sense))), ca.sparsify(ca.DM(np.kron(each, act)))
 
 
 # ---- Sections of filters as symbolic state-space models, and their series connection.
@@ -265,7 +382,6 @@ def in_parallel(first: Sequence[Any], second: Sequence[Any]) -> System:
 
 # ---- The structures.
 
-ProperOrder = Annotated[int, Exact(), Ge(1), Allowed("at least 1: without a low-pass it is not proper")]
 FilterOrder = Annotated[int, Exact(), Ge(1), Le(8), Allowed("a whole number, 1 to 8")]
 
 
@@ -293,15 +409,37 @@ class Proportional(PerAxis):
 
 @dataclass(frozen=True)
 class Derivative(Proportional):
-    """Base class of the structures with a derivative gain kd per axis, which the low-pass makes proper."""
+    """Base class of the structures with a derivative gain kd per axis, made proper by the low-pass or a filter of it.
 
-    order: ProperOrder = 1
+    Parameters
+    ----------
+    kd_limit_ms : float
+        Bound on the magnitude of the derivative gains [ms].
+    derivative_khz : (lowest, highest), optional
+        Bounds of the corner of a filter of the derivative alone, ``kd s / (1 + s / w)``, which is then the gain
+        ``corner`` [kHz]. The order of the low-pass may then be 0.
+    """
+
     kd_limit_ms: Positive = 3.0
+    derivative_khz: PositiveRange | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        where = f"controller {self.name!r}"
+        if self.derivative_khz is None and self.order == 0:
+            raise UsageError(f"{where}: order = 0; at least 1: without a low-pass it is not proper", "order")
+        if self.derivative_khz is not None and not self.derivative_khz[0] < self.derivative_khz[1]:
+            raise UsageError(f"{where}: derivative_khz = {self.derivative_khz}; lower first", "derivative_khz")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
-        return (*super()._axis_gains(), symmetric_gain("kd", self.kd_limit_ms, "ms"))
+        corner = () if self.derivative_khz is None else (gain_within("corner", 0.5, self.derivative_khz, "kHz", True),)
+        return (*super()._axis_gains(), symmetric_gain("kd", self.kd_limit_ms, "ms"), *corner)
 
     def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
+        if self.derivative_khz is not None:
+            straight = super()._filter(gain, lowpass_filter(1.0, 0))
+            high = 2 * np.pi * gain["corner"] * gain["kd"]  # kHz times ms
+            return in_series(lowpass, in_parallel(straight, first_order(0.0, high, gain["corner"])))
         A, B, C, D = super()._filter(gain, lowpass)
         n, seconds = lowpass[0].shape[0], 1e-3 * gain["kd"]
         # D = 0 of the low-pass: the derivative of its last stage is C (A x + B p)
@@ -333,6 +471,8 @@ class PStructure(Proportional):
         Sign with which the controller acts on the outputs, for positive gains.
     gain_unit : str
         Unit of the gains; "m/m" for positions that follow positions.
+    gain_sets, sensors_m, actuators_m, coupling, notch_orders, lowest_hz, speed_rpm
+        See `gbid.control.controllers.built_in.PerAxis`; the schedule sets the speed.
     """
 
     lower: Finite = 0.0
@@ -355,6 +495,10 @@ class PDStructure(Derivative):
         Bounds of the proportional gains [m/m].
     kd_limit_ms : float
         Bound on the magnitude of the derivative gains [ms].
+    derivative_khz : (lowest, highest), optional
+        See `Derivative`.
+    gain_sets, sensors_m, actuators_m, coupling, notch_orders, lowest_hz, speed_rpm
+        See `gbid.control.controllers.built_in.PerAxis`; the schedule sets the speed.
     """
 
     name: str = "PD"
@@ -438,8 +582,8 @@ class NotchStructure(Proportional):
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (
             *super()._axis_gains(),
-            gain_within("frequency", 0.15, self.frequency_khz, "kHz"),
-            gain_within("width", 0.7, self.width, ""),
+            gain_within("frequency", 0.15, self.frequency_khz, "kHz", of_poles=True),
+            gain_within("width", 0.7, self.width, "", of_poles=True),
             gain_within("depth", 0.5, self.depth, ""),
         )
 
@@ -507,7 +651,7 @@ class LeadLagStructure(PerAxis):
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         low, high = (symmetric_gain(name, self.gain_limit) for name in ("low", "high"))
-        return (low, high, gain_within("corner", 0.15, self.corner_khz, "kHz"))
+        return (low, high, gain_within("corner", 0.15, self.corner_khz, "kHz", of_poles=True))
 
     def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
         return in_series(lowpass, first_order(gain["low"], gain["high"], gain["corner"]))
@@ -533,6 +677,8 @@ class BiquadStructure(PerAxis):
         Bound on the magnitude of b0, b1 and b2 [m/m].
     frequency_khz, damping : (lowest, highest)
         Bounds of the frequency [kHz] and damping factor of the filter.
+    gain_sets, sensors_m, actuators_m, coupling, notch_orders, lowest_hz, speed_rpm
+        See `gbid.control.controllers.built_in.PerAxis`; the schedule sets the speed.
     """
 
     order: CountOrZero = 0
@@ -587,12 +733,12 @@ class FilterStructure(PerAxis):
             gains += [
                 symmetric_gain(f"b1_{k}", limit, start=0.0 if k == 1 else 2 * zeta),
                 symmetric_gain(f"b2_{k}", limit, start=0.0 if k == 1 else 1.0),
-                gain_within(f"frequency_{k}", 0.15 * 1.6 ** (k - 1), self.frequency_khz, "kHz"),
-                gain_within(f"damping_{k}", zeta, self.damping, ""),
+                gain_within(f"frequency_{k}", 0.15 * 1.6 ** (k - 1), self.frequency_khz, "kHz", of_poles=True),
+                gain_within(f"damping_{k}", zeta, self.damping, "", of_poles=True),
             ]
         if self.filter_order % 2:
             c = AxisGain("c", 0.0 if self.filter_order == 1 else 1.0, -limit, limit, "m/m")
-            gains += [c, gain_within("corner", 0.3, self.frequency_khz, "kHz")]
+            gains += [c, gain_within("corner", 0.3, self.frequency_khz, "kHz", of_poles=True)]
         return tuple(gains)
 
     def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
@@ -637,6 +783,7 @@ class ObserverStructure(PerAxis):
     frequency_khz: PositiveRange = (0.02, 1.0)
     model_damping: Positive = 0.1
     name: str = "observer"
+    has_common_poles: ClassVar[bool] = False
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (
@@ -674,29 +821,25 @@ class ResonantStructure(PerAxis):
         Bound on the magnitude of the gains [m/m].
     width : (lowest, highest)
         Bounds of the damping factor of the term.
-    speed_rpm : float or casadi.SX
-        Speed of rotation; set by the schedule.
     lowpass_hz, order, tune_corner, axes, feedback, gain_unit
         As in `PStructure`; the low-pass acts on kappa.
     """
 
-    lowest_hz: Positive = 20.0
     gain_limit: Positive = 3.0
     width: PositiveRange = (0.02, 2.0)
-    speed_rpm: Any = 0.0
     name: str = "resonant"
 
-    def at_speed(self, speed_rpm: Any) -> ResonantStructure:
-        """Return the structure at a speed, a number or a symbol [rpm]."""
-        return replace(self, speed_rpm=speed_rpm)
+    @property
+    def follows_speed(self) -> bool:
+        """Whether the matrices follow the speed."""
+        return True
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         gains = (symmetric_gain(name, self.gain_limit) for name in ("kappa", "sine", "cosine"))
-        return (*gains, gain_within("width", 0.7, self.width, ""))
+        return (*gains, gain_within("width", 0.7, self.width, "", of_poles=True))
 
     def _filter(self, gain: Mapping[str, Any], lowpass: System) -> System:
-        hz = ca.sqrt((self.speed_rpm / 60) ** 2 + self.lowest_hz**2)
-        term = second_order((gain["sine"], gain["cosine"], 0.0), hz / 1e3, gain["width"])
+        term = second_order((gain["sine"], gain["cosine"], 0.0), self._khz_at(1.0), gain["width"])
         straight = in_series(lowpass, (ca.SX(0, 0), ca.SX(0, 1), ca.SX(1, 0), ca.SX(gain["kappa"])))
         return in_parallel(straight, term)
 
@@ -717,7 +860,7 @@ class FullPStructure(Proportional):
     """
 
     name: str = "full P"
-    crossed: ClassVar[bool] = True
+    coupling: Literal["none", "full", "gyroscopic"] = "full"
 
 
 @dataclass(frozen=True)
@@ -737,7 +880,7 @@ class FullPDStructure(Derivative):
     """
 
     name: str = "full PD"
-    crossed: ClassVar[bool] = True
+    coupling: Literal["none", "full", "gyroscopic"] = "full"
 
 
 @dataclass(frozen=True)
@@ -760,7 +903,69 @@ class FullBiquadStructure(BiquadStructure):
     """
 
     name: str = "full biquad"
-    crossed: ClassVar[bool] = True
+    coupling: Literal["none", "full", "gyroscopic"] = "full"
+
+
+# ---- State feedback of a given plant.
+
+
+def state_feedback(model: LinearModel, position: float, noise: float = 0.1, reach: float = 4.0) -> LinearStructure:
+    r"""Return a state feedback with an observer of all states of a model, such as that of a fit.
+
+    .. math:: \dot{\hat x} = A \hat x + B r + L\,(p - C \hat x - D r), \quad r = F \hat x, \quad
+              F = F_0\, \mathrm{diag}(f), \quad L = \mathrm{diag}(l)\, L_0
+
+    F_0 and L_0 are those of the linear-quadratic optimum of the model, with the cost ``|p|^2 + position^2 |r|^2`` and
+    disturbances of r beside noise of p. The gains are the factors f and l of each state, 1 at the start, where the loop
+    of this model is stable.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Continuous plant from r to p; exact delays become Padé delays of third order.
+    position : float
+        Position that costs as much as a reference of 1; a larger one gives a softer control.
+    noise : float
+        Noise of p, in units of `position`, beside disturbances of r of 1; less noise gives a faster observer.
+    reach : float
+        Largest factor.
+
+    Returns
+    -------
+    LinearStructure
+        Gains ``feedback_...`` and ``observer_...`` with the names of the states.
+
+    Raises
+    ------
+    UsageError
+        When the model is sampled, or a state that is not stable cannot be controlled or observed.
+    """
+    plant = with_pade(model, 3)
+    if plant.dt is not None:
+        raise UsageError(f"state_feedback: model {model.name!r} is sampled; give the continuous one")
+    A, B, C, D = plant.A, plant.B, plant.C, plant.D
+    (n_p, n_r), n = D.shape, len(A)
+    try:
+        S = scipy.linalg.solve_continuous_are(A, B, C.T @ C, D.T @ D + position**2 * np.eye(n_r), s=C.T @ D)
+        P = scipy.linalg.solve_continuous_are(A.T, C.T, B @ B.T, (noise * position) ** 2 * np.eye(n_p))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise UsageError(
+            f"state_feedback: model {model.name!r} with position = {position:g} has no optimal feedback ({error}); "
+            "leave out states that cannot be controlled or observed, or change position"
+        ) from None
+    F = -np.linalg.solve(D.T @ D + position**2 * np.eye(n_r), B.T @ S + D.T @ C)
+    L = P @ C.T / (noise * position) ** 2
+    states = plant.state_names if len(set(plant.state_names)) == n else tuple(str(i + 1) for i in range(n))
+    names = [f"{kind}_{state}" for kind in ("feedback", "observer") for state in states]
+
+    def matrices(p: Values) -> dict[str, Any]:
+        factors = [ca.vertcat(*(p[name] for name in part)) for part in (names[:n], names[n:])]
+        feedback, observer = F @ ca.diag(factors[0]), ca.diag(factors[1]) @ L
+        inner = A + B @ feedback - observer @ (C + D @ feedback)
+        return {"A": inner, "B": observer, "C": feedback, "D": ca.SX(n_r, n_p)}
+
+    gains = [Parameter(name, 1.0, 0.0, reach) for name in names]
+    return LinearStructure(f"state feedback of {model.name}", gains, matrices, plant.output_names, plant.input_names)
 
 
 @cache

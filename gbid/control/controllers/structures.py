@@ -148,11 +148,21 @@ _SUFFIX = dict(zip(TERMS, ("1", "P", "Omega", "OmegaP", "P2", "Omega2"), strict=
 
 @runtime_checkable
 class FollowsSpeed(Protocol):
-    """Structure whose matrices follow the speed, so that it needs a schedule."""
+    """Structure whose matrices can follow the speed; it then needs a schedule."""
+
+    @property
+    def follows_speed(self) -> bool:
+        """Whether the matrices follow the speed."""
+        ...
 
     def at_speed(self, speed_rpm: Any) -> Any:
         """Return the structure at a speed [rpm]."""
         ...
+
+
+def follows_speed(structure: Structure) -> bool:
+    """Return whether the matrices of a structure follow the speed."""
+    return isinstance(structure, FollowsSpeed) and structure.follows_speed
 
 
 @dataclass(frozen=True)
@@ -319,7 +329,7 @@ def with_schedule(structure: Structure | Scheduled, domain: Domain | None = None
     domain : Domain, optional
         Range of pressure and speed, as for `scheduled`.
     """
-    if isinstance(structure, Scheduled) or not isinstance(structure, FollowsSpeed):
+    if isinstance(structure, Scheduled) or not follows_speed(structure):
         return structure
     return scheduled(structure, ("1",), domain)
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import scipy
@@ -219,29 +219,39 @@ def _places(model: LinearModel) -> FloatArray:
 # ---- Goals on the modes of the loop: damping and decay, of all modes or of those in a band of frequencies.
 
 
+Quantity = Literal["damping", "decay", "frequency"]
+Whirl = Literal["both", "forward", "backward"]
+_PLANAR = 0.05
+"""Share of a circular whirl below which a mode counts as one of both directions."""
+
+
 @dataclass(frozen=True)
 class ModeMeasure(Measure):
-    """Excess ``limit - value / weight`` of the modes in a band: damping factors, or decay in units of the limit.
+    """Excess ``limit - value / weight`` of the modes in a band.
 
     Parameters
     ----------
     name : str
         Name of the limit.
     limit : float
-        Smallest damping factor, or smallest decay rate [1/s].
-    decay : bool
-        Whether the decay is limited, in units of the limit (of 1 1/s when it is 0).
+        Smallest damping factor, smallest decay rate [1/s], or largest magnitude of a pole over 2 pi [Hz].
+    quantity : {"damping", "decay", "frequency"}
+        What is limited. Decay and frequency are in units of their limit (of 1 1/s for a decay of 0), and the excess of
+        the frequency has the other sign.
     low_hz, high_hz : float
         Natural frequencies of the modes that count [Hz].
+    whirl : {"both", "forward", "backward"}
+        Direction of the modes that count.
     weight : float
         Weight.
     """
 
     name: str
     limit: float
-    decay: bool = False
+    quantity: Quantity = "damping"
     low_hz: float = 0.0
     high_hz: float = inf
+    whirl: Whirl = "both"
     weight: float = 1.0
 
     def excess(self, state: LoopState) -> FloatArray:
@@ -257,8 +267,14 @@ class ModeMeasure(Measure):
         values = state.system.values[loop, which]
         slopes = state.system.slopes(loop, which, state.derivatives.dA) * rate_slopes(values, T)[:, None]
         rates = true_rates(values, T)
-        gradient = -slopes.real / self._unit if self.decay else damping_slopes(rates, slopes, T)
-        return Pieces(loop, every[loop, which], -gradient / self.weight, values)
+        if self.quantity == "damping":
+            slope = -damping_slopes(rates, slopes, T)
+        elif self.quantity == "decay":
+            slope = slopes.real / self._unit
+        else:
+            slope = (rates.conj()[:, None] * slopes).real / np.abs(rates)[:, None]
+            slope *= self.weight**2 / (2 * np.pi * self.limit)
+        return Pieces(loop, every[loop, which], slope / self.weight, values)
 
     @property
     def _unit(self) -> float:
@@ -267,37 +283,79 @@ class ModeMeasure(Measure):
     def _values(self, state: LoopState) -> FloatArray:
         T = state.family.sample_time
         rates = true_rates(state.system.values, T)
-        value = -rates.real / self._unit if self.decay else damping_factors(rates, T)
-        limit = self.limit / self._unit if self.decay else self.limit
-        return np.asarray(limit - value / self.weight)
+        if self.quantity == "damping":
+            return np.asarray(self.limit - damping_factors(rates, T) / self.weight)
+        if self.quantity == "decay":
+            return np.asarray((self.limit + rates.real / self.weight) / self._unit)
+        return np.asarray(self.weight * np.abs(rates) / (2 * np.pi * self.limit) - 1)
 
     def _counts(self, state: LoopState) -> BoolArray:
-        size = np.abs(true_rates(state.system.values, state.family.sample_time)) / (2 * np.pi)
-        return np.asarray((size >= self.low_hz) & (size <= self.high_hz))
+        values, n = state.system.values, state.family.n_outputs
+        size = np.abs(true_rates(values, state.family.sample_time)) / (2 * np.pi)
+        counts = (size >= self.low_hz) & (size <= self.high_hz)
+        if self.whirl == "both":
+            return np.asarray(counts)
+        shape = state.loops.C[:, :n] @ state.system.right
+        x, y = shape[:, : n // 2], shape[:, n // 2 :]
+        # where x is the real part of exp(j w t), y of -j exp(j w t) turns from x to y
+        turn = -2 * (x.conj() * y).imag.sum(axis=1) * np.sign(values.imag)
+        along = turn if self.whirl == "forward" else -turn
+        return np.asarray(counts & (along >= -_PLANAR * (np.abs(shape) ** 2).sum(axis=1)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfModes:
+    """Modes that count for a goal.
+
+    Parameters
+    ----------
+    low_hz, high_hz : float
+        Natural frequencies of the modes that count [Hz]; all by default.
+    whirl : {"both", "forward", "backward"}
+        Direction of whirl of the modes that count. The first half of the measured outputs is one direction x, the
+        second half the other direction y in the same order of planes; forward is from x to y. A mode in a plane counts
+        for both.
+    """
+
+    low_hz: NotNegative = 0.0
+    high_hz: Number = inf
+    whirl: Whirl = "both"
+
+    def of_modes(self, name: str, limit: float, quantity: Quantity, weight: float, plant: LinearModel) -> ModeMeasure:
+        """Return the measure of these modes."""
+        if self.whirl != "both" and len(plant.C) % 2:
+            raise UsageError(
+                f"{type(self).__name__}: whirl = {self.whirl!r} of {len(plant.C)} outputs; x and y are needed"
+            )
+        words = name if self.whirl == "both" else f"{name} ({self.whirl} whirl)"
+        return ModeMeasure(words, limit, quantity, self.low_hz, self.high_hz, self.whirl, weight)
+
+    @property
+    def all_modes(self) -> bool:
+        """Whether all modes count."""
+        return (self.low_hz, self.high_hz, self.whirl) == (0.0, inf, "both")
 
 
 @dataclass(frozen=True)
-class MaxDamping(Goal):
+class MaxDamping(OfModes, Goal):
     """Objective: the largest smallest damping factor of the oscillatory modes.
 
     Parameters
     ----------
     weight : float
         Weight beside soft goals: the objective is the damping factor over it.
-    low_hz, high_hz : float
-        Natural frequencies of the modes that count [Hz]; all modes by default.
+    low_hz, high_hz, whirl
+        See `OfModes`.
     """
 
     weight: Positive = 1.0
-    low_hz: NotNegative = 0.0
-    high_hz: Number = inf
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this objective."""
-        if (self.low_hz, self.high_hz) == (0.0, inf):
+        if self.all_modes:
             _only_one(limits)
             return replace(limits, objective="damping", weight=1 / self.weight)
-        measure = ModeMeasure("damping in the band", 0.0, False, self.low_hz, self.high_hz, self.weight)
+        measure = self.of_modes("damping in the band", 0.0, "damping", self.weight, plant)
         return replace(limits, soft=(*limits.soft, measure))
 
 
@@ -320,55 +378,72 @@ class MaxDecay(Goal):
 
 
 @dataclass(frozen=True)
-class MinDamping(Wanted):
+class MinDamping(OfModes, Wanted):
     """Smallest damping factor of the modes in a band; its excess is ``limit - damping / weight``.
 
     Parameters
     ----------
     limit : float
         Smallest allowed damping factor.
-    low_hz, high_hz : float
-        Natural frequencies of the modes that count [Hz].
+    low_hz, high_hz, whirl
+        See `OfModes`.
     soft, weight
         See `Wanted`.
     """
 
     limit: Annotated[Finite, Gt(-1), Lt(1), Allowed("a damping factor below 1")]
-    low_hz: NotNegative = 0.0
-    high_hz: Number = inf
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
         """Return the measure of this goal."""
-        return ModeMeasure("damping of modes", self.limit, False, self.low_hz, self.high_hz, self.weight)
+        return self.of_modes("damping of modes", self.limit, "damping", self.weight, plant)
 
 
 @dataclass(frozen=True)
-class SlowestPole(Wanted):
+class SlowestPole(OfModes, Wanted):
     """Smallest decay rate ``-Re`` of the poles, real ones included, or of those in a band.
 
     Parameters
     ----------
     rate : float
         Smallest allowed decay rate [1/s]: the largest real part is ``-rate``.
-    low_hz, high_hz : float
-        Magnitudes of the poles that count, over 2 pi [Hz].
+    low_hz, high_hz, whirl
+        See `OfModes`; magnitudes of the poles over 2 pi.
     soft, weight
         See `Wanted`.
     """
 
     rate: Annotated[NotNegative, Allowed("a rate of at least 0 in 1/s")]
-    low_hz: NotNegative = 0.0
-    high_hz: Number = inf
 
     def measure(self, plant: LinearModel) -> ModeMeasure:
         """Return the measure of this goal."""
-        return ModeMeasure("slowest pole in the band", self.rate, True, self.low_hz, self.high_hz, self.weight)
+        return self.of_modes("slowest pole in the band", self.rate, "decay", self.weight, plant)
 
     def add_to(self, limits: Limits, plant: LinearModel) -> Limits:
         """Return the limits with this goal."""
-        if self.soft or (self.low_hz, self.high_hz) != (0.0, inf):
+        if self.soft or not self.all_modes:
             return super().add_to(limits, plant)
         return replace(limits, slowest_pole=max(limits.slowest_pole, self.rate))
+
+
+@dataclass(frozen=True)
+class FastestPole(OfModes, Wanted):
+    """Largest magnitude of the poles over 2 pi, or of those in a band: with `MinDamping` and `SlowestPole` a region.
+
+    Parameters
+    ----------
+    hz : float
+        Largest allowed magnitude [Hz].
+    low_hz, high_hz, whirl
+        See `OfModes`.
+    soft, weight
+        See `Wanted`; the excess is ``weight * magnitude / hz - 1``.
+    """
+
+    hz: Positive
+
+    def measure(self, plant: LinearModel) -> ModeMeasure:
+        """Return the measure of this goal."""
+        return self.of_modes("fastest pole", self.hz, "frequency", self.weight, plant)
 
 
 def _only_one(limits: Limits) -> None:

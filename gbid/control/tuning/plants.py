@@ -216,6 +216,9 @@ class TuneOptions(DesignOptions):
         Parameters of Eq. 12 [rad/s, m/m]; by default those of the model.
     inputs, outputs : sequence of str, optional
         Channels of linear models that the controller drives and measures, in the order of its outputs and inputs.
+    speeds_rpm : sequence of float, optional
+        Speed of each linear model of a list, for structures that follow it, gains scheduled over it
+        (``scheduled(..., ("1", "Omega"), Domain((0, 0), (low, high)))``) and goals at multiples of it.
     peak_sensitivity : float, optional
         Limit M on the peak of the output sensitivity; None maximises damping without this limit, see the notes of
         `gbid.tune`.
@@ -260,6 +263,7 @@ class TuneOptions(DesignOptions):
     actuator: Mapping[str, float] | None = None
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
+    speeds_rpm: Sequence[float] | None = None
     uncertainty: Annotated[Uncertainty, Allowed("gbid.Uncertainty(covariance)")] | None = None
     sample_time: Annotated[Positive, Allowed("seconds, above 0")] | None = None
     computation_s: Annotated[NotNegative, Allowed("seconds, 0 or more")] | None = None
@@ -385,7 +389,7 @@ class Plants(ABC):
         names = [parameter.name for parameter in self.structure.parameters]
         units = np.eye(len(names))
         rows = []
-        for P, Omega in dict.fromkeys(map(tuple, points)):
+        for P, Omega in dict.fromkeys(map(tuple, points[:, :2])):
             columns = [self.structure.gains(dict(zip(names, unit, strict=True)), P, Omega) for unit in units]
             for gain in self.structure.base.parameters:
                 row = np.array([float(column[gain.name]) for column in columns])
@@ -521,7 +525,7 @@ _FIRST = 4
 
 @dataclass(frozen=True, eq=False)
 class ModelPlants(Plants):
-    """Plants given as models; the first column of a point is the index of its model.
+    """Plants given as models; a point is the lowest pressure of a schedule, the speed, and the index of the model.
 
     Parameters
     ----------
@@ -549,14 +553,14 @@ class ModelPlants(Plants):
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
         """Points, and the names of their models."""
-        labels = [self.models[int(i)].name for i in points[:, 0]]
+        labels = [self.models[int(i)].name for i in points[:, 2]]
         if len(set(labels)) < len(labels):
-            labels = [f"{name} ({int(i) + 1})" for name, i in zip(labels, points[:, 0], strict=True)]
+            labels = [f"{name} ({int(i) + 1})" for name, i in zip(labels, points[:, 2], strict=True)]
         return points, labels
 
     def continuous_plants(self, scenarios: FloatArray) -> PlantMatrices:
         """Continuous models, with Padé delays."""
-        models = [with_pade(self.models[int(i)], PADE_ORDER) for i in scenarios[:, 0]]
+        models = [with_pade(self.models[int(i)], PADE_ORDER) for i in scenarios[:, 2]]
         return PlantMatrices.stacked(models).delayed(self.delay_s)
 
     def whole_plants(self, scenarios: FloatArray) -> WholePlants:
@@ -567,7 +571,7 @@ class ModelPlants(Plants):
         UsageError
             When the names of a channel differ between the models.
         """
-        models = [self.whole[int(i)] for i in scenarios[:, 0]]
+        models = [self.whole[int(i)] for i in scenarios[:, 2]]
         first = self.whole[0]
         if any((each.input_names, each.output_names) != (first.input_names, first.output_names) for each in models):
             raise UsageError("goals on responses between named signals need models with the same channels")
@@ -577,7 +581,7 @@ class ModelPlants(Plants):
 
     def sampled(self, scenario: tuple[float, ...], sampling: Sampling) -> LinearModel:
         """Model, sampled with exact delays."""
-        return sample_plant(self.models[int(scenario[0])], sampling.sample_time, sampling.computation_s)
+        return sample_plant(self.models[int(scenario[2])], sampling.sample_time, sampling.computation_s)
 
     def first(self, points: FloatArray) -> list[int]:
         """Return some models, evenly among all."""
@@ -605,11 +609,8 @@ def checked_models(
     Raises
     ------
     UsageError
-        When a model is sampled or has no such channel, when their number does not fit the controller, or when the
-        controller is scheduled.
+        When a model is sampled or has no such channel, or when their number does not fit the controller.
     """
-    if isinstance(structure, Scheduled):
-        raise UsageError(f"controller {structure.name!r}: a schedule needs an LPV model, with pressure and speed")
     plants = []
     for model in models:
         if model.dt is not None:
@@ -671,6 +672,8 @@ def plants_of(
     if isinstance(model, LPVModel):
         if (options.inputs, options.outputs) != (None, None):
             raise UsageError("tune: inputs and outputs choose channels of linear models; an LPV model has r and p")
+        if options.speeds_rpm is not None:
+            raise UsageError("tune: speeds_rpm belongs to linear models; an LPV model has operating_points")
         return LpvPlants.of(model, structure, options)
     given = list(model) if isinstance(model, Sequence) else [model]
     if not given:
@@ -678,11 +681,21 @@ def plants_of(
     if options.uncertainty is not None:
         raise UsageError("tune: uncertainty belongs to an LPV model; give the drawn models in the list")
     models = [one for each in given for one in _linear(each, options)]
+    speeds = np.zeros(len(models)) if options.speeds_rpm is None else np.array(options.speeds_rpm, float)
+    if speeds.shape != (len(models),) or not np.isfinite(speeds).all():
+        raise UsageError(f"tune: speeds_rpm = {options.speeds_rpm} for {len(models)} models; give a speed for each")
+    speed_terms = {"1", "Omega", "Omega2"}
+    if isinstance(structure, Scheduled) and not (options.speeds_rpm and speed_terms.issuperset(structure.terms)):
+        raise UsageError(
+            f"controller {structure.name!r}: a schedule needs an LPV model, with pressure and speed; for linear models "
+            "give speeds_rpm=, and terms of the speed only"
+        )
     for name in ("operating_points", "actuator"):
         if getattr(options, name) is not None and not any(isinstance(each, LPVModel | LPVFit) for each in given):
             raise UsageError(f"tune: {name} belongs to LPV models; leave it out")
     chosen = checked_models(models, structure, options.inputs, options.outputs)
-    points = np.column_stack([np.arange(len(chosen), dtype=float), np.zeros(len(chosen))])
+    pressure = structure.domain.pressure_bar[0] if isinstance(structure, Scheduled) else 0.0
+    points = np.column_stack([np.full(len(chosen), pressure), speeds, np.arange(len(chosen))])
     unfinished = tuple(each for each in given if isinstance(each, FitResult) and not each.success)
     return ModelPlants(
         structure, points, options.delay_s, options.sampling, models=chosen, whole=tuple(models), unfinished=unfinished

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from math import inf, pi, radians
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Gt, Le, Lt
@@ -94,7 +94,7 @@ class ResponseMeasure(Measure):
     def pieces(self, state: LoopState, window: float) -> Pieces:
         """Return the peaks near the limit."""
         peaks = self._peaks(state)
-        keep = np.log(self.weight * peaks.value) > -window
+        keep = self.weight * peaks.value > np.exp(-window)
         loop, place, value = peaks.loop[keep], peaks.frequency[keep], peaks.value[keep]
         whole = self._of_response(state.derivatives, state.family.n_outputs)
         assert isinstance(whole, Derivatives)
@@ -364,15 +364,12 @@ class PathMeasure(ResponseMeasure):
         Signals from and to which the response is taken.
     orders : tuple of float
         Multiples of the speed at which the response counts; empty for all frequencies.
-    speeds_rpm : tuple of float
-        Speed of each model; empty for an LPV model, whose points have it.
     name, response, bound, weight
         See `ResponseMeasure`; the response is taken as it is (``SENSITIVITY``).
     """
 
     path: Path = field(kw_only=True)
     orders: tuple[float, ...] = ()
-    speeds_rpm: tuple[float, ...] = ()
 
     def excess(self, state: LoopState) -> FloatArray:
         """Return the excess of each loop."""
@@ -393,11 +390,9 @@ class PathMeasure(ResponseMeasure):
         if not self.orders:
             return super()._peaks(state)
         assert state.family.points is not None
-        index, speed = state.family.points[:, :2].T
+        speed = state.family.points[:, 1]
         if not speed.any():
-            if not 0 <= index.max() < len(self.speeds_rpm):
-                raise UsageError(f"PeakResponse: speeds_rpm = {self.speeds_rpm}; give a speed for each plant")
-            speed = np.asarray(self.speeds_rpm)[index.astype(int)]
+            raise UsageError(f"PeakResponse: orders = {self.orders} of plants at rest; give speeds_rpm= to tune")
         hz = np.abs(speed[:, None]) / 60 * np.asarray(self.orders)
         response = ModalResponse(state.loops, state.system, slice(None))(2 * np.pi * hz)
         gains = largest_singular_values(response) / self.bound.of_hz(hz)
@@ -464,9 +459,8 @@ class PeakResponse(PathGoal):
     low_hz, high_hz : float
         Band of frequencies in which the limit holds [Hz].
     orders : tuple of float
-        Multiples of the speed of rotation at which alone the limit holds, such as ``(1.0, 2.0)``.
-    speeds_rpm : float or tuple of float
-        Speed of the plant, or of each one of a list; an LPV model has its own.
+        Multiples of the speed of rotation at which alone the limit holds, such as ``(1.0, 2.0)``. Linear models have
+        the speeds of ``speeds_rpm=`` of `gbid.tune`.
     soft, weight
         See `Wanted`.
     """
@@ -475,7 +469,6 @@ class PeakResponse(PathGoal):
     low_hz: NotNegative = 0.0
     high_hz: Number = inf
     orders: tuple[float, ...] = ()
-    speeds_rpm: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -497,7 +490,6 @@ class PeakResponse(PathGoal):
             weight=self.weight,
             path=self.path,
             orders=orders,
-            speeds_rpm=tuple(map(float, self.speeds_rpm)),
         )
 
 
@@ -531,8 +523,112 @@ class RmsResponse(PathGoal):
 
 _PER_DECADE = 80
 _STEPS = np.linspace(0.0, 1.0, 9)
+_RIDDERS = 8
+"""Number of steps of two evaluations each; they halve an interval of 3 % and find a smooth crossing to 1e-12."""
 _NONE = 1e-6
 """Share of a margin that is used up where a loop has no crossing."""
+
+
+class _Crossings(NamedTuple):
+    """Loop, channel, frequency in the plane of the search [rad/s] and used share of a margin of each crossing (k,)."""
+
+    loop: IntArray
+    channel: IntArray
+    frequency: FloatArray
+    share: FloatArray
+
+
+@dataclass(frozen=True)
+class MarginMeasure(Measure):
+    """Excess ``log(weight * share)`` of the share of a margin that each loop alone uses up, with exact gradients.
+
+    Parameters
+    ----------
+    name : str
+        Name of the limit.
+    required : float
+        Logarithm of the gain, or phase [rad], that must be tolerated.
+    is_phase : bool
+        Whether it is the phase margin, at ``|L| = 1``; else the gain margin, where L is real.
+    weight : float
+        Weight.
+    """
+
+    name: str
+    required: float
+    is_phase: bool
+    weight: float
+
+    def excess(self, state: LoopState) -> FloatArray:
+        """Return the excess of each loop."""
+        shares, crossings = np.full(len(state.family), _NONE), self._crossings(state)
+        np.maximum.at(shares, crossings.loop, crossings.share)
+        return np.asarray(np.log(self.weight * shares))
+
+    def pieces(self, state: LoopState, window: float) -> Pieces:
+        """Return the crossings near the limit."""
+        every = self._crossings(state)
+        loop, channel, w, share = (part[self.weight * every.share > np.exp(-window)] for part in every)
+        near, row = state.derivatives.of(loop), np.arange(len(loop))
+        resolvent = np.linalg.inv(1j * w[:, None, None] * np.eye(near.A.shape[-1]) - near.A)
+        v = (resolvent @ near.B[row, :, channel, None])[..., 0]
+        u = (near.C[row, None, channel] @ resolvent)[:, 0]
+        S = np.einsum("kn,kn->k", near.C[row, channel], v) + near.D[row, channel, channel]
+        dS = np.einsum("kn,kdnm,km->kd", u, near.dA, v) + np.einsum("kn,kdn->kd", u, near.dB[row, ..., channel])
+        dS += np.einsum("kdn,kn->kd", near.dC[row, :, channel], v) + near.dD[row, :, channel, channel]
+        L, dL, dL_dw = 1 - 1 / S, dS / S[:, None] ** 2, -1j * np.einsum("kn,kn->k", u, v) / S**2
+        # the crossing moves along the frequency with the gains; at rest L stays real
+        moved, along = ((part / L[:, None]).real if self.is_phase else part.imag for part in (dL, dL_dw[:, None]))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            total = dL + dL_dw[:, None] * np.where((w > 0)[:, None] & (along != 0), -moved / along, 0.0)
+            relative = total / L[:, None]
+            slope = (
+                relative.imag / np.angle(L)[:, None] if self.is_phase else relative.real / np.log(np.abs(L))[:, None]
+            )
+        slope = np.where(np.isfinite(slope), -slope, 0.0)
+        return Pieces(loop, np.log(self.weight * share), slope, 1j * w)
+
+    def _crosses(self, L: ComplexArray) -> FloatArray:
+        """Return a function of the loop gain that is zero at a crossing."""
+        return np.asarray(np.abs(L) - 1 if self.is_phase else L.imag)
+
+    def _share(self, L: ComplexArray) -> FloatArray:
+        """Return the share of the margin that is used up at a crossing."""
+        if self.is_phase:
+            return np.asarray(self.required / np.maximum(np.abs(np.angle(L)), 1e-9))
+        tolerated = np.abs(np.log(np.maximum(np.abs(L), 1e-12)))
+        return np.where(L.real > 0, self.required / np.maximum(tolerated, 1e-9), _NONE)
+
+    def _crossings(self, state: LoopState) -> _Crossings:
+        """Return the crossings of all channels."""
+        parts = [self._of_channel(state, channel) for channel in range(state.family.n_outputs)]
+        return _Crossings(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    def _of_channel(self, state: LoopState, channel: int) -> _Crossings:
+        """Return the crossings of one channel, located by iteration, and the loop gain at rest where it is one."""
+        loops, system = state.loops, state.system
+        response = ModalResponse(loops, system, slice(0, state.family.n_outputs))
+
+        def gain(which: IntArray, w: FloatArray) -> ComplexArray:
+            # opened at this channel, with the others closed: L = 1 - 1 / S_ii
+            return np.asarray(1 - 1 / response(w, which)[..., channel, channel])
+
+        m = len(state.family)
+        base = base_frequencies(system.values, _PER_DECADE)
+        # with modes of the loop opened at this channel, near which its gain has its peaks
+        modes = np.concatenate([system.values, _opened(loops, channel)], axis=1)
+        near = around(modes).reshape(m, -1)
+        frequencies = np.sort(
+            np.concatenate([np.abs(modes), np.abs(modes.imag), near, np.tile(base[1:], (m, 1))], 1), axis=1
+        )
+        loop, low, high, sign = _intervals(frequencies, lambda which, w: self._crosses(gain(which, w)))
+        w = _roots(lambda at: sign * self._crosses(gain(loop, at[:, None])[:, 0]), low, high)
+        # at zero frequency the loop gain is real, which limits the gain as well; rounding may give it an imaginary part
+        rest = gain(np.arange(m), np.zeros((m, 1)))[:, 0].real.astype(complex)
+        real = np.flatnonzero(np.abs(self._crosses(rest)) <= 1e-9 * np.abs(rest))
+        values = np.concatenate([gain(loop, w[:, None])[:, 0], rest[real]])
+        loop, w = np.concatenate([loop, real]), np.concatenate([w, np.zeros(len(real))])
+        return _Crossings(loop, np.full(len(loop), channel), w, self._share(values))
 
 
 @dataclass(frozen=True)
@@ -549,15 +645,9 @@ class MinGainMargin(Wanted):
 
     factor: Annotated[Finite, Gt(1)]
 
-    def measure(self, plant: LinearModel) -> ExtraLimit:
+    def measure(self, plant: LinearModel) -> MarginMeasure:
         """Return the measure of this goal."""
-        wanted = float(np.log(self.factor))
-
-        def used(L: ComplexArray) -> FloatArray:
-            tolerated = np.abs(np.log(np.maximum(np.abs(L), 1e-12)))
-            return np.where(L.real > 0, wanted / np.maximum(tolerated, 1e-9), _NONE)
-
-        return ExtraLimit("gain margin", _largest_share(lambda L: L.imag, used), 1 / self.weight)
+        return MarginMeasure("gain margin", float(np.log(self.factor)), False, self.weight)
 
 
 @dataclass(frozen=True)
@@ -574,69 +664,25 @@ class MinPhaseMargin(Wanted):
 
     degrees: Annotated[Positive, Lt(180), Allowed("a number between 0 and 180")]
 
-    def measure(self, plant: LinearModel) -> ExtraLimit:
+    def measure(self, plant: LinearModel) -> MarginMeasure:
         """Return the measure of this goal."""
-        wanted = radians(self.degrees)
-
-        def used(L: ComplexArray) -> FloatArray:
-            return np.asarray(wanted / np.maximum(np.abs(np.angle(L)), 1e-9))
-
-        return ExtraLimit("phase margin", _largest_share(lambda L: np.abs(L) - 1, used), 1 / self.weight)
+        return MarginMeasure("phase margin", radians(self.degrees), True, self.weight)
 
 
-def _largest_share(
-    crossing: Callable[[ComplexArray], FloatArray], used: Callable[[ComplexArray], FloatArray]
-) -> Callable[[LoopFamily, FloatArray], FloatArray]:
-    """Return the largest share of a margin that is used at a crossing, as a function of loops and gains."""
-
-    def largest(family: LoopFamily, gains: FloatArray) -> FloatArray:
-        loops = family.matrices(gains)
-        system = Eigensystem.of(loops.A)
-        shares = np.full(len(family), _NONE)
-        for channel in range(family.n_outputs):
-            np.maximum(shares, _share(family, loops, system, channel, crossing, used), out=shares)
-        return shares
-
-    return largest
-
-
-def _share(
-    family: LoopFamily,
-    loops: Loops,
-    system: Eigensystem,
-    channel: int,
-    crossing: Callable[[ComplexArray], FloatArray],
-    used: Callable[[ComplexArray], FloatArray],
-) -> FloatArray:
-    """Return the largest share of one channel, with crossings located by bisection (m,)."""
-    response = ModalResponse(loops, system, slice(0, family.n_outputs))
-
-    def gain(which: IntArray, w: FloatArray) -> ComplexArray:
-        # opened at this channel, with the others closed: L = 1 - 1 / S_ii
-        return np.asarray(1 - 1 / response(w, which)[..., channel, channel])
-
-    m = len(family)
-    base = base_frequencies(system.values, _PER_DECADE)
-    # with modes of the loop opened at this channel, near which its gain has its peaks
-    modes = np.concatenate([system.values, _opened(loops, channel)], axis=1)
-    near = around(modes).reshape(m, -1)
-    frequencies = np.sort(
-        np.concatenate([np.abs(modes), np.abs(modes.imag), near, np.tile(base[1:], (m, 1))], 1), axis=1
-    )
-
-    loop, low, high, sign = _intervals(frequencies, lambda which, w: crossing(gain(which, w)))
-    for _ in range(45 if len(loop) else 0):
+def _roots(value_at: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return where a function falls through zero between ends (k,), by Ridders's method with as many bisections."""
+    at_low, at_high, x = value_at(low), value_at(high), (low + high) / 2
+    for _ in range(_RIDDERS if len(low) else 0):
         middle = (low + high) / 2
-        before = np.sign(crossing(gain(loop, middle[:, None])[:, 0])) == sign
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    shares = np.full(m, _NONE)
-    if len(loop):
-        np.maximum.at(shares, loop, used(gain(loop, ((low + high) / 2)[:, None])[:, 0]))
-    # at zero frequency the loop gain is real, which limits the gain as well; rounding may give it an imaginary part
-    rest = gain(np.arange(m), np.zeros((m, 1)))[:, 0].real.astype(complex)
-    real = np.abs(crossing(rest)) <= 1e-9 * np.abs(rest)
-    np.maximum(shares, np.where(real, used(rest), _NONE), out=shares)
-    return np.asarray(shares)
+        at_middle = value_at(middle)
+        root = np.sqrt(np.maximum(at_middle**2 - at_low * at_high, 1e-300))
+        x = np.clip(middle + (middle - low) * at_middle / root, low, high)
+        at_x = value_at(x)
+        for place, value in ((middle, at_middle), (x, at_x)):
+            before, after = (value > 0) & (place > low), (value <= 0) & (place < high)
+            low, at_low = np.where(before, place, low), np.where(before, value, at_low)
+            high, at_high = np.where(after, place, high), np.where(after, value, at_high)
+    return x
 
 
 def _intervals(

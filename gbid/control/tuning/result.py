@@ -33,9 +33,15 @@ class GainStatus(StrEnum):
     """Why a search for gains ended."""
 
     OPTIMAL = "optimal"
-    """All limits hold, and the design is a certified local optimum: no small change of the gains improves it.
+    """All limits hold, the design is a certified local optimum, and other starts lead to no better one.
 
-    `GainResult.optimality` says how many independent searches stand behind it.
+    The search began with a grid over the whole box (up to three gains), or at least three independent searches (`seeds`
+    of `gbid.tune`) ended in this design.
+    """
+    LOCAL_OPTIMUM = "local optimum"
+    """All limits hold, and no small change of the gains improves the design, which is certified.
+
+    With more than three gains another seed may find a better one: see `seeds` of `gbid.tune`.
     """
     STALLED = "stalled"
     """All limits hold, and no method improved the design any more, but it has no certificate."""
@@ -175,12 +181,12 @@ class GainResult(Brief):
     @property
     def success(self) -> bool:
         """Whether the design is stable, keeps all limits, and is a certified local optimum."""
-        return self.status is GainStatus.OPTIMAL
+        return self.status in (GainStatus.OPTIMAL, GainStatus.LOCAL_OPTIMUM)
 
     @property
     def keeps_limits(self) -> bool:
         """Whether the design is stable and keeps all limits, with or without a certificate."""
-        return self.status in (GainStatus.OPTIMAL, GainStatus.STALLED, GainStatus.ITERATION_LIMIT)
+        return self.success or self.status in (GainStatus.STALLED, GainStatus.ITERATION_LIMIT)
 
     @property
     def optimality(self) -> str:
@@ -188,7 +194,7 @@ class GainResult(Brief):
         local = "local optimum, certified" if self.success else "no certified optimum"
         n = len(self.seed_values)
         if not n:
-            return local
+            return f"{local}; searched from a grid over the whole box"
         if n == 1:
             return f"{local}; one search, other seeds were not tried"
         best = np.nanmax([*self.seed_values, -np.inf])

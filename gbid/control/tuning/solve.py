@@ -48,8 +48,12 @@ from gbid.core.notes import ControlNote
 from gbid.core.option_types import takes_options
 from gbid.lpv import Domain
 
+LEAST_ALIKE, ALIKE = 3, 1e-4
+"""Number of independent searches with the same design that end the others, and relative difference of their values."""
 _FAR = 1e9
 """Angular frequency that stands for infinity [rad/s]; of sampled loops, in units of 2 / T, for half the sample rate."""
+_REPAIR = 30
+"""Number of designs for keeping a peak between the grid frequencies once the budget is used up."""
 _CUTS = 10
 """Largest number of rounds in which peaks between the grid frequencies are added."""
 _CERTIFICATES = 3
@@ -95,7 +99,11 @@ def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
         problem = with_cuts(solution.problem, solution.best.x)
         if problem is solution.problem:
             break
-        best = optimise_locally(problem, solution.best.x, max_iterations=200, radius=0.02)
+        # a repair of the peak costs little, and is also made where the budget is used up
+        spent = problem.evaluations.exhausted
+        repaired = replace(problem, evaluations=Evaluations(most=_REPAIR)) if spent else problem
+        best = optimise_locally(repaired, solution.best.x, max_iterations=200, radius=0.02)
+        best = replace(best, converged=best.converged and not spent)
         solution = replace(solution, problem=problem, best=best).noted("cut", task.progress)
     problem, best = solution.problem, _certified(solution.problem, solution.best)
     if not problem.stable(best.x):
@@ -409,8 +417,9 @@ def maximise_damping(
     A global stage finds regions of attraction of local optima, from starts that are first made stable. In each of them
     BFGS climbs along ridges, and local optimisation takes steps that use all eigenvalues near the worst one (see
     `gbid.control.tuning.local`). Eigenvalues that meet are represented by their mean and by power sums of their
-    distances, because these have derivatives there and the eigenvalues have not. The result is ``"optimal"`` only when
-    a convex combination of gradients certifies it, otherwise ``"stalled"``.
+    distances, because these have derivatives there and the eigenvalues have not. The result is a
+    ``"local optimum"`` only when a convex combination of gradients certifies it, otherwise ``"stalled"``. With up to
+    three gains, whose search begins with a grid over the whole box, it is ``"optimal"``.
 
     Examples
     --------
@@ -464,15 +473,27 @@ def _listed(functions: Any) -> list[Any]:
 
 
 def summarise(
-    solution: GainSolution, names: tuple[str, ...], verified_on: str, notes: tuple[str, ...] = (), **more: Any
+    solution: GainSolution,
+    names: tuple[str, ...],
+    verified_on: str,
+    notes: tuple[str, ...] = (),
+    seed_values: tuple[float, ...] = (),
+    **more: Any,
 ) -> GainResult:
-    """Return the result, from eigenvalues and exact norms of the final design."""
+    """Return the result, from eigenvalues and exact norms of the final design.
+
+    Without values of independent searches the search began with a grid over the whole box.
+    """
     problem, best = solution.problem, solution.best
     x = np.clip(best.x, problem.lower, problem.upper)
     score, stable = problem.score(x), problem.stable(x)
     worst = worst_mode(problem, x)
     certificate = best.certificate
-    status = GainStatus.OPTIMAL if certificate is not None and certificate.holds else GainStatus.STALLED
+    status = GainStatus.STALLED
+    if certificate is not None and certificate.holds:
+        top = np.nanmax([*seed_values, -np.inf])
+        alike = sum(value >= top - ALIKE * abs(top) for value in seed_values)
+        status = GainStatus.OPTIMAL if not seed_values or alike >= LEAST_ALIKE else GainStatus.LOCAL_OPTIMUM
     if not best.converged or (problem.evaluations.exhausted and status is GainStatus.STALLED):
         status = GainStatus.ITERATION_LIMIT
     if not stable:
@@ -499,6 +520,7 @@ def summarise(
         _active(problem, x, names, stable),
         notes,
         history=solution.history,
+        seed_values=seed_values,
         **more,
     )
 

@@ -28,6 +28,8 @@ from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.control.tuning.result import GainResult, GoalFigure, distance_to_edge
 from gbid.control.tuning.search import Progress, SearchOptions, SearchTask, on_grid, rank, typical_rate
 from gbid.control.tuning.solve import (
+    ALIKE,
+    LEAST_ALIKE,
     GainSolution,
     add_worst_points,
     as_bounds,
@@ -42,7 +44,7 @@ from gbid.core.errors import UsageError
 from gbid.core.extras import data_frame
 from gbid.core.notes import ControlNote
 from gbid.core.option_types import options_of_call
-from gbid.lpv import LPVModel
+from gbid.lpv import Domain, LPVModel
 from gbid.structure.linear import Structure
 
 # ---- Remarks and figures of a finished design.
@@ -179,7 +181,9 @@ def tuned(
 ) -> GainResult:
     """Gains of a controller for options as one value; see `tune`."""
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
-    structure = with_schedule(structure, getattr(model, "domain", None))
+    speeds = options.speeds_rpm
+    over = getattr(model, "domain", None) if not speeds else Domain((0.0, 0.0), (min(speeds), max(speeds)))
+    structure = with_schedule(structure, over)
     plants = plants_of(model, structure, options)
     goals = options.default_goals(min(plants.slowest)) if options.goals is None else options.goals
     limits = limits_of(goals, plants.plant, plants.lpv.machine if isinstance(plants, LpvPlants) else None)
@@ -198,6 +202,8 @@ def tuned(
         solution, verified = add_worst_points(solution, plants, plants.domain, task)
     used = solution.problem.families[0].points if isinstance(plants, LpvPlants) else None
     points = () if used is None else tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used))
+    if isinstance(plants, ModelPlants) and isinstance(structure, Scheduled):
+        points = tuple((float(P), float(Omega)) for P, Omega, _ in plants.points)
     notes = notes_of(plants, solution, points)
     if isinstance(plants, ModelPlants) and isinstance(options.operating_points, str):
         text = f"the design holds for {len(plants.models)} models at corners and middles; no worst points between them"
@@ -229,10 +235,6 @@ def _search(plants: Plants, limits: Limits, box: Box, task: SearchTask, budget: 
     return replace(solution, history=sketch.history + solution.history)
 
 
-_ALIKE = 3
-"""Number of independent searches with the same design that end the others."""
-
-
 def _independent_searches(
     plants: Plants, limits: Limits, box: Box, tasks: tuple[SearchTask, int], budget: Evaluations
 ) -> tuple[GainSolution, tuple[float, ...]]:
@@ -249,7 +251,7 @@ def _independent_searches(
         solutions.append(_search(plants, limits, box, seeded, budget))
         best = max(solutions, key=lambda one: (one.stable, one.best.score.violation <= FEASIBLE, rank(one.best)))
         top = best.best.score.value
-        if sum(_reached(one) >= top - options.same * abs(top) for one in solutions) == _ALIKE:
+        if sum(_reached(one) >= top - ALIKE * abs(top) for one in solutions) == LEAST_ALIKE:
             break
     history = tuple(step for one in solutions for step in one.history)
     return replace(best, history=history), tuple(best.problem.in_units(_reached(one)) for one in solutions)
