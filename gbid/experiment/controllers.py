@@ -82,8 +82,8 @@ def made_goal(entry: GoalEntry, disturbance: Disturbance) -> Goal:
                     f"{entry.goal}: spectrum; give rows of a frequency and a density for each of {n} sources"
                 )
             hz, *densities = zip(*value, strict=True)
-            density = np.array(densities, complex).T[:, :, None] * np.eye(n)
-            arguments[name] = DisturbanceSpectrum(np.array(hz, float), density, "spectrum")
+            density = np.array(densities).T[:, :, None] * np.eye(n)
+            arguments[name] = DisturbanceSpectrum(np.array(hz, float), density.astype(complex), "spectrum")
         elif isinstance(value, Mapping):
             arguments[name] = _transfer_function(value, f"{entry.goal}: {name}")
     return GOALS[entry.goal](**arguments)
