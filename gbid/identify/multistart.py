@@ -134,7 +134,8 @@ def fit_multistart(
     first = fitted(structure, recordings, arguments)
     results = {0: first}
     searched = not kind_of(structure).nonlinear  # start values are found in the data for linear ones only
-    if starts > 1 and searched and "data" not in first.start_origin.values():
+    by_observer = any(FitNote.BEGUN_ELSEWHERE.value in note for note in first.notes)  # not by the match to a black box
+    if starts > 1 and searched and (by_observer or "data" not in first.start_origin.values()):
         with suppress(DataError):  # the recordings may not suffice for that
             results[1] = fitted(structure, recordings, replace(arguments, start="data"))
     rng = np.random.default_rng(seed)

@@ -49,6 +49,23 @@ def test_the_best_of_several_starts_is_the_truth(rec, result):
         assert abs(result.best.parameters[name] - value) < 4 * result.best.std_with("white")[name]
 
 
+def test_the_second_start_is_from_the_data_also_where_an_observer_moved_the_first():
+    def matrices(p):
+        a, b = 2 * np.pi * p.f1, 2 * np.pi * p.f2
+        A = [[0, 1, 0, 0], [-a * a, -0.04 * a, 0, 0], [0, 0, 0, 1], [0, 0, -b * b, -0.04 * b]]
+        return {"A": A, "B": [[0], [p.g1], [0], [p.g2]], "C": [[1, 0, 1, 0]]}
+
+    stated = {"f1": (2.0, 1.0, 40.0), "f2": (30.0, 1.0, 40.0), "g1": (100.0, 0.0), "g2": (100.0, 0.0)}
+    parameters = [Parameter(name, *values) for name, values in stated.items()]
+    modes = LinearStructure("modes", parameters, matrices, intersample="zoh")
+    random = np.random.default_rng(1)
+    u = np.repeat(random.choice([-1.0, 1.0], 60), 10)[:, None]
+    y = evaluate(modes, {"f1": 7.0, "g1": 500.0, "f2": 13.0, "g2": 800.0}).simulate(u, 0.01)
+    rec = Recording({"u": u, "y": y + 0.01 * random.standard_normal(y.shape)}, 0.01, name="swing")
+    result = fit_multistart(modes, rec, starts=2, window=None)
+    assert result.losses[1] < 0.01 * result.losses[0]
+
+
 def test_the_counts_are_those_of_the_losses(result):
     good = result.losses[result.converged]
     assert result.same_optimum == (result.losses <= result.best.loss * (1 + 1e-6)).sum() >= 2
