@@ -49,6 +49,10 @@ SIGNALS: dict[str, SignalKind] = {
 """The signals of the test rig (paper, Secs. 2 and 3.4)."""
 
 
+IN_METRES = ("rotor_bearing", "piezo_pair", "plant")
+"""Structures of gbid whose inputs and outputs are in metres."""
+
+
 @cache
 def _registry() -> Any:
     import pint  # imported here, because the import is slow

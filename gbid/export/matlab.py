@@ -13,6 +13,7 @@ from gbid._version import __version__
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path
 from gbid.core.names import given_path
+from gbid.core.units import IN_METRES
 from gbid.identify import FitResult
 from gbid.lpv import LPVModel
 from gbid.lpv.model import TERMS
@@ -23,7 +24,6 @@ Exportable = LinearModel | FitResult | LPVModel
 """Types that can be exported to other programs."""
 
 _TEXT = 116  # length of the text at the beginning of a MATLAB file
-_IN_METRES = ("rotor_bearing", "piezo_pair", "plant")
 
 
 def save_mat(
@@ -73,7 +73,7 @@ def save_mat(
 def linear_contents(what: LinearModel | FitResult, units: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Return the variables of the mat file of a model or fit; missing matrices are empty."""
     model = what.linear_model if isinstance(what, FitResult) else what
-    channels, in_metres = (*model.input_names, *model.output_names), getattr(what, "structure", "") in _IN_METRES
+    channels, in_metres = (*model.input_names, *model.output_names), getattr(what, "structure", "") in IN_METRES
     known = {name: "m" for name in channels if in_metres} | dict(units or {})
     unknown = sorted(set(known) - set(channels))
     if unknown:

@@ -20,6 +20,7 @@ from gbid.core.errors import UsageError
 from gbid.core.extras import Pictured
 from gbid.core.hdf5 import AS_JSON, NOT_STORED, Stored
 from gbid.core.tables import Column, Entry, Table, html_table
+from gbid.core.units import IN_METRES
 from gbid.identify.disturbances import Disturbances
 from gbid.identify.options import RunEngine, SettledOptions
 from gbid.identify.uncertainty.coloured import ErrorModel
@@ -440,7 +441,9 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     @property
     def uncertain_model(self) -> UncertainModel:
         """The model with the derivatives of its matrices and the covariance of the parameters."""
-        return UncertainModel(self.linear_model, self.model_slopes, self.covariance)
+        model = self.linear_model
+        units = dict.fromkeys((*model.input_names, *model.output_names), "m") if self.structure in IN_METRES else {}
+        return UncertainModel(model, self.model_slopes, self.covariance, self.sample_time, units)
 
     def bode(self, frequency_hz: npt.ArrayLike | None = None) -> Bode:
         """Return the frequency response of the model with standard deviations from `covariance`.

@@ -131,6 +131,8 @@ def symbol(name: str) -> str:
 
 LayoutName = Literal["constrained"]
 
+PRESSURE = "injection pressure [bar]"
+"""Label of an axis."""
 ONE_COLUMN, TWO_COLUMNS = 3.35, 6.9
 """Widths of figures in a report of two columns [inch]."""
 

@@ -13,7 +13,7 @@ import numpy as np
 from gbid.control import HalfSine, PStructure, close_loop, impact_response
 from gbid.control.assessment import TunedDesign
 from gbid.control.loop.sensitivity import sensitivity_data
-from gbid.core.arrays import point_label
+from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.tables import Column, Entry, Table
 from gbid.experiment.controllers import published_machine
@@ -65,7 +65,8 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
     locus = root_locus_data(
         plant, lambda f: replace(controller, C=f * controller.C, D=f * controller.D), _FACTORS, title=title
     )
-    curves = sensitivity_curves(sensitivity_data(plant, controller, np.geomspace(5.0, 1000.0, 300)), title)
+    frequency = _shown_frequencies(plant, design.sample_time)
+    curves = sensitivity_curves(sensitivity_data(plant, controller, frequency), title)
     peak, control = (design.figures.at(row)[name] for name in ("peak_output", "peak_control"))
     alt = f"Sensitivities of {title}: peak of S_o {peak:.2f}, of K S_o {control:.2f}"
     words = f"at its worst operating point, {place}: smallest damping factor {worst:.3f}"
@@ -79,6 +80,13 @@ def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
         Gallery(shown),
         Shown(pictures.picture(plot_magnitudes(curves), alt)),
     ]
+
+
+def _shown_frequencies(plant: LinearModel, sample_time: float) -> FloatArray:
+    """Return frequencies from a thirtieth of the slowest mode to ten times the fastest, up to half the rate [Hz]."""
+    modes = [frequency for frequency, _ in plant.modes()] or [1e-3 / sample_time]
+    highest = 0.5 / sample_time
+    return np.geomspace(min(min(modes) / 30, highest / 10), min(10 * max(modes), highest), 300)
 
 
 def _damping_map(pictures: Pictures, design: AssessedDesign) -> Block:
@@ -146,7 +154,8 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
         for label, damping in data.damping.items()
     )
     alt = f"Smallest damping factor over the peak of the output sensitivity: {reached}"
-    return [*blocks, Shown(pictures.picture(plot_pareto(data), alt))]
+    drawn = sum(map(len, data.damping.values())) + len(data.designs)
+    return [*blocks, Shown(pictures.picture(plot_pareto(data), alt))] if drawn > 1 else blocks
 
 
 TITLE = "Controller"
@@ -443,11 +452,12 @@ def _drawn(pictures: Pictures, fit: LPVFit, document: Row) -> list[Block]:
         blocks.append(shown if i == 0 else Fold(f"{item}: {word}", [shown]))
     for what, word in _MODES.items():
         try:
-            panels = modes_data(fit.model, what)
+            panels = modes_data(fit.model, what, speeds_rpm=np.unique(np.linspace(*fit.model.domain.speed_rpm, 3)))
         except GbidError as error:  # surfaces without physical meaning at some point
             blocks.append(Words(f"{item}: {word} cannot be drawn: {error}", "warn"))
             continue
-        alt = f"{item}: {word} of the two modes of the open loop over pressure, at three speeds"
+        speeds = ", ".join(f"{speed:g}" for speed in panels[0].speed_rpm)
+        alt = f"{item}: {word} of the two modes of the open loop over pressure, at {speeds} rpm"
         blocks.append(Fold(f"{item}: {word}", [Shown(pictures.picture(plot_over_pressure(panels), alt))]))
     coefficients = [
         (key, *(f"{c:.4g} ({s:.1g})" for c, s in zip(values, document["coefficients_std"][key], strict=True)))

@@ -19,6 +19,7 @@ from gbid.experiment.stages.cycle import CycleRow
 from gbid.report.canvas import (
     BLACK,
     GREY,
+    PRESSURE,
     RED,
     SERIES,
     TWO_COLUMNS,
@@ -122,6 +123,8 @@ def damping_map_data(
 def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
     """Draw lines of equal damping over pressure and speed; regions of instability are hatched.
 
+    Where the model has one speed or one pressure, the damping is a curve over the other.
+
     Parameters
     ----------
     data : DampingMap
@@ -135,6 +138,10 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
         The axes; ``axes.figure`` is the figure.
     """
     figure, panel = one_panel(ax, (4.6, 3.1))
+    at_one = [float(np.ptp(ends)) == 0.0 for ends in (data.pressure_bar, data.speed_rpm)]
+    if any(at_one):
+        _damping_curve(panel, data, over_speed=not at_one[1])
+        return panel
     grid = (data.pressure_bar, 1e-3 * data.speed_rpm, data.damping.T)
     shades = panel.contourf(*grid, levels=12, cmap="viridis")
     lines = panel.contour(*grid, levels=shades.levels, colors="white", linewidths=0.5)
@@ -148,10 +155,25 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
     bar = figure.colorbar(shades, ax=panel, pad=0.02)
     bar.set_label("smallest damping factor [-]")
     bar.ax.tick_params(labelsize=8)
-    panel.set(xlabel="injection pressure [bar]", ylabel="speed [1000 rpm]")
+    panel.set(xlabel=PRESSURE, ylabel="speed [1000 rpm]")
     panel.grid(False)
     panel.set_title(data.title, loc="left", pad=6)
     return panel
+
+
+def _damping_curve(panel: Axes, data: DampingMap, *, over_speed: bool) -> None:
+    """Draw the smallest damping factor over speed or pressure, with marks at the operating points."""
+    where, label = (1e-3 * data.speed_rpm, "speed [1000 rpm]") if over_speed else (data.pressure_bar, PRESSURE)
+    damping = data.damping[0] if over_speed else data.damping[:, 0]
+    panel.plot(where, damping, **series(0, marker=None))
+    if len(data.points):
+        marked = data.points[:, 1] * 1e-3 if over_speed else data.points[:, 0]
+        panel.plot(marked, np.interp(marked, where, damping), **series(0, linestyle="none", markerfacecolor="none"))
+    if damping.min() < 0:
+        panel.axhline(0.0, color=RED, linewidth=1.0)
+    fixed = f"{data.pressure_bar[0]:g} bar" if over_speed else f"{data.speed_rpm[0]:g} rpm"
+    panel.set(xlabel=label, ylabel="smallest damping factor [-]")
+    panel.set_title(", ".join(filter(None, (data.title, fixed))), loc="left", pad=6)
 
 
 # ---- Poles: eigenvalue map, and root locus over a factor on the gains.
@@ -328,10 +350,8 @@ def _finish_plane(ax: Any, largest_hz: float) -> None:
         ax.plot([0, -reach], [0, reach * slope], color=GREY, linewidth=0.6, linestyle=(0, (4, 3)), zorder=0)
         at_edge = reach < top / slope
         if at_edge or not written or written - reach > 0.07 * (right - left):  # otherwise the numbers overlap
-            look: dict[str, Any] = {"ha": "left", "va": "top"} if at_edge else {"ha": "center", "va": "bottom"}
-            shift = (2, -3) if at_edge else (0, 1)
-            word = {"fontsize": 7, "color": "#666666", "textcoords": "offset points", "xytext": shift}
-            ax.annotate(f"{zeta:g}", (-reach, reach * slope), **word, **look)
+            word = {"fontsize": 7, "color": "#666666", "textcoords": "offset points", "xytext": (3, -3)}
+            ax.annotate(f"{zeta:g}", (-reach, reach * slope), ha="left", va="top", **word)  # within the panel
             written = written if at_edge else reach
     ax.set(xlim=(left, right), ylim=(-0.02 * top, top))
     ax.set(xlabel="real part / 2π [Hz]; dashed: equal damping factor", ylabel="imaginary part / 2π [Hz]")

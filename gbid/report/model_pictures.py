@@ -41,6 +41,7 @@ from gbid.report.canvas import (
     legend_above,
     one_panel,
     panels,
+    plain_label,
     series,
     styled,
     symbol,
@@ -48,6 +49,7 @@ from gbid.report.canvas import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
 
@@ -134,8 +136,30 @@ def bode_data(sources: Sources, frequency_hz: npt.ArrayLike | None = None) -> di
 
 def _common_grid(models: Mapping[str, UncertainModel]) -> FloatArray:
     """Return frequencies that show the poles of all models, up to half the rate of those that are sampled [Hz]."""
-    grid = np.unique(np.concatenate([default_grid(m.model) for m in models.values()]))
-    return grid[grid < min((0.5 / m.model.dt for m in models.values() if m.model.dt), default=np.inf)]
+    grid = np.unique(np.concatenate([default_grid(m) for m in models.values()]))
+    steps = [step for m in models.values() for step in (m.model.dt, m.sample_time) if step]
+    return grid[grid <= min((0.5 / step for step in steps), default=np.inf)]
+
+
+Units = Mapping[str, str] | None
+"""Unit of each channel by its name; where none is given, fits of the structures of gbid are in metres."""
+
+
+def _units(sources: Sources | FrequencyData, given: Units) -> dict[str, str]:
+    """Return the units of the channels by name: those of fits, and those that are given."""
+    units: dict[str, str] = {}
+    if not isinstance(sources, FrequencyData):
+        for model in labelled(sources).values():
+            units |= model.units
+    return units | dict(given or {})
+
+
+def _gain_unit(units: Mapping[str, str], output: str, inputs: Sequence[str], *, in_a_second: bool = False) -> str:
+    """Return the unit of the responses of an output as a label, ``output/input`` where it is not known."""
+    known = {units.get(name) for name in inputs}
+    is_known = output in units and len(known) == 1 and None not in known
+    above, below = (units[output] or "1", known.pop() or "1") if is_known else ("output", "input")
+    return plain_label(f"[{above}/({below} s)]" if in_a_second else f"[{above}/{below}]")
 
 
 @styled
@@ -146,6 +170,7 @@ def plot_bode(
     frequency_hz: npt.ArrayLike | None = None,
     measured: FrequencyData | None = None,
     level: float = LEVEL,
+    units: Units = None,
 ) -> npt.NDArray[np.object_]:
     """Draw magnitude and phase of models with confidence bands, and a measured response with its coherence over them.
 
@@ -163,6 +188,8 @@ def plot_bode(
         half their magnitude are left out.
     level : float
         Probability of the confidence bands.
+    units : dict of str to str, optional
+        Unit of each channel by its name; fits of the structures of gbid are in metres.
 
     Returns
     -------
@@ -192,14 +219,17 @@ def plot_bode(
     size = (max(TWO_COLUMNS, 2.6 * n_u) if n_u > 1 else 4.6, 0.8 + sum(heights))
     figure, flat = panels(ax, len(heights), n_u, size=size, sharex=True, height_ratios=heights)
     axes = flat.reshape(len(heights), n_u)
+    known = _units(sources, units)
     for i, j, _ in channel_pairs(axes[:: len(kinds)], shape.output_names, shape.input_names):
         column = axes[len(kinds) * i : len(kinds) * (i + 1), j]
         for k, (label, curve) in enumerate(curves.items()):
             _draw(column[0], column[1], curve, i, j, level, label, series(k, marker=None))
+        column[0].set_ylabel("" if j else f"magnitude {_gain_unit(known, shape.output_names[i], shape.input_names)}")
         if measured is not None:
             _draw_measured(column, measured, next(iter(curves.values()), None), i, j)
     for panel, kind in zip(axes[:, 0], kinds * n_y, strict=True):
-        panel.set_ylabel("phase [°]" if kind == "phase" else kind)
+        if kind != "magnitude":
+            panel.set_ylabel("phase [°]" if kind == "phase" else "coherence [-]")
     for panel in axes[-1]:
         panel.set_xlabel("frequency [Hz]")
     for panel in flat:
@@ -221,10 +251,17 @@ def _draw(
     band: dict[str, Any] = {"color": style["color"], "alpha": 0.25, "linewidth": 0}
     low, high = (side[:, i, j] for side in curve.magnitude_band(level))
     shown = _within_decades(curve.magnitude[:, i, j])
-    magnitude.fill_between(f, np.clip(low, *shown), np.clip(high, *shown), label=f"{100 * level:g} %", **band)
+    _label_last_band(magnitude, magnitude.fill_between(f, np.clip(low, *shown), np.clip(high, *shown), **band), level)
     low, high = (side[:, i, j] for side in curve.phase_band(level))
     middle = curve.phase_deg[:, i, j]
     phase.fill_between(f, np.maximum(low, middle - 180), np.minimum(high, middle + 180), **band)
+
+
+def _label_last_band(panel: Axes, band: Artist, level: float) -> None:
+    """Give the bands of a panel one entry in the legend, behind the curves."""
+    for earlier in panel.collections:
+        earlier.set_label("_")
+    band.set_label(f"{100 * level:g} %")
 
 
 def _within(measured: FrequencyData | None, sources: Sources) -> FloatArray | None:
@@ -684,6 +721,7 @@ def plot_step(
     *,
     duration_s: float | None = None,
     level: float = LEVEL,
+    units: Units = None,
 ) -> npt.NDArray[np.object_]:
     """Draw the responses of models to a unit step of each input, with confidence bands.
 
@@ -697,6 +735,8 @@ def plot_step(
         Time until which responses are drawn [s]; by default until the slowest has settled.
     level : float
         Probability of the confidence bands.
+    units : dict of str to str, optional
+        Unit of each channel by its name; fits of the structures of gbid are in metres.
 
     Returns
     -------
@@ -708,7 +748,7 @@ def plot_step(
     UsageError
         When there are too few axes, and as for `response_data`.
     """
-    return _plot(response_data(sources, "step", duration_s), ax, level)
+    return _plot(response_data(sources, "step", duration_s), ax, level, _units(sources, units))
 
 
 @styled
@@ -718,6 +758,7 @@ def plot_impulse(
     *,
     duration_s: float | None = None,
     level: float = LEVEL,
+    units: Units = None,
 ) -> npt.NDArray[np.object_]:
     """Draw the responses of models to a unit impulse of each input, with confidence bands.
 
@@ -731,6 +772,8 @@ def plot_impulse(
         Time until which responses are drawn [s]; by default until the slowest has settled.
     level : float
         Probability of the confidence bands.
+    units : dict of str to str, optional
+        Unit of each channel by its name; fits of the structures of gbid are in metres.
 
     Returns
     -------
@@ -742,10 +785,12 @@ def plot_impulse(
     UsageError
         When there are too few axes, and as for `response_data`.
     """
-    return _plot(response_data(sources, "impulse", duration_s), ax, level)
+    return _plot(response_data(sources, "impulse", duration_s), ax, level, _units(sources, units))
 
 
-def _plot(curves: dict[str, TimeResponse], ax: Axes | npt.ArrayLike | None, level: float) -> npt.NDArray[np.object_]:
+def _plot(
+    curves: dict[str, TimeResponse], ax: Axes | npt.ArrayLike | None, level: float, units: Mapping[str, str]
+) -> npt.NDArray[np.object_]:
     first = next(iter(curves.values()))
     n_y, n_u = first.value.shape[1:]
     size = (TWO_COLUMNS if n_u > 1 else 4.6, 0.8 + 1.8 * n_y)
@@ -759,10 +804,11 @@ def _plot(curves: dict[str, TimeResponse], ax: Axes | npt.ArrayLike | None, leve
             if curve.has_band:
                 low, high = (side[:, i, j] for side in curve.band(level))
                 band = {"color": style["color"], "alpha": 0.25, "linewidth": 0}
-                panel.fill_between(curve.time_s, low, high, label=f"{100 * level:g} %", **band)
+                _label_last_band(panel, panel.fill_between(curve.time_s, low, high, **band), level)
         panel.set_xlim(0.0, first.time_s[-1])
-    for panel in axes[:, 0]:
-        panel.set_ylabel(f"{first.kind} response")
+    for panel, output in zip(axes[:, 0], first.output_names, strict=True):
+        unit = _gain_unit(units, output, first.input_names, in_a_second=first.kind == "impulse")
+        panel.set_ylabel(f"{first.kind} response\n{unit}")
     for panel in axes[-1]:
         panel.set_xlabel("time [s]")
     if len(curves) > 1 or first.has_band:

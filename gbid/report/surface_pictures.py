@@ -16,7 +16,19 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.tables import exponent_of
 from gbid.lpv import CHARACTERISTICS, LPVFit, characteristics
-from gbid.report.canvas import BLUE, RED, TWO_COLUMNS, ink, legend_above, letter, panels, series, styled, symbol
+from gbid.report.canvas import (
+    BLUE,
+    PRESSURE,
+    RED,
+    TWO_COLUMNS,
+    ink,
+    legend_above,
+    letter,
+    panels,
+    series,
+    styled,
+    symbol,
+)
 from gbid.report.named import NamedFigure
 from gbid.report.read import Results
 from gbid.structure import KEY_PARAMETERS
@@ -195,7 +207,7 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
                 panel.plot(bars, estimates, label=f"estimates, {speed:g} rpm", **marks)
         panel.set_ylabel(quantity.label)
         if i >= len(data) - 2:
-            panel.set_xlabel("injection pressure [bar]")
+            panel.set_xlabel(PRESSURE)
     if len(data) > 1:
         letter(axes[: len(data)])
     legend_above(figure, axes[0], columns=max(1, len(data[0].speed_rpm)))
@@ -356,7 +368,8 @@ def surfaces_data(
 def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw a surface for each parameter, with the estimates on stems.
 
-    Marks of the estimates are filled above the surface and open below it.
+    Marks of the estimates are filled above the surface and open below it. Where the model has one speed or one
+    pressure, each parameter is a curve over the other.
 
     Parameters
     ----------
@@ -378,12 +391,18 @@ def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> 
     columns = max(1, min(2, len(data)))
     rows = -(-len(data) // columns)
     size = (TWO_COLUMNS, 2.9 * rows)
+    is_curve = any(np.ptp(surface.speed_rpm) == 0 or np.ptp(surface.pressure_bar) == 0 for surface in data)
+    if is_curve:
+        size = (TWO_COLUMNS, 0.5 + 2.15 * rows)
     _figure, axes = (
-        panels(ax, rows, columns, size=size, subplot_kw={"projection": "3d"})
+        panels(ax, rows, columns, size=size, subplot_kw={} if is_curve else {"projection": "3d"})
         if ax is None
         else panels(ax, len(data), size=size)
     )
     for panel, surface in zip(axes, data, strict=False):
+        if is_curve:
+            _plot_curve(panel, surface)
+            continue
         if not hasattr(panel, "plot_surface"):
             raise UsageError("surfaces need three-dimensional axes; make them with projection='3d'")
         _plot_surface(panel, surface)
@@ -392,9 +411,26 @@ def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> 
     return axes[: len(data)]
 
 
-def _plot_surface(ax: Any, surface: Surface) -> None:
+def _scaled(surface: Surface) -> tuple[float, str]:
+    """Return the factor of a surface and its label, with the unit times a power of ten."""
     exponent = exponent_of(float(np.abs(np.concatenate([surface.values.ravel(), surface.estimates])).max()))
-    scale = 10.0**-exponent
+    unit = f"10{str(exponent).translate(_SUPERSCRIPTS)} {surface.unit}" if exponent else surface.unit
+    return 10.0**-exponent, f"{symbol(surface.name)} [{unit}]"
+
+
+def _plot_curve(ax: Any, surface: Surface) -> None:
+    """Draw a parameter over the pressure, or over the speed where there is one pressure."""
+    scale, label = _scaled(surface)
+    over_speed = bool(np.ptp(surface.pressure_bar) == 0)
+    where = 1e-3 * surface.speed_rpm if over_speed else surface.pressure_bar
+    ax.plot(where, scale * (surface.values[0] if over_speed else surface.values[:, 0]), color=BLUE, linewidth=1.2)
+    marked = 1e-3 * surface.points[:, 1] if over_speed else surface.points[:, 0]
+    ax.plot(marked, scale * surface.estimates, "o", color=RED, markersize=3.2)
+    ax.set(xlabel="speed [1000 rpm]" if over_speed else PRESSURE, ylabel=label)
+
+
+def _plot_surface(ax: Any, surface: Surface) -> None:
+    scale, label = _scaled(surface)
     pressure, speed = np.meshgrid(surface.pressure_bar, 1e-3 * surface.speed_rpm, indexing="ij")
     look = {"color": BLUE, "alpha": 0.3, "edgecolor": "#33505f", "linewidth": 0.25, "rcount": 11, "ccount": 11}
     ax.plot_surface(pressure, speed, scale * surface.values, **look)
@@ -403,8 +439,7 @@ def _plot_surface(ax: Any, surface: Surface) -> None:
         ax.plot(x, y, [scale * at, scale * value], color=RED, linewidth=0.8)
         mark = {"color": RED, "markerfacecolor": RED if value >= at else "white", "markeredgewidth": 0.8}
         ax.plot(x[:1], y[:1], [scale * value], "o", markersize=3.2, **mark)
-    unit = f"10{str(exponent).translate(_SUPERSCRIPTS)} {surface.unit}" if exponent else surface.unit
-    ax.set_title(f"{symbol(surface.name)} [{unit}]", color=ink(), y=1.0, pad=0)
+    ax.set_title(label, color=ink(), y=1.0, pad=0)
     ax.set_xlabel("pressure [bar]", labelpad=-4)
     ax.set_ylabel("speed [1000 rpm]", labelpad=-4)
     ax.tick_params(pad=-2, labelsize=7)

@@ -529,9 +529,13 @@ class LinearModel(SampledSignals, Brief, Pictured):
 
 # ---- Frequency grid adapted to the poles of a model.
 
+_INTEGRATOR = 1e-9  # rate of a pole that is a zero with rounding, over that of the fastest one
+
 
 def frequency_grid(model: LinearModel, n: int = 400) -> FloatArray:
     """Return frequencies with logarithmic spacing, and dense around each oscillatory pole.
+
+    A pole within rounding of zero, as an integrator has, counts as zero.
 
     Parameters
     ----------
@@ -546,7 +550,8 @@ def frequency_grid(model: LinearModel, n: int = 400) -> FloatArray:
         Frequencies from 0 [Hz], ascending, up to ten times the fastest pole or half the sampling frequency.
     """
     poles = model.poles()
-    rates = np.abs(poles)[np.isfinite(poles) & (np.abs(poles) > 0)] / (2 * np.pi)
+    rates = np.abs(poles[np.isfinite(poles)]) / (2 * np.pi)
+    rates = rates[rates > _INTEGRATOR * rates.max(initial=0.0)]
     slowest, fastest = (rates.min(), rates.max()) if len(rates) else (0.1, 10.0)
     nyquist = inf if model.dt is None else 0.5 / model.dt
     even = np.geomspace(slowest / 30, min(10 * fastest, nyquist), n)

@@ -1,6 +1,7 @@
 """Figures of a model with its uncertainty."""
 
 import sys
+from dataclasses import replace
 from threading import Thread
 
 import numpy as np
@@ -13,8 +14,9 @@ from matplotlib.figure import Figure
 from gbid import report
 from gbid.control import iso_zone, p_controller, sensitivities, sensitivity_zones
 from gbid.core.errors import UsageError
-from gbid.identify import fit, measured_response
+from gbid.identify import bode, fit, measured_response
 from gbid.lpv import load_model
+from gbid.lpv.model import Domain
 from gbid.recording import Recording
 from gbid.structure import LinearModel, evaluate
 
@@ -33,7 +35,7 @@ def test_bode_diagram_of_a_fit_a_model_and_a_measurement(rec, result):
     truth = evaluate(MODE, MODE_AT)
     axes = report.plot_bode({"fit": result, "truth": truth}, measured=measured_response(rec, "u", "y"))
     assert axes.shape == (3, 1)
-    assert [ax.get_ylabel() for ax in axes[:, 0]] == ["magnitude", "phase [°]", "coherence"]
+    assert [ax.get_ylabel() for ax in axes[:, 0]] == ["magnitude [output/input]", "phase [°]", "coherence [-]"]
     figure = axes[0, 0].figure
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["fit", "95 %", "truth", "measured"]
     assert len(axes[0, 0].collections) == 1  # a band for the fit, none for the plain model
@@ -44,6 +46,45 @@ def test_bode_diagram_of_a_fit_a_model_and_a_measurement(rec, result):
     vertices = axes[0, 0].collections[0].get_paths()[0].vertices[:, 1]
     assert vertices.min() == pytest.approx(low.min())
     assert vertices.max() == pytest.approx(high.max())
+
+
+def test_two_fits_have_one_entry_for_their_bands_and_units_as_given(result):
+    axes = report.plot_bode({"a": result, "b": result}, units={"u": "V", "y": "m"})
+    figure = axes[0, 0].figure
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "b", "95 %"]
+    assert axes[0, 0].get_ylabel() == "magnitude [m/V]"
+    step = report.plot_step({"a": result, "b": result})
+    assert [text.get_text() for text in step[0, 0].figure.legends[0].get_texts()] == ["a", "b", "95 %"]
+    assert step[0, 0].get_ylabel() == "step response\n[output/input]"
+    assert report.plot_impulse(result, units={"u": "V", "y": "m"})[0, 0].get_ylabel() == "impulse response\n[m/(V s)]"
+
+
+def test_a_bode_diagram_ends_at_half_the_rate_of_the_data_and_begins_below_the_modes(result):
+    frequency = result.bode().frequency_hz
+    assert frequency[-1] == 0.5 / result.sample_time
+    assert frequency[0] > 0.01 * min(mode for mode, _ in result.model.modes())
+    turned = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    A = turned @ np.array([[0.0, 1.0, 0.0], [0.0, -2.0, 5.0], [0.0, 0.0, -1e3]]) @ turned.T
+    servo = LinearModel(A, np.ones((3, 1)), np.ones((1, 3)), np.zeros((1, 1)))
+    assert 0 < np.abs(servo.poles()).min() < 1e-9  # an integrator that is no zero: rounding
+    assert bode(servo).frequency_hz[0] == pytest.approx(2 / (2 * np.pi) / 30)
+
+
+def test_a_machine_with_one_speed_has_curves_in_place_of_surfaces_and_maps():
+    model = load_model("theisen2016")
+    model = replace(model, domain=Domain((4.0, 7.0), (4200.0, 4200.0)))
+    (panel,) = report.plot_surfaces(report.surfaces_data(model, ["k_xx"], n=5))
+    line = panel.lines[0]
+    np.testing.assert_allclose(line.get_xdata(), np.linspace(4, 7, 5))
+    expected = [1e-3 * model.key_parameters(bar, 4200.0)["k_xx"] for bar in line.get_xdata()]
+    np.testing.assert_allclose(line.get_ydata(), expected)
+    points = np.array([[5.0, 4200.0], [6.0, 4200.0]])
+    data = report.damping_map_data(model, lambda *_: p_controller(0.5, 0.5), n=4, points=points, title="P")
+    panel = report.plot_damping_map(data)
+    curve, marks = panel.lines
+    np.testing.assert_array_equal(curve.get_ydata(), data.damping[:, 0])
+    np.testing.assert_array_equal(marks.get_xdata(), [5.0, 6.0])
+    assert panel.get_title(loc="left") == "P, 4200 rpm"
 
 
 def test_bode_diagram_in_axes_of_ones_own(result):
@@ -110,7 +151,7 @@ def test_responses_with_bands(result, plot, kind):
     assert axes.shape == (1, 1)
     np.testing.assert_array_equal(axes[0, 0].lines[1].get_ydata(), data.value[:, 0, 0])
     assert len(axes[0, 0].collections) == 1
-    assert axes[0, 0].get_ylabel() == f"{kind} response"
+    assert axes[0, 0].get_ylabel().startswith(f"{kind} response\n[output/")
 
 
 def test_responses_of_several_models_share_their_time(result):

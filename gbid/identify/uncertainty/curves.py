@@ -18,7 +18,14 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.tables import Column, Entry, Table
 from gbid.discretise import Dual, constant, discretise
-from gbid.identify.uncertainty.uncertain_model import ModelLike, ModelSlopes, as_uncertain, plane_covariance, std_of
+from gbid.identify.uncertainty.uncertain_model import (
+    ModelLike,
+    ModelSlopes,
+    UncertainModel,
+    as_uncertain,
+    plane_covariance,
+    std_of,
+)
 from gbid.structure import LinearModel, frequency_grid
 
 _STEPS_PER_TURN, _MOST_STEPS = 8, 20_000  # for the phase of a delay
@@ -195,7 +202,7 @@ def bode(source: ModelLike, frequency_hz: npt.ArrayLike | None = None) -> Bode:
     """
     uncertain = as_uncertain(source)
     model, (slopes, covariance) = uncertain.model, uncertain.known()
-    f = default_grid(model) if frequency_hz is None else np.atleast_1d(np.asarray(frequency_hz, float))
+    f = default_grid(uncertain) if frequency_hz is None else np.atleast_1d(np.asarray(frequency_hz, float))
     if not (f > 0).all():
         raise UsageError(f"frequency_hz of a Bode diagram must be above zero; the smallest is {f.min():g} Hz")
     response = model.frequency_response(f)
@@ -216,10 +223,12 @@ def bode(source: ModelLike, frequency_hz: npt.ArrayLike | None = None) -> Bode:
     )
 
 
-def default_grid(model: LinearModel) -> FloatArray:
-    """Return frequencies above zero that show the poles of a model [Hz]."""
-    grid = frequency_grid(model)
-    return np.asarray(grid[grid > 0])
+def default_grid(source: UncertainModel) -> FloatArray:
+    """Return frequencies above zero that show the poles of a model, up to half the rate of its data [Hz]."""
+    grid = frequency_grid(source.model)
+    highest = 0.5 / source.sample_time if source.sample_time else np.inf
+    inside = grid[(grid > 0) & (grid < highest)]
+    return np.append(inside, highest) if np.isfinite(highest) and highest > inside[-1:].sum() else inside
 
 
 def _unwrapped(model: LinearModel, f: FloatArray, response: ComplexArray) -> FloatArray:

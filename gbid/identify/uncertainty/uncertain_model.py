@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
@@ -59,11 +60,17 @@ class UncertainModel(Brief):
         Derivatives of its matrices; None for a model without uncertainty.
     covariance : (n_free, n_free) array or None
         Covariance of the parameters.
+    sample_time : float or None
+        Time between the samples of the data of a fit [s]. Curves end at half their rate.
+    units : dict of str to str
+        Units of the channels by name, as far as they are known.
     """
 
     model: LinearModel
     slopes: ModelSlopes | None = None
     covariance: FloatArray | None = None
+    sample_time: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def known(self) -> tuple[ModelSlopes, FloatArray | None]:
         """Return derivatives and covariance; no derivatives and None where one of them is missing or not finite."""
