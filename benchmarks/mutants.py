@@ -266,6 +266,18 @@ class Touching:
         return sorted(tests, key=self.durations.__getitem__)
 
 
+def nearest_tests(mutant: Mutant, packages: Sequence[str], most: int = 4) -> list[str]:
+    """Return the test files of the packages that name a mutant's function and file most often, without a run before."""
+    names = [name for name in mutant.function.split(".") if not name.startswith("__")]
+    stem, package, scores = Path(mutant.file).stem, mutant.file.split("/")[1], dict[str, int]()
+    for path in (path for folder in packages for path in sorted((ROOT / "tests" / folder).rglob("test_*.py"))):
+        text = path.read_text(encoding="utf-8")
+        score = sum(len(re.findall(rf"\b{re.escape(name)}\b", text)) for name in names)
+        if score := score + 3 * (stem in path.stem) + (stem in text):
+            scores[path.relative_to(ROOT).as_posix()] = score + 2 * (path.parent.name == package)
+    return sorted(scores, key=lambda name: -scores[name])[:most]
+
+
 def try_one(trees: Path, task: tuple[Mutant, list[str]]) -> dict[str, Any]:
     """Return what became of a mutant: "killed", "survived", "timeout", or "untested" where no test touches it."""
     mutant, tests = task
@@ -276,7 +288,10 @@ def try_one(trees: Path, task: tuple[Mutant, list[str]]) -> dict[str, Any]:
     if not tree.exists():
         tree.mkdir(parents=True)
         for name in NEEDED:
-            (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, tree / name)
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("results", "_build"))
+            else:
+                shutil.copy(ROOT / name, tree / name)
     file = tree / mutant.file
     text = file.read_text(encoding="utf-8")
     file.write_text(mutant.apply(text), encoding="utf-8")
@@ -397,20 +412,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         seed=(30, "of the sample"),
         packages=(PACKAGES, "packages of gbid, tested by tests/PACKAGE"),
         jobs=(2, "processes"),
+        nearest=(False, "for each mutant the four test files that name it most often, without the run with coverage"),
         everywhere=(False, "faults of all functions, not only of those whose docstring cites the paper"),
         budget=(20.0, "time of the tests of one mutant [s]"),
         work=(ROOT / "build" / "mutants", "folder of what is measured first"),
     )
     options.work.mkdir(parents=True, exist_ok=True)
-    if not (options.work / "durations.json").is_file():
+    if not (options.nearest or (options.work / "durations.json").is_file()):
         call = f"m.measure(m.Path({str(options.work)!r}), {options.jobs}, {list(options.packages)})"
         code = f"import benchmarks.mutants as m; {call}"
         subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
     for name in LIBRARIES:  # once, before the forks
         importlib.import_module(name)
-    touching = Touching(options.work, options.budget)
     drawn = sample(options.number, options.seed, options.packages, options.everywhere)
-    tasks = [(mutant, touching.tests(mutant)) for mutant in drawn]
+    by_name = partial(nearest_tests, packages=options.packages)
+    chosen = by_name if options.nearest else Touching(options.work, options.budget).tests
+    tasks = [(mutant, chosen(mutant)) for mutant in drawn]
     before = stored_run(options.output, [])
     judged = {_key(entry): entry["equivalent"] for entry in before if "equivalent" in entry}
     unharmed = replace(tasks[0][0], start=0, old="", new="")

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 import gbid
-from gbid.control import GainResult, close_loop, p_controller, sample_controller, sensitivities, tune
+from gbid.control import GainResult, RingDown, close_loop, p_controller, sample_controller, sensitivities, tune
 from gbid.control.impact.study import ringing_modes
 from gbid.control.loop.sampled import exact_plant
 from gbid.core.arrays import FloatArray
@@ -26,13 +26,12 @@ from gbid.core.published import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
 from gbid.core.tables import finite_or_none
 from gbid.core.yaml_file import read_yaml
 from gbid.experiment.controllers import controller_at, loop_of, rig_time
-from gbid.experiment.experiment import PlannedRecording
 from gbid.experiment.fields import needed
-from gbid.experiment.machine import rig_run
+from gbid.experiment.machine import PlannedRun, rig_run
 from gbid.experiment.stages.impact import planned_impacts
 from gbid.lpv import CHARACTERISTICS, LPVFit, LPVModel, characteristics, fit_lpv, load_machine
 from gbid.report.read import POINT, Results, published_controller
-from gbid.rig import Prbs, SensorChain, record
+from gbid.rig import Prbs, record
 from gbid.structure import KEY_PARAMETERS, LinearModel
 
 FILE = Path(__file__).with_name("theisen2016_numbers.yaml")
@@ -271,26 +270,43 @@ def recorded_again(results: Results, loop: str) -> FloatArray:
     DataError
         When more than half of the ring-downs did not converge.
     """
-    experiment = results.experiment
-    section = needed(experiment.spec.impacts, "impacts")
-    hit = [q for q in planned_impacts(experiment).values() if q.loop == loop and _is_at_point(q.planned)]
-    controller = None if loop == "open" else controller_at(experiment, hit[0].point, loop)
-    modes = []
-    for i in range(1, _REPEATS + 1):
-        recordings = []
-        for impact in hit:
-            run = rig_run(experiment, impact.planned)
-            run = replace(run, options={**run.options, "seed": run.options["seed"] + i})
-            recordings.append(run.record(None if controller is None else loop_of(experiment, controller, run)))
-        ring = gbid.fit_ringdown(recordings, harmonics=section.harmonics, lags=section.lags)
-        modes += [ring.modes()] if ring.success else []
+    lags = needed(results.experiment.spec.impacts, "impacts").lags
+    rings = [_hit_again(results, loop, partial(_with_other_seed, i), lags) for i in range(1, _REPEATS + 1)]
+    modes = [ring.modes() for ring in rings if ring.success]
     if 2 * len(modes) < _REPEATS:
         raise DataError(f"of {_REPEATS} ring-downs, {loop} loop, {len(modes)} converged; check the section impacts")
     return np.array(modes)
 
 
-def _is_at_point(planned: PlannedRecording) -> bool:
-    return (planned.conditions["pressure_bar"], planned.conditions["speed_rpm"]) == POINT
+def _hit_again(results: Results, loop: str, change: Callable[[PlannedRun], PlannedRun], lags: int | str) -> RingDown:
+    """Return the ring-downs of the impacts at the point of the paper, recorded again on a rig that is changed."""
+    experiment = results.experiment
+    section = needed(experiment.spec.impacts, "impacts")
+    recordings = []
+    for impact in planned_impacts(experiment).values():
+        if impact.loop == loop and (impact.point.pressure_bar, impact.point.speed_rpm) == POINT:
+            run = change(rig_run(experiment, impact.planned))
+            law = None if loop == "open" else controller_at(experiment, impact.point, loop)
+            recordings.append(run.record(None if law is None else loop_of(experiment, law, run)))
+    return gbid.fit_ringdown(recordings, harmonics=section.harmonics, lags=lags)
+
+
+def _with_other_seed(i: int, run: PlannedRun) -> PlannedRun:
+    return replace(run, options={**run.options, "seed": run.options["seed"] + i})
+
+
+def _without_noise(run: PlannedRun) -> PlannedRun:
+    """Return the run without any noise, and without scatter between recordings."""
+    sensors = replace(run.machine.sensors, noise_p_m=0.0, noise_u_m=0.0)
+    machine = replace(run.machine, sensors=sensors, non_synchronous=None)
+    return replace(run, machine=machine, options={**run.options, "scatter": None})
+
+
+@lru_cache(maxsize=4)
+def ringing_without_noise(results: Results, loop: str) -> FloatArray:
+    """Return both modes, (2, 2), of ring-downs without noise and scatter, with as many decays as in the run's fit."""
+    lags = len(results.impacts_at(False)[loop].ringdown.lag_rates)
+    return np.array(_hit_again(results, loop, _without_noise, lags).modes())
 
 
 def _damping_factor(i: int, results: Results) -> Own:
@@ -378,9 +394,7 @@ def _largest_of(std: float, n: int) -> Own:
 def _quiet_actuators(results: Results) -> dict[str, float]:
     """Return the actuator fitted to a recording of the rig's stacks without any noise."""
     planned = next(q for q in results.experiment.recordings.values() if q.excited)
-    run = rig_run(results.experiment, planned)
-    sensors = SensorChain(noise_p_m=0.0, noise_u_m=0.0)
-    machine = replace(run.machine, sensors=sensors, non_synchronous=None)
+    machine = _without_noise(rig_run(results.experiment, planned)).machine
     section = results.experiment.spec.rig
     assert section is not None
     prbs = Prbs(2.0, section.prbs.amplitude_m, section.prbs.hold_s)
@@ -450,9 +464,9 @@ def _of_actuators(number: PaperNumber, results: Results) -> Own:
 
 
 def _of_rig(number: PaperNumber, results: Results) -> Own:
-    """Return the modes of the rig's own loop as it runs; the obtained value has the only standard deviation."""
+    """Return what ring-downs show without noise and scatter; the obtained value has the only standard deviation."""
     loop, at = _place(number)
-    return float(_running(results.machine, results)[loop][at]), 0.0
+    return float(ringing_without_noise(results, loop)[at]), 0.0
 
 
 def _place(number: PaperNumber) -> tuple[str, tuple[int, int]]:
@@ -903,6 +917,8 @@ def repeated_rows(results: Results) -> list[list[str | float]]:
             ("its std by the fit", stds),
             (f"mean of {len(again)} sets", again.mean(axis=0)),
             ("std between the sets", again.std(axis=0, ddof=1)),
+            ("one set without noise and scatter", ringing_without_noise(results, loop)),
+            ("the rig's own modes", _running(results.machine, results)[loop]),
         ):
             rows.append([f"{loop} loop: {words}", *modes.ravel()])
     return rows
