@@ -925,31 +925,36 @@ def repeated_rows(results: Results) -> list[list[str | float]]:
 
 
 def alternative_rows(results: Results) -> list[list[str | float]]:
-    """Return what each reading of a coefficient decides, over the operating points of the machine.
-
-    The columns are the points whose modes it changes; the smallest damping factor of the open loop, and with the
-    published gains; gains and smallest damping factor of a P controller tuned for it; the smallest damping factor of
-    the controllers tuned for the first reading and for all of them; the verdicts that it changes. Tuned loops are
-    sampled.
-    """
+    """Return for each reading of a coefficient points with other modes, smallest damping factors, other verdicts."""
     machine = results.published_machine
-    models = list(machine.alternatives.values())
-    options: dict[str, Any] = {"peak_sensitivity": _CAP, "sample_time": rig_time(results.experiment)}
-    designs = [tune(model, **options) for model in models]
-    whole = tune(models, **options)
     published = published_controller(machine)
-    first: list[FloatArray] = []
     rows: list[list[str | float]] = []
-    for (name, model), design in zip(machine.alternatives.items(), designs, strict=True):
+    first: FloatArray | None = None
+    for name, model in machine.alternatives.items():
         plants = [model.plant_at(*point) for point in model.operating_points]
         dampings = np.array([_smallest(plant) for plant in plants])
-        first = first or [dampings]
-        differ = int((np.abs(dampings - first[0]) > 1e-9).sum())
+        first = dampings if first is None else first
+        differ = int((np.abs(dampings - first) > 1e-9).sum())
         closed = min(_smallest(close_loop(plant, published)) for plant in plants)
-        kept = (gbid.assess(model, q).worst["sampled_damping"][0] for q in (designs[0], whole))
-        gains = (design.gains[f"kappa_{axis}"] for axis in "xy")
         changed = ", ".join(changed_verdicts(results, model)) or "none"
-        rows.append([name, float(differ), float(dampings.min()), closed, *gains, design.value, *kept, changed])
+        rows.append([name.partition(" = ")[2], float(differ), float(dampings.min()), closed, changed])
+    return rows
+
+
+def alternative_designs(results: Results) -> list[list[str | float]]:
+    """Return P controllers for each reading of a coefficient: gains, and smallest damping factors of the sampled loops.
+
+    The dampings are those of the controller tuned for the reading, for the first one, and for all of them.
+    """
+    models = results.published_machine.alternatives
+    options: dict[str, Any] = {"peak_sensitivity": _CAP, "sample_time": rig_time(results.experiment)}
+    designs = [tune(model, **options) for model in models.values()]
+    others = designs[0], tune(list(models.values()), **options)
+    rows: list[list[str | float]] = []
+    for (name, model), design in zip(models.items(), designs, strict=True):
+        kept = (gbid.assess(model, other).worst["sampled_damping"][0] for other in others)
+        gains = (design.gains[f"kappa_{axis}"] for axis in "xy")
+        rows.append([name.partition(" = ")[2], *gains, design.value, *kept])
     return rows
 
 

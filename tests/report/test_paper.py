@@ -245,17 +245,16 @@ def test_readings_of_a_coefficient_are_plants_of_the_machine(monkeypatch):
     assert [q.coefficients["d_yx"][5] / used.coefficients["d_yx"][5] for q in others] == pytest.approx([10, 0.1, 0, -1])
     three = ((3.0, 0.0), (7.0, 4000.0), (7.0, 6000.0))
     used, worst = (replace(q, operating_points=three) for q in (used, others[0]))
-    published = replace(published, alternatives={"used": used, "ten times": worst})
+    published = replace(published, alternatives={"d = 1": used, "d = 10": worst})
     rig = SimpleNamespace(sample_time_s=2e-4)
     results = Stored(published_machine=published, experiment=SimpleNamespace(spec=SimpleNamespace(rig=rig)))
     monkeypatch.setattr(compared, "changed_verdicts", lambda results, model: [])
-    rows = compared.alternative_rows(results)
-    dampings = np.array([row[2:4] + row[6:9] for row in rows], float)
-    assert dampings.min() > 0  # each is stable, which is why none can be ruled out
+    rows, designs = compared.alternative_rows(results), compared.alternative_designs(results)
+    assert min(min(row[2:4]) for row in rows) > 0  # each is stable, which is why none can be ruled out
     by_hand = min(zeta for bar, rpm in used.operating_points for _, zeta in used.plant_at(bar, rpm).modes())
     assert rows[0][2] == pytest.approx(by_hand)
     assert [row[1] for row in rows] == [0, 2]  # all points but the one at rest
-    tuned, first, whole = dampings[:, 2:].T
+    tuned, first, whole = np.array([row[3:] for row in designs]).T
     assert first[0] == pytest.approx(tuned[0], rel=1e-5)
     assert (tuned >= first - 1e-6).all()
     assert whole.min() > first.min()  # a design over all readings as plants has the better worst case
