@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import cache, cached_property
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
@@ -277,7 +277,7 @@ class PerAxis(ABC):
         ]
         return (*self._axis_gains(), *notches)
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Gains of all axes, by kind; the corner frequency is last when it is tuned."""
         gains: dict[str, Parameter] = {}
@@ -943,25 +943,25 @@ def state_feedback(model: LinearModel, position: float, noise: float = 0.1, reac
     plant = with_pade(model, 3)
     if plant.dt is not None:
         raise UsageError(f"state_feedback: model {model.name!r} is sampled; give the continuous one")
-    A, B, C, D = plant.A, plant.B, plant.C, plant.D
+    A, B, C, D = plant.A, plant.B, plant.C / position, plant.D / position  # p in units of position
     (n_p, n_r), n = D.shape, len(A)
     try:
-        S = scipy.linalg.solve_continuous_are(A, B, C.T @ C, D.T @ D + position**2 * np.eye(n_r), s=C.T @ D)
-        P = scipy.linalg.solve_continuous_are(A.T, C.T, B @ B.T, (noise * position) ** 2 * np.eye(n_p))
+        S = scipy.linalg.solve_continuous_are(A, B, C.T @ C, D.T @ D + np.eye(n_r), s=C.T @ D)
+        P = scipy.linalg.solve_continuous_are(A.T, C.T, B @ B.T, noise**2 * np.eye(n_p))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise UsageError(
             f"state_feedback: model {model.name!r} with position = {position:g} has no optimal feedback ({error}); "
             "leave out states that cannot be controlled or observed, or change position"
         ) from None
-    F = -np.linalg.solve(D.T @ D + position**2 * np.eye(n_r), B.T @ S + D.T @ C)
-    L = P @ C.T / (noise * position) ** 2
+    F = -np.linalg.solve(D.T @ D + np.eye(n_r), B.T @ S + D.T @ C)
+    L = P @ C.T / noise**2 / position
     states = plant.state_names if len(set(plant.state_names)) == n else tuple(str(i + 1) for i in range(n))
     names = [f"{kind}_{state}" for kind in ("feedback", "observer") for state in states]
 
     def matrices(p: Values) -> dict[str, Any]:
         factors = [ca.vertcat(*(p[name] for name in part)) for part in (names[:n], names[n:])]
         feedback, observer = F @ ca.diag(factors[0]), ca.diag(factors[1]) @ L
-        inner = A + B @ feedback - observer @ (C + D @ feedback)
+        inner = A + B @ feedback - observer @ (plant.C + plant.D @ feedback)
         return {"A": inner, "B": observer, "C": feedback, "D": ca.SX(n_r, n_p)}
 
     gains = [Parameter(name, 1.0, 0.0, reach) for name in names]

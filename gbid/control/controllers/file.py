@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from gbid._version import __version__
-from gbid.control.controllers.built_in import INPUTS, NOT_OPTIONS, OUTPUTS, built_in_structures
+from gbid.control.controllers.built_in import INPUTS, NOT_OPTIONS, OUTPUTS, PerAxis, built_in_structures
 from gbid.control.controllers.structures import (
     Scheduled,
     controller_at,
@@ -402,7 +402,9 @@ def _from_gains(design: ControllerDesign, differences: Sequence[str]) -> Control
 def _contents(design: ControllerDesign, structure: Structure | Scheduled) -> ControllerFile:
     base = structure.base if isinstance(structure, Scheduled) else structure
     built_in = next((kind for kind, cls in built_in_structures().items() if type(base) is cls), None)
-    options = {k: v for k, v in vars(base).items() if k not in NOT_OPTIONS} if built_in else None
+    options = None
+    if isinstance(base, PerAxis) and built_in:
+        options = {each.name: getattr(base, each.name) for each in fields(base) if each.name not in NOT_OPTIONS}
     return ControllerFile(
         kind="controller",
         schema_version=SCHEMA_VERSION,

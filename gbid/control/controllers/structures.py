@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from math import isfinite
 from typing import Any, Protocol, runtime_checkable
@@ -87,7 +87,7 @@ def controller_structure(kind: str | Structure, **options: Any) -> Structure:
         return kind
     if kind not in built_in:
         raise UsageError(f"controller = {kind!r}; choose {choices} or give a structure")
-    known = [name for name in built_in[kind].__dataclass_fields__ if name not in NOT_OPTIONS]
+    known = [each.name for each in fields(built_in[kind]) if each.name not in NOT_OPTIONS]
     unknown = [name for name in options if name not in known]
     if unknown:
         raise UsageError(f"controller {kind!r}: unknown option {', '.join(unknown)}; there are {', '.join(known)}")

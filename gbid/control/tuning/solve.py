@@ -499,6 +499,8 @@ def summarise(
     if not stable:
         status = GainStatus.NO_STABILISING_GAINS
         text = f"no gains within the bounds were found that stabilise {worst.where}: {_mode(worst)}"
+        if problem.evaluations.exhausted:
+            text += "; the budget ended the search"
         if reach_of_bounds(problem) < LEAST_REACH:
             text += "; gains within the bounds hardly move a pole: give bounds= in the units of the plant"
         notes = (*notes, ControlNote.NO_STABILISING_GAINS(text))

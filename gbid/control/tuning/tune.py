@@ -106,9 +106,9 @@ def _edge_notes(solution: GainSolution, names: tuple[str, ...]) -> tuple[str, ..
     problem, x = solution.problem, solution.best.x
     if problem.limits.peak_sensitivity is not None or problem.limits.measures or not problem.stable(x):
         return ()
-    edge = distance_to_edge(problem, x, names)
     note = "damping alone was maximised: the peak of S_o is not limited"
-    if np.isfinite(edge.change):
+    edge = None if problem.evaluations.exhausted else distance_to_edge(problem, x, names)
+    if edge and np.isfinite(edge.change):
         note += f"; a change of {edge.gain} by {edge.change:+.2g} makes a loop unstable"
     return (ControlNote.PEAK_NOT_LIMITED(note),)
 
