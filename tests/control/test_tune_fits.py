@@ -12,7 +12,7 @@ import gbid
 from gbid.control import MaxDamping, PeakSensitivity, controller_model, sensitivities, smallest_damping, tune_robust
 from gbid.identify.result import FitStatus
 from gbid.lpv import Estimates, LPVFit, fit_lpv
-from gbid.structure import KEY_PARAMETERS
+from gbid.structure import KEY_PARAMETERS, evaluate
 
 MODEL = gbid.load_model("theisen2016")
 GOALS = [MaxDamping(), PeakSensitivity(2.0)]
@@ -72,3 +72,40 @@ def test_robust_design_on_surfaces_holds_on_plants_drawn_anew(surfaces: LPVFit) 
     assert kept / n > robust.keeps_limits - noise
     nominal_design = gbid.tune(surfaces, goals=GOALS, operating_points=[(6.0, 0.0)], starts=1)
     assert robust.promised < nominal_design.value
+
+
+def arm(k: float, seed: int) -> gbid.FitResult:
+    """Fit of ``x'' + d x' + k x = b u`` from a short recording."""
+    names = [gbid.Parameter(*given) for given in (("k", 90.0), ("d", 0.6), ("b", 80.0))]
+    structure = gbid.LinearStructure(
+        "arm", names, lambda p: {"A": [[0, 1], [-p.k, -p.d]], "B": [[0], [p.b]], "C": [[1, 0]]}, "u", "x"
+    )
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], (60, 1)).repeat(10, axis=0)
+    x = evaluate(structure, {"k": k, "d": 0.4, "b": 100.0}).simulate(u, sample_time=5e-3)
+    x += 0.3 * rng.standard_normal(x.shape)
+    return gbid.fit(structure, gbid.Recording({"u": u, "x": x}, 5e-3, name=f"k{k:g}"), focus="simulation")
+
+
+def test_robust_design_on_single_fits_holds_on_models_drawn_anew() -> None:
+    fits = [arm(100.0, 1), arm(140.0, 2)]
+    form = gbid.controller_structure("PD", axes=("",), lower=-2.0, upper=0.9, kd_limit_ms=60.0, lowpass_hz=20.0)
+    robust = tune_robust(fits, form, goals=GOALS, probability=0.9, draws=30, fresh=100)
+    assert robust.result.success
+    K = controller_model(form, robust.result.gains)
+    rng, n, held = np.random.default_rng(5), 60, 0
+    for _ in range(n):
+        reached = []
+        for fit in fits:
+            drawn = rng.multivariate_normal([fit.parameters[name] for name in fit.free], fit.covariance)
+            values = dict(zip(fit.free, drawn, strict=True))
+            model = gbid.LinearModel([[0, 1], [-values["k"], -values["d"]]], [[0], [values["b"]]], [[1, 0]], [[0]])
+            named = replace(K, input_names=model.output_names, output_names=model.input_names)
+            reached.append(smallest_damping(sensitivities(model, named).model("output")))
+        held += min(reached) >= robust.promised
+    assert held / n > 0.9 - 2.5 * np.sqrt(0.09 / n)
+    nominal = gbid.tune(fits, form, goals=GOALS)
+    assert robust.promised < nominal.value
+    assert robust.fresh.value.max() - robust.fresh.value.min() > 1e-3
+    with pytest.raises(gbid.core.errors.UsageError, match="give fits of linear structures"):
+        tune_robust([MODEL, fits[0]], form, goals=GOALS)

@@ -19,7 +19,7 @@ from gbid.control import (
     smallest_damping,
     tune_robust,
 )
-from gbid.control.tuning.plants import _root
+from gbid.control.tuning.plants import root_of
 from gbid.control.tuning.robust import lower_bound
 from gbid.core.errors import UsageError
 from gbid.lpv import TERMS
@@ -84,10 +84,10 @@ def test_sampled_designs_are_tried_as_sampled_loops() -> None:
 def test_a_covariance_may_be_singular_but_not_negative() -> None:
     direction = np.array([[3.0], [-4.0], [0.0]])
     singular = direction @ direction.T
-    root = _root(singular)
+    root = root_of(singular)
     np.testing.assert_allclose(root @ root.T, singular, atol=1e-12)
     with pytest.raises(UsageError, match="negative direction"):
-        _root(np.array([[1.0, 2.0], [2.0, 1.0]]))
+        root_of(np.array([[1.0, 2.0], [2.0, 1.0]]))
     with pytest.raises(UsageError, match="symmetric"):
         Uncertainty(np.triu(np.ones((84, 84))))
     with pytest.raises(UsageError, match="there are 10, from 0"):

@@ -122,14 +122,14 @@ class Uncertainty(Brief):
         if self.samples is not None:
             samples = np.asarray(self.samples, float)
             return [np.broadcast_to(sample, (len(points), len(sample))) for sample in samples]
-        root = _root(np.asarray(self.covariance, float))
+        root = root_of(np.asarray(self.covariance, float))
         normal = np.random.default_rng(self.seed).standard_normal((self.draws, len(root)))
         terms = regressors(*points.T)
         coefficients = (normal @ root.T).reshape(self.draws, len(KEY_PARAMETERS), len(TERMS))
         draws = [terms @ draw.T for draw in coefficients]
         if self.scatter is not None:
             lift = np.random.default_rng([self.seed, 1]).standard_normal((self.draws, len(KEY_PARAMETERS)))
-            lift = lift @ _root(np.asarray(self.scatter, float)).T
+            lift = lift @ root_of(np.asarray(self.scatter, float)).T
             draws = [deviation + one for deviation, one in zip(draws, lift, strict=True)]
         return draws
 
@@ -146,7 +146,7 @@ def _symmetric(matrix: FloatArray) -> bool:
     return bool(np.isfinite(matrix).all() and (np.abs(matrix - matrix.T) <= 1e-6 * np.outer(size, size)).all())
 
 
-def _root(covariance: FloatArray) -> FloatArray:
+def root_of(covariance: FloatArray) -> FloatArray:
     """Return a matrix R with R R' equal to a covariance."""
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     size = np.where(size > 0, size, 1.0)

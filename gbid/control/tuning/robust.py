@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
@@ -12,7 +13,16 @@ from scipy.special import bdtrc, betaincinv
 
 from gbid.control.controllers.structures import Scheduled, controller_structure, with_schedule
 from gbid.control.tuning.goals import Goal, limits_of
-from gbid.control.tuning.plants import Plants, TuneOptions, Uncertainty, plants_of
+from gbid.control.tuning.plants import (
+    LpvPlants,
+    ModelPlants,
+    PlantLike,
+    Plants,
+    TuneOptions,
+    Uncertainty,
+    plants_of,
+    root_of,
+)
 from gbid.control.tuning.problem import GainProblem, SearchStep
 from gbid.control.tuning.result import GainResult
 from gbid.control.tuning.search import typical_rate
@@ -21,7 +31,9 @@ from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, Count, CountOrZero, Finite, Positive
-from gbid.lpv import LPVFit, LPVModel
+from gbid.identify import FitResult
+from gbid.lpv import Domain, LPVFit, LPVModel
+from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
 
 _BLOCK = 300
@@ -92,7 +104,7 @@ def lower_bound(share: float, n: int, confidence: float) -> float:
     return float(betaincinv(k, n - k + 1, 1 - confidence)) if k else 0.0
 
 
-def on_draws(problem: GainProblem, plants: Plants, points: FloatArray, x: FloatArray, n: int) -> PlantDraws:
+def on_draws(problem: GainProblem, plants: Plants, x: FloatArray, n: int) -> PlantDraws:
     """Return the performance of gains on n drawn plants, without the nominal one.
 
     Parameters
@@ -101,14 +113,13 @@ def on_draws(problem: GainProblem, plants: Plants, points: FloatArray, x: FloatA
         Objective and limits.
     plants : Plants
         Plants with n draws: m loops of the nominal plant, then m of each draw.
-    points : (m, 2) array
-        Operating points.
     x : (d,) array
         Gains.
     n : int
         Number of draws.
     """
-    m = len(points)
+    points = plants.points
+    m = len(plants.scenarios(points)[0]) // (n + 1)
     each = max(1, _BLOCK // m)
     values, violations = [], []
     for first in range(1, n + 1, each):
@@ -204,14 +215,16 @@ class RobustOptions(TuneOptions):
 
 
 def tune_robust(
-    model: LPVFit | LPVModel, controller: str | Structure | Scheduled = "P", **options: Any
+    model: PlantLike | Sequence[PlantLike], controller: str | Structure | Scheduled = "P", **options: Any
 ) -> RobustDesign:
     """Return a design whose objective and limits hold with a stated probability over the uncertainty of the plant.
 
     Parameters
     ----------
-    model : LPVFit or LPVModel
-        The plant. A fit brings its uncertainty: the covariance of its coefficients and the scatter between recordings.
+    model : LPVFit, LPVModel, FitResult, or sequence of FitResult and LinearModel
+        The plant. A fit of surfaces brings its uncertainty: the covariance of its coefficients and the scatter between
+        recordings. Single fits bring the covariance of their parameters: each draw is a linear model of every fit of
+        the list, drawn independently to first order in the parameters. Linear models of the list are as they are.
     controller : str, Structure or Scheduled
         As for `gbid.tune`.
     **options
@@ -237,15 +250,18 @@ def tune_robust(
     given = RobustOptions(**options)
     given = replace(given, goals=tuple(given.goals or ()))
     probability, confidence, draws, fresh = given.probability, given.confidence, given.draws, given.fresh
-    machine, known = _plant_and_uncertainty(model, given)
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
-    trial = _Trial(machine, with_schedule(structure, machine.domain), given)
+    if isinstance(model, LPVFit | LPVModel):
+        machine, known = _plant_and_uncertainty(model, given)
+        trial: _Trial = _SurfaceTrial(with_schedule(structure, machine.domain), given, machine, known)
+    else:
+        trial = _FitTrial(structure, given, tuple(model) if isinstance(model, Sequence) else (model,))
     chosen: tuple[int, ...] = ()
     # the share of failures that is allowed in the draws leaves room for the confidence on the fresh ones
     target = min(probability + (1 - probability) * 0.4, 1 - 0.5 / draws)
-    result = trial.design((), known, given.start)
+    result = trial.design((), given.start)
     for _ in range(given.rounds):
-        seen = trial.on(known, result.gains)
+        seen = trial.on(draws, given.seed, result.gains)
         failing = _shortfall(seen, result.value)
         if float((failing > 0).mean()) <= 1 - target or not result.keeps_limits:
             break
@@ -253,9 +269,9 @@ def tune_robust(
         if int(edge) in chosen:
             break
         chosen = (*chosen, int(edge))
-        result = trial.design(chosen, known, dict(result.gains))
-    seen = trial.on(known, result.gains)
-    others = trial.on(replace(known, draws=fresh, seed=given.seed + _FRESH_SEED), result.gains)
+        result = trial.design(chosen, dict(result.gains))
+    seen = trial.on(draws, given.seed, result.gains)
+    others = trial.on(fresh, given.seed + _FRESH_SEED, result.gains)
     return RobustDesign(
         result,
         probability,
@@ -269,29 +285,109 @@ def tune_robust(
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
-    """Designs and trials of one plant, structure and set of options."""
+class _Trial(ABC):
+    """Designs and trials of one structure and set of options."""
 
-    lpv: LPVModel
     structure: Structure | Scheduled
     options: RobustOptions
 
-    def design(self, chosen: tuple[int, ...], known: Uncertainty, start: Mapping[str, float] | None) -> GainResult:
+    @abstractmethod
+    def design(self, chosen: tuple[int, ...], start: Mapping[str, float] | None) -> GainResult:
         """Design for the nominal plant and chosen draws."""
+
+    @abstractmethod
+    def on(self, n: int, seed: int, gains: Mapping[str, float]) -> PlantDraws:
+        """Return the performance of gains on n plants drawn with a seed."""
+
+    def _options(self, chosen: tuple[int, ...], start: Mapping[str, float] | None, **changed: Any) -> RobustOptions:
         starts = 1 if chosen and self.options.starts is None else self.options.starts
-        plants = replace(known, chosen=chosen) if chosen else None
-        options = replace(self.options, uncertainty=plants, start=start, starts=starts, seed=0)
+        return replace(self.options, start=start, starts=starts, seed=0, **changed)
+
+    def _performance(self, plants: LpvPlants | ModelPlants, gains: Mapping[str, float], n: int) -> PlantDraws:
+        """Return the performance on n drawn plants, which follow the nominal one."""
+        m = len(plants.scenarios(plants.points)[0]) // (n + 1)
+        names = [p.name for p in plants.structure.parameters]
+        x = np.array([gains[name] for name in names])
+        nominal = plants.family(plants.points, range(m))
+        machine = plants.lpv.machine if isinstance(plants, LpvPlants) else None
+        limits = limits_of(self.options.goals or (), plants.plant, machine)
+        low, high = (np.array([getattr(p, side) for p in plants.structure.parameters]) for side in ("lower", "upper"))
+        problem = GainProblem((nominal,), limits, low, high, typical_rate((nominal,), x))
+        return on_draws(problem, plants, x, n)
+
+
+@dataclass(frozen=True, eq=False)
+class _SurfaceTrial(_Trial):
+    """Trial of an LPV model with drawn surfaces."""
+
+    lpv: LPVModel
+    known: Uncertainty
+
+    def design(self, chosen: tuple[int, ...], start: Mapping[str, float] | None) -> GainResult:
+        plants = replace(self.known, chosen=chosen) if chosen else None
+        options = self._options(chosen, start, uncertainty=plants)
         return tuned(self.lpv, self.structure, options, self.options.progress)
 
-    def on(self, drawn: Uncertainty, gains: Mapping[str, float]) -> PlantDraws:
-        """Return the performance of gains on all draws."""
+    def on(self, n: int, seed: int, gains: Mapping[str, float]) -> PlantDraws:
+        drawn = replace(self.known, draws=n, seed=seed)
         plants = plants_of(self.lpv, self.structure, replace(self.options, uncertainty=drawn))
-        x = np.array([gains[p.name] for p in self.structure.parameters])
-        nominal = plants.family(plants.points, range(len(plants.points)))
-        limits = limits_of(self.options.goals or (), plants.plant, self.lpv.machine)
-        low, high = (np.array([getattr(p, side) for p in self.structure.parameters]) for side in ("lower", "upper"))
-        problem = GainProblem((nominal,), limits, low, high, typical_rate((nominal,), x))
-        return on_draws(problem, plants, plants.points, x, drawn.draws)
+        return self._performance(plants, gains, n)
+
+
+@dataclass(frozen=True, eq=False)
+class _FitTrial(_Trial):
+    """Trial of fits, with models drawn from the covariance of their parameters."""
+
+    fits: tuple[PlantLike, ...]
+
+    def design(self, chosen: tuple[int, ...], start: Mapping[str, float] | None) -> GainResult:
+        models, options = self._models(self.options.draws, self.options.seed, chosen)
+        return tuned(models, self.structure, replace(self._options(chosen, start), **options), self.options.progress)
+
+    def on(self, n: int, seed: int, gains: Mapping[str, float]) -> PlantDraws:
+        models, options = self._models(n, seed, range(n))
+        speeds = options["speeds_rpm"]
+        over = Domain((0.0, 0.0), (min(speeds), max(speeds))) if speeds else None
+        plants = plants_of(models, with_schedule(self.structure, over), replace(self.options, **options))
+        return self._performance(plants, gains, n)
+
+    def _models(self, n: int, seed: int, chosen: Sequence[int]) -> tuple[list[PlantLike], dict[str, Any]]:
+        """Return the plants, then the chosen draws of all, and their speeds."""
+        rng = np.random.default_rng(seed)
+        every = [drawn_models(fit, n, rng) for fit in self.fits]
+        models = [*self.fits, *(draws[i] for i in chosen for draws in every)]
+        speeds = self.options.speeds_rpm
+        return models, {"speeds_rpm": None if speeds is None else [*speeds] * (1 + len(chosen))}
+
+
+def drawn_models(fit: PlantLike, n: int, rng: np.random.Generator) -> list[LinearModel]:
+    """Return n models of a fit, drawn from the covariance of its parameters to first order; of a model n times itself.
+
+    Raises
+    ------
+    UsageError
+        When it is no fit of a linear structure, or a drawn delay is negative.
+    """
+    if isinstance(fit, LinearModel):
+        return [fit] * n
+    if not isinstance(fit, FitResult) or fit.model_slopes is None:
+        raise UsageError(
+            "tune_robust: give fits of linear structures (with model_slopes), or an LPV fit or model alone"
+        )
+    model, slopes = fit.model, fit.model_slopes
+    changes = rng.standard_normal((n, len(fit.free))) @ root_of(np.asarray(fit.covariance, float)).T
+    assert isinstance(model, LinearModel)
+    drawn = []
+    for change in changes:
+        parts = {
+            name: getattr(model, name) + np.tensordot(change, getattr(slopes, name), 1)
+            for name in ("A", "B", "C", "D", "B_delayed", "delay")
+            if getattr(model, name) is not None
+        }
+        if "delay" in parts and parts["delay"].min() < 0:
+            raise UsageError(f"tune_robust: a drawn plant of {model.name!r} has a negative delay; fix the delays")
+        drawn.append(replace(model, **parts))
+    return drawn
 
 
 def _shortfall(seen: PlantDraws, value: float) -> FloatArray:
