@@ -280,7 +280,8 @@ def assess(
         computation_s = controller.computation_s if computation_s is None else computation_s
         method, gains = method or controller.method, controller.gains if gains is None else gains
         law = controller.controller
-        if isinstance(law, Scheduled) and points is None and not isinstance(model, LPVModel | LPVFit):
+        each = model[0] if isinstance(model, Sequence) and model else model
+        if isinstance(law, Scheduled) and points is None and not isinstance(each, LPVModel | LPVFit):
             points = controller.points
     structure = law if isinstance(law, Scheduled) else controller_structure(law)
     if gains is None:
@@ -315,6 +316,8 @@ def _plants(
 ) -> list[_AssessedPlant]:
     """Return the plants of an assessment."""
     model = model.model if isinstance(model, LPVFit) else model
+    if isinstance(model, Sequence) and all(isinstance(each, LPVModel | LPVFit) for each in model):
+        return [plant for each in model for plant in _plants(each, structure, points)]
     if isinstance(model, LPVModel):
         chosen = [(float(bar), float(rpm)) for bar, rpm in (model.operating_points if points is None else points)]
         if not chosen:

@@ -419,6 +419,8 @@ class LpvPlants(Plants):
     ----------
     lpv : LPVModel
         The model with its actuators.
+    others : tuple of LPVModel
+        Models with the same actuators for which the design must also hold.
     uncertainty : Uncertainty, optional
         Draws of the plant for which the design must also hold.
     domain : Domain, optional
@@ -426,11 +428,14 @@ class LpvPlants(Plants):
     """
 
     lpv: LPVModel = field(kw_only=True)
+    others: tuple[LPVModel, ...] = ()
     uncertainty: Uncertainty | None = None
     domain: Domain | None = None
 
     @classmethod
-    def of(cls, lpv: LPVModel, structure: Structure | Scheduled, options: TuneOptions) -> LpvPlants:
+    def of(
+        cls, lpv: LPVModel, structure: Structure | Scheduled, options: TuneOptions, others: tuple[LPVModel, ...] = ()
+    ) -> LpvPlants:
         """Plants of a model with the options of a design."""
         lpv, points = _with_actuators(lpv, options.actuator), _points(lpv, options.operating_points)
         return cls(
@@ -439,6 +444,7 @@ class LpvPlants(Plants):
             options.delay_s,
             options.sampling,
             lpv=lpv,
+            others=others,
             uncertainty=options.uncertainty,
             domain=lpv.domain if isinstance(options.operating_points, str) else None,
         )
@@ -451,11 +457,20 @@ class LpvPlants(Plants):
     @property
     def slowest(self) -> tuple[float, ...]:
         """Slowest decay of the oscillatory modes of each open loop [1/s]."""
-        return tuple(slowest_mode(self.lpv.at(float(P), float(Omega)).poles()) for P, Omega in self.points)
+        every = (self.lpv, *self.others)
+        return tuple(
+            min(slowest_mode(lpv.at(float(P), float(Omega)).poles()) for lpv in every) for P, Omega in self.points
+        )
 
     def scenarios(self, points: FloatArray) -> tuple[FloatArray, list[str]]:
         """Every plant at every point (m, 2) or (m, 16), and their names."""
         scenarios = points if self.uncertainty is None else self.uncertainty.scenarios(points)
+        if self.others and points.shape[1] == 2:
+            known, *further = (lpv.key_parameters(*points.T) for lpv in (self.lpv, *self.others))
+            changes = [
+                np.column_stack([key[name] - known[name] for name in KEY_PARAMETERS]) for key in (known, *further)
+            ]
+            scenarios = np.vstack([np.hstack([points, change]) for change in changes])
         labels = [
             point_label(P, Omega) + (f", plant {i // len(points)}" if i >= len(points) else "")
             for i, (P, Omega) in enumerate(scenarios[:, :2])
@@ -678,6 +693,13 @@ def plants_of(
     given = list(model) if isinstance(model, Sequence) else [model]
     if not given:
         raise UsageError("tune: no models")
+    surfaces = [each.model if isinstance(each, LPVFit) else each for each in given]
+    machines = [each for each in surfaces if isinstance(each, LPVModel)]
+    if len(machines) == len(given) and not (options.inputs or options.outputs or options.uncertainty):
+        first, *others = machines
+        alike = (first.actuators, first.pade_order, first.domain)
+        if all((each.actuators, each.pade_order, each.domain) == alike for each in others):
+            return LpvPlants.of(first, structure, options, tuple(others))
     if options.uncertainty is not None:
         raise UsageError("tune: uncertainty belongs to an LPV model; give the drawn models in the list")
     models = [one for each in given for one in _linear(each, options)]

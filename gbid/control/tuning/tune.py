@@ -206,7 +206,10 @@ def tuned(
         points = tuple((float(P), float(Omega)) for P, Omega, _ in plants.points)
     notes = notes_of(plants, solution, points)
     if isinstance(plants, ModelPlants) and isinstance(options.operating_points, str):
-        text = f"the design holds for {len(plants.models)} models at corners and middles; no worst points between them"
+        text = (
+            f"the design holds for {len(plants.models)} models at corners and middles; no worst points between them, "
+            "because their actuators, delays or domains differ"
+        )
         notes += (ControlNote.WORST_POINTS_NOT_SEARCHED(text),)
     more = {"points": points, "controller": structure, **({} if plants.sampling is None else vars(plants.sampling))}
     return goal_figures(solution, summarise(solution, names, verified, notes, seed_values=values, **more))
