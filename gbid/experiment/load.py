@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
+import pkgutil
 import re
 import shutil
 from collections import Counter
@@ -219,8 +219,7 @@ def _described_arguments(words: str) -> dict[str, str]:
     target = _SEE.search(words)
     if not target:
         return {}
-    module, _, name = target[1].rpartition(".")
-    text = inspect.getdoc(getattr(importlib.import_module(module), name)) or ""
+    text = inspect.getdoc(pkgutil.resolve_name(target[1])) or ""  # of a method, too
     section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", text, re.MULTILINE | re.DOTALL)
     entries = re.findall(r"^(\S[^\n]*)\n((?:[ \t]+[^\n]*\n?|\n)+)", section[1] if section else "", re.MULTILINE)
     return {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import json
 import re
 import shutil
 import subprocess
@@ -133,6 +134,38 @@ def test_internal_links_resolve(path: Path) -> None:
             assert (path.parent / info.split()[1]).is_file(), f"{relative(path)}: {info}"
         for name in re.findall(r"\{doc\}`([^`]+)`", body):
             assert (path.parent / f"{name}.md").is_file()
+
+
+WORDS_AT_MOST = 60_000
+
+
+def words(path: Path) -> int:
+    """Words of a page: what stands between blanks and has a letter or a digit, in prose, tables and code alike."""
+    return sum(bool(re.search(r"[^\W_]", token)) for token in path.read_text(encoding="utf-8").split())
+
+
+def test_pages_are_no_longer_than_a_reader_can_bear() -> None:
+    """Pages of docs and docs/readers; decisions, changelog and the lists of names of docs/api are not read in a row."""
+    pages = {
+        path.relative_to(DOCS).as_posix(): words(path) for path in (*DOCS.glob("*.md"), *DOCS.glob("readers/*.md"))
+    }
+    longest = sorted(pages.items(), key=lambda item: -item[1])[:5]
+    assert sum(pages.values()) <= WORDS_AT_MOST, f"{sum(pages.values())} words; the longest pages: {longest}"
+
+
+NOTEBOOK = re.compile(r"\{nb-download\}`([^`]+)`")
+
+
+def test_notebooks_to_download_need_nothing_but_gbid() -> None:
+    """Their cells run with the pages; files of the source are not beside a notebook."""
+    offered = {path: NOTEBOOK.findall(path.read_text(encoding="utf-8")) for path in PAGES}
+    offered = {path: names for path, names in offered.items() if names}
+    assert len(offered) >= 3
+    for path, names in offered.items():
+        assert names == [f"{path.stem}.ipynb"]
+        code = "\n".join(cells(path))
+        assert not re.search(r"\b(benchmarks|parents\[|docs/)", code), relative(path)
+        assert "literalinclude" not in path.read_text(encoding="utf-8"), relative(path)
 
 
 def test_equation_labels_are_defined() -> None:
@@ -333,6 +366,10 @@ def test_pages_build_without_a_warning(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", docs, tmp_path / "html"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+    for path in PAGES:
+        for name in NOTEBOOK.findall(path.read_text(encoding="utf-8")):
+            notebook = json.loads(next((tmp_path / "html" / "_downloads").rglob(name)).read_text(encoding="utf-8"))
+            assert any(cell.get("outputs") for cell in notebook["cells"]), name
 
 
 def test_architecture_and_decisions_name_files_that_exist() -> None:
