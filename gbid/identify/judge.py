@@ -372,7 +372,9 @@ def _notes_on_coverage(optimum: Optimum, residuals: _Residuals, spread: Covarian
     # White residuals tell of disturbances where a gain takes them in; one that is held at zero does not.
     gain = not residuals.coloured and model.K is not None and bool(model.K.any())
     models, data = _error_models(optimum) or spread.models, optimum.problem.task.data
-    return may_cover_less(models, model.modes(), data.sample_time, residuals.estimate.problem.n_samples, gain=gain)
+    lost = sum(int(record.missing.all(axis=1).sum()) for record in data.records if record.missing is not None)
+    n_samples = min(residuals.estimate.problem.n_samples + lost, sum(record.n_samples for record in data.records))
+    return may_cover_less(models, model.modes(), data.sample_time, n_samples, gain=gain)
 
 
 def _settled_options(optimum: Optimum, estimate: Estimate) -> SettledOptions:

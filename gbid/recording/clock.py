@@ -206,6 +206,8 @@ class Clock:
         What was found and done.
     places : (n_samples,) array of int or None
         Numbers of the samples on the grid of an import with missing samples.
+    late : (n_samples,) array or None
+        Times of the samples after these places, in steps of the grid, from -0.5 to 0.5; None where there are none.
     """
 
     rows: np.ndarray[tuple[int], np.dtype[np.intp]]
@@ -213,9 +215,10 @@ class Clock:
     time: FloatArray | None = None
     remarks: tuple[str, ...] = ()
     places: npt.NDArray[np.intp] | None = None
+    late: FloatArray | None = None
 
 
-_LONGEST_GRID = 100  # samples of the grid for each measured one: passes of a fit go over all of them
+_LONGEST_GRID = 200  # samples of the grid for each measured one: passes of a fit go over all of them
 
 
 def _grid(path: Path, mapping: ImportMapping, time: FloatArray, start: int) -> Clock:
@@ -230,19 +233,21 @@ def _grid(path: Path, mapping: ImportMapping, time: FloatArray, start: int) -> C
         step = _round_time(float(np.polyfit(places, time - time[0], 1)[0]), MAX_JITTER / max(1, int(places[-1])))
     else:
         places = np.rint((time - time[0]) / step).astype(np.intp)
-    off = np.abs((time - time[0]) / step - places)
-    if off.max() > MAX_JITTER or (np.diff(places) < 1).any():
+    off, usual = float(np.abs(time - time[0] - step * places).max()), float(np.median(steps))
+    if off > MAX_JITTER * usual or (np.diff(places) < 1).any():
         raise DataError(
-            f"{path}: gaps: missing: the times are up to {off.max():.2g} of a step off an even grid of {step:g} s; "
-            "give the resolution of the clock as sample_time_s, of which all times are multiples"
+            f"{path}: gaps: missing: the times are up to {off / usual:.2g} of their median step off an even grid of "
+            f"{step:g} s; give the resolution of the clock as sample_time_s, of which all times are multiples. Times "
+            f"without a common clock are within half a percent with sample_time_s: {usual / 100:.2g}"
         )
     if places[-1] >= _LONGEST_GRID * len(time):
         raise DataError(
             f"{path}: gaps: missing: with steps of {step:g} s there would be {places[-1] + 1} samples for {len(time)} "
-            "measured ones; give a longer sample_time_s, or import pieces"
+            f"measured ones; give a longer sample_time_s, such as {usual / 100:.2g}, or import pieces"
         )
-    rows = np.arange(len(time))
-    return Clock(rows, step, None, (f"{places[-1] + 1 - len(rows)} of {places[-1] + 1} samples are missing",), places)
+    rows, remark = np.arange(len(time)), f"{places[-1] + 1 - len(time)} of {places[-1] + 1} samples are missing"
+    late = (time - time[0]) / step - places
+    return Clock(rows, step, None, (remark,), places, late if np.abs(late).max() > MAX_JITTER else None)
 
 
 def on_grid(values: FloatArray, places: npt.NDArray[np.intp]) -> FloatArray:
@@ -250,6 +255,20 @@ def on_grid(values: FloatArray, places: npt.NDArray[np.intp]) -> FloatArray:
     grid = np.full((int(places[-1]) + 1, values.shape[1]), np.nan)
     grid[places] = values
     return grid
+
+
+def with_times_of_changes(held: FloatArray, clock: Clock) -> FloatArray:
+    """Return held values (n, n_channels) on a grid with their means in the steps within which they change.
+
+    The integral of an input up to each time is then exact, and the state that follows from it to the square of a step.
+    """
+    if clock.places is None or clock.late is None:
+        return held
+    result, places, late = held.copy(), clock.places[1:], clock.late[1:, None]
+    changes = np.diff(held[clock.places], axis=0)
+    np.add.at(result, places, -changes * np.maximum(late, 0))
+    np.add.at(result, places - 1, changes * np.maximum(-late, 0))
+    return result
 
 
 def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], start: int) -> Clock:

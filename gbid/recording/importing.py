@@ -18,7 +18,14 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.files import refuse_special
 from gbid.core.names import given_path
 from gbid.core.units import SIGNALS
-from gbid.recording.clock import on_grid, read_clock, resampled, times_of, untimed_sample_time
+from gbid.recording.clock import (
+    on_grid,
+    read_clock,
+    resampled,
+    times_of,
+    untimed_sample_time,
+    with_times_of_changes,
+)
 from gbid.recording.formats import file_formats, format_of
 from gbid.recording.mapping import FilePart, ImportMapping, SignalMapping, TextOptions
 from gbid.recording.readers import FileChannel, FileFormat
@@ -98,8 +105,9 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     ]
     said = [text for text in (*dict.fromkeys(c.remark for c in columns.values()), *clock.remarks, *missing) if text]
     remarks = {"import_remarks": "; ".join(said)} if said else {}
+    held = [name for name, signal in mapping.signals.items() if signal.hold]
     try:
-        return Recording(
+        recording = Recording(
             signals,
             clock.sample_time,
             conditions=mapping.conditions,
@@ -113,9 +121,10 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
                 "source_samples": f"{first} to {last + 1}",
                 **remarks,
             },
-        ).held(*(name for name, signal in mapping.signals.items() if signal.hold))
+        ).held(*held)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
+    return recording.with_signals(**{name: with_times_of_changes(recording.signals[name], clock) for name in held})
 
 
 def _rows_in_words(columns: Mapping[str, FileColumn]) -> str:

@@ -200,7 +200,7 @@ def test_missing_cells_and_steps_are_missing_samples(tmp_path):
     assert fine.n_samples == 13
     assert fine.missing == {"y": 9}
     refused(path, {**timed, "sample_time": 0.07}, "off an even grid of", "resolution of the clock")
-    refused(path, {**timed, "sample_time": 0.001}, "there would be 601 samples for 5")
+    refused(path, {**timed, "sample_time": 0.0005}, "there would be 1201 samples for 5")
     path.write_text(GAPS.replace("0.2,", ","))
     refused(path, timed, "column 't' holds 1 values that are not finite, the first nan at sample 2")
     path.write_text(GAPS.replace("0.2,", "0.1,"))
