@@ -13,6 +13,8 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from gbid.core.hdf5 import changing
 from gbid.experiment.campaign import run_campaign
 from gbid.experiment.experiment import Experiment
@@ -64,6 +66,11 @@ def make_results(folder: Path, count: int, duration_s: float = 1.0) -> Experimen
                 shutil.copyfile(tasks[number % REAL].path, part)
                 with changing(part) as file:
                     file.attrs[attribute] = task.item if tasks is recordings else list(task.recordings)
+                    text = file["document"][()].tobytes()
+                    for real, copied in zip(tasks[number % REAL].recordings, task.recordings, strict=True):
+                        text = text.replace(f'"{real}"'.encode(), f'"{copied}"'.encode())
+                    del file["document"]
+                    file["document"] = np.frombuffer(text, np.uint8)
     return job.experiment
 
 

@@ -81,6 +81,7 @@ gbid export rig1/experiment.yaml --to c        # its controllers as C source
 gbid export theisen2016 --to csv --at 6 0      # a model at 6 bar and 0 rpm
 gbid report rig1/experiment.yaml
 gbid report rig1/experiment.yaml --output report.html
+gbid report rig1/experiment.yaml --curves           # curves of all fits, beside the page
 gbid serve rig1/experiment.yaml --browser
 gbid serve rig1/experiment.yaml --port 0
 """

@@ -68,6 +68,7 @@ def _described(path: Path) -> tuple[str, dict[str, Any], list[Table]]:
     from gbid.control import ImpactStudy
     from gbid.control.assessment import TunedDesign
     from gbid.core.hdf5 import load
+    from gbid.experiment.stages.fit import fit_document
     from gbid.identify import FitResult
     from gbid.lpv import LPVFit
     from gbid.prefilter import PrefilterFile
@@ -78,7 +79,7 @@ def _described(path: Path) -> tuple[str, dict[str, Any], list[Table]]:
     document: dict[str, Any]
     match value:
         case FitResult():
-            document = fit_tables.fit_document(value, {}, None)
+            document = fit_document(value, {}, None)
             tables = fit_tables.fit_tables(f"{path.parent.name}, {name}", document)
         case TunedDesign():
             (document,) = control_tables.tuning_documents((), {name: value})

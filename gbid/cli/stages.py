@@ -151,7 +151,8 @@ def plan_rows(job: Job, stages: Sequence[Stage]) -> list[dict[str, Any]]:
     for stage in (stage for stage in stages if has_section(job.experiment, stage.section)):
         counts: list[int | None] = [None, None, None]
         if stage.early or not pending:
-            known = [standing(job, item) if isinstance(item, Task) else item for item in stage.work(job)]
+            work = stage.work(job)
+            known = [standing(job, replace(i, read=None)) if isinstance(i, Task) else i for i in work]  # counts only
             states = ["missing" if outcome is None else outcome.state for outcome in known]
             counts = [states.count(state) for state in ("missing", "kept", "failed")]
             pending = pending or "missing" in states

@@ -141,12 +141,15 @@ def report(
         Path | None,
         typer.Option("--output", metavar="FILE", help="The file; by default report.html in the results."),
     ] = None,
+    curves: Annotated[
+        bool, typer.Option("--curves", help="Also write the curves of all fits, in a folder beside the page.")
+    ] = False,
 ) -> None:
     """Write one self-contained HTML file with the existing results; nothing else is computed."""
     from gbid.cli.stages import conclude, looked_at
     from gbid.core.errors import UsageError
     from gbid.core.files import remove_stale_parts
-    from gbid.report.write import write_report
+    from gbid.report.write import write_curves, write_report
 
     loaded = options.load(experiment)
     if not loaded.results.is_dir():
@@ -155,8 +158,9 @@ def report(
         remove_stale_parts(output.parent, f".{output.name}.*")
     with looked_at(loaded, options) as job:
         outcome = write_report(job, output)
+        beside = write_curves(job, outcome.path) if curves else []
     lines = [] if outcome.state == "failed" else [f"report: {outcome.path}"]
-    conclude("report", loaded, options, [outcome], {"report": str(outcome.path)}, lines=lines)
+    conclude("report", loaded, options, [outcome, *beside], {"report": str(outcome.path)}, lines=lines)
 
 
 @with_options("results", "overwrite", "quiet", "verbose", "as_json", "debug")

@@ -388,7 +388,7 @@ def stored_key(path: Path) -> str:
         return ""
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1 << 16)
 def _key_in(path: Path, _version: tuple[int, ...]) -> str:
     """Return the content key in a file; the stages ask for each key many times."""
     try:

@@ -79,6 +79,7 @@ def rig_machine(experiment: Experiment) -> PublishedMachine:
     return load_machine(name)
 
 
+@lru_cache(maxsize=4)
 def rig_model(experiment: Experiment) -> LPVModel:
     """Return the LPV model of `rig_machine`, with the numbers of `machine_data`."""
     model = rig_machine(experiment).model

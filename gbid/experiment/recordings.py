@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5 import read_document, save
 from gbid.excite import ExcitationLimits, rig_limits
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Result, file_digest, stored_key
+from gbid.experiment.fields import Result, file_digest, stored_key, version_of
 from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
 from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
@@ -149,6 +153,83 @@ def load_made(job: Job, planned: PlannedRecording) -> Recording:
         When the recording does not exist or was made from other settings.
     """
     return load_recording(recording_result(job.experiment, planned).require())
+
+
+# ---- Signals of the excited recordings: rms, correlation of the excitations, problems.
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingSignals:
+    """Properties of the signals of a recording.
+
+    Attributes
+    ----------
+    name, kind, point : str
+        Name, kind and operating point of the recording.
+    n_samples : int
+        Number of samples.
+    duration : float
+        Duration [s].
+    signals : dict of str to sequence of (channel, rms, largest)
+        Rms and largest absolute value about the mean of each channel, in `units`.
+    units : dict of str to str
+        Units by signal.
+    alike : float or None
+        Correlation of the two channels of the excitation.
+    problems : sequence of str
+        Problems of the signals.
+    """
+
+    name: str
+    kind: str
+    point: str
+    n_samples: int
+    duration: float
+    signals: Mapping[str, Sequence[tuple[str, float, float]]]
+    units: Mapping[str, str]
+    alike: float | None
+    problems: Sequence[str]
+
+
+def save_made(recording: Recording, planned: PlannedRecording, part: Path) -> None:
+    """Write a recording that a stage made; an excited one with the properties of its signals for `read_signals`."""
+    document = _signals_document(recording, planned) if planned.excited else None
+    save(recording, part, overwrite=True, document=document)
+
+
+def _signals_document(recording: Recording, planned: PlannedRecording) -> dict[str, Any]:
+    """Return the properties of the signals of a recording, as in `RecordingSignals`, as plain values."""
+    named = [signal for signal in recording.signals if signal != "phi"]
+    signals = {
+        signal: [
+            (channel, float(column.std()), float(abs(column - column.mean()).max()))
+            for channel, column in zip(recording.channels[signal], recording.signals[signal].T, strict=True)
+        ]
+        for signal in named
+    }
+    meant = "speed" if planned.kind == "run_up" else ""  # the speed of a run-up changes by design
+    pairs = (recording.signals[signal] for signal in ("r", "u") if signal in recording.signals)
+    moving = (values for values in pairs if values.shape[1] == 2 and values.std(axis=0).min() > 0)
+    return {
+        "n_samples": recording.n_samples,
+        "duration": recording.duration,
+        "signals": signals,
+        "units": dict(recording.units),
+        "alike": next((float(np.asarray(np.corrcoef(values.T))[0, 1]) for values in moving), None),
+        "problems": [problem.text for problem in find_problems(recording, named) if problem.kind != meant],
+    }
+
+
+def read_signals(job: Job, name: str) -> RecordingSignals:
+    """Return the properties of the signals of an existing recording, as they were stored with it."""
+    planned, path = job.experiment.recordings[name], job.path(FOLDER, name)
+    return RecordingSignals(name, planned.kind, planned.point, **_stored_signals(path, version_of(path)))
+
+
+@lru_cache(maxsize=1 << 14)
+def _stored_signals(path: Path, _version: tuple[int, ...]) -> dict[str, Any]:
+    document: dict[str, Any] = read_document(path, Recording.FILE)
+    return document
 
 
 # ---- Plan of an excitation: the limits of a model of a fit.

@@ -17,6 +17,7 @@ from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.tables import Column, Entry, Table
 from gbid.experiment.controllers import published_machine
+from gbid.experiment.stages.fit import Row
 from gbid.lpv import LPVFit, LPVModel
 from gbid.lpv.model import TERMS
 from gbid.report.control_tables import (
@@ -31,7 +32,7 @@ from gbid.report.control_tables import (
     loop_tables,
     tuning_documents,
 )
-from gbid.report.fit_tables import Row, lpv_document, lpv_table
+from gbid.report.fit_tables import lpv_document, lpv_table
 from gbid.report.impact_pictures import ImpactCurves, impact_loops_data, plot_impact, plot_impact_loops
 from gbid.report.loop_pictures import (
     damping_map_data,

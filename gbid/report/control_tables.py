@@ -20,9 +20,10 @@ from gbid.experiment.experiment import Experiment
 from gbid.experiment.machine import rig_machine
 from gbid.experiment.run import Outcome
 from gbid.experiment.stages.cycle import CycleRow
+from gbid.experiment.stages.fit import Row
 from gbid.experiment.stages.loop import LoopCostRow
 from gbid.lpv import ReferenceModes
-from gbid.report.fit_tables import Row, keyed_table
+from gbid.report.fit_tables import keyed_table
 from gbid.report.read import conditions_words
 
 _PAPER = ("open", "closed")

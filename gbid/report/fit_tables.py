@@ -30,151 +30,14 @@ from gbid.core.tables import (
 from gbid.core.units import conversion_factor
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.run import Outcome
-from gbid.identify import FitResult, FitTable
-from gbid.identify.result import StdKind
+from gbid.experiment.stages.fit import Row
+from gbid.identify import FitTable
 from gbid.lpv import LPVFit
 from gbid.prefilter import PrefilterReport
 from gbid.recording import load_recording
 from gbid.recording.readers import FileChannel
-from gbid.structure import KEY_PARAMETERS, LinearModel
+from gbid.structure import KEY_PARAMETERS
 from gbid.validate import NominalActuator, ValidationSummary
-
-# ---- Document of a fit: plain values in SI units for tables and JSON.
-
-Row = dict[str, Any]
-
-
-def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
-    """Return estimates with standard deviations and, where known, true values.
-
-    Parameters
-    ----------
-    result : FitResult
-        Result of the fit.
-    truth : dict of str to float
-        True values of some parameters; may be empty.
-
-    Returns
-    -------
-    list of dict
-        parameter, estimate, std (the one to use), std_white, std_robust, std_bootstrap (where there is one), truth,
-        deviation_std (in standard deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are
-        None, also the standard deviation of a parameter without one.
-    """
-    rows = []
-    kinds: tuple[StdKind, ...] = ("white", "robust", "bootstrap")
-    stds = {q: result.std_with(q) for q in kinds if q != "bootstrap" or result.covariance_bootstrap is not None}
-    for name, estimate in result.parameters.items():
-        std, true = result.std[name], truth.get(name)
-        off = None if true is None else estimate - true
-        rows.append(
-            {
-                "parameter": name,
-                "estimate": estimate,
-                "std": finite_or_none(std),
-                **{f"std_{kind}": finite_or_none(by_name[name]) for kind, by_name in stds.items()},
-                "truth": true,
-                "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
-                "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
-                "unit": result.units[name],
-                "fixed": name not in result.free,
-                "start": result.start[name],
-                "start_origin": result.start_origin[name],
-            }
-        )
-    return rows
-
-
-def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
-    """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
-    modes = result.model.modes()
-    known = truth.modes() if truth is not None else []
-    true = known if len(known) == len(modes) else [(None, None)] * len(modes)
-    return [
-        {
-            "mode": i,
-            "frequency_hz": frequency,
-            "frequency_std_hz": finite_or_none(frequency_std),
-            "damping": damping,
-            "damping_std": finite_or_none(damping_std),
-            "true_frequency_hz": true_frequency,
-            "true_damping": true_damping,
-        }
-        for i, ((frequency, damping), (frequency_std, damping_std), (true_frequency, true_damping)) in enumerate(
-            zip(modes, result.modes_std, true, strict=True), 1
-        )
-    ]
-
-
-def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
-    """Return static gains with standard deviations and true values; empty for a model with a pole at zero."""
-    model = result.model
-    try:
-        gain = model.static_gain()
-    except UsageError:
-        return []
-    true = truth.static_gain() if truth is not None else None
-    return [
-        {
-            "output": output,
-            "input": source,
-            "gain": float(gain[i, j]),
-            "std": finite_or_none(result.static_gain_std[i, j]),
-            "truth": None if true is None else float(true[i, j]),
-        }
-        for i, output in enumerate(model.output_names)
-        for j, source in enumerate(model.input_names)
-    ]
-
-
-def profile_rows(result: FitResult) -> list[Row]:
-    """Return the intervals of the profile likelihoods that the fit was asked for; an open end is None."""
-    return [
-        {
-            "parameter": name,
-            "level": profile.level,
-            "lower": finite_or_none(profile.interval[0]),
-            "upper": finite_or_none(profile.interval[1]),
-            "verdict": profile.verdict,
-            "unit": profile.unit,
-        }
-        for name, profile in result.profiles.items()
-    ]
-
-
-def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
-    """Return the document of a fit."""
-    outputs, starts = result.model.output_names, result.multi_start
-    return {
-        "structure": result.structure,
-        "recordings": list(result.recordings),
-        "status": result.status,
-        "success": result.success,
-        "iterations": result.iterations,
-        "wall_time_s": result.wall_time_s,
-        "loss": result.loss,
-        "aic": finite_or_none(result.aic),
-        "fpe": finite_or_none(result.fpe),
-        "condition": finite_or_none(result.condition),
-        "trusted": result.trusted,
-        "whiteness": [
-            {"output": output, "p_value": finite_or_none(p)}
-            for output, p in zip(outputs, result.whiteness, strict=True)
-        ],
-        "multi_start": None if starts is None else {**asdict(starts), "spread": finite_or_none(starts.spread)},
-        "options": asdict(result.options),
-        "parameters": parameter_rows(result, truth),
-        "modes": mode_rows(result, true_model),
-        "static_gain": gain_rows(result, true_model),
-        "profiles": profile_rows(result),
-        "fit_percent": [
-            {"recording": recording, "output": output, "fit_percent": float(percent)}
-            for recording, percents in zip(result.recordings, result.fit_percent, strict=True)
-            for output, percent in zip(outputs, percents, strict=True)
-        ],
-        "notes": list(result.notes),
-    }
-
 
 # ---- Summary of a fit in words.
 
@@ -191,7 +54,7 @@ def summary_lines(document: Row) -> Iterator[Line]:
     Parameters
     ----------
     document : dict
-        Document of `gbid.report.fit_tables.fit_document`.
+        Document of `gbid.experiment.stages.fit.fit_document`.
 
     Yields
     ------
@@ -273,7 +136,7 @@ def fit_tables(title: str, document: Row) -> list[Table]:
     title : str
         Title of the first table.
     document : dict
-        Document of `gbid.report.fit_tables.fit_document`.
+        Document of `gbid.experiment.stages.fit.fit_document`.
     """
     return [
         parameter_table(title, document["parameters"], document["trusted"]),

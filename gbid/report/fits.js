@@ -62,6 +62,23 @@ const Fits = (() => {
     });
   }
 
+  // Curves that are not in the page lie beside it, in a script for each fit.
+  function load(name, host) {
+    host.textContent = "The curves of this fit are beside the page and are being loaded.";
+    const script = document.createElement("script");
+    script.src = [data.beside, ...name.split("/").map(encodeURIComponent)].join("/") + ".js";
+    script.onerror = () => {
+      host.textContent =
+        "The page has the curves of the worst and the best fits. `gbid report EXPERIMENT --curves` writes the others beside it, and `gbid serve EXPERIMENT` draws them when they are asked for.";
+    };
+    document.head.appendChild(script);
+  }
+
+  function add(name, curves) {
+    Object.assign(data.fits[name], curves);
+    if (part("select").value === name) show(name, true);
+  }
+
   function show(name, keepHash = false) {
     const fit = data.fits[name];
     if (!fit) return;
@@ -79,7 +96,7 @@ const Fits = (() => {
     }
     const curves = part("curves");
     curves.replaceChildren();
-    fit.traces.forEach((trace, k) =>
+    (fit.traces ?? []).forEach((trace, k) =>
       trace.outputs.forEach((output, i) => {
         for (const [kind, drawn] of [["curve", plot], ["error", residual]]) {
           const host = document.createElement("div");
@@ -90,7 +107,8 @@ const Fits = (() => {
         }
       }),
     );
-    if (!fit.traces.length) curves.textContent = fit.no_trace;
+    if (!fit.traces) load(name, curves);
+    else if (!fit.traces.length) curves.textContent = fit.no_trace;
     const order = Object.keys(data.fits);
     const at = order.indexOf(name);
     part("previous").disabled = at === 0;
@@ -134,5 +152,5 @@ const Fits = (() => {
     window.addEventListener("beforeprint", again);
   }
 
-  return { start };
+  return { start, add };
 })();

@@ -215,7 +215,7 @@ def environment(read: Callable[[str], str]) -> Environment:
         lstrip_blocks=True,
         finalize=lambda value: printable(value) if type(value) is str else value,
     )
-    made.filters["embedded"] = _embedded_render
+    made.filters["embedded"] = packed_json
     made.filters["html_table"] = lambda table: Markup(html_table(table))
     return made
 
@@ -231,7 +231,7 @@ def script(text: str) -> Markup:
     return Markup("\n".join(line for line in text.splitlines() if not line.startswith(outside)))
 
 
-def _embedded_render(value: Any) -> Markup:
-    """Return data for a script element; no text in it can end the element."""
+def packed_json(value: Any) -> Markup:
+    """Return data for a script; no text in it can end the element of the script."""
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))

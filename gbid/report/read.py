@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import nan
 from typing import Generic, Literal, TypeVar
-
-import numpy as np
 
 from gbid.characterise import PiezoCurve, StaticMap
 from gbid.control import HalfSine, ImpactStudy, Scheduled, controller_at, p_controller
@@ -24,13 +23,13 @@ from gbid.experiment.controllers import (
     sample_time,
 )
 from gbid.experiment.experiment import Experiment, recordings_of
-from gbid.experiment.machine import rig_machine, rig_model, true_model, true_values
-from gbid.experiment.recordings import load_made
+from gbid.experiment.machine import rig_machine, rig_model
+from gbid.experiment.recordings import RecordingSignals, load_made, read_signals
 from gbid.experiment.run import Job, Task, standing
 from gbid.experiment.schema import ControllerSection, wanted_signals
 from gbid.experiment.stages.crossval import CrossvalRow, nominal_of, read_crossval, read_summary
 from gbid.experiment.stages.cycle import CycleRow, made_rows
-from gbid.experiment.stages.fit import FIT, load_made_fit
+from gbid.experiment.stages.fit import FIT, Row, made_document
 from gbid.experiment.stages.impact import loops_without_controller, study_tasks
 from gbid.experiment.stages.importing import IMPORT
 from gbid.experiment.stages.loop import LoopCostRow, made_costs
@@ -40,12 +39,10 @@ from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import load_made_static, static_tasks
 from gbid.experiment.stages.tune import assess_published, design_plant, impact, read_designs
-from gbid.experiment.structures import make_structure
-from gbid.identify import FitResult
 from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, PublishedMachine
 from gbid.prefilter.filtering import read_report
-from gbid.recording import Recording, find_problems, load_recording
-from gbid.report.fit_tables import Row, fit_document, prefilter_rows
+from gbid.recording import Recording
+from gbid.report.fit_tables import prefilter_rows
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
 from gbid.validate import NominalActuator, ValidationSummary
@@ -222,27 +219,31 @@ class MadeFit:
         Names of the fit and of its model.
     point : str
         Operating point of its recordings; empty when they have several.
-    result : FitResult
-        Result of the fit.
     document : dict
-        Document of `gbid.report.fit_tables.fit_document`, with true values for recordings of the rig.
+        Document of `gbid.experiment.stages.fit.fit_document`, with true values for recordings of the rig.
     """
 
     fit: str
     model: str
     point: str
-    result: FitResult
     document: Row
+
+    @property
+    def name(self) -> str:
+        """Names of the fit and of its model, ``"bearing/p5_n6000_prbs1"``."""
+        return f"{self.fit}/{self.model}"
+
+    @property
+    def smallest(self) -> float:
+        """Smallest fit percent of its outputs; nan without any."""
+        return min((row["fit_percent"] for row in self.document["fit_percent"]), default=nan)
 
 
 def read_fit(job: Job, fit: str, model: str) -> MadeFit:
-    """Return a fit, with true values for recordings of the rig."""
-    result, structure = load_made_fit(job, fit, model), make_structure(job.experiment, fit)
-    names = recordings_of(job.experiment, fit, model)
-    truth = true_values(job.experiment, names, structure) if names else {}
-    document = fit_document(result, truth, true_model(structure, truth, result.linear_model))
-    points = {job.experiment.recordings[name].point for name in names}
-    return MadeFit(fit, model, points.pop() if len(points) == 1 else "", result, document)
+    """Return a fit as its file describes it."""
+    document = made_document(job, fit, model)
+    points = {job.experiment.recordings[name].point for name in recordings_of(job.experiment, fit, model)}
+    return MadeFit(fit, model, points.pop() if len(points) == 1 else "", document)
 
 
 # ---- Controller of the paper on its machine, and the operating point of its figures.
@@ -279,63 +280,6 @@ def place_of(conditions: Mapping[str, float]) -> str:
 def shown_point(model: LPVModel) -> tuple[float, float]:
     """Return the operating point for pictures of the loop: that of the paper if inside the domain, else the first."""
     return POINT if model.domain.contains(*POINT) else model.operating_points[0]
-
-
-# ---- Signals of the excited recordings: rms, correlation of the excitations, problems.
-
-
-@dataclass(frozen=True, eq=False)
-class RecordingSignals:
-    """Properties of the signals of a recording.
-
-    Attributes
-    ----------
-    name, kind, point : str
-        Name, kind and operating point of the recording.
-    n_samples : int
-        Number of samples.
-    duration : float
-        Duration [s].
-    signals : dict of str to tuple of (channel, rms, largest)
-        Rms and largest absolute value about the mean of each channel, in `units`.
-    units : dict of str to str
-        Units by signal.
-    alike : float or None
-        Correlation of the two channels of the excitation.
-    problems : tuple of str
-        Problems of the signals.
-    """
-
-    name: str
-    kind: str
-    point: str
-    n_samples: int
-    duration: float
-    signals: Mapping[str, tuple[tuple[str, float, float], ...]]
-    units: Mapping[str, str]
-    alike: float | None
-    problems: tuple[str, ...]
-
-
-def read_signals(job: Job, name: str) -> RecordingSignals:
-    """Return the properties of the signals of an existing recording."""
-    planned = job.experiment.recordings[name]
-    recording = load_recording(job.path("recordings", name))
-    named = [signal for signal in recording.signals if signal != "phi"]
-    signals = {
-        signal: tuple(
-            (channel, float(column.std()), float(abs(column - column.mean()).max()))
-            for channel, column in zip(recording.channels[signal], recording.signals[signal].T, strict=True)
-        )
-        for signal in named
-    }
-    meant = "speed" if planned.kind == "run_up" else ""  # the speed of a run-up changes by design
-    problems = tuple(problem.text for problem in find_problems(recording, named) if problem.kind != meant)
-    pairs = (recording.signals[signal] for signal in ("r", "u") if signal in recording.signals)
-    moving = (values for values in pairs if values.shape[1] == 2 and values.std(axis=0).min() > 0)
-    alike = next((float(np.asarray(np.corrcoef(values.T))[0, 1]) for values in moving), None)
-    size = recording.n_samples, recording.duration
-    return RecordingSignals(name, planned.kind, planned.point, *size, signals, dict(recording.units), alike, problems)
 
 
 # ---- States of the result files of an experiment: existing, failed, missing, or made with other settings.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
-from statistics import median
+from operator import attrgetter
+from statistics import fmean, median
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from gbid.core.hdf5 import read_made_with
 from gbid.core.tables import Cell, Column, Entry, Table, shown_unit
 from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
-from gbid.experiment.stages.fit import response_of
+from gbid.experiment.stages.fit import load_made_fit, response_of
 from gbid.report.control_sections import LACK, held_back
 from gbid.report.control_tables import tuning_documents
 from gbid.report.fit_tables import (
@@ -56,6 +58,7 @@ from gbid.report.page import (
     Shown,
     Templated,
     Words,
+    packed_json,
 )
 from gbid.report.read import MadeFit, Results, Standing, place_of
 from gbid.report.views import converged_words, design_lines, mode_rows, note_rows, outcome_words
@@ -64,8 +67,8 @@ from gbid.validate import Validation, ValidationSummary
 _NAMED = 5
 
 
-def fits_section(results: Results, pictures: Pictures) -> PageSection:
-    """Return the section with a summary of the fits and each of them."""
+def fits_section(results: Results, pictures: Pictures, beside: str) -> PageSection:
+    """Return the section with a summary of the fits and each of them; curves of most are in the folder `beside`."""
     title = "Fits"
     if not results.experiment.spec.fits:
         return PageSection("fits", title, [Words("This experiment asks for no fits.")])
@@ -80,24 +83,27 @@ def fits_section(results: Results, pictures: Pictures) -> PageSection:
             blocks += _overview(results, name, made)
     carried: dict[str, list[MadeFit]] = {}  # each note once, with the fits that have it
     for q in results.fits:
-        for note in q.result.notes:
+        for note in q.document["notes"]:
             carried.setdefault(f"{q.fit}: {note}", []).append(q)
     items = [
         Link(f"{text} ({len(noted)} {_fits(len(noted))})", fit_href(noted[0].fit, noted[0].model))
         for text, noted in sorted(carried.items(), key=lambda item: -len(item[1]))
     ]
     blocks += [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])] if items else []
-    for q in (q for q in results.fits if q.result.profiles):
-        verdicts = ", ".join(f"{name} {profile.verdict}" for name, profile in q.result.profiles.items())
-        picture = pictures.picture(plot_profile(q.result.profiles), f"Profile likelihoods: {verdicts}")
+    for q in (q for q in results.fits if q.document["profiles"]):
+        verdicts = ", ".join(f"{row['parameter']} {row['verdict']}" for row in q.document["profiles"])
+        profiles = load_made_fit(results.job, q.fit, q.model).profiles
+        picture = pictures.picture(plot_profile(profiles), f"Profile likelihoods: {verdicts}")
         blocks.append(Fold(f"{q.fit}, {q.model}: profile likelihoods", [Shown(picture)]))
     for q in results.fits:
         for i in range(len(results.experiment.spec.fits[q.fit].responses)):
             measured = response_of(results.experiment, q.fit, i)
             words = f"{q.fit}, {q.model}: frequency response of the model, and measured ({measured.name})"
-            picture = pictures.picture(plot_bode({f"model of {q.model}": q.result}, measured=measured), words)
+            picture = pictures.picture(
+                plot_bode({f"model of {q.model}": load_made_fit(results.job, q.fit, q.model)}, measured=measured), words
+            )
             blocks.append(Fold(f"{q.fit}, {q.model}: frequency responses of {measured.name}", [Shown(picture)]))
-    data = fit_data(results)
+    data = {**fit_data(results), "beside": beside}
     if data["fits"]:
         groups: dict[str, list[tuple[str, str]]] = {}
         for key, document in data["fits"].items():
@@ -113,7 +119,8 @@ def lost_fits(results: Results) -> list[Standing]:
 
 def fit_data(results: Results) -> dict[str, Any]:
     """Return the data that the script of the page shows of each fit."""
-    fits = {f"{q.fit}/{q.model}": {**_document(results, q), **_curves(results, q)} for q in results.fits}
+    drawn = {name: curves_of(results, name) for name in with_curves(results)}
+    fits = {q.name: {**_document(results, q), **drawn.get(q.name, {})} for q in results.fits}
     for f in lost_fits(results):
         empty: dict[str, Any] = {"tables": [], "facts": [], "traces": [], "no_trace": ""}
         title = {"title": f.item, "label": f"{f.item.partition('/')[2]}: {f.state}", "state": "bad"}
@@ -122,28 +129,30 @@ def fit_data(results: Results) -> dict[str, Any]:
     return {"fits": dict(sorted(fits.items(), key=lambda item: order[item[0].partition("/")[0]]))}
 
 
-def _smallest(q: MadeFit) -> float:
-    return float(q.result.fit_percent.min()) if q.result.fit_percent.size else float("nan")
-
-
 def _place(results: Results, q: MadeFit) -> str:
     if not recordings_of(results.experiment, q.fit, q.model):
         return "frequency responses"
-    return point_words(results.experiment, q.result.recordings[0]) if q.point else "several"
+    return point_words(results.experiment, q.document["recordings"][0]) if q.point else "several"
+
+
+def _mean_percent(q: MadeFit, output: str) -> float:
+    """Return the mean fit percent of an output over the recordings of a fit."""
+    return fmean(row["fit_percent"] for row in q.document["fit_percent"] if row["output"] == output)
 
 
 def _overview(results: Results, name: str, made: Sequence[MadeFit]) -> list[Block]:
-    outputs, focus = made[0].result.model.output_names, made[0].result.options.focus
+    outputs = [row["output"] for row in made[0].document["whiteness"]]
+    focus = made[0].document["options"]["focus"]
     how = "one step ahead" if focus == "prediction" else focus
     by_point: dict[str, list[MadeFit]] = {}
     for q in made:
         by_point.setdefault(_place(results, q), []).append(q)
     rows: list[list[Entry]] = []
     for point, fits in by_point.items():
-        worst = min(fits, key=_smallest)
-        medians = [median(float(q.result.fit_percent[:, j].mean()) for q in fits) for j in range(len(outputs))]
-        link = Cell(f"{worst.model} ({_smallest(worst):.2f} %)", href=fit_href(name, worst.model))
-        rows.append([point, len(fits), sum(q.result.success for q in fits), *medians, link])
+        worst = min(fits, key=attrgetter("smallest"))
+        medians = [median(_mean_percent(q, output) for q in fits) for output in outputs]
+        link = Cell(f"{worst.model} ({worst.smallest:.2f} %)", href=fit_href(name, worst.model))
+        rows.append([point, len(fits), sum(q.document["success"] for q in fits), *medians, link])
     columns = [
         Column("operating point"),
         *(Column(name, format="d") for name in ("fits", "converged")),
@@ -153,27 +162,27 @@ def _overview(results: Results, name: str, made: Sequence[MadeFit]) -> list[Bloc
     caption = f"{name}: median fit on its own data ({how}), by operating point"
     blocks: list[Block] = [Table(caption, columns, rows)]
     if len(made) > 2 * _NAMED:
-        ordered = sorted(made, key=_smallest)
+        ordered = sorted(made, key=attrgetter("smallest"))
         for word, chosen in (("worst", ordered[:_NAMED]), ("best", ordered[: -_NAMED - 1 : -1])):
-            words = (f"{q.model}: {_smallest(q):.2f} % at {_place(results, q)}" for q in chosen)
+            words = (f"{q.model}: {q.smallest:.2f} % at {_place(results, q)}" for q in chosen)
             items = [Link(text, fit_href(name, q.model)) for text, q in zip(words, chosen, strict=True)]
             blocks.append(Fold(f"{name}: the {word} {_NAMED}", [Listed(items)]))
-    stuck = [q for q in made if not q.result.success]
+    stuck = [q for q in made if not q.document["success"]]
     if stuck:
         blocks.append(Words(f"{name}, not converged: {len(stuck)} of {len(made)} fits", "bad"))
-        blocks.append(Listed([Link(f"{q.model}: {q.result.status}", fit_href(name, q.model)) for q in stuck]))
+        blocks.append(Listed([Link(f"{q.model}: {q.document['status']}", fit_href(name, q.model)) for q in stuck]))
     return blocks
 
 
 def _document(results: Results, q: MadeFit) -> dict[str, Any]:
     *tables, facts = fit_tables("", q.document)
-    names, place = ", ".join(q.result.recordings), _place(results, q)
-    state, status = ("warn", "Converged, with notes below.") if q.result.notes else ("good", "Converged.")
-    if not q.result.success:
-        state, status = "bad", q.result.status[:1].upper() + q.result.status[1:]
+    names, place = ", ".join(q.document["recordings"]), _place(results, q)
+    state, status = ("warn", "Converged, with notes below.") if q.document["notes"] else ("good", "Converged.")
+    if not q.document["success"]:
+        state, status = "bad", q.document["status"][:1].upper() + q.document["status"][1:]
     return {
         "title": f"{q.fit}, {q.model}: {place}" + (f" ({names})" if names != q.model else ""),
-        "label": f"{place}: {q.model} ({_smallest(q):.2f} %)",
+        "label": f"{place}: {q.model} ({q.smallest:.2f} %)",
         "state": state,
         "status": status,
         "tables": [
@@ -183,17 +192,36 @@ def _document(results: Results, q: MadeFit) -> dict[str, Any]:
     }
 
 
-def _curves(results: Results, q: MadeFit) -> dict[str, Any]:
+CURVES = 10
+"""Number of the worst, and of the best, models of a fit whose curves are in the page."""
+
+
+def with_curves(results: Results) -> list[str]:
+    """Return the names of the fits whose curves are in the page: of each fit the worst and the best models."""
+    names: list[str] = []
+    for fit in results.experiment.spec.fits:
+        ordered = sorted((q for q in results.fits if q.fit == fit), key=attrgetter("smallest"))
+        names += dict.fromkeys(q.name for q in (*ordered[:CURVES], *ordered[-CURVES:]))
+    return names
+
+
+def curves_of(results: Results, name: str) -> dict[str, Any]:
     """Return measured and simulated curves on the recordings of a fit, or the reason why there are none."""
-    shown, traces, reason = results.experiment.spec.figures.get(q.fit), [], ""
-    for recording in recordings_of(results.experiment, q.fit, q.model):
+    fit, _, model = name.partition("/")
+    shown, traces, reason = results.experiment.spec.figures.get(fit), [], ""
+    for recording in recordings_of(results.experiment, fit, model):
         try:
-            validation = validate_pair(results.job, q.fit, q.model, recording)
+            validation = validate_pair(results.job, fit, model, recording)
         except (DataError, UsageError, OSError) as error:  # UsageError: of a scheduled structure
             reason = str(error)
         else:
             traces.append(trace(validation, shown.from_s if shown else None))
     return {"traces": traces, "no_trace": reason}
+
+
+def curves_script(results: Results, name: str, key: str = "") -> str:
+    """Return the curves of a fit as a script that the page loads when a reader asks for them."""
+    return f"// content_key: {key}\nFits.add({json.dumps(name)},{packed_json(curves_of(results, name))});\n"
 
 
 # ---- Measured and simulated curves of a fit, small enough for a page with hundreds of them.
@@ -486,7 +514,7 @@ def warnings(results: Results) -> list[Link]:
 
     problems = sum(len(q.problems) for q in results.recordings)
     add_if(problems, f"{problems} problems in the signals of the recordings", "#data")
-    stuck = sum(not q.result.success for q in results.fits)
+    stuck = sum(not q.document["success"] for q in results.fits)
     add_if(stuck, f"{stuck} {_fits(stuck)} did not converge", "#fits")
     for name, (rows, summary) in results.crossval.items():
         missed = sum(row.missed for row in rows)

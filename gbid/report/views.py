@@ -16,6 +16,7 @@ from gbid.core.tables import Table
 from gbid.experiment.run import Document, Job, Outcome, Stage, View, outcomes_view
 from gbid.experiment.stages.crossval import SUMMARY, crossval_rows, nominal_of
 from gbid.experiment.stages.cycle import made_rows
+from gbid.experiment.stages.fit import Row
 from gbid.experiment.stages.loop import made_costs
 from gbid.experiment.stages.static import load_made_static
 from gbid.lpv import load_lpv_fit
@@ -32,7 +33,6 @@ from gbid.report.control_tables import (
     tuning_tables,
 )
 from gbid.report.fit_tables import (
-    Row,
     crossval_table,
     fit_tables,
     lpv_document,

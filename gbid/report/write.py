@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from gbid.core.errors import DataError, UsageError
@@ -19,6 +21,7 @@ from gbid.report.named import named_figures
 from gbid.report.page import PageSection, Pictures, Shown, Words, render
 from gbid.report.read import Results
 from gbid.report.sections import (
+    curves_script,
     fits_section,
     nominal_section,
     not_done,
@@ -28,6 +31,7 @@ from gbid.report.sections import (
     summary_section,
     validation_section,
     warnings,
+    with_curves,
 )
 
 NAME = "report.html"
@@ -64,20 +68,52 @@ def write_report(job: Job, path: Path | None = None) -> Outcome:
     job = replace(job, overwrite=job.overwrite or mine)
 
     def write(part: Path) -> None:
-        part.write_text(report_text(results, key), encoding="utf-8")
+        part.write_text(report_text(results, key, f"{path.stem}_curves"), encoding="utf-8")
 
     return produce(job, Result("report", path.name, path, key), write)
 
 
-def report_text(results: Results, key: str = "") -> str:
-    """Return the report as HTML text."""
+def write_curves(job: Job, report: Path) -> list[Outcome]:
+    """Write the curves of the fits that the report does not have to the folder beside it; those of kept fits are kept.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    report : path
+        File of the report.
+
+    Returns
+    -------
+    list of Outcome
+        Outcome of each file: a script that the report loads when a reader asks for the fit.
+    """
+    results, outcomes = Results(job), []
+    in_page = set(with_curves(results))
+    for q in (q for q in results.fits if q.name not in in_page):
+        path = report.with_name(f"{report.stem}_curves") / q.fit / f"{q.model}.js"
+        shown = results.experiment.spec.figures.get(q.fit)
+        sources = [stored_key(job.path("fits", q.name))]
+        key = content_key("curves", {"from_s": shown.from_s if shown else None}, sources)
+        mine = replace(job, overwrite=job.overwrite or bool(stored_key(path)))
+        text = partial(curves_script, results, q.name, key)
+        outcomes.append(produce(mine, Result("curves", q.name, path, key), partial(_write_text, text)))
+    return outcomes
+
+
+def _write_text(made: Callable[[], str], part: Path) -> None:
+    part.write_text(made(), encoding="utf-8")
+
+
+def report_text(results: Results, key: str = "", beside: str = "report_curves") -> str:
+    """Return the report as HTML text; the curves that it does not have are in the folder `beside`."""
     pictures = Pictures()
     links = warnings(results)
     middle: list[PageSection | None] = [
         summary_section(results, links),
         quality_section(results),
         static_section(results, pictures),
-        fits_section(results, pictures),
+        fits_section(results, pictures, beside),
         loops_section(results),
         validation_section(results, pictures),
         nominal_section(results, pictures),

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
@@ -18,7 +18,7 @@ from importlib.resources import files
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, unquote, urlsplit
 
 import numpy as np
 from markupsafe import Markup
@@ -35,6 +35,7 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report.page import environment, page_part, script
 from gbid.report.read import AssessedDesign, Results
+from gbid.report.sections import curves_script
 from gbid.report.write import report_key, report_text
 from gbid.structure import LinearModel
 
@@ -158,6 +159,10 @@ def _drawn(positions: Any, place: int) -> list[float | None]:
 
 _ELSEWHERE_S = 60.0
 """Longest time until a change elsewhere is told, as of data in other folders: a poll does not look there [s]."""
+_REST = 3.0
+"""Rest after a reading or drawing, relative to its time: a long campaign costs the server a fourth of one core."""
+
+_Seen = frozenset[tuple[str, int, int, int]]
 
 
 class Live:
@@ -183,51 +188,72 @@ class Live:
     ) -> None:
         self._where, self._announce = (experiment, results), announce
         self._lock = threading.Lock()  # matplotlib draws in one thread at a time
-        self._key, self._page = "", ""
-        self._look: tuple[frozenset[tuple[str, int, int, int]], dict[str, Any]] | None = None  # seen, and answer
-        self._read_s = 0.0  # when the results were read for `_look`
-        self._folder = Path()
+        self._experiment = load_experiment(*self._where, announce=self._announce)
+        self._results: Results | None = None
+        self._key, self._page, self._stages = "", "", dict[str, Counter[str]]()
+        self._look: tuple[_Seen, _Seen] = frozenset(), frozenset()
+        self._read_s = self._free_s = 0.0  # time of the last reading, and from which on there is the next
         self._designs: dict[str, AssessedDesign] = {}
-        self.name = self._read().experiment.spec.name
+        self.name = self._experiment.spec.name
 
-    def _read(self) -> Results:
-        """Return the present results; forget what was made of earlier ones."""
-        results = Results(Job(load_experiment(*self._where, announce=self._announce)))
-        self._folder = results.experiment.results
-        if (key := report_key(results)) != self._key:
-            self._key, self._page, self._designs = key, "", {}
-        return results
+    def _present(self) -> Results:
+        """Return the results, read anew when files have changed and the last reading is long enough ago."""
+        begin = time.monotonic()
+        if self._results is not None and begin < self._free_s:
+            return self._results
+        look = self._seen()  # before the reading: what is made meanwhile is seen next time
+        late = begin > self._read_s + _ELSEWHERE_S
+        if self._results is None or late or look != self._look:
+            if late or look[0] != self._look[0]:  # else the keys of its recordings are kept
+                self._experiment = load_experiment(*self._where, announce=self._announce)
+            self._results, self._look, self._read_s = Results(Job(self._experiment)), look, begin
+            self._stages = {}
+            for standing in self._results.standings:
+                self._stages.setdefault(standing.stage, Counter())[standing.state] += 1
+            if (key := report_key(self._results)) != self._key:
+                self._key, self._page, self._designs = key, "", {}
+            self._rest_since(begin)
+        return self._results
 
-    def _seen(self) -> frozenset[tuple[str, int, int, int]]:
-        """Return path, inode, size and time of each file of the results, and of those beside the experiment."""
-        walk = [(folder, files) for folder, _, files in os.walk(self._folder)]
-        beside = self._where[0].absolute().parent
-        seen = set()
-        for folder, names in (*walk, (str(beside), [path.name for path in beside.iterdir()])):
-            for path in (f"{folder}/{name}" for name in names):
-                with contextlib.suppress(OSError):  # gone meanwhile
-                    stat = Path(path).stat()
-                    seen.add((path, stat.st_ino, stat.st_size, stat.st_mtime_ns))
-        return frozenset(seen)
+    def _rest_since(self, begin: float) -> None:
+        end = time.monotonic()
+        self._free_s = end + _REST * (end - begin)
+
+    def _seen(self) -> tuple[_Seen, _Seen]:
+        """Return path, inode, size and time of files: of those on which keys stand, and of the other results."""
+        beside, results = self._where[0].absolute().parent, self._experiment.results
+        settings = {str(path) for folder in (beside, results / "controller") for path in sorted(folder.glob("*"))}
+        walk = {f"{folder}/{name}" for folder, _, files in os.walk(results) for name in files}
+        return _versions(settings), _versions(walk - settings)
 
     def state(self) -> dict[str, Any]:
         """Return how far the campaign is: the key of the present results, and counts of results by stage and state."""
         with self._lock:
-            seen = self._seen()  # before the reading: what is made meanwhile is seen next time
-            if self._look is None or self._look[0] != seen or time.monotonic() > self._read_s + _ELSEWHERE_S:
-                results, self._read_s = self._read(), time.monotonic()
-                stages: dict[str, Counter[str]] = {}
-                for standing in results.standings:
-                    stages.setdefault(standing.stage, Counter())[standing.state] += 1
-                self._look = seen, {"key": self._key, "stages": stages}
-            return self._look[1]
+            self._present()
+            return {"key": self._key, "stages": self._stages}
 
     def page(self) -> str:
         """Return the report of the present results; drawn anew only when they changed."""
         with self._lock:
-            results = self._read()
-            self._page = self._page or report_text(results, self._key)
+            results, begin = self._present(), time.monotonic()
+            if not self._page:
+                self._page = report_text(results, self._key, CURVES)
+                self._rest_since(begin)
             return self._page
+
+    def curves(self, name: str) -> str:
+        """Return the curves of a fit that are not in the page, as a script of it.
+
+        Raises
+        ------
+        UsageError
+            When there is no such fit.
+        """
+        with self._lock:
+            results = self._present()
+            if name not in (q.name for q in results.fits):
+                raise UsageError(f"no fit {name!r}")
+            return curves_script(results, name)
 
     def designs(self) -> dict[str, AssessedDesign]:
         """Return the designs by name: the tuned ones and the published controllers.
@@ -238,7 +264,7 @@ class Live:
             When there is no design.
         """
         with self._lock:
-            results = self._read()
+            results = self._present()
             self._designs = self._designs or {design.name: design for design in results.assessed}
             if not self._designs:
                 raise UsageError("no controller yet; run `gbid tune` or `gbid run`")
@@ -247,6 +273,16 @@ class Live:
     def known_designs(self) -> dict[str, AssessedDesign]:
         """Return the designs as the explorer last read them: a slider asks often, and reading takes time."""
         return self._designs or self.designs()
+
+
+def _versions(paths: Iterable[str]) -> _Seen:
+    """Return path, inode, size and time of existing files."""
+    seen = set()
+    for path in paths:
+        with contextlib.suppress(OSError):  # gone meanwhile
+            stat = os.stat(path)  # noqa: PTH116  a thousand times at each poll
+            seen.add((path, stat.st_ino, stat.st_size, stat.st_mtime_ns))
+    return frozenset(seen)
 
 
 # ---- Pages of the server: the report with a line that follows the campaign, and the gain explorer.
@@ -313,18 +349,20 @@ def _control(name: str, label: str, unit: str, low: float, high: float, value: f
     return {"name": name, "label": label, "unit": unit, "low": low, "high": high, "step": step, "value": value}
 
 
+CURVES = "report_curves"
+"""Path below which the page asks for curves of fits."""
 HOST = "127.0.0.1"
 _OWN = ("127.0.0.1", "localhost")  # a request to another name comes from a page of another site
 THREADS = 16
 """Requests that are answered at a time: a browser opens at most six connections to a server."""
 PATIENCE_S = 10.0
 """Time for a client to send the next bytes of its request or to take those of the answer [s]; it is on this machine."""
-# All of a page is in the page itself; it asks this server for states and loops only.
+# All of a page is in the page itself; it asks this server for states, loops and curves of fits only.
 _POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data:; font-src data:; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data:; "
+    "font-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-_HTML, _JSON = "text/html; charset=utf-8", "application/json"
+_HTML, _JSON, _SCRIPT = "text/html; charset=utf-8", "application/json", "text/javascript; charset=utf-8"
 
 
 class Server(ThreadingHTTPServer):
@@ -422,12 +460,16 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.FORBIDDEN, "text/plain", "this server answers on this machine only")
             return
         parts = urlsplit(self.path)
+        folder, name = parts.path[1:].partition("/")[::2]
         answers: dict[str, tuple[str, Callable[[dict[str, str]], str]]] = {
             "/": (_HTML, lambda _: report_page(self._live)),
             "/explorer": (_HTML, lambda _: explorer_page(self._live)),
             "/state": (_JSON, lambda _: json.dumps(self._live.state())),
             "/loop": (_JSON, self._loop),
         }
+        if folder == CURVES and name.endswith(".js"):
+            fit = unquote(name.removesuffix(".js"))
+            answers[parts.path] = _SCRIPT, lambda _: self._live.curves(fit)
         if parts.path not in answers:
             self._send(HTTPStatus.NOT_FOUND, "text/plain", f"no page {parts.path}; there are {', '.join(answers)}")
             return

@@ -21,13 +21,14 @@ from gbid.core.errors import DataError
 from gbid.core.names import file_stem, printable
 from gbid.core.tables import csv_text, html_table, markdown_table, terminal_table
 from gbid.experiment.run import Outcome
+from gbid.experiment.stages.fit import fit_document
 from gbid.export.chain import c_comment
 from gbid.export.matlab import save_mat
 from gbid.export.tables import save_csv, save_yaml
 from gbid.identify import TableEntry, tabulate
 from gbid.identify.table import csv_table
 from gbid.report.canvas import plain_label, save_figure, symbol
-from gbid.report.fit_tables import fit_document, fit_tables
+from gbid.report.fit_tables import fit_tables
 from gbid.report.measured_pictures import residuals_figure, response_figure
 
 AWFUL = (

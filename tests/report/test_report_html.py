@@ -25,7 +25,9 @@ from gbid.experiment.campaign import run_campaign
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.crossval import CROSSVAL, NOMINAL, validate_pair
+from gbid.experiment.stages.fit import load_made_fit
 from gbid.experiment.stages.lpv import LPV
+from gbid.report import sections
 from gbid.report import write as report_file
 from gbid.report.canvas import figure_of
 from gbid.report.control_sections import explorer_model
@@ -95,7 +97,11 @@ def job(tmp_path_factory):
     run_stage(job, LPV)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(report_file, "Pictures", FirstPictures)
-        report_file.write_report(job)
+        patch.setattr(sections, "CURVES", 1)
+        outcome = report_file.write_report(job)
+        beside = report_file.write_curves(job, outcome.path)
+        assert {made.state for made in beside} == {"made"}
+        assert {made.state for made in report_file.write_curves(job, outcome.path)} == {"kept"}
     return job
 
 
@@ -204,7 +210,7 @@ def test_every_fit_can_be_reached_and_shows_what_the_library_computes(page, job)
     assert len(wanted) == 8
     options = {a["value"] for a in Outline(page).of("option") if "/" in a["value"]}
     assert options == set(fits) == wanted
-    name = "p7_n6000_prbs1"
+    name = next(key.removeprefix("bearing/") for key, fit in fits.items() if "traces" in fit)
     validation = validate_pair(job, "bearing", name, name)
     (shown,) = fits[f"bearing/{name}"]["traces"]
     first = round(shown["start"] / 2e-4)
@@ -214,11 +220,22 @@ def test_every_fit_can_be_reached_and_shows_what_the_library_computes(page, job)
             raw = np.frombuffer(base64.b64decode(output[word]["values"]), "<i2") * output[word]["scale"]
             expected = 1e6 * values[first::every, i][: len(raw)]
             assert np.abs(raw - expected).max() <= output[word]["scale"] / 2 * (1 + 1e-9)
-    results = Results(job)
-    result = next(q.result for q in results.fits if (q.fit, q.model) == ("bearing", name))
+    result = load_made_fit(job, "bearing", name)
     rows = {row[0]: row for row in fits[f"bearing/{name}"]["tables"][0]["rows"]}
     assert float(rows["k_xx"][1]) == pytest.approx(result.parameters["k_xx"], rel=1e-4)
     assert float(rows["k_xx"][2]) == pytest.approx(result.std["k_xx"], rel=0.05)
+
+
+def test_curves_of_the_worst_and_the_best_fit_are_in_the_page_and_the_others_beside_it(page, job):
+    fits, results = embedded(page, "fit-data")["fits"], Results(job)
+    for fit in ("bearing", "piezos"):
+        percents = {q.name: load_made_fit(job, fit, q.model).fit_percent.min() for q in results.fits if q.fit == fit}
+        drawn = {name for name in percents if "traces" in fits[name]}
+        assert drawn == {min(percents, key=percents.get), max(percents, key=percents.get)}
+        for name in set(percents) - drawn:
+            text = (job.experiment.results / "report_curves" / f"{name}.js").read_text(encoding="utf-8")
+            begin = f"Fits.add({json.dumps(name)},"
+            assert json.loads(text[text.index(begin) + len(begin) : -3]) == sections.curves_of(results, name)
 
 
 def test_warnings_name_what_fell_short(page):
@@ -309,7 +326,8 @@ def explorer(settings):
 def opened(job, tmp_path_factory):
     """What became of the page at each address; one browser opens them all."""
     page = (job.experiment.results / "report.html").as_uri()
-    addresses = {"phone": "", "fit": "fit&piezos%2Fp7_n0_prbs1", "unstable": explorer(UNSTABLE)}
+    (beside, *_) = sorted((job.experiment.results / "report_curves" / "piezos").glob("*.js"))
+    addresses = {"phone": "", "fit": f"fit&piezos%2F{beside.stem}", "unstable": explorer(UNSTABLE)}
     addresses |= {seed: explorer(drawn_settings(seed)) for seed in range(5)}
     frames = [
         f'<iframe src="{page}#{html.escape(address)}" width="390" height="800"></iframe><pre></pre>'
@@ -336,8 +354,8 @@ def opened(job, tmp_path_factory):
 
 
 @needs_chromium
-def test_page_shows_the_fit_of_its_address(opened):
-    assert opened["fit"]["title"] == ('<h4 id="fit-title" aria-live="polite">piezos, p7_n0_prbs1: 7 bar, 0 rpm</h4>')
+def test_page_shows_the_fit_of_its_address_with_curves_from_beside_the_page(opened):
+    assert re.search(r">piezos, p\d_n\d+_prbs1: \d bar, \d+ rpm</h4>", opened["fit"]["title"])
     curves = opened["fit"]["curves"]
     assert curves.count("<svg") - curves.count('aria-hidden="true"') == 4  # two outputs: curve and error
     assert "NaN" not in curves

@@ -25,8 +25,11 @@ from gbid.control.loop.sampled import exact_plant
 from gbid.core.errors import UsageError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.fit import FIT
 from gbid.experiment.stages.rig import RIG
-from gbid.report.read import AssessedDesign
+from gbid.report.read import AssessedDesign, Results
+from gbid.report.sections import curves_script
+from gbid.report.write import report_key
 from gbid.serve import open_server
 from gbid.serve.server import THREADS, Explored, Live, explored_loop
 
@@ -72,6 +75,7 @@ def refused(server, path):
 
 def test_the_state_and_the_page_follow_what_is_made(served, monkeypatch):
     monkeypatch.setattr("gbid.report.write.Pictures", BlankPictures)
+    monkeypatch.setattr("gbid.serve.server._REST", 0.0)
     server, folder = served
     before = json.loads(get(server, "state"))
     assert before["stages"]["rig"] == {"missing": 2}
@@ -82,6 +86,31 @@ def test_the_state_and_the_page_follow_what_is_made(served, monkeypatch):
     after = json.loads(get(server, "state"))
     assert after["stages"]["rig"] == {"there": 2}
     assert after["key"] != before["key"]
+    run_stage(Job(load_experiment(folder / "e.yaml")), FIT)
+    assert json.loads(get(server, "state"))["stages"]["fit"] == {"there": 1}
+    name = "piezos/p6_n0_prbs1"
+    results = Results(Job(load_experiment(folder / "e.yaml")))
+    assert get(server, f"report_curves/{name}.js") == curves_script(results, name)
+    assert refused(server, "report_curves/piezos/none.js") == (400, "no fit 'piezos/none'")
+
+
+def test_a_reading_is_followed_by_a_rest_three_times_as_long(served, monkeypatch):
+    _, folder = served
+    now = [100.0]
+    monkeypatch.setattr("gbid.serve.server.time.monotonic", lambda: now[0])
+    live, key = Live(folder / "e.yaml"), report_key
+
+    def slow(results):
+        now[0] += 2.0
+        return key(results)
+
+    monkeypatch.setattr("gbid.serve.server.report_key", slow)
+    before = live.state()["stages"]
+    (folder / "results" / "served" / "recordings" / "p6_n0_prbs1.h5").unlink()
+    now[0] = 107.9  # read until 102 s
+    assert live.state()["stages"] == before
+    now[0] = 108.0
+    assert live.state()["stages"]["rig"] == {"there": 1, "missing": 1}
 
 
 def test_only_this_machine_and_only_these_pages(served):
@@ -101,9 +130,10 @@ def test_only_this_machine_and_only_these_pages(served):
 
 def test_a_poll_reads_results_only_when_a_file_has_changed(served, monkeypatch):
     server, folder = served
+    monkeypatch.setattr("gbid.serve.server._REST", 0.0)
     before = json.loads(get(server, "state"))
-    reads, read = [], Live._read
-    monkeypatch.setattr(Live, "_read", lambda live: reads.append(1) or read(live))
+    reads = []
+    monkeypatch.setattr("gbid.serve.server.report_key", lambda results: reads.append(1) or report_key(results))
     assert json.loads(get(server, "state")) == before
     assert not reads
     many = folder / "results" / "served" / "many"

@@ -24,6 +24,7 @@ from .types import (
     InFile as InFile,
     Stored as Stored,
     load as load,
+    read_document as read_document,
     read_fields as read_fields,
     save as save,
     write_fields as write_fields,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -80,19 +81,23 @@ def read_dataset(group: h5py.Group, name: str, texts: bool = False) -> npt.NDArr
         When there is no dataset of that name, or its values have another type.
     """
     try:
-        dataset = group[name]
-    except KeyError:
-        raise DamagedError(f"{where(group, name)} is missing") from None
-    if not isinstance(dataset, h5py.Dataset):
-        raise DamagedError(f"{where(group, name)} is a group, not a dataset")
-    if dataset.shape is None:
+        dataset = h5py.h5d.open(group.id, name.encode())  # half the time of ``group[name]``
+    except (KeyError, ValueError):
+        words = "is a group, not a dataset" if name in group else "is missing"
+        raise DamagedError(f"{where(group, name)} {words}") from None
+    if dataset.get_space().get_simple_extent_type() == h5py.h5s.NULL:
         raise DamagedError(f"{where(group, name)} holds nothing, not {'texts' if texts else 'numbers'}")
-    if dataset.nbytes > _ROOM + _EXPANSION * group.file.id.get_filesize():
+    kind = dataset.dtype
+    if prod(dataset.shape) * kind.itemsize > _ROOM + _EXPANSION * dataset.get_storage_size():
         raise DamagedError(f"{where(group, name)} declares more values than the file can contain")
-    is_text = h5py.check_string_dtype(dataset.dtype) is not None
-    if texts != is_text or (not texts and dataset.dtype.kind not in "fiub"):
-        raise DamagedError(f"{where(group, name)} holds {dataset.dtype}, not {'texts' if texts else 'numbers'}")
-    return np.asarray(dataset.asstr()[()] if texts else dataset[()])
+    is_text = h5py.check_string_dtype(kind) is not None
+    if texts != is_text or (not texts and kind.kind not in "fiub"):
+        raise DamagedError(f"{where(group, name)} holds {kind}, not {'texts' if texts else 'numbers'}")
+    if texts:
+        return np.asarray(h5py.Dataset(dataset).asstr()[()])
+    values = np.empty(dataset.shape, kind)
+    dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, values)
+    return values
 
 
 def read_attribute(item: h5py.HLObject, name: str) -> Any:

@@ -92,6 +92,7 @@ _DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
 _TAKEN = {"f": "fiu", "i": "iu", "b": "b"}  # accepted kinds of arrays: whole numbers are numbers, too
 _WORDS = {"f": "numbers", "i": "whole numbers", "b": "true or false", "U": "texts"}
 _COMPRESSED = 10_000  # smallest number of values in a compressed dataset
+_PACKED: Mapping[str, Any] = MappingProxyType({"compression": "gzip", "shuffle": True})
 
 
 @dataclass
@@ -167,9 +168,9 @@ class Leaf:
         context.check(array.shape, self.shape, lambda: where(group, name))
         if self.is_dataset:
             unit, words = self.stored.unit, self.stored.long_name or name.replace("_", " ")
-            options: dict[str, Any] = {"dtype": TEXT} if self.kind == "U" else {}
+            options: Mapping[str, Any] = {"dtype": TEXT} if self.kind == "U" else {}
             if self.kind != "U" and array.size >= _COMPRESSED:
-                options = {"compression": "gzip", "shuffle": True}
+                options = _PACKED
             add_dataset(group, name, array, context.units.get(unit, unit), words, **options)
             return
         path, attribute = attribute_of(name)
@@ -644,9 +645,11 @@ _TYPES = MappingProxyType(
 It lies above this package, and is imported when such a file is loaded.
 """
 F = TypeVar("F", bound=InFile)
+DOCUMENT = "document"
+"""Dataset of the plain values that pages show of a value."""
 
 
-def save(value: InFile, path: str | Path, overwrite: bool = False, **attributes: Any) -> None:
+def save(value: InFile, path: str | Path, overwrite: bool = False, document: Any = None, **attributes: Any) -> None:
     """Write a value to an HDF5 file, which appears under its name only when it is complete.
 
     Parameters
@@ -657,6 +660,8 @@ def save(value: InFile, path: str | Path, overwrite: bool = False, **attributes:
         The file; missing folders are made.
     overwrite : bool
         Whether an existing file may be replaced.
+    document : plain values, optional
+        What pages show of the value, for `read_document`: a fraction of the time to read the value.
     **attributes
         Further attributes of the root.
 
@@ -670,6 +675,21 @@ def save(value: InFile, path: str | Path, overwrite: bool = False, **attributes:
     with writing(path, value.FILE, overwrite) as file:
         value.to_hdf5(file)
         file.attrs.update(attributes)
+        if document is not None:
+            text = np.frombuffer(_plain_json(document).encode(), np.uint8)
+            add_dataset(file, DOCUMENT, text, "", "what pages show, JSON in UTF-8", **_PACKED)
+
+
+def read_document(path: Path, kind: FileKind) -> Any:
+    """Return the plain values that `save` stored beside a value.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read, is of another kind, or was written without them.
+    """
+    with reading(path, kind) as file:
+        return json.loads(read_dataset(file, DOCUMENT).tobytes())
 
 
 @overload

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from functools import lru_cache, partial
 from itertools import islice
 from math import ceil, inf, nan
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
-from gbid.core.errors import DataError, GbidError, nearest
-from gbid.core.hdf5 import read_attribute, read_dataset, reading
+from gbid.core.errors import DataError, GbidError, UsageError, nearest
+from gbid.core.hdf5 import read_document, save
+from gbid.core.tables import finite_or_none
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
 from gbid.experiment.fields import Found, Location, Result, file_digest, refusal, version_of
+from gbid.experiment.machine import true_model, true_values
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.experiment.schema import FitSection
@@ -31,12 +34,13 @@ from gbid.experiment.structures import (
     structure_or_none,
     structure_settings,
 )
-from gbid.identify import FitOptions, FitResult, FrequencyData, TableEntry, fit, fit_multistart, load_fit, save_fit
+from gbid.identify import FitOptions, FitResult, FrequencyData, TableEntry, fit, fit_multistart, load_fit
 from gbid.identify.frequency_fit import refuse_other_options
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.states import initial_states
+from gbid.identify.result import StdKind
 from gbid.recording import ProblemKind, Recording
-from gbid.structure import AnyStructure, kind_of
+from gbid.structure import AnyStructure, LinearModel, kind_of
 from gbid.validate.residuals import shaft_lines
 
 
@@ -298,9 +302,9 @@ def read_fit_summary(path: Path) -> Made:
     DataError
         When the file is damaged.
     """
-    with reading(path, FitResult.FILE) as file:
-        percent = read_dataset(file, "fit_percent")
-        return Made(str(read_attribute(file, "status")), bool(read_attribute(file, "success")), _smallest(percent))
+    document = _stored_document(path, version_of(path))
+    percents = (row["fit_percent"] for row in document["fit_percent"])
+    return Made(document["status"], document["success"], min(percents, default=nan))
 
 
 def load_made_fit(job: Job, name: str, model: str) -> FitResult:
@@ -405,8 +409,34 @@ def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
         options = section.multi_start.model_dump()
         result = fit_multistart(structure, measured, **options, progress=job.reporter.iteration, **arguments).best
     result = replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
-    save_fit(result, part, overwrite=True)
+    save(result, part, overwrite=True, document=_document(job.experiment, name, model, result))
     return Made(result.status, result.success, _smallest(result.fit_percent))
+
+
+def _document(experiment: Experiment, name: str, model: str, result: FitResult) -> Row:
+    """Return the document of a fit, with true values for recordings of the rig."""
+    structure, recordings = make_structure(experiment, name), recordings_of(experiment, name, model)
+    truth = true_values(experiment, recordings, structure) if recordings else {}
+    return fit_document(result, truth, true_model(structure, truth, result.linear_model))
+
+
+def made_document(job: Job, name: str, model: str) -> Row:
+    """Return the document of a fit that was made from the present settings: as it was stored with the fit.
+
+    Raises
+    ------
+    DataError
+        When the result is missing or was made from other settings.
+    """
+    path = fit_result(job.experiment, name, model).require()
+    return _stored_document(path, version_of(path))
+
+
+@lru_cache(maxsize=1 << 14)
+def _stored_document(path: Path, _version: tuple[int, ...]) -> Row:
+    """Return the document in a file; cached, because a server asks for all of them whenever a fit has come."""
+    document: Row = read_document(path, FitResult.FILE)
+    return document
 
 
 def _suspects(job: Job, name: str, result: FitResult, data: Sequence[Recording]) -> list[str]:
@@ -435,6 +465,143 @@ def _suspects(job: Job, name: str, result: FitResult, data: Sequence[Recording])
 
 def _smallest(percent: npt.NDArray[Any]) -> float:
     return float(percent.min()) if percent.size else nan
+
+
+# ---- Document of a fit: plain values in SI units for tables and JSON.
+
+Row = dict[str, Any]
+
+
+def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
+    """Return estimates with standard deviations and, where known, true values.
+
+    Parameters
+    ----------
+    result : FitResult
+        Result of the fit.
+    truth : dict of str to float
+        True values of some parameters; may be empty.
+
+    Returns
+    -------
+    list of dict
+        parameter, estimate, std (the one to use), std_white, std_robust, std_bootstrap (where there is one), truth,
+        deviation_std (in standard deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are
+        None, also the standard deviation of a parameter without one.
+    """
+    rows = []
+    kinds: tuple[StdKind, ...] = ("white", "robust", "bootstrap")
+    stds = {q: result.std_with(q) for q in kinds if q != "bootstrap" or result.covariance_bootstrap is not None}
+    for name, estimate in result.parameters.items():
+        std, true = result.std[name], truth.get(name)
+        off = None if true is None else estimate - true
+        rows.append(
+            {
+                "parameter": name,
+                "estimate": estimate,
+                "std": finite_or_none(std),
+                **{f"std_{kind}": finite_or_none(by_name[name]) for kind, by_name in stds.items()},
+                "truth": true,
+                "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
+                "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
+                "unit": result.units[name],
+                "fixed": name not in result.free,
+                "start": result.start[name],
+                "start_origin": result.start_origin[name],
+            }
+        )
+    return rows
+
+
+def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+    """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
+    modes = result.model.modes()
+    known = truth.modes() if truth is not None else []
+    true = known if len(known) == len(modes) else [(None, None)] * len(modes)
+    return [
+        {
+            "mode": i,
+            "frequency_hz": frequency,
+            "frequency_std_hz": finite_or_none(frequency_std),
+            "damping": damping,
+            "damping_std": finite_or_none(damping_std),
+            "true_frequency_hz": true_frequency,
+            "true_damping": true_damping,
+        }
+        for i, ((frequency, damping), (frequency_std, damping_std), (true_frequency, true_damping)) in enumerate(
+            zip(modes, result.modes_std, true, strict=True), 1
+        )
+    ]
+
+
+def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+    """Return static gains with standard deviations and true values; empty for a model with a pole at zero."""
+    model = result.model
+    try:
+        gain = model.static_gain()
+    except UsageError:
+        return []
+    true = truth.static_gain() if truth is not None else None
+    return [
+        {
+            "output": output,
+            "input": source,
+            "gain": float(gain[i, j]),
+            "std": finite_or_none(result.static_gain_std[i, j]),
+            "truth": None if true is None else float(true[i, j]),
+        }
+        for i, output in enumerate(model.output_names)
+        for j, source in enumerate(model.input_names)
+    ]
+
+
+def profile_rows(result: FitResult) -> list[Row]:
+    """Return the intervals of the profile likelihoods that the fit was asked for; an open end is None."""
+    return [
+        {
+            "parameter": name,
+            "level": profile.level,
+            "lower": finite_or_none(profile.interval[0]),
+            "upper": finite_or_none(profile.interval[1]),
+            "verdict": profile.verdict,
+            "unit": profile.unit,
+        }
+        for name, profile in result.profiles.items()
+    ]
+
+
+def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
+    """Return the document of a fit."""
+    outputs, starts = result.model.output_names, result.multi_start
+    return {
+        "structure": result.structure,
+        "recordings": list(result.recordings),
+        "status": result.status,
+        "success": result.success,
+        "iterations": result.iterations,
+        "wall_time_s": result.wall_time_s,
+        "loss": result.loss,
+        "aic": finite_or_none(result.aic),
+        "fpe": finite_or_none(result.fpe),
+        "condition": finite_or_none(result.condition),
+        "trusted": result.trusted,
+        "whiteness": [
+            {"output": output, "p_value": finite_or_none(p)}
+            for output, p in zip(outputs, result.whiteness, strict=True)
+        ],
+        "multi_start": None if starts is None else {**asdict(starts), "spread": finite_or_none(starts.spread)},
+        "options": asdict(result.options),
+        "parameters": parameter_rows(result, truth),
+        "modes": mode_rows(result, true_model),
+        "static_gain": gain_rows(result, true_model),
+        "profiles": profile_rows(result),
+        "fit_percent": [
+            {"recording": recording, "output": output, "fit_percent": float(percent)}
+            for recording, percents in zip(result.recordings, result.fit_percent, strict=True)
+            for output, percent in zip(outputs, percents, strict=True)
+        ],
+        "notes": list(result.notes),
+    }
 
 
 FIT = Stage("fit", "fits", (fits_can_be_made,), fit_tasks, early=True)

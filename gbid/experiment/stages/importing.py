@@ -17,11 +17,12 @@ from gbid.experiment.recordings import (
     recording_result,
     recording_tasks,
     refuse_bad_signals,
+    save_made,
     used_channels,
 )
 from gbid.experiment.run import Job, Made, Stage, Task
 from gbid.prefilter.filtering import repair_overloads
-from gbid.recording import ImportMapping, Recording, find_group_problems, import_recording, save_recording
+from gbid.recording import ImportMapping, Recording, find_group_problems, import_recording
 from gbid.recording.formats import file_formats, format_of
 
 
@@ -139,8 +140,9 @@ def _content(experiment: Experiment, planned: PlannedRecording) -> str:
 
 
 def _write_import(job: Job, part: Path, name: str) -> Made:
-    recording = read_import(job.experiment, job.experiment.recordings[name])
-    save_recording(recording, part, overwrite=True)
+    planned = job.experiment.recordings[name]
+    recording = read_import(job.experiment, planned)
+    save_made(recording, planned, part)
     said = (recording.provenance.get(key, "") for key in ("source_rows", "import_remarks"))
     return Made("; ".join(filter(None, said)))
 

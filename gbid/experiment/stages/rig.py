@@ -22,13 +22,12 @@ from gbid.experiment.controllers import (
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, InputError, Location, needed, refusal
 from gbid.experiment.machine import PlannedRun, machine_at, outside_domain, rig_experiment, rig_model, rig_run
-from gbid.experiment.recordings import recording_result, recording_tasks
+from gbid.experiment.recordings import recording_result, recording_tasks, save_made
 from gbid.experiment.rig_schema import ControllerChoice, RigLoopSection, RigSection
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.prefilter import identified_map
 from gbid.lpv import LPVModel
 from gbid.prefilter import RunoutMap, identify_runout
-from gbid.recording import save_recording
 from gbid.rig import ProgramController, SampledController, rig_effect, rig_effects
 from gbid.rig.excitation import whole_samples
 from gbid.structure import LinearModel
@@ -298,7 +297,7 @@ def _write_recording(job: Job, part: Path, name: str) -> None:
         controller = loop_of(experiment, running_controller(experiment, design, planned.conditions), run)
     elif planned.in_loop:
         controller = running(experiment, planned, run)
-    save_recording(run.record(controller), part, overwrite=True)
+    save_made(run.record(controller), planned, part)
 
 
 RIG_CHECKS = (effects_are_known, rig_runs, rig_keys_go_together, rig_loop_can_run)
