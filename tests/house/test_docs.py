@@ -27,9 +27,10 @@ from gbid.cli.printing import print_tables
 from gbid.experiment.load import load_experiment
 from gbid.experiment.machine import true_model, true_values
 from gbid.experiment.run import Job, run_stage
+from gbid.experiment.stages.fit import fit_document
 from gbid.experiment.stages.rig import RIG
 from gbid.identify import FitOptions
-from gbid.report.fit_tables import fit_document, fit_tables
+from gbid.report.fit_tables import fit_tables
 from gbid.structure import Plant, RotorBearing, Structure
 
 DOCS = ROOT / "docs"

@@ -10,8 +10,8 @@ from gbid.report.read import Results
 def test_copies_stand_as_made_under_their_names(tmp_path: Path) -> None:
     results = Results(Job(make_results(tmp_path / "many", REAL + 3)))
     assert {(standing.stage, standing.state) for standing in results.standings} == {("rig", "there"), ("fit", "there")}
-    assert [fit.result.recordings for fit in results.fits] == [(fit.model,) for fit in results.fits]
+    assert [fit.document["recordings"] for fit in results.fits] == [[fit.model] for fit in results.fits]
     assert len(results.recordings) == len(results.fits) == REAL + 3
-    fits = [fit.result.parameters for fit in results.fits]
+    fits = [fit.document["parameters"] for fit in results.fits]
     assert fits[REAL] == fits[0]
     assert fits[0] != fits[1]
