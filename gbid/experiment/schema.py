@@ -212,7 +212,7 @@ class MultiStartSection(Section):
 
 
 class ResponseSection(Section):
-    """File of frequency responses, with what it does not state: see `gbid.FrequencyData.read`."""
+    """File of frequency responses, with what it does not state, as `gbid.FrequencyData.read` takes it."""
 
     file: Text
     averages: Positive | None = None
