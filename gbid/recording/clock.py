@@ -13,8 +13,8 @@ import scipy
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError
+from gbid.recording.columns import FileColumn, file_unit, unit_factor
 from gbid.recording.mapping import ImportMapping
-from gbid.recording.text_files import FileColumn, file_unit, unit_factor
 
 DEGREE = 9
 """Degree of the interpolating splines. With rising degree they approach the interpolation by sinc functions. At this

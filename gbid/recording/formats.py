@@ -23,6 +23,7 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, nearest
 from gbid.core.extras import extra_package
 from gbid.recording.clock import even_step
+from gbid.recording.columns import FileColumn, find_heading, name_and_unit, seconds, short_names
 from gbid.recording.mapping import FilePart, TextOptions
 from gbid.recording.readers import (
     FileChannel,
@@ -33,18 +34,7 @@ from gbid.recording.readers import (
     rows_of,
     with_values,
 )
-from gbid.recording.text_files import (
-    FileColumn,
-    TextTable,
-    find_heading,
-    holds_text,
-    is_large,
-    name_and_unit,
-    read_rows,
-    read_table,
-    seconds,
-    short_names,
-)
+from gbid.recording.text_files import TextTable, holds_text, is_large, read_rows, read_table
 from gbid.recording.universal import UNIVERSAL_ENDINGS, open_universal
 
 

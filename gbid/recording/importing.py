@@ -26,11 +26,11 @@ from gbid.recording.clock import (
     untimed_sample_time,
     with_times_of_changes,
 )
+from gbid.recording.columns import FileColumn, file_unit, unit_factor
 from gbid.recording.formats import file_formats, format_of
 from gbid.recording.mapping import FilePart, ImportMapping, SignalMapping, TextOptions
 from gbid.recording.readers import FileChannel, FileFormat
 from gbid.recording.recording import Recording
-from gbid.recording.text_files import FileColumn, file_unit, unit_factor
 
 _OF_TEXT = ("read", "channels", "peek", "layout")  # functions of a format that take the layout of a text file
 

@@ -15,8 +15,8 @@ from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, GbidError
 from gbid.core.files import in_one_line
 from gbid.recording.clock import MAX_RESAMPLED, even_step, jitter_ppm
+from gbid.recording.columns import FileColumn, pick_column, split_reference
 from gbid.recording.mapping import FilePart
-from gbid.recording.text_files import FileColumn, pick_column, split_reference
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from gbid.core.extras import Pictured, data_frame
 from gbid.core.option_types import Own
 from gbid.core.units import SIGNALS
 from gbid.recording.clock import MAX_JITTER
-from gbid.recording.text_files import seconds
+from gbid.recording.columns import seconds
 
 # ---- Signals and sample time of a recording from the columns of a data frame.
 

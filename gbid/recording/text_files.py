@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import codecs
 import csv
-import math
+import mmap
+import os
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -13,16 +14,23 @@ from datetime import date
 from functools import cached_property
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from gbid.core.apart import usable_memory
 from gbid.core.arrays import FloatArray
-from gbid.core.errors import DataError, UsageError, nearest
+from gbid.core.errors import DataError
 from gbid.core.files import refuse_special
 from gbid.core.tables import file_size
-from gbid.core.units import conversion_factor, is_speed_unit, is_unit
+from gbid.recording.columns import (
+    find_heading,
+    is_file_unit,
+    name_and_unit,
+    numbered_twins,
+    twin_name,
+    written_unit,
+)
 from gbid.recording.mapping import DECIMALS, DELIMITERS, TextOptions
 
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -163,64 +171,6 @@ def _encoding(data: bytes) -> str:
     return "utf-8"
 
 
-# ---- Units of the columns of a file: what file and mapping say about them, and their factors.
-
-_OTHER_WORDS = {
-    "Grad": "deg",  # pint reads it as gigaradian
-    "grd": "deg",
-    "Sek": "s",
-    "Sek.": "s",
-    "sec": "s",
-    "-": "",
-}
-"""Words for units in files of loggers, and how gbid writes them."""
-
-
-def written_unit(word: str) -> str:
-    """Return the spelling of gbid for a unit that a file states, e.g. ``um`` for ``µm``."""
-    word = word.strip()
-    return "rpm" if is_speed_unit(word) else _OTHER_WORDS.get(word, word)
-
-
-def is_file_unit(cell: str) -> bool:
-    """Return whether a cell of a file may be a unit, alone or in brackets."""
-    return is_unit(written_unit(cell.strip().strip("[]()")))
-
-
-def file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:
-    """Return the unit of the numbers in the file; None when neither file nor mapping gives one.
-
-    Raises
-    ------
-    DataError
-        When file and mapping give different units.
-    """
-    mapped, given = (None if unit is None else written_unit(unit) for unit in (mapped, given))
-    if mapped is None or given is None or mapped == given:
-        return given if mapped is None else mapped
-    try:
-        same = math.isclose(conversion_factor(given, mapped), 1.0, rel_tol=1e-9)
-    except UsageError:
-        same = False
-    if not same:
-        raise DataError(f"{path}: {what}: the header says {given!r}, the mapping {mapped!r}; correct one of them")
-    return mapped
-
-
-def unit_factor(path: Path, what: str, unit: str, target: str) -> float:
-    """Return the factor from one unit to another.
-
-    Raises
-    ------
-    UsageError
-        When the units measure different quantities; the text names file and column.
-    """
-    try:
-        return conversion_factor(unit, target)
-    except UsageError as error:
-        raise UsageError(f"{path}: {what}: {error}") from None
-
-
 # ---- Layout of a table in a text file: delimiter, decimal sign, the lines of names and units, and the first row.
 
 COMMENTS = ("#", "%", "//")
@@ -282,6 +232,8 @@ class TextLayout:
         Number of the line of the last row, where a trailer follows; otherwise 0.
     is_decimal_given : bool
         Whether the decimal sign was given, and not found.
+    segments : tuple of int
+        Numbers of the lines at which the headers of further segments begin (LabVIEW), which are left out.
     """
 
     encoding: str
@@ -293,6 +245,7 @@ class TextLayout:
     block: tuple[int, ...] = ()
     rows_to: int = 0
     is_decimal_given: bool = False
+    segments: tuple[int, ...] = ()
 
     def stated(self) -> dict[str, str | int | None]:
         """Return the layout as plain values."""
@@ -318,6 +271,11 @@ class TextLayout:
             said.append(f"{_lines_in_words(*self.block)} between names and numbers left out")
         if self.rows_to:
             said.append(f"what follows line {self.rows_to} begins with a word and is left out")
+        if self.segments:
+            lines = ", ".join(map(str, self.segments))
+            said.append(
+                f"{len(self.segments) + 1} segments; the headers of those after the first, lines {lines}, left out"
+            )
         return "; ".join(said)
 
 
@@ -424,6 +382,37 @@ def _without_trailer(content: Sequence[NumberedLine]) -> Sequence[NumberedLine]:
     while end > 0 and _begins_with_word(content[end - 1].text):
         end -= 1
     return content[:end] if end else content
+
+
+_LABVIEW = "LabVIEW Measurement"  # the first line of an LVM file
+_RULES = 2  # in a file with one segment: of the header of the file, and of the segment
+
+
+def _in_one_segment(path: Path, lines: list[NumberedLine]) -> tuple[list[NumberedLine], tuple[int, ...]]:
+    """Return the lines without the headers of segments after the first, and the first line of each of these headers.
+
+    Raises
+    ------
+    DataError
+        When the segments have no times, or differ in their columns.
+    """
+    rules = [i for i, line in enumerate(lines) if line.text.startswith(_RULE)]
+    if not (lines and lines[0].text.startswith(_LABVIEW)) or len(rules) <= _RULES:
+        return lines, ()
+    if any(line.text.split()[:2] == ["X_Columns", "No"] for line in lines[: rules[0]]):
+        raise DataError(
+            f"{path}: {len(rules) - 1} segments without times; write it with X_Columns, or one segment a file"
+        )
+    kept, begins, names = list(lines[: rules[1] + 2]), list[int](), lines[rules[1] + 1 : rules[1] + 2]
+    for rule, following in zip(rules[1:], [*rules[2:], None], strict=True):
+        if [line.text for line in lines[rule + 1 : rule + 2]] != [line.text for line in names]:
+            raise DataError(
+                f"{path}: line {lines[rule].number + 1}: segments with other columns; write a file for each"
+            )
+        rows = lines[rule + 2 : following]
+        kept += rows if following is None else _without_trailer(rows)
+        begins += [line.number for line in rows[len(_without_trailer(rows)) :][:1] if following is not None]
+    return kept, tuple(begins)
 
 
 class _Candidate:
@@ -545,155 +534,6 @@ def _below(columns: _Candidate, below: Sequence[NumberedLine]) -> tuple[Numbered
     return None if at is None else below[at], below[ends].number if below else 0, block
 
 
-# ---- Columns of a file: their values and units, their names, and the notation ``name[3]`` for one column of an array.
-
-_INDEXED = re.compile(r"(?P<name>.+)\[\s*(?P<index>\d+)\s*\]")
-_NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")
-
-
-class FileColumn(NamedTuple):
-    """One column of a file.
-
-    Attributes
-    ----------
-    values : (n_samples,) array
-        Numbers as in the file.
-    unit : str or None
-        Unit given by the file; None when the file gives none.
-    sample_time : float or None
-        Time between samples that the file states for this column [s]; None when it states none.
-    remark : str
-        What was left out of the file; empty where nothing was.
-    first : int or None
-        Number of the first sample of `values`, where the file was read in part.
-    """
-
-    values: FloatArray
-    unit: str | None = None
-    sample_time: float | None = None
-    remark: str = ""
-    first: int | None = None
-
-
-def split_reference(reference: str) -> tuple[str, int | None]:
-    """Return the name and the column index of a reference like ``"noise[3]"``; without brackets the index is None."""
-    match = _INDEXED.fullmatch(reference)
-    return (match["name"], int(match["index"])) if match else (reference, None)
-
-
-def pick_column(path: Path, reference: str, value: object, axis: int = 0, *, is_part: bool = False) -> FloatArray:
-    """Return the column of a variable that a reference names, shape (n_samples,).
-
-    Parameters
-    ----------
-    path : path
-        The file, for messages.
-    reference : str
-        ``"name"`` or ``"name[index]"``.
-    value : object
-        The variable of that name.
-    axis : int
-        Axis of time where it has two dimensions, which must not be the shorter one.
-    is_part : bool
-        Whether these are some of its samples only.
-
-    Returns
-    -------
-    (n_samples,) array
-        Numbers of the column.
-
-    Raises
-    ------
-    DataError
-        When the variable is not an array of real numbers, or when the reference does not name one column of it.
-    """
-    name, index = split_reference(reference)
-    where = f"{path}: column {reference!r}:"
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
-        kind = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
-        raise DataError(f"{where} {name} is {kind}, not an array of real numbers; save it as plain numbers")
-    shape = value.shape
-    if value.size == 0:
-        raise DataError(f"{where} {name} is empty: shape {shape}")
-    if value.ndim not in (1, 2) or value.size == 1:
-        raise DataError(f"{where} {name} has shape {shape}; expected (n_samples,) or (n_samples, n_channels)")
-    if axis and value.ndim == 2:
-        value, shape = value.T, shape[::-1]
-    if index is None:
-        if value.ndim == 2 and shape[1] != 1:
-            raise DataError(f"{where} {name} has shape {shape}; name one of its columns, e.g. {name}[0]")
-        return np.asarray(value, dtype=float).reshape(-1)
-    if value.ndim == 1:
-        raise DataError(f"{where} {name} has one dimension; leave the index out: {name}")
-    if shape[0] < shape[1] and not is_part:
-        raise DataError(
-            f"{where} {name} has {shape[0]} samples of {shape[1]} channels along axis {axis}; the axis of time is the "
-            f"longer one: give axis: {1 - axis} if the channels are stored the other way"
-        )
-    if index >= shape[1]:
-        raise DataError(f"{where} {name} has shape {shape}; columns count from 0 to {shape[1] - 1}")
-    return np.array(value[:, index], dtype=float)
-
-
-def name_and_unit(heading: str) -> tuple[str, str | None]:
-    """Return name and unit of a heading like ``u_x [um]`` or ``u_x (um)``; without brackets the unit is None."""
-    match = _NAME_UNIT.fullmatch(heading)
-    if not match:
-        return heading, None
-    return match["name"], written_unit(match["square"] if match["square"] is not None else match["round"])
-
-
-def numbered_twins(headings: Sequence[str]) -> tuple[str, ...]:
-    """Return the headings; those that occur several times are named ``Time #1``, ``Time #2``, without their unit."""
-    count, seen = Counter(headings), Counter[str]()
-    names = []
-    for heading in headings:
-        seen[heading] += 1
-        is_twin = heading and count[heading] > 1
-        names.append(f"{name_and_unit(heading)[0]} #{seen[heading]}" if is_twin else heading)
-    return tuple(names)
-
-
-def short_names(headings: Sequence[str]) -> list[str]:
-    """Return the headings without their units, except where several columns would have one name."""
-    names = [name_and_unit(heading)[0] for heading in headings]
-    count = Counter(names)
-    return [name if count[name] == 1 else heading for name, heading in zip(names, headings, strict=True)]
-
-
-def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:
-    """Return the index of a column, named by its whole heading or by its name without unit.
-
-    Raises
-    ------
-    DataError
-        When there is no such column, or when several have this name.
-    """
-    if reference in headings:
-        return headings.index(reference)
-    names = [name_and_unit(heading)[0] for heading in headings]
-    indices = [i for i, name in enumerate(names) if name == reference]
-    if len(indices) > 1:
-        cells = ", ".join(repr(headings[i]) for i in indices)
-        raise DataError(f"{path}: column {reference!r} may be any of {cells}; give the whole heading")
-    if not indices:
-        raise DataError(f"{path}: no column {reference!r}; {nearest(reference, [n for n in names if n])}")
-    return indices[0]
-
-
-def seconds(times: np.ndarray[Any, Any]) -> FloatArray:
-    """Return durations (numpy.timedelta64) in seconds, and dates (numpy.datetime64) in seconds from the first."""
-    if times.dtype.kind == "M" and times.size:
-        times = times - times.flat[0]
-    return np.asarray(times / np.timedelta64(1, "s"), dtype=float)
-
-
-def _twin(heading: str) -> str:
-    """Return the name of a column of which there are several; empty for others."""
-    match = re.fullmatch(r"(.+) #\d+", heading)
-    return match[1] if match else ""
-
-
 # ---- Table in a text file: its headings, its units, and its columns as numbers.
 
 
@@ -767,7 +607,7 @@ class TextTable:
         DataError
             When there is no such column, or when several columns of this name have different numbers.
         """
-        twins = [i for i, heading in enumerate(self.headings) if _twin(heading) == reference]
+        twins = [i for i, heading in enumerate(self.headings) if twin_name(heading) == reference]
         if not twins or reference in self.headings:
             return find_heading(self.path, self.headings, reference)
         if not self.are_equal(twins):
@@ -790,10 +630,10 @@ class TextTable:
         DataError
             When the last time column of the same name before one of them has other times.
         """
-        twins = [i for i, heading in enumerate(self.headings) if _twin(heading) == _twin(self.headings[time])]
+        twins = [i for i, heading in enumerate(self.headings) if twin_name(heading) == twin_name(self.headings[time])]
         for index in set(indices) - set(twins):
             clock = max((i for i in twins if i < index), default=time)
-            if _twin(self.headings[time]) and not self.are_equal([time, clock]):
+            if twin_name(self.headings[time]) and not self.are_equal([time, clock]):
                 raise DataError(
                     f"{self.path}: column {self.headings[index]!r} has the times {self.headings[clock]!r}, which "
                     f"differ from {self.headings[time]!r}; import columns of one clock together"
@@ -926,8 +766,14 @@ def read_rows(path: Path, options: TextOptions | None, start: int, stop: int) ->
 
 
 def is_large(path: Path) -> bool:
-    """Return whether a text file is so large that looks at it read its ends only."""
-    return path.stat().st_size > 2 * _END
+    """Return whether a text file is so large that looks at it read its ends only; no segment of LabVIEW is missed."""
+    with path.open("rb") as file:
+        if os.fstat(file.fileno()).st_size <= 2 * _END:
+            return False
+        if file.read(len(_LABVIEW)) != _LABVIEW.encode():
+            return True
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            return len(re.findall(rb"^\*\*\*End_of_Header", content, re.MULTILINE)) <= _RULES
 
 
 def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = False) -> TextTable:
@@ -941,10 +787,12 @@ def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = F
         When the file cannot be read.
     """
     options = options or TextOptions()
+    ends = ends and is_large(path)
     text, encoding, gap_after, lines_left_out, rows_left_out = read_text(path, options.encoding, ends=ends)
     numbered = enumerate(text.split("\n"), start=1)
     lines = [NumberedLine(i + lines_left_out * (i > gap_after), line) for i, line in numbered if line.strip()]
-    layout = find_layout(lines, encoding, options)
+    lines, segments = _in_one_segment(path, lines)
+    layout = replace(find_layout(lines, encoding, options), segments=segments)
     last = layout.rows_to or (lines[-1].number if lines else 0)
     rows = tuple(q for q in lines if last >= q.number >= layout.rows_from > 0 and not is_comment(q.text))
     cells = split_cells(rows[0].text, layout.delimiter) if rows else []

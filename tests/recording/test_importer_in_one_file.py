@@ -11,9 +11,9 @@ from gbid.core.errors import DataError
 from gbid.experiment.fields import ExperimentError
 from gbid.experiment.load import load_experiment
 from gbid.recording import formats
+from gbid.recording.columns import FileColumn
 from gbid.recording.formats import file_formats
 from gbid.recording.readers import FileChannel, FileFormat
-from gbid.recording.text_files import FileColumn
 
 
 def read_dat(path, references):

@@ -165,3 +165,52 @@ def test_lines_are_named_by_the_listing(tmp_path, capsys):
     assert (layout["header_line"], layout["unit_line"], layout["first_row_in_line"]) == (1, 6, 8)
     assert (layout["lines_skipped"], layout["last_row_in_line"]) == ("2 to 7", 47)
     assert [channel.unit for channel in list_channels(path)] == ["s", "V", "V"]
+
+
+def of_labview(*begins, names="X_Value\tu\tComment", x_columns="One", rows=20):
+    """An LVM file with a segment for each time of begin, which has a header of its own."""
+    lines = ["LabVIEW Measurement\t", "Separator\tTab", "Decimal_Separator\t.", f"X_Columns\t{x_columns}"]
+    lines += ["***End_of_Header***\t", ""]
+    for k, begin in enumerate(begins):
+        lines += [
+            "Channels\t1\t",
+            f"Samples\t{rows}\t",
+            f"X0\t{begin}\t",
+            "Delta_X\t0.001\t",
+            "***End_of_Header***\t\t",
+        ]
+        lines += [
+            names if k else "X_Value\tu\tComment",
+            *(f"{begin + i / 1000:.3f}\t{k}.{i:012}" for i in range(rows)),
+            "",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def test_segments_of_labview_are_joined_by_their_times(tmp_path):
+    path = tmp_path / "a.lvm"
+    path.write_text(of_labview(0.0, 0.02, 0.05))
+    mapping = {"time": "X_Value", "signals": {"u": {"columns": "u", "unit": "V", "stored_unit": "V"}}}
+    whole = import_recording(path, {**mapping, "gaps": "missing"})
+    assert whole.n_samples == 70
+    assert whole.missing == {"u": 10}
+    np.testing.assert_allclose(whole.signals["u"][[0, 20, 50], 0], [0, 1, 2])
+    remarks = whole.provenance["import_remarks"]
+    assert "3 segments; the headers of those after the first, lines 34, 61, left out" in remarks
+    assert import_recording(path, mapping).n_samples == 40  # the longest piece without a gap
+    path.write_text(of_labview(0.0, 0.02, x_columns="No"))
+    with pytest.raises(DataError, match="2 segments without times"):
+        import_recording(path, mapping)
+    path.write_text(of_labview(0.0, 0.02, names="X_Value\tv\tComment"))
+    with pytest.raises(DataError, match="line 39: segments with other columns"):
+        import_recording(path, mapping)
+
+
+def test_a_large_file_of_labview_is_read_in_part_where_it_has_one_segment(tmp_path):
+    path, n = tmp_path / "a.lvm", 110_000
+    mapping = {"time": "X_Value", "signals": {"u": {"columns": "u", "unit": "V", "stored_unit": "V"}}}
+    for begins, words in (([0.0], "read alone"), ([0.0, 110.0], "220000 rows")):
+        path.write_text(of_labview(*begins, rows=n))
+        made = import_recording(path, {**mapping, "samples": [n - 10, n - 5]})
+        assert words in made.provenance["source_rows"]
+        np.testing.assert_allclose(made.signals["u"][:, 0], [float(f"0.{i:012}") for i in range(n - 10, n - 5)])

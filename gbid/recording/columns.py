@@ -1,0 +1,222 @@
+"""Columns of a file: their values, their units as file and mapping say them, and their names."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import DataError, UsageError, nearest
+from gbid.core.units import conversion_factor, is_speed_unit, is_unit
+
+# ---- Units of the columns of a file: what file and mapping say about them, and their factors.
+
+_OTHER_WORDS = {
+    "Grad": "deg",  # pint reads it as gigaradian
+    "grd": "deg",
+    "Sek": "s",
+    "Sek.": "s",
+    "sec": "s",
+    "-": "",
+}
+"""Words for units in files of loggers, and how gbid writes them."""
+
+
+def written_unit(word: str) -> str:
+    """Return the spelling of gbid for a unit that a file states, e.g. ``um`` for ``µm``."""
+    word = word.strip()
+    return "rpm" if is_speed_unit(word) else _OTHER_WORDS.get(word, word)
+
+
+def is_file_unit(cell: str) -> bool:
+    """Return whether a cell of a file may be a unit, alone or in brackets."""
+    return is_unit(written_unit(cell.strip().strip("[]()")))
+
+
+def file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:
+    """Return the unit of the numbers in the file; None when neither file nor mapping gives one.
+
+    Raises
+    ------
+    DataError
+        When file and mapping give different units.
+    """
+    mapped, given = (None if unit is None else written_unit(unit) for unit in (mapped, given))
+    if mapped is None or given is None or mapped == given:
+        return given if mapped is None else mapped
+    try:
+        same = math.isclose(conversion_factor(given, mapped), 1.0, rel_tol=1e-9)
+    except UsageError:
+        same = False
+    if not same:
+        raise DataError(f"{path}: {what}: the header says {given!r}, the mapping {mapped!r}; correct one of them")
+    return mapped
+
+
+def unit_factor(path: Path, what: str, unit: str, target: str) -> float:
+    """Return the factor from one unit to another.
+
+    Raises
+    ------
+    UsageError
+        When the units measure different quantities; the text names file and column.
+    """
+    try:
+        return conversion_factor(unit, target)
+    except UsageError as error:
+        raise UsageError(f"{path}: {what}: {error}") from None
+
+
+# ---- Columns of a file: their values and units, their names, and the notation ``name[3]`` for one column of an array.
+
+_INDEXED = re.compile(r"(?P<name>.+)\[\s*(?P<index>\d+)\s*\]")
+_NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")
+
+
+class FileColumn(NamedTuple):
+    """One column of a file.
+
+    Attributes
+    ----------
+    values : (n_samples,) array
+        Numbers as in the file.
+    unit : str or None
+        Unit given by the file; None when the file gives none.
+    sample_time : float or None
+        Time between samples that the file states for this column [s]; None when it states none.
+    remark : str
+        What was left out of the file; empty where nothing was.
+    first : int or None
+        Number of the first sample of `values`, where the file was read in part.
+    """
+
+    values: FloatArray
+    unit: str | None = None
+    sample_time: float | None = None
+    remark: str = ""
+    first: int | None = None
+
+
+def split_reference(reference: str) -> tuple[str, int | None]:
+    """Return the name and the column index of a reference like ``"noise[3]"``; without brackets the index is None."""
+    match = _INDEXED.fullmatch(reference)
+    return (match["name"], int(match["index"])) if match else (reference, None)
+
+
+def pick_column(path: Path, reference: str, value: object, axis: int = 0, *, is_part: bool = False) -> FloatArray:
+    """Return the column of a variable that a reference names, shape (n_samples,).
+
+    Parameters
+    ----------
+    path : path
+        The file, for messages.
+    reference : str
+        ``"name"`` or ``"name[index]"``.
+    value : object
+        The variable of that name.
+    axis : int
+        Axis of time where it has two dimensions, which must not be the shorter one.
+    is_part : bool
+        Whether these are some of its samples only.
+
+    Returns
+    -------
+    (n_samples,) array
+        Numbers of the column.
+
+    Raises
+    ------
+    DataError
+        When the variable is not an array of real numbers, or when the reference does not name one column of it.
+    """
+    name, index = split_reference(reference)
+    where = f"{path}: column {reference!r}:"
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
+        kind = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+        raise DataError(f"{where} {name} is {kind}, not an array of real numbers; save it as plain numbers")
+    shape = value.shape
+    if value.size == 0:
+        raise DataError(f"{where} {name} is empty: shape {shape}")
+    if value.ndim not in (1, 2) or value.size == 1:
+        raise DataError(f"{where} {name} has shape {shape}; expected (n_samples,) or (n_samples, n_channels)")
+    if axis and value.ndim == 2:
+        value, shape = value.T, shape[::-1]
+    if index is None:
+        if value.ndim == 2 and shape[1] != 1:
+            raise DataError(f"{where} {name} has shape {shape}; name one of its columns, e.g. {name}[0]")
+        return np.asarray(value, dtype=float).reshape(-1)
+    if value.ndim == 1:
+        raise DataError(f"{where} {name} has one dimension; leave the index out: {name}")
+    if shape[0] < shape[1] and not is_part:
+        raise DataError(
+            f"{where} {name} has {shape[0]} samples of {shape[1]} channels along axis {axis}; the axis of time is the "
+            f"longer one: give axis: {1 - axis} if the channels are stored the other way"
+        )
+    if index >= shape[1]:
+        raise DataError(f"{where} {name} has shape {shape}; columns count from 0 to {shape[1] - 1}")
+    return np.array(value[:, index], dtype=float)
+
+
+def name_and_unit(heading: str) -> tuple[str, str | None]:
+    """Return name and unit of a heading like ``u_x [um]`` or ``u_x (um)``; without brackets the unit is None."""
+    match = _NAME_UNIT.fullmatch(heading)
+    if not match:
+        return heading, None
+    return match["name"], written_unit(match["square"] if match["square"] is not None else match["round"])
+
+
+def numbered_twins(headings: Sequence[str]) -> tuple[str, ...]:
+    """Return the headings; those that occur several times are named ``Time #1``, ``Time #2``, without their unit."""
+    count, seen = Counter(headings), Counter[str]()
+    names = []
+    for heading in headings:
+        seen[heading] += 1
+        is_twin = heading and count[heading] > 1
+        names.append(f"{name_and_unit(heading)[0]} #{seen[heading]}" if is_twin else heading)
+    return tuple(names)
+
+
+def short_names(headings: Sequence[str]) -> list[str]:
+    """Return the headings without their units, except where several columns would have one name."""
+    names = [name_and_unit(heading)[0] for heading in headings]
+    count = Counter(names)
+    return [name if count[name] == 1 else heading for name, heading in zip(names, headings, strict=True)]
+
+
+def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:
+    """Return the index of a column, named by its whole heading or by its name without unit.
+
+    Raises
+    ------
+    DataError
+        When there is no such column, or when several have this name.
+    """
+    if reference in headings:
+        return headings.index(reference)
+    names = [name_and_unit(heading)[0] for heading in headings]
+    indices = [i for i, name in enumerate(names) if name == reference]
+    if len(indices) > 1:
+        cells = ", ".join(repr(headings[i]) for i in indices)
+        raise DataError(f"{path}: column {reference!r} may be any of {cells}; give the whole heading")
+    if not indices:
+        raise DataError(f"{path}: no column {reference!r}; {nearest(reference, [n for n in names if n])}")
+    return indices[0]
+
+
+def seconds(times: np.ndarray[Any, Any]) -> FloatArray:
+    """Return durations (numpy.timedelta64) in seconds, and dates (numpy.datetime64) in seconds from the first."""
+    if times.dtype.kind == "M" and times.size:
+        times = times - times.flat[0]
+    return np.asarray(times / np.timedelta64(1, "s"), dtype=float)
+
+
+def twin_name(heading: str) -> str:
+    """Return the name of a column of which there are several; empty for others."""
+    match = re.fullmatch(r"(.+) #\d+", heading)
+    return match[1] if match else ""
