@@ -83,8 +83,7 @@ fuzz: $(VENV)/.installed-test  ## damaged files of all kinds for an hour, then 5
 PAPER := experiments/theisen2016.yaml
 paper: $(VENV)/.installed  ## the whole paper: campaign to impacts, report, figures and tables, its figures beside ours
 	$(BIN)/gbid run $(PAPER) || test $$? -eq 4
-	$(BIN)/gbid figures $(PAPER) --overwrite --format pdf --format svg --format png
-	$(BIN)/gbid reproduce $(PAPER) --overwrite --output docs/reproduction.json
+	$(BIN)/gbid paper $(PAPER) --overwrite --format pdf --format svg --format png --output docs/reproduction.json
 
 bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes the table that the docs show
 	$(BIN)/python -m benchmarks.fit_speed --output docs/benchmarks.json

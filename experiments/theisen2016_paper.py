@@ -1,6 +1,6 @@
 """Theisen et al. (2016): tables of the paper from results, and its figures (`theisen2016_numbers.yaml`) beside ours.
 
-`gbid figures` and `gbid reproduce` load this file (`gbid.report.named.paper`).
+`gbid paper` loads this file (`gbid.report.named.paper`).
 """
 
 from __future__ import annotations

@@ -73,6 +73,41 @@ def doctor(options: CommonOptions) -> None:
         raise typer.Exit(1)
 
 
+# ---- `gbid bench`: how fast a fit is on this machine.
+
+
+@with_options("as_json", "debug")
+def bench(
+    options: CommonOptions,
+    samples: Annotated[
+        int, typer.Option("--samples", metavar="N", min=1000, help="Samples of the recording.")
+    ] = 25_000,
+) -> None:
+    """Time a fit of the bearing of the paper on this machine: 14 parameters, two inputs and outputs."""
+    import numpy as np
+
+    from gbid.cli.printing import print_json, print_tables
+    from gbid.core.tables import Column, Table
+    from gbid.identify import fit
+    from gbid.lpv import load_model
+    from gbid.recording import Recording
+    from gbid.structure import RotorBearing
+
+    random, step = np.random.default_rng(1), 2e-4
+    u = np.repeat(random.choice([-5e-6, 5e-6], (-(-samples // 10), 2)), 10, axis=0)[:samples]
+    p = load_model("theisen2016").at(6.0, 0.0).simulate(u, step, intersample="foh")
+    recording = Recording({"u": u, "p": p + 30e-9 * random.standard_normal(p.shape)}, step, name="bench")
+    results = [fit(RotorBearing(), recording) for _ in range(3)]
+    seconds = [result.wall_time_s for result in results]
+    document = {"samples": samples, "first_s": seconds[0], "best_s": min(seconds), "status": str(results[-1].status)}
+    if options.as_json:
+        print_json(document)
+        return
+    columns = [Column("fit"), Column("time", "s", 3)]
+    rows = [("the first, with what is compiled and loaded once", seconds[0]), ("the fastest of three", min(seconds))]
+    print_tables(Table(f"fit of {samples} samples, {document['status']}", columns, rows))
+
+
 # ---- `gbid explain`: what the code of a note means, and what to do.
 
 

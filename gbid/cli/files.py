@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from copy import copy
 from dataclasses import replace
 from enum import StrEnum
 from inspect import Parameter, Signature, signature
@@ -93,7 +94,7 @@ def new(
         bool, typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and exit.")
     ] = False,
 ) -> None:
-    """Write a commented experiment: a template that runs as it is, or one for the files of a folder."""
+    """Write a commented experiment from a template; it runs as it is. `gbid init` drafts one for measured files."""
     from gbid.cli.printing import tell
     from gbid.cli.templates import refuse_used, write_draft, write_template
 
@@ -140,7 +141,7 @@ def new(
 
 
 def init(**given: Any) -> None:
-    """Draft an experiment for a gas bearing from the files of a folder; the same as `gbid new DIR --from FOLDER`."""
+    """Draft an experiment for a gas bearing from the files of a folder, and ask for all that they do not say."""
     folder = given.pop("folder") or Path(f"{given['measured'].resolve().name}-experiment")
     new(folder=folder, template=Template.quickstart, _list=False, **given)
 
@@ -154,13 +155,26 @@ _OF_INIT = {
         typer.Argument(metavar="[DIR]", help="A new or empty folder.", show_default="FOLDER-experiment, here"),
     ],
 }
-_OF_NEW = [q for q in signature(new).parameters.values() if q.name not in ("folder", "measured", "template", "_list")]
+_OF_TEMPLATES = ("folder", "template", "_list", "debug")
+_OF_NEW = [q for q in signature(new).parameters.values() if q.name not in (*_OF_TEMPLATES[:-1], "measured")]
 init.__signature__ = Signature(  # type: ignore[attr-defined]  # typer reads it
     [
         Parameter("measured", Parameter.POSITIONAL_OR_KEYWORD, annotation=_OF_INIT["measured"]),
         Parameter("folder", Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=_OF_INIT["folder"]),
         *_OF_NEW,
     ]
+)
+
+
+def _without_help(parameter: Parameter) -> Parameter:
+    """Return the parameter of an option that is taken, and not shown in the help of its verb."""
+    option = copy(parameter.annotation.__metadata__[0])
+    option.hidden = True
+    return parameter.replace(annotation=Annotated[parameter.annotation.__origin__, option])
+
+
+new.__signature__ = Signature(  # type: ignore[attr-defined]  # what drafts an experiment is shown by `gbid init`
+    [q if q.name in _OF_TEMPLATES else _without_help(q) for q in signature(new).parameters.values()]
 )
 
 
@@ -309,10 +323,10 @@ def export(
     ] = None,
     number: Annotated[
         Literal["double", "float"] | None,
-        typer.Option("--number", help="Type of the numbers in C source; else that of the section target, or double."),
+        typer.Option("--number", help="Of --to c: type of the numbers; else that of the section target, or double."),
     ] = None,
     mass: Annotated[
-        float | None, typer.Option("--mass", metavar="KG", help="Modal mass of the rotor; needed for ross.")
+        float | None, typer.Option("--mass", metavar="KG", help="Of --to ross: modal mass of the rotor, needed there.")
     ] = None,
     output: Annotated[
         Path | None,

@@ -9,23 +9,26 @@ from typing import Annotated
 import typer
 
 from gbid._version import __version__
-from gbid.cli.about import check, doctor, explain, schema
+from gbid.cli.about import bench, check, doctor, explain, schema
 from gbid.cli.files import clean, export, import_recordings, init, new, peek
 from gbid.cli.options import HELP, RESULTS, STAGE_VERBS, STAGES, START, GroupedCommands, examples
 from gbid.cli.results import diff, show
-from gbid.cli.verbs import batch, figures, fit, report, reproduce, run, serve, stage_verb
+from gbid.cli.verbs import batch, fit, paper, report, run, serve, stage_verb
 
 _OWN_OPTIONS = {"import": import_recordings, "fit": fit}  # stages whose verbs have options of their own
+_STAGES = {name: _OWN_OPTIONS.get(name) or stage_verb(name) for name in STAGE_VERBS}
 VERBS: dict[str, dict[str, Callable[..., None]]] = {
-    START: {"init": init, "new": new, "peek": peek, "check": check, "run": run, "batch": batch},
-    RESULTS: {
-        **{"show": show, "diff": diff, "report": report, "serve": serve, "export": export},
-        **{"figures": figures, "reproduce": reproduce},
-    },
-    HELP: {"explain": explain, "doctor": doctor, "schema": schema, "clean": clean},
-    STAGES: {name: _OWN_OPTIONS.get(name) or stage_verb(name) for name in STAGE_VERBS},
+    START: {"init": init, "new": new, "peek": peek, "check": check, "run": run, "tune": _STAGES["tune"]},
+    RESULTS: {"show": show, "diff": diff, "report": report, "serve": serve, "export": export, "paper": paper},
+    HELP: {"explain": explain, "doctor": doctor, "clean": clean},
+    STAGES: {"batch": batch, "fit": fit},
 }
-"""Verbs by group, in the order of the overview; those of the stages are `gbid run --only STAGE` by another name."""
+"""Verbs by group, in the order of the overview."""
+HIDDEN: dict[str, Callable[..., None]] = {
+    **{name: verb for name, verb in _STAGES.items() if name not in ("fit", "tune")},
+    **{"schema": schema, "bench": bench},
+}
+"""Verbs that the overview leaves out: those of the stages are `gbid run --only STAGE` by another name."""
 
 EXAMPLES = """\
 gbid init measured
@@ -73,9 +76,11 @@ gbid cycle rig1/experiment.yaml
 gbid cycle rig1/experiment.yaml --json > cycle.json
 gbid explain GB102
 gbid explain
-gbid figures theisen2016.yaml --overwrite
-gbid reproduce theisen2016.yaml
-gbid reproduce theisen2016.yaml --json > reproduction.json
+gbid paper theisen2016.yaml
+gbid paper theisen2016.yaml --only figures --format png
+gbid paper theisen2016.yaml --only comparison --json > reproduction.json
+gbid bench
+gbid bench --samples 100000
 gbid export rig1/experiment.yaml --to matlab   # all its models and controllers, for MATLAB
 gbid export rig1/experiment.yaml --to c        # its controllers as C source
 gbid export theisen2016 --to csv --at 6 0      # a model at 6 bar and 0 rpm
@@ -95,6 +100,7 @@ app = typer.Typer(
         "gbid new rig1                     # an experiment that runs as it is",
         "gbid run rig1/experiment.yaml     # every stage that it names",
         "gbid run --help                   # options and examples of a verb",
+        "gbid crossval rig1/experiment.yaml   # each stage is a verb, too: gbid run --only crossval",
     ),
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -118,10 +124,10 @@ def _gbid(
     pass
 
 
-for _group, _verbs in VERBS.items():
+for _group, _verbs in {**VERBS, "": HIDDEN}.items():
     for _name, _verb in _verbs.items():
         _lines = (line for line in EXAMPLES.splitlines() if line.split()[1] == _name)
-        app.command(_name, rich_help_panel=_group, epilog=examples(*_lines))(_verb)
+        app.command(_name, rich_help_panel=_group, epilog=examples(*_lines), hidden=_name in HIDDEN)(_verb)
 
 
 def main() -> None:

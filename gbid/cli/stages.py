@@ -43,7 +43,7 @@ _ORDER: Mapping[str, Callable[[Any], object]] = {
 }
 """Verbs in the order of the work, with what an experiment must have for them."""
 _LIKE = {
-    **{"batch": "fit", "run": "report", "figures": "cycle", "reproduce": "cycle"},
+    **{"batch": "fit", "run": "report", "paper": "cycle"},
     **{"loop": "check", "prefilter": "import", "loop-cost": "static", "nominal": "crossval"},
 }
 

@@ -111,29 +111,6 @@ class FigureFormat(StrEnum):
 
 
 @with_options("results", "overwrite", "quiet", "verbose", "as_json", "debug")
-def figures(
-    experiment: ExperimentPath,
-    options: CommonOptions,
-    formats: Annotated[
-        list[FigureFormat],
-        typer.Option("--format", help="Format of the figures; give it again for a further one, which takes its time."),
-    ] = [FigureFormat.PDF],  # noqa: B006  typer needs a list
-) -> None:
-    """Write the paper's figures (pdf) and tables (csv, Markdown), as far as the results allow."""
-    from gbid.cli.stages import conclude, looked_at
-    from gbid.report.named import paper
-
-    loaded = options.load(experiment)
-    with looked_at(loaded, options) as job:
-        outcomes, left_out = paper().write_paper(job, list(dict.fromkeys(formats)))
-    items = {o.path.stem for o in outcomes if o.state != "failed"}
-    lines = [f"left out: {item.item}: {item.why}" for item in left_out]
-    lines.append(f"{len(items)} figures and tables in {loaded.results / paper().FOLDER}")
-    absent = [{"item": item.item, "why": item.why} for item in left_out]
-    conclude("figures", loaded, options, outcomes, {"left_out": absent}, lines=lines)
-
-
-@with_options("results", "overwrite", "quiet", "verbose", "as_json", "debug")
 def report(
     experiment: ExperimentPath,
     options: CommonOptions,
@@ -163,34 +140,57 @@ def report(
     conclude("report", loaded, options, [outcome, *beside], {"report": str(outcome.path)}, lines=lines)
 
 
+class PaperPart(StrEnum):
+    """What `gbid paper` writes."""
+
+    FIGURES = "figures"
+    COMPARISON = "comparison"
+
+
 @with_options("results", "overwrite", "quiet", "verbose", "as_json", "debug")
-def reproduce(
+def paper(
     experiment: ExperimentPath,
     options: CommonOptions,
+    only: Annotated[PaperPart | None, typer.Option("--only", help="Write this alone.")] = None,
+    formats: Annotated[
+        list[FigureFormat],
+        typer.Option("--format", help="Format of the figures; give it again for a further one, which takes its time."),
+    ] = [FigureFormat.PDF],  # noqa: B006  typer needs a list
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="FILE", help="Also write the rows to this file, as JSON.")
+        Path | None, typer.Option("--output", metavar="FILE", help="Also write the comparison to this file, as JSON.")
     ] = None,
 ) -> None:
-    """Compare our results with those of the paper, row by row: deviation, scatter in the paper, and reasons."""
+    """Write the paper's figures and tables, and compare our results with its numbers, row by row with reasons."""
     import json
 
     from gbid.cli.printing import print_json, print_tables
-    from gbid.cli.stages import finish, looked_at, next_step
+    from gbid.cli.stages import finish, looked_at, next_step, outcome_rows
     from gbid.core.files import atomic_path
-    from gbid.report.named import paper
+    from gbid.report.named import paper as paper_files
 
-    loaded = options.load(experiment)
+    loaded, files, document = options.load(experiment), paper_files(), {}
+    outcomes, lines, tables = [], [], []
     with looked_at(loaded, options) as job:
-        outcomes, document = paper().write_reproduction(job)
-    if output is not None:
-        with atomic_path(output, overwrite=True) as part:
-            part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        if only is not PaperPart.COMPARISON:
+            outcomes, left_out = files.write_paper(job, list(dict.fromkeys(formats)))
+            drawn = {outcome.path.stem for outcome in outcomes if outcome.state != "failed"}
+            document["left_out"] = [{"item": item.item, "why": item.why} for item in left_out]
+            lines += [f"left out: {item.item}: {item.why}" for item in left_out]
+            lines.append(f"{len(drawn)} figures and tables in {loaded.results / files.FOLDER}")
+        if only is not PaperPart.FIGURES:
+            written, compared = files.write_reproduction(job)
+            document, outcomes = {**compared, **document}, [*outcomes, *written]
+            tables = files.reproduction_tables(compared)
+            lines += [f"written: {outcome.path}" for outcome in written]
+            if output is not None:
+                with atomic_path(output, overwrite=True) as part:
+                    part.write_text(json.dumps(compared, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if options.as_json:
-        print_json(document)
+        print_json({**document, "outcomes": outcome_rows(outcomes)})
     else:
-        print_tables(*paper().reproduction_tables(document))
-        typer.echo("\n".join(f"written: {outcome.path}" for outcome in outcomes))
-    finish(outcomes, advice="" if options.quiet else next_step(loaded, "reproduce"))
+        print_tables(*tables)
+        typer.echo("\n".join(lines))
+    finish(outcomes, advice="" if options.quiet else next_step(loaded, "paper"))
 
 
 @with_options("results", "debug")

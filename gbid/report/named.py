@@ -1,4 +1,4 @@
-"""Figures by name: each file of this package lists its own, and `gbid figures`, the page and the docs find them."""
+"""Figures by name: each file of this package lists its own, and `gbid paper`, the page and the docs find them."""
 
 from __future__ import annotations
 

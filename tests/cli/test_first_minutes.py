@@ -22,7 +22,10 @@ EXPERIMENTS = [
     for path in sorted((ROOT / "experiments").rglob("*.yaml"))
     if "results" not in path.relative_to(ROOT).parts and path.stem != "theisen2016_numbers"
 ]
-VERBS = [command.name for command in app.registered_commands]
+COMMANDS = {command.name: command for command in app.registered_commands}
+VERBS = list(COMMANDS)
+CALLED = ("new", "check", "rig", "import", "fit", "batch", "crossval", "lpv", "tune", "report", "run", "bench")
+"""Verbs that programs outside of gbid call."""
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +52,10 @@ def test_help_lists_the_verbs_in_groups_with_whole_sentences(capsys):
     assert groups == ["Start", "Results", "Help", "Stages"]
     assert "Other:" not in text, "a verb without a group"
     assert "..." not in text.partition("Start:")[2]
-    for verb in VERBS:
-        assert re.search(rf"^  {verb} +\w", text, re.MULTILINE), verb
+    for verb, command in COMMANDS.items():
+        assert bool(re.search(rf"^  {verb} +\w", text, re.MULTILINE)) != command.hidden, verb
+    assert sum(not command.hidden for command in COMMANDS.values()) == 17
+    assert COMMANDS.keys() >= set(CALLED)
     assert "\n    gbid new rig1 " in text
 
 
@@ -62,6 +67,20 @@ def test_every_verb_shows_examples_that_name_real_options(verb, capsys):
     assert len([line for line in examples if line.startswith(f"gbid {verb}")]) == len(examples)
     for option in re.findall(r" (--[\w-]+)", " ".join(examples)):
         assert re.search(rf"{option}\b", text.partition("Examples:")[0]), f"{verb} has no {option}"
+
+
+def test_new_shows_the_options_of_templates_and_takes_those_of_init(capsys):
+    assert set(re.findall(r"^  (?:-\w, )?(--[\w-]+)", printed_by(capsys, "new", "-h").out, re.MULTILINE)) == {
+        *("--template", "--list", "--debug", "--help"),
+    }
+    assert "--moving-mass" in printed_by(capsys, "init", "-h").out
+
+
+def test_bench_times_fits_on_this_machine(capsys):
+    told = json_of(capsys, "bench", "--samples", 2000)
+    assert told["samples"] == 2000
+    assert 0 < told["best_s"] <= told["first_s"]
+    assert "fastest of three" in printed_by(capsys, "bench", "--samples", 2000).out
 
 
 def test_new_lists_templates_and_says_what_comes_next(tmp_path, capsys):

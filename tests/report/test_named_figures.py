@@ -65,7 +65,7 @@ def test_a_file_is_enough_for_verb_and_page(tmp_path, one_file, monkeypatch):
     found = {name: figure for name, figure in named_figures().items() if name == "poles_of_the_machine"}
     monkeypatch.setattr(paper(), "named_figures", lambda: found)  # the others take their time
     monkeypatch.setattr(report_file, "Pictures", BlankPictures)
-    assert command("figures", path) == 0
+    assert command("paper", path, "--only", "figures") == 0
     assert (tmp_path / "results" / "quick" / "figures" / "poles_of_the_machine.pdf").is_file()
     page = report_file.write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")
     assert "Poles of the machine behind the rig at 6 bar, 0 rpm" in page[page.index('id="controller"') :]

@@ -84,7 +84,7 @@ def test_terminal(made, expected, capsys):
 
 def test_paper_tables(made, expected, monkeypatch):
     monkeypatch.setattr(paper(), "save_figure", lambda _figure, part, **_: part.touch())
-    assert command("figures", made) == 0
+    assert command("paper", made, "--only", "figures") == 0
     folder = made.parent / "results" / "slow" / "figures"
     lines = [line for line in (folder / "designs.csv").read_text().splitlines() if not line.startswith("#")]
     rows = {row[0]: row[1:] for row in csv.reader(lines)}

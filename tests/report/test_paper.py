@@ -475,7 +475,7 @@ def test_verb_writes_what_it_can_and_says_what_it_left_out(small, monkeypatch, c
     figures = named_figures()
     monkeypatch.setattr(paper_files, "named_figures", lambda: {name: figures[name] for name in wanted})
     formats = [word for kind in ("pdf", "svg", "png") for word in ("--format", kind)]
-    document = json_of(capsys, "figures", path, "--results", out, *formats)
+    document = json_of(capsys, "paper", path, "--only", "figures", "--results", out, *formats)
     left_out = {row["item"]: row["why"] for row in document["left_out"]}
     assert left_out["fig11_stiffness"] == "no section 'lpv'; add one"
     assert left_out["table3_natural_frequencies"] == "no section 'impacts'; add one"
@@ -491,7 +491,7 @@ def test_verb_writes_what_it_can_and_says_what_it_left_out(small, monkeypatch, c
         begins = {"pdf": b"%PDF", "svg": b"<?xml", "png": b"\x89PNG"}
         for kind, magic in begins.items():
             assert (out / "figures" / f"{name}.{kind}").read_bytes().startswith(magic)
-    again = json_of(capsys, "figures", path, "--results", out)
+    again = json_of(capsys, "paper", path, "--only", "figures", "--results", out)
     assert {o["state"] for o in again["outcomes"]} == {"kept"}
 
 
@@ -503,7 +503,7 @@ def test_a_full_disk_is_not_a_figure_left_out(small, tmp_path, monkeypatch, caps
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr("gbid.core.files.os.fsync", full)
-    printed = printed_by(capsys, "figures", path, "--results", tmp_path / "out", code=3)
+    printed = printed_by(capsys, "paper", path, "--only", "figures", "--results", tmp_path / "out", code=3)
     assert "No space left in" in printed.err.splitlines()[-1]
 
 
@@ -527,7 +527,7 @@ def test_rows_without_results_are_missing_with_the_reason(small, capsys):
     assert "static" in rows["static_rms_xx"].why
     text = reproduction_markdown(paper_files.reproduction_document(list(rows.values())))
     assert text.count("\n| ") == 3 + len(rows)  # heads of both tables, and a rule
-    document = json_of(capsys, "reproduce", path, "--results", out)
+    document = json_of(capsys, "paper", path, "--only", "comparison", "--results", out)
     assert len(document["rows"]) == len(NUMBERS)
     assert len(document["past_the_paper"]) == 2  # no section 'controller'
     answers = {row["id"]: row["answer"] for row in document["sentences"]}
