@@ -936,7 +936,8 @@ def alternative_rows(results: Results) -> list[list[str | float]]:
         first = dampings if first is None else first
         differ = int((np.abs(dampings - first) > 1e-9).sum())
         closed = min(_smallest(close_loop(plant, published)) for plant in plants)
-        changed = ", ".join(changed_verdicts(results, model)) or "none"
+        has_surfaces = results.experiment.spec.lpv is not None
+        changed = ", ".join(changed_verdicts(results, model)) or "none" if has_surfaces else "no surfaces"
         rows.append([name.partition(" = ")[2], float(differ), float(dampings.min()), closed, changed])
     return rows
 

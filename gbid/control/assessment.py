@@ -24,7 +24,7 @@ from gbid.control.loop.sensitivity import (
     static_stiffness_ratio,
 )
 from gbid.control.tuning.loops import PADE_ORDER
-from gbid.control.tuning.plants import ModelPlants, PlantLike, TuneOptions, plants_of
+from gbid.control.tuning.plants import ModelPlants, PlantsLike, TuneOptions, plants_of
 from gbid.control.tuning.result import GainResult
 from gbid.core import hdf5
 from gbid.core.arrays import BoolArray, FloatArray, point_label
@@ -222,7 +222,7 @@ class Assessment(Brief):
 
 
 def assess(
-    model: PlantLike | Sequence[PlantLike],
+    model: PlantsLike,
     controller: str | Structure | GainResult,
     gains: Mapping[str, float] | None = None,
     points: Sequence[tuple[float, float]] | None = None,
@@ -238,7 +238,7 @@ def assess(
 
     Parameters
     ----------
-    model : LPVModel, LinearModel, LPVFit, FitResult, or sequence of these
+    model : LPVModel, LinearModel, LPVFit, FitResult, sequence of these, or dict of str to them
         The plant, as `gbid.tune` takes it; an LPV model has actuators. Each linear model of a list is a point.
     controller : str, Structure or GainResult
         ``"P"``, ``"PD"`` or ``"biquad"`` with default options, or a structure from `controller_structure` or
@@ -310,7 +310,7 @@ class _AssessedPlant(NamedTuple):
 
 
 def _plants(
-    model: PlantLike | Sequence[PlantLike],
+    model: PlantsLike,
     structure: Structure | Scheduled,
     points: Sequence[tuple[float, float]] | None,
 ) -> list[_AssessedPlant]:

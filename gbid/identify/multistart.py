@@ -78,6 +78,20 @@ class MultiStart(Brief):
     spread: float
     minima: tuple[Minimum, ...]
 
+    @property
+    def status(self) -> FitStatus:
+        """Status of the best fit."""
+        return self.best.status
+
+    @property
+    def success(self) -> bool:
+        """Whether the best fit is one; see `FitResult.success`."""
+        return self.best.success
+
+    def _repr_html_(self) -> str:
+        """Return the description with that of the best fit, for a notebook."""
+        return self._brief().html() + self.best._repr_html_()
+
     def _brief(self) -> Description:
         about = (
             f"{len(self.losses)} starts, {int(self.converged.sum())} converged, {self.same_optimum} ended at the best "

@@ -163,7 +163,7 @@ def test_completion_offers_experiments_and_folders(tmp_path, monkeypatch):
     assert "d.h5" in complete_source("")
 
 
-@pytest.mark.parametrize(("words", "offered"), [("gbid sch", "schema"), ("gbid run ri", "rig1.yaml")])
+@pytest.mark.parametrize(("words", "offered"), [("gbid pap", "paper"), ("gbid run ri", "rig1.yaml")])
 def test_bash_completes_verbs_and_files(tmp_path, monkeypatch, capsys, words, offered):
     (tmp_path / "rig1.yaml").touch()
     monkeypatch.chdir(tmp_path)

@@ -40,6 +40,8 @@ def result(rec):
 
 def test_the_best_of_several_starts_is_the_truth(rec, result):
     assert result.losses.shape == result.converged.shape == (8,)
+    assert (result.status, result.success) == (result.best.status, True)
+    assert result.best._repr_html_() in result._repr_html_()
     own = fit(WIDE, rec, window=None)
     assert result.losses[0] == own.loss  # the structure's own start comes first
     assert own.loss > 2 * result.best.loss  # and ends elsewhere: that is what the others are for

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import chain
 from typing import Annotated, Any, Literal, Self
 
 import casadi as ca
@@ -160,6 +161,7 @@ def root_of(covariance: FloatArray) -> FloatArray:
 
 Point = tuple[float, float]
 PlantLike = LPVModel | LPVFit | LinearModel | FitResult
+PlantsLike = PlantLike | Sequence[PlantLike] | Mapping[str, PlantLike]
 """What `gbid.tune` takes as a plant."""
 
 
@@ -672,9 +674,7 @@ def _channels(model: LinearModel, columns: list[int], rows: list[int]) -> Linear
 # ---- Plants of a design from what a user gives: an LPV model, linear models, fits, or a list of these.
 
 
-def plants_of(
-    model: PlantLike | Sequence[PlantLike], structure: Structure | Scheduled, options: TuneOptions
-) -> LpvPlants | ModelPlants:
+def plants_of(model: PlantsLike, structure: Structure | Scheduled, options: TuneOptions) -> LpvPlants | ModelPlants:
     """Plants of a design.
 
     Raises
@@ -690,7 +690,8 @@ def plants_of(
         if options.speeds_rpm is not None:
             raise UsageError("tune: speeds_rpm belongs to linear models; an LPV model has operating_points")
         return LpvPlants.of(model, structure, options)
-    given = list(model) if isinstance(model, Sequence) else [model]
+    labels = list(model) if isinstance(model, Mapping) else []
+    given = [*model.values()] if isinstance(model, Mapping) else [*model] if isinstance(model, Sequence) else [model]
     if not given:
         raise UsageError("tune: no models")
     surfaces = [each.model if isinstance(each, LPVFit) else each for each in given]
@@ -702,7 +703,12 @@ def plants_of(
             return LpvPlants.of(first, structure, options, tuple(others))
     if options.uncertainty is not None:
         raise UsageError("tune: uncertainty belongs to an LPV model; give the drawn models in the list")
-    models = [one for each in given for one in _linear(each, options)]
+    several = [_linear(each, options) for each in given]
+    for i, label in enumerate(labels):
+        several[i] = [
+            replace(one, name=label if len(several[i]) == 1 else f"{label}, {one.name}") for one in several[i]
+        ]
+    models = [*chain.from_iterable(several)]
     speeds = np.zeros(len(models)) if options.speeds_rpm is None else np.array(options.speeds_rpm, float)
     if speeds.shape != (len(models),) or not np.isfinite(speeds).all():
         raise UsageError(f"tune: speeds_rpm = {options.speeds_rpm} for {len(models)} models; give a speed for each")

@@ -17,8 +17,8 @@ from gbid.control.tuning.goals import (
 from gbid.control.tuning.plants import (
     LpvPlants,
     ModelPlants,
-    PlantLike,
     Plants,
+    PlantsLike,
     Point,
     TuneOptions,
     plants_of,
@@ -114,7 +114,7 @@ def _edge_notes(solution: GainSolution, names: tuple[str, ...]) -> tuple[str, ..
 
 
 def tune(
-    model: PlantLike | Sequence[PlantLike],
+    model: PlantsLike,
     controller: str | Structure | Scheduled = "P",
     *,
     progress: Progress | None = None,
@@ -130,9 +130,9 @@ def tune(
 
     Parameters
     ----------
-    model : LPVModel, LinearModel, LPVFit, FitResult, or sequence of these
-        The plant. An LPV model has actuators. Of a list the design holds for all models: fits of several recordings,
-        draws, or worst cases. Linear models are continuous; their delays may be exact.
+    model : LPVModel, LinearModel, LPVFit, FitResult, sequence of these, or dict of str to them
+        The plant. An LPV model has actuators. Of several the design holds for all models: fits of several recordings,
+        draws, or worst cases; a dict gives their names. Linear models are continuous; their delays may be exact.
     controller : str, Structure or Scheduled
         See `gbid.controller_structure`; by default P with a first-order low-pass of 1000 Hz. To tune the corner
         frequency as well, use ``controller_structure("P", tune_corner=True)``. For gains that depend on pressure and
@@ -174,7 +174,7 @@ def tune(
 
 
 def tuned(
-    model: PlantLike | Sequence[PlantLike],
+    model: PlantsLike,
     controller: str | Structure | Scheduled,
     options: TuneOptions,
     progress: Progress | None = None,
