@@ -111,7 +111,7 @@ def test_impacts_of_each_loop_stand_beside(results) -> None:
 def test_reproduction_ends_with_what_the_paper_has_no_figures_for(made, capsys) -> None:
     document = json_of(capsys, "paper", made, "--only", "comparison")
     titles = [table["title"] for table in document["past_the_paper"]]
-    assert [title.split(" ")[0] for title in titles] == ["the", "readings", "Designs", "The"]
+    assert [title.split(" ")[0] for title in titles] == ["the", "modes", "readings", "P", "Designs", "The"]
     out = printed_by(capsys, "paper", made, "--only", "comparison").out
     assert "stack [µm]" in out
     text = paper().reproduction_markdown(document)
