@@ -74,7 +74,7 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
 
         def read(heading: str, part: FilePart | None) -> tuple[Any, int | None, int]:
             """Return the values, the number of the first one, and the number of all; of Parquet no other row groups."""
-            rows, first = rows_of(part)
+            rows, first = rows_of(None if part is None or part.axis else part)  # channels as rows are read as a whole
             if table is not None:
                 return table.column(heading)[rows], first, table.num_rows
             total = file.metadata.num_rows
@@ -95,10 +95,10 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             values = column.to_numpy()  # nan for null
             if values.dtype.kind in "mM":
                 values = seconds(values)
-            elif hasattr(column.type, "list_size") and len(values):
-                values = np.stack(list(values))
+            elif values.dtype == object and len(values) and len({np.shape(each) for each in values}) == 1:
+                values = np.stack(list(values))  # of lists of one length; texts stay texts
             unit = name_and_unit(field.name)[1] if stated is None else stated
-            return StoredArray(values, unit, first=first, total=total)
+            return StoredArray(values, unit, first=first, total=None if first is None else total)
 
         headings = schema.names
         yield OpenFile(

@@ -15,7 +15,7 @@ P = np.random.default_rng(0).standard_normal((3, 500))
 SIGNALS = {"s": {"columns": ["p[1]"], "unit": "V"}}
 
 
-@pytest.fixture(params=["h5", "mat", "npz"])
+@pytest.fixture(params=["h5", "mat", "npz", "parquet"])
 def channels_as_rows(request, tmp_path):
     path = tmp_path / f"a.{request.param}"
     if request.param == "h5":
@@ -25,6 +25,11 @@ def channels_as_rows(request, tmp_path):
             file["short"] = np.zeros(400)
     elif request.param == "mat":
         scipy.io.savemat(path, {"p": P})
+    elif request.param == "parquet":
+        pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'gbid[arrow]'")
+        from pyarrow import parquet
+
+        parquet.write_table(pa.table({"p": P.tolist(), "name": ["a", "b", "c"]}), path)  # a row for each channel
     else:
         np.savez(path, p=P)
     return path
@@ -38,7 +43,7 @@ def test_channels_are_rows_where_it_is_said(channels_as_rows):
     np.testing.assert_array_equal(some.signal("s")[:, 0], P[1, 100:102])
     assert some.provenance["source_samples"] == "100 to 102"
     for more in ({}, {"axis": 0, "samples": [100, 102]}):
-        with pytest.raises(DataError, match=r"3 samples of 500 channels along axis 0; .* give axis: 1"):
+        with pytest.raises(DataError, match=r"3 samples of 500 channels along axis 0; .* give axis: 1|its 3 samples"):
             import_recording(channels_as_rows, {**mapping, **more})
     with pytest.raises(DataError, match="samples 10 to 600 are not within its 500 samples"):
         import_recording(channels_as_rows, {**mapping, "axis": 1, "samples": [10, 600]})
