@@ -5,6 +5,7 @@ import re
 import tomllib
 
 import licences
+import try_release
 from places import ROOT
 
 from gbid.core.files import share_folder
@@ -92,3 +93,19 @@ def test_each_digest_is_of_the_version_that_the_tests_run_with():
     lines = (ROOT / "requirements.txt").read_text(encoding="utf-8").splitlines()
     for line, following in itertools.pairwise(lines):
         assert "==" not in line or line.startswith("#") or following.lstrip().startswith("--hash=sha256:")
+
+
+def test_the_wheel_is_tried_with_newest_and_lowest_dependencies_of_each_python(monkeypatch, tmp_path):
+    for name in ("gbid-0-py3-none-any.whl", "gbid-0.tar.gz"):
+        (tmp_path / name).touch()
+    tried = []
+    monkeypatch.setattr(try_release, "check_source", lambda _: 0)
+    monkeypatch.setattr(try_release, "found_pythons", lambda: {(3, 11): "a", (3, 13): "b"})
+    monkeypatch.setattr(try_release, "try_installed", lambda _, __, *how: tried.append(how))
+    try_release.try_release(tmp_path, [])
+    assert tried[:4] == [("a", False), ("a", True), ("b", False), ("b", True)]
+    assert tried[4][1:] == (False, ["extra"])  # the compiler of the extra
+    tried.clear()
+    try_release.try_release(tmp_path, ["--here"])
+    assert [how[1] for how in tried] == [False, True]
+    assert "make release-check TRY=--here" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
