@@ -243,6 +243,16 @@ def test_uniform_steps_and_their_responses():
     assert found.response_time[1] == TS
 
 
+def test_a_level_that_is_held_twice_has_no_gain_of_its_step():
+    rec = loop(hysteresis=0.0)
+    v = np.array(rec.signal("v"))
+    v[2700:2710] += 1.0  # a short peak on the sixth level
+    found = characterise_piezo(rec.with_signals(v=v), command="v", position="y_p")
+    assert np.flatnonzero(np.isnan(found.step_gain)).tolist() == np.flatnonzero(found.step == 0).tolist() == [5]
+    np.testing.assert_allclose(np.delete(found.step_gain, 5), 4.5e-6, rtol=1e-6)
+    assert found.uniformity < 1e-6
+
+
 def test_used_up_travel_is_named_and_not_counted_as_uneven():
     rec = loop(hysteresis=0.0)
     limited = rec.with_signals(y_p=np.minimum(rec.signal("y_p"), 42e-6))
