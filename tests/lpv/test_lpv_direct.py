@@ -132,7 +132,7 @@ def test_rounds_that_do_not_settle_are_said(one_point, monkeypatch):
     start = constant({key: 1.01 * value for key, value in truth_at(5.0, 4000.0).items()})
     options = {"structure": RotorBearing(disturbance_gain="none"), "focus": "simulation"}
     settled = gbid.fit_lpv_direct(one_point, start, **options)
-    assert int(settled.options["rounds"]) > 1
+    assert 1 < int(settled.options["rounds"]) < 5  # it ends before the last one
     assert not [note for note in settled.notes if "GB304" in note]
     monkeypatch.setattr("gbid.lpv.direct._ROUNDS", 1)
     stopped = gbid.fit_lpv_direct(one_point, start, **options)

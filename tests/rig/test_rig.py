@@ -12,6 +12,7 @@ from rig_point import BARE, actuator, machine, rotor_bearing
 from scipy.integrate import solve_ivp
 
 from gbid.core.errors import UsageError
+from gbid.lpv import load_model
 from gbid.rig import (
     Machine,
     Prbs,
@@ -311,6 +312,7 @@ def test_a_machine_from_parameters_by_name():
     np.testing.assert_array_equal(machine.actuator.fast_pole, [11, 12])
     np.testing.assert_array_equal(machine.actuator.gain, [21, 22])
     assert (machine.sensors.noise_p_m, machine.unbalance, machine.clearance) == (0.0, Unbalance(), 25e-6)
+    assert Machine(bearing, machine.actuator).clearance == load_model("theisen2016").machine.clearance_m == 25e-6
     with pytest.raises(UsageError, match="rotor bearing: no value for tau_y"):
         Machine.from_parameters({key: value for key, value in p.items() if key != "tau_y"}, a)
     with pytest.raises(UsageError, match="actuator: no value for p1_x, p2_x"):

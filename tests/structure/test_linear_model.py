@@ -175,6 +175,8 @@ def test_wrong_simulations() -> None:
     ):
         with pytest.raises(UsageError, match=message):
             model.simulate(*arguments)
+    with pytest.raises(UsageError, match=f"model '{model.name}': inputs have shape"):
+        model.predict(np.ones((5, 3)), np.ones((5, 2)), 0.1)
     with pytest.raises(UsageError, match=r"initial_state has shape \(3,\), expected \(4,\)"):
         model.simulate(u, 0.1, initial_state=np.zeros(3))
     with pytest.raises(UsageError, match="choose 'zoh' or 'foh'"):
