@@ -71,7 +71,7 @@ class Dual:
     def __truediv__(self, number: float) -> Dual:
         return Dual(self.value / number, self.slope / number)
 
-    def rows(self, index: slice) -> Dual:
+    def rows(self, index: slice | list[int]) -> Dual:
         """Return some rows, as an array indexed by ``[index]``.
 
         Parameters

@@ -62,7 +62,7 @@ class LoopSection(ControllerChoice):
     delay_s: NotNegative | None = None
     measured: Annotated[tuple[CountOrZero, ...], Field(min_length=1)] | None = None
     injected: Literal["plant input", "set point"] = "plant input"
-    pade_order: Count = 3
+    pade_order: Count | None = 3
     beside: Text | None = None
 
 

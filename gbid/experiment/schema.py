@@ -184,7 +184,10 @@ class FigureSection(Section):
 
 
 class StructureOptions(Section):
-    """Options of a built-in structure; `order` and `piece_s` are for scheduled ones, see `gbid.scheduled`."""
+    """Options of a built-in structure; `order` and `piece_s` are for scheduled ones, see `gbid.scheduled`.
+
+    Those from `axes` on are for magnetic bearings, see `gbid.RigidRotor` and `gbid.MagneticBearing`.
+    """
 
     delay: Literal["exact", "pade"] | None = None
     pade_order: Count | None = None
@@ -194,6 +197,19 @@ class StructureOptions(Section):
     unbalance: Switch | None = None
     order: Annotated[int, Exact(), Ge(0), Le(2)] | None = None
     piece_s: Positive | None = None
+    axes: Names | None = None
+    mass_kg: Positive | None = None
+    inertia_kg_m2: Positive | None = None
+    polar_inertia_kg_m2: NotNegative | None = None
+    arms_m: tuple[Finite, Finite] | None = None
+    sensor_arms_m: tuple[Finite, Finite] | None = None
+    speed_rpm: Finite | None = None
+    k_s: Finite | None = None
+    k_i: Finite | None = None
+    amplifier_hz: Positive | None = None
+    amplifier_delay_s: NotNegative | None = None
+    longest_delay_s: Positive | None = None
+    sensor_hz: Positive | None = None
 
 
 class PriorSection(Section):

@@ -21,8 +21,10 @@ from gbid.structure import (
     AnyStructure,
     ClosedLoop,
     LinearModel,
+    MagneticBearing,
     PiezoPair,
     Plant,
+    RigidRotor,
     RotorBearing,
     ScheduledStructure,
     Structure,
@@ -127,6 +129,12 @@ def _plant(poles: Literal["real", "any"] = "real", **options: Any) -> Structure:
     return Plant(RotorBearing(**options), PiezoPair(poles=poles))
 
 
+def _magnetic_bearing(**options: Any) -> Structure:
+    """Return magnetic bearings of a rigid rotor from the options of both."""
+    chain = {key: options.pop(key) for key in _OF_AMPLIFIERS if key in options}
+    return MagneticBearing(RigidRotor(**options), **chain)
+
+
 def _scheduled(build: Callable[..., Structure], **options: Any) -> ScheduledStructure:
     """Return a scheduled structure from the options of the base and its schedule."""
     schedule = {key: options.pop(key) for key in _OF_SCHEDULE if key in options}
@@ -135,11 +143,14 @@ def _scheduled(build: Callable[..., Structure], **options: Any) -> ScheduledStru
 
 _OF_BEARING = ("delay", "pade_order", "disturbance_gain", "unbalance")
 _OF_SCHEDULE = ("order", "piece_s")
+_OF_ROTOR = ("axes", "mass_kg", "inertia_kg_m2", "polar_inertia_kg_m2", "arms_m", "sensor_arms_m", "speed_rpm")
+_OF_AMPLIFIERS = ("amplifier_hz", "amplifier_delay_s", "longest_delay_s", "sensor_hz")
 
 BUILT_IN: dict[str, tuple[Callable[..., Structure | ScheduledStructure], tuple[str, ...]]] = {
     "rotor_bearing": (RotorBearing, (*_OF_BEARING, "film")),
     "piezo_pair": (PiezoPair, ("disturbance_gain", "poles")),
     "plant": (_plant, (*_OF_BEARING, "poles")),
+    "magnetic_bearing": (_magnetic_bearing, (*_OF_ROTOR, "k_s", "k_i", *_OF_AMPLIFIERS)),
     "scheduled_rotor_bearing": (partial(_scheduled, RotorBearing), (*_OF_BEARING, *_OF_SCHEDULE)),
     "scheduled_plant": (partial(_scheduled, _plant), (*_OF_BEARING, *_OF_SCHEDULE)),
 }

@@ -252,9 +252,8 @@ class Predictor(GeneralPredictor):
         gain = (
             held.columns(slice(n_r, None)) if self.feeds_back else constant(np.zeros((*F.value.shape[:-1], n_y)), n_p)
         )
-        A_K, B_K, C_K, D_K, _, direct = law
-        known = ControlLaw(A_K, B_K, C_K, D_K, held.columns(slice(0, n_r)), direct)
-        F, drive, C, feed, Kd = self.feedback.close(plant._replace(K=gain), known)
+        known = ControlLaw(*law)._replace(drive=held.columns(slice(0, n_r)))
+        F, drive, C, feed, Kd = self.feedback.close(plant._replace(K=gain), known, A, self.n_inputs, whole)
         before = n - len(self.disturbances.walking)  # the states of random walks are the last
         order = [*range(before), *range(n, F.shape[0]), *range(before, n)]
         ordered = F.rows(order).columns(order), drive.rows(order), C.columns(order), feed, Kd.rows(order)
@@ -480,8 +479,9 @@ def _with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Mat
     no_input = ca.SX(added, n_u)
     feedback = m.feedback
     if feedback is not None:
-        drive = ca.vertcat(feedback.law.drive, ca.SX(added, feedback.law.drive.shape[1]))
-        feedback = feedback._replace(law=feedback.law._replace(drive=drive))
+        law, none = feedback.law, ca.SX(added, feedback.law.drive.shape[1])
+        drive, late = (ca.vertcat(each, none) for each in (law.drive, law.late))
+        feedback = feedback._replace(law=law._replace(drive=drive, late=late))
     return m._replace(
         A=ca.diagcat(m.A, ca.SX(added, added)),
         B=ca.vertcat(m.B, no_input),

@@ -28,6 +28,10 @@ from .linear import (
     evaluate as evaluate,
     symbolic_matrices as symbolic_matrices,
 )
+from .magnetic_bearing import (
+    MagneticBearing as MagneticBearing,
+    RigidRotor as RigidRotor,
+)
 from .models import (
     LinearModel as LinearModel,
     frequency_grid as frequency_grid,

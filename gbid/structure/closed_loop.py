@@ -102,8 +102,8 @@ class ClosedLoop(Brief):
     Parameters
     ----------
     structure : Structure
-        Plant, from the output of the controller to the recorded outputs. Exact delays become Padé filters, because
-        what the plant gets depends on its own past.
+        Plant, from the output of the controller to the recorded outputs. Exact delays become Padé filters, or states
+        that hold the last inputs; see `pade_order`.
     controller : LinearModel or Structure
         Controller from measured outputs to the inputs of the plant, which add up as ``r = w + K y``: positive gains
         are positive feedback. A continuous model or structure makes a continuous loop, with exact delays of the model
@@ -123,16 +123,17 @@ class ClosedLoop(Brief):
         controller gets ``y - w``.
     inputs, outputs : str or sequence of str, optional
         Signals of the recordings: what is injected, ``"w"`` by default, and by default the outputs of the structure.
-    pade_order : int
-        Order of the Padé filters.
+    pade_order : int, optional
+        Order of the Padé filters. With None the delays of the plant stay exact. That needs a sampled controller, and an
+        upper bound of each delay: the inputs of as many samples are states.
     name : str
         Name of the loop; by default that of the plant and of the controller.
 
     Raises
     ------
     UsageError
-        When the sizes of plant and controller do not fit, when both have direct feedthrough, or when options of a
-        sampled controller are given for a continuous one.
+        When the sizes of plant and controller do not fit, when both have direct feedthrough, when options of a sampled
+        controller are given for a continuous one, or when exact delays have no upper bound.
 
     Notes
     -----
@@ -149,7 +150,7 @@ class ClosedLoop(Brief):
     injected: Injection
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    pade_order: int
+    pade_order: int | None
     name: str
     intersample: Hold
 
@@ -164,7 +165,7 @@ class ClosedLoop(Brief):
         injected: Injection = "plant input",
         inputs: str | Sequence[str] = "w",
         outputs: str | Sequence[str] | None = None,
-        pade_order: int = 3,
+        pade_order: int | None = 3,
         name: str = "",
     ) -> None:
         where = f"loop of {structure.name!r} and {controller.name!r}"
@@ -196,6 +197,11 @@ class ClosedLoop(Brief):
             "intersample": "zoh",
         }
         set_fields(self, {**locals(), **chosen})
+        late_law = isinstance(controller, LinearModel) and controller.delay is not None
+        if pade_order is None and (late_law or (m.has_delay and self.sample_time is None)):
+            raise UsageError(f"{where}: exact delays are for those of the plant, with a sampled controller")
+        if not np.isfinite(self._longest_delay):
+            raise UsageError(f"{where}: exact delays in a loop need upper bounds; give them, or pade_order")
         symbols = Values.of(self.parameters, ca.vertcat(*(ca.SX.sym(q.name) for q in self.parameters)))
         if m.D.nnz() and self._law(symbols).D.nnz():
             raise UsageError(
@@ -222,7 +228,7 @@ class ClosedLoop(Brief):
         """
         _, m = symbolic_matrices(self.structure)
         n_delayed = len(set(m.B_delayed.sparsity().get_triplet()[1])) if m.has_delay else 0
-        n = m.n_states + n_delayed * self.pade_order
+        n = m.n_states + (self._memory * m.B.shape[1] if self.pade_order is None else n_delayed * self.pade_order)
         of_plant = self.structure.forgotten_states if isinstance(self.structure, Plant | RotorBearing) else ()
         hidden = isinstance(self.structure, Plant) and "u" not in self.structure.outputs and not self.gains
         law = self.controller_model() if hidden else None
@@ -236,14 +242,15 @@ class ClosedLoop(Brief):
         drive, feed = plant.B, plant.D
         n, n_y = plant.A.shape[0], plant.C.shape[0]
         B, D = (ca.SX(n, len(self.measured)), ca.SX(n_y, len(self.measured))) if set_point else (drive, feed)
-        law = law._replace(drive=drive, feed=feed)
+        law = law._replace(drive=drive, feed=feed, late=plant.B_delayed, delay=plant.delay)
         parts = LoopParts(plant.A, B, plant.C, D, plant.K)
-        begins = {"x0": ca.vertcat(plant.x0, ca.SX(law.A.shape[0], 1))} if plant.x0.numel() else {}
+        n_held = self._memory * drive.shape[1]
+        begins = {"x0": ca.vertcat(plant.x0, ca.SX(n_held + law.A.shape[0], 1))} if plant.x0.numel() else {}
         if self.sample_time is None:
             return {**closed_parts(parts, law, self.measured, set_point)._asdict(), **begins}
         return {
             **parts._asdict(),
-            "feedback": HeldFeedback(law, self.measured, set_point, self.sample_time),
+            "feedback": HeldFeedback(law, self.measured, set_point, self.sample_time, self._memory),
             **begins,
         }
 
@@ -272,10 +279,25 @@ class ClosedLoop(Brief):
         symbols, m = symbolic_matrices(self.structure)
         values = ca.vertcat(*(p[q.name] for q in self.structure.parameters))
         A, B, C, D, K, B_delayed, delay, x0 = ca.substitute(list(m[:8]), [symbols], [values])
-        return pade_matrices(Matrices(A, B, C, D, K, B_delayed, delay, x0), self.pade_order)
+        m = Matrices(A, B, C, D, K, B_delayed, delay, x0)
+        return m if self.pade_order is None else pade_matrices(m, self.pade_order)
+
+    @property
+    def _longest_delay(self) -> float:
+        """Longest exact delay at the upper bounds of the parameters [s]; zero where delays are Padé filters."""
+        p, m = symbolic_matrices(self.structure)
+        if self.pade_order is not None or not m.has_delay:
+            return 0.0
+        bounds = np.array([q.start if q.fixed else q.upper for q in self.structure.parameters], float)
+        return float(np.max(np.array(ca.Function("delay", [p], [ca.densify(m.delay)])(bounds))))
+
+    @property
+    def _memory(self) -> int:
+        """Samples in the longest exact delay of a sampled loop, rounded up."""
+        return 0 if self.sample_time is None else int(np.ceil(self._longest_delay / self.sample_time - 1e-9))
 
     def _law(self, p: Values) -> ControlLaw:
-        law = law_of(self.controller, ca.vertcat(*(p[gain.name] for gain in self.gains)), self.pade_order)
+        law = law_of(self.controller, ca.vertcat(*(p[gain.name] for gain in self.gains)), self.pade_order or 1)
         if self.sample_time is None:
             return law
         if not (isinstance(self.controller, LinearModel) and self.controller.dt is not None):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import isnan
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -13,7 +14,7 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.discretise import Hold, discretise
+from gbid.discretise import Dual, Exponentials, Hold, delayed_taps, discretise
 from gbid.structure.models import LinearModel
 from gbid.structure.parameter import Parameter, Values, as_vector, once, set_fields
 
@@ -42,6 +43,9 @@ class ControlLaw(NamedTuple):
         (n, n), (n, n_measured), (n_r, n), (n_r, n_measured).
     drive, feed
         Matrices from r to the states and to the outputs of the plant that it acts on; None without a plant.
+    late, delay
+        Matrix from r to the states of the plant through exact delays (n_states, n_r), and the delays [s] (n_r, 1); None
+        without a plant.
     """
 
     A: Any
@@ -50,6 +54,8 @@ class ControlLaw(NamedTuple):
     D: Any
     drive: Any = None
     feed: Any = None
+    late: Any = None
+    delay: Any = None
 
 
 class HeldFeedback(NamedTuple):
@@ -65,17 +71,21 @@ class HeldFeedback(NamedTuple):
         Whether the injected signal is a set point, see `closed_parts`.
     sample_time : float
         Time between samples [s].
+    memory : int
+        Past samples of the inputs of the plant that its exact delays need. They are states between those of the plant
+        and those of the controller.
     """
 
     law: ControlLaw
     measured: tuple[int, ...]
     set_point: bool
     sample_time: float
+    memory: int = 0
 
     @property
     def n_states(self) -> int:
-        """Number of states of the controller."""
-        return int(self.law.A.shape[0])
+        """Number of states of the controller, with those of the memory."""
+        return int(self.law.A.shape[0]) + self.memory * int(self.law.drive.shape[1])
 
     def refuse_other_data(self, name: str, holds: Sequence[str], sample_time: float) -> None:
         """Refuse data that the controller of a structure with this name cannot have run with.
@@ -95,9 +105,64 @@ class HeldFeedback(NamedTuple):
                 f"{name}: intersample = 'foh'; what is injected is held like the output of the controller: 'zoh'"
             )
 
-    def close(self, plant: LoopParts, law: ControlLaw | None = None) -> LoopParts:
-        """Return the loop of a plant with held inputs and this controller, or its numbers."""
-        return closed_parts(plant, self.law if law is None else law, self.measured, self.set_point)
+    def close(
+        self, plant: LoopParts, law: ControlLaw, A: Any, n_injected: int, whole: Exponentials | None = None
+    ) -> LoopParts:
+        """Return the loop of a plant with held inputs and this controller, from sample to sample.
+
+        Parameters
+        ----------
+        plant : LoopParts
+            The plant in samples, as arrays or `Dual`; its first inputs are what is injected.
+        law : ControlLaw
+            The numbers of `law`, with `drive` in samples.
+        A : (n, n) array or Dual
+            State matrix of the plant in continuous time.
+        n_injected : int
+            Number of injected signals.
+        whole : Exponentials, optional
+            Those of ``A`` over a sample, where they are known.
+
+        Notes
+        -----
+        An exact delay of d samples and a part of one acts with the inputs of the samples k - d and k - d - 1. So the
+        last inputs are states of the loop, which is exact for every delay.
+
+        Raises
+        ------
+        UsageError
+            When a delay is negative or longer than the memory.
+        """
+        if not self.memory:
+            return closed_parts(plant, law, self.measured, self.set_point)
+        n, n_r = law.drive.shape
+        size = n + self.memory * n_r
+        x_in, slots = np.eye(size, n), np.split(np.eye(size)[:, n:], self.memory, axis=1)
+        F = x_in @ plant.A @ x_in.T + sum(after @ slot.T for slot, after in pairwise(slots))
+        enter: Any = slots[0]
+        for inputs, delay in _equal_delays(law.delay):
+            taps = delayed_taps(A, law.late @ np.eye(n_r)[:, inputs], delay, self.sample_time, "zoh", whole=whole)
+            if taps.shift > self.memory:
+                raise UsageError(f"a delay of {taps.shift} samples in a loop; its upper bound allows {self.memory}")
+            for lag, column in enumerate(taps.columns[1:], start=taps.shift):
+                reached = x_in @ column @ np.eye(n_r)[inputs]
+                if lag == 0:
+                    enter = enter + reached
+                else:  # at the upper bound the last column is zero
+                    F = F + reached @ slots[min(lag, self.memory) - 1].T
+        injected = np.eye(n_r, plant.B.shape[1]) * (np.arange(plant.B.shape[1]) < n_injected) * (not self.set_point)
+        held = LoopParts(F, x_in @ plant.B + enter @ injected, plant.C @ x_in.T, plant.D, x_in @ plant.K)
+        return closed_parts(held, law._replace(drive=x_in @ law.drive + enter), self.measured, self.set_point)
+
+
+def _equal_delays(delay: Any) -> list[tuple[list[int], Any]]:
+    """Return the inputs with each delay, (n_r, 1) array or Dual: equal ones need one matrix exponential."""
+    groups: dict[bytes | float, tuple[list[int], Any]] = {}
+    for i in range(delay.shape[0]):
+        one = delay.rows([i]) if isinstance(delay, Dual) else float(delay[i, 0])
+        key = one.value.tobytes() + one.slope.tobytes() if isinstance(one, Dual) else one
+        groups.setdefault(key, ([], one))[0].append(i)
+    return list(groups.values())
 
 
 def closed_parts(plant: LoopParts, law: ControlLaw, measured: Sequence[int], set_point: bool) -> LoopParts:
@@ -436,7 +501,7 @@ def _in_samples(feedback: HeldFeedback, plant: LoopParts, law: ControlLaw) -> Lo
     n_w, n_r = plant.B.shape[1], law.drive.shape[1]
     held = discretise(plant.A, np.hstack([plant.B, law.drive, plant.K]), feedback.sample_time)
     B, drive, K = np.split(held.G_now, [n_w, n_w + n_r], axis=1)
-    return feedback.close(plant._replace(A=held.F, B=B, K=K), law._replace(drive=drive))
+    return feedback.close(plant._replace(A=held.F, B=B, K=K), law._replace(drive=drive), plant.A, n_w)
 
 
 def in_one_line(error: BaseException) -> str:
