@@ -1,5 +1,9 @@
 """Public names of `gbid.structure`, and the files that define them: the one list."""
 
+from .blocks import (
+    smooth_hinge as smooth_hinge,
+    wiener_hammerstein as wiener_hammerstein,
+)
 from .built_in import (
     KEY_PARAMETERS as KEY_PARAMETERS,
     PiezoPair as PiezoPair,

@@ -533,5 +533,6 @@ def fit_percent(measured: FloatArray, simulated: FloatArray) -> FloatArray:
     (n_outputs,) array
         100 for a perfect model, 0 for a model that is as good as the mean.
     """
-    error = np.linalg.norm(measured - simulated, axis=0)
+    measured = np.asarray(measured, float)
+    error = np.linalg.norm(measured - np.asarray(simulated, float), axis=0)
     return np.asarray(100 * (1 - error / np.linalg.norm(measured - measured.mean(axis=0), axis=0)))

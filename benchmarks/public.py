@@ -1,0 +1,422 @@
+"""Public benchmarks of nonlinear identification, from files that the user points to; none is shipped.
+
+``python -m benchmarks.public --folder FOLDER`` looks for the files of each benchmark in the folder and below it.
+Candidate structures are fitted to three quarters of the training data, and simulate the last quarter. The first whose
+error is within 1 % of the least is fitted to the training data and simulates the tests. Figures go to
+docs/public-benchmarks.json. A benchmark without its files keeps its earlier figures. Where the files come from:
+docs/public-benchmarks.md.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import scipy.io
+from scipy.signal import resample_poly
+
+import gbid
+from benchmarks.running import DOCS, about, markdown, options_of, run_study, stored, timed
+from gbid import NonlinearStructure, Recording
+from gbid.core.arrays import FloatArray
+from gbid.core.errors import GbidError
+from gbid.core.files import share_folder
+from gbid.structure import load_structure, wiener_hammerstein
+
+STORED = DOCS / "public-benchmarks.json"
+Data = tuple[Recording, dict[str, Recording]]
+"""Training data, and test data by name."""
+
+# ---- Files, and the official split into training and test data.
+
+
+def arrays(folder: Path, name: str, *keys: str) -> list[FloatArray]:
+    """Return variables of a MAT file, datasets of an HDF5 file or columns of a CSV file with a head, as vectors.
+
+    The first file called `name` is taken that lies in the folder or below it; without an ending any of the three.
+    """
+    files = sorted(path for path in folder.rglob(f"{name}*") if path.name in (name, f"{name}.mat", f"{name}.csv"))
+    if not files:
+        raise FileNotFoundError(name)
+    path = files[0]
+    if path.suffix == ".mat":
+        content = scipy.io.loadmat(path)
+        return [np.ravel(content[key]).astype(float) for key in keys]
+    if path.suffix == ".h5":
+        with h5py.File(path) as file:
+            return [np.ravel(file[key]) for key in keys]
+    with path.open(encoding="utf-8") as text:
+        head = [word.strip('"') for word in text.readline().strip().split(",")]
+    return list(np.genfromtxt(path, delimiter=",", skip_header=1, usecols=[head.index(key) for key in keys]).T)
+
+
+def recording(
+    name: str, sample_time: float, u: FloatArray, y: FloatArray, signals: tuple[str, str] = ("u", "y"), finer: int = 1
+) -> Recording:
+    """Return a recording of an input and an output.
+
+    With `finer` the input, which has no power near the Nyquist frequency, is known so many times per sample. The
+    outputs between the samples are missing.
+    """
+    outputs = np.full(len(u) * finer, np.nan)
+    outputs[::finer] = y
+    inputs = resample_poly(u, finer, 1, window=("kaiser", 8.0)) if finer > 1 else u
+    return Recording({signals[0]: inputs[:, None], signals[1]: outputs[:, None]}, sample_time / finer, name=name)
+
+
+def silverbox(folder: Path) -> Data:
+    """Return three quarters of the multisine for training; its rest, and the arrow with and without extrapolation."""
+    u, y = arrays(folder, "SNLS80mV", "V1", "V2")
+    end = 40650 + int(0.75 * (127400 - 40650))
+
+    def part(name: str, start: int, stop: int) -> Recording:
+        return recording(name, 1 / 610.35, u[start:stop], y[start:stop], finer=2)
+
+    tests = {"multisine": (end, 127400), "arrow": (100, 40575), "arrow without extrapolation": (100, 32100)}
+    return part("silverbox", 40650, end), {name: part(name, *test) for name, test in tests.items()}
+
+
+def cascaded_tanks(folder: Path) -> Data:
+    """Return the two records of the tanks."""
+    u, y, u_test, y_test = arrays(folder, "dataBenchmark", "uEst", "yEst", "uVal", "yVal")
+    made = partial(recording, sample_time=4.0, signals=("pump", "level"))
+    return made("tanks", u=u, y=y), {"test": made("test", u=u_test, y=y_test)}
+
+
+def emps(folder: Path) -> Data:
+    """Return the drive without pulses of force for training, with pulses for the test."""
+    train, test = (arrays(folder, name, "vir", "qm") for name in ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"))
+    made = partial(recording, sample_time=1e-3, signals=("voltage", "position"))
+    return made("emps", u=train[0], y=train[1]), {"pulses": made("pulses", u=test[0], y=test[1])}
+
+
+def circuit(folder: Path) -> Data:
+    """Return 100 000 samples of the Wiener-Hammerstein circuit for training, 78 800 for the test."""
+    u, y = arrays(folder, "WienerHammerBenchMark", "uBenchMark", "yBenchMark")
+    train, test = slice(5200, 105200), slice(105200, 184000)
+    return recording("circuit", 1 / 51200, u[train], y[train]), {"test": recording("test", 1 / 51200, u[test], y[test])}
+
+
+def bouc_wen(folder: Path) -> Data:
+    """Return a multisine simulated with noise for training, and the two official tests without noise."""
+    made = partial(recording, sample_time=1 / 750, signals=("force", "position"), finer=2)
+    u, y = arrays(folder, "train.h5", "multisine/u", "multisine/y")
+    tests = {}
+    for name in ("multisine", "sinesweep"):
+        signals = [arrays(folder, f"{letter}val_{name}", f"{letter}val_{name}")[0] for letter in "uy"]
+        tests[name] = made(name, u=signals[0], y=signals[1])
+    return made("bouc-wen", u=u, y=y), tests
+
+
+# ---- The benchmarks, and what was published about them.
+
+
+class Published(NamedTuple):
+    """A published root mean square error of a simulated test, in the unit of the benchmark.
+
+    `checked` tells whether the figure was read in the source, or in `source` a figure of another one is quoted; what is
+    not checked goes around without a source that could be read.
+    """
+
+    value: float
+    method: str
+    source: str
+    initial: str
+    checked: bool = True
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A benchmark.
+
+    Attributes
+    ----------
+    title, unit : str
+        Name, and unit of the figures.
+    factor : float
+        Figures are `factor` times the errors.
+    load : callable
+        Training and test data of a folder.
+    candidates : callable
+        Candidate structures.
+    published : sequence of Published
+        Published figures.
+    first : int
+        Samples of the measured output of a test from which its initial state is estimated; they count in no figure.
+        Zero: the initial state is that of the training data, as the benchmark states, and all samples count.
+    chosen_on, fitted_on : int, optional
+        Samples of the training data that the choice and the fit take; by default all.
+    known : dict of str to float
+        True values, where they are published.
+    compared : bool
+        Whether the chosen structure is fitted to the tests as well, to see whether its parameters are the same there.
+    """
+
+    title: str
+    unit: str
+    factor: float
+    load: Callable[[Path], Data]
+    candidates: Callable[[], Sequence[NonlinearStructure]]
+    published: Sequence[Published]
+    first: int = 50
+    chosen_on: int | None = None
+    fitted_on: int | None = None
+    known: Mapping[str, float] | None = None
+    compared: bool = False
+
+
+def shipped(file: str, *names: str) -> list[NonlinearStructure]:
+    """Return structures of a file in the folder ``models``."""
+    return [load_structure(f"{file}:{name}", share_folder("models")) for name in names]  # type: ignore[misc]
+
+
+def diode_circuits(numbers: Sequence[int] = (5, 9, 13)) -> list[NonlinearStructure]:
+    """Return Wiener-Hammerstein structures with filters of third order, and so many knots within +-1.5 V."""
+    return [
+        wiener_hammerstein(3, 3, np.linspace(-1.5, 1.5, n), 3e3, name=f"filters of third order, {n} knots")
+        for n in numbers
+    ]
+
+
+DYNONET = "M. Forgione, D. Piga, dynoNet, arXiv 2006.02250"
+ZERO, UNKNOWN = "zero", "not known"
+
+BENCHMARKS: dict[str, Benchmark] = {
+    "silverbox": Benchmark(
+        "Silverbox",
+        "mV",
+        1e3,
+        silverbox,
+        partial(shipped, "silverbox.py", "cubic", "fifth", "structure", "both"),
+        [Published(0.29, "lowest figure known for these tests", "no source", UNKNOWN, checked=False)],
+    ),
+    "cascaded tanks": Benchmark(
+        "Cascaded tanks",
+        "V",
+        1.0,
+        cascaded_tanks,
+        partial(shipped, "cascaded_tanks.py", "straight", "structure", "cubic", "exponents"),
+        [
+            Published(0.18, "neural state space", "no source", UNKNOWN, checked=False),
+            Published(
+                0.343, "nonlinear state space", "R. Relan et al. 2017, in doi 10.1155/2021/6613425, Table 2", UNKNOWN
+            ),
+        ],
+        first=0,
+    ),
+    "emps": Benchmark(
+        "Electro-mechanical positioning system",
+        "mm",
+        1e3,
+        emps,
+        partial(shipped, "emps.py", "structure", "uneven", "stribeck", "cubic"),
+        [Published(2.64, "dynoNet", DYNONET, ZERO)],
+        first=20,
+        compared=True,
+    ),
+    "wiener-hammerstein": Benchmark(
+        "Wiener-Hammerstein circuit",
+        "mV",
+        1e3,
+        circuit,
+        diode_circuits,
+        [
+            Published(0.28, "Wiener-Hammerstein", f"M. Schoukens et al., Automatica 50, 2014, in {DYNONET}", UNKNOWN),
+            Published(1.2, "dynoNet", DYNONET, ZERO),
+        ],
+        chosen_on=12000,
+        fitted_on=32000,
+    ),
+    "bouc-wen": Benchmark(
+        "Bouc-Wen hysteresis",
+        "um",
+        1e6,
+        bouc_wen,
+        partial(shipped, "bouc_wen.py", "linear", "cubic", "structure"),
+        [
+            Published(18.7, "decoupled nonlinear state space", f"A. F. Esfahani et al. 2017, in {DYNONET}", UNKNOWN),
+            Published(45.2, "dynoNet", DYNONET, ZERO),
+        ],
+        chosen_on=8192,
+        fitted_on=32768,
+        known={"m": 2.0, "c": 10.0, "k": 0.5, "a": 0.5, "g": 0.8, "d": -1.1},
+    ),
+}
+
+# ---- Choice, fit and test.
+
+
+def simulated(result: gbid.FitResult, test: Recording, first: int) -> FloatArray:
+    """Return the simulation of a test, (n,); see `Benchmark.first` for its initial state."""
+    state = gbid.cross_validate(result, test[:first]).initial_state if first else result.initial_states[0]
+    inputs = np.column_stack([test.signal(name) for name in result.model.input_names])
+    return result.model.simulate(inputs, test.sample_time, initial_state=state[: result.model.n_states])[:, 0]
+
+
+def error(test: Recording, output: str, simulation: FloatArray, first: int) -> float:
+    """Return the root mean square error of a simulation, where the output was measured, without the first samples."""
+    return float(np.sqrt(np.nanmean(np.square(test.signal(output, gaps=True)[:, 0] - simulation)[first:])))
+
+
+def held_out(structure: NonlinearStructure, train: Recording, factor: float) -> tuple[float, dict[str, float]]:
+    """Return the error on the last quarter of the training data of a fit to the rest, and the estimates."""
+    cut = 3 * len(train) // 4
+    try:
+        result = gbid.fit(structure, train[:cut])
+        validation = gbid.cross_validate(result, train[cut:])
+    except GbidError:
+        return float("inf"), {}
+    return factor * error(train[cut:], structure.outputs[0], validation.simulated[:, 0], 0), dict(result.parameters)
+
+
+def estimates(result: gbid.FitResult) -> dict[str, list[Any]]:
+    """Return value, standard deviation and unit of each estimated parameter."""
+    return {name: [result.parameters[name], result.std[name], result.units[name]] for name in result.free}
+
+
+def measured(benchmark: Benchmark, folder: Path) -> dict[str, Any]:
+    """Return what a benchmark tells: candidates, choice, estimates with intervals, errors of the tests, times."""
+    train, tests = benchmark.load(folder)
+    output = next(iter(benchmark.candidates())).outputs[0]
+    finer = round(len(train) / np.isfinite(train.signal(output, gaps=True)).sum())
+    part = train if benchmark.chosen_on is None else train[: benchmark.chosen_on * finer]
+    whole = train if benchmark.fitted_on is None else train[: benchmark.fitted_on * finer]
+    compiled = os.times()
+    candidates = benchmark.candidates()
+    scores, choice_s = timed(lambda: [held_out(structure, part, benchmark.factor) for structure in candidates])
+    least = min(score for score, _ in scores)
+    best = next(i for i, (score, _) in enumerate(scores) if score <= 1.01 * least)
+    chosen = candidates[best]
+    result, fit_s = timed(lambda: gbid.fit(chosen, whole, start=scores[best][1]))
+    ended = os.times()
+
+    def fit_of(test: Recording) -> dict[str, list[Any]]:
+        return estimates(gbid.fit(chosen, test))
+
+    first = benchmark.first * finer
+    simulations = {name: simulated(result, test, first) for name, test in tests.items()}
+    figures = {name: benchmark.factor * error(tests[name], output, y, first) for name, y in simulations.items()}
+    shown, test = next(iter(tests.items()))
+    curves = test.signal(output, gaps=True)[::finer, 0], simulations[shown][::finer]
+    return {
+        "title": benchmark.title,
+        "unit": benchmark.unit,
+        "training_samples": len(train) // finer,
+        "chosen_on": len(part) // finer,
+        "fitted_on": len(whole) // finer,
+        "first": benchmark.first,
+        "candidates": [
+            {"name": structure.name, "parameters": len(structure.parameters), "held_out": score}
+            for structure, (score, _) in zip(candidates, scores, strict=True)
+        ],
+        "chosen": chosen.name,
+        "status": str(result.status),
+        "residuals": result.trusted,
+        "notes": list(result.notes),
+        "parameters": estimates(result),
+        "known": dict(benchmark.known or {}),
+        "tests": figures,
+        "fits_of_tests": {name: fit_of(test) for name, test in tests.items() if benchmark.compared},
+        "choice_cpu_s": choice_s,
+        "fit_cpu_s": fit_s,
+        "compiler_cpu_s": ended.children_user
+        + ended.children_system
+        - compiled.children_user
+        - compiled.children_system,
+        "published": [entry._asdict() for entry in benchmark.published],
+        "picture": {"test": shown, **picture(*curves, test.sample_time * finer)},
+    }
+
+
+def picture(y: FloatArray, simulation: FloatArray, sample_time: float, points: int = 250) -> dict[str, list[float]]:
+    """Return points in the middle of a test, as far apart as the output is smooth: time, measured, simulated."""
+    stride = 1
+    while 2 * stride * points < len(y) and np.ptp(y) > 8 * np.abs(y[2 * stride :] - y[: -2 * stride]).max():
+        stride *= 2
+    start = max(0, (len(y) - points * stride) // 2)
+    rows = slice(start, start + points * stride, stride)
+    curves = {"t": sample_time * np.arange(len(y)), "y": y, "simulated": simulation}
+    return {key: [float(f"{value:.5g}") for value in curve[rows]] for key, curve in curves.items()}
+
+
+# ---- Tables.
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure the benchmarks whose files are there, and print their tables."""
+    options = options_of(
+        __doc__,
+        arguments,
+        STORED.name,
+        folder=(str, "folder with the files of the benchmarks"),
+        only=((*BENCHMARKS,), "names of benchmarks"),
+    )
+
+    def run() -> dict[str, Any]:
+        made = stored(options.output, {}) if options.output else {}
+        for name in options.only:
+            try:
+                made[name] = {**measured(BENCHMARKS[name], Path(options.folder)), **about()}
+            except FileNotFoundError as missing:
+                print(f"{name}: no file {missing} in {options.folder} or below it", file=sys.stderr)
+        return made
+
+    return run_study(run, options.output, table)
+
+
+def table(run: Mapping[str, Any]) -> str:
+    """Return the errors of all tests beside the least published one, with parameters and times, as Markdown."""
+    rows = []
+    for entry in run.values():
+        least = min((published["value"] for published in entry["published"]), default=float("nan"))
+        times = " + ".join(f"{entry[key]:.1f}" for key in ("choice_cpu_s", "fit_cpu_s", "compiler_cpu_s"))
+        for test, value in entry["tests"].items():
+            unit = entry["unit"]
+            rows.append(
+                [entry["title"], test, f"{value:.3g} {unit}", f"{least:g} {unit}", len(entry["parameters"]), times]
+            )
+    head = ["benchmark", "test", "gbid", "least published", "parameters", "choice + fit + compiler [s]"]
+    return markdown(head, rows)
+
+
+def published_table(run: Mapping[str, Any]) -> str:
+    """Return what was published, with sources, as Markdown."""
+    rows = [
+        [
+            entry["title"],
+            f"{published['value']:g} {entry['unit']}",
+            published["method"],
+            published["source"] if published["checked"] else "goes around; no source that we could read",
+            published["initial"],
+        ]
+        for entry in run.values()
+        for published in entry["published"]
+    ]
+    return markdown(["benchmark", "error", "method", "source", "initial state of the test"], rows)
+
+
+def choice_table(run: Mapping[str, Any]) -> str:
+    """Return the candidates of each benchmark with their error on the last quarter, the chosen one marked."""
+    rows = [
+        [
+            entry["title"],
+            f"**{name}**" if name == entry["chosen"] else name,
+            candidate["parameters"],
+            f"{error:.3g} {unit}",
+        ]
+        for entry in run.values()
+        for candidate in entry["candidates"]
+        for name, error, unit in [(candidate["name"], candidate["held_out"], entry["unit"])]
+    ]
+    return markdown(["benchmark", "candidate", "parameters", "error on the last quarter"], rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,163 @@
+"""The public benchmarks on twins that scipy makes: loaders, shipped structures, choice, tables; the stored figures."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import DOCS
+from scipy.integrate import solve_ivp
+from scipy.io import savemat
+
+import gbid
+from benchmarks import public
+from gbid.structure import nonlinear_model
+
+STORED = json.loads((DOCS / "public-benchmarks.json").read_text(encoding="utf-8"))
+
+
+def solved(derivatives: object, start: list[float], u: np.ndarray, sample_time: float, *, line: bool) -> np.ndarray:
+    """First state at the samples, of an input that is held or on straight lines between them."""
+    time = sample_time * np.arange(len(u))
+
+    def between(t: float, x: np.ndarray) -> list[float]:
+        held = u[min(int(t / sample_time + 1e-9), len(u) - 1)]
+        return derivatives(x, np.interp(t, time, u) if line else held)  # type: ignore[operator]
+
+    return solve_ivp(between, (0, time[-1]), start, "LSODA", time, rtol=1e-8, atol=1e-12, max_step=sample_time).y
+
+
+def duffing(x: np.ndarray, u: float) -> list[float]:
+    return [x[1], 1.8e5 * u - (40 + 100 * x[0] ** 2) * x[1] - 1.8e5 * x[0] - 7e5 * x[0] ** 3 - 1000.0]
+
+
+def drive(x: np.ndarray, u: float) -> list[float]:
+    return [x[1], (35.15065188 * u + 3.0 - 20.0 * np.tanh(x[1] / 1e-3) - 200.0 * x[1]) / 95.0]
+
+
+def hysteresis(x: np.ndarray, u: float) -> list[float]:
+    rate = 5e4 * x[1] - 1e3 * (0.8 * abs(x[1]) * x[2] - 1.1 * x[1] * abs(x[2]))
+    return [x[1], (u - 10 * x[1] - 5e4 * x[0] - x[2]) / 2.0, rate]
+
+
+def above(level: np.ndarray, rim: float = 0.0) -> np.ndarray:
+    return (level - rim + np.hypot(level - rim, 0.1)) / 2
+
+
+def tanks(x: np.ndarray, u: float) -> list[float]:
+    over, root = above(x[0], 10.0), np.sqrt(above(x[0]))
+    outflow = 0.04 * np.sqrt(above(x[1])) + above(x[1], 10.0)
+    return [0.05 * (u - 1.0) - 0.035 * root - over, 0.038 * root + 0.6 * over - outflow]
+
+
+@pytest.mark.parametrize(
+    ("file", "derivatives", "values", "scale", "sample_time", "tolerance"),
+    [
+        (
+            "silverbox.py",
+            duffing,
+            {"k": 1.8e5, "b": 1.8e5, "d": 40, "d_2": 100, "k_3": 7e5, "k_0": 1000},
+            0.1,
+            1 / 610,
+            3e-4,
+        ),
+        ("emps.py", drive, {"m": 95, "F_v": 200, "F_c": 20, "F_0": -3}, 2.0, 1e-3, 1e-3),
+        ("bouc_wen.py", hysteresis, {"m": 2, "c": 10, "k": 0.5, "a": 0.5, "g": 0.8, "d": -1.1}, 50.0, 1 / 750, 2e-3),
+    ],
+)
+def test_shipped_structures_are_the_equations(
+    file: str, derivatives: object, values: dict[str, float], scale: float, sample_time: float, tolerance: float
+) -> None:
+    (structure,) = public.shipped(file, "structure")
+    rough = np.random.default_rng(1).normal(size=200)
+    u = scale * np.convolve(rough, np.ones(5) / 2, "same")
+    zero = {parameter.name: 0.0 for parameter in structure.parameters}
+    model = nonlinear_model(structure, {**zero, **values}, steps=8)
+    begin = [0.0] * len(structure.states)
+    expected = solved(derivatives, begin, u, sample_time, line=structure.intersample == "foh")[0]
+    simulated = model.simulate(u[:, None], sample_time, intersample=structure.intersample)[:, 0]
+    np.testing.assert_allclose(simulated, expected, atol=tolerance * np.ptp(expected))
+
+
+def test_twin_of_the_tanks_from_file_to_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two = partial(public.shipped, "cascaded_tanks.py", "straight", "structure")
+    benchmark = replace(public.BENCHMARKS["cascaded tanks"], candidates=two)
+    monkeypatch.setitem(public.BENCHMARKS, "cascaded tanks", benchmark)
+    rng = np.random.default_rng(3)
+    columns = []
+    for _ in range(2):
+        u = np.repeat(rng.uniform(1.5, 6.5, 20), 20)
+        level = solved(tanks, [6.0, 5.0], u, 4.0, line=False)[1]
+        sensed = 10.0 - above(10.0, level + 0.07 * (level - 5) ** 2)
+        columns += [u, sensed + 0.02 * rng.normal(size=len(u))]
+    head = '"uEst","yEst","uVal","yVal","Ts",'
+    table = np.column_stack(columns)
+    rows = [",".join(map(repr, row.tolist())) + (",4," if i == 0 else ",,") for i, row in enumerate(table)]
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "dataBenchmark.csv").write_text("\n".join([head, *rows]) + "\n")
+    stored = tmp_path / "run.json"
+    words = ["--folder", str(tmp_path), "--only", "cascaded tanks", "emps", "--output", str(stored)]
+    assert public.main(words) == 0
+    out, err = capsys.readouterr()
+    (entry,) = json.loads(stored.read_text()).values()
+    assert "emps: no file DATA_EMPS.mat" in err
+    assert entry["chosen"] == "sensor curve of second degree"
+    assert entry["tests"]["test"] < 0.1
+    assert "| Cascaded tanks | test |" in out
+    for name, true in {
+        "k_1": 0.035,
+        "k_2": 0.038,
+        "k_3": 0.04,
+        "k_4": 0.05,
+        "k_5": 0.6,
+        "u_0": 1.0,
+        "s_2": 0.07,
+    }.items():
+        value, std, _ = entry["parameters"][name]
+        assert abs(value - true) < 4 * std, name
+
+
+def test_official_splits(tmp_path: Path) -> None:
+    count = np.arange(131072.0)
+    savemat(tmp_path / "SNLS80mV.mat", {"V1": 0 * count, "V2": count})
+    savemat(
+        tmp_path / "WienerHammerBenchMark.mat", {"uBenchMark": np.arange(188000.0), "yBenchMark": np.arange(188000.0)}
+    )
+    train, tests = public.silverbox(tmp_path)
+    ends = {name: [*test.signal("y", gaps=True)[[0, -2], 0]] for name, test in tests.items()}
+    assert [*train.signal("y", gaps=True)[[0, -2], 0]] == [40650, 105711]
+    assert ends == {"multisine": [105712, 127399], "arrow": [100, 40574], "arrow without extrapolation": [100, 32099]}
+    train, tests = public.circuit(tmp_path)
+    assert [*train.signal("y")[[0, -1], 0], *tests["test"].signal("u")[[0, -1], 0]] == [5200, 105199, 105200, 183999]
+
+
+def test_a_test_begins_at_its_first_samples_and_counts_only_measured_ones() -> None:
+    structure = gbid.NonlinearStructure(
+        "lag", [gbid.Parameter("a", 2.0)], ["x"], lambda x, u, p: [u[0] - p.a * x[0]], lambda x, _u, _p: x[0]
+    )
+    u = np.random.default_rng(1).normal(size=400)
+    y = solved(lambda x, v: [v - 2.0 * x[0]], [1.0], u, 0.1, line=False)[0]
+    train = gbid.Recording({"u": u[:, None], "y": y[:, None]}, 0.1, name="train")
+    holes = y.copy()
+    holes[100:200] = np.nan
+    test = gbid.Recording({"u": u[:, None], "y": holes[:, None]}, 0.1, name="test")
+    result = gbid.fit(structure, train)
+    simulation = public.simulated(result, test, 20)
+    assert public.error(test, "y", simulation, 20) < 1e-5
+    assert public.error(test, "y", simulation + np.where(np.isnan(holes), 9.0, 0.5), 20) == pytest.approx(0.5, rel=1e-3)
+
+
+def test_stored_figures_keep_what_the_page_says() -> None:
+    best = {name: min(entry["value"] for entry in run["published"]) for name, run in STORED.items() if run["published"]}
+    reached = [name for name in best if next(iter(STORED[name]["tests"].values())) <= best[name]]
+    assert {"silverbox", "wiener-hammerstein", "bouc-wen"} <= set(reached)
+    assert all(run["choice_cpu_s"] + run["fit_cpu_s"] < 10 for run in STORED.values())
+    for name, true in STORED["bouc-wen"]["known"].items():
+        value, std, _ = STORED["bouc-wen"]["parameters"][name]
+        assert abs(value - true) < 1.96 * std, name
