@@ -21,8 +21,9 @@ from places import ROOT
 from gbid.cli.guard import guarded
 from gbid.cli.progress import LiveBar
 from gbid.core.errors import NoSpaceError
-from gbid.core.files import atomic_path
+from gbid.core.files import atomic_path, share_folder
 from gbid.experiment import user_code
+from gbid.experiment.load import load_experiment
 
 
 @pytest.fixture(scope="module")
@@ -267,6 +268,13 @@ def test_a_python_file_is_executed_once_by_a_verb_and_never_by_clean(tmp_path, m
     assert len(count.read_text()) == 1  # also when it fails
     words = capsys.readouterr().err
     assert words.index("is executed with your rights") < words.index("no licence")
+
+
+def test_a_structure_of_the_models_is_told_of_by_its_path(tmp_path, monkeypatch):
+    monkeypatch.setenv("GBID_CACHE_DIR", str(tmp_path / "cache"))
+    path = write_spring(tmp_path / "spring", ("spring.py:structure", "rigid_rotor.py:structure"))
+    (text,) = user_code.new_code(load_experiment(path, form_only=True))
+    assert text.startswith(f"{share_folder('models') / 'rigid_rotor.py'}: ")
 
 
 def test_what_a_failed_python_file_imports_may_appear_later(tmp_path, monkeypatch, capsys):

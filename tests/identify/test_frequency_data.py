@@ -1,5 +1,7 @@
 """Frequency responses as data of a fit, from an independent generator: numpy and scipy."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -76,6 +78,14 @@ def test_a_response_without_a_deviation_counts_as_not_measured():
     for name in TRUTH:
         assert with_it.parameters[name] == pytest.approx(without.parameters[name], rel=1e-6)
         assert with_it.std[name] == pytest.approx(without.std[name], rel=1e-6)
+
+
+def test_the_time_of_a_fit_is_that_of_a_clock():
+    together = [measured(0), driven(np.random.default_rng(0).standard_normal(300), 0)]
+    for data in (measured(0), together):
+        began = time.perf_counter()
+        result = gbid.fit(OSCILLATOR, data)
+        assert 0 < result.wall_time_s < time.perf_counter() - began
 
 
 def test_start_values_come_from_the_responses():

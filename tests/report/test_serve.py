@@ -176,6 +176,16 @@ def test_half_open_requests_hold_few_threads_for_a_short_time(served, monkeypatc
         assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
 
 
+def test_a_defect_of_an_answer_is_printed_and_a_client_that_left_is_not(served, capfd):
+    server, _ = served
+    for error, printed in ((ValueError("a defect"), True), (ConnectionResetError(), False), (TimeoutError(), False)):
+        try:
+            raise error
+        except type(error):
+            server.handle_error(None, ("127.0.0.1", 1))
+        assert ("Traceback" in capfd.readouterr().err) == printed
+
+
 def design_of(kind, gains):
     structure = controller_structure(kind)
     figures = DesignFigures.of(assess(PAPER, structure, gains, [(6.0, 0.0)]))

@@ -98,6 +98,15 @@ def test_quasi_static_stiffness_is_that_of_two_loads():
     assert stiffness @ moved == pytest.approx([0.0, 1.0], abs=1e-4)
 
 
+def test_gains_of_the_injectors_are_the_slope_of_the_rates():
+    at = point()
+    state, B = equilibrium(at), linearised(at)[1]
+    for column, pair in zip(B.T, ([0.0, 1.0, 0.0, -1.0], [1.0, 0.0, -1.0, 0.0]), strict=True):
+        u = 1e-7  # each piezo of a pair goes half of it, one up and one down
+        slope = (at.rates(state, u / 2 * np.array(pair), FREE) - at.rates(state, STILL, FREE)) / u
+        assert column == pytest.approx(slope, rel=0.01, abs=1e-6 * np.abs(slope).max())
+
+
 def test_finer_cells_move_the_modes_by_less_than_half_a_percent():
     """One cell per mouth gave 124.0, 122.1 and 128.8 Hz with 48, 60 and 96 cells around."""
     coarse, fine = (point(GasFilm(around=n, along=n // 6)).modes() for n in (48, 60))

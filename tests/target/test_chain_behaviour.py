@@ -12,6 +12,7 @@ from chain_cases import BIQUAD, design, grid_of_maps, runout_map
 import gbid
 from gbid.control import ControllerDesign
 from gbid.export.chain import STACKS, ChainOptions, anti_windup_gain, chain_of
+from gbid.export.chain_c import CompiledChain
 from gbid.export.chain_python import ChainFault, ChainInput, ChainMode, PythonChain
 from gbid.rig import PiezoStack, PiezoStacks
 from gbid.rig.piezo import ALLOCATION
@@ -140,6 +141,17 @@ def test_the_watchdog_fades_to_the_offset(what: str, fault: ChainFault, within: 
     assert [y.fault for y in twin.run(moving(20))] == [fault] * 20  # it stays
     twin.step(ChainInput((0.0, 0.0), 0.1, mode=ChainMode.OFFSET))
     assert twin.run(moving(20))[-1].fault == ChainFault.NONE
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.001])
+def test_an_angle_may_rest_up_to_the_speed_that_says_so(factor: float) -> None:
+    """The limit itself is not above the limit, in C and in Python."""
+    chain = chain_of(design("P"), runout_maps=[runout_map()], options=ChainOptions(ramp_s=2e-4, fade_s=0.01))
+    speed = factor * chain.options.stuck_speed_rpm
+    samples = [ChainInput((1e-6 * sin(k), 1e-6 * sin(2 * k)), 2.0, 5.0, speed) for k in range(100)]
+    faults = {ChainFault.NONE} if factor == 1 else {ChainFault.NONE, ChainFault.STUCK}
+    assert {y.fault for y in PythonChain(chain).run(samples)} == faults
+    assert {y.fault for y in CompiledChain(chain).run(samples)} == faults
 
 
 def test_single_faulty_samples_and_spikes_are_bridged() -> None:
