@@ -91,6 +91,7 @@ from .prefilter.filtering import OnlinePrefilter as OnlinePrefilter, prefilter a
 from .recording import (
     Recording as Recording,
     import_recording as import_recording,
+    load_iddata as load_iddata,
     load_recording as load_recording,
     save_recording as save_recording,
     with_unbalance as with_unbalance,

@@ -2,6 +2,7 @@
 
 from .importing import (
     import_recording as import_recording,
+    load_iddata as load_iddata,
 )
 from .mapping import (
     ImportMapping as ImportMapping,

@@ -20,10 +20,11 @@ import h5py
 import numpy as np
 
 from gbid.core.arrays import FloatArray
-from gbid.core.errors import DataError, nearest
+from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.extras import extra_package
 from gbid.recording.clock import even_step
 from gbid.recording.columns import FileColumn, find_heading, name_and_unit, seconds, short_names
+from gbid.recording.iddata import IddataExperiment, experiments_of
 from gbid.recording.mapping import FilePart, TextOptions
 from gbid.recording.readers import (
     FileChannel,
@@ -406,11 +407,23 @@ def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
         if root not in classes:
             raise DataError(f"{path}: no variable {root!r}; {nearest(root, classes)}")
         value = matlab_value(variables[root])
+        if (
+            isinstance(value, MatObject)
+            and value.kind == "iddata"
+            and name not in (root, *(f"{root}.{p}" for p in value))
+        ):
+            channels = _channels_of_iddata(value, f"{path}: {root}")
+            if (rest := name.partition(".")[2]) in channels:
+                return channels[rest]
         for depth, field in enumerate(fields, start=1):
             value = _field(value, field, f"{path}: column {name!r}: {'.'.join([root, *fields][:depth])}")
         return _stored_mat(name, value)
 
     def leaves(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, StoredArray]]:
+        if isinstance(value, MatObject) and value.kind == "iddata":
+            for channel, stored in _channels_of_iddata(value, f"{path}: {name}").items():
+                yield f"{name}.{channel}", stored
+            return
         if not isinstance(value, Mapping) or depth == _DEPTH:
             yield name, _stored_mat(name, value)
             return
@@ -418,6 +431,41 @@ def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
             yield from leaves(f"{name}.{field}", matlab_value(value[field], inside=value), depth + 1)
 
     yield OpenFile(get, lambda: (leaf for name in classes for leaf in leaves(name, matlab_value(variables[name]))))
+
+
+def _channels_of_iddata(value: MatObject, where: str) -> dict[str, StoredArray]:
+    """Return the channels of an `iddata` object by name, ``force``, of several experiments ``Exp2.force``."""
+    experiments, channels = experiments_of(value, where), dict[str, StoredArray]()
+    for each in experiments:
+        prefix = f"{each.name}." if len(experiments) > 1 else ""
+        for name, channel in (each.inputs | each.outputs).items():
+            channels[f"{prefix}{name}"] = StoredArray(channel.values, channel.unit or None, each.sample_time)
+        if each.time is not None:
+            channels[f"{prefix}time"] = StoredArray(each.time, "s")
+    return channels
+
+
+def iddata_in(path: Path, variable: str | None = None) -> list[IddataExperiment]:
+    """Return the experiments of the `iddata` object in a MATLAB file, of the one named where there are several.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read or has no such object.
+    UsageError
+        When it has several and none is named.
+    """
+    variables, _ = _load(path, None if variable is None else {variable})
+    objects = {name: matlab_value(value) for name, value in variables.items()}
+    objects = {
+        name: value for name, value in objects.items() if isinstance(value, MatObject) and value.kind == "iddata"
+    }
+    if not objects:
+        raise DataError(f"{path}: has no iddata object{f' {variable!r}' if variable else ''}; import its arrays")
+    if len(objects) > 1:
+        raise UsageError(f"{path}: has the iddata objects {', '.join(objects)}; name one")
+    ((name, data),) = objects.items()
+    return experiments_of(data, f"{path}: {name}")
 
 
 def _stored_mat(name: str, value: Any) -> StoredArray:
@@ -466,7 +514,7 @@ def _load(path: Path, roots: set[str] | None) -> tuple[dict[str, Any], dict[str,
             ) from None
 
 
-MATLAB = array_format((".mat",), "MATLAB file", open_mat)
+MATLAB = array_format((".mat",), "MATLAB file", open_mat, states_sample_time=True)
 
 
 # ---- MDF files of vehicle and test-bench loggers, versions 3 and 4, by asammdf.

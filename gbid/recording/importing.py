@@ -27,7 +27,7 @@ from gbid.recording.clock import (
     with_times_of_changes,
 )
 from gbid.recording.columns import FileColumn, file_unit, unit_factor
-from gbid.recording.formats import file_formats, format_of
+from gbid.recording.formats import file_formats, format_of, iddata_in
 from gbid.recording.mapping import FilePart, ImportMapping, SignalMapping, TextOptions
 from gbid.recording.readers import FileChannel, FileFormat
 from gbid.recording.recording import Recording
@@ -70,8 +70,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         raise UsageError(f"import mapping of {path}: {error}") from None
     reader = file_format(path, mapping.text_options, mapping.part).read
     try:
-        with path.open("rb") as handle:
-            digest = hashlib.file_digest(handle, "sha256").hexdigest()
+        digest = _sha256(path)
         columns = reader(path, mapping.all_columns())
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -125,6 +124,68 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
     return recording.with_signals(**{name: with_times_of_changes(recording.signals[name], clock) for name in held})
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording]:
+    """Return the experiments of an `iddata` object in a MATLAB file, with its sample time, names and units.
+
+    Parameters
+    ----------
+    path : path
+        The ``.mat`` file, of any version.
+    variable : str, optional
+        Name of the object, where the file has several.
+
+    Returns
+    -------
+    list of Recording
+        A recording for each experiment, named as the experiment. Each input and output is a signal, in the unit that
+        MATLAB states. The provenance has the inter-sample behaviour of the inputs (``intersample``) and the time of the
+        first sample (``start_s``).
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read or has no such object, or when its data are spectra or have no sample time.
+    UsageError
+        When the file has several such objects and none is named.
+    """
+    path = given_path(path)
+    refuse_special(path)
+    try:
+        experiments = read_apart(iddata_in, path, variable)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+    recordings = []
+    for each in experiments:
+        if each.sample_time is None:
+            raise DataError(
+                f"{path}: experiment {each.name} has sampling instants and no sample time: import it with a mapping, "
+                "its column time as time, and gaps: missing"
+            )
+        if twice := each.inputs.keys() & each.outputs.keys():
+            raise DataError(f"{path}: experiment {each.name}: {min(twice)!r} is an input and an output; rename one")
+        channels = each.inputs | each.outputs
+        recordings.append(
+            Recording(
+                {name: channel.values for name, channel in channels.items()},
+                each.sample_time,
+                name=each.name,
+                units={name: channel.unit for name, channel in channels.items()},
+                provenance={
+                    "source_file": path.name,
+                    "source_sha256": _sha256(path),
+                    "intersample": ", ".join(each.hold),
+                    "start_s": f"{each.start:g}",
+                },
+            )
+        )
+    return recordings
 
 
 def _rows_in_words(columns: Mapping[str, FileColumn]) -> str:

@@ -6,12 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import refusals
+from experiment_files import json_of
 from matio import save_to_mat
 from matio.utils.matclass import MatlabObject, MatlabOpaque
 
+import gbid
+from gbid.core.errors import GbidError
 from gbid.recording import import_recording, importing
 
-N, H = 50, 0.01
+N, H = 200, 0.01
 T = H * np.arange(N)[:, None]
 U = np.random.default_rng(1).standard_normal((N, 2))
 Y = np.random.default_rng(2).standard_normal((N, 1))
@@ -136,3 +139,79 @@ def test_a_damaged_object_is_named(tmp_path, monkeypatch):
     text = refused(path, "data.InputData[0]")
     assert "not a readable MATLAB file at data (iddata)" in text
     assert f"unknown subsystem; {PLAIN}" in text
+
+
+def merged(**more):
+    """Two experiments as MATLAB's `merge` makes them, in milliseconds."""
+    fields = {
+        "InputData_": cell(U, U[:120]), "OutputData_": cell(Y, Y[:120]),
+        "Ts_": cell(np.array([[10.0]]), np.array([[20.0]])),
+        "Tstart_": cell(np.array([[0.0]]), np.array([[500.0]])), "TimeUnit_": "milliseconds", "Domain_": "Time",
+        "InputName_": cell("force", "u2"), "InputUnit_": cell("N", "V"), "OutputName_": cell("gap"),
+        "OutputUnit_": cell("um"), "ExperimentName_": cell("quiet", "loud"), "SamplingInstants_": cell(T[:0], T[:0]),
+        "InterSample_": cell("zoh", "foh", "zoh", "foh"),
+    }  # fmt: skip
+    return opaque("iddata", **(fields | more))
+
+
+@VERSIONS
+def test_iddata_of_several_experiments_needs_no_mapping(tmp_path, version):
+    path = file(tmp_path, version, z=merged(), other=Y)
+    quiet, loud = gbid.load_iddata(path)
+    assert (quiet.name, loud.name) == ("quiet", "loud")
+    assert (quiet.sample_time, loud.sample_time) == (0.01, 0.02)
+    assert dict(loud.units) == {"force": "N", "u2": "V", "gap": "um"}
+    np.testing.assert_array_equal(loud.signal("force")[:, 0], U[:120, 0])
+    np.testing.assert_array_equal(quiet.signal("gap"), Y)
+    assert (loud.provenance["start_s"], loud.provenance["intersample"]) == ("0.5", "zoh, foh")
+
+
+def test_sample_times_in_a_vector_and_no_names(tmp_path):
+    bare = {
+        "Ts_": np.array([[10.0, 20.0]]),
+        "Tstart_": np.zeros((0, 0)),
+        "InputName_": cell("", ""),
+        "InputUnit_": cell(),
+    }
+    bare |= {"ExperimentName_": cell(), "OutputName_": np.zeros((0, 0)), "TimeUnit_": np.zeros((0, 0))}
+    first, second = gbid.load_iddata(file(tmp_path, "v7", z=merged(**bare)))
+    assert (first.name, second.name, second.sample_time) == ("Exp1", "Exp2", 20.0)
+    assert list(second.signals) == ["u1", "u2", "y1"]
+    one = opaque("iddata", InputData=U, OutputData=Y, Ts=np.array([[H]]))
+    (alone,) = gbid.load_iddata(file(tmp_path, "v7", a=one, z=merged()), "a")
+    assert (alone.sample_time, alone.units["y1"]) == (H, "")
+
+
+def test_an_experiment_names_its_channels_in_the_yaml(tmp_path, capsys):
+    path = file(tmp_path, "v7", z=merged())
+    rows = {row["channel"]: row for row in json_of(capsys, "peek", str(path))["channels"]}
+    assert list(rows) == [f"z.{e}.{c}" for e in ("quiet", "loud") for c in ("force", "u2", "gap")]
+    assert (rows["z.loud.gap"]["unit"], rows["z.loud.gap"]["sample_time_s"]) == ("um", 0.02)
+    signals = "{force: {columns: z.loud.force}, gap: {columns: z.loud.gap, stored_unit: m}}"
+    text = f"format: 1\nname: own\nimport:\n  recordings:\n    - {{name: loud, file: a.mat, signals: {signals}}}\n"
+    (tmp_path / "own.yaml").write_text(text)
+    json_of(capsys, "import", tmp_path / "own.yaml")
+    recording = gbid.load_recording(tmp_path / "results" / "own" / "recordings" / "loud.h5")
+    assert recording.sample_time == 0.02
+    np.testing.assert_allclose(recording.signal("gap"), 1e-6 * Y[:120])
+
+
+@pytest.mark.parametrize(
+    ("variables", "words"),
+    [
+        ({"z": merged(Domain_="Frequency")}, "data over frequency; give frequency responses"),
+        ({"z": merged(TimeUnit_="fortnights")}, "the time unit 'fortnights' is not one of nanoseconds"),
+        ({"z": merged(OutputData_=cell(Y))}, "has 1 experiments of outputs and 2 of inputs"),
+        ({"z": merged(Ts_=cell(T[:0], T[:0]))}, "experiment 1 has neither a sample time Ts nor SamplingInstants"),
+        (
+            {"z": merged(Ts_=cell(T[:0], T[:0]), SamplingInstants_=cell(T, T[:120]))},
+            "its column time as time, and gaps",
+        ),
+        ({"z": merged(OutputName_=cell("force"))}, "'force' is an input and an output; rename one"),
+        ({"z": merged(), "w": merged()}, "has the iddata objects z, w; name one"),
+        ({"y": Y}, "has no iddata object; import its arrays"),
+    ],
+)
+def test_what_iddata_cannot_be_read_is_named(tmp_path, variables, words):
+    with pytest.raises(GbidError, match=words):
+        gbid.load_iddata(file(tmp_path, "v7", **variables))
