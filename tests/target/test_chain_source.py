@@ -101,6 +101,15 @@ def test_the_self_test_fails_when_the_chain_is_changed(tmp_path: Path) -> None:
         assert subprocess.run(["./selftest"], cwd=tmp_path, capture_output=True, check=False).returncode == 1, old
 
 
+def test_the_self_test_in_float_fails_when_a_sign_is_changed(tmp_path: Path) -> None:
+    cc = compiler("gcc")
+    written(tmp_path, number="float")
+    source = tmp_path / "damper.c"
+    source.write_text(source.read_text().replace(") - r[1]", ") + r[1]", 1))
+    done(cc, "-std=c99", "-DDAMPER_SELFTEST_MAIN", "damper.c", "damper_selftest.c", "-o", "selftest", folder=tmp_path)
+    assert subprocess.run(["./selftest"], cwd=tmp_path, capture_output=True, check=False).returncode == 1
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_misra_checker(kind: str, tmp_path: Path) -> None:
     if shutil.which("cppcheck") is None:
