@@ -319,7 +319,6 @@ def measured(benchmark: Benchmark, folder: Path) -> dict[str, Any]:
         "chosen": chosen.name,
         "status": str(result.status),
         "residuals": result.trusted,
-        "notes": list(result.notes),
         "parameters": estimates(result),
         "known": dict(benchmark.known or {}),
         "tests": figures,

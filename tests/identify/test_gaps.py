@@ -197,6 +197,16 @@ def test_what_takes_no_gaps_refuses_them_by_name():
         gbid.subspace(rec, order=2, inputs=["u"], outputs=["y"])
 
 
+@pytest.mark.parametrize("every", [1, 2])
+def test_weights_are_advised_only_where_a_fit_takes_them(every):
+    rec = made(1, lost=0.0, every=every, gain=False)
+    drift = scipy.signal.lfilter([0.3], [1.0, -0.99], np.random.default_rng(5).normal(size=rec.n_samples))
+    drifting = rec.with_signals(y=rec.signals["y"][:, 0] + drift)
+    result = gbid.fit(structure(), drifting, focus="simulation", fixed={"k1": 0.0, "k2": 0.0})
+    (not_white,) = [note for note in result.notes if "not white" in note]
+    assert ("errors='ar'" in not_white) == (every == 1)
+
+
 @pytest.mark.parametrize("seeds", [pytest.param(40, marks=pytest.mark.slow), 1])
 def test_coverage_is_that_without_gaps(seeds):
     """Errors over their standard deviations; 40 seeds cover at least as without gaps less two standard deviations."""
