@@ -250,3 +250,13 @@ def test_an_overflow_on_the_way_to_the_weighted_fit_is_no_crash(monkeypatch: pyt
     found = gbid.fit_ringdown(recording(axis=0, starts=(0.1,)), lags=0)
     assert not found.success
     assert "overflows" in " ".join(found.notes)
+
+
+def test_free_decays_beside_impacts_leave_the_lags_free():
+    """A recording without a force has no lags of its own; those of the others stay."""
+    rec = recording()
+    part = rec.slice(540, 1700)
+    decay = gbid.Recording({"p": part.signal("p"), "f": 0 * part.signal("f")}, H, name="decay")
+    both = gbid.fit_ringdown([rec, decay], lags=3)
+    assert (len(both.lag_rates), both.n_impacts) == (3, 2)
+    assert np.abs(values(both) / TRUE - 1).max() < 0.05

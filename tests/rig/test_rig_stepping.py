@@ -337,6 +337,8 @@ def test_loop_is_the_controllers_recursion_on_what_was_measured(n_states):
     rig = machine(5.0, 6000.0)
     made = record(rig, prbs, conditions=FIG7, seed=2, name="a", controller=controller, settle_s=0)
     alone = record(rig, prbs, conditions=FIG7, seed=2, name="a", settle_s=0)
+    np.testing.assert_array_equal(made.signal("w"), alone.signal("r"))
+    assert "w" not in alone.signals  # in open loop r is all there is
     p, phi = made.signal("p"), made.signal("phi")[:, 0]
     place = phi / (2 * np.pi) * 12
     low = np.floor(place).astype(int)
