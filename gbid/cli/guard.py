@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _thread
 import logging
+import os
 import signal
 import sys
 import threading
@@ -45,6 +46,9 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
             f"a Python file of the experiment, or a package, ended gbid by sys.exit({error.code!r}); remove that call"
         )
         _end([text], UsageError.exit_code, "error: ", as_json, debug)
+    except BrokenPipeError as error:  # the reader of standard output has enough, as `head` has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit from error
     except (KeyboardInterrupt, Exception) as error:
         if isinstance(error, KeyboardInterrupt) or from_interrupt(error):
             _end(_INTERRUPTED, INTERRUPTED, "", as_json, debug)

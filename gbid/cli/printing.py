@@ -6,6 +6,7 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,9 +58,15 @@ def print_tables(*tables: Table) -> None:
 
     from gbid.core.tables import terminal_table
 
-    console = Console(highlight=False)
+    class ConsoleOrPipe(Console):
+        def on_broken_pipe(self) -> None:
+            """Go on without a reader (`| head`), to the exit code of the verb; rich would end the program."""
+            with suppress(SystemExit):
+                super().on_broken_pipe()
+
+    console = ConsoleOrPipe(highlight=False)
     if not console.is_terminal:
-        console = Console(highlight=False, width=_PIPE_WIDTH)
+        console = ConsoleOrPipe(highlight=False, width=_PIPE_WIDTH)
     for table in tables:
         console.print(terminal_table(table), "")
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copyreg
+import sys
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +17,7 @@ from gbid.core.names import html_text, printable
 
 WIDTH = 110
 """Number of characters in a line."""
+_PROGRESS = 79  # characters of a line that is written over
 _NO_BREAK = "\u00a0"  # stands for a space inside an entry, so that a line break does not split the entry
 _ROWS = 12  # fields that are shown where a class does not choose
 FEW = 6
@@ -104,6 +107,24 @@ class Brief:
         name = [getattr(self, "name", "")] if isinstance(getattr(self, "name", None), str) else [""]
         shown = [key for key in names if key != "name"][:_ROWS]
         return brief(self, *name, **{key: getattr(self, key) for key in shown})
+
+
+@contextmanager
+def progress_line() -> Iterator[Callable[[Any], None]]:
+    """Return a context with a function that shows each step it is called with on one line of standard error.
+
+    The line is written anew each time, in a terminal as in a notebook, and is empty at the end.
+    """
+
+    def show(step: Any) -> None:
+        words = ", ".join(f"{name} {in_words(value)}" for name, value in vars(step).items())
+        sys.stderr.write(f"\r{words[:_PROGRESS]:{_PROGRESS}}")
+        sys.stderr.flush()
+
+    try:
+        yield show
+    finally:
+        sys.stderr.write(f"\r{'':{_PROGRESS}}\r")
 
 
 def brief(owner: Any, about: str, /, **shown: Any) -> Description:

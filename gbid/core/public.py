@@ -75,12 +75,16 @@ def _checked(function: Any, owner: str, of: type | None = None, around: Around |
             caller = frame.f_globals.get("__name__") or ""
         if not caller.startswith("gbid."):
             from gbid.core.arrays import one_blas_thread
+            from gbid.core.brief import progress_line
             from gbid.core.option_types import check_call
 
-            check_call(function, owner, args, keywords, of)
-            if of is None:
-                with one_blas_thread(), nullcontext() if around is None else around(function, args, keywords):
-                    return function(*args, **keywords)
+            is_shown = of is None and keywords.get("progress") is True
+            with progress_line() if is_shown else nullcontext() as line:
+                keywords = {**keywords, "progress": line} if is_shown else keywords
+                check_call(function, owner, args, keywords, of)
+                if of is None:
+                    with one_blas_thread(), nullcontext() if around is None else around(function, args, keywords):
+                        return function(*args, **keywords)
         return function(*args, **keywords)
 
     return checked

@@ -169,6 +169,7 @@ class FitArguments(FitOptions):
         ``constraints(p, x0)`` returns a list of ``(lower, expression, upper)``. Equal bounds are an equation.
     progress : callable, optional
         Function that is called with a `Progress` at each iteration. What it raises ends the fit, and is raised again.
+        ``progress=True`` in a call of `gbid.fit` shows them on one line of standard error.
     """
 
     extra_cost: ExtraCost | None = None

@@ -36,7 +36,7 @@ from gbid.lpv import LPVFit
 from gbid.prefilter import PrefilterReport
 from gbid.recording import load_recording
 from gbid.recording.readers import FileChannel
-from gbid.structure import KEY_PARAMETERS
+from gbid.structure import KEY_PARAMETERS, PiezoPair
 from gbid.validate import NominalActuator, ValidationSummary
 
 # ---- Summary of a fit in words.
@@ -387,18 +387,20 @@ def nominal_table(document: Row) -> Table:
         Document of `nominal_document`.
     """
     off = bool(document["outliers"] or document["left_out"])
-    columns = [Column("most central model"), Column("parameter"), Column("value", format=".5g")]
-    columns += [Column("std", format=".2g"), *([Column("why")] if off else [])]
+    columns = [Column("most central model"), Column("parameter"), Column("value", format=5), Column("std", format=2)]
+    columns += [Column("unit"), *([Column("why")] if off else [])]
+    unit = {p.name: p.unit for pair in (PiezoPair(), PiezoPair(poles="any")) for p in pair.parameters}
     first = [Cell(document["model"], href=fit_href(document["fit"], document["model"]))]
     first += [Cell(f"of {document['chosen_from']} models")]
     rows: list[list[Entry]] = [
-        [first[i] if i < len(first) else "", name, value, document["std"][name], *([""] if off else [])]
+        [first[i] if i < 2 else "", name, value, document["std"][name], unit.get(name, ""), *([""] if off else [])]
         for i, (name, value) in enumerate(document["parameters"].items())
     ]
     for outlier in document["outliers"]:
         model = Cell(f"outlier {outlier['model']}", href=fit_href(document["fit"], outlier["model"]))
-        rows.append([model, outlier["parameter"], outlier["value"], "", outlier["reason"]])
-    rows += [["left out", "", "", "", text] for text in document["left_out"]]
+        name = outlier["parameter"]
+        rows.append([model, name, outlier["value"], "", unit.get(name, ""), outlier["reason"]])
+    rows += [["left out", "", "", "", "", text] for text in document["left_out"]]
     return Table(f"{document['fit']}, nominal actuator", columns, rows)
 
 

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import io
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -53,6 +54,15 @@ def test_the_package_runs_as_a_module():
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     run = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
     assert run.stdout.startswith("gbid ")
+
+
+@pytest.mark.parametrize("command", [["schema"], ["explain"], ["show", "{fit}"]])
+def test_a_reader_that_has_enough_is_no_error(spring, command):
+    fit = next((spring.parent / "results").rglob("*.h5"))
+    words = " ".join(shlex.quote(str(fit)) if word == "{fit}" else word for word in command)
+    line = f"{shlex.quote(sys.executable)} -P -m gbid {words} | true; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_quiet_says_nothing_beside_the_results(spring, capsys):

@@ -26,6 +26,7 @@ from fit_cases import (
 )
 from places import SUPPORT
 
+import gbid
 from gbid.core.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.identify.options import FitArguments
@@ -247,6 +248,15 @@ def test_progress_is_reported():
     assert [p.iteration for p in seen] == list(range(result.iterations + 1))
     assert seen[-1].cost < seen[0].cost
     assert seen[-1].gap < 1e-6
+
+
+def test_progress_is_one_line_that_ends_empty(capsys):
+    result = gbid.fit(MODE, mode_data(500), progress=True)
+    gbid.fit(MODE, mode_data(500))
+    lines = capsys.readouterr().err.split("\r")
+    assert [line.split(",")[0] for line in lines[1:-2]] == [f"iteration {i}" for i in range(result.iterations + 1)]
+    assert {len(line) for line in lines[1:-1]} == {79}
+    assert lines[-2:] == [" " * 79, ""]
 
 
 def test_several_recordings_share_parameters_and_have_their_own_initial_states():

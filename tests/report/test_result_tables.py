@@ -83,9 +83,9 @@ def test_nominal_table_tells_outliers_only_where_there_are_any():
         "fit": "piezos", "model": "run1", "chosen_from": 3, "parameters": {"p1_x": 2000.0}, "std": {"p1_x": math.nan},
         "outliers": [], "left_out": [],
     }  # fmt: skip
-    assert nominal_table(document).texts() == [["run1", "p1_x", "2000", "-"]]
+    assert nominal_table(document).texts() == [["run1", "p1_x", "2000.0", "-", "rad/s"]]
     left_out = nominal_table({**document, "left_out": ["run7: not there"]})
-    assert left_out.texts()[1] == ["left out", "", "", "", "run7: not there"]
+    assert left_out.texts()[1] == ["left out", "", "", "", "", "run7: not there"]
 
 
 def test_static_gains_have_their_lengths_in_micrometres():
