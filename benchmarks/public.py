@@ -216,7 +216,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         "mm",
         1e3,
         emps,
-        partial(shipped, "emps.py", "structure", "uneven", "stribeck", "cubic"),
+        partial(shipped, "emps.py", "structure", "uneven", "cubic", "stribeck"),
         [Published(2.64, "dynoNet", DYNONET, ZERO)],
         first=20,
         compared=True,
