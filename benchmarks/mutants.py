@@ -409,7 +409,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments,
         "mutants.json",
         number=(60, "mutants in the sample"),
-        seed=(30, "of the sample"),
+        seed=(41, "of the sample"),
         packages=(PACKAGES, "packages of gbid, tested by tests/PACKAGE"),
         jobs=(2, "processes"),
         nearest=(False, "for each mutant the four test files that name it most often, without the run with coverage"),
