@@ -1,0 +1,421 @@
+"""ROSS's rotor in magnetic bearings, from a recording in its loop to compiled C that levitates it.
+
+``python -m benchmarks.magnetic_bearings [--rotors N] [--output FILE]``; it needs ROSS and a C compiler.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import eig
+from scipy.signal import cont2discrete
+
+import gbid
+from benchmarks.running import about, options_of, run_study, timed
+from gbid.control import ISO_LIMITS, AxisSensitivity, MaxDamping, MinDamping
+from gbid.export import ChainInput, ChainOptions
+from gbid.export.chain import Chain, chain_of
+from gbid.export.chain_c import CompiledChain
+from gbid.export.chain_python import ChainMode
+from gbid.export.ross import ross_package
+from gbid.structure import evaluate
+
+SAMPLE_TIME = 4e-5  # [s]
+BIAS = 1.0  # current at rest, and limit of the control current [A]
+FULL_SCALE = 250e-6  # of the converters of the positions, to both sides [m]
+BITS = 12
+NOISE = 1e-7  # of a sensor, standard deviation [m]
+SENSOR_HZ = 8000.0
+SPEEDS = (0.0, 4500.0, 9000.0)  # of the design [rpm]; the first bending mode is passed at 6 200 rpm
+AXES = ("av", "aw", "bv", "bw")
+"""Both bearings, each with the two axes of its coils, 45 degrees from x and y."""
+UNBALANCE = 2.5e-6  # [kg m], G 0.4 at 9 000 rpm, at the middle disc
+
+
+# ---- The machine: ROSS's example, and what differs from it in the shop.
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the machine in the shop has, and ROSS's example has not.
+
+    Attributes
+    ----------
+    k_s, k_i : tuple of float
+        Stiffness [N/m] and force per current [N/A] of both bearings, in parts of the example's.
+    amplifier_hz, delay_s : float
+        Bandwidth [Hz] and delay [s] of the amplifiers.
+    elasticity, density : float
+        Of the shaft, in parts of the example's.
+    """
+
+    k_s: tuple[float, float] = (1.12, 1.06)
+    k_i: tuple[float, float] = (0.93, 0.97)
+    amplifier_hz: float = 2500.0
+    delay_s: float = 1.5e-5
+    elasticity: float = 1.0
+    density: float = 1.0
+
+    def perturbed(self, random: np.random.Generator) -> Truth:
+        """Return another machine of the series."""
+
+        def spread(value: float, share: float) -> float:
+            return float(value * (1 + share * random.uniform(-1.0, 1.0)))
+
+        return Truth(
+            (spread(self.k_s[0], 0.05), spread(self.k_s[1], 0.05)),
+            (spread(self.k_i[0], 0.05), spread(self.k_i[1], 0.05)),
+            spread(self.amplifier_hz, 0.1),
+            spread(self.delay_s, 0.2),
+            spread(self.elasticity, 0.02),
+            spread(self.density, 0.02),
+        )
+
+
+def example() -> Any:
+    """Return ROSS's own example of a rotor in magnetic bearings."""
+    return ross_package("this study").rotor_amb_example()
+
+
+class Machine:
+    """Simulation of the machine by its eigenvectors, with all degrees of freedom of ROSS's model; without gbid.
+
+    Between two samples the references of the currents are held, each acts after the delay of its amplifier. The force
+    of an unbalance is held as well.
+    """
+
+    def __init__(self, rotor: Any, truth: Truth, speed_rpm: float) -> None:
+        omega, per = speed_rpm * np.pi / 30, rotor.number_dof
+        M, K = truth.density * rotor.M(0), truth.elasticity * rotor.K(0)
+        C, self.truth, self.omega = rotor.C(0) + omega * truth.density * rotor.G(), truth, omega
+        self.places, heavy = np.zeros((len(M), 4)), int(np.median([disk.n for disk in rotor.disk_elements]))
+        for j, element in enumerate(rotor.bearing_elements):
+            first = per * element.n
+            # the element of ROSS has its controller in it: take it out, and put the magnets in
+            held = np.ix_(*[list(element.dof_global_index.values())] * 2)
+            K[held] -= truth.elasticity * np.asarray(element.K(0), float)
+            C[held] -= np.asarray(element.C(0), float)
+            angle = float(element.sensors_axis_rotation)
+            turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            self.places[first : first + 2, 2 * j : 2 * j + 2] = turn
+        magnets = rotor.bearing_elements
+        k_s, k_i = (
+            np.repeat([abs(float(getattr(e, k))) * f for e, f in zip(magnets, part, strict=True)], 2)
+            for k, part in (("ks", truth.k_s), ("ki", truth.k_i))
+        )
+        K = K - self.places @ np.diag(k_s) @ self.places.T
+        at_node = range(4) if per == 4 else (0, 1, 3, 4)  # what is along the shaft, and its twist, is at rest
+        lateral = [i for i in range(len(M)) if i % per in at_node]
+        M, C, K = (matrix[np.ix_(lateral, lateral)] for matrix in (M, C, K))
+        self.places, n = self.places[lateral], len(lateral)
+        fast, slow = 2 * np.pi * truth.amplifier_hz, 2 * np.pi * SENSOR_HZ
+        per_force = np.linalg.solve(M, np.hstack([self.places * k_i, np.eye(n)[:, [lateral.index(per * heavy)]]]))
+        A = np.zeros((2 * n + 8, 2 * n + 8))
+        A[:n, n : 2 * n] = np.eye(n)
+        A[n : 2 * n, :n], A[n : 2 * n, n : 2 * n] = -np.linalg.solve(M, K), -np.linalg.solve(M, C)
+        A[n : 2 * n, 2 * n : 2 * n + 4] = per_force[:, :4]
+        A[2 * n : 2 * n + 4, 2 * n : 2 * n + 4], A[2 * n + 4 :, 2 * n + 4 :] = -fast * np.eye(4), -slow * np.eye(4)
+        A[2 * n + 4 :, :n] = slow * self.places.T
+        scale = np.concatenate([np.full(n, 300.0), np.ones(n), np.full(8, 300.0)])  # balances the eigenvectors
+        scale[2 * n : 2 * n + 4] = 1.0
+        self.values, V = eig(scale[:, None] * A / scale)
+        B = np.zeros((len(A), 5))
+        B[2 * n : 2 * n + 4, :4] = fast * np.eye(4)
+        B[n : 2 * n, 4] = per_force[:, 4]
+        self.into = np.linalg.solve(V, scale[:, None] * B)
+        self.shown = V[-4:] / 300.0
+        self.start = np.linalg.solve(
+            V, np.vstack([300.0 * np.linalg.pinv(self.places.T), np.zeros((n + 4, 4)), 300.0 * np.eye(4)])
+        )
+
+    def held(self, T: float = SAMPLE_TIME) -> tuple[Any, Any, Any]:
+        """Return what the states keep over a sample, and the effects of the inputs before and after the delay."""
+        rest, whole = T - self.truth.delay_s, np.exp(self.values * T)
+        after = np.exp(self.values * rest)
+        G0 = ((after - 1) / self.values)[:, None] * self.into
+        G1 = ((whole - after) / self.values)[:, None] * self.into
+        return whole, G0, G1
+
+    def run(
+        self, controlled: Callable[[np.ndarray], np.ndarray], steps: int, start: float, seed: int, unbalance: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the measured positions, and the references of the currents, each (steps, 4).
+
+        `controlled` gets the positions as converted and returns the reference that acts one sample later.
+        """
+        random, (whole, G0, G1) = np.random.default_rng(seed), self.held()
+        x = self.start @ (start * random.choice([-1.0, 1.0], 4)).astype(complex)
+        i_step, p_step = 2 * BIAS / 2**BITS, 2 * FULL_SCALE / 2**BITS
+        p, i, later, now, before = np.zeros((steps, 4)), np.zeros((steps, 4)), np.zeros(4), np.zeros(4), np.zeros(4)
+        for k in range(steps):
+            seen = (self.shown @ x).real + NOISE * random.standard_normal(4)
+            p[k] = np.clip(p_step * np.round(seen / p_step), -FULL_SCALE, FULL_SCALE)
+            before, now, later = now, later, controlled(p[k])
+            now = np.clip(i_step * np.round(now / i_step), -BIAS, BIAS)
+            i[k] = now
+            force = unbalance * self.omega**2 * np.cos(self.omega * k * SAMPLE_TIME)
+            x = whole * x + G0[:, :4] @ now + G1[:, :4] @ before + (G0[:, 4] + G1[:, 4]) * force
+        return p, i
+
+    def plant_response(self, hz: np.ndarray) -> np.ndarray:
+        """Return the response of the sampled plant, (n, 4, 4), from the references to the positions."""
+        whole, G0, G1 = self.held()
+        z = np.exp(2j * np.pi * hz * SAMPLE_TIME)
+        return np.stack([(self.shown / (each - whole)) @ (G0 + G1 / each)[:, :4] for each in z])
+
+    def sensitivity(self, law: gbid.LinearModel, hz: np.ndarray) -> np.ndarray:
+        """Return the sensitivity of each axis with the others closed, (n, 4), with one sample of computation."""
+        z = np.exp(2j * np.pi * hz * SAMPLE_TIME)
+        K = np.stack([law.C @ np.linalg.solve(each * np.eye(len(law.A)) - law.A, law.B) + law.D for each in z])
+        L = self.plant_response(hz) @ (K / z[:, None, None])
+        return np.abs(np.einsum("kii->ki", np.linalg.inv(np.eye(4) - L)))
+
+
+# ---- The way: structure, identification in the loop, design, C.
+
+
+def structure(rotor: Any, speed_rpm: float, modes: int) -> gbid.MagneticBearing:
+    """Return ROSS's rotor with unknown magnets, and amplifiers of which the data sheet tells something."""
+    angles = [
+        (e, float(e.sensors_axis_rotation) + quarter) for e in rotor.bearing_elements for quarter in (0.0, np.pi / 2)
+    ]
+    plant = gbid.from_ross(
+        rotor,
+        bearings={"a": rotor.bearing_elements[0].tag, "b": rotor.bearing_elements[1].tag},
+        sensors=[(element.n, angle) for element, angle in angles],
+        actuators=[(element.tag, angle) for element, angle in angles],
+        speed_rpm=speed_rpm,
+        modes=modes,
+        inputs="i",
+    )
+    return gbid.MagneticBearing(
+        plant, amplifier_hz=2000.0, amplifier_delay_s=2.5e-5, longest_delay_s=SAMPLE_TIME, sensor_hz=SENSOR_HZ
+    )
+
+
+def law_of_bearings() -> gbid.LinearStructure:
+    """Return PD control of each bearing, equal in its axes, with a low-pass of second order."""
+
+    def matrices(p: Any) -> dict[str, Any]:
+        parts = []
+        for end in "ab":
+            w, zeta = 2 * np.pi * p[f"corner_{end}"], p[f"zeta_{end}"]
+            A, B = ca.blockcat([[0, w], [-w, -2 * zeta * w]]), ca.vertcat(0, w)
+            parts += 2 * [(A, B, -ca.horzcat(p[f"kp_{end}"], p[f"kd_{end}"] * w))]
+        return {letter: ca.diagcat(*column) for letter, column in zip("ABC", zip(*parts, strict=True), strict=True)}
+
+    gains = [
+        gbid.Parameter(f"{name}_{end}", start, low, high, unit=unit)
+        for end in "ab"
+        for name, start, low, high, unit in (
+            ("kp", 2000.0, 1300.0, 6000.0, "A/m"),
+            ("kd", 12.0, 5.0, 40.0, "A s/m"),
+            ("corner", 1800.0, 1300.0, 2300.0, "Hz"),
+            ("zeta", 0.1, 0.05, 0.5, ""),
+        )
+    ]
+    channels = tuple(f"p_{axis}" for axis in AXES), tuple(f"i_{axis}" for axis in AXES)
+    return gbid.LinearStructure("PD per bearing", gains, matrices, *channels)
+
+
+def first_law() -> gbid.LinearModel:
+    """Return the controller with which the rotor is recorded: the start values, sampled by scipy."""
+    law = law_of_bearings()
+    model = evaluate(law, {gain.name: gain.start for gain in law.parameters})
+    A, B, C, D, _ = cont2discrete((model.A, model.B, model.C, model.D), SAMPLE_TIME, "bilinear")
+    return gbid.LinearModel(A, B, C, D, dt=SAMPLE_TIME, name="first")
+
+
+def recorded(machine: Machine, seconds: float, seed: int) -> gbid.Recording:
+    """Return a recording of the levitated rotor, with random currents added to those of its controller."""
+    law, steps, random = first_law(), round(seconds / SAMPLE_TIME), np.random.default_rng(seed)
+    w = 0.06 * np.repeat(random.choice([-1.0, 1.0], (-(-steps // 25), 4)), 25, axis=0)[:steps]
+    z, k = np.zeros(len(law.A)), 0
+
+    def controlled(p: np.ndarray) -> np.ndarray:
+        nonlocal z, k
+        current = law.C @ z + law.D @ p
+        z, k = law.A @ z + law.B @ p, k + 1
+        return current + (w[k] if k < steps else 0.0)
+
+    p, _ = machine.run(controlled, steps, 0.0, seed, 0.0)
+    w[0] = 0.0
+    return gbid.Recording({"w": w, "p": p}, SAMPLE_TIME, name="levitated", units={"w": "A", "p": "m"})
+
+
+def identified(rotor: Any, recording: gbid.Recording, speed_rpm: float) -> gbid.FitResult:
+    """Return the fit of the rotor in its loop."""
+    loop = gbid.ClosedLoop(structure(rotor, speed_rpm, modes=4), first_law(), pade_order=None)
+    return gbid.fit(loop, recording, focus="simulation", initial_state="zero", window=None, max_iterations=12)
+
+
+def plants_of(rotor: Any, parameters: Mapping[str, float], speeds: Sequence[float]) -> list[gbid.LinearModel]:
+    """Return the identified plants at some speeds, with more modes than the recording shows."""
+    names = tuple(f"i_{axis}" for axis in AXES), tuple(f"p_{axis}" for axis in AXES)
+    return [evaluate(structure(rotor, speed, modes=12), parameters, *names) for speed in speeds]
+
+
+def tuned(plants: list[gbid.LinearModel]) -> gbid.GainResult:
+    """Return the gains with the most damping of rigid and first bending modes, well within zone A at all speeds."""
+    law = law_of_bearings()
+    goals = [MaxDamping(high_hz=150.0), AxisSensitivity(0.8 * ISO_LIMITS["A"]), MinDamping(3e-5, low_hz=150.0)]
+    start = {gain.name: gain.start for gain in law.parameters}
+    return gbid.tune(plants, law, goals=goals, sample_time=SAMPLE_TIME, start=start, starts=0, evaluations=1000)
+
+
+def compiled(design: gbid.GainResult) -> Chain:
+    """Return the control chain of the design, which stays on after a fault: without it the rotor falls."""
+    limits = {"limits": (BIAS,) * 4, "beyond": (0.9 * FULL_SCALE,) * 4, "units": ("m", "A")}
+    options = ChainOptions(ramp_s=SAMPLE_TIME, fade_s=SAMPLE_TIME, number="float", on_fault="control", **limits)
+    return chain_of(replace(design.design(name="amb"), name="amb"), options=options)
+
+
+def levitated(machine: Machine, chain: Chain, seconds: float, seed: int) -> dict[str, float]:
+    """Return largest position and current of the last fifth of a run with the compiled C, from 50 um off the centre."""
+    running = CompiledChain(chain)
+
+    def controlled(p: np.ndarray) -> np.ndarray:
+        return np.array(running.step(ChainInput(tuple(p), mode=ChainMode.CONTROL)).stack)
+
+    p, i = machine.run(controlled, round(seconds / SAMPLE_TIME), 50e-6, seed, UNBALANCE)
+    tail = slice(-len(p) // 5, None)
+    return {
+        "position_um": 1e6 * float(np.abs(p[tail]).max()),
+        "current_A": float(np.abs(i[tail]).max()),
+        "largest_current_A": float(np.abs(i).max()),
+    }
+
+
+# ---- ROSS as the judge, and the study.
+
+
+def law_over_frequency(law: gbid.LinearModel, hz: np.ndarray) -> np.ndarray:
+    """Return current per position of each axis, (n, 4), with converter, computation, amplifier and sensor."""
+    s, truth = 2j * np.pi * hz, Truth()
+    z = np.exp(s * SAMPLE_TIME)
+    K = np.stack([np.diag(law.C @ np.linalg.solve(e * np.eye(len(law.A)) - law.A, law.B) + law.D) for e in z])
+    late = np.exp(-s * (1.5 * SAMPLE_TIME + truth.delay_s)) * np.sinc(hz * SAMPLE_TIME)
+    lags = (1 + s / (2 * np.pi * truth.amplifier_hz)) * (1 + s / (2 * np.pi * SENSOR_HZ))
+    return np.asarray(K * (late / lags)[:, None])
+
+
+def ross_sensitivity(rotor: Any, law: gbid.LinearModel, speed_rpm: float, hz: np.ndarray) -> np.ndarray:
+    """Return the sensitivity of each axis by ROSS's closed-loop response, (n, 4).
+
+    Each bearing is an element of ROSS with the stiffness and damping over frequency of magnets and controller, as its
+    own element of magnetic bearings has them. ROSS's matrices give the response H to forces at the bearings, and
+    ``S_ii = 1 + H_ii k_i K_i``.
+    """
+    ross, omega, w, truth = ross_package("this study"), speed_rpm * np.pi / 30, 2 * np.pi * hz, Truth()
+    K, elements, k_i = law_over_frequency(law, hz), [], []
+    for j, magnet in enumerate(rotor.bearing_elements):
+        k_i.append(float(magnet.ki) * truth.k_i[j])
+        pulled = -k_i[j] * K[:, 2 * j] - abs(float(magnet.ks)) * truth.k_s[j]
+        k, c = pulled.real.tolist(), (pulled.imag / w).tolist()
+        elements.append(ross.BearingElement(n=magnet.n, kxx=k, kyy=k, cxx=c, cyy=c, frequency=w.tolist()))
+    held = ross.Rotor(rotor.shaft_elements, rotor.disk_elements, elements)
+    M, G, S = held.M(0), held.G(), []
+    forces = np.zeros((len(M), 4))
+    for j, magnet in enumerate(rotor.bearing_elements):
+        angle, first = float(magnet.sensors_axis_rotation), held.number_dof * magnet.n
+        forces[first : first + 2, 2 * j] = np.cos(angle), np.sin(angle)
+        forces[first : first + 2, 2 * j + 1] = -np.sin(angle), np.cos(angle)
+    for each, gains in zip(w, K, strict=True):
+        dynamic = -(each**2) * M + 1j * each * (held.C(each) + omega * G) + held.K(each)
+        H = forces.T @ np.linalg.solve(dynamic, forces)
+        S.append(np.abs(1 + np.diag(H) * np.repeat(k_i, 2) * gains))
+    return np.array(S)
+
+
+def identification(rotor: Any) -> tuple[dict[str, Any], dict[str, float]]:
+    """Return the figures of the identification, and the estimates."""
+    recording, true = recorded(Machine(rotor, Truth(), 3000.0), 0.8, 0), true_values(rotor)
+    fit, fit_s = timed(lambda: identified(rotor, recording, 3000.0))
+    rows = [
+        {
+            "name": q.name,
+            "truth": true[q.name],
+            "start": q.start,
+            "value": fit.parameters[q.name],
+            "std": fit.std[q.name],
+        }
+        for q in structure(rotor, 0.0, modes=4).parameters
+        if not q.fixed
+    ]
+    seconds = len(recording.signal("p")) * SAMPLE_TIME
+    run = {"seconds": seconds, "status": str(fit.status), "parameters": rows, "processor_s": fit_s}
+    return run, dict(fit.parameters)
+
+
+def designed(rotor: Any, parameters: Mapping[str, float]) -> tuple[dict[str, Any], gbid.GainResult]:
+    """Return the figures of the design, and the design."""
+    plants = plants_of(rotor, parameters, SPEEDS)
+    design, tune_s = timed(lambda: tuned(plants))
+    assessed, assess_s = timed(lambda: gbid.assess(plants, design))
+    _, chain_s = timed(lambda: CompiledChain(compiled(design)))
+    run = {"status": str(design.status), "damping": design.value, "gains": design.gains, "states": len(plants[0].A)}
+    run["disk_margin"] = assessed.worst["disk_margin"][0]
+    return {**run, "processor_s": {"tune": tune_s, "assess": assess_s, "chain and compiler": chain_s}}, design
+
+
+def judged(rotor: Any, design: gbid.GainResult, rotors: int) -> dict[str, Any]:
+    """Return what the independent simulation and ROSS say of a design, over the speeds and for other rotors."""
+    law, chain, random = design.design(name="amb").at(), compiled(design), np.random.default_rng(7)
+    hz = np.geomspace(1.0, 4000.0, 400)
+
+    def one(truth: Truth, speed: float, seed: int) -> dict[str, float]:
+        machine = Machine(rotor, truth, speed)
+        peak = float(machine.sensitivity(law, hz).max())
+        return {"speed_rpm": speed, "peak": peak, **levitated(machine, chain, 0.3, seed)}
+
+    coarse = hz[::8]
+    by_ross = ross_sensitivity(rotor, law, SPEEDS[1], coarse)
+    simulated = Machine(rotor, Truth(), SPEEDS[1]).sensitivity(law, coarse)
+    return {
+        "degrees_of_freedom": int(rotor.ndof),
+        "by_speed": [one(Truth(), float(speed), 1) for speed in np.linspace(0.0, SPEEDS[-1], 5)],
+        "ross": {
+            "speed_rpm": SPEEDS[1],
+            "peak": float(by_ross.max()),
+            "peak_of_simulation": float(simulated.max()),
+            "largest_difference": float(np.abs(by_ross / simulated - 1).max()),
+        },
+        "rotors": [
+            one(Truth().perturbed(random), float(random.uniform(0, SPEEDS[-1])), 100 + i) for i in range(rotors)
+        ],
+    }
+
+
+def study(rotors: int) -> dict[str, Any]:
+    """Return the figures of the page."""
+    rotor = example()
+    fit, parameters = identification(rotor)
+    tuning, design = designed(rotor, parameters)
+    return {**about(), "fit": fit, "design": tuning, **judged(rotor, design, rotors)}
+
+
+def true_values(rotor: Any) -> dict[str, float]:
+    """Return the true values of the parameters."""
+    truth = Truth()
+    pairs = [
+        (f"k_{s}_{end}", abs(float(getattr(e, f"k{s}"))) * part[j])
+        for s, part in (("s", truth.k_s), ("i", truth.k_i))
+        for j, (end, e) in enumerate(zip("ab", rotor.bearing_elements, strict=True))
+    ]
+    return {**dict(pairs), "omega_amplifier": 2 * np.pi * truth.amplifier_hz, "tau_amplifier": truth.delay_s}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study."""
+    options = options_of(__doc__, arguments, "magnetic-bearings.json", rotors=(20, "number of perturbed rotors"))
+    return run_study(lambda: study(options.rotors), options.output, lambda run: json.dumps(run, indent=2))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

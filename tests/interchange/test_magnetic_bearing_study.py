@@ -1,0 +1,81 @@
+"""Study of ROSS's rotor in magnetic bearings: its parts on a small rotor without ROSS."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from benchmarks import magnetic_bearings as study
+from gbid.control.loop.sampled import sample_plant
+
+
+class SmallRotor:
+    """Shaft of four beam elements with a disc and two magnets, as `gbid.from_ross` and the study take one of ROSS.
+
+    Euler's beam without rotary inertia; the disc has gyroscopic moments.
+    """
+
+    number_dof = 4  # x, y, rotations about x and y
+    ndof = 20
+
+    def __init__(self):
+        self.disk_elements = [SimpleNamespace(n=2)]
+        self.bearing_elements = [self._magnet("Magnet 0", 0), self._magnet("Magnet 1", 4)]
+        self.mass, self.stiffness, self.gyroscopic = (np.zeros((20, 20)) for _ in range(3))
+        L, EI, rho = 0.12, 2e11 * np.pi / 64 * 0.018**4, 7800 * np.pi / 4 * 0.018**2
+        k = EI / L**3 * np.array([[12, 6 * L, -12, 6 * L], [6 * L, 4 * L**2, -6 * L, 2 * L**2]])
+        k = np.vstack([k, -k[0], [6 * L, 2 * L**2, -6 * L, 4 * L**2] * np.array(EI / L**3)])
+        m = [[156, 22 * L, 54, -13 * L], [22 * L, 4 * L**2, 13 * L, -3 * L**2]]
+        m = rho * L / 420 * np.array([*m, [54, 13 * L, 156, -22 * L], [-13 * L, -3 * L**2, -22 * L, 4 * L**2]])
+        for e in range(4):
+            for dofs, sign in (((0, 3, 4, 7), 1), ((1, 2, 5, 6), -1)):  # slope of x about y; of y about -x
+                square, turn = np.ix_(*[[4 * e + dof for dof in dofs]] * 2), np.diag([1, sign, 1, sign])
+                self.stiffness[square] += turn @ k @ turn
+                self.mass[square] += turn @ m @ turn
+        self.mass[8:12, 8:12] += np.diag([2.0, 2.0, 2e-3, 2e-3])
+        self.gyroscopic[10, 11], self.gyroscopic[11, 10] = 4e-3, -4e-3
+
+    def _magnet(self, tag, n):
+        places = {"x": 4 * n, "y": 4 * n + 1}
+        parts = {"K": lambda _: 3e4 * np.eye(2), "C": lambda _: 20.0 * np.eye(2)}  # with a controller, as ROSS's
+        numbers = {"ks": -8e3, "ki": 12.0, "sensors_axis_rotation": np.pi / 4, "n_link": None}
+        return SimpleNamespace(tag=tag, n=n, dof_global_index=places, **parts, **numbers)
+
+    def _held(self, matrix, part):
+        matrix = matrix.copy()
+        for element in self.bearing_elements:
+            matrix[np.ix_(*[list(element.dof_global_index.values())] * 2)] += getattr(element, part)(0)
+        return matrix
+
+    def M(self, _=0):
+        return self.mass.copy()
+
+    def K(self, _=0):
+        return self._held(self.stiffness, "K")
+
+    def C(self, _=0):
+        return self._held(2.0 * self.mass, "C")
+
+    def G(self):
+        return self.gyroscopic.copy()
+
+
+def test_the_simulation_is_the_identified_plant():
+    """Eigenvectors of the whole model by scipy, and gbid's reduction with amplifiers, sensors and exact delay."""
+    rotor, hz = SmallRotor(), np.array([3.0, 30.0, 150.0, 400.0])
+    machine = study.Machine(rotor, study.Truth(), 6000.0)
+    parameters = {**study.true_values(rotor), "omega_sensor": 2 * np.pi * study.SENSOR_HZ}
+    (plant,) = study.plants_of(rotor, parameters, [6000.0])
+    assert (plant.poles().real > 1).sum() == 4
+    response = sample_plant(plant, study.SAMPLE_TIME, 0.0).frequency_response(hz)
+    np.testing.assert_allclose(machine.plant_response(hz), response, rtol=1e-3, atol=1e-3 * np.abs(response).max())
+
+
+def test_a_recording_is_held_by_its_controller_and_told_apart_from_others():
+    machine = study.Machine(SmallRotor(), study.Truth(), 3000.0)
+    recording = study.recorded(machine, 0.02, 3)
+    p = recording.signal("p")
+    step = 2 * study.FULL_SCALE / 2**study.BITS
+    np.testing.assert_allclose(p, step * np.round(p / step), atol=1e-15)
+    assert 0 < np.abs(p).max() < study.FULL_SCALE
+    other = study.Truth().perturbed(np.random.default_rng(0))
+    assert 0 < abs(other.k_s[0] / study.Truth().k_s[0] - 1) <= 0.05
