@@ -142,6 +142,19 @@ def test_inputs_with_lines_of_their_own_share_a_recording():
         gbid.measured_response(same, "u", "y", period_s=n * h)
 
 
+@pytest.mark.parametrize("recordings", [1, 3])
+def test_the_coherence_of_periods_is_the_share_of_the_output_that_is_no_noise(recordings):
+    n, periods, std, rng = 400, 10, 5.0, np.random.default_rng(0)
+    lines, data = np.arange(10, 190), []
+    for k in range(recordings):
+        phases = rng.uniform(0, 2 * np.pi, len(lines))
+        u = np.tile(np.cos(2 * np.pi * np.outer(np.arange(n), lines) / n + phases).sum(axis=1), periods)
+        data.append(gbid.Recording({"u": u, "y": u + std * rng.standard_normal(len(u))}, h, name=f"r{k}"))
+    response = gbid.measured_response(data, "u", "y", period_s=n * h, intersample=None)
+    noise = n * std**2 / periods / ((n / 2) ** 2 + n * std**2 / periods)  # of the mean over the periods, at each line
+    assert (1 - response.coherence).mean() == pytest.approx(noise, rel=0.15)
+
+
 def levitated(seed, n=2500, periods=6):
     """Recording of an unstable magnetic bearing under a sampled PD controller, excited by a multisine."""
     stiffness, gain, mass = 2e5, 80.0, 2.0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from experiment_files import json_of, printed_by
 from refusals import refused
+from scipy.io import wavfile
 
 import gbid
 from gbid.core.errors import DataError, UsageError
@@ -276,6 +277,13 @@ def test_every_accepted_bit_flip_of_a_parquet_file_with_checksums_gives_the_same
         else:
             np.testing.assert_array_equal(read, p)
     assert refusals > 20
+
+
+def test_wav_of_floating_point_numbers_is_read_as_it_is(tmp_path):
+    values = np.random.default_rng(0).uniform(-1, 1, (64, 1)).astype("f4")
+    wavfile.write(tmp_path / "a.wav", 8000, values)
+    rec = import_recording(tmp_path / "a.wav", {"signals": {"y": {"columns": ["data[0]"], "stored_unit": ""}}})
+    np.testing.assert_array_equal(rec.signals["y"], values)
 
 
 @pytest.mark.parametrize("width", [1, 2, 4])
