@@ -280,9 +280,11 @@ def test_every_accepted_bit_flip_of_a_parquet_file_with_checksums_gives_the_same
 
 
 def test_wav_of_floating_point_numbers_is_read_as_it_is(tmp_path):
-    values = np.random.default_rng(0).uniform(-1, 1, (64, 1)).astype("f4")
+    values = np.random.default_rng(0).uniform(-1, 1, (64, 2)).astype("f4")
     wavfile.write(tmp_path / "a.wav", 8000, values)
-    rec = import_recording(tmp_path / "a.wav", {"signals": {"y": {"columns": ["data[0]"], "stored_unit": ""}}})
+    rec = import_recording(
+        tmp_path / "a.wav", {"signals": {"y": {"columns": ["data[0]", "data[1]"], "stored_unit": ""}}}
+    )
     np.testing.assert_array_equal(rec.signals["y"], values)
 
 
