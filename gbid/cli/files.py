@@ -338,6 +338,9 @@ def export(
     from gbid.experiment.exporting import find_exports, write_exports
 
     export_target(to)
+    for option, value, target in (("--number", number, "c"), ("--mass", mass, "ross")):
+        if value is not None and to != target:
+            raise UsageError(f"{option} is for --to {target}; leave it out with --to {to}")
     exports = find_exports(source, at, options.results, tell_line)
     request = ExportRequest(output or exports.folder, options.overwrite, at, number, mass)
     files = [str(path) for path in write_exports(exports, to, request)]
