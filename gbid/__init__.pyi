@@ -70,6 +70,7 @@ from .identify import (
     profile as profile,
     save_fit as save_fit,
     subspace as subspace,
+    subspace_orders as subspace_orders,
 )
 from .identify.fit import fit as fit
 from .lpv import (

@@ -12,14 +12,22 @@ from gbid._version import __version__
 from gbid.cli.about import bench, check, doctor, explain, schema
 from gbid.cli.files import clean, export, import_recordings, init, new, peek
 from gbid.cli.options import HELP, RESULTS, STAGE_VERBS, STAGES, START, GroupedCommands, examples
-from gbid.cli.results import diff, show
+from gbid.cli.results import compare, diff, show
 from gbid.cli.verbs import batch, fit, paper, report, run, serve, stage_verb
 
 _OWN_OPTIONS = {"import": import_recordings, "fit": fit}  # stages whose verbs have options of their own
 _STAGES = {name: _OWN_OPTIONS.get(name) or stage_verb(name) for name in STAGE_VERBS}
 VERBS: dict[str, dict[str, Callable[..., None]]] = {
     START: {"init": init, "new": new, "peek": peek, "check": check, "run": run, "tune": _STAGES["tune"]},
-    RESULTS: {"show": show, "diff": diff, "report": report, "serve": serve, "export": export, "paper": paper},
+    RESULTS: {
+        "show": show,
+        "diff": diff,
+        "compare": compare,
+        "report": report,
+        "serve": serve,
+        "export": export,
+        "paper": paper,
+    },
     HELP: {"explain": explain, "doctor": doctor, "clean": clean},
     STAGES: {"batch": batch, "fit": fit},
 }
@@ -47,6 +55,9 @@ gbid show rig1/results/quickstart/fits/bearing/p6_n0_prbs1.h5
 gbid show rig1/results/quickstart/fits/bearing/p6_n0_prbs1.h5 --json
 gbid diff rig1/results/quickstart rig2/results/quickstart
 gbid diff rig1/results/quickstart rig2/results/quickstart --json
+gbid compare fits/a/run1.h5 fits/b/run1.h5 --on recordings/run2.h5
+gbid compare fits/a/run1.h5 --plain recordings/run1.h5 --on recordings/run2.h5 --output models.html
+gbid compare fits/a/run1.h5 --on recordings/run2.h5 --json
 gbid peek measured/run_07.tdms
 gbid peek measured/run_07.csv --decimal ,
 gbid clean rig1/experiment.yaml --dry-run

@@ -104,6 +104,68 @@ def _described(path: Path) -> tuple[str, dict[str, Any], list[Table]]:
     return type(value).__name__, document, tables
 
 
+# ---- `gbid compare`: models side by side on recordings.
+
+
+@with_options("overwrite", "as_json", "debug")
+def compare(
+    models: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FIT...",
+            help="Fits of a results folder (.h5).",
+            show_default=False,
+            autocompletion=files_ending(".h5"),
+        ),
+    ],
+    options: CommonOptions,
+    on: Annotated[
+        list[Path] | None,
+        typer.Option("--on", metavar="RECORDING", help="Recording (.h5) on which they are simulated; repeatable."),
+    ] = None,
+    plain: Annotated[
+        list[Path] | None,
+        typer.Option("--plain", metavar="RECORDING", help="Recording (.h5) for a model without structure; repeatable."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="A page (.html) with table and pictures.")
+    ] = None,
+) -> None:
+    """Compare models on recordings: fit, AIC, whiteness and, on a page, frequency responses."""
+    from gbid.cli.printing import print_json, print_tables
+    from gbid.core.errors import UsageError
+    from gbid.core.files import atomic_path
+    from gbid.identify import load_fit, subspace, subspace_orders
+    from gbid.recording import load_recording
+    from gbid.report.write import comparison_text
+    from gbid.validate import compare as compared
+
+    if not on:
+        raise UsageError("--on is missing: give the recordings on which the models are compared")
+    named: dict[str, Any] = {f"{path.parent.name}/{path.stem}": load_fit(path) for path in models}
+    orders = None
+    if plain:
+        sources, first = [load_recording(path) for path in plain], next(iter(named.values())).options
+        signals: Any = {"inputs": first.inputs, "outputs": first.outputs}
+        orders = subspace_orders(sources, **signals)
+        model = subspace(sources, orders.order, **signals)
+        named[model.name] = model
+    comparison = compared(named, [load_recording(path) for path in on])
+    if output is not None:
+        with atomic_path(output, options.overwrite) as part:
+            part.write_text(comparison_text(comparison, orders), encoding="utf-8")
+    table = comparison.table()
+    if options.as_json:
+        keys = ["model", "output", "states", "parameters", "fit_percent", "least_fit_percent", "aic", "p_white"]
+        rows = [dict(zip(keys, row, strict=True)) for row in table.rows]
+        order = orders.order if orders else None
+        print_json({"recordings": comparison.recordings, "models": rows, "order": order, "page": output})
+        return
+    print_tables(*([orders.table()] if orders else []), table)
+    if output is not None:
+        typer.echo(str(output))
+
+
 # ---- `gbid diff`: parameters, designs and settings of two results folders.
 
 

@@ -33,7 +33,9 @@ from .result import (
     save_fit as save_fit,
 )
 from .start.black_box import (
+    SubspaceOrders as SubspaceOrders,
     subspace as subspace,
+    subspace_orders as subspace_orders,
 )
 from .table import (
     FitTable as FitTable,

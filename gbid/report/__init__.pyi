@@ -71,6 +71,7 @@ from .model_pictures import (
     plot_iso_zones as plot_iso_zones,
     plot_orbit as plot_orbit,
     plot_poles as plot_poles,
+    plot_orders as plot_orders,
     plot_profile as plot_profile,
     plot_step as plot_step,
     pole_data as pole_data,

@@ -14,7 +14,7 @@ from gbid.control import ISO_LIMITS, Sensitivities, SensitivityZones, sensitivit
 from gbid.core.arrays import ComplexArray, FloatArray, one_of_each_pair
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.identify import Profile, select
+from gbid.identify import Profile, SubspaceOrders, select
 from gbid.identify.frequency_data import FrequencyData
 from gbid.identify.uncertainty.curves import (
     LEVEL,
@@ -235,7 +235,8 @@ def plot_bode(
     for panel in flat:
         frequency_axis(panel, shape.frequency_hz[0], shape.frequency_hz[-1])
     if len(curves) + (measured is not None) > 1 or any(curve.has_band for curve in curves.values()):
-        legend_above(figure, axes[0, 0], columns=4)
+        longest = max(map(len, curves), default=0)
+        legend_above(figure, axes[0, 0], columns=4 if longest <= 16 else 2 if longest <= 24 else 1)  # letters
     return axes
 
 
@@ -448,6 +449,41 @@ def plot_iso_zones(loop: Sensitivities | SensitivityZones, ax: Axes | None = Non
     axes.set(xlabel="frequency [Hz]", ylabel="sensitivity [-]", ylim=(0.0, top))
     axes.grid(False)
     legend_above(figure, axes, columns=2)
+    return axes
+
+
+@styled
+def plot_orders(orders: SubspaceOrders, ax: npt.ArrayLike | Axes | None = None) -> npt.NDArray[np.object_]:
+    """Draw the singular values of a subspace method, and the errors of its models on samples that were not used.
+
+    Parameters
+    ----------
+    orders : SubspaceOrders
+        Result of `gbid.subspace_orders`.
+    ax : array of matplotlib Axes, optional
+        Two axes; a new figure when left out.
+
+    Returns
+    -------
+    (2,) array of matplotlib Axes
+        The axes; ``axes[0].figure`` is the figure.
+    """
+    _, axes = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.6))
+    numbers = np.arange(1, len(orders.errors) + 1)
+    values = orders.singular_values[: len(numbers)]
+    axes[0].semilogy(np.arange(1, len(values) + 1), values, **series(0, linestyle="none", marker="o"))
+    axes[0].set(ylabel="singular value, relative")
+    stable = np.isfinite(orders.errors)
+    spread = np.minimum(orders.std[stable], 0.9 * orders.errors[stable])  # a bar on a logarithmic axis ends above zero
+    axes[1].errorbar(
+        numbers[stable], orders.errors[stable], spread, **series(0, linestyle="none", marker="o"), capsize=2
+    )
+    axes[1].set(ylabel="error on other samples", yscale="log")
+    for panel in axes:
+        panel.axvline(orders.order, color=GREY, linewidth=0.9, linestyle="--", zorder=0)
+        panel.set(xlabel="order")
+        panel.xaxis.get_major_locator().set_params(integer=True)
+    axes[1].set_title(f"chosen: {orders.order}", loc="right")
     return axes
 
 

@@ -19,7 +19,7 @@ from gbid.experiment.fields import Result, content_key
 from gbid.experiment.run import Job, Outcome, produce
 from gbid.experiment.stages.crossval import data_key, model_and_recording, residuals_on, validate_pair
 from gbid.experiment.stages.fit import fit_result, load_made_fit, response_of
-from gbid.identify import FitResult, Profile, measured_response
+from gbid.identify import FitResult, Profile, SubspaceOrders, measured_response
 from gbid.identify.frequency_data import FrequencyData
 from gbid.recording import Recording
 from gbid.report.canvas import save_figure, shown_by_pyplot
@@ -30,7 +30,7 @@ from gbid.report.measured_pictures import (
     residuals_figure,
     response_figure,
 )
-from gbid.report.model_pictures import plot_bode, plot_iso_zones, plot_profile
+from gbid.report.model_pictures import plot_bode, plot_iso_zones, plot_orders, plot_profile
 from gbid.structure import LinearModel
 from gbid.validate import ModelComparison, ResidualTest, Validation
 
@@ -49,6 +49,7 @@ def plot(value: Any, ax: Any = None, **options: Any) -> Any:  # noqa: ARG001
     LinearModel, FitResult                  `plot_bode`
     FrequencyData, MeasuredResponse         `plot_bode`
     ModelComparison                         `plot_bode`
+    SubspaceOrders                          `plot_orders`
     Profile                                 `plot_profile`
     Validation                              `plot_response`
     ResidualTest                            `plot_residuals`
@@ -89,6 +90,7 @@ for kind in (LinearModel, FitResult, FrequencyData):
     plot.register(kind, plot_bode)
 plot.register(ModelComparison, lambda comparison, ax=None, **options: plot_bode(comparison.models, ax, **options))
 plot.register(Profile, plot_profile)
+plot.register(SubspaceOrders, plot_orders)
 plot.register(Validation, plot_response)
 plot.register(ResidualTest, plot_residuals)
 plot.register(Sensitivities, plot_iso_zones)

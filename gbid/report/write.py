@@ -10,6 +10,7 @@ from pathlib import Path
 from gbid.core.errors import DataError, UsageError
 from gbid.experiment.fields import Result, content_key, stored_key
 from gbid.experiment.run import Job, Outcome, produce
+from gbid.identify import SubspaceOrders
 from gbid.report.control_sections import (
     controller_section,
     cycle_section,
@@ -18,7 +19,8 @@ from gbid.report.control_sections import (
     surfaces_section,
 )
 from gbid.report.named import named_figures
-from gbid.report.page import PageSection, Pictures, Shown, Words, render
+from gbid.report.page import Block, Fold, PageSection, Pictures, Shown, Words, render
+from gbid.report.pictures import plot
 from gbid.report.read import Results
 from gbid.report.sections import (
     curves_script,
@@ -33,6 +35,7 @@ from gbid.report.sections import (
     warnings,
     with_curves,
 )
+from gbid.validate import ModelComparison
 
 NAME = "report.html"
 _FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller", "cycle", "loops")
@@ -148,3 +151,17 @@ def report_key(results: Results) -> str:
     fits = [stored_key(results.job.path("fits", f.item)) for f in results.standings if f.stage == "fit"]
     spec = {**experiment.spec.model_dump(mode="json", exclude={"rig", "imported"}), "standings": standings}
     return content_key("report", spec, [*fits, *made])
+
+
+def comparison_text(comparison: ModelComparison, orders: SubspaceOrders | None = None) -> str:
+    """Return models side by side as an HTML page: their table, frequency responses, and what chose an order."""
+    pictures, names = Pictures(), ", ".join(comparison.models)
+    blocks: list[Block] = [
+        comparison.table(),
+        Shown(pictures.picture(plot(comparison), f"Frequency responses of {names}")),
+    ]
+    if orders is not None:
+        words = f"Singular values, and errors on samples that were not used, by order; chosen: {orders.order}"
+        blocks += [Shown(pictures.picture(plot(orders), words)), Fold("Orders of the subspace model", [orders.table()])]
+    section = PageSection("comparison", f"Models on {', '.join(comparison.recordings)}", blocks)
+    return render("Comparison of models", "", [section], [], "")

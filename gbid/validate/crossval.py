@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import log
 from typing import Annotated, Any, ClassVar
 
@@ -17,15 +17,7 @@ from gbid.core.extras import Pictured, data_frame
 from gbid.core.hdf5 import Stored
 from gbid.identify import FitResult
 from gbid.recording import Recording
-from gbid.validate.simulate import (
-    Explained,
-    LinearSimulator,
-    Ranges,
-    Simulator,
-    ValidationData,
-    simulator,
-    validation_data,
-)
+from gbid.validate.simulate import Explained, Ranges, Simulator, ValidationData, at_step_of, simulator, validation_data
 
 # ---- Scores of many models on many recordings, and their summary (paper, Sec. 3.8, Figs. 9 and 10).
 
@@ -500,9 +492,8 @@ _GROWTH = 1e3  # over a recording: what is known to a thousandth of an output is
 
 
 def _explain(fitted: Simulator, data: ValidationData) -> Explained:
+    fitted = at_step_of(fitted, data.sample_time)
     model = fitted.model
-    if isinstance(fitted, LinearSimulator) and np.isnan(fitted.sample_time):  # fitted to frequency responses alone
-        fitted = replace(fitted, sample_time=data.sample_time)
     if not np.isclose(data.sample_time, fitted.sample_time, rtol=1e-6, atol=0):
         raise DataError(
             f"recording {data.name!r} has sample time {data.sample_time:g} s; the model was fitted at "

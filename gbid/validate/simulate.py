@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import singledispatch
 from typing import Any, NamedTuple
 
@@ -409,6 +409,13 @@ def simulator(result: FitResult) -> Simulator:
     """Return a fitted model prepared for the simulation on many recordings."""
     refuse_scheduled(result)
     return simulator_of(result.model, result.sample_time, None, result.disturbances, ", ".join(result.recordings))
+
+
+def at_step_of(fitted: Simulator, sample_time: float) -> Simulator:
+    """Return a simulator for a recording; that of a fit to frequency responses alone has no sample time of its own."""
+    if isinstance(fitted, LinearSimulator) and np.isnan(fitted.sample_time):
+        return replace(fitted, sample_time=sample_time)
+    return fitted
 
 
 # ---- Signals of a recording on which models are validated, and the samples that count.

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from experiment_files import json_of, printed_by
 from scipy import signal
 
 import gbid
@@ -89,3 +90,41 @@ def test_models_of_other_signals_are_refused():
     other = gbid.Recording({"r": np.ones((100, 1)), "y": np.ones((100, 1))}, h)
     with pytest.raises(UsageError, match="give inputs"):
         gbid.compare(model, other)
+
+
+def test_what_chooses_the_order_is_shown():
+    orders = gbid.subspace_orders(recording(2, 0))
+    assert orders.order == gbid.subspace(recording(2, 0)).n_states == 4
+    assert orders.singular_values[3] > 10 * orders.singular_values[4]  # two modes
+    assert orders.errors[2] > 50 * orders.errors[3]
+    assert orders.errors[3] == pytest.approx(0.05**2, rel=0.5)  # the noise
+    left, right = orders.plot()
+    assert right.get_title(loc="right") == "chosen: 4"
+    assert len(left.lines[0].get_xdata()) == len(orders.errors) == len(orders.table().rows)
+
+
+def test_models_are_compared_from_the_command_line(tmp_path, capsys):
+    paths = [tmp_path / f"run{seed}.h5" for seed in (0, 1)]
+    for seed, path in enumerate(paths):
+        gbid.save_recording(recording(2, seed), path)
+    fit = tmp_path / "grey.h5"
+    gbid.save_fit(gbid.fit(SPRING, gbid.load_recording(paths[0]), focus="simulation"), fit)
+    page = tmp_path / "models.html"
+    made = json_of(capsys, "compare", fit, "--plain", paths[0], "--on", paths[1], "--output", page)
+    assert made["order"] == 4
+    grey, plain = made["models"]
+    assert (plain["model"], plain["states"]) == ("subspace model of order 4", 4)
+    assert grey["fit_percent"] < 80 < plain["fit_percent"] == pytest.approx(95, abs=0.5)
+    text = page.read_text()
+    assert "Models on run 1" in text
+    assert text.count("<svg") == 2
+    assert "subspace model of order 4" in printed_by(capsys, "compare", fit, "--plain", paths[0], "--on", paths[1]).out
+    assert "--on is missing" in printed_by(capsys, "compare", fit, code=2).err
+
+
+def test_a_fit_to_responses_is_compared_at_any_sample_time():
+    f = np.linspace(20, 40, 60)
+    exact = gbid.LinearModel([[0, 1], [-(188.5**2), -11.3]], [[0], [188.5**2]], [[1, 0]], [[0]]).frequency_response(f)
+    fitted = gbid.fit(SPRING, gbid.FrequencyData(f, exact, 1e-2))
+    result = gbid.compare(fitted, recording(1, 0))
+    assert result.fit_percent[0, 0, 0] == pytest.approx(95, abs=1)

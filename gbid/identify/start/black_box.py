@@ -12,9 +12,13 @@ import numpy as np
 import scipy
 
 from gbid.core.arrays import ComplexArray, FloatArray, one_blas_thread
+from gbid.core.brief import Description, brief
 from gbid.core.errors import DataError, UsageError
+from gbid.core.extras import Pictured
+from gbid.core.tables import Column, Table
 from gbid.identify.data import Record, column_means, gather
 from gbid.identify.predictor import Predictor
+from gbid.identify.uncertainty.curves import Tabled
 from gbid.recording import Recording
 from gbid.structure import LinearModel, as_names
 
@@ -258,6 +262,74 @@ _NO_MATTER = 0.01  # of the squared errors: a fit of 95 % changes by 0.025 %
 _VISIBLE = 1e-4  # singular value, of the largest, below which a state is rounding or noise in any recording
 
 
+@dataclass(frozen=True, eq=False)
+class SubspaceOrders(Tabled, Pictured):
+    """What chooses the order of a subspace model; `gbid.subspace_orders` makes it.
+
+    Attributes
+    ----------
+    singular_values : (n,) array
+        Singular values of the predictor's product of observability and states, relative to the largest.
+    errors : (n_orders,) array
+        Mean square of the errors of the models of order 1, 2, ... over the variance of the outputs, in a simulation of
+        samples that they were not estimated from, summed over the outputs; inf for an unstable model.
+    std : (n_orders,) array
+        Standard error of its difference to the least of them.
+    order : int
+        Order that is chosen.
+    """
+
+    singular_values: FloatArray
+    errors: FloatArray
+    std: FloatArray
+    order: int
+
+    def _brief(self) -> Description:
+        return brief(self, f"order {self.order} of {len(self.errors)} that were tried", errors=self.errors)
+
+    def table(self) -> Table:
+        """Return a row for each order."""
+        columns = [Column("order"), *(Column(name, format=4) for name in ("singular value", "error", "std"))]
+        columns.append(Column("chosen"))
+        numbers = zip(self.singular_values.tolist(), self.errors.tolist(), self.std.tolist(), strict=False)
+        rows = [(i, *row, "yes" if i == self.order else "") for i, row in enumerate(numbers, start=1)]
+        return Table("orders of a subspace model", columns, rows)
+
+
+def subspace_orders(
+    recordings: Recording | Sequence[Recording],
+    *,
+    inputs: str | Sequence[str] = "u",
+    outputs: str | Sequence[str] = "y",
+    feedthrough: bool = False,
+) -> SubspaceOrders:
+    """Return singular values and errors by order, from which `gbid.subspace` chooses with ``order="auto"``.
+
+    Parameters
+    ----------
+    recordings, inputs, outputs, feedthrough
+        As for `gbid.subspace`.
+
+    Returns
+    -------
+    SubspaceOrders
+        Its ``plot()`` shows both with the order that is chosen, its ``table()`` has a row for each order.
+
+    Raises
+    ------
+    DataError
+        When a recording lacks a signal, or recordings are too short.
+    """
+    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    data = gather(several, as_names(inputs), as_names(outputs), minimum=_FIRST_LAGS)
+    with one_blas_thread():
+        return _order_of([_centred(record) for record in data.records], feedthrough)
+
+
+def _centred(r: Record) -> Record:
+    return Record(r.name, r.inputs - column_means(r.inputs), r.outputs - column_means(r.outputs))
+
+
 def subspace(
     recordings: Recording | Sequence[Recording],
     order: int | Literal["auto"] = "auto",
@@ -303,11 +375,9 @@ def subspace(
     data = gather(several, *names, minimum=_FIRST_LAGS)
     if order != "auto" and (isinstance(order, bool) or not isinstance(order, int) or order < 1):
         raise UsageError(f"order = {order!r}; give a number of states, or the word auto")
-    centred = [
-        Record(r.name, r.inputs - column_means(r.inputs), r.outputs - column_means(r.outputs)) for r in data.records
-    ]
+    centred = [_centred(record) for record in data.records]
     with one_blas_thread():
-        chosen = _order_of(centred, feedthrough) if order == "auto" else order
+        chosen = _order_of(centred, feedthrough).order if order == "auto" else order
         model = black_box(centred, chosen, feedthrough=feedthrough)
     return LinearModel(
         model.A,
@@ -322,8 +392,8 @@ def subspace(
     )
 
 
-def _order_of(records: Sequence[Record], feedthrough: bool) -> int:
-    """Return the smallest order that simulates samples which were not used about as well as the best."""
+def _order_of(records: Sequence[Record], feedthrough: bool) -> SubspaceOrders:
+    """Return the smallest order that simulates samples which were not used about as well as the best, and why."""
     cuts = [int(_TRAINING * r.n_samples) for r in records]
     begin = [Record(r.name, r.inputs[:cut], r.outputs[:cut]) for r, cut in zip(records, cuts, strict=True)]
     rest = [Record(r.name, r.inputs[cut:], r.outputs[cut:]) for r, cut in zip(records, cuts, strict=True)]
@@ -335,14 +405,12 @@ def _order_of(records: Sequence[Record], feedthrough: bool) -> int:
         model = black_box(begin, order, feedthrough=feedthrough, lags=full.lags)
         squares.append(_batch_means(((np.concatenate([_errors(model, r) for r in rest]) / scale) ** 2).sum(axis=1)))
     best = int(np.argmin([each.mean() for each in squares]))
-    for order, each in enumerate(squares[:best], 1):
-        if not np.isfinite(each).all():
-            continue
-        more = each - squares[best]
-        certain = max(_STANDARD_ERRORS * more.std() / np.sqrt(len(more)), _NO_MATTER * squares[best].mean())
-        if more.mean() <= certain:
-            return order
-    return best + 1
+    with np.errstate(invalid="ignore"):  # infinite errors of unstable models
+        more = np.array([each - squares[best] for each in squares])
+        means, std = more.mean(axis=1), more.std(axis=1) / np.sqrt(more.shape[1])
+        certain = np.maximum(_STANDARD_ERRORS * std, _NO_MATTER * squares[best].mean())
+        order = int(np.argmax(means <= certain)) + 1  # never beyond the best, whose difference is zero
+    return SubspaceOrders(S / S[0], np.array([each.mean() for each in squares]), std, order)
 
 
 def _batch_means(values: FloatArray) -> FloatArray:
