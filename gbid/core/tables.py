@@ -40,7 +40,7 @@ def exponent_of(value: float) -> int:
     >>> exponent_of(-633314.0), exponent_of(50.3), exponent_of(0.571), exponent_of(4.2e-6)
     (3, 0, 0, -6)
     """
-    if value == 0 or not isfinite(value) or 1e-3 <= abs(value) < 1e4:
+    if value == 0 or not isfinite(value) or 1e-4 <= abs(value) < 1e4:
         return 0
     return 3 * floor(log10(abs(value)) / 3)
 

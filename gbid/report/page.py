@@ -84,7 +84,7 @@ def _embedded(text: str, prefix: str, alt: str) -> str:
     body = re.sub(r"\n\s*", "\n", body)
     width, height = size["box"].split()[2:]
     # matplotlib measures in points of 1/72 inch, a page in pixels of 1/96
-    look = f'style="--natural:{float(width) * 4 / 3:.0f}px;max-width:var(--natural)" class="picture"'
+    look = f'style="max-width:{float(width) * 4 / 3:.0f}px" class="picture"'
     return f'<svg {look} viewBox="0 0 {width} {height}" role="img" aria-label="{escape(alt, quote=True)}">{body}'
 
 
