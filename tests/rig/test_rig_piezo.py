@@ -50,6 +50,20 @@ def test_stacks_have_the_controllers_of_table_a5():
     assert [q.slow_pole for q in PiezoStacks().stacks] == [zero for _, zero, _ in printed]
 
 
+def test_a_stack_takes_its_reference_as_it_is_unless_it_has_a_gain():
+    """In the steady state of a linear stack the loop alone lies between position and reference."""
+    loop_gain = STACK.pd_scale * STACK.pd_gain * STACK.pd_zero / STACK.pd_pole
+    values = {
+        name: getattr(STACK, name) for name in ("pd_gain", "pd_zero", "pd_pole", "pd_scale", "slow_pole", "fast_pole")
+    }
+    stack = PiezoStack(**values, hysteresis=0.0, creep=0.0)
+    slope = loop_gain * stack.stroke / stack.voltage_limit
+    made = run(replace(PiezoStacks(), stacks=(*PiezoStacks().stacks[:3], stack)), stack=4, controlled=True, hold_s=0.1)
+    up, _ = ends_of_steps(made)
+    commands = made.signal("r_p")[:, 3].reshape(21, -1)[:11, -1]
+    assert np.polyfit(commands[2:9], up[2:9], 1)[0] == pytest.approx(slope / (1 + slope), rel=1e-3)
+
+
 @pytest.mark.parametrize(("axis", "numbers"), [("x", (2, 4)), ("y", (1, 3))])
 def test_stacks_without_hysteresis_have_the_poles_and_gain_of_table_2(axis, numbers):
     """The zero cancels the slow pole: controller and fast pole alone make the two poles of the pair."""

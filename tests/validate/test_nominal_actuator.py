@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rig_point import machine
+from scipy import stats
 
 from gbid.core.errors import ChangedFileWarning, DataError, UsageError
 from gbid.identify import FitTable, fit
@@ -48,6 +49,13 @@ def table_of(values, **changes):
 def scattered(n=86, seed=0):
     random = np.random.default_rng(seed)
     return TRUE * np.exp(random.normal(0, [0.05, 0.08, 0.003] * 2, (n, 6)))
+
+
+@pytest.mark.parametrize("n", [12, 86])
+def test_limit_of_outliers_is_the_quantile_of_all_entries(n):
+    """One false alarm in twenty tables: Student's t, whose degrees of freedom are those of a median deviation."""
+    expected = stats.t.isf(0.05 / (2 * 6 * n), 0.37 * (n - 1))
+    assert nominal_actuator(table_of(scattered(n))).limit == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_model_with_the_smallest_distances_is_chosen():
