@@ -11,6 +11,8 @@ import pytest
 from gain_problems import damping_problem, oscillator, responding
 from scipy.optimize import brentq
 
+import gbid
+from gbid.control.loop.norm import peak_gain
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.peaks import ModalResponse, Peaks
 from gbid.control.tuning.problem import GainProblem, Limits
@@ -88,3 +90,9 @@ def test_the_nearest_edge_of_stability() -> None:
     assert -0.1 * 1.011 <= found.change <= -0.1
     far = damping_problem(lambda g: 0.3 + g[0] - 2 * g[1], [-0.05, -0.05], [0.05, 0.05])
     assert distance_to_edge(far, np.zeros(2), ("a", "b")) == Edge("", np.inf)
+
+
+def test_the_peak_of_a_response_that_its_input_does_not_reach_is_zero() -> None:
+    # the output sees the second state, the input moves the first; levels near 1e-154 overflowed
+    model = gbid.LinearModel([[-1.0, 0.0], [0.0, -3.0]], [[1e9], [0.0]], [[0.0, 1e9]], [[0.0]])
+    assert peak_gain(model).value < 1e-10

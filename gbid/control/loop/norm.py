@@ -158,8 +158,8 @@ def _peak_of(
     best, w_best = float(sizes.max()), float(places[sizes.argmax()])
     if at_infinity > best:
         best, w_best = at_infinity, inf
-    if best == 0.0:
-        best = np.finfo(float).tiny ** 0.5
+    # below it a response is rounding, as that of states which the input does not reach
+    least = max(least, 1e-13 * float(np.linalg.norm(B) * np.linalg.norm(C) / (np.linalg.norm(A) + 1e-300)), 1e-100)
     for _ in range(60):
         gamma = max(best, least) * (1 + 2 * tolerance)
         crossings = _crossings(A, B, C, D, gamma)

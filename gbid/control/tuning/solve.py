@@ -37,6 +37,7 @@ from gbid.control.tuning.search import (
     certificate_units,
     gain_units,
     on_grid,
+    rank,
     reach_of_bounds,
     search,
     typical_rate,
@@ -74,6 +75,11 @@ class GainSolution:
     def stable(self) -> bool:
         """Whether all loops are stable."""
         return self.problem.stable(self.best.x)
+
+    @property
+    def certified(self) -> bool:
+        """Whether the best design is a certified local optimum."""
+        return self.best.certificate is not None and self.best.certificate.holds
 
     def noted(self, stage: str, progress: Progress | None) -> GainSolution:
         """Return this solution with one more step of its history, which is told, too."""
@@ -377,7 +383,8 @@ class DampingOptions:
         Number of random starts of the global stage. By default a grid for up to three gains; for more gains with limits
         16, and 8 for more than eight gains; without limits 24, and 12 for more than twelve gains.
     seed : int
-        Seed of the random starts.
+        Seed of the random starts. A search of more than three gains that ends without a certificate is repeated once
+        with the next seed, and the better design is returned.
     evaluations : int, optional
         Number of designs after which the search ends, about; the status is then ``"iteration limit"``.
     progress : callable, optional
@@ -475,7 +482,14 @@ def maximise_damping(
     neutral = usable_start(families, [neutral, *given], low, high, options.seed)
     scale, designs = typical_rate(families, neutral), Evaluations(most=options.evaluations)
     problem = GainProblem(families, limits, low, high, scale, evaluations=designs)
-    solution = solve(problem, SearchTask(neutral, tuple(given), search_options, options.progress))
+    task = SearchTask(neutral, tuple(given), search_options, options.progress)
+    solution = solve(problem, task)
+    if not (on_grid(len(names), search_options) or solution.certified or designs.exhausted):
+        # a search without a certificate may have ended in a poor basin: half of them do on a chemical reactor
+        again = solve(problem, replace(task, options=replace(search_options, seed=options.seed + 1)))
+        history = (*solution.history, *again.history)
+        solution = max(solution, again, key=lambda each: (each.stable, rank(each.best)))
+        solution = replace(solution, history=history)
     n_loops = sum(len(family) for family in families)
     norms = " and exact H-infinity norms" if limits.has_responses else ""
     values = () if on_grid(len(names), search_options) else (problem.in_units(solution.best.score.value),)
@@ -510,7 +524,7 @@ def summarise(
     worst = worst_mode(problem, x)
     certificate = best.certificate
     status = GainStatus.STALLED
-    if certificate is not None and certificate.holds:
+    if solution.certified:
         top = np.nanmax([*seed_values, -np.inf])
         alike = sum(value >= top - ALIKE * abs(top) for value in seed_values)
         status = GainStatus.OPTIMAL if not seed_values or alike >= LEAST_ALIKE else GainStatus.LOCAL_OPTIMUM
