@@ -241,6 +241,7 @@ def test_aic_and_fpe_are_their_definitions_and_choose_the_smaller_true_model():
     v = result.error_covariance[0, 0]
     assert result.aic == pytest.approx(n * np.log(v) + 2 * k, rel=1e-12)
     assert result.fpe == pytest.approx(v * (1 + k / n) / (1 - k / n), rel=1e-9)
+    assert result.log_likelihood == pytest.approx(-n / 2 * (np.log(2 * np.pi * v) + 1), rel=1e-12)
     wrong = LinearStructure("gain", [Parameter("d", 1.0)], lambda p: {"A": [[-5.0]], "B": [[p.d]], "C": [[1]]})
     other = fit(wrong, rec)
     assert other.aic > result.aic + 100

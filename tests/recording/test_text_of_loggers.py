@@ -106,6 +106,14 @@ def test_files_of_twelve_loggers(tmp_path, name):
     assert bool(said) == ("import_remarks" in made.provenance)
 
 
+@pytest.mark.parametrize("lines", [1, 2, 3])
+def test_no_row_goes_with_the_lines_after_it(tmp_path, lines):
+    path = tmp_path / "trailer.csv"
+    path.write_text("Zeit;x;y\ns;V;V\n" + numbers(";", ",") + "Mittelwert;0,5;0,2\n" * lines, encoding="utf-8")
+    made = import_recording(path, {"time": "Zeit", "signals": {"d": {"columns": ["x", "y"], "unit": "V"}}})
+    np.testing.assert_allclose(made.signal("d"), np.column_stack([X, Y]), rtol=0, atol=1e-9)
+
+
 GOOD = numbers(";", columns=(TIME, np.arange(N) / 2, np.arange(N) % 7 * 1.0))
 TWO_CLOCKS = "a;b;a;c\n" + numbers(";", columns=(TIME, X, 2 * TIME, Y))
 
