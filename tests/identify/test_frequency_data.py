@@ -155,6 +155,17 @@ def test_the_coherence_of_periods_is_the_share_of_the_output_that_is_no_noise(re
     assert (1 - response.coherence).mean() == pytest.approx(noise, rel=0.15)
 
 
+def test_channels_are_taken_in_the_order_of_the_structure():
+    values = np.arange(2 * 3 * 2).reshape(2, 3, 2)
+    data = FrequencyData([1, 2], values, std=1.0, inputs=["u_x", "u_y"], outputs=["p_x", "p_y", "q"])
+    for inputs, outputs, columns, rows in (("u", ["q", "p"], [0, 1], [2, 0, 1]), ("u.y", "p_y", [1], [1])):
+        chosen = data.channels(inputs, outputs)
+        np.testing.assert_array_equal(chosen.response, values[:, rows][:, :, columns])
+        assert chosen.output_names == tuple(["p_x", "p_y", "q"][i] for i in rows)
+    with pytest.raises(DataError, match="no channel 'v'; it has u_x, u_y"):
+        data.channels("v", "p")
+
+
 def levitated(seed, n=2500, periods=6):
     """Recording of an unstable magnetic bearing under a sampled PD controller, excited by a multisine."""
     stiffness, gain, mass = 2e5, 80.0, 2.0
