@@ -529,7 +529,7 @@ def test_rows_without_results_are_missing_with_the_reason(small, capsys):
     assert text.count("\n| ") == 3 + len(rows)  # heads of both tables, and a rule
     document = json_of(capsys, "paper", path, "--only", "comparison", "--results", out)
     assert len(document["rows"]) == len(NUMBERS)
-    assert len(document["past_the_paper"]) == 2  # no section 'controller'
+    assert len(document["past_the_paper"]) == 3  # no section 'controller', no impacts
     answers = {row["id"]: row["answer"] for row in document["sentences"]}
     assert answers["sensitivity"] == answers["peak_gain"] == "yes"
     assert answers["coupling"] == "not testable"  # no section 'lpv'
