@@ -92,6 +92,7 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 	$(BIN)/python -m benchmarks.nonlinear_speed --output docs/nonlinear-speed.json
 	$(BIN)/python -m benchmarks.campaign_speed --output docs/campaign-speed.json
 	$(BIN)/python -m benchmarks.campaign_bill --output docs/campaign-bill.json
+	$(BIN)/python -m benchmarks.scaling --output docs/scaling.json
 
 mutants: $(VENV)/.installed-test  ## put 60 small faults into the formulas of the paper, one at a time, and count those that the tests notice
 	$(BIN)/python -m pip install --quiet --editable '.[test,mutants]'

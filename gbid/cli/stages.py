@@ -359,14 +359,15 @@ def run_batch(path: Path, options: CommonOptions, scheduler: str | None, shard: 
 
 def run_all(path: Path, options: CommonOptions) -> None:
     """Run all stages of an experiment, draw its figures and write its report; see `gbid.cli.verbs.run`."""
-    from gbid.report.pictures import draw_figures
-    from gbid.report.write import write_report
-
     experiment = options.load(path)
     stages = [stage for stage in registry.STAGES if stage.in_run(experiment)]
     if options.dry_run:
         print_plan(experiment, stages, options)
         return
+
+    from gbid.report.pictures import draw_figures
+    from gbid.report.write import write_report
+
     with opened(experiment, options) as job:
         outcomes = run_campaign(job)
         table, collected = collect(job) if experiment.spec.fits else (None, [])

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -585,8 +585,9 @@ RESPONSES = "responses"
 """Name of the one model of a fit to frequency responses alone."""
 
 
-def fit_models(experiment: Experiment, fit: str) -> dict[str, list[str]]:
-    """Return the models of a fit by name, each with the recordings to which it is fitted."""
+@lru_cache(maxsize=64)
+def fit_models(experiment: Experiment, fit: str) -> Mapping[str, list[str]]:
+    """Return the models of a fit by name, each with its recordings; cached, because each model asks for its own."""
     names, section = [q.name for q in experiment.fit_recordings(fit)], experiment.spec.fits[fit]
     if section.responses and not names:
         return {RESPONSES: []}

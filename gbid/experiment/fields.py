@@ -280,6 +280,10 @@ _KEYED_TEXT = (".csv", ".txt", ".yaml")
 _IN_TEXT = re.compile(rb"content_key: ([0-9a-f]{64})")
 
 
+_CONTENTS = 2
+"""Raised when results hold more than before under the same settings, as the documents of fits and recordings."""
+
+
 def content_key(stage: str, settings: Mapping[str, Any], sources: Iterable[str] = ()) -> str:
     """Return the content key of a result: sha256 over the settings of a stage and the keys of its sources.
 
@@ -297,7 +301,13 @@ def content_key(stage: str, settings: Mapping[str, Any], sources: Iterable[str] 
     str
         64 hexadecimal digits.
     """
-    document = {"stage": stage, "gbid": __version__, "settings": settings, "sources": list(sources)}
+    document = {
+        "stage": stage,
+        "gbid": __version__,
+        "contents": _CONTENTS,
+        "settings": settings,
+        "sources": list(sources),
+    }
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), default=_plain)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -362,7 +372,7 @@ def file_digest(path: Path) -> str:
     return _digest(path, version_of(path))
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=1 << 16)
 def _digest(path: Path, _version: tuple[int, ...]) -> str:
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()

@@ -46,10 +46,10 @@ class Picture:
 
 
 class Pictures:
-    """Maker of the pictures of one page; each picture has its own ids."""
+    """Maker of pictures of a page; each has its own ids, which begin with the name of the maker."""
 
-    def __init__(self) -> None:
-        self._numbers = count(1)
+    def __init__(self, name: str = "g") -> None:
+        self._name, self._numbers = name, count(1)
 
     def picture(self, figure: Drawn, alt: str, caption: str = "") -> Picture:
         """Return a figure as SVG.
@@ -69,7 +69,7 @@ class Pictures:
         nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
         with mpl.rc_context(fname=STYLE), outlines, missing_letters_as_boxes():
             print_figure(figure_of(figure), buffer, "svg", nothing)
-        return Picture(_embedded(buffer.getvalue(), f"g{next(self._numbers)}-", alt), caption or alt)
+        return Picture(_embedded(buffer.getvalue(), f"{self._name}{next(self._numbers)}-", alt), caption or alt)
 
 
 def _embedded(text: str, prefix: str, alt: str) -> str:

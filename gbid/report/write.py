@@ -108,31 +108,64 @@ def _write_text(made: Callable[[], str], part: Path) -> None:
     part.write_text(made(), encoding="utf-8")
 
 
-def report_text(results: Results, key: str = "", beside: str = "report_curves") -> str:
-    """Return the report as HTML text; the curves that it does not have are in the folder `beside`."""
+Kept = dict[tuple[object, ...], list[PageSection | None]]
+"""Sections that were drawn before, by what they stand on."""
+_LATE = (static_section, surfaces_section, controller_section, impacts_section)
+
+
+def report_text(results: Results, key: str = "", beside: str = "report_curves", kept: Kept | None = None) -> str:
+    """Return the report as HTML text.
+
+    Parameters
+    ----------
+    results : Results
+        What is shown.
+    key : str
+        Content key of the report.
+    beside : str
+        Folder of the curves that the page does not have.
+    kept : dict, optional
+        Sections of the page before, which are used again where what they stand on is the same; updated.
+    """
     pictures = Pictures()
-    links = warnings(results)
+    static, surfaces, controller, impacts = _late_sections(results, {} if kept is None else kept)
+    named = partial(_with_named, results=results, pictures=pictures)
     middle: list[PageSection | None] = [
-        summary_section(results, links),
-        quality_section(results),
-        static_section(results, pictures),
-        fits_section(results, pictures, beside),
-        loops_section(results),
-        validation_section(results, pictures),
-        nominal_section(results, pictures),
-        surfaces_section(results, pictures),
-        controller_section(results, pictures),
-        impacts_section(results, pictures),
-        cycle_section(results),
-        origin_section(results),
+        named(summary_section(results, warnings(results))),
+        named(quality_section(results)),
+        static,
+        named(fits_section(results, pictures, beside)),
+        named(loops_section(results)),
+        named(validation_section(results, pictures)),
+        named(nominal_section(results, pictures)),
+        surfaces,
+        controller,
+        impacts,
+        named(cycle_section(results)),
+        named(origin_section(results)),
     ]
     spec = results.experiment.spec
-    sections = [_with_named(section, results, pictures) for section in middle if section is not None]
+    sections = [section for section in middle if section is not None]
     return render(spec.title, spec.name, sections, not_done(results), key)
 
 
-def _with_named(section: PageSection, results: Results, pictures: Pictures) -> PageSection:
+def _late_sections(results: Results, kept: Kept) -> list[PageSection | None]:
+    """Return the sections with the dear pictures; a campaign makes their results last, when its fits are there."""
+    lacking = (results.statics, results.designs, results.studies)
+    reasons = [item for stage in lacking for item in stage.missing.items()]
+    stand = (results.experiment, *_made_keys(results), *results.designs.made, *results.surfaces, *reasons)
+    if stand not in kept:
+        pictures = Pictures("late")
+        drawn = [_with_named(section(results, pictures), results, pictures) for section in _LATE]
+        kept.clear()
+        kept[stand] = drawn
+    return kept[stand]
+
+
+def _with_named(section: PageSection | None, results: Results, pictures: Pictures) -> PageSection | None:
     """Return a section with the figures appended that name it."""
+    if section is None:
+        return None
     blocks = list(section.blocks)
     for figure in named_figures().values():
         if figure.section == section.id:
@@ -147,10 +180,15 @@ def report_key(results: Results) -> str:
     """Return the content key of the report: the states of all results and the keys of their files."""
     experiment = results.experiment
     standings = [[f.stage, f.item, f.state, f.text] for f in results.standings]
-    made = [stored_key(path) for folder in _FOLDERS for path in sorted((experiment.results / folder).glob("*.*"))]
     fits = [stored_key(results.job.path("fits", f.item)) for f in results.standings if f.stage == "fit"]
     spec = {**experiment.spec.model_dump(mode="json", exclude={"rig", "imported"}), "standings": standings}
-    return content_key("report", spec, [*fits, *made])
+    return content_key("report", spec, [*fits, *_made_keys(results)])
+
+
+def _made_keys(results: Results) -> list[str]:
+    """Return the keys of the results that the report shows beside recordings and fits."""
+    folders = [results.experiment.results / folder for folder in _FOLDERS]
+    return [stored_key(path) for folder in folders for path in sorted(folder.glob("*.*"))]
 
 
 def comparison_text(comparison: ModelComparison, orders: SubspaceOrders | None = None) -> str:

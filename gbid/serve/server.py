@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import stat
 import sys
 import threading
 import time
@@ -36,7 +37,7 @@ from gbid.experiment.run import Job
 from gbid.report.page import environment, page_part, script
 from gbid.report.read import AssessedDesign, Results
 from gbid.report.sections import curves_script
-from gbid.report.write import report_key, report_text
+from gbid.report.write import Kept, report_key, report_text
 from gbid.structure import LinearModel
 
 # ---- Closed loop of one design for any gains at one operating point: the numbers that the gain explorer draws.
@@ -194,6 +195,7 @@ class Live:
         self._look: tuple[_Seen, _Seen] = frozenset(), frozenset()
         self._read_s = self._free_s = 0.0  # time of the last reading, and from which on there is the next
         self._designs: dict[str, AssessedDesign] = {}
+        self._kept: Kept = {}
         self.name = self._experiment.spec.name
 
     def _present(self) -> Results:
@@ -237,7 +239,7 @@ class Live:
         with self._lock:
             results, begin = self._present(), time.monotonic()
             if not self._page:
-                self._page = report_text(results, self._key, CURVES)
+                self._page = report_text(results, self._key, CURVES, self._kept)
                 self._rest_since(begin)
             return self._page
 
@@ -280,8 +282,9 @@ def _versions(paths: Iterable[str]) -> _Seen:
     seen = set()
     for path in paths:
         with contextlib.suppress(OSError):  # gone meanwhile
-            stat = os.stat(path)  # noqa: PTH116  a thousand times at each poll
-            seen.add((path, stat.st_ino, stat.st_size, stat.st_mtime_ns))
+            file = os.stat(path)  # noqa: PTH116  a thousand times at each poll
+            if stat.S_ISREG(file.st_mode):
+                seen.add((path, file.st_ino, file.st_size, file.st_mtime_ns))
     return frozenset(seen)
 
 

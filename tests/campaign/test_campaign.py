@@ -35,9 +35,12 @@ from gbid.experiment.campaign import (
     working,
 )
 from gbid.experiment.engines import ATTEMPTS, FEW, ProcessPool, make_engine
+from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import file_digest
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import InTurn, Job, remembered_failure, run_tasks
+from gbid.experiment.stages import importing
+from gbid.experiment.stages.fit import fit_tasks
 from gbid.experiment.stages.rig import rig_tasks
 from gbid.identify import load_fit
 
@@ -109,6 +112,18 @@ def test_pool_gives_what_this_process_gives(pool, springs, fresh):
     assert [o.item for o in outcomes if o.stage == "fit"] == [f"spring/run{i}" for i in range(1, 11)]
     assert gbid("batch", fresh, "--collect") == 0
     assert table_of(fresh) == table_of(springs)
+
+
+def test_work_on_the_keys_of_a_campaign_is_proportional_to_its_size(tmp_path, monkeypatch):
+    experiment = load_experiment(write_springs(tmp_path, 12))
+    content, matching = Counter(), []
+    key, fit_recordings = importing.content_key, Experiment.fit_recordings
+    monkeypatch.setattr(importing, "content_key", lambda stage, *taken: content.update([stage]) or key(stage, *taken))
+    monkeypatch.setattr(Experiment, "fit_recordings", lambda e, fit: matching.append(fit) or fit_recordings(e, fit))
+    for planned in experiment.recordings.values():
+        importing.refuse_same_content(experiment, planned)
+    assert len(fit_tasks(Job(experiment))) == content["content"] == 12
+    assert matching == ["spring"]
 
 
 def wait_for_end(workers, within_s):

@@ -15,7 +15,7 @@ from compilers import no_compiler
 from places import DOCS
 
 import gbid
-from benchmarks import campaign_speed, fit_speed, nonlinear_speed, threads, worker
+from benchmarks import campaign_speed, fit_speed, nonlinear_speed, scaling, threads, worker
 from benchmarks.baselines import N_UNKNOWNS, SAMPLE_TIME, STRUCTURE, Samples, sampled
 
 STORED = DOCS / "benchmarks.json"
@@ -75,6 +75,21 @@ def test_stored_run_is_whole_and_names_no_machine() -> None:
     assert not re.search(r"/(home|root|tmp|work|Users)\b|hostname", text)
     gbid_loss = {fit["n_samples"]: fit["loss"] for fit in run["fits"] if fit["method"] == "compiled"}
     assert all(abs(fit["loss"] / gbid_loss[fit["n_samples"]] - 1) < 1e-6 for fit in run["fits"])
+
+
+def test_growth_with_size_has_all_sizes_and_the_exponents_of_its_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = json.loads((DOCS / "scaling.json").read_text(encoding="utf-8"))
+    assert {name: tuple(map(int, times)) for name, times in run["times_s"].items()} == scaling.SIZES
+    assert run["passes"]["fit_s"] > run["passes"]["passes_s"] > 0
+    assert scaling.exponent({"10": 3.0, "100": 1.0, "1000": 100.0}) == pytest.approx(2.0)
+    monkeypatch.setattr(scaling, "SIZES", {"recordings": (1, 2, 4), "states": (2, 4, 6)})
+    monkeypatch.setattr(scaling, "_AT", 1000)
+    quick = scaling.measure(quick=True)
+    assert {name: list(times) for name, times in quick["times_s"].items()} == {
+        "recordings": ["1", "2"],
+        "states": ["2", "4"],
+    }
+    assert "| exponent |" in scaling.scaling_table(quick)
 
 
 def test_ratios_of_the_film() -> None:

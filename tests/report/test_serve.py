@@ -89,6 +89,10 @@ def test_the_state_and_the_page_follow_what_is_made(served, monkeypatch):
     run_stage(Job(load_experiment(folder / "e.yaml")), FIT)
     assert json.loads(get(server, "state"))["stages"]["fit"] == {"there": 1}
     name = "piezos/p6_n0_prbs1"
+    drawn = []
+    monkeypatch.setattr("gbid.report.control_sections.design_pictures", lambda *_: drawn.append(1) or [])
+    assert f"content_key: {after['key']} " not in get(server, "")
+    assert drawn == []  # what the pictures of controllers stand on is the same
     results = Results(Job(load_experiment(folder / "e.yaml")))
     assert get(server, f"report_curves/{name}.js") == curves_script(results, name)
     assert refused(server, "report_curves/piezos/none.js") == (400, "no fit 'piezos/none'")

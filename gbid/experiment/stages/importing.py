@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Found, content_key, file_digest, needed
+from gbid.experiment.fields import Found, content_key, file_digest, needed, version_of
 from gbid.experiment.recordings import (
     driving_channels,
     mapping_of,
@@ -131,12 +132,20 @@ def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> No
 def _content(experiment: Experiment, planned: PlannedRecording) -> str:
     """Return a digest of the samples that a recording takes from its file."""
     assert planned.imported is not None
-    columns = {name: list(signal.columns) for name, signal in planned.imported.signals.items()}
-    taken = {**{key: getattr(planned.imported, key) for key in _RANGE}, "signals": columns}
     try:
-        return content_key("content", taken, [file_digest(experiment.data_file(planned.imported))])
+        return _content_of(experiment, planned.name, version_of(experiment.data_file(planned.imported)))
     except OSError:
         return f"unreadable {planned.name}"
+
+
+@lru_cache(maxsize=1 << 16)
+def _content_of(experiment: Experiment, name: str, _version: tuple[int, ...]) -> str:
+    """Return the digest of the present content; cached, because each recording is compared with all before it."""
+    entry = experiment.recordings[name].imported
+    assert entry is not None
+    columns = {signal: list(mapped.columns) for signal, mapped in entry.signals.items()}
+    taken = {**{key: getattr(entry, key) for key in _RANGE}, "signals": columns}
+    return content_key("content", taken, [file_digest(experiment.data_file(entry))])
 
 
 def _write_import(job: Job, part: Path, name: str) -> Made:

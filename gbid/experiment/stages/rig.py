@@ -61,10 +61,11 @@ def rig_runs(experiment: Experiment) -> Found:
             yield from refusal(("rig", *location), partial(whole_samples, location[-1], seconds, rig.sample_time_s))
     if outside or list(effects_are_known(experiment)):
         return  # the machine cannot be made
+    made = [planned for planned in experiment.recordings.values() if planned.imported is None]
+    alike = {(q.run, tuple(q.conditions.items()), q.in_loop): q for q in made}  # what the check looks at
     refused = [
         problem
-        for planned in experiment.recordings.values()
-        if planned.imported is None
+        for planned in alike.values()
         for problem in refusal(("rig",), partial(_check_run, experiment, planned, model))
     ]
     yield from dict.fromkeys(refused)
