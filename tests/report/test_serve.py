@@ -100,6 +100,7 @@ def test_the_state_and_the_page_follow_what_is_made(served, monkeypatch):
 
 def test_a_reading_is_followed_by_a_rest_three_times_as_long(served, monkeypatch):
     _, folder = served
+    run_stage(Job(load_experiment(folder / "e.yaml")), RIG)
     now = [100.0]
     monkeypatch.setattr("gbid.serve.server.time.monotonic", lambda: now[0])
     live, key = Live(folder / "e.yaml"), report_key
