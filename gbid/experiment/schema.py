@@ -660,13 +660,18 @@ class RobustSection(Section):
     price: tuple[Probability, ...] = ()
 
 
+_Option = Annotated[
+    Finite | str | tuple[Finite, ...] | tuple[str, ...], Allowed("a number, a word, or a list of either")
+]
+
+
 class ControllerSection(OptionsSection, DesignOptions, frozen=True):
     """Controller of fixed structure with gains tuned over operating points; see `gbid.control.TuneOptions`.
 
     `structure`: ``P``, ``PD``, ``PI``, ``PID``, ``biquad``, ``filter``, ``lead-lag``, ``notch``, ``PPF``, ``observer``,
     ``resonant``, ``full P``, ``full PD``, ``full biquad``, or your own as ``file.py:name``. `lowpass_hz`, `order` and
     `tune_corner` (whether the corner is a gain as well) are options of the built-in structures; `options` holds those
-    of one structure by name, such as ``{filter_order: 6}``.
+    of one structure by name, such as ``{filter_order: 6}`` or ``{coupling: gyroscopic, notch_orders: [1.0]}``.
     `schedule`: terms of pressure and speed on which the gains depend; without it gains are constant.
     `model`: ``lpv`` or ``lpv_direct`` for the surfaces of this experiment, else the name or file of a model. When it is
     left out, the surfaces are used if there is a section lpv, else the model of the rig.
@@ -685,7 +690,7 @@ class ControllerSection(OptionsSection, DesignOptions, frozen=True):
     lowpass_hz: Positive | None = None
     order: CountOrZero | None = None
     tune_corner: Switch | None = None
-    options: dict[Text, Finite | Pair] = Field(default_factory=dict)
+    options: dict[Text, _Option] = Field(default_factory=dict)
     schedule: Annotated[tuple[Term, ...], Field(min_length=1)] | None = None
     model: Text | None = None
     operating_points: _Points = "model"

@@ -15,7 +15,7 @@ from gbid import control
 from gbid.control.assessment import TunedDesign
 from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
-from gbid.experiment.controllers import made_goal, no_disturbance, peak_cap
+from gbid.experiment.controllers import design_structure, made_goal, no_disturbance, peak_cap
 from gbid.experiment.load import experiment_json_schema, load_experiment
 from gbid.experiment.schema import GOALS
 from gbid.recording import load_recording
@@ -80,6 +80,17 @@ def test_every_goal_has_its_entry_and_its_arguments(tmp_path: Path) -> None:
     assert again.goals == every
     section = experiment_json_schema()["$defs"]["PeakControlSection"]
     assert set(section["required"]) == {"goal", "limit"}
+
+
+def test_options_of_a_structure_are_numbers_words_and_lists(tmp_path: Path) -> None:
+    options = '{notch_orders: [1.0], gain_sets: ["", ""], coupling: gyroscopic, derivative_khz: [0.1, 2.0], order: 0}'
+    path = write_quick(tmp_path, text=f"{RIG}  p: {{structure: PD, options: {options}}}\n")
+    experiment = load_experiment(path)
+    structure = design_structure(experiment, experiment.spec.controller["p"]).base
+    assert (structure.coupling, structure.notch_orders, structure.derivative_khz) == ("gyroscopic", (1.0,), (0.1, 2.0))
+    write_quick(tmp_path, text=f"{RIG}  p: {{structure: PD, options: {{coupling: gyro}}}}\n")
+    with pytest.raises(UsageError, match="coupling"):
+        load_experiment(path)
 
 
 IMPROPER = "{numerator: [1, 0], denominator: [1]}"
