@@ -171,7 +171,9 @@ class FrequencyData(ChannelCurves, Pictured):
         is_universal = path.suffix.lower() in UNIVERSAL_ENDINGS
         try:
             pairs, coherent = read_responses(path) if is_universal else _of_csv(path, std is None)
-        except (OSError, UnicodeDecodeError, ValueError, TypeError) as error:
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+        except (UnicodeDecodeError, ValueError, TypeError) as error:
             raise DataError(f"{path}: is no table of a frequency response: {error}") from None
         outputs, inputs = (list(dict.fromkeys(pair[k] for pair in pairs)) for k in (0, 1))
         f = np.unique(np.concatenate([each.frequency_hz for each in pairs.values()]))

@@ -79,7 +79,7 @@ def poison(folder: Path) -> Path:
     """Write a Python file for each module; what is executed of them adds its name to the file that is returned."""
     note = folder / "executed"
     note.write_text("")
-    optional = {"nptdms", "asammdf", "pyarrow", "matio", "pandas", "distributed", "ziglang", "lazy_loader"}
+    optional = {"nptdms", "asammdf", "pyarrow", "pyuff", "matio", "pandas", "distributed", "ziglang", "lazy_loader"}
     loaded = {name.partition(".")[0] for name in sys.modules} - {"gbid", "__main__", "__mp_main__"}
     for name in {*optional, *loaded, *sys.stdlib_module_names}:
         (folder / f"{name}.py").write_text(f"open({str(note)!r}, 'a').write('{name} ')\n")
