@@ -297,6 +297,20 @@ _TUNED_READINGS = (
     Column("reading"),
     *(Column(name, "", 3) for name in ("kappa_x", "kappa_y", "tuned for it", "tuned for the first", "tuned for all")),
 )
+_PAST: tuple[tuple[str, tuple[Column, ...], Callable[[Results], list[list[str | float]]]], ...] = (
+    ("the closed loop and the time for computation, which the paper does not give", _LOOP_MODES, computation_rows),
+    ("modes from ring-downs: one set of impacts, and many", _LOOP_MODES, repeated_rows),
+    (
+        "readings of d_yx at Omega^2: smallest damping factor over the 15 points, and what else each changes",
+        _READINGS,
+        alternative_rows,
+    ),
+    (
+        "P controllers for each reading: gains, and smallest damping factor of the sampled loop over the 15 points",
+        _TUNED_READINGS,
+        alternative_designs,
+    ),
+)
 PAST = ("designs", "designs_impacts")
 """Tables without counterpart in the paper."""
 REPRODUCTION = "reproduction"
@@ -385,27 +399,21 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
 
 def past_the_paper(results: Results) -> list[Table]:
     """Return tables without counterpart in the paper, if the results allow them: tuned designs and their impacts."""
+    makers = [
+        *(partial(_table_past, results, *about) for about in _PAST),
+        *(partial(TABLES[name], results) for name in PAST),
+    ]
     found = []
-    for title, columns, rows in (
-        ("the closed loop and the time for computation, which the paper does not give", _LOOP_MODES, computation_rows),
-        ("modes from ring-downs: one set of impacts, and many", _LOOP_MODES, repeated_rows),
-        (
-            "readings of d_yx at Omega^2: smallest damping factor over the 15 points, and what else each changes",
-            _READINGS,
-            alternative_rows,
-        ),
-        (
-            "P controllers for each reading: gains, and smallest damping factor of the sampled loop over the 15 points",
-            _TUNED_READINGS,
-            alternative_designs,
-        ),
-    ):
-        with suppress(DataError):  # without impacts
-            found.append(Table(title, columns, rows(results)))
-    for name in PAST:
+    for make in makers:
         with suppress(DataError):
-            found.append(TABLES[name](results))
+            found.append(make())
     return found
+
+
+def _table_past(
+    results: Results, title: str, columns: Sequence[Column], rows: Callable[[Results], list[list[str | float]]]
+) -> Table:
+    return Table(title, list(columns), rows(results))
 
 
 def reproduction_document(
