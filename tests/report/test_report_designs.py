@@ -109,9 +109,7 @@ def test_impacts_of_each_loop_stand_beside(results) -> None:
 
 
 def test_reproduction_ends_with_what_the_paper_has_no_figures_for(made, monkeypatch, capsys) -> None:
-    monkeypatch.setattr(
-        comparison(), "_REPEATS", 2
-    )  # twenty sets of impacts, and controllers for each reading, take long
+    monkeypatch.setattr(comparison(), "_REPEATS", 2)  # twenty sets of impacts take long
     monkeypatch.setattr(paper(), "_PAST", paper()._PAST[:3])
     document = json_of(capsys, "paper", made, "--only", "comparison")
     titles = [table["title"] for table in document["past_the_paper"]]
