@@ -215,6 +215,7 @@ def test_hysteresis_of_a_known_loop():
     assert found.hysteresis_at == pytest.approx(5.0)
     assert found.hysteresis_share == pytest.approx(8.4 / 45, rel=0.01)
     assert found.command.tolist()[:3] == [0.0, 1.0, 2.0]
+    assert found.direction.tolist() == [0] + 10 * [1] + 10 * [-1]
     assert not found.saturated.any()
     assert found.channel == "y_p_4"
 

@@ -110,6 +110,7 @@ def test_rig_at_6000_rpm_keeps_its_sensor_noise_only(method):
     limit = 1.2 if method == "harmonics" else 1.6  # another start angle falls between the table's entries
     filtered, report = prefilter(other, made, median=1)
     assert report.map_sources == made.sources == ("still",)
+    assert "median" not in filtered.provenance["prefilter"]
     assert filtered.signal("p").std(axis=0).max() < limit * NOISE
     assert report.runout_share.min() > 0.999
 

@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from gbid.core.errors import UsageError
 from gbid.lpv import load_model
 from gbid.rig import (
+    FilmStiffening,
     Machine,
     Prbs,
     RotorBearingTruth,
@@ -312,6 +313,7 @@ def test_a_machine_from_parameters_by_name():
     np.testing.assert_array_equal(machine.actuator.fast_pole, [11, 12])
     np.testing.assert_array_equal(machine.actuator.gain, [21, 22])
     assert (machine.sensors.noise_p_m, machine.unbalance, machine.clearance) == (0.0, Unbalance(), 25e-6)
+    assert FilmStiffening().deviation_m < 0.95e-6  # the largest deviation from a static gain in the paper, Sec. 3.1
     assert Machine(bearing, machine.actuator).clearance == load_model("theisen2016").machine.clearance_m == 25e-6
     with pytest.raises(UsageError, match="rotor bearing: no value for tau_y"):
         Machine.from_parameters({key: value for key, value in p.items() if key != "tau_y"}, a)
