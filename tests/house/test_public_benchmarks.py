@@ -137,6 +137,31 @@ def test_official_splits(tmp_path: Path) -> None:
     assert [*train.signal("y")[[0, -1], 0], *tests["test"].signal("u")[[0, -1], 0]] == [5200, 105199, 105200, 183999]
 
 
+def test_twin_of_the_aircraft_from_files_to_table(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    period, f = 1024, 400 * np.arange(513) / 1024
+    phases = np.where((f > 1) & (f < 60), np.exp(2j * np.pi * rng.random(513)), 0)
+    sums = [[1, 1], [1, -2], [-1, 0.5]]
+    for level in range(1, 8):
+        voltage = np.fft.irfft(level * phases, period)
+        modes = [w**2 - (2 * np.pi * f) ** 2 + 2j * np.pi * f * 0.1 * w for w in (60.0 - level, 220.0)]
+        responses = [sum(-a * (2 * np.pi * f) ** 2 / m for a, m in zip(row, modes, strict=True)) for row in sums]
+        y = np.array([np.fft.irfft(level * phases * g, period) for g in responses])
+        u = np.tile(voltage, 9)[None]
+        noise = 0.02 * y.std() * rng.normal(size=(3, 9 * period))
+        name = f"F16Data_FullMSine_Level{level}" + ("" if level % 2 else "_Validation")
+        content = {"Voltage": u + 0.3, "Force": 5 * u, "Acceleration": np.tile(y, 9) + noise}
+        savemat(tmp_path / f"{name}.mat", content)
+    third = content["Acceleration"][2]
+    np.testing.assert_allclose(public.aircraft(tmp_path)[7]["y"][:, 2], third - third.mean(), atol=1e-12)
+    entry = public.f16(tmp_path, orders=(2, 4))
+    scores = {each["name"]: each["held_out"] for each in entry["candidates"]}
+    assert 4 * scores[entry["chosen"]] < scores["order 4 from the voltage, one of all levels"]
+    assert entry["interpolated"] == entry["tests"]["levels 2, 4 and 6"] < 8
+    assert entry["chosen"] == "order 4 from the voltage, interpolated between levels"
+    assert "| F-16 ground vibration test | level 4 |" in public.table({"f-16": entry})
+
+
 def test_a_test_begins_at_its_first_samples_and_counts_only_measured_ones() -> None:
     structure = gbid.NonlinearStructure(
         "lag", [gbid.Parameter("a", 2.0)], ["x"], lambda x, u, p: [u[0] - p.a * x[0]], lambda x, _u, _p: x[0]
