@@ -275,7 +275,7 @@ def tuned(plants: list[gbid.LinearModel]) -> gbid.GainResult:
     law = law_of_bearings()
     goals = [
         MaxDamping(high_hz=150.0),
-        AxisSensitivity(0.9 * ISO_LIMITS["A"]),
+        AxisSensitivity(0.83 * ISO_LIMITS["A"]),
         MinDamping(4e-5, low_hz=150.0, high_hz=4200.0),
     ]
     start = {gain.name: gain.start for gain in law.parameters}

@@ -1,11 +1,16 @@
-"""Study of ROSS's rotor in magnetic bearings: its parts on a small rotor without ROSS."""
+"""Study of ROSS's rotor in magnetic bearings: its stored figures, and its parts on a small rotor without ROSS."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from benchmarks import magnetic_bearings as study
+from benchmarks.running import DOCS
 from gbid.control.loop.sampled import sample_plant
+
+STORED = json.loads((DOCS / "magnetic-bearings.json").read_text(encoding="utf-8"))
 
 
 class SmallRotor:
@@ -79,3 +84,27 @@ def test_a_recording_is_held_by_its_controller_and_told_apart_from_others():
     assert 0 < np.abs(p).max() < study.FULL_SCALE
     other = study.Truth().perturbed(np.random.default_rng(0))
     assert 0 < abs(other.k_s[0] / study.Truth().k_s[0] - 1) <= 0.05
+
+
+def test_stiffness_and_force_per_current_are_within_three_deviations_and_a_percent():
+    rows = [row for row in STORED["fit"]["parameters"] if row["name"].startswith("k_")]
+    assert len(rows) == 4
+    assert STORED["fit"]["status"] == "converged"
+    for row in rows:
+        assert abs(row["value"] - row["truth"]) < min(3 * row["std"], 0.01 * abs(row["truth"])), row
+        assert abs(row["start"] / row["truth"] - 1) > 0.03
+
+
+def test_zone_a_holds_over_the_speeds_and_for_twenty_rotors():
+    assert STORED["degrees_of_freedom"] == 318
+    assert [row["speed_rpm"] for row in STORED["by_speed"]] == pytest.approx(np.linspace(0, 9000, 5))
+    assert len(STORED["rotors"]) == 20
+    for row in [*STORED["by_speed"], *STORED["rotors"]]:
+        assert row["peak"] < 3.0
+        assert row["position_um"] < 20.0
+        assert row["current_A"] < 1.0
+    assert STORED["ross"]["largest_difference"] < 0.01
+
+
+def test_from_data_to_compiled_code_takes_less_than_five_minutes():
+    assert STORED["fit"]["processor_s"] + sum(STORED["design"]["processor_s"].values()) < 300
