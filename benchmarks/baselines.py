@@ -193,10 +193,10 @@ def fit_with_scipy(samples: Samples, start: Mapping[str, float]) -> Answer:
     lower = np.full(len(begin), -np.inf)
     tau = [i for i, name in enumerate(names()) if name.startswith("tau")]
     lower[tau] = 5e-6 / theta_scale[tau]
-    found = least_squares(errors, begin, bounds=(lower, np.inf), x_scale="jac", method="trf")
+    solution = least_squares(errors, begin, bounds=(lower, np.inf), x_scale="jac", method="trf")
     wall, cpu = time.perf_counter() - began, time.process_time() - spent
-    loss = 2 * float(found.cost) * float(size) ** 2 / len(samples.p)
-    return Answer(wall, cpu, 0.0, 0.0, int(found.njev), loss, bool(found.success))
+    loss = 2 * float(solution.cost) * float(size) ** 2 / len(samples.p)
+    return Answer(wall, cpu, 0.0, 0.0, int(solution.njev), loss, bool(solution.success))
 
 
 # ---- Baseline (b): the pattern of CasADi's documentation for identification (its example ``sysid``).
@@ -243,9 +243,9 @@ def fit_with_casadi(samples: Samples, start: Mapping[str, float]) -> Answer:
     solver = gauss_newton(V, ca.vec((samples.p.T / size) - predicted), n)
     built, spent = time.perf_counter(), time.process_time()
 
-    found = solver(x0=np.concatenate([first, start_state(samples) / state_scale]))
+    solution = solver(x0=np.concatenate([first, start_state(samples) / state_scale]))
     wall, cpu = time.perf_counter() - built, time.process_time() - spent
-    stats, loss = solver.stats(), 2 * float(found["f"]) * size**2
+    stats, loss = solver.stats(), 2 * float(solution["f"]) * size**2
     build = built - began, spent - began_cpu
     return Answer(wall, cpu, *build, int(stats["iter_count"]), loss, bool(stats["success"]))
 

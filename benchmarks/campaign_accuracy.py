@@ -46,9 +46,9 @@ def ran(folder: Path, sections: Mapping[str, Any], verbs: Sequence[str], workers
 
 def study(folder: Path, workers: int) -> dict[str, Any]:
     """Run the experiments and return the figures."""
-    whole = YAML(typ="safe").load(ROOT / "experiments" / "theisen2016.yaml")
-    rig = {key: value for key, value in whole["rig"].items() if "staircase" not in key}
-    kept = {key: whole[key] for key in ("format", "name", "prefilter")}
+    complete = YAML(typ="safe").load(ROOT / "experiments" / "theisen2016.yaml")
+    rig = {key: value for key, value in complete["rig"].items() if "staircase" not in key}
+    kept = {key: complete[key] for key in ("format", "name", "prefilter")}
     run: dict[str, Any] = {**about(), "share": rig["scatter"]["share"], "surfaces": {}, "converged": {}, "crossval": []}
 
     linear = {key: value for key, value in rig.items() if key != "actuators"}

@@ -91,13 +91,13 @@ def run(made: Experiment, stage: Stage, workers: int) -> Any:
 def timed(call: Callable[[], T]) -> tuple[T, dict[str, float]]:
     """Return what a call returns, with its wall time and the processor time of all processes [s]."""
     wall, cpu = time.perf_counter(), _spent()
-    found = call()
-    return found, {"wall_s": time.perf_counter() - wall, "cpu_s": _spent() - cpu}
+    computed = call()
+    return computed, {"wall_s": time.perf_counter() - wall, "cpu_s": _spent() - cpu}
 
 
 def _spent() -> float:
-    own = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(each.ru_utime + each.ru_stime for each in own)
+    usage = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(each.ru_utime + each.ru_stime for each in usage)
 
 
 def bill_table(run: dict[str, Any]) -> str:
@@ -121,9 +121,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        found = measure(folder, options.recordings, options.workers)
-    store(found, options.output)
-    print(bill_table(found))
+        computed = measure(folder, options.recordings, options.workers)
+    store(computed, options.output)
+    print(bill_table(computed))
     return 0
 
 

@@ -167,9 +167,9 @@ def dual_youla(
     y = np.hstack([recording.signal(name) for name in loop.outputs])
     model = evaluate(loop, {**nominal, **fixed})
     z = y - model.simulate(w)
-    found = black_box([Record("z", w, z)], ORDER, feedthrough=False)
+    result = black_box([Record("z", w, z)], ORDER, feedthrough=False)
     points = np.exp(2j * np.pi * FREQUENCIES * recording.sample_time)
-    R, std = found.response(points)
+    R, std = result.response(points)
     wanted = model.frequency_response(FREQUENCIES) + R
     predictor = build_predictor(loop, dict(fixed), recording.sample_time, "zoh", "simulation")
     scale = np.array([nominal[q.name] for q in predictor.free])
@@ -277,19 +277,19 @@ def measure(case: LoopCase, way: str, recordings: Sequence[gbid.Recording]) -> d
         if std is not None:
             errors.append(off / np.array([std[name] for name in KEY_PARAMETERS]))  # NaN without a std: outside
     n = len(recordings)
-    found: dict[str, Any] = {"recordings": n, "failed": n - len(rows), "seconds": seconds / n}
+    by_name: dict[str, Any] = {"recordings": n, "failed": n - len(rows), "seconds": seconds / n}
     if not rows:
-        return found
+        return by_name
     # A parameter is compared with the largest of its kind.
     size = [max(abs(case.truth[key]) for key in KEY_PARAMETERS if key[:2] == name[:2]) for name in KEY_PARAMETERS]
     off = np.array(rows) / np.array(size)
-    found["bias"] = float(100 * np.sqrt((off.mean(axis=0) ** 2).mean()))
-    found["scatter"] = float(100 * np.sqrt(off.var(axis=0).mean()))
-    found["biases"] = {name: float(100 * v) for name, v in zip(KEY_PARAMETERS, off.mean(axis=0), strict=True)}
+    by_name["bias"] = float(100 * np.sqrt((off.mean(axis=0) ** 2).mean()))
+    by_name["scatter"] = float(100 * np.sqrt(off.var(axis=0).mean()))
+    by_name["biases"] = {name: float(100 * v) for name, v in zip(KEY_PARAMETERS, off.mean(axis=0), strict=True)}
     if errors:
         t = np.abs(np.array(errors))
-        found |= {"within_2": float((t < 1.96).mean()), "within_3": float((t < 3).mean())}
-    return found
+        by_name |= {"within_2": float((t < 1.96).mean()), "within_3": float((t < 3).mean())}
+    return by_name
 
 
 def price(case: LoopCase, seeds: Sequence[int]) -> dict[str, Any]:
@@ -321,12 +321,12 @@ def _peak(recording: gbid.Recording) -> float:
 
 def price_text(run: Mapping[str, Any], amplitude: float) -> str:
     """Return what the loop costs in precision, as a sentence and a table."""
-    found = run["price"]
-    ratios = found["std_ratio"]
+    computed = run["price"]
+    ratios = computed["std_ratio"]
     words = (
         f"References of {1e6 * amplitude:.1f} um in the loop move the disc as far as "
-        f"{1e6 * found['amplitude']:.1f} um without it. Standard deviation in the loop (direct method) over that "
-        f"in open loop, median of {found['recordings']} pairs of recordings:"
+        f"{1e6 * computed['amplitude']:.1f} um without it. Standard deviation in the loop (direct method) over that "
+        f"in open loop, median of {computed['recordings']} pairs of recordings:"
     )
     return f"{words}\n\n{markdown(list(ratios), [[f'{v:.2f}' for v in ratios.values()]])}"
 

@@ -55,8 +55,8 @@ class Oscillator:
         parameters = [Parameter(name, self.truth.get(name, 0.0)) for name in names]
 
         def matrices(p: Any) -> dict[str, Any]:
-            found = {"A": [[0, 1], [-p.w * p.w, -p.d]], "B": [[0], [p.b]], "C": [[1, 0]]}
-            return {**found, "K": [[p.k1], [p.k2]]} if gain else found
+            results = {"A": [[0, 1], [-p.w * p.w, -p.d]], "B": [[0], [p.b]], "C": [[1, 0]]}
+            return {**results, "K": [[p.k1], [p.k2]]} if gain else results
 
         return LinearStructure(self.name, parameters, matrices, inputs="u", outputs="y", intersample="zoh")
 
@@ -145,9 +145,9 @@ def _twenty(_: Oscillator) -> FloatArray:
 def _process(oscillator: Oscillator, n: int, random: np.random.Generator) -> FloatArray:
     """Motion that an unknown white force makes, as large as the noise of the sensor."""
     settle = _SETTLE if oscillator.damping > 0.01 else 4 * _SETTLE
-    moved = oscillator.simulated(random.normal(size=n + settle))
+    shifted = oscillator.simulated(random.normal(size=n + settle))
     unit = oscillator.simulated(np.eye(1, 20_000)[0])
-    return np.asarray((moved[settle:] / np.sqrt((unit**2).sum()) + random.normal(size=n)) / np.sqrt(2))
+    return np.asarray((shifted[settle:] / np.sqrt((unit**2).sum()) + random.normal(size=n)) / np.sqrt(2))
 
 
 def _hum(_: Oscillator, n: int, random: np.random.Generator) -> FloatArray:
@@ -331,13 +331,13 @@ def missed(run: dict[str, Any]) -> list[str]:
     ]
 
 
-def _shown(found: Coverage, target: bool) -> str:
-    inside = TARGET[0] <= found.coverage <= TARGET[1]
-    text = f"{100 * found.coverage:.1f}"
+def _shown(computed: Coverage, target: bool) -> str:
+    inside = TARGET[0] <= computed.coverage <= TARGET[1]
+    text = f"{100 * computed.coverage:.1f}"
     text = f"**{text}**" if target and not inside else text
-    text += " !" if found.noted >= _NOTED else ""
-    left_out = f", {found.failed} failed" if found.failed else ""
-    return f"{text} ({100 * found.coverage_white:.0f}){left_out}"
+    text += " !" if computed.noted >= _NOTED else ""
+    left_out = f", {computed.failed} failed" if computed.failed else ""
+    return f"{text} ({100 * computed.coverage_white:.0f}){left_out}"
 
 
 def measure_bootstrap(cells: Sequence[tuple[str, int]], seeds: int) -> dict[str, Any]:

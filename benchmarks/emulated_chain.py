@@ -116,14 +116,14 @@ def run_emulated(chain: Chain, rows: tuple[SelfTestRow, ...]) -> EmulatedRun:
         machine = ("-M", "mps2-an386", "-icount", "shift=0", "-nographic", "-monitor", "none", "-serial", "null")
         semihosting = ("-semihosting-config", "enable=on,target=native", "-kernel", "chain.elf")
         printed = _called(folder, EMULATOR, *machine, *semihosting)
-    found = {word: int(number) for word, number in re.findall(r"^(\w+) (\d+)$", printed, re.MULTILINE)}
+    results = {word: int(number) for word, number in re.findall(r"^(\w+) (\d+)$", printed, re.MULTILINE)}
     sizes = {"text": 0, "rodata": 0}
     for word, number in re.findall(r"^\.(text|rodata)\S*\s+(\d+)", sections, re.MULTILINE):
         sizes[word] += int(number)
-    each = {kind: (found[kind] - found["loop"]) * _PER_TICK / _SAMPLES for kind in ("usual", "faulty", "saturated")}
+    each = {kind: (results[kind] - results["loop"]) * _PER_TICK / _SAMPLES for kind in ("usual", "faulty", "saturated")}
     return EmulatedRun(
-        found["selftest"],
-        found["state"],
+        results["selftest"],
+        results["state"],
         sizes["text"],
         sizes["rodata"],
         each["usual"],

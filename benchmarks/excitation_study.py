@@ -58,26 +58,26 @@ def of_point(point: tuple[float, float], seeds: int, draws: int) -> dict[str, An
     conditions, truth = {"pressure_bar": point[0], "speed_rpm": point[1]}, truth_at(point)
     known = known_at(truth)
     limits = ExcitationLimits(PEAKS, RADIUS)
-    found: dict[str, Any] = {"pressure_bar": point[0], "speed_rpm": point[1], "seeds": seeds, "draws": draws}
+    results: dict[str, Any] = {"pressure_bar": point[0], "speed_rpm": point[1], "seeds": seeds, "draws": draws}
     options: dict[str, Any] = {"duration": DURATION, "sample_time": DT, "focus": KEY_PARAMETERS}
     made = {kind: gbid.design_excitation(known, limits=limits, kind=kind, **options) for kind in ("multisine", "prbs")}
     expected = [expected_covariance(known, scaled_prbs(known, 20e-3, seed), DT) for seed in range(5)]
     stds = (dict(zip(q.free, np.sqrt(np.diag(q.covariance)), strict=True)) for q in expected)
     paper = [mean_relative(std, truth) for std in stds]
-    found["mean_std_percent"] = {
+    results["mean_std_percent"] = {
         "multisine": mean_relative(made["multisine"].std, truth),
         "prbs": mean_relative(made["prbs"].std, truth),
         "prbs_20ms": float(np.mean(paper)),
     }
-    found["prbs_hold_s"] = made["prbs"].sequence.hold_s
-    found["gap"] = made["multisine"].gap
-    found["lines"] = len(made["multisine"].lines.frequency_hz)
-    found["reached"] = {kind: list(each.reached) for kind, each in made.items()}
-    found["obtained"] = {
+    results["prbs_hold_s"] = made["prbs"].sequence.hold_s
+    results["gap"] = made["multisine"].gap
+    results["lines"] = len(made["multisine"].lines.frequency_hz)
+    results["reached"] = {kind: list(each.reached) for kind, each in made.items()}
+    results["obtained"] = {
         kind: obtained(each, truth, conditions, seeds if kind == "multisine" else 0) for kind, each in made.items()
     }
-    found["wall"] = wall(truth, conditions, draws, options)
-    return found
+    results["wall"] = wall(truth, conditions, draws, options)
+    return results
 
 
 def obtained(
@@ -124,14 +124,14 @@ def of_length(seeds: int) -> dict[str, Any]:
     actuators = {name: truth[name] for name in truth if name not in KEY_PARAMETERS}  # known from other recordings
     known = KnownModel(STRUCTURE, truth, np.array([45e-9, 45e-9, 0.65e-6, 0.5e-6]), fixed=tuple(actuators))
     limits = ExcitationLimits({name: value / 3 for name, value in PEAKS.items()}, {"p": RADIUS["p"] / 3})
-    found = recording_length(
+    length = recording_length(
         known, sample_time=DT, limits=limits, relative={"damping_*": 0.01}, absolute={"tau_*": 5e-6}
     )
     sensors = replace(QUIET, noise_p_m=(0.65e-6, 0.5e-6), noise_u_m=45e-9)
     machine = Machine.from_parameters(truth, truth, Unbalance(0.0), sensors)
-    played = Played(found.excitation.signals["r"], DT, "design")
+    played = Played(length.excitation.signals["r"], DT, "design")
     modes = np.array(known.model.modes())[:, 1]
-    errors: dict[str, list[float]] = {name: [] for name in found.targets}
+    errors: dict[str, list[float]] = {name: [] for name in length.targets}
     for seed in range(seeds):
         recording = record(machine, played, conditions=point, seed=seed, name="length")
         start = {q.name: truth[q.name] for q in STRUCTURE.parameters}
@@ -143,10 +143,10 @@ def of_length(seeds: int) -> dict[str, Any]:
             of_name.append(own[name])
     return {
         "seeds": seeds,
-        "duration_s": found.duration_s,
-        "decisive": found.decisive,
-        "targets": {name: float(value) for name, value in found.targets.items()},
-        "expected": {name: found.excitation.std[name] for name in errors},
+        "duration_s": length.duration_s,
+        "decisive": length.decisive,
+        "targets": {name: float(value) for name, value in length.targets.items()},
+        "expected": {name: length.excitation.std[name] for name in errors},
         "obtained": {name: float(np.sqrt(np.mean(np.square(own)))) for name, own in errors.items()},
     }
 

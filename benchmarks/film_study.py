@@ -64,11 +64,11 @@ def recorded(folder: Path, seed: int, workers: int) -> None:
 def prefiltered(results: Path) -> dict[str, gbid.Recording]:
     """Return the excited recordings without run-out, with the signal of the unbalance, by name."""
     runout = gbid.identify_runout(gbid.load_recording(results / "recordings" / f"{SLOW_ROLL}.h5"))
-    found = {}
+    by_name = {}
     for file in sorted((results / "recordings").glob("*_prbs*.h5")):
         filtered, _ = gbid.prefilter(gbid.load_recording(file), runout, any_condition=True)
-        found[file.stem] = gbid.with_unbalance(filtered)
-    return found
+        by_name[file.stem] = gbid.with_unbalance(filtered)
+    return by_name
 
 
 def fitted(recordings: Mapping[str, gbid.Recording], folder: Path) -> None:
@@ -101,11 +101,11 @@ def surfaces(
     P, Omega = (rng.uniform(min(ends), max(ends), _GRID) for ends in zip(*points, strict=True))
     std = np.sqrt(np.einsum("nii->ni", lpv.uncertainty_at(P, Omega)))
     drawn = gbid.fit_lpv(Estimates(lpv.estimates.recordings, lpv.estimates.points, machines, lpv.estimates.covariance))
-    found, true, mean = (model.key_parameters(P, Omega) for model in (lpv.model, truth, drawn.model))
+    computed, true, mean = (model.key_parameters(P, Omega) for model in (lpv.model, truth, drawn.model))
     rows: dict[str, Any] = {}
     for what, values in (("of_rig", true), ("of_recordings", mean)):
         for i, key in enumerate(KEY_PARAMETERS):
-            error = found[key] - values[key]
+            error = computed[key] - values[key]
             rows.setdefault(what, {})[key] = {
                 "within": float(np.mean(np.abs(error) < 3 * std[:, i])),
                 "relative_error": float(np.sqrt(np.mean(error**2)) / np.mean(np.abs(values[key]))),
@@ -115,9 +115,9 @@ def surfaces(
 
 def stiffening(fits: Sequence[gbid.FitResult], points: Sequence[tuple[float, float]], true: float) -> dict[str, Any]:
     """Return the mean stiffening over the fits at each point, its standard deviation, and that of the surface."""
-    found: dict[tuple[float, float], list[float]] = {}
+    results: dict[tuple[float, float], list[float]] = {}
     for fit, point in zip(fits, points, strict=True):
-        found.setdefault(point, []).append(fit.parameters["stiffening"])
+        results.setdefault(point, []).append(fit.parameters["stiffening"])
     structure = gbid.RotorBearing(film="stiffening", delay="exact", disturbance_gain="none")
     surface = gbid.fit_lpv(
         fits, points, structure=structure, scheduling=_STEMS, parameters=("stiffening",), order=0, name="film"
@@ -126,7 +126,7 @@ def stiffening(fits: Sequence[gbid.FitResult], points: Sequence[tuple[float, flo
         "true": true,
         "surface": float(surface.model.key_parameters(*points[0])["stiffening"]),
         "surface_std": float(np.sqrt(surface.covariance[0, 0])),
-        "at_points": [[*point, float(np.mean(values)), len(values)] for point, values in sorted(found.items())],
+        "at_points": [[*point, float(np.mean(values)), len(values)] for point, values in sorted(results.items())],
     }
 
 

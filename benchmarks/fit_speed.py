@@ -57,8 +57,10 @@ def speed_table(run: Mapping[str, Any]) -> str:
     head = ("N", "method", "time [s]", "build [s]", "iterations", "memory [MB]", "loss / gbid's - 1")
     rows = []
     for fit in run["fits"]:
-        own = _find(run, fit["n_samples"], "compiled")
-        fit_s = fit["build_cpu_s"] if fit["method"] == "profile" else own["cpu_s"]  # of the fit in the same process
+        compiled = _find(run, fit["n_samples"], "compiled")
+        fit_s = (
+            fit["build_cpu_s"] if fit["method"] == "profile" else compiled["cpu_s"]
+        )  # of the fit in the same process
         rows.append(
             (
                 _grouped(fit["n_samples"]),
@@ -67,8 +69,8 @@ def speed_table(run: Mapping[str, Any]) -> str:
                 f"{fit['build_s']:.2g}" if fit["build_s"] else "",
                 f"{fit['iterations']}" + ("" if fit["success"] else " (not converged)"),
                 f"{fit['memory_bytes'] / 1e6:.0f}",
-                f"{fit['loss'] / own['loss'] - 1:+.0e}" if fit is not own else "",
-                f"{fit['cpu_s'] / fit_s:.3g}" if fit is not own else "",
+                f"{fit['loss'] / compiled['loss'] - 1:+.0e}" if fit is not compiled else "",
+                f"{fit['cpu_s'] / fit_s:.3g}" if fit is not compiled else "",
                 f"{(fit['cpu_s'] + fit['build_cpu_s']) / fit_s:.3g}" if fit["build_s"] else "",
             )
         )
@@ -77,10 +79,10 @@ def speed_table(run: Mapping[str, Any]) -> str:
 
 def target_table(run: Mapping[str, Any]) -> str:
     """Promised and measured; empty for a quick run, which measures none of it."""
-    found = figures(run)
+    computed = figures(run)
     head = ("", "promised", "measured", "")
     rows = []
-    for name, value in found.items():
+    for name, value in computed.items():
         bound, limit = TARGETS[name]
         kept = value <= limit if bound == "at most" else value >= limit
         rows.append((_TITLES[name], f"{bound} {limit:g}", f"{value:.3g}", "kept" if kept else "missed"))
@@ -90,20 +92,20 @@ def target_table(run: Mapping[str, Any]) -> str:
 def figures(run: Mapping[str, Any]) -> dict[str, float]:
     """The figures that were promised, as far as the run has them."""
     fits = {m: f for m in NAMES if (f := _find(run, _REFERENCE, m))}
-    own, largest = fits.get("compiled"), _find(run, _LARGEST, "compiled")
-    found = {}
-    if own:
-        found["fit_s"] = own["time_s"]
+    compiled, largest = fits.get("compiled"), _find(run, _LARGEST, "compiled")
+    results = {}
+    if compiled:
+        results["fit_s"] = compiled["time_s"]
         for name, method in (("scipy_ratio", "scipy"), ("casadi_ratio", "casadi")):
             if method in fits:
-                found[name] = fits[method]["cpu_s"] / own["cpu_s"]
+                results[name] = fits[method]["cpu_s"] / compiled["cpu_s"]
         if "profile" in fits:  # of the fit before it, in the same process
-            found["profile_ratio"] = fits["profile"]["cpu_s"] / fits["profile"]["build_cpu_s"]
+            results["profile_ratio"] = fits["profile"]["cpu_s"] / fits["profile"]["build_cpu_s"]
         if largest:
-            found["growth"] = largest["cpu_s"] / own["cpu_s"]
+            results["growth"] = largest["cpu_s"] / compiled["cpu_s"]
     if "numpy" in fits:
-        found["numpy_s"] = fits["numpy"]["time_s"]
-    return {name: found[name] for name in TARGETS if name in found}
+        results["numpy_s"] = fits["numpy"]["time_s"]
+    return {name: results[name] for name in TARGETS if name in results}
 
 
 def notes(run: Mapping[str, Any]) -> str:
@@ -172,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def measure(jobs: Sequence[_Job]) -> dict[str, Any]:
     """Run the jobs one after the other, each in a process of its own."""
     fits: list[dict[str, Any]] = []
-    found: dict[int, Mapping[str, float]] = {}  # gbid's start values, which the baselines are given
+    results: dict[int, Mapping[str, float]] = {}  # gbid's start values, which the baselines are given
     with tempfile.TemporaryDirectory() as folder:
         paths = {job.n_samples: Path(folder) / f"{job.n_samples}.npz" for job in jobs}
         for n_samples, path in paths.items():
@@ -180,10 +182,10 @@ def measure(jobs: Sequence[_Job]) -> dict[str, Any]:
         for job in jobs:
             _say(f"{job.method}, {job.n_samples} samples")
             request = {"method": job.method, "samples": str(paths[job.n_samples]), "repeats": job.repeats}
-            answer = _ask({**request, "start": found.get(job.n_samples, {})})
+            answer = _ask({**request, "start": results.get(job.n_samples, {})})
             start = answer.pop("start")
             if job.method == "compiled":
-                found[job.n_samples] = start
+                results[job.n_samples] = start
             fits.append({"n_samples": job.n_samples, "method": job.method, **answer})
         _say("compiler")
         request = {"method": "compiled", "samples": str(paths[jobs[0].n_samples]), "repeats": 2, "start": {}}

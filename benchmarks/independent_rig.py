@@ -59,12 +59,12 @@ def film_plant(point: FilmPoint, actuators: Mapping[str, float]) -> LinearModel:
     A, B = linearised(point)
     piezo = evaluate(PiezoPair(), actuators, ("r_x", "r_y"), ("u_x", "u_y"))
     n, m = len(A), len(piezo.A)
-    whole = np.block([[piezo.A, np.zeros((m, n))], [B @ piezo.C, A]])
+    complete = np.block([[piezo.A, np.zeros((m, n))], [B @ piezo.C, A]])
     inputs = np.vstack([piezo.B, B @ piezo.D])
     outputs = np.zeros((2, m + n))
     outputs[:, m : m + 2] = np.eye(2)
     return LinearModel(
-        whole, inputs, outputs, np.zeros((2, 2)), input_names=("r_x", "r_y"), output_names=("p_x", "p_y")
+        complete, inputs, outputs, np.zeros((2, 2)), input_names=("r_x", "r_y"), output_names=("p_x", "p_y")
     )
 
 
@@ -95,11 +95,11 @@ def matched(modes: FloatArray, reference: FloatArray) -> FloatArray:
     return modes[::-1] if swapped < direct else modes
 
 
-def _two(found: FloatArray) -> FloatArray:
+def _two(computed: FloatArray) -> FloatArray:
     """Return two rows by rising frequency; nan where a mode does not oscillate."""
-    found = np.reshape(found, (-1, 2))[:2]
-    found = found[np.argsort(found[:, 0])]
-    return np.vstack([found, np.full((2 - len(found), 2), np.nan)])
+    computed = np.reshape(computed, (-1, 2))[:2]
+    computed = computed[np.argsort(computed[:, 0])]
+    return np.vstack([computed, np.full((2 - len(computed), 2), np.nan)])
 
 
 def figures(results: Results) -> dict[str, Any]:
@@ -225,7 +225,7 @@ def rows(run: Mapping[str, Any], rig: str) -> list[tuple[str, str]]:
     one = run[rig]
     points = [p for p in one["points"] if p["status"].startswith("converged")]
     truth, fit, std, surface = (np.array([p[key] for p in points], float) for key in _MODES)
-    found: list[tuple[str, str]] = [
+    results: list[tuple[str, str]] = [
         ("recordings that gave a fit that converged", f"{len(points)} of {one['recordings']}"),
         ("models on their own recording, x and y [%]", _pair(np.mean([p["fit_percent"] for p in points], axis=0))),
         ("cross-validation, mean of x and y [%]", _pair(one["crossval"]["mean"])),
@@ -233,18 +233,18 @@ def rows(run: Mapping[str, Any], rig: str) -> list[tuple[str, str]]:
     ]
     for i, (what, form) in enumerate((("frequency", "{:.2f} Hz"), ("damping factor", "{:.4f}"))):
         error, by_surface = fit[..., i] - truth[..., i], surface[..., i] - truth[..., i]
-        found += [
+        results += [
             (f"{what} of the models against the rig, rms", form.format(np.sqrt(np.nanmean(error**2)))),
             (f"{what}, rms of error over stated std", f"{np.sqrt(np.nanmean((error / std[..., i]) ** 2)):.1f}"),
             (f"{what} of the surfaces against the rig, rms", form.format(np.sqrt(np.nanmean(by_surface**2)))),
             (f"{what} of the surfaces against the rig, largest", form.format(np.nanmax(np.abs(by_surface)))),
         ]
-    found.append(("smallest damping without control", f"{truth[..., 1].min():.3f}"))
+    results.append(("smallest damping without control", f"{truth[..., 1].min():.3f}"))
     for name, design in one["designs"].items():
         at = "{:g} bar, {:g} rpm".format(*design["at"])
-        found.append((f"{name}: smallest damping promised", f"{design['promised']:.3f}"))
-        found.append((f"{name}: smallest damping of the rig itself", f"{design['kept']:.3f} ({at})"))
-    return found
+        results.append((f"{name}: smallest damping promised", f"{design['promised']:.3f}"))
+        results.append((f"{name}: smallest damping of the rig itself", f"{design['kept']:.3f} ({at})"))
+    return results
 
 
 def conclusion(run: Mapping[str, Any]) -> str:

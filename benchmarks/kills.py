@@ -192,22 +192,22 @@ def begin(arguments: Sequence[str], log: Path, mark: str, backwards: bool = Fals
 
 def processes_of(mark: str) -> list[int]:
     """Return the processes that a marked command has started, itself left out."""
-    found = []
+    results = []
     wanted = f"{_MARK}={mark}".encode()
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             with contextlib.suppress(OSError):
                 if wanted in (entry / "environ").read_bytes().split(b"\0"):
-                    found.append(int(entry.name))
-    return found
+                    results.append(int(entry.name))
+    return results
 
 
 def ended(process: int, seconds: float) -> int | None:
     """Wait for a process; return its status, None when it is still there."""
     deadline = time.monotonic() + seconds
     while True:
-        there, status = os.waitpid(process, os.WNOHANG)
-        if there:
+        ended_process, status = os.waitpid(process, os.WNOHANG)
+        if ended_process:
             return status
         if time.monotonic() > deadline:
             return None
@@ -368,11 +368,11 @@ def _is_worker(process: int) -> bool:
 
 def _check_orphans(mark: str, tally: Tally, folder: Path) -> None:
     began = time.monotonic()
-    while there := processes_of(mark):
+    while orphans := processes_of(mark):
         waited = time.monotonic() - began
         if waited > _PATIENCE:
-            tally.fault("orphans", f"{folder.name}: {len(there)} processes outlive their runner", len(there))
-            for process in there:
+            tally.fault("orphans", f"{folder.name}: {len(orphans)} processes outlive their runner", len(orphans))
+            for process in orphans:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(process, signal.SIGKILL)
             return
@@ -424,10 +424,10 @@ def main() -> None:
     given = options_of(
         __doc__, kills=(1000, "how many"), minutes=(240.0, "at most"), seed=(0, "of instants and signals")
     )
-    found = study(given.kills, given.minutes, given.seed, given.output)
-    store(found, given.output)
-    print(json.dumps(found, indent=1))
-    raise SystemExit(any(found[word] for word in _FAULTS))
+    computed = study(given.kills, given.minutes, given.seed, given.output)
+    store(computed, given.output)
+    print(json.dumps(computed, indent=1))
+    raise SystemExit(any(computed[word] for word in _FAULTS))
 
 
 if __name__ == "__main__":

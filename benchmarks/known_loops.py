@@ -64,8 +64,8 @@ def delayed_pd(order: int = 8, limit: float = 5.0) -> KnownLoop:
     ``s^2 + (kd s + kp) exp(-s)`` and its first two derivatives vanish at -(2 - sqrt(2)); a Pade filter of the given
     order stands for the delay.
     """
-    late = pade_delay(1.0, order)
-    a, b, c, d = (ca.SX(ca.evalf(ca.SX(M))) for M in (late.A, late.B, late.C, late.D))
+    delayed = pade_delay(1.0, order)
+    a, b, c, d = (ca.SX(ca.evalf(ca.SX(M))) for M in (delayed.A, delayed.B, delayed.C, delayed.D))
     g = ca.SX.sym("g", 2)
     K, A, B = -g.T, ca.SX([[0, 1], [0, 0]]), ca.DM([0, 1])
     return _known("delayed PD", ca.blockcat([[A + B @ d @ K, B @ c], [b @ K, a]]), g, limit, 2 - np.sqrt(2))

@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     count = options_of(__doc__, arguments, recordings=(60, "number of recordings"))
     run = {"gbid": gbid.__version__, "recordings": count.recordings}
     return run_study(
-        lambda: run | {"rows": study(count.recordings)}, count.output, lambda found: json.dumps(found, indent=2)
+        lambda: run | {"rows": study(count.recordings)}, count.output, lambda computed: json.dumps(computed, indent=2)
     )
 
 

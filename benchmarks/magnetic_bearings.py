@@ -137,11 +137,11 @@ class Machine:
 
     def held(self, T: float = SAMPLE_TIME) -> tuple[Any, Any, Any]:
         """Return what the states keep over a sample, and the effects of the inputs before and after the delay."""
-        rest, whole = T - self.truth.delay_s, np.exp(self.values * T)
+        rest, complete = T - self.truth.delay_s, np.exp(self.values * T)
         after = np.exp(self.values * rest)
         G0 = ((after - 1) / self.values)[:, None] * self.into
-        G1 = ((whole - after) / self.values)[:, None] * self.into
-        return whole, G0, G1
+        G1 = ((complete - after) / self.values)[:, None] * self.into
+        return complete, G0, G1
 
     def run(
         self, controlled: Callable[[np.ndarray], np.ndarray], steps: int, start: float, seed: int, unbalance: float
@@ -150,7 +150,7 @@ class Machine:
 
         `controlled` gets the positions as converted and returns the reference that acts one sample later.
         """
-        random, (whole, G0, G1) = np.random.default_rng(seed), self.held()
+        random, (complete, G0, G1) = np.random.default_rng(seed), self.held()
         x = self.start @ (start * random.choice([-1.0, 1.0], 4)).astype(complex)
         i_step, p_step = 2 * BIAS / 2**BITS, 2 * FULL_SCALE / 2**BITS
         p, i, references = np.zeros((3, steps, 4))
@@ -164,14 +164,14 @@ class Machine:
             now = np.clip(i_step * np.round(now / i_step), -BIAS, BIAS)
             references[k] = now
             force = unbalance * self.omega**2 * np.cos(self.omega * k * SAMPLE_TIME)
-            x = whole * x + G0[:, :4] @ now + G1[:, :4] @ before + (G0[:, 4] + G1[:, 4]) * force
+            x = complete * x + G0[:, :4] @ now + G1[:, :4] @ before + (G0[:, 4] + G1[:, 4]) * force
         return p, i, references
 
     def plant_response(self, hz: np.ndarray) -> np.ndarray:
         """Return the response of the sampled plant, (n, 4, 4), from the references to the positions."""
-        whole, G0, G1 = self.held()
+        complete, G0, G1 = self.held()
         z = np.exp(2j * np.pi * hz * SAMPLE_TIME)
-        return np.stack([(self.shown / (each - whole)) @ (G0 + G1 / each)[:, :4] for each in z])
+        return np.stack([(self.shown / (each - complete)) @ (G0 + G1 / each)[:, :4] for each in z])
 
     def sensitivity(self, law: gbid.LinearModel, hz: np.ndarray) -> np.ndarray:
         """Return the sensitivity of each axis with the others closed, (n, 4), with one sample of computation."""
@@ -313,9 +313,9 @@ def law_over_frequency(law: gbid.LinearModel, hz: np.ndarray) -> np.ndarray:
     s, truth = 2j * np.pi * hz, Truth()
     z = np.exp(s * SAMPLE_TIME)
     K = np.stack([np.diag(law.C @ np.linalg.solve(e * np.eye(len(law.A)) - law.A, law.B) + law.D) for e in z])
-    late = np.exp(-s * (1.5 * SAMPLE_TIME + truth.delay_s)) * np.sinc(hz * SAMPLE_TIME)
+    delayed = np.exp(-s * (1.5 * SAMPLE_TIME + truth.delay_s)) * np.sinc(hz * SAMPLE_TIME)
     lags = (1 + s / (2 * np.pi * truth.amplifier_hz)) * (1 + s / (2 * np.pi * SENSOR_HZ))
-    return np.asarray(K * (late / lags)[:, None])
+    return np.asarray(K * (delayed / lags)[:, None])
 
 
 def ross_sensitivity(rotor: Any, law: gbid.LinearModel, speed_rpm: float, hz: np.ndarray) -> np.ndarray:

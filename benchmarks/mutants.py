@@ -86,13 +86,13 @@ def mutants(path: Path, root: Path) -> list[Mutant]:
         line = text[lines[row - 1] : lines[row]]
         return lines[row - 1] + len(line.encode()[:column].decode())
 
-    found = []
+    results = []
     for function, node, new in _walk(ast.parse(text), ""):
         assert node.end_lineno is not None
         assert node.end_col_offset is not None
         start, end = offset(node.lineno, node.col_offset), offset(node.end_lineno, node.end_col_offset)
-        found.append(Mutant(path.relative_to(root).as_posix(), function, node.lineno, start, text[start:end], new))
-    return found
+        results.append(Mutant(path.relative_to(root).as_posix(), function, node.lineno, start, text[start:end], new))
+    return results
 
 
 def is_another_program(mutant: Mutant, root: Path) -> bool:
@@ -251,9 +251,9 @@ class Touching:
         if mutant.file not in self.files:
             return []
         contexts = self.data.contexts_by_lineno(self.files[mutant.file])
-        own = range(mutant.line, mutant.line + mutant.old.count("\n") + 1)
-        at_line = self._named(context for line in own for context in contexts.get(line, ()))
-        anywhere = self._named(context for found in contexts.values() for context in found)
+        lines = range(mutant.line, mutant.line + mutant.old.count("\n") + 1)
+        at_line = self._named(context for line in lines for context in contexts.get(line, ()))
+        anywhere = self._named(context for computed in contexts.values() for context in computed)
         chosen, spent = [], 0.0
         for test in (*at_line, *(test for test in anywhere if test not in set(at_line))):
             if (spent := spent + self.durations[test]) > self.budget and chosen:
@@ -281,9 +281,9 @@ def nearest_tests(mutant: Mutant, packages: Sequence[str], most: int = 4) -> lis
 def try_one(trees: Path, task: tuple[Mutant, list[str]]) -> dict[str, Any]:
     """Return what became of a mutant: "killed", "survived", "timeout", or "untested" where no test touches it."""
     mutant, tests = task
-    found: dict[str, Any] = {**mutant.as_dict(), "tests": len(tests)}
+    results: dict[str, Any] = {**mutant.as_dict(), "tests": len(tests)}
     if not tests:
-        return {**found, "outcome": "untested"}
+        return {**results, "outcome": "untested"}
     tree = trees / str(os.getpid())
     if not tree.exists():
         tree.mkdir(parents=True)
@@ -303,7 +303,7 @@ def try_one(trees: Path, task: tuple[Mutant, list[str]]) -> dict[str, Any]:
     finally:
         file.write_text(text, encoding="utf-8")
     outcome = "survived" if code == 0 else "timeout" if code is None or code < 0 else "killed"
-    return {**found, "outcome": outcome, "seconds": round(time.monotonic() - began, 1)}
+    return {**results, "outcome": outcome, "seconds": round(time.monotonic() - began, 1)}
 
 
 def _in_a_fork(tree: Path, cpu_s: int = 150, wall_s: float = 900.0) -> int | None:

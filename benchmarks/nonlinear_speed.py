@@ -81,8 +81,8 @@ def fit_with_mapaccum(
     x_scale = np.array([size_y, size_y, velocity, velocity, _DELAY, _DELAY])
     scale = np.array([abs(start[name]) or _GAIN[name[0]] for name in free])
     x, z, theta = ca.SX.sym("x", 6), ca.SX.sym("z", 6), ca.SX.sym("theta", len(free))
-    own = dict(zip(free, ca.vertsplit(theta * scale), strict=True))
-    p = ca.vertcat(*(own.get(name, value) for name, value in start.items()))
+    by_name = dict(zip(free, ca.vertsplit(theta * scale), strict=True))
+    p = ca.vertcat(*(by_name.get(name, value) for name, value in start.items()))
     step = ca.Function("step", [x, z, theta], [_sample(equations, h, x * x_scale, z, p, size_y) / x_scale])
 
     z_all = np.hstack([u / _INPUT, np.vstack([u[1:], u[-1:]]) / _INPUT, y / size_y]).T
@@ -93,15 +93,15 @@ def fit_with_mapaccum(
     solver = gauss_newton(V, e, n, max_iter=50, **limits)
     built = time.process_time()
     first = np.zeros(6) if initial_state is None else initial_state / x_scale
-    found = solver(x0=np.concatenate([np.array([start[name] for name in free]) / scale, first]))
+    solution = solver(x0=np.concatenate([np.array([start[name] for name in free]) / scale, first]))
     solved = time.process_time()
-    stats, values = solver.stats(), np.asarray(found["x"])[:, 0]
+    stats, values = solver.stats(), np.asarray(solution["x"])[:, 0]
     figures = {
         "build_cpu_s": built - began,
         "solve_cpu_s": solved - built,
         "iterations": int(stats["iter_count"]),
         "status": str(stats["return_status"]),
-        "mean_square": 2 * float(found["f"]) * size_y**2,
+        "mean_square": 2 * float(solution["f"]) * size_y**2,
     }
     parameters = {**start, **dict(zip(free, (values[:-6] * scale).tolist(), strict=True))}
     return parameters, values[-6:] * x_scale, figures
@@ -149,8 +149,8 @@ def film(start: Mapping[str, float]) -> NonlinearStructure:
         ux, uy = 4 / p.tau_x * x[4] - u[0], 4 / p.tau_y * x[5] - u[1]
         force_x = p.k_xx * x[0] + p.k_xy * x[1] - p.c_x * x[0] ** 3 + p.d_xx * x[2] + p.d_xy * x[3]
         force_y = p.k_yx * x[0] + p.k_yy * x[1] - p.c_y * x[1] ** 3 + p.d_yx * x[2] + p.d_yy * x[3]
-        late = [u[0] - 2 / p.tau_x * x[4], u[1] - 2 / p.tau_y * x[5]]
-        return [x[2], x[3], force_x + p.b_xx * ux + p.b_xy * uy, force_y + p.b_yx * ux + p.b_yy * uy, *late]
+        delayed = [u[0] - 2 / p.tau_x * x[4], u[1] - 2 / p.tau_y * x[5]]
+        return [x[2], x[3], force_x + p.b_xx * ux + p.b_xy * uy, force_y + p.b_yx * ux + p.b_yy * uy, *delayed]
 
     return NonlinearStructure(
         "cubic_film",
@@ -232,15 +232,15 @@ def with_mapaccum(n: int, most_s: float) -> dict[str, Any]:
     """
     recording = film_recording(n)
     linear = gbid.fit(LINEAR, recording, criterion="trace")  # as the pattern weighs the outputs
-    found = {**dict.fromkeys(TRUTH, 0.0), **{k: v for k, v in linear.start.items() if k in TRUTH}}
-    own = [name for name in TRUTH if name in linear.free]
+    results = {**dict.fromkeys(TRUTH, 0.0), **{k: v for k, v in linear.start.items() if k in TRUTH}}
+    free = [name for name in TRUTH if name in linear.free]
     start = linear_start(recording)
     by_pattern = partial(fit_with_mapaccum, nonlinear_model(film(start), start, steps=STEPS).function, recording)
     *_, film_alone = by_pattern(start, list(TRUTH), max_cpu_time=most_s)
     # A start need not be exact: the solver may stop earlier, as gbid's linear fit does by the paper's rule.
-    parameters, state, before = by_pattern(found, own, tol=1e-4, max_cpu_time=most_s)
+    parameters, state, before = by_pattern(results, free, tol=1e-4, max_cpu_time=most_s)
     *_, after = by_pattern(parameters, list(TRUTH), state, max_cpu_time=most_s)
-    off = [(parameters[name] - linear.parameters[name]) / linear.std[name] for name in own]
+    off = [(parameters[name] - linear.parameters[name]) / linear.std[name] for name in free]
     stages = {"film": film_alone, "linear_before": before, "film_after": after}
     return {**stages, "linear_off_std": float(np.abs(off).max())}
 

@@ -287,14 +287,14 @@ def measured(benchmark: Benchmark, folder: Path) -> dict[str, Any]:
     output = next(iter(benchmark.candidates())).outputs[0]
     finer = round(len(train) / np.isfinite(train.signal(output, gaps=True)).sum())
     part = train if benchmark.chosen_on is None else train[: benchmark.chosen_on * finer]
-    whole = train if benchmark.fitted_on is None else train[: benchmark.fitted_on * finer]
+    complete = train if benchmark.fitted_on is None else train[: benchmark.fitted_on * finer]
     compiled = os.times()
     candidates = benchmark.candidates()
     scores, choice_s = timed(lambda: [held_out(structure, part, benchmark.factor) for structure in candidates])
     least = min(score for score, _ in scores)
     best = next(i for i, (score, _) in enumerate(scores) if score <= 1.01 * least)
     chosen = candidates[best]
-    result, fit_s = timed(lambda: gbid.fit(chosen, whole, start=scores[best][1]))
+    result, fit_s = timed(lambda: gbid.fit(chosen, complete, start=scores[best][1]))
     ended = os.times()
 
     def fit_of(test: Recording) -> dict[str, list[Any]]:
@@ -310,7 +310,7 @@ def measured(benchmark: Benchmark, folder: Path) -> dict[str, Any]:
         "unit": benchmark.unit,
         "training_samples": len(train) // finer,
         "chosen_on": len(part) // finer,
-        "fitted_on": len(whole) // finer,
+        "fitted_on": len(complete) // finer,
         "first": benchmark.first,
         "candidates": [
             {"name": structure.name, "parameters": len(structure.parameters), "held_out": score}

@@ -92,9 +92,9 @@ def against_truth(fit: LPVFit) -> dict[str, float]:
     """Return errors over the rectangle in standard deviations, errors of frequencies, and standard deviations."""
     truth = true_values()
     # A course that ends at 300 rpm leaves a margin of the rectangle.
-    found, std = regressors(*grid()) @ fit.coefficients.T, spread(fit.covariance)
-    z = np.abs(found - truth) / std
-    frequency = np.abs(frequencies(found) - frequencies(truth))
+    computed, std = regressors(*grid()) @ fit.coefficients.T, spread(fit.covariance)
+    z = np.abs(computed - truth) / std
+    frequency = np.abs(frequencies(computed) - frequencies(truth))
     return {
         "within_3_std_percent": float(100 * np.mean(z <= 3)),
         "rms_std": float(np.sqrt(np.mean(z**2))),
@@ -143,10 +143,10 @@ def campaign(seed: int) -> float:
         machine = replace(machine, sensors=SensorChain(**NOISE, runout_amplitude_m=none, runout_phase_rad=none))
         point = {"pressure_bar": pressure, "speed_rpm": speed}
         made = record(machine, Prbs(5.0), conditions=point, seed=seed, name="campaign")
-        found = gbid.fit(gbid.Plant(bearing), made, focus="simulation", trend="offset")
-        own = [found.free.index(key) for key in KEY_PARAMETERS]
+        result = gbid.fit(gbid.Plant(bearing), made, focus="simulation", trend="offset")
+        columns = [result.free.index(key) for key in KEY_PARAMETERS]
         X = np.kron(np.eye(14), regressors([pressure], [speed]))
-        A += count * X.T @ np.linalg.inv(found.covariance_white[np.ix_(own, own)]) @ X
+        A += count * X.T @ np.linalg.inv(result.covariance_white[np.ix_(columns, columns)]) @ X
     size = 1 / np.sqrt(np.diag(A))
     return relative_std(np.linalg.inv(A * np.outer(size, size)) * np.outer(size, size))
 
@@ -220,10 +220,10 @@ def draw(stored: dict[str, Any]) -> Any:
         i = KEY_PARAMETERS.index(key)
         for colour, pressure in enumerate((3.0, 5.0, 7.0)):
             X = regressors(np.full(61, pressure), speed)
-            found, std = X @ coefficients[i], np.sqrt(np.einsum("ij,jk,ik->i", X, covariance[i], X))
+            computed, std = X @ coefficients[i], np.sqrt(np.einsum("ij,jk,ik->i", X, covariance[i], X))
             ax.plot(speed, factor * model.key_parameters(np.full(61, pressure), speed)[key], "k--", linewidth=1)
-            ax.plot(speed, factor * found, color=f"C{colour}", label=f"{pressure:g} bar")
-            low, high = (factor * (found + sign * 3 * std) for sign in (-1, 1))
+            ax.plot(speed, factor * computed, color=f"C{colour}", label=f"{pressure:g} bar")
+            low, high = (factor * (computed + sign * 3 * std) for sign in (-1, 1))
             ax.fill_between(speed, low, high, color=f"C{colour}", alpha=0.25, linewidth=0)
         ax.set(xlabel="speed [rpm]", ylabel=f"{key} [{unit}]")
     axes[1].legend(title=f"{word}; truth dashed", fontsize=8, title_fontsize=8, loc="upper center")

@@ -27,13 +27,13 @@ KINDS = ("P", "PI", "lead-lag", "PPF", "PD", "full P", "notch", "PID", "observer
 def designs_of(kind: str, model: gbid.LPVModel, caps: tuple[float, ...] = CAPS, starts: int = STARTS) -> dict[str, Any]:
     """Return the designs of one structure: number of gains, and damping, peak, status and time under each cap."""
     structure = with_schedule(controller_structure(kind), model.domain)
-    found: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     start: Mapping[str, float] | None = None
     for cap in caps:
         more = {"goals": [MaxDamping(), PeakSensitivity(cap)], "start": start, "starts": 1 if start else starts}
         result, spent = timed(partial(gbid.tune, model, structure, **more))
         start = result.gains if result.success else None
-        found.append(
+        results.append(
             {
                 "cap": cap,
                 "damping": result.value,
@@ -44,7 +44,7 @@ def designs_of(kind: str, model: gbid.LPVModel, caps: tuple[float, ...] = CAPS, 
                 "gains": dict(result.gains),
             }
         )
-    return {"gains": len(structure.parameters), "designs": found}
+    return {"gains": len(structure.parameters), "designs": results}
 
 
 def structures_table(run: Mapping[str, Any]) -> str:

@@ -52,12 +52,12 @@ def deviations(points: FloatArray, alike: bool, rng: np.random.Generator) -> Ite
     """Yield the deviations of the machines of campaigns from their surfaces, (n, 14)."""
     truth, scatter = gbid.load_model("theisen2016"), Scatter(share=0.35)
     known = [{key: float(v) for key, v in truth.key_parameters(*point).items()} for point in points]
-    machines = [RotorBearingTruth.from_parameters(own) for own in known]
-    mean = np.array([[own[key] for key in KEY_PARAMETERS] for own in known])
+    machines = [RotorBearingTruth.from_parameters(parameters) for parameters in known]
+    mean = np.array([[parameters[key] for key in KEY_PARAMETERS] for parameters in known])
 
     def drawn() -> FloatArray:
-        own = [scattered(machine, scatter, rng)[0].key_parameters() for machine in machines]
-        return np.array([[one[key] for key in KEY_PARAMETERS] for one in own]) - mean
+        parameters = [scattered(machine, scatter, rng)[0].key_parameters() for machine in machines]
+        return np.array([[one[key] for key in KEY_PARAMETERS] for one in parameters]) - mean
 
     if not alike:
         while True:
@@ -80,7 +80,7 @@ def errors(plan: Plan, campaigns: int, seed: int = 1) -> FloatArray:
     terms = monomials(np.concatenate([np.unique(points, axis=0), inside]), exponents) @ design.back
     size = np.mean([np.abs(v) for v in gbid.load_model("theisen2016").key_parameters(*points.T).values()], axis=1)
     own = np.broadcast_to(1e-6 * np.eye(k), (len(points), k, k))
-    found: list[list[FloatArray]] = []
+    results: list[list[FloatArray]] = []
     for _, off in zip(range(campaigns), deviations(points, plan.alike, rng), strict=False):
         y = off / size + 1e-3 * rng.normal(size=off.shape)
         mixed = with_scatter(y, X, own)
@@ -92,8 +92,8 @@ def errors(plan: Plan, campaigns: int, seed: int = 1) -> FloatArray:
         )
         error = terms @ mixed.coefficients.reshape(k, m).T
         blocks = [c.reshape(k, m, k, m)[np.arange(k), :, np.arange(k)] for c in covariances]
-        found.append([error / np.sqrt(np.einsum("gi,kij,gj->gk", terms, b, terms, optimize=True)) for b in blocks])
-    return np.array(found).swapaxes(0, 1)
+        results.append([error / np.sqrt(np.einsum("gi,kij,gj->gk", terms, b, terms, optimize=True)) for b in blocks])
+    return np.array(results).swapaxes(0, 1)
 
 
 def main() -> None:

@@ -39,8 +39,8 @@ def springs_fit(seed: int) -> bytes:
 def design(number: int) -> bytes:
     """Return the bytes of the gains of a design at an operating point."""
     points, limit = [(4.0 + 0.25 * number, 3000.0)], 1.8 + 0.1 * number
-    found = gbid.tune(gbid.load_model("theisen2016"), operating_points=points, peak_sensitivity=limit, starts=2)
-    return np.array([*found.gains.values(), found.objective]).tobytes()
+    result = gbid.tune(gbid.load_model("theisen2016"), operating_points=points, peak_sensitivity=limit, starts=2)
+    return np.array([*result.gains.values(), result.objective]).tobytes()
 
 
 def tasks_of(count: int) -> list[Callable[[], bytes]]:

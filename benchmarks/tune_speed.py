@@ -105,11 +105,11 @@ def brute_force(loops: Loops, cap: float | None, floor: float, polish: int = 20)
     for start in grid[:polish]:
         simplex = start + np.array([[0, 0], [0.01, 0], [0, 0.01]])
         limits = {"xatol": 1e-9, "fatol": 1e-10, "maxfev": 250, "initial_simplex": simplex}
-        found = minimize(
+        computed = minimize(
             lambda g: -loops.value(g, cap, FINE if cap else COARSE), start, method="Nelder-Mead", options=limits
         )
-        if -found.fun > best:
-            best, gains = float(-found.fun), found.x
+        if -computed.fun > best:
+            best, gains = float(-computed.fun), computed.x
     return Brute(grid_value, best, (float(gains[0]), float(gains[1])))
 
 

@@ -61,8 +61,8 @@ def fit_with_gbid(recording: gbid.Recording, method: str) -> Answer:
         began, spent = time.perf_counter(), time.process_time()
         gbid.profile(result)
         wall, cpu = time.perf_counter() - began, time.process_time() - spent
-    whole = all(result.std[q.name] > 0 for q in STRUCTURE.parameters)  # none of the unknowns was held
-    return Answer(wall, cpu, *before, result.iterations, result.loss, result.success and whole, dict(result.start))
+    complete = all(result.std[q.name] > 0 for q in STRUCTURE.parameters)  # none of the unknowns was held
+    return Answer(wall, cpu, *before, result.iterations, result.loss, result.success and complete, dict(result.start))
 
 
 def _start_of_peak() -> int:

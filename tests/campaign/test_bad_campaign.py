@@ -50,8 +50,8 @@ def folder(tmp_path_factory):
     data = made / "data"
     values = dict(np.load(data / "p5_n6000_prbs5.npz"))
     np.savez(data / "p5_n6000_prbs5.npz", **{**values, "t": 1.25 * values["t"]})
-    whole = (data / "p5_n6000_prbs7.npz").read_bytes()
-    (data / "p5_n6000_prbs7.npz").write_bytes(whole[: len(whole) // 2])
+    complete = (data / "p5_n6000_prbs7.npz").read_bytes()
+    (data / "p5_n6000_prbs7.npz").write_bytes(complete[: len(complete) // 2])
     (data / "p5_n6000_prbs8.npz").write_bytes((data / "p5_n6000_prbs1.npz").read_bytes())
     path = made / "experiment.yaml"
     path.write_text(BY_NAME.format(ending="npz", clock="time: t", signals=SIGNALS.rstrip()) + FITS)

@@ -266,15 +266,15 @@ def test_a_disk_that_fills(springs, fresh):
     environment = {**files.ENVIRONMENT, "PYTHONPATH": os.pathsep.join([str(files.ROOT), str(SUPPORT)])}
     done = subprocess.run(["unshare", "-rm", *script], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    (code, err, before, parts), (code_again, err_again, after, parts_again) = found["told"]
+    document = json.loads(done.stdout)
+    (code, err, before, parts), (code_again, err_again, after, parts_again) = document["told"]
     assert code == 3, err
     assert "No space left in" in err.splitlines()[-1]
     assert "Traceback" not in err
     assert 0 < len(before) < 10
     assert code_again == 0, err_again
     assert {name: after[name] for name in before} == before
-    assert found["rows"] == table_of(springs)
+    assert document["rows"] == table_of(springs)
     assert parts == parts_again == []
 
 
@@ -336,13 +336,13 @@ def test_one_fit_is_that_of_the_batch(tmp_path):
     path = tmp_path / "loops.yaml"
     path.write_text(LOOPS)
     job = Job(load_experiment(path))
-    whole = {(task.stage, task.item): task for _, tasks in early_tasks(job) for task in tasks}
-    fits = [item for stage, item in whole if stage == "fit"]
+    complete = {(task.stage, task.item): task for _, tasks in early_tasks(job) for task in tasks}
+    fits = [item for stage, item in complete if stage == "fit"]
     assert len(fits) == 5
     for item in fits:
         tasks = [task for _, tasks in tasks_for(job, item) for task in tasks]
         assert [task.item for task in tasks if task.stage == "fit"] == [item]
-        assert all(whole[task.stage, task.item].key == task.key for task in tasks)
+        assert all(complete[task.stage, task.item].key == task.key for task in tasks)
     needed = {task.item for _, tasks in tasks_for(job, "held/p5_n0_loop2") for task in tasks if task.stage == "rig"}
     assert needed == {"p5_n0_loop2", "p5_n0_loop_still1", "p5_n0_still1"}
 
@@ -551,7 +551,7 @@ def test_a_table_of_others_is_left_and_nothing_made_is_said(tmp_path):
     again, outcomes = collect(job)
     assert {outcome.state for outcome in outcomes} == {"kept"}
     assert len(again) == len(load_table(job.path("", "table", ".h5"))) == 1
-    own = job.path("", "table", ".csv")
-    own.write_text("of someone else")
+    table_path = job.path("", "table", ".csv")
+    table_path.write_text("of someone else")
     assert [outcome.state for outcome in collect(job)[1]] == ["kept", "failed"]
-    assert own.read_text() == "of someone else"
+    assert table_path.read_text() == "of someone else"

@@ -53,41 +53,41 @@ def synthetic(axis, seed=0, noise=100e-9, pole=0.9, cubic=0.0, hold=600):
 
 def test_plateaus_are_found_and_passages_left_out():
     r = np.concatenate([np.full(200, 0.0), np.linspace(0, 1, 50), np.full(300, 1.0), np.full(150, 2.0)])[:, None]
-    found = find_plateaus(Recording({"r": r}, TS), "r")
-    assert list(zip(found.start, found.stop, strict=True))[1:] == [(249, 550), (550, 700)]
-    assert found.level[:, 0].tolist() == [0.0, 1.0, 2.0]
+    plateaus = find_plateaus(Recording({"r": r}, TS), "r")
+    assert list(zip(plateaus.start, plateaus.stop, strict=True))[1:] == [(249, 550), (550, 700)]
+    assert plateaus.level[:, 0].tolist() == [0.0, 1.0, 2.0]
 
 
 def test_drift_is_in_the_standard_error():
     ramp = np.linspace(0, 1.0, 1000)[:, None] + 1e-3 * np.random.default_rng(1).standard_normal((1000, 1))
-    found = steady_means(ramp, [(0, 1000)])
-    assert found.drift[0, 0] == pytest.approx(1.0, rel=0.01)
-    assert found.std_error[0, 0] > 0.5
+    means = steady_means(ramp, [(0, 1000)])
+    assert means.drift[0, 0] == pytest.approx(1.0, rel=0.01)
+    assert means.std_error[0, 0] > 0.5
 
 
 # ---- the static map ----
 
 
 def test_gain_and_offset_come_back_from_x_and_y_staircases():
-    found = characterise_staircase([synthetic(0), synthetic(1, 1)])
-    assert (np.abs(found.gain - GAIN) < 4 * found.gain_std).all()
-    assert found.gain_std.max() < 1e-3
-    np.testing.assert_allclose(found.offset, [OFFSET, OFFSET], atol=20e-9)
-    assert (found.dof, found.input_names, found.output_names) == (38, ("u_x", "u_y"), ("p_x", "p_y"))
+    staircase = characterise_staircase([synthetic(0), synthetic(1, 1)])
+    assert (np.abs(staircase.gain - GAIN) < 4 * staircase.gain_std).all()
+    assert staircase.gain_std.max() < 1e-3
+    np.testing.assert_allclose(staircase.offset, [OFFSET, OFFSET], atol=20e-9)
+    assert (staircase.dof, staircase.input_names, staircase.output_names) == (38, ("u_x", "u_y"), ("p_x", "p_y"))
     # what noise gives: no evidence of hysteresis nor of a curve
-    assert (found.hysteresis < 4 * found.hysteresis_std).all()
-    assert found.largest.max() < 100e-9
+    assert (staircase.hysteresis < 4 * staircase.hysteresis_std).all()
+    assert staircase.largest.max() < 100e-9
 
 
 def test_one_axis_alone_agrees_with_a_straight_line():
-    found = characterise_staircase(synthetic(0))
+    staircase = characterise_staircase(synthetic(0))
     for output in (0, 1):
-        line = linregress(found.input_mean[:, 0], found.output_mean[:, output])
-        assert found.gain[output, 0] == pytest.approx(line.slope, rel=1e-9)
-        assert found.gain_std[output, 0] >= 0.999 * line.stderr
-    assert np.isnan(found.gain[:, 1]).all()
-    assert np.isnan(found.rms[:, 1]).all()
-    assert found.notes == ("no recording moves u_y, so its gains are not known [GB207]",)
+        line = linregress(staircase.input_mean[:, 0], staircase.output_mean[:, output])
+        assert staircase.gain[output, 0] == pytest.approx(line.slope, rel=1e-9)
+        assert staircase.gain_std[output, 0] >= 0.999 * line.stderr
+    assert np.isnan(staircase.gain[:, 1]).all()
+    assert np.isnan(staircase.rms[:, 1]).all()
+    assert staircase.notes == ("no recording moves u_y, so its gains are not known [GB207]",)
 
 
 @pytest.mark.parametrize("seeds", [40, pytest.param(400, marks=pytest.mark.slow)])
@@ -104,17 +104,19 @@ def test_intervals_cover_the_truth(seeds):
 
 def test_deviations_from_linear_are_those_of_a_known_curve():
     cubic = 2e-6
-    found = characterise_staircase([synthetic(0, cubic=cubic, noise=1e-12), synthetic(1, cubic=cubic, noise=1e-12)])
-    own = found.recording == 0
-    u = found.input_mean[own, 0]
+    staircase = characterise_staircase([synthetic(0, cubic=cubic, noise=1e-12), synthetic(1, cubic=cubic, noise=1e-12)])
+    first_recording = staircase.recording == 0
+    u = staircase.input_mean[first_recording, 0]
     line = linregress(u, cubic * (u / 17e-6) ** 3)
     rest = cubic * (u / 17e-6) ** 3 - line.intercept - line.slope * u
-    assert found.rms[0, 0] == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-3)
-    assert found.largest[0, 0] == pytest.approx(np.abs(rest).max(), rel=1e-3)
-    assert found.rms[1, 0] < 1e-9
-    assert found.hysteresis.max() < 20e-9
-    panel = found.panel(0, 0)
-    np.testing.assert_allclose(panel["output"] - found.gain[0, 0] * panel["input"], found.residual[own, 0])
+    assert staircase.rms[0, 0] == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-3)
+    assert staircase.largest[0, 0] == pytest.approx(np.abs(rest).max(), rel=1e-3)
+    assert staircase.rms[1, 0] < 1e-9
+    assert staircase.hysteresis.max() < 20e-9
+    panel = staircase.panel(0, 0)
+    np.testing.assert_allclose(
+        panel["output"] - staircase.gain[0, 0] * panel["input"], staircase.residual[first_recording, 0]
+    )
 
 
 def test_hysteresis_of_the_bearing_is_found():
@@ -123,9 +125,9 @@ def test_hysteresis_of_the_bearing_is_found():
     direction = np.where(rising == 0, np.nan, rising)
     filled = np.maximum.accumulate(np.where(np.isnan(direction), 0, np.arange(len(direction))))
     lag = 0.3e-6 * np.nan_to_num(direction[filled])
-    found = characterise_staircase(rec.with_signals(p=rec.signal("p") - np.column_stack([lag, 0 * lag])))
-    assert found.hysteresis[0, 0] == pytest.approx(0.6e-6, rel=0.1)
-    assert found.hysteresis[1, 0] < 0.03e-6
+    staircase = characterise_staircase(rec.with_signals(p=rec.signal("p") - np.column_stack([lag, 0 * lag])))
+    assert staircase.hysteresis[0, 0] == pytest.approx(0.6e-6, rel=0.1)
+    assert staircase.hysteresis[1, 0] < 0.03e-6
 
 
 def test_run_out_does_not_show_in_the_means():
@@ -133,9 +135,9 @@ def test_run_out_does_not_show_in_the_means():
     angle = 2 * np.pi * 97.3 * rec.time + 0.3
     p = rec.signal("p") + 4e-6 * np.column_stack([np.cos(angle), np.sin(angle)])
     turning = rec.with_signals(p=p, phi=np.mod(angle, 2 * np.pi)[:, None])
-    found = characterise_staircase(turning)
-    np.testing.assert_allclose(found.gain[:, 0], GAIN[:, 0], atol=2e-5)
-    assert found.rms[0, 0] < 1e-9
+    staircase = characterise_staircase(turning)
+    np.testing.assert_allclose(staircase.gain[:, 0], GAIN[:, 0], atol=2e-5)
+    assert staircase.rms[0, 0] < 1e-9
 
 
 @pytest.mark.parametrize("speed", [0.0, 6000.0])
@@ -147,10 +149,10 @@ def test_rig_staircases_give_the_models_static_gain(speed):
     group = [
         record(made, Staircase(axis, hold_s=0.3), conditions=conditions, seed=2, name=f"stairs {axis}") for axis in "xy"
     ]
-    found = characterise_staircase(group)
-    interval = found.interval(0.99)
+    staircase = characterise_staircase(group)
+    interval = staircase.interval(0.99)
     assert ((interval[..., 0] < truth) & (truth < interval[..., 1])).all()
-    assert found.gain_std.max() < 1e-3
+    assert staircase.gain_std.max() < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -210,66 +212,66 @@ def loop(hysteresis=8.4e-6, n=10, hold=500, creep=0.0, top=45e-6, noise=0.0):
 
 
 def test_hysteresis_of_a_known_loop():
-    found = characterise_piezo(loop(noise=5e-9), command="v", position="y_p")
-    assert found.hysteresis == pytest.approx(8.4e-6, rel=0.01)
-    assert found.hysteresis_at == pytest.approx(5.0)
-    assert found.hysteresis_share == pytest.approx(8.4 / 45, rel=0.01)
-    assert found.command.tolist()[:3] == [0.0, 1.0, 2.0]
-    assert found.direction.tolist() == [0] + 10 * [1] + 10 * [-1]
-    assert not found.saturated.any()
-    assert found.channel == "y_p_4"
+    curve = characterise_piezo(loop(noise=5e-9), command="v", position="y_p")
+    assert curve.hysteresis == pytest.approx(8.4e-6, rel=0.01)
+    assert curve.hysteresis_at == pytest.approx(5.0)
+    assert curve.hysteresis_share == pytest.approx(8.4 / 45, rel=0.01)
+    assert curve.command.tolist()[:3] == [0.0, 1.0, 2.0]
+    assert curve.direction.tolist() == [0] + 10 * [1] + 10 * [-1]
+    assert not curve.saturated.any()
+    assert curve.channel == "y_p_4"
 
 
 def test_creep_is_the_share_of_the_step():
     creep = 0.04
-    found = characterise_piezo(loop(hysteresis=0.0, creep=creep), command="v", position="y_p", settle_s=0.01)
+    curve = characterise_piezo(loop(hysteresis=0.0, creep=creep), command="v", position="y_p", settle_s=0.01)
     # from early (10 ms and a tenth of the rest later) to the end (likewise), by the exponential's own means
     width = max(40, round(0.1 * (500 - 50)))
     t = np.arange(500) * TS
     response = 1 - np.exp(-t / 1e-3) + creep * (1 - np.exp(-t / 0.05) - 1)
-    early, late = response[50 : 50 + width].mean(), response[-width:].mean()
+    early, delayed = response[50 : 50 + width].mean(), response[-width:].mean()
     # the step before has crept to its own end, which the next one starts from
     before = 1 - (response[-width:].mean() - creep * 0)
-    expected = (late - early) / (early + before)
-    np.testing.assert_allclose(found.creep[1:10], expected, rtol=1e-3)
+    expected = (delayed - early) / (early + before)
+    np.testing.assert_allclose(curve.creep[1:10], expected, rtol=1e-3)
 
 
 def test_uniform_steps_and_their_responses():
-    found = characterise_piezo(loop(hysteresis=0.0), command="v", position="y_p")
-    assert found.uniformity < 1e-6
-    np.testing.assert_allclose(found.step_gain, 4.5e-6, rtol=1e-6)
-    assert found.responses.shape == (500, 20)
-    np.testing.assert_allclose(found.responses[0], 0, atol=1e-11)
-    np.testing.assert_allclose(found.responses[-1], 4.5e-6 * np.sign(found.step), rtol=1e-5)
-    assert found.response_time[1] == TS
+    curve = characterise_piezo(loop(hysteresis=0.0), command="v", position="y_p")
+    assert curve.uniformity < 1e-6
+    np.testing.assert_allclose(curve.step_gain, 4.5e-6, rtol=1e-6)
+    assert curve.responses.shape == (500, 20)
+    np.testing.assert_allclose(curve.responses[0], 0, atol=1e-11)
+    np.testing.assert_allclose(curve.responses[-1], 4.5e-6 * np.sign(curve.step), rtol=1e-5)
+    assert curve.response_time[1] == TS
 
 
 def test_a_level_that_is_held_twice_has_no_gain_of_its_step():
     rec = loop(hysteresis=0.0)
     v = np.array(rec.signal("v"))
     v[2700:2710] += 1.0  # a short peak on the sixth level
-    found = characterise_piezo(rec.with_signals(v=v), command="v", position="y_p")
-    assert np.flatnonzero(np.isnan(found.step_gain)).tolist() == np.flatnonzero(found.step == 0).tolist() == [5]
-    np.testing.assert_allclose(np.delete(found.step_gain, 5), 4.5e-6, rtol=1e-6)
-    assert found.uniformity < 1e-6
+    curve = characterise_piezo(rec.with_signals(v=v), command="v", position="y_p")
+    assert np.flatnonzero(np.isnan(curve.step_gain)).tolist() == np.flatnonzero(curve.step == 0).tolist() == [5]
+    np.testing.assert_allclose(np.delete(curve.step_gain, 5), 4.5e-6, rtol=1e-6)
+    assert curve.uniformity < 1e-6
 
 
 def test_used_up_travel_is_named_and_not_counted_as_uneven():
     rec = loop(hysteresis=0.0)
     limited = rec.with_signals(y_p=np.minimum(rec.signal("y_p"), 42e-6))
-    found = characterise_piezo(limited, command="v", position="y_p")
-    assert np.flatnonzero(found.saturated).tolist() == [9, 10]
-    assert "saturated: step 10, 11 of 20" in found.notes[0]
-    assert found.uniformity < 1e-6
+    curve = characterise_piezo(limited, command="v", position="y_p")
+    assert np.flatnonzero(curve.saturated).tolist() == [9, 10]
+    assert "saturated: step 10, 11 of 20" in curve.notes[0]
+    assert curve.uniformity < 1e-6
     known = characterise_piezo(limited, command="v", position="y_p", limits=(0.0, 42e-6))
     assert np.flatnonzero(known.saturated).tolist() == [0, 9, 10, 19]  # the rest at zero is an end as well
 
 
 def test_one_way_staircase_knows_nothing_of_hysteresis():
     rec = loop().slice(0, 11 * 500)
-    found = characterise_piezo(rec, command="v", position="y_p")
-    assert np.isnan(found.hysteresis)
-    assert "one direction only" in found.notes[-1]
+    curve = characterise_piezo(rec, command="v", position="y_p")
+    assert np.isnan(curve.hysteresis)
+    assert "one direction only" in curve.notes[-1]
 
 
 @pytest.mark.parametrize(
@@ -299,17 +301,17 @@ def test_rig_stack_open_loop_and_controlled():
     """Fig. A.28: 8.4 um open loop, next to nothing under PD control; Fig. A.29: uniform steps under control."""
     made = replace(machine(6.0, 0.0), actuator=PiezoStacks())
     conditions = {"pressure_bar": 6.0, "speed_rpm": 0.0}
-    found = {}
+    results = {}
     for controlled in (False, True):
         rec = record(
             made, StackStaircase(4, controlled, hold_s=0.3), conditions=conditions, seed=1, name="stack", settle_s=0.2
         )
         command = "r_p" if controlled else "v"
-        found[controlled] = characterise_piezo(rec, command=command, position="y_p", channel="4")
-    assert found[False].hysteresis == pytest.approx(8.4e-6, rel=0.05)
-    assert found[True].hysteresis < 0.1 * found[False].hysteresis
-    assert found[True].uniformity < 0.5 * found[False].uniformity
-    assert 0.001 < np.median(found[False].creep) < 0.1
+        results[controlled] = characterise_piezo(rec, command=command, position="y_p", channel="4")
+    assert results[False].hysteresis == pytest.approx(8.4e-6, rel=0.05)
+    assert results[True].hysteresis < 0.1 * results[False].hysteresis
+    assert results[True].uniformity < 0.5 * results[False].uniformity
+    assert 0.001 < np.median(results[False].creep) < 0.1
 
 
 # ---- rows ----

@@ -97,14 +97,14 @@ def test_run_prints_data_on_stdout_and_progress_on_stderr(spring, capsys):
 
 def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
     assert json_of(capsys, "check", spring)["recordings"] == ["run1", "run2"]
-    found = json_of(capsys, "import", spring)["recordings"]
-    assert [(r["name"], r["samples"], r["sample_time_s"], r["state"]) for r in found] == [
+    document = json_of(capsys, "import", spring)["recordings"]
+    assert [(r["name"], r["samples"], r["sample_time_s"], r["state"]) for r in document] == [
         ("run1", 1500, 5e-4, "kept"),
         ("run2", 1500, 5e-4, "kept"),
     ]
-    found = json_of(capsys, "fit", spring)
-    assert_keys("fits", found)
-    fits = found["fits"]
+    document = json_of(capsys, "fit", spring)
+    assert_keys("fits", document)
+    fits = document["fits"]
     rows = {row["parameter"]: row for row in fits[0]["parameters"]}
     for row in rows.values():
         assert row["std"] == row[f"std_{fits[0]['trusted']}"]
@@ -125,9 +125,9 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
     printed = json_of(capsys, "crossval", spring)
     assert_keys("crossval", printed)
     assert_keys("crossval_summary", printed)
-    found = printed["crossval"]
-    assert [r["model"] for r in found] == ["run1", "run2"]
-    assert all(r["residuals_white"] and r["residuals_follow"] == [] for r in found)
+    document = printed["crossval"]
+    assert [r["model"] for r in document] == ["run1", "run2"]
+    assert all(r["residuals_white"] and r["residuals_follow"] == [] for r in document)
     assert set(json_of(capsys, "run", spring)) == set(KEYS["run"])
 
 
@@ -150,10 +150,10 @@ def test_rig_fit_table_has_truth_units_and_readable_numbers(quick, capsys):
     assert "3078.0" in out  # the piezos' truth
     assert "u_x to p_x" in out
     assert "run-out" in out
-    found = json_of(capsys, "fit", quick, "--only", "piezos")
-    assert {f["fit"] for f in found["fits"]} == {"piezos"}
-    assert_keys("prefilter", found)
-    x_of_first = found["prefilter"][0]
+    document = json_of(capsys, "fit", quick, "--only", "piezos")
+    assert {f["fit"] for f in document["fits"]} == {"piezos"}
+    assert_keys("prefilter", document)
+    x_of_first = document["prefilter"][0]
     assert x_of_first["channel"] == "p_x"
     assert 0 < x_of_first["runout_share"] < 1
     assert x_of_first["rms_after"] < x_of_first["rms_before"]
@@ -255,9 +255,9 @@ def test_bad_data_end_with_3_and_do_not_stop_the_others(tmp_path, capsys):
     assert "run1" not in captured.out
     assert captured.err.splitlines()[-1].startswith("gbid: error: import run1: ")
     captured = printed_by(capsys, "run", path, "--json", code=3)
-    found = json.loads(captured.out)
-    assert [f["model"] for f in found["fits"]] == ["run2"]
-    assert any(o["state"] == "failed" and "sample 3" in o["text"] for o in found["outcomes"])
+    document = json.loads(captured.out)
+    assert [f["model"] for f in document["fits"]] == ["run2"]
+    assert any(o["state"] == "failed" and "sample 3" in o["text"] for o in document["outcomes"])
 
 
 def test_truncated_result_ends_with_3(tmp_path, capsys):
@@ -312,11 +312,11 @@ def test_own_recordings_template_runs_as_it_is(tmp_path, capsys):
     assert capsys.readouterr().out.splitlines() == [str(folder / name) for name in written]
     assert "not empty" in printed_by(capsys, "new", folder, code=2).err
     assert files_in(folder) == written
-    found = json_of(capsys, "run", folder / "experiment.yaml")
-    for fit in found["fits"]:
+    document = json_of(capsys, "run", folder / "experiment.yaml")
+    for fit in document["fits"]:
         assert fit["modes"][0]["frequency_hz"] == pytest.approx(40.0, abs=0.05)
         assert fit["modes"][0]["damping"] == pytest.approx(0.05, abs=1e-3)
-    assert min(row["fit_percent"] for row in found["crossval"]) > 99
+    assert min(row["fit_percent"] for row in document["crossval"]) > 99
 
 
 def test_ctrl_c_ends_with_130_and_leaves_nothing_half_written(tmp_path):

@@ -227,10 +227,10 @@ def test_an_interruption_behind_the_failure_of_a_library_is_one(capsys):
 def test_doctor_has_a_verdict_on_everything(capsys, monkeypatch, tmp_path):
     from gbid.core.compiled import find_compiler
 
-    found = {row["what"]: row for row in json_of(capsys, "doctor")["findings"]}
-    assert {"gbid", "packages", "C compiler", "compiled kernels", "this folder", "processors", "BLAS"} <= set(found)
-    assert found["packages"]["verdict"] == "good"
-    assert "casadi" in found["packages"]["found"]
+    results = {row["what"]: row for row in json_of(capsys, "doctor")["findings"]}
+    assert {"gbid", "packages", "C compiler", "compiled kernels", "this folder", "processors", "BLAS"} <= set(results)
+    assert results["packages"]["verdict"] == "good"
+    assert "casadi" in results["packages"]["found"]
     monkeypatch.setenv("CC", "no-such-compiler")
     find_compiler.cache_clear()
     try:

@@ -93,8 +93,8 @@ def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(new.sys.stdin, "isatty", lambda: True, raising=False)
     monkeypatch.setattr(new.typer, "prompt", lambda *_, **__: next(answers))
     assert gbid("new", tmp_path / "asked", "--from", tmp_path / "a", "--signal", "r=c1,c2") == 0
-    asked = (tmp_path / "asked" / "experiment.yaml").read_text(encoding="utf-8")
-    assert asked == given.replace("name: own", "name: asked")
+    draft = (tmp_path / "asked" / "experiment.yaml").read_text(encoding="utf-8")
+    assert draft == given.replace("name: own", "name: asked")
     assert gbid("new", tmp_path / "third", "--from", tmp_path / "a", "--signal", "u=c1") == 2
     assert "expected r, u or p with two columns" in capsys.readouterr().err
     assert "no folder" in printed_by(capsys, "new", tmp_path / "third", "--from", tmp_path / "none", code=2).err

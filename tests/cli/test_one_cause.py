@@ -41,10 +41,10 @@ def test_the_last_line_is_the_first_cause(capsys):
     ("cause", "word", "code"), [("usage", "error", 2), ("defect", "defect", 1), ("crash", "error", 3)]
 )
 def test_the_exit_code_is_that_of_the_last_line(cause, word, code, capsys):
-    lines, found = end_of(
+    lines, computed = end_of(
         [IMPORTS[0], *FITS, failed("fit", "x", "why", cause), failed("fit", "y", "so", cause)], capsys
     )
-    assert found == code
+    assert computed == code
     assert lines[-1] == (
         f"gbid: {word}: fit x: why" if code < 3 else "gbid: error: import run1: run1.csv: bad; repair it"
     )

@@ -68,9 +68,9 @@ def test_any_flipped_bit_of_a_library_is_noticed_before_it_is_loaded(folder, tmp
     source = SOURCE.format(name="flip", value=4.5)
     load_library(source)
     (built,) = folder.glob("*.so")
-    whole = built.read_bytes()
-    for place in range(40, len(whole), len(whole) // 7):
-        changed = bytearray(whole)
+    complete = built.read_bytes()
+    for place in range(40, len(complete), len(complete) // 7):
+        changed = bytearray(complete)
         changed[place] ^= 16
         other = tmp_path / f"at{place}"
         other.mkdir(mode=0o700)
@@ -78,7 +78,7 @@ def test_any_flipped_bit_of_a_library_is_noticed_before_it_is_loaded(folder, tmp
         os.environ["GBID_CACHE_DIR"] = str(other)
         load_library.cache_clear()
         assert value_of(load_library(source), "flip") == 4.5
-        assert (other / built.name).read_bytes()[40:2000] == whole[40:2000]
+        assert (other / built.name).read_bytes()[40:2000] == complete[40:2000]
 
 
 @NEEDS_COMPILER

@@ -71,8 +71,8 @@ def test_an_unstable_design_is_worst_in_everything() -> None:
 def test_scheduled_gains_are_taken_at_each_point() -> None:
     structure = scheduled(PStructure(), ("1", "P"), MACHINE.domain)
     gains = {"kappa_x_1": 1.0, "kappa_x_P": 0.2, "kappa_y_1": 0.9, "kappa_y_P": -0.1}
-    found = gbid.assess(MACHINE, structure, gains, [(3, 0), (7, 0)])
-    for point, kappa in zip(found.points, ((0.8, 1.0), (1.2, 0.8)), strict=True):
+    assessment = gbid.assess(MACHINE, structure, gains, [(3, 0), (7, 0)])
+    for point, kappa in zip(assessment.points, ((0.8, 1.0), (1.2, 0.8)), strict=True):
         fixed = gbid.assess(MACHINE, "P", dict(zip(GAINS, kappa, strict=True)), [(point.pressure_bar, 0)]).points[0]
         assert point.figures() == pytest.approx(fixed.figures(), rel=1e-9)
 
@@ -104,9 +104,9 @@ def test_bad_input() -> None:
 
 def test_a_controller_with_integrators_is_assessed() -> None:
     gains = {"kappa_x": 0.2, "kappa_y": 0.2, "ki_x": -20.0, "ki_y": -20.0}
-    found = gbid.assess(MACHINE, "PI", gains, [(6, 0)])
-    assert found.worst["static_amplification"][0] == pytest.approx(0.0, abs=1e-8)
-    assert found.worst["stiffness_ratio"][0] == np.inf  # no deflection is left under a steady force
+    assessment = gbid.assess(MACHINE, "PI", gains, [(6, 0)])
+    assert assessment.worst["static_amplification"][0] == pytest.approx(0.0, abs=1e-8)
+    assert assessment.worst["stiffness_ratio"][0] == np.inf  # no deflection is left under a steady force
 
 
 def test_figures_of_an_impact_need_the_moving_mass_of_this_machine() -> None:

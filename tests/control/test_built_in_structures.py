@@ -74,8 +74,8 @@ def some_gains(kind: str, seed: int = 3) -> dict[str, float]:
 def own(gains: dict[str, float], to: str, of: str) -> dict[str, float]:
     """Gains by plain name of one entry of the transfer matrix."""
     plain = {name.removesuffix("_1") if name.endswith(f"_{of}_1") else name: value for name, value in gains.items()}
-    found = {name.removesuffix(f"_{of}"): value for name, value in plain.items() if name.endswith(f"_{of}")}
-    return found | {name.removesuffix(f"_{to}{of}"): v for name, v in plain.items() if name.endswith(f"_{to}{of}")}
+    results = {name.removesuffix(f"_{of}"): value for name, value in plain.items() if name.endswith(f"_{of}")}
+    return results | {name.removesuffix(f"_{to}{of}"): v for name, v in plain.items() if name.endswith(f"_{to}{of}")}
 
 
 def test_every_structure_is_in_the_table() -> None:

@@ -54,8 +54,8 @@ def test_two_eigenvalues_that_have_not_met_leave_room() -> None:
             (-damping, ca.sqrt(1 - damping**2)),
             [(distance**2 - g) * part for part in ((ray**2).real, (ray**2).imag)],
         )
-        own, other = (ca.blockcat([[re, im], [-im, re]]) for re, im in (mean, q))
-        A = ca.Function("A", [g], [ca.blockcat([[own, ca.SX.eye(2)], [other, own]])])
+        mean_block, other = (ca.blockcat([[re, im], [-im, re]]) for re, im in (mean, q))
+        A = ca.Function("A", [g], [ca.blockcat([[mean_block, ca.SX.eye(2)], [other, mean_block]])])
         return GainProblem(families_of([A], 1), Limits("damping"), np.full(1, -1.0), np.full(1, 1.0), 1.0)
 
     near, rest = parted(0.03), np.zeros(1)

@@ -76,9 +76,9 @@ def test_structure_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "lead.yaml"
     gbid.save_controller(path, own(), gains, sample_time=2e-4)
     expected = controller_model(own(), gains)
-    bare, whole = gbid.load_controller(path), gbid.load_controller(path, own())
+    bare, complete = gbid.load_controller(path), gbid.load_controller(path, own())
     assert bare.structure is None
-    for design in (bare, whole):
+    for design in (bare, complete):
         np.testing.assert_array_equal(design.at(5.0, 0.0).D, expected.D)
         assert design.sampled_at().dt == 2e-4
 

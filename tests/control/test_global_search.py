@@ -36,13 +36,13 @@ def test_the_better_of_two_basins_is_found_from_a_start_in_the_other() -> None:
     assert near.x == pytest.approx([-0.537], abs=1e-3)
     assert near.score.value == pytest.approx(0.32, abs=1e-6)
     steps: list[Any] = []
-    found = search(problem, SearchTask(neutral, progress=steps.append))
-    assert found.best.converged
-    assert found.best.x == pytest.approx([1.963], abs=1e-3)
-    assert found.best.score == Score(pytest.approx(0.72, abs=1e-6), 0.0)
-    assert tuple(steps) == found.history
+    solution = search(problem, SearchTask(neutral, progress=steps.append))
+    assert solution.best.converged
+    assert solution.best.x == pytest.approx([1.963], abs=1e-3)
+    assert solution.best.score == Score(pytest.approx(0.72, abs=1e-6), 0.0)
+    assert tuple(steps) == solution.history
     assert steps[0].stage == "global"
-    assert steps[-1].value == found.best.score.value
+    assert steps[-1].value == solution.best.score.value
     assert all(a.value <= b.value and a.count < b.count for a, b in pairwise(steps))
 
 
@@ -57,10 +57,10 @@ def test_basin_hopping_crosses_ripples_that_hold_a_climb() -> None:
     held = searched(problem, neutral, starts=0, hops=0)
     assert held.best.score.value < 0.598  # the tops of the ripples beside the highest: 0.5989, 0.5957
     assert {step.stage for step in held.history} == {"global", "local"}
-    found = searched(problem, neutral, starts=0)
-    assert found.best.score.value == pytest.approx(0.6, abs=1e-6)
-    assert found.best.x == pytest.approx(np.zeros(4), abs=1e-3)
-    assert {step.stage for step in found.history} == {"global", "local", "basin hopping"}
+    solution = searched(problem, neutral, starts=0)
+    assert solution.best.score.value == pytest.approx(0.6, abs=1e-6)
+    assert solution.best.x == pytest.approx(np.zeros(4), abs=1e-3)
+    assert {step.stage for step in solution.history} == {"global", "local", "basin hopping"}
 
 
 # ---- Independent searches, and what a status says.
@@ -86,8 +86,8 @@ def test_independent_seeds_are_tried_and_the_words_say_how_many() -> None:
 
 
 def test_a_design_without_a_certificate_is_no_success_but_keeps_its_limits() -> None:
-    found = gbid.tune(MODEL, operating_points=[(6, 0)], peak_sensitivity=2.2832)
-    verdicts = {status: replace(found, status=status) for status in GainStatus}
+    design = gbid.tune(MODEL, operating_points=[(6, 0)], peak_sensitivity=2.2832)
+    verdicts = {status: replace(design, status=status) for status in GainStatus}
     assert [str(s) for s, r in verdicts.items() if r.success] == ["optimal", "local optimum"]
     kept = ["optimal", "local optimum", "stalled", "iteration limit"]
     assert [str(s) for s, r in verdicts.items() if r.keeps_limits] == kept

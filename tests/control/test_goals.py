@@ -72,14 +72,14 @@ def excess(goal: Goal, sampled: bool = False) -> np.ndarray:
 
 @cache
 def loops(sampled: bool = False) -> list[gbid.control.Sensitivities]:
-    found = []
+    results = []
     for point in TWO:
         K = controller_at(BIQUAD, dict(zip((p.name for p in BIQUAD.parameters), GAINS, strict=True)), *point)
         G = MODEL.plant_at(*point)
         if sampled:
             G, K = sample_plant(gbid.control.exact_plant(MODEL, *point), T, T), sample_controller(K, T)
-        found.append(sensitivities(G, K))
-    return found
+        results.append(sensitivities(G, K))
+    return results
 
 
 GRID = np.union1d([0.0, 10.0, 100.0, 400.0], np.geomspace(0.1, 2400, 6001))
@@ -173,8 +173,8 @@ def test_goals_on_any_time_scale_see_narrow_limits(rate: float) -> None:
     for goal, shares in cases:
         limits = limits_of([MaxDamping(), goal], design.plant)
         problem = GainProblem((family,), limits, low, high, rate)
-        found = limits.measures[0].excess(problem.state(family, family.matrices(gains), gains))
-        assert found[0] == pytest.approx(np.log(shares.max()), abs=2e-3), goal
+        result = limits.measures[0].excess(problem.state(family, family.matrices(gains), gains))
+        assert result[0] == pytest.approx(np.log(shares.max()), abs=2e-3), goal
 
 
 def test_a_transfer_function_may_have_a_zero_at_rest_or_a_pole_on_the_axis() -> None:
@@ -190,26 +190,26 @@ def test_gains_at_which_the_loop_has_no_solution_are_stepped_back_from(bounds: t
     # 1 - kappa is singular at 1, and the pole -1 + kappa / (1 - kappa) lies at zero for 0.5
     plant = gbid.LinearModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]], name="direct")
     form = controller_structure("P", axes=("",), order=0, lower=bounds[0], upper=bounds[1])
-    found = gbid.tune(plant, form, goals=[MaxDecay(), PeakSensitivity(3.0)])
-    kappa = found.gains["kappa"]
-    assert found.value == pytest.approx(1 - kappa / (1 - kappa))
+    design = gbid.tune(plant, form, goals=[MaxDecay(), PeakSensitivity(3.0)])
+    kappa = design.gains["kappa"]
+    assert design.value == pytest.approx(1 - kappa / (1 - kappa))
     if bounds[0] < 0:
-        assert (found.status, kappa) == ("optimal", pytest.approx(-1.0))
+        assert (design.status, kappa) == ("optimal", pytest.approx(-1.0))
 
 
 def test_a_sampled_loop_keeps_its_limit_at_half_the_sample_rate() -> None:
     plant = gbid.LinearModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]], name="direct")
     form = controller_structure("P", axes=("",), order=0, lower=-1.0, upper=1.0)
-    found = gbid.tune(plant, form, goals=[MaxDecay(), PeakSensitivity(3.0)], sample_time=0.01)
-    assert found.peak_sensitivity == pytest.approx(3.0, rel=1e-6)
+    design = gbid.tune(plant, form, goals=[MaxDecay(), PeakSensitivity(3.0)], sample_time=0.01)
+    assert design.peak_sensitivity == pytest.approx(3.0, rel=1e-6)
 
 
 def test_a_limit_that_cannot_be_met_leaves_a_stable_design() -> None:
     arm = gbid.LinearModel([[0.0, 1.0], [-100.0, -0.4]], [[0.0], [100.0]], [[1.0, 0.0]], [[0.0]], name="arm")
     form = controller_structure("PD", axes=("",), lowpass_hz=20.0)
-    found = gbid.tune(arm, form, goals=[MaxDamping(), StaticAmplification(1e-6)], starts=2)
-    assert found.status == "limits contradict"
-    assert gbid.close_loop(arm, gbid.control.controller_model(form, found.gains)).is_stable()
+    design = gbid.tune(arm, form, goals=[MaxDamping(), StaticAmplification(1e-6)], starts=2)
+    assert design.status == "limits contradict"
+    assert gbid.close_loop(arm, gbid.control.controller_model(form, design.gains)).is_stable()
 
 
 def test_modes_in_a_band() -> None:
@@ -298,9 +298,9 @@ def test_disturbance_of_a_recording() -> None:
     noise = 1e-6 * rng.standard_normal((n, 2)) @ np.array([[1.0, 0.5], [0.0, 0.8]])
     line = 2e-6 * np.sin(2 * np.pi * 50 * dt * np.arange(n))
     recording = gbid.Recording({"p": noise + line[:, None]}, dt)
-    found = recorded_disturbance(recording)
-    np.testing.assert_allclose(found.rms, recording.signals["p"].std(axis=0), rtol=0.02)
-    np.testing.assert_allclose(found.density, found.density.conj().transpose(0, 2, 1), atol=1e-30)
+    disturbance = recorded_disturbance(recording)
+    np.testing.assert_allclose(disturbance.rms, recording.signals["p"].std(axis=0), rtol=0.02)
+    np.testing.assert_allclose(disturbance.density, disturbance.density.conj().transpose(0, 2, 1), atol=1e-30)
 
 
 @pytest.mark.parametrize(
@@ -345,14 +345,14 @@ def test_the_rms_of_a_light_mode_is_that_of_a_fine_sum(sample_time, natural):
     def poles(kappa):
         return np.linalg.eigvals(family.matrices(np.array([kappa])).A[0])
 
-    light, unstable = 0.0, -5.0
+    light_damping, unstable = 0.0, -5.0
     for _ in range(40):  # a gain near the edge of stability
-        kappa = (light + unstable) / 2
+        kappa = (light_damping + unstable) / 2
         damping = (-poles(kappa).real / np.abs(poles(kappa))).min()
-        light, unstable = (kappa, unstable) if damping > 3e-4 else (light, kappa)
-    loops = family.matrices(np.array([light]))
+        light_damping, unstable = (kappa, unstable) if damping > 3e-4 else (light_damping, kappa)
+    loops = family.matrices(np.array([light_damping]))
     A, B, C, D = loops.A[0], loops.B[0], loops.C[0], loops.D[0]
-    rates = poles(light)
+    rates = poles(light_damping)
     peak = np.abs(rates[np.argmin(-rates.real / np.abs(rates))].imag)
     T = sample_time
     peak_hz = peak / (2 * np.pi) if T is None else np.arctan(peak * T / 2) / (np.pi * T)
@@ -367,4 +367,4 @@ def test_the_rms_of_a_light_mode_is_that_of_a_fine_sum(sample_time, natural):
     noise = DisturbanceSpectrum(known, density[:, None, None])
     for goal, one in ((RmsPosition(1.0, noise), expected[0]), (RmsControl(1.0, noise), expected[1])):
         # the density counts as constant within a band: 0.3 % of the rms where it is steepest
-        assert goal.measure(plant).function(family, np.array([light]))[0] == pytest.approx(one, rel=3e-3)
+        assert goal.measure(plant).function(family, np.array([light_damping]))[0] == pytest.approx(one, rel=3e-3)

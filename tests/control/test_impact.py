@@ -26,26 +26,26 @@ def oscillator(w: float, zeta: float) -> LinearModel:
 def test_undamped_oscillator_in_closed_form() -> None:
     """After a half-sine of length T: amplitude (F/m) 2 a cos(w T/2)/(w (a^2 - w^2)), a = pi/T."""
     w, T, m = 2 * np.pi * 130.0, 3e-3, 2.5
-    found = impact_response(oscillator(w, 1e-6), impact=HalfSine(8.0, T, m), duration_s=0.1)
+    response = impact_response(oscillator(w, 1e-6), impact=HalfSine(8.0, T, m), duration_s=0.1)
     a = np.pi / T
     expected = abs(8.0 / m * 2 * a * np.cos(w * T / 2) / (w * (a**2 - w**2)))
-    assert found.peak_p_m == pytest.approx(expected, rel=1e-4)
-    late = found.time_s > 0.05
-    assert found.p[late].max() == pytest.approx(expected, rel=1e-3)
-    assert found.decay_time_s == np.inf
+    assert response.peak_p_m == pytest.approx(expected, rel=1e-4)
+    delayed = response.time_s > 0.05
+    assert response.p[delayed].max() == pytest.approx(expected, rel=1e-3)
+    assert response.decay_time_s == np.inf
 
 
 def test_decay_time_of_a_short_impact() -> None:
     """The envelope e^(-zeta w t) of a lightly damped oscillator falls below 5 % of the first peak."""
     w, zeta = 2 * np.pi * 100.0, 0.02
-    found = impact_response(oscillator(w, zeta), impact=HalfSine(1.0, 1e-4, 1.0))
+    response = impact_response(oscillator(w, zeta), impact=HalfSine(1.0, 1e-4, 1.0))
     exact = (np.log(1 / 0.05)) / (zeta * w) + 0.25 / 100  # from the peak, a quarter of a period after the impact
-    assert found.decay_time_s == pytest.approx(exact, abs=0.5 / 100)
+    assert response.decay_time_s == pytest.approx(exact, abs=0.5 / 100)
 
 
 def test_published_loop_against_an_adaptive_integrator() -> None:
     impact = HalfSine(15.0, 1.5e-3, 3.0, direction_deg=30.0)
-    found = impact_response(PLANT, PAPER, impact, actuators=ACTUATORS, duration_s=0.02)
+    response = impact_response(PLANT, PAPER, impact, actuators=ACTUATORS, duration_s=0.02)
     A = close_loop(PLANT, PAPER).A
     E = np.zeros(len(A))
     E[6], E[7] = np.cos(np.pi / 6), np.sin(np.pi / 6)  # states: four of the actuators, p_x, p_y, their velocities
@@ -56,13 +56,13 @@ def test_published_loop_against_an_adaptive_integrator() -> None:
 
     first = solve_ivp(slope, (0, 1.5e-3), np.zeros(len(A)), "DOP853", rtol=1e-11, atol=1e-18, dense_output=True)
     second = solve_ivp(slope, (1.5e-3, 0.02), first.y[:, -1], "DOP853", rtol=1e-11, atol=1e-18, dense_output=True)
-    x = np.where(found.time_s <= 1.5e-3, first.sol(found.time_s), second.sol(found.time_s)).T
+    x = np.where(response.time_s <= 1.5e-3, first.sol(response.time_s), second.sol(response.time_s)).T
     scale = np.abs(x[:, 4:6]).max()
-    np.testing.assert_allclose(found.p, x[:, 4:6], rtol=0, atol=1e-8 * scale)
-    np.testing.assert_allclose(found.r, x[:, 10:12] * [1.125, 0.99], rtol=0, atol=1e-8 * scale)
-    np.testing.assert_allclose(found.u, x[:, [1, 3]], rtol=0, atol=1e-8 * scale)
-    assert found.peak_r_m == pytest.approx(np.abs(found.r).max(), rel=1e-5)
-    assert found.stack_travel_m == max(found.peak_r_m, found.peak_u_m / 2)
+    np.testing.assert_allclose(response.p, x[:, 4:6], rtol=0, atol=1e-8 * scale)
+    np.testing.assert_allclose(response.r, x[:, 10:12] * [1.125, 0.99], rtol=0, atol=1e-8 * scale)
+    np.testing.assert_allclose(response.u, x[:, [1, 3]], rtol=0, atol=1e-8 * scale)
+    assert response.peak_r_m == pytest.approx(np.abs(response.r).max(), rel=1e-5)
+    assert response.stack_travel_m == max(response.peak_r_m, response.peak_u_m / 2)
 
 
 def test_feedback_shortens_the_ring_down() -> None:
@@ -86,9 +86,9 @@ def test_travel_is_flagged_where_it_ends() -> None:
 
 
 def test_unstable_loop_ends_in_infinity() -> None:
-    found = impact_response(PLANT, p_controller(2, 2), HalfSine(mass_kg=2.18), piezo_travel_m=45e-6)
-    assert found.peak_p_m == found.decay_time_s == np.inf
-    assert found.exceeds_travel
+    response = impact_response(PLANT, p_controller(2, 2), HalfSine(mass_kg=2.18), piezo_travel_m=45e-6)
+    assert response.peak_p_m == response.decay_time_s == np.inf
+    assert response.exceeds_travel
 
 
 def test_force_entry_finds_the_velocities() -> None:

@@ -60,10 +60,10 @@ def hit(axis: str, loop: str = "open", speed: float = 0.0, mass: float = 2.18, s
     return record(machine, hammer, controller=controller, **options)
 
 
-def off_by(found, true) -> np.ndarray:
+def off_by(computed, true) -> np.ndarray:
     """Deviations of four modal numbers in standard deviations."""
-    estimate = np.column_stack([found.frequency_hz, found.damping]).ravel()
-    return (estimate - np.array([v for mode in true for v in mode])) / np.sqrt(np.diag(found.covariance))
+    estimate = np.column_stack([computed.frequency_hz, computed.damping]).ravel()
+    return (estimate - np.array([v for mode in true for v in mode])) / np.sqrt(np.diag(computed.covariance))
 
 
 def test_ringing_modes_are_those_a_impact_excites() -> None:
@@ -95,12 +95,12 @@ def _entry(n: int) -> np.ndarray:
 @pytest.mark.parametrize("speed", [0.0, 2050.0])
 def test_force_scaling_is_one_over_the_mass(mass: float, speed: float) -> None:
     for axis in "xy":
-        found = gbid.validate_impact(hit(axis, speed=speed, mass=mass), MODEL.at(6.0, speed))
-        assert found.force_scale == pytest.approx(1 / mass, abs=3.5 * found.force_scale_std)
-        assert found.force_scale_std < 0.004 / mass
-        assert found.along_percent > 97
-        assert found.axis == axis
-        assert found.loop == "open loop"
+        validation = gbid.validate_impact(hit(axis, speed=speed, mass=mass), MODEL.at(6.0, speed))
+        assert validation.force_scale == pytest.approx(1 / mass, abs=3.5 * validation.force_scale_std)
+        assert validation.force_scale_std < 0.004 / mass
+        assert validation.along_percent > 97
+        assert validation.axis == axis
+        assert validation.loop == "open loop"
 
 
 def test_noise_of_the_hammer_alone_scatters_the_force_scaling_as_its_std_says() -> None:
@@ -108,13 +108,13 @@ def test_noise_of_the_hammer_alone_scatters_the_force_scaling_as_its_std_says() 
     response = impact_response(MODEL.plant_at(*POINT), PAPER, HalfSine(12.0, 2e-3, 1.0), duration_s=0.12)
     step = np.maximum(10 * np.arange(600) - 503, 0)
     p, f, rng = response.p[step], response.force_n[step], np.random.default_rng(4)
-    found = []
+    results = []
     for i in range(20):
         force = np.column_stack([f + 0.3 * rng.standard_normal(600), 0.3 * rng.standard_normal(600)])
         recording = gbid.Recording({"p": p, "f": force}, 2e-4, name=f"draw {i}")
-        found.append(gbid.validate_impact(recording, MODEL.plant_at(*POINT), PAPER))
-    scatter = np.std([q.force_scale for q in found], ddof=1)
-    assert np.mean([q.force_scale_std for q in found]) == pytest.approx(scatter, rel=0.4)
+        results.append(gbid.validate_impact(recording, MODEL.plant_at(*POINT), PAPER))
+    scatter = np.std([q.force_scale for q in results], ddof=1)
+    assert np.mean([q.force_scale_std for q in results]) == pytest.approx(scatter, rel=0.4)
 
 
 def test_closed_loop_as_it_runs_explains_the_impact_and_the_continuous_one_does_less() -> None:
@@ -134,10 +134,10 @@ def test_continuous_loop_is_that_of_the_half_sine() -> None:
     step = np.maximum(10 * np.arange(600) - 503, 0)  # of 20 us, since an impact between two samples
     p, f = 0.4 * response.p[step], response.force_n[step]
     rec = gbid.Recording({"p": p + 1e-6, "f": np.column_stack([f, 0 * f])}, 2e-4, name="smooth")
-    found = gbid.validate_impact(rec, MODEL.plant_at(*POINT), PAPER)
-    assert found.force_scale == pytest.approx(0.4, rel=2e-4)
-    np.testing.assert_allclose(found.simulated, p, atol=3e-4 * np.abs(p).max())
-    assert found.along_percent > 99.9
+    validation = gbid.validate_impact(rec, MODEL.plant_at(*POINT), PAPER)
+    assert validation.force_scale == pytest.approx(0.4, rel=2e-4)
+    np.testing.assert_allclose(validation.simulated, p, atol=3e-4 * np.abs(p).max())
+    assert validation.along_percent > 99.9
 
 
 def test_ring_downs_agree_with_the_true_machine() -> None:
@@ -349,22 +349,22 @@ def study(loop: str):
 @pytest.mark.parametrize("loop", ["open", "closed"])
 def test_figures_of_impacts_are_those_of_the_rig(loop: str) -> None:
     # the rig integrates disc and stacks by itself, step by step; the other side is the model's sampled loop
-    for found, axis in zip(study(loop).figures, "xy", strict=True):
-        assert found.peak_m == pytest.approx(found.peak_simulated_m, rel=0.01)
-        assert found.decay_s == pytest.approx(found.decay_simulated_s, rel=0.01)
-        assert found.piezo_m == pytest.approx(found.piezo_simulated_m, rel=0.01, abs=1e-9)
-        assert found.peak_std_m < 0.01 * found.peak_m
+    for computed, axis in zip(study(loop).figures, "xy", strict=True):
+        assert computed.peak_m == pytest.approx(computed.peak_simulated_m, rel=0.01)
+        assert computed.decay_s == pytest.approx(computed.decay_simulated_s, rel=0.01)
+        assert computed.piezo_m == pytest.approx(computed.piezo_simulated_m, rel=0.01, abs=1e-9)
+        assert computed.peak_std_m < 0.01 * computed.peak_m
         u = hit(axis, loop, noisy=False).signal("u")
-        assert found.piezo_m == pytest.approx(np.abs(u - u[:900].mean(axis=0)).max() / 2, rel=0.01, abs=1e-9)
-    assert (found.piezo_m > 5e-6) == (loop == "closed")
+        assert computed.piezo_m == pytest.approx(np.abs(u - u[:900].mean(axis=0)).max() / 2, rel=0.01, abs=1e-9)
+    assert (computed.piezo_m > 5e-6) == (loop == "closed")
 
 
 def test_figures_without_a_signal_of_the_piezos_are_not_there() -> None:
     rec = hit("x", "closed", noisy=False)
     bare = gbid.Recording({n: v for n, v in rec.signals.items() if n not in ("u", "r")}, 2e-4, rec.conditions)
-    found = study_impacts([bare], MODEL, PAPER, SAMPLED, lags=0).figures[0]
-    assert np.isnan(found.piezo_m)
-    assert found.piezo_simulated_m == pytest.approx(study("closed").figures[0].piezo_simulated_m, rel=1e-3)
+    result = study_impacts([bare], MODEL, PAPER, SAMPLED, lags=0).figures[0]
+    assert np.isnan(result.piezo_m)
+    assert result.piezo_simulated_m == pytest.approx(study("closed").figures[0].piezo_simulated_m, rel=1e-3)
 
 
 def test_loops_are_averaged_over_their_impacts() -> None:
@@ -390,7 +390,7 @@ def test_decay_of_an_exponential(rate: float, noise: float) -> None:
     time = 2e-4 * np.arange(n)
     random = np.random.default_rng(1).standard_normal(n) * noise
     size = 4 * np.exp(-rate * time)
-    found = 2e-4 * _decay(np.sqrt(size**2 + random**2), noise**2)
+    computed = 2e-4 * _decay(np.sqrt(size**2 + random**2), noise**2)
     off = 4 * noise**2 * np.sqrt(2 * n) / np.sum(size**2)
     earliest, latest = (-np.log(1 - share) / (2 * rate) for share in (0.95 - off, 0.95 + off))
-    assert 0.97 * earliest < found < 1.03 * latest
+    assert 0.97 * earliest < computed < 1.03 * latest

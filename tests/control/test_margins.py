@@ -32,19 +32,19 @@ TRIPLE = LinearModel([[-1, 0, 0], [1, -1, 0], [0, 1, -1]], [[1], [0], [0]], [[0,
 
 def test_margins_of_a_triple_lag() -> None:
     k = 2.0
-    (found,) = loop_margins(gbid.sensitivities(TRIPLE, static(-k)))
+    (margins,) = loop_margins(gbid.sensitivities(TRIPLE, static(-k)))
     w = np.sqrt(k ** (2 / 3) - 1)
     phase = np.pi - 3 * np.arctan(w)
-    assert found.gain == pytest.approx((0.0, 8 / k), rel=1e-9)
-    assert found.phase_deg == pytest.approx(np.degrees(phase), rel=1e-9)
-    assert found.delay_s == pytest.approx(phase / w, rel=1e-9)
+    assert margins.gain == pytest.approx((0.0, 8 / k), rel=1e-9)
+    assert margins.phase_deg == pytest.approx(np.degrees(phase), rel=1e-9)
+    assert margins.delay_s == pytest.approx(phase / w, rel=1e-9)
 
 
 def test_lower_gain_margin() -> None:
     """An unstable plant 2/(s - 1) under -1: stable from half the gain on."""
     plant = LinearModel([[1.0]], [[2.0]], [[1.0]], [[0.0]])
-    (found,) = loop_margins(gbid.sensitivities(plant, static(-1.0)))
-    assert found.gain == pytest.approx((0.5, np.inf))
+    (margins,) = loop_margins(gbid.sensitivities(plant, static(-1.0)))
+    assert margins.gain == pytest.approx((0.5, np.inf))
 
 
 def test_classical_margins_are_where_the_published_loop_becomes_unstable() -> None:
@@ -64,8 +64,8 @@ def test_delay_margin_of_the_published_loop() -> None:
         for factor, stable in ((0.995, True), (1.005, False)):
             delay = np.array(plant.delay)
             delay[i] += factor * margin.delay_s
-            late = replace(plant, delay=delay)
-            assert close_loop(gbid.with_pade(late, 12), p_controller(1.125, 0.99)).is_stable() is stable
+            delayed = replace(plant, delay=delay)
+            assert close_loop(gbid.with_pade(delayed, 12), p_controller(1.125, 0.99)).is_stable() is stable
 
 
 def test_disk_margin_of_a_lag_by_python_control() -> None:
@@ -73,11 +73,11 @@ def test_disk_margin_of_a_lag_by_python_control() -> None:
     loop = gbid.sensitivities(TRIPLE, static(-2.0))
     L = control.ss(TRIPLE.A, TRIPLE.B, 2.0 * TRIPLE.C, TRIPLE.D)
     alpha, gain, phase = control.disk_margins(L, np.linspace(0.5, 2.5, 4001))
-    found = disk_margin(loop)
-    assert found.alpha == pytest.approx(float(alpha), rel=1e-7)
-    assert found.phase_deg == pytest.approx(float(phase), rel=1e-7)
-    assert 20 * np.log10(found.gain[1]) == pytest.approx(float(gain), rel=1e-7)
-    assert disk_margins_by_loop(loop)[0].alpha == pytest.approx(found.alpha)
+    margin = disk_margin(loop)
+    assert margin.alpha == pytest.approx(float(alpha), rel=1e-7)
+    assert margin.phase_deg == pytest.approx(float(phase), rel=1e-7)
+    assert 20 * np.log10(margin.gain[1]) == pytest.approx(float(gain), rel=1e-7)
+    assert disk_margins_by_loop(loop)[0].alpha == pytest.approx(margin.alpha)
 
 
 def test_structured_singular_value_is_that_of_the_worst_phases() -> None:
@@ -95,8 +95,8 @@ def test_structured_singular_value_is_that_of_the_worst_phases() -> None:
 @pytest.mark.parametrize("at", ["output", "input"])
 def test_no_change_inside_the_disk_breaks_the_loop_and_one_on_its_border_does(at: str) -> None:
     loop = gbid.sensitivities(PLANT, PAPER)
-    found = disk_margin(loop, at)  # type: ignore[arg-type]
-    L = PLANT.frequency_response(found.frequency_hz)[0], PAPER.frequency_response(found.frequency_hz)[0]
+    margin = disk_margin(loop, at)  # type: ignore[arg-type]
+    L = PLANT.frequency_response(margin.frequency_hz)[0], PAPER.frequency_response(margin.frequency_hz)[0]
     L = L[0] @ L[1] if at == "output" else L[1] @ L[0]
     theta = np.linspace(0, 2 * np.pi, 181)
     grid = np.stack(np.meshgrid(theta, theta, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -110,9 +110,9 @@ def test_no_change_inside_the_disk_breaks_the_loop_and_one_on_its_border_does(at
         start = grid[determinant(grid).argmin()]
         return float(minimize(determinant, start, method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-14}).fun)
 
-    assert distance(found.alpha) < 1e-7
-    assert distance(0.99 * found.alpha) > 1e-4
-    low, high = found.gain
+    assert distance(margin.alpha) < 1e-7
+    assert distance(0.99 * margin.alpha) > 1e-4
+    low, high = margin.gain
     for x in (low, 1.0, high):
         for y in (low, 1.0, high):
             inside = 1 + 0.999 * (np.array([x, y]) - 1)

@@ -194,8 +194,8 @@ def test_curvature_of_all_pieces_against_differences() -> None:
                 alike = [p for p in getattr(side, group) if (p.kind, p.loop) == (function.kind, function.loop)]
                 slopes.append(min(alike, key=lambda p, place=function.place: abs(p.place - place)).slope)
             difference = (np.array(slopes[: len(x)]) - slopes[len(x) :]) / (2 * step)
-            found = problem.curvature(x, here.states, [(function, 1.0)])
-            np.testing.assert_allclose(found, difference, rtol=1e-3, atol=1e-3 * np.abs(difference).max())
+            curvature = problem.curvature(x, here.states, [(function, 1.0)])
+            np.testing.assert_allclose(curvature, difference, rtol=1e-3, atol=1e-3 * np.abs(difference).max())
 
 
 @pytest.mark.parametrize(("centre", "size"), [(-1 + 0j, 3), (-4 + 2j, 2)])

@@ -116,8 +116,8 @@ def gain(
     ],
 )
 def test_a_response_between_named_signals_is_that_of_python_control(sources, targets, own, other):
-    found = np.exp(excess(PeakResponse(sources=sources, targets=targets, limit=1.0), bearing(), bearing(90.0, "fast")))
-    for coupling, value in zip((0.0, 90.0), found, strict=True):
+    values = np.exp(excess(PeakResponse(sources=sources, targets=targets, limit=1.0), bearing(), bearing(90.0, "fast")))
+    for coupling, value in zip((0.0, 90.0), values, strict=True):
         expected = gain(coupling, own, other).max()
         assert value == pytest.approx(expected, rel=5e-4)
 
@@ -159,9 +159,9 @@ def test_the_rms_under_a_force_spectrum_is_that_of_a_lyapunov_equation():
 
 
 def test_the_sensitivity_of_an_axis_is_that_with_the_others_closed():
-    found = np.exp(excess(AxisSensitivity(1.0), bearing(90.0)))[0]
+    values = np.exp(excess(AxisSensitivity(1.0), bearing(90.0)))[0]
     expected = max(gain(90.0, [f"d_{k}"], [f"s_{k}"]).max() for k in "xy")
-    assert found == pytest.approx(expected, rel=5e-4)
+    assert values == pytest.approx(expected, rel=5e-4)
 
 
 @pytest.mark.parametrize(("whirl", "side"), [("forward", 1.0), ("backward", -1.0)])
@@ -221,10 +221,10 @@ def test_a_design_keeps_a_compliance_that_binds():
         AxisSensitivity(gbid.control.ISO_LIMITS["A"]),
         PeakResponse(sources=("f_x", "f_y"), targets=("x", "y"), limit=compliance),
     ]
-    found = gbid.tune(bearing(90.0), PD, goals=goals, bounds=BOUNDS, start=VALUES, **few)
-    assert found.keeps_limits
+    design = gbid.tune(bearing(90.0), PD, goals=goals, bounds=BOUNDS, start=VALUES, **few)
+    assert design.keeps_limits
     assert gain(90.0, ["f_x", "f_y"], ["x", "y"]).max() > 1.2 * compliance  # at the start
-    reached = gain(90.0, ["f_x", "f_y"], ["x", "y"], HZ, tuple(found.gains.items())).max()
+    reached = gain(90.0, ["f_x", "f_y"], ["x", "y"], HZ, tuple(design.gains.items())).max()
     assert reached <= compliance * (1 + 5e-4)
     assert reached >= 0.9 * compliance
 
@@ -237,11 +237,11 @@ def test_an_lpv_model_has_forces_on_the_rotor():
     limits = limits_of([MaxDamping(), goal], plants.plant)
     problem = GainProblem((plants.family(plants.points),), limits, np.array([-1.0, -1.0]), np.ones(2), 500.0)
     family, x = problem.families[0], np.zeros(2)
-    found = np.exp(problem.limits.measures[0].excess(problem.state(family, family.matrices(x), x)))[0]
+    values = np.exp(problem.limits.measures[0].excess(problem.state(family, family.matrices(x), x)))[0]
     key = model.key_parameters(6.0, 0.0)
     K = np.array([[key["k_xx"], key["k_xy"]], [key["k_yx"], key["k_yy"]]])
     mass = model.machine.moving_mass_kg or 1.0
-    assert found == pytest.approx(np.linalg.norm(np.linalg.inv(K), 2) / mass, rel=1e-3)
+    assert values == pytest.approx(np.linalg.norm(np.linalg.inv(K), 2) / mass, rel=1e-3)
 
 
 @pytest.mark.parametrize(

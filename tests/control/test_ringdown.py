@@ -33,7 +33,7 @@ def motion(axis: int, starts: tuple[float, ...], n: int, peak: float) -> np.ndar
     fine, time = 100, H * np.arange(n)
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [K, D]])
     step = expm(np.block([[A, np.eye(4)[:, [2 + axis]]], [np.zeros((1, 5))]]) * (H / fine))
-    F, G, whole = step[:4, :4], step[:4, 4], expm(A * H)
+    F, G, complete = step[:4, :4], step[:4, 4], expm(A * H)
     x, p = np.zeros(4), np.zeros((n, 2))
     for k in range(n):
         p[k] = x[:2]
@@ -42,7 +42,7 @@ def motion(axis: int, starts: tuple[float, ...], n: int, peak: float) -> np.ndar
                 middle = np.array([time[k] + (j + 0.5) * H / fine])
                 x = F @ x + G * sum(float(half_sine(middle, s, peak)[0]) for s in starts) / 2.0
         else:
-            x = whole @ x
+            x = complete @ x
     return p
 
 
@@ -82,19 +82,19 @@ def values(ring) -> np.ndarray:
 
 def test_known_modes_without_noise() -> None:
     for rpm in (0.0, 2050.0):
-        found = gbid.fit_ringdown([recording(axis=a, noise=0.0, noise_f=0.0, rpm=rpm) for a in (0, 1)], harmonics=5)
-        np.testing.assert_allclose(values(found), TRUE, rtol=1e-7)
-        np.testing.assert_allclose(found.stiffness, K, rtol=1e-5, atol=1e-5 * 7e5)
-        np.testing.assert_allclose(found.damping_matrix, D, rtol=1e-5, atol=1e-5 * 55)
-        assert found.success
-        assert found.n_impacts == 4
-        assert found.harmonics == (5 if rpm else 0)
-        assert not found.lag_rates.size
+        ringdown = gbid.fit_ringdown([recording(axis=a, noise=0.0, noise_f=0.0, rpm=rpm) for a in (0, 1)], harmonics=5)
+        np.testing.assert_allclose(values(ringdown), TRUE, rtol=1e-7)
+        np.testing.assert_allclose(ringdown.stiffness, K, rtol=1e-5, atol=1e-5 * 7e5)
+        np.testing.assert_allclose(ringdown.damping_matrix, D, rtol=1e-5, atol=1e-5 * 55)
+        assert ringdown.success
+        assert ringdown.n_impacts == 4
+        assert ringdown.harmonics == (5 if rpm else 0)
+        assert not ringdown.lag_rates.size
 
 
 def test_one_impact_tells_both_modes_where_they_are_coupled() -> None:
-    found = gbid.fit_ringdown(recording(axis=0, starts=(0.1,)))
-    assert (np.abs(values(found) - TRUE) < 4 * np.sqrt(np.diag(found.covariance))).all()
+    ringdown = gbid.fit_ringdown(recording(axis=0, starts=(0.1,)))
+    assert (np.abs(values(ringdown) - TRUE) < 4 * np.sqrt(np.diag(ringdown.covariance))).all()
 
 
 def test_skipped_time_changes_the_samples_that_are_fitted() -> None:
@@ -113,8 +113,8 @@ def test_intervals_cover_the_truth(pole: float, seeds: int) -> None:
     hits = total = 0
     for seed in range(seeds):
         group = [recording(seed, a, starts=(0.06,), n=1100, pole=pole) for a in (0, 1)]
-        found = gbid.fit_ringdown(group, lags=0)
-        low, high = found.interval(0.95).T
+        ringdown = gbid.fit_ringdown(group, lags=0)
+        low, high = ringdown.interval(0.95).T
         hits += int(((low < TRUE) & (high > TRUE)).sum())
         total += 4
     assert binom.cdf(hits, total, 0.95) > 1e-3  # the four of a seed are nearly independent
@@ -124,16 +124,16 @@ def test_intervals_cover_the_truth(pole: float, seeds: int) -> None:
 def test_force_between_the_samples() -> None:
     """A corner between samples does not spoil the impulse, as it does sums over the samples."""
     time = H * np.arange(400)
-    for late in np.linspace(0, 0.95, 12):
-        f = np.column_stack([half_sine(time, (100 + late) * H), np.zeros(400)])
+    for delayed in np.linspace(0, 0.95, 12):
+        f = np.column_stack([half_sine(time, (100 + delayed) * H), np.zeros(400)])
         pulses = pulses_of(f, find_impacts(f, H))
         for rate in (0.0, 900.0):  # after the pulse a state with this rate
             forced = pulse_forcing(np.array([[-rate]]), np.array([[1.0, 0.0]]), pulses, 400, H)[:, 0]
-            found = sum(np.exp(-rate * (399 - k) * H) * forced[k - 1] for k in range(1, 400))
+            computed = sum(np.exp(-rate * (399 - k) * H) * forced[k - 1] for k in range(1, 400))
             fine = np.linspace(0, 2e-3, 20001)
-            end = 399 * H - (100 + late) * H
+            end = 399 * H - (100 + delayed) * H
             exact = np.trapezoid(10 * np.sin(np.pi * fine / 2e-3) * np.exp(-rate * (end - fine)), fine)
-            assert found == pytest.approx(exact, rel=5e-4)
+            assert computed == pytest.approx(exact, rel=5e-4)
 
 
 def test_impacts_are_found() -> None:
@@ -176,10 +176,10 @@ def test_no_two_oscillations_is_a_status() -> None:
     since = np.maximum(time - 0.102, 0)
     p = 1e-6 * np.column_stack([np.exp(-80 * since) - np.exp(-700 * since), np.exp(-50 * since) - np.exp(-900 * since)])
     p += 1e-9 * np.random.default_rng(0).standard_normal(p.shape)
-    found = gbid.fit_ringdown(gbid.Recording({"p": p, "f": f}, H, name="slow"), lags=0)
-    assert not found.success
-    assert "no two oscillations" in found.status
-    assert np.isnan(found.frequency_hz).all()
+    ringdown = gbid.fit_ringdown(gbid.Recording({"p": p, "f": f}, H, name="slow"), lags=0)
+    assert not ringdown.success
+    assert "no two oscillations" in ringdown.status
+    assert np.isnan(ringdown.frequency_hz).all()
 
 
 def test_a_third_mode_is_fitted_beside_the_two_and_told() -> None:
@@ -189,19 +189,19 @@ def test_a_third_mode_is_fitted_beside_the_two_and_told() -> None:
     for rec in plain:
         third = np.column_stack([np.convolve(f, response)[:1200] for f in rec.signal("f").T])
         heard.append(rec.with_signals(p=rec.signal("p") + 3e-6 * third / 10))
-    found, without = gbid.fit_ringdown(heard), gbid.fit_ringdown(heard, lags=3)
-    off, before = (np.abs(one.damping / TRUE[1::2] - 1).max() for one in (found, without))
+    computed, without = gbid.fit_ringdown(heard), gbid.fit_ringdown(heard, lags=3)
+    off, before = (np.abs(one.damping / TRUE[1::2] - 1).max() for one in (computed, without))
     assert off < 0.02
     assert before > 2 * off
-    assert len(found.oscillations)
-    assert "rings in more than two modes" in " ".join(found.notes)
+    assert len(computed.oscillations)
+    assert "rings in more than two modes" in " ".join(computed.notes)
     assert not len(gbid.fit_ringdown(plain).oscillations)
 
 
 def test_double_hits_are_told() -> None:
-    found = gbid.fit_ringdown(recording(axis=0, starts=(0.1, 0.1065)), lags=0)
-    assert "1 double hit" in " ".join(found.notes)
-    assert (np.abs(values(found) - TRUE) < 4 * np.sqrt(np.diag(found.covariance))).all()
+    ringdown = gbid.fit_ringdown(recording(axis=0, starts=(0.1, 0.1065)), lags=0)
+    assert "1 double hit" in " ".join(ringdown.notes)
+    assert (np.abs(values(ringdown) - TRUE) < 4 * np.sqrt(np.diag(ringdown.covariance))).all()
 
 
 @pytest.mark.parametrize(
@@ -247,9 +247,9 @@ def test_an_overflow_on_the_way_to_the_weighted_fit_is_no_crash(monkeypatch: pyt
 
     solve = RingProblem.solve
     monkeypatch.setattr(RingProblem, "solve", fit)
-    found = gbid.fit_ringdown(recording(axis=0, starts=(0.1,)), lags=0)
-    assert not found.success
-    assert "overflows" in " ".join(found.notes)
+    ringdown = gbid.fit_ringdown(recording(axis=0, starts=(0.1,)), lags=0)
+    assert not ringdown.success
+    assert "overflows" in " ".join(ringdown.notes)
 
 
 def test_free_decays_beside_impacts_leave_the_lags_free():

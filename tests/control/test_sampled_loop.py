@@ -65,12 +65,12 @@ def fine_steps(
 @pytest.mark.parametrize("late", [[57, 12], [20, 0], [3, 83]])
 def test_closed_loop_sample_by_sample(late: list[int], computation: int) -> None:
     plant = with_delay(exact_plant(MACHINE, 6, 0), [k * TS / 20 for k in late])
-    found = sampled_loop(plant, PAPER, TS, computation_s=computation * TS / 20)
+    loop = sampled_loop(plant, PAPER, TS, computation_s=computation * TS / 20)
     start = np.zeros(plant.n_states)
     start[6:8] = 0.01, -0.02  # velocities after an impact
-    expected = fine_steps(plant, found.controller, late, computation, start, 150)
-    state = np.concatenate([start, np.zeros(found.closed.n_states - plant.n_states)])
-    got = found.closed.simulate(np.zeros((150, 2)), initial_state=state)
+    expected = fine_steps(plant, loop.controller, late, computation, start, 150)
+    state = np.concatenate([start, np.zeros(loop.closed.n_states - plant.n_states)])
+    got = loop.closed.simulate(np.zeros((150, 2)), initial_state=state)
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
@@ -84,11 +84,11 @@ def test_fast_sampling_is_the_continuous_loop(point: tuple[float, float]) -> Non
     expected = [close_loop(gbid.with_pade(plant, 8), PAPER).modes()[0][1]]
     if point == (6, 0):
         expected.append(gbid.sensitivities(plant, PAPER).peak("output").value)
-    found = []
+    results = []
     for step in (8e-5, 4e-5, 2e-5):
         loop = sampled_loop(plant, PAPER, step, computation_s=0.0)
-        found.append([loop.modes[0][1], loop.peak_output.value][: len(expected)])
-    errors = np.array(found) - expected
+        results.append([loop.modes[0][1], loop.peak_output.value][: len(expected)])
+    errors = np.array(results) - expected
     np.testing.assert_allclose(errors[2] / errors[1], 0.5, atol=0.03)
     once = 2 * errors[1:] - errors[:-1]
     np.testing.assert_allclose(4 * once[1] - once[0], 0.0, atol=2e-5)
@@ -110,22 +110,25 @@ def test_sampled_controllers_by_scipy(kind: str, method: str, scipys: str) -> No
     rng = np.random.default_rng(4)
     gains = {p.name: rng.uniform(max(p.lower, -2), min(p.upper, 2)) for p in structure.parameters}
     controller = controller_model(structure, gains)
-    found = sample_controller(controller, TS, method)  # type: ignore[arg-type]
+    sampled = sample_controller(controller, TS, method)  # type: ignore[arg-type]
     *matrices, _ = cont2discrete((controller.A, controller.B, controller.C, controller.D), TS, scipys)
     expected = LinearModel(*matrices, dt=TS)  # type: ignore[misc]
     f = np.array([0.0, 30.0, 400.0, 2400.0])
     np.testing.assert_allclose(
-        found.frequency_response(f), expected.frequency_response(f), rtol=1e-10, atol=1e-12 * np.abs(matrices[3]).max()
+        sampled.frequency_response(f),
+        expected.frequency_response(f),
+        rtol=1e-10,
+        atol=1e-12 * np.abs(matrices[3]).max(),
     )
-    assert found.is_stable()
+    assert sampled.is_stable()
 
 
 def test_prompt_and_direct_inputs_wait_for_the_computation() -> None:
     plant = LinearModel([[-100.0]], [[50.0]], [[1.0]], [[0.5]])
-    now, late = sample_plant(plant, 1e-3), sample_plant(plant, 1e-3, 2e-3)
+    now, delayed = sample_plant(plant, 1e-3), sample_plant(plant, 1e-3, 2e-3)
     u = np.random.default_rng(0).normal(size=(30, 1))
     expected = np.vstack([np.zeros((2, 1)), now.simulate(u)[:-2]])
-    np.testing.assert_allclose(late.simulate(u), expected, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(delayed.simulate(u), expected, rtol=1e-12, atol=1e-14)
 
 
 def test_published_loop_gains_damping_by_the_lag_of_its_computer() -> None:

@@ -29,15 +29,15 @@ def without_kernels(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
 
 def matrices() -> list[np.ndarray]:
     """Matrices of 2 to 24 states: random ones, triangular ones, ones in bad units, and ones with triple eigenvalues."""
-    rng, found = np.random.default_rng(3), []
+    rng, computed = np.random.default_rng(3), []
     for n in range(2, 25):
         A = 30.0 * rng.standard_normal((n, n))
         units = 2.0 ** rng.integers(-15, 15, n)
         Q = np.linalg.qr(A)[0]
         triple = np.diag(-np.arange(1.0, n + 1)) + np.diag([1.0, 1.0, *[0.0] * n][: n - 1], 1)
         triple[[0, 1, 2][:n], [0, 1, 2][:n]] = -0.5
-        found += [A, np.triu(A), A * units / units[:, None], Q @ triple @ Q.T]
-    return found
+        computed += [A, np.triu(A), A * units / units[:, None], Q @ triple @ Q.T]
+    return computed
 
 
 @pytest.mark.parametrize("compiled", [True, False])

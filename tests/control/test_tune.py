@@ -152,9 +152,9 @@ def test_travel_of_all_loops_is_that_of_simulated_responses() -> None:
     family = plants_of(MODEL, structure, TuneOptions(operating_points=points)).family(points)
     impact = HalfSine(peak_n=9.0, duration_s=1.5e-3, mass_kg=2.18)
     limit = PiezoTravel(impact=impact, travel_m=45e-6).measure(MODEL.plant_at(3, 0))
-    found = limit.function(family, np.array(list(values.values())))
+    computed = limit.function(family, np.array(list(values.values())))
     assert limit.limit == 22.5e-6
-    for point, value in zip(points, found, strict=True):
+    for point, value in zip(points, computed, strict=True):
         plant, controller = MODEL.plant_at(*point), controller_at(structure, values, *point)
         peaks = [impact_response(plant, controller, impact.towards(a), duration_s=0.05).peak_r_m for a in (0, 90)]
         assert value == pytest.approx(max(peaks), rel=2e-6)
@@ -210,9 +210,9 @@ def test_uncertain_plants_are_held_too() -> None:
     # the same plants built another way
     keys = list(MODEL.key_parameters(6.0, 0.0))
     for sample in samples:
-        moved = {k: (c[0] + d, *c[1:]) for (k, c), d in zip(MODEL.coefficients.items(), sample, strict=True)}
-        plant = gbid.LPVModel("moved", moved, MODEL.domain, MODEL.actuators).plant_at(6, 0)
-        assert list(moved) == keys
+        shifted = {k: (c[0] + d, *c[1:]) for (k, c), d in zip(MODEL.coefficients.items(), sample, strict=True)}
+        plant = gbid.LPVModel("moved", shifted, MODEL.domain, MODEL.actuators).plant_at(6, 0)
+        assert list(shifted) == keys
         loop = gbid.close_loop(plant, p_controller(**result.gains))
         assert min(zeta for _, zeta in loop.modes()) >= result.value - 1e-9
         assert gbid.sensitivities(plant, p_controller(**result.gains)).peak("output").value <= 2.6 * (1 + 1e-6)
@@ -245,9 +245,9 @@ def test_bounds_that_leave_no_stabilising_gain() -> None:
 def test_an_unstable_open_loop_is_named() -> None:
     coefficients = dict(MODEL.coefficients)
     coefficients["d_xx"] = (coefficients["d_xx"][0] + 130.0, *coefficients["d_xx"][1:])
-    moved = gbid.LPVModel("unstable", coefficients, MODEL.domain, MODEL.actuators)
-    assert not moved.at(6, 0).is_stable()
-    result = gbid.tune(moved, operating_points=ONE)
+    shifted = gbid.LPVModel("unstable", coefficients, MODEL.domain, MODEL.actuators)
+    assert not shifted.at(6, 0).is_stable()
+    result = gbid.tune(shifted, operating_points=ONE)
     assert result.success
     assert result.notes[0] == "the open loop is not stable at 6 bar, 0 rpm [GB401]"
 
@@ -282,9 +282,9 @@ def test_wrong_arguments(options: dict[str, object], message: str) -> None:
 
 
 def test_pareto_front_rises_and_holds_the_papers_design() -> None:
-    own = gbid.sensitivities(MODEL.plant_at(6, 0), p_controller(**DESIGN)).peak("output").value
-    front = gbid.pareto(MODEL, [2.6, 1.6, own], operating_points=ONE)
-    assert front.caps == (1.6, own, 2.6)
+    paper_peak = gbid.sensitivities(MODEL.plant_at(6, 0), p_controller(**DESIGN)).peak("output").value
+    front = gbid.pareto(MODEL, [2.6, 1.6, paper_peak], operating_points=ONE)
+    assert front.caps == (1.6, paper_peak, 2.6)
     assert list(front.values) == sorted(front.values)
     assert front.values[1] == pytest.approx(0.318, abs=5e-4)
     for cap in (0.9, 1.0):

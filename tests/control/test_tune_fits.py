@@ -27,8 +27,8 @@ def surfaces() -> LPVFit:
     size = 0.03 * np.abs(values).mean(axis=0)
     values += size * rng.standard_normal(values.shape) + size * rng.standard_normal(values.shape)
     names = tuple(f"r{i}" for i in range(len(points)))
-    found = fit_lpv(Estimates(names, points, values, np.array([np.diag(size**2)] * len(points))))
-    return replace(found, model=replace(found.model, actuators=MODEL.actuators))
+    result = fit_lpv(Estimates(names, points, values, np.array([np.diag(size**2)] * len(points))))
+    return replace(result, model=replace(result.model, actuators=MODEL.actuators))
 
 
 def test_fits_of_two_recordings_share_a_design() -> None:
@@ -38,7 +38,7 @@ def test_fits_of_two_recordings_share_a_design() -> None:
     for pressure in (5.0, 6.0):
         true = {**ACTUATORS, **MODEL.key_parameters(pressure, 0.0)}
         fits.append(gbid.fit(structure, simulated(structure, true, r, h=2e-4), fixed=ACTUATORS, focus="simulation"))
-    assert all(found.success for found in fits)
+    assert all(computed.success for computed in fits)
     both = gbid.tune(fits, goals=GOALS, starts=1)
     named = gbid.tune({"low": fits[0], "high": fits[1]}, goals=GOALS, start=both.gains, starts=0)
     assert named.worst.where in ("low", "high")

@@ -80,12 +80,12 @@ def test_sampled_biquad_is_the_best_known_and_true_of_the_sampled_loop(seed: int
     environment = {name: value for name, value in os.environ.items() if name != "GBID_CFLAGS"}
     command = [sys.executable, "-c", BIQUAD, str(seed)]
     said = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
-    found = json.loads(said.stdout)
-    assert found["status"] in ("local optimum", "stalled")
-    assert found["value"] > 0.995 * BEST
-    controller = controller_model(gbid.controller_structure("biquad"), found["gains"])
+    document = json.loads(said.stdout)
+    assert document["status"] in ("local optimum", "stalled")
+    assert document["value"] > 0.995 * BEST
+    controller = controller_model(gbid.controller_structure("biquad"), document["gains"])
     loop = sampled_loop(exact_plant(MODEL, *ONE[0]), controller, 2e-4)
-    assert loop.damping == pytest.approx(found["value"], rel=1e-2)
+    assert loop.damping == pytest.approx(document["value"], rel=1e-2)
     assert loop.peak_output.value == pytest.approx(2.0, rel=1e-3)
 
 

@@ -31,17 +31,17 @@ def test_a_plant_in_other_units_has_the_same_design(seeds):
     for seed in seeds:
         known = designed(seed, 1.0)
         for scale in (1e-9, 1e9):
-            found = designed(seed, scale)
-            assert found.status == known.status
+            design = designed(seed, scale)
+            assert design.status == known.status
             if known.keeps_limits:
-                assert found.value == pytest.approx(known.value, rel=1e-6)
-                assert found.value == pytest.approx(found.worst.damping, rel=1e-9)
+                assert design.value == pytest.approx(known.value, rel=1e-6)
+                assert design.value == pytest.approx(design.worst.damping, rel=1e-9)
 
 
 def test_bounds_in_other_units_are_named_as_the_reason():
-    found = gbid.tune(unstable_plant(0, 1e-9), PD, goals=GOALS)
-    assert found.status == "no stabilising gains"
-    assert "give bounds= in the units of the plant" in " ".join(found.notes)
+    design = gbid.tune(unstable_plant(0, 1e-9), PD, goals=GOALS)
+    assert design.status == "no stabilising gains"
+    assert "give bounds= in the units of the plant" in " ".join(design.notes)
     far = gbid.tune(unstable_plant(0, 1.0), PD, goals=GOALS, bounds={"kappa": (-1e-1, 0.1), "kd": (-1e-1, 0.1)})
     assert far.status == "no stabilising gains"
     assert "give bounds=" not in " ".join(far.notes)

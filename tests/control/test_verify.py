@@ -51,10 +51,10 @@ def test_a_design_keeps_its_limit_between_the_grids_frequencies(monkeypatch: pyt
     family = responding(0.05 + 0.1 * g, g, size=1 + 9 * g)
     problem = GainProblem((family,), Limits(peak_sensitivity=20.0), np.zeros(1), np.ones(1), 1.0)
     solution = solve(problem, SearchTask(NOTHING))
-    found = solution.best
+    computed = solution.best
     known = brentq(lambda g: height(g) - 20.0, 0, 1)
-    assert found.x == pytest.approx([known], rel=1e-4)
-    assert exact_norms(family, found.x, "sensitivity")[0].value <= 20.0 * (1 + 1e-5)
+    assert computed.x == pytest.approx([known], rel=1e-4)
+    assert exact_norms(family, computed.x, "sensitivity")[0].value <= 20.0 * (1 + 1e-5)
     assert "cut" in {step.stage for step in solution.history}
     result = summarise(solution, ("g",), "loops")
     assert (result.status, result.success) == ("optimal", True)
@@ -73,21 +73,21 @@ def test_the_worst_mode_is_named() -> None:
     families = families_of([ca.Function("A", [g], [A]) for A in loops], 1)
     problem = GainProblem(families, Limits(), -np.ones(1), np.ones(1), 1.0)
     for gain, expected in ((0.0, ("A[1]", 2.0, 0.1)), (0.5, ("A[2]", 3.0, 0.2)), (-0.15, ("A[1]", 2.0, -0.05))):
-        found = worst_mode(problem, np.array([gain]))
-        assert found.where == expected[0]
-        assert (found.frequency_hz, found.damping) == pytest.approx(expected[1:], rel=1e-9)
+        mode = worst_mode(problem, np.array([gain]))
+        assert mode.where == expected[0]
+        assert (mode.frequency_hz, mode.damping) == pytest.approx(expected[1:], rel=1e-9)
 
 
 def test_the_nearest_edge_of_stability() -> None:
     """Damping ``0.3 + a - 2 b`` is nothing at a = -0.3 and at b = 0.15, which is nearer."""
     problem = damping_problem(lambda g: 0.3 + g[0] - 2 * g[1], [-1.0, -1.0], [1.0, 1.0])
-    found = distance_to_edge(problem, np.zeros(2), ("a", "b"))
-    assert found.gain == "b"
-    assert 0.15 <= found.change <= 0.15 * 1.011
+    edge = distance_to_edge(problem, np.zeros(2), ("a", "b"))
+    assert edge.gain == "b"
+    assert 0.15 <= edge.change <= 0.15 * 1.011
     down = damping_problem(lambda g: 0.3 + 3 * g[0] - 2 * g[1], [-1.0, -1.0], [1.0, 1.0])
-    found = distance_to_edge(down, np.zeros(2), ("a", "b"))
-    assert found.gain == "a"
-    assert -0.1 * 1.011 <= found.change <= -0.1
+    edge = distance_to_edge(down, np.zeros(2), ("a", "b"))
+    assert edge.gain == "a"
+    assert -0.1 * 1.011 <= edge.change <= -0.1
     far = damping_problem(lambda g: 0.3 + g[0] - 2 * g[1], [-0.05, -0.05], [0.05, 0.05])
     assert distance_to_edge(far, np.zeros(2), ("a", "b")) == Edge("", np.inf)
 

@@ -115,32 +115,32 @@ def test_a_list_of_models_with_other_actuators_says_that_no_worst_points_are_sea
 def test_a_list_of_models_gets_its_worst_points_too() -> None:
     soft = {name: tuple(0.93 * np.array(terms)) for name, terms in MODEL.coefficients.items() if name.startswith("k_")}
     models = [MODEL, replace(MODEL, coefficients={**MODEL.coefficients, **soft})]
-    found = gbid.tune(models, operating_points="domain")
-    assert found.success
-    assert "no point of the rectangle worse" in found.verified_on
-    law = gbid.control.controller_model(found.controller, found.gains)
+    design = gbid.tune(models, operating_points="domain")
+    assert design.success
+    assert "no point of the rectangle worse" in design.verified_on
+    law = gbid.control.controller_model(design.controller, design.gains)
     grid = [(P, Omega) for P in np.linspace(3, 7, 5) for Omega in np.linspace(0, 6000, 4)]
     reached = [
         gbid.control.smallest_damping(gbid.close_loop(model.plant_at(*point), law))
         for model in models
         for point in grid
     ]
-    assert min(reached) >= found.value - 1e-4
+    assert min(reached) >= design.value - 1e-4
     peaks = [gbid.sensitivities(model.plant_at(*point), law).peak("output").value for model in models for point in grid]
     assert max(peaks) <= 2.6 * (1 + 1e-4)
     alone = gbid.tune(MODEL, operating_points="domain")
-    assert found.value < alone.value - 1e-3
-    assert len(gbid.assess(models, found, points=[(6.0, 0.0)]).points) == 2
+    assert design.value < alone.value - 1e-3
+    assert len(gbid.assess(models, design, points=[(6.0, 0.0)]).points) == 2
 
 
 def test_where_all_poles_are_real_the_design_decays_fast() -> None:
     # x'' + x' + 100 (1 - kappa - kd s) x: kd has the damping 1 from some gain on, and slows a pole down beyond it
     plant = gbid.LinearModel([[0, 1], [-100, -1]], [[0], [100]], [[1, 0]], [[0]])
     form = gbid.controller_structure("PD", axes=("",), lower=-2.0, upper=0.9, kd_limit_ms=1000.0)
-    found = gbid.tune(plant, form, goals=[gbid.control.MaxDamping()])
-    assert found.status == "optimal"
-    assert found.value == pytest.approx(1.0, abs=1e-8)
-    law = gbid.control.controller_model(form, found.gains)
+    design = gbid.tune(plant, form, goals=[gbid.control.MaxDamping()])
+    assert design.status == "optimal"
+    assert design.value == pytest.approx(1.0, abs=1e-8)
+    law = gbid.control.controller_model(form, design.gains)
     law = replace(law, input_names=plant.output_names, output_names=plant.input_names)
     slowest = -gbid.close_loop(plant, law).poles().real.max()
     assert slowest == pytest.approx(np.sqrt(300), rel=0.01)  # both poles of s^2 + ... + 300 meet there, kappa = -2

@@ -69,14 +69,14 @@ def states_by_integration(A, B, B_delayed, delay, u, h, holds, x0):
 def test_taps_against_fine_integration(hold, delay):
     """The integral over one sample, by Simpson's rule on a fine grid for each piece of the input."""
     taps = delayed_taps(A, b, delay, H, hold)
-    late = delay % H if not np.isclose(delay % H, H) else 0.0
+    delayed = delay % H if not np.isclose(delay % H, H) else 0.0
     assert taps.shift == int(delay / H + 1e-12)
     assert taps.columns[0].shape == (2, 1)
     for offset, column in zip((1, 0, -1), taps.columns, strict=True):
         impulse = np.zeros((20, 1))
         impulse[10 - taps.shift + offset] = 1.0  # the sample that this column is for, seen from sample 10
         total = np.zeros(2)
-        for start, stop in ((0.0, late), (late, H)):
+        for start, stop in ((0.0, delayed), (delayed, H)):
             if stop - start < 1e-12:
                 continue
             s = np.linspace(start, stop, 201)
@@ -129,8 +129,8 @@ def test_simulation_against_brute_force(holds, delay):
     u, x0 = smooth(40, seed=3), np.array([0.5, -1.0])
     x = states_by_integration(A, B, LATE, np.asarray(delay), u, H, holds, x0)
     expected = x @ model.C.T + u @ model.D.T
-    found = model.simulate(u, H, initial_state=x0, intersample=holds)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10)
+    simulated = model.simulate(u, H, initial_state=x0, intersample=holds)
+    np.testing.assert_allclose(simulated, expected, rtol=1e-9, atol=1e-10)
 
 
 def test_the_frequency_response_has_the_phase_of_the_delay():
@@ -169,10 +169,10 @@ def test_pade_of_what_needs_none():
     plain = LinearModel(A, B, MODEL.C, MODEL.D)
     assert with_pade(plain) is plain
     partly = LinearModel(A, B, MODEL.C, MODEL.D, B_delayed=LATE, delay=[0.0, 0.2])
-    found = with_pade(partly, 3)
-    assert found.n_states == 5
+    approximated = with_pade(partly, 3)
+    assert approximated.n_states == 5
     f = [0.0, 0.2, 0.5]
-    np.testing.assert_allclose(found.frequency_response(f), partly.frequency_response(f), rtol=1e-5)
+    np.testing.assert_allclose(approximated.frequency_response(f), partly.frequency_response(f), rtol=1e-5)
     with pytest.raises(UsageError, match="Pade order 0"):
         with_pade(MODEL, 0)
 
@@ -190,8 +190,8 @@ def test_prediction_is_the_plain_loop(holds):
         yhat = model.C @ (x + driven[k]) + model.D @ u[k]
         rows.append(yhat)
         x = F @ x + Kd @ (y[k] - yhat)
-    found = model.predict(u, y, H, initial_state=x0, intersample=holds)
-    np.testing.assert_allclose(found, rows, rtol=1e-8, atol=1e-10)
+    predicted = model.predict(u, y, H, initial_state=x0, intersample=holds)
+    np.testing.assert_allclose(predicted, rows, rtol=1e-8, atol=1e-10)
     without = LinearModel(A, B, MODEL.C, MODEL.D, B_delayed=LATE, delay=DELAY)
     same = without.simulate(u, H, initial_state=x0, intersample=holds)
     np.testing.assert_array_equal(without.predict(u, y, H, initial_state=x0, intersample=holds), same)
@@ -282,10 +282,10 @@ def test_the_predictor_is_that_of_the_model(focus, holds, tau):
     u, y, x0 = smooth(90, seed=6), smooth(90, 1, seed=7), np.array([[0.4]])
     at = predictor.at(np.array([values[q.name] for q in predictor.free]))
     blocks = cut(fit_data([(u, y)], H), predictor, None, longest_block=16)
-    found = y - blocks.by_segment(PortableLinearKernel().predict(at, blocks, x0).errors)[0]
+    computed = y - blocks.by_segment(PortableLinearKernel().predict(at, blocks, x0).errors)[0]
     model = evaluate(LAG, values if focus == "prediction" else {**values, "k": 0.0})
     expected = model.predict(u, y, H, initial_state=x0[0], intersample=holds)
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(computed, expected, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -54,17 +54,17 @@ MATRICES = {
 @pytest.mark.parametrize("algorithm", [exponentials, evaluated], ids=["numpy", "SX"])
 def test_exponential_and_its_integrals_are_those_of_scipy(name, algorithm):
     Z = MATRICES[name]
-    for found, expected in zip(algorithm(Z, squarings_for([Z])), reference(Z), strict=True):
-        assert found.shape == Z.shape
-        np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
+    for computed, expected in zip(algorithm(Z, squarings_for([Z])), reference(Z), strict=True):
+        assert computed.shape == Z.shape
+        np.testing.assert_allclose(computed, expected, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
 
 
 @settings(max_examples=60, deadline=None)
 @given(n=st.integers(1, 6), exponent=st.floats(-4, 1.5), seed=st.integers(0, 2**31))
 def test_exponential_of_any_matrix(n, exponent, seed):
     Z = 10**exponent * np.random.default_rng(seed).normal(size=(n, n))
-    for found, expected in zip(exponentials(Z, squarings_for([Z])), reference(Z), strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max(), rtol=0)
+    for computed, expected in zip(exponentials(Z, squarings_for([Z])), reference(Z), strict=True):
+        np.testing.assert_allclose(computed, expected, atol=1e-11 * np.abs(expected).max(), rtol=0)
 
 
 def test_squarings_are_those_of_the_worst_sample_and_do_not_see_the_scaling_of_states():
@@ -127,8 +127,8 @@ def test_symbolic_and_numeric_discretisation_agree():
     a, b = ca.SX.sym("A", *A.shape), ca.SX.sym("B", *B.shape)
     symbolic = discretise(a, b, h, ("foh", "zoh"), squarings_for([A * h]))
     function = ca.Function("discrete", [a, b], [ca.densify(m) for m in symbolic])
-    for found, expected in zip(function(A, B), discretise(A, B, h, ("foh", "zoh")), strict=True):
-        np.testing.assert_allclose(np.array(found), expected, rtol=1e-12, atol=0)
+    for computed, expected in zip(function(A, B), discretise(A, B, h, ("foh", "zoh")), strict=True):
+        np.testing.assert_allclose(np.array(computed), expected, rtol=1e-12, atol=0)
 
 
 def test_the_symbolic_first_order_hold_keeps_zero_columns_of_held_inputs():
@@ -163,11 +163,11 @@ def test_blocks_give_what_the_plain_loop_gives(n, n_samples, seed):
     for k in range(n_samples):
         expected[k] = x
         x = F @ x + w[k]
-    found = propagate(F, w, x0)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11 * max(1.0, np.abs(expected).max()))
+    computed = propagate(F, w, x0)
+    np.testing.assert_allclose(computed, expected, rtol=1e-9, atol=1e-11 * max(1.0, np.abs(expected).max()))
     # The last forcing belongs to a sample that is not asked for.
     w[-1] += 1e6
-    np.testing.assert_array_equal(propagate(F, w, x0), found)
+    np.testing.assert_array_equal(propagate(F, w, x0), computed)
 
 
 @pytest.mark.parametrize(("pole", "kind"), [(0.9, 0.0), (0.9, 1j), (0.6 + 0.79j, 0.0), (-1.001, 1j), (0.0, 0.0)])
@@ -175,10 +175,10 @@ def test_blocks_give_what_the_plain_loop_gives(n, n_samples, seed):
 def test_recursion_of_one_pole_is_that_of_scipy(pole, kind, n):
     real, imaginary = np.random.default_rng(n).normal(size=(2, n))
     forcing = real + kind * imaginary if kind else real
-    found = recursion(pole, forcing)
+    computed = recursion(pole, forcing)
     expected = lfilter([1.0], [1.0, -pole], forcing)
-    assert found.dtype == expected.dtype
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    assert computed.dtype == expected.dtype
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_propagation_over_a_long_record_stays_exact():

@@ -58,15 +58,15 @@ def differences(function, theta):
 @pytest.mark.parametrize("what", OPERATIONS)
 def test_operations(what):
     operation = OPERATIONS[what]
-    found = operation(lambda name: dual_at(name, AT))
-    assert isinstance(found, Dual)
+    computed = operation(lambda name: dual_at(name, AT))
+    assert isinstance(computed, Dual)
 
     def plain(theta):
         return operation(lambda name: value_at(name, theta))
 
-    np.testing.assert_array_equal(found.value, plain(AT))
-    assert found.shape == found.value.shape
-    np.testing.assert_allclose(found.slope, differences(plain, AT), rtol=1e-7, atol=1e-8)
+    np.testing.assert_array_equal(computed.value, plain(AT))
+    assert computed.shape == computed.value.shape
+    np.testing.assert_allclose(computed.slope, differences(plain, AT), rtol=1e-7, atol=1e-8)
 
 
 def test_columns_and_joining():
@@ -81,17 +81,17 @@ def test_columns_and_joining():
 
 
 def test_a_constant_has_no_derivatives():
-    found = constant(X0["A"], N_P)
-    np.testing.assert_array_equal(found.value, X0["A"])
-    assert found.slope.shape == (N_P, 3, 3)
-    assert not found.slope.any()
+    computed = constant(X0["A"], N_P)
+    np.testing.assert_array_equal(computed.value, X0["A"])
+    assert computed.slope.shape == (N_P, 3, 3)
+    assert not computed.slope.any()
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", ("zoh", "foh")])
 @pytest.mark.parametrize("h", [0.05, 2.0])
 def test_discretisation(hold, h):
-    found = discretise(dual_at("A", AT), dual_at("B", AT), h, hold)
-    for i, part in enumerate(found):
+    computed = discretise(dual_at("A", AT), dual_at("B", AT), h, hold)
+    for i, part in enumerate(computed):
 
         def plain(theta, i=i):
             return discretise(value_at("A", theta), value_at("B", theta), h, hold)[i]
@@ -112,14 +112,14 @@ def test_delayed_taps(hold, delay):
         return pick("A", theta), pick("B", theta)[:, [0]] if pick is value_at else pick("B", theta).columns([0]), tau
 
     A, b, tau = at(AT, dual_at)
-    found = delayed_taps(A, b, tau, h, hold)
+    computed = delayed_taps(A, b, tau, h, hold)
 
     def plain(theta):
         A, b, tau = at(theta, value_at)
         taps = delayed_taps(A, b, float(tau[0, 0]), h, hold)
-        assert taps.shift == found.shift
+        assert taps.shift == computed.shift
         return np.hstack(taps.columns)
 
-    np.testing.assert_allclose(np.hstack([c.value for c in found.columns]), plain(AT), rtol=1e-13, atol=1e-15)
-    slope = np.concatenate([c.slope for c in found.columns], axis=2)
+    np.testing.assert_allclose(np.hstack([c.value for c in computed.columns]), plain(AT), rtol=1e-13, atol=1e-15)
+    slope = np.concatenate([c.slope for c in computed.columns], axis=2)
     np.testing.assert_allclose(slope, differences(plain, AT), rtol=1e-6, atol=1e-8)

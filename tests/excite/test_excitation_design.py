@@ -66,9 +66,9 @@ def test_information_of_lines_is_that_of_differences():
         slopes.append(((above - below) / (2 * step))[-period - 1 : -1] / [2e-8, 3e-8])
     flat = np.array(slopes).reshape(len(names), -1)
     expected = flat @ flat.T
-    found = line_model.at(bins / (period * dt)).information(spectrum, period)
+    computed = line_model.at(bins / (period * dt)).information(spectrum, period)
     scale = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found / np.outer(scale, scale), expected / np.outer(scale, scale), atol=2e-4)
+    np.testing.assert_allclose(computed / np.outer(scale, scale), expected / np.outer(scale, scale), atol=2e-4)
 
 
 def test_information_with_a_disturbance_gain_is_that_of_a_fit():
@@ -80,8 +80,8 @@ def test_information_with_a_disturbance_gain_is_that_of_a_fit():
     spectrum = np.array([[0.2], [0.05j], [0.05], [0.3]])
     u = np.real(np.exp(2j * np.pi * np.outer(np.arange(n), bins) / n) @ spectrum)
     line_model = LineModel.of(KNOWN, DT)
-    own = line_model.at(bins / (n * DT)).information(spectrum, n) + line_model.noise_information(n)
-    by_lines = np.sqrt(np.diag(np.linalg.inv(own)))
+    information = line_model.at(bins / (n * DT)).information(spectrum, n) + line_model.noise_information(n)
+    by_lines = np.sqrt(np.diag(np.linalg.inv(information)))
     by_fit = np.sqrt(np.diag(expected_covariance(KNOWN, u, DT).covariance))
     np.testing.assert_allclose(by_lines[:3], by_fit[:3], rtol=0.03)
     assert by_lines[3] == pytest.approx(by_fit[3], rel=0.2)
@@ -90,8 +90,8 @@ def test_information_with_a_disturbance_gain_is_that_of_a_fit():
 def test_a_fit_reports_the_deviations_that_were_expected(multisine, fitted):
     assert fitted.success
     known = KnownModel(spring(), {}, 1e-3, fixed=("g",))
-    found = expected_covariance(known, multisine.signals["u"], DT)
-    expected = dict(zip(found.free, np.sqrt(np.diag(found.covariance)), strict=True))
+    computed = expected_covariance(known, multisine.signals["u"], DT)
+    expected = dict(zip(computed.free, np.sqrt(np.diag(computed.covariance)), strict=True))
     for name in "kdb":
         assert fitted.std[name] == pytest.approx(expected[name], rel=0.05)
         assert abs(fitted.parameters[name] - TRUTH[name]) < 4 * multisine.std[name]
@@ -109,11 +109,11 @@ def test_best_line_for_a_lag_is_that_of_the_closed_form():
     at = line_model.at(frequency)
     costs = np.ones((1, len(frequency), 1, 1), complex)
     goal = goal_of(line_model, quantities_of(line_model), None)
-    found = optimal_spectrum(goal, at.sensitivity, costs, 1000)
-    power = found.cross[:, 0, 0].real
+    computed = optimal_spectrum(goal, at.sensitivity, costs, 1000)
+    power = computed.cross[:, 0, 0].real
     assert power.sum() == pytest.approx(1.0, rel=1e-6)
     assert power @ frequency == pytest.approx(30 / np.sqrt(3), abs=0.5)
-    assert abs(found.gap) < 1e-2
+    assert abs(computed.gap) < 1e-2
     flat = optimal_spectrum(goal, at.sensitivity[40:], costs[:, 40:], 1000)
     assert np.argmax(flat.cross[:, 0, 0].real) == 0, "without the best line the nearest one"
 
@@ -123,28 +123,30 @@ def test_limits_are_kept_and_the_one_reached_is_named(kind, multisine):
     """Simulated for another length, from rest, and in the other machine as well."""
     machine = PossibleMachine({"d": 4.0}, taken=0.05)
     limits = ExcitationLimits(peaks={"u": 1.0, "y": 0.4}, clearance=0.5, disc="y", taken=0.02, machines=(machine,))
-    found = gbid.design_excitation(KNOWN, duration=3.0, sample_time=DT, limits=limits, kind=kind)
-    u = found.signals["u"]
+    excitation = gbid.design_excitation(KNOWN, duration=3.0, sample_time=DT, limits=limits, kind=kind)
+    u = excitation.signals["u"]
     assert np.abs(u).max() <= 1.0
-    own, other = (evaluate(spring(), {**TRUTH, **p}).simulate(np.tile(u, (4, 1)), DT) for p in ({}, {"d": 4.0}))
-    assert np.abs(own[len(u) :]).max() <= 0.4
+    true_response, other = (
+        evaluate(spring(), {**TRUTH, **p}).simulate(np.tile(u, (4, 1)), DT) for p in ({}, {"d": 4.0})
+    )
+    assert np.abs(true_response[len(u) :]).max() <= 0.4
     assert np.abs(other[3 * len(u) :]).max() <= 0.45
-    assert found.reached
-    assert max(found.use.values()) == pytest.approx(0.98, abs=2e-3)
+    assert excitation.reached
+    assert max(excitation.use.values()) == pytest.approx(0.98, abs=2e-3)
     if kind == "prbs":
-        assert set(np.unique(np.abs(u)).round(12)) == {round(found.sequence.amplitude, 12)}
+        assert set(np.unique(np.abs(u)).round(12)) == {round(excitation.sequence.amplitude, 12)}
     else:
-        assert "clearance in all machines" in found.reached, "half the damping, twice the motion"
+        assert "clearance in all machines" in excitation.reached, "half the damping, twice the motion"
         assert "y" in multisine.reached, "without the other machine, the limit of the output itself"
 
 
 def test_a_clearance_alone_is_kept_less_what_is_taken():
     limits = ExcitationLimits(peaks={"u": 1.0}, clearance=0.3, disc="y", taken=0.02)
-    found = gbid.design_excitation(KNOWN, duration=3.0, sample_time=DT, limits=limits)
-    u = found.signals["u"]
+    excitation = gbid.design_excitation(KNOWN, duration=3.0, sample_time=DT, limits=limits)
+    u = excitation.signals["u"]
     motion = np.abs(evaluate(spring(), TRUTH).simulate(np.tile(u, (4, 1)), DT)[len(u) :]).max()
     assert motion == pytest.approx(0.98 * 0.28, rel=5e-3)
-    assert "clearance" in found.reached
+    assert "clearance" in excitation.reached
 
 
 def test_what_counts_becomes_better(multisine):
@@ -158,8 +160,8 @@ def test_what_counts_becomes_better(multisine):
 def test_a_fit_is_a_model_whose_information_counts(fitted, multisine):
     """The tangent has the information of the structure; with the first recording every deviation is smaller."""
     u = multisine.signals["u"]
-    own = KnownModel(spring(), fitted.parameters, np.sqrt(fitted.error_covariance[0]), fixed=("g",))
-    a, b = (expected_covariance(model, u, DT).covariance for model in (own, known_model(fitted)))
+    known = KnownModel(spring(), fitted.parameters, np.sqrt(fitted.error_covariance[0]), fixed=("g",))
+    a, b = (expected_covariance(model, u, DT).covariance for model in (known, known_model(fitted)))
     np.testing.assert_allclose(a, b, rtol=1e-6)
     following = gbid.design_excitation(fitted, duration=3.0, sample_time=DT, limits=LIMITS)
     for name in ("k", "d", "b"):

@@ -94,13 +94,15 @@ def test_the_yaml_of_the_rig_names_a_file_to_play(tmp_path, capsys):
 
 def test_a_longer_recording_reaches_the_target():
     """For the gain of a lag alone: the length falls out of the deviation of the result, and half of it misses."""
-    found = recording_length(KNOWN, sample_time=1e-3, limits=LIMITS, relative={"b": 0.005, "a": 0.01})
-    std = found.excitation.std
-    assert std[found.decisive] <= found.targets[found.decisive]
-    assert std[found.decisive] > 0.8 * found.targets[found.decisive]
-    assert found.by_amplitude[0.5] == pytest.approx(4 * found.duration_s)
-    half = design_excitation(KNOWN, duration=found.duration_s / 2, sample_time=1e-3, limits=LIMITS, focus=found.targets)
-    assert max(half.std[name] / wanted for name, wanted in found.targets.items()) > 1.2
+    length = recording_length(KNOWN, sample_time=1e-3, limits=LIMITS, relative={"b": 0.005, "a": 0.01})
+    std = length.excitation.std
+    assert std[length.decisive] <= length.targets[length.decisive]
+    assert std[length.decisive] > 0.8 * length.targets[length.decisive]
+    assert length.by_amplitude[0.5] == pytest.approx(4 * length.duration_s)
+    half = design_excitation(
+        KNOWN, duration=length.duration_s / 2, sample_time=1e-3, limits=LIMITS, focus=length.targets
+    )
+    assert max(half.std[name] / wanted for name, wanted in length.targets.items()) > 1.2
     with pytest.raises(UsageError, match="longer than longest_s"):
         recording_length(KNOWN, sample_time=1e-3, limits=LIMITS, absolute={"a": 1e-4})
 

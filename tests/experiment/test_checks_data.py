@@ -47,8 +47,8 @@ def test_a_truncated_file_is_named_in_the_check(ending, tmp_path, capsys):
     path = write_many(tmp_path, ending)
     assert problems(path) == ([], 0)
     victim = tmp_path / "data" / f"p4_n4000_prbs2.{ending}"
-    whole = victim.read_bytes()
-    victim.write_bytes(whole[: int(0.6 * len(whole)) if ending != "csv" else -30])
+    complete = victim.read_bytes()
+    victim.write_bytes(complete[: int(0.6 * len(complete)) if ending != "csv" else -30])
     texts, code = problems(path)
     assert code == 3
     assert len(texts) == 1
@@ -121,12 +121,14 @@ def test_a_short_look_agrees_with_the_recording(tmp_path, ending):
     file = tmp_path / f"a.{ending}"
     write_file(file, columns(300, step=5e-4))
     mapping = ImportMapping.from_dict({"time": "t", "samples": [10, None], "signals": {"p": {"columns": ["p_x"]}}})
-    found = peek(file, mapping)
-    assert found.n_samples == 290
-    assert found.sample_time == pytest.approx(5e-4, rel=1e-6)
-    late = ImportMapping.from_dict({"sample_time": 1.0, "samples": [10, 400], "signals": {"p": {"columns": ["p_x"]}}})
+    computed = peek(file, mapping)
+    assert computed.n_samples == 290
+    assert computed.sample_time == pytest.approx(5e-4, rel=1e-6)
+    delayed = ImportMapping.from_dict(
+        {"sample_time": 1.0, "samples": [10, 400], "signals": {"p": {"columns": ["p_x"]}}}
+    )
     with pytest.raises(DataError, match="samples 10 to 400 are not within its 300 samples"):
-        peek(file, late)
+        peek(file, delayed)
 
 
 def test_stretches_left_out_of_a_fit_are_left_out_of_its_validation(tmp_path, capsys):

@@ -55,12 +55,12 @@ def cycled(tmp_path_factory):
 
 
 def test_gbid_run_leaves_out_a_cycle_that_waits_to_be_asked_for(tmp_path):
-    asked, usual = (
+    requested, usual = (
         load_experiment(write_quick(tmp_path / name, ("  rounds: 1", f"  rounds: 1\n  in_run: {name}"), text=CYCLE))
         for name in ("false", "true")
     )
-    assert [CYCLE_STAGE.in_run(experiment) for experiment in (asked, usual)] == [False, True]
-    assert next_step(asked, "run").startswith("gbid cycle ")
+    assert [CYCLE_STAGE.in_run(experiment) for experiment in (requested, usual)] == [False, True]
+    assert next_step(requested, "run").startswith("gbid cycle ")
     assert not next_step(usual, "run").startswith("gbid cycle ")
 
 

@@ -336,8 +336,8 @@ def test_factors_of_the_poles_go_to_the_stacks_of_their_axis():
     experiment = load_experiment(EXPERIMENTS / "theisen2016.yaml")
     stacks = rig_run(experiment, experiment.recordings["p3_n0_prbs1"]).machine.actuator.stacks
     for name, factors in (("slow_pole", (2.36, 0.93)), ("fast_pole", (0.4, 1.173))):
-        found = [getattr(a, name) / getattr(b, name) for a, b in zip(stacks, PiezoStacks().stacks, strict=True)]
-        assert found == pytest.approx([factors[1], factors[0], factors[1], factors[0]])  # 1 and 3 move y, 2 and 4 x
+        results = [getattr(a, name) / getattr(b, name) for a, b in zip(stacks, PiezoStacks().stacks, strict=True)]
+        assert results == pytest.approx([factors[1], factors[0], factors[1], factors[0]])  # 1 and 3 move y, 2 and 4 x
 
 
 def test_a_value_with_an_unknown_tag_is_text(tmp_path):

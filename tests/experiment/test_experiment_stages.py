@@ -131,11 +131,11 @@ def test_crossval_table_is_that_of_the_rows(made):
     lines = (folder / "results" / "quick" / "crossval" / "bearing.csv").read_text().splitlines()
     read = list(csv.DictReader(line for line in lines if not line.startswith("#")))
     assert len(read) == len(rows) == 4
-    for found, row in zip(read, rows, strict=True):
-        assert float(found["fit_percent"]) == row.fit_percent > 90
-        assert (found["model"], found["recording"], found["output"]) == (row.model, row.recording, row.output)
-        assert found["model"] != found["recording"]
-        assert (float(found["residual_p"]), tuple(found["residuals_follow"].split())) == (
+    for computed, row in zip(read, rows, strict=True):
+        assert float(computed["fit_percent"]) == row.fit_percent > 90
+        assert (computed["model"], computed["recording"], computed["output"]) == (row.model, row.recording, row.output)
+        assert computed["model"] != computed["recording"]
+        assert (float(computed["residual_p"]), tuple(computed["residuals_follow"].split())) == (
             row.residual_p,
             row.residuals_follow,
         )
@@ -242,22 +242,22 @@ def test_every_option_of_a_fit_reaches_it(tmp_path):
     experiment = load_experiment(write_quick(tmp_path, ("{structure: piezo_pair}", OPTIONS)))
     names = ("p5_n6000_prbs1", "p5_n6000_prbs2")
     data = [Recording({"r": np.zeros((5000, 2))}, 2e-4, name=name) for name in names]
-    found = fit_arguments(experiment, "piezos", data)
+    arguments = fit_arguments(experiment, "piezos", data)
     functions = {"progress", "extra_cost", "constraints"}  # of Python
     known = set(inspect.signature(fit).parameters) - {"structure", "recordings", "scaling"} - functions
-    assert set(found) == known
-    assert {key: found[key] for key in ("output_weights", "prior", "initial_state")} == {
+    assert set(arguments) == known
+    assert {key: arguments[key] for key in ("output_weights", "prior", "initial_state")} == {
         "output_weights": [1.0, 2.0],
         "prior": {"p1_x": (3000.0, 1e4)},
         "initial_state": "zero",
     }
-    assert (found["window"], found["bounds"]) == (400, {"p2_x": (-np.inf, 2e4)})
+    assert (arguments["window"], arguments["bounds"]) == (400, {"p2_x": (-np.inf, 2e4)})
     # a sample at the end counts again: 0.1503 s lies between samples 751 and 752
-    assert found["left_out"] == {"p5_n6000_prbs1": [(500, 752), (2500, 3000)]}
-    assert (found["robust"], found["robust_threshold"]) == ("student", 5.0)
-    assert (found["std"], found["bootstrap_draws"], found["bootstrap_seed"]) == ("bootstrap", 300, 7)
-    assert (found["trend"], found["hum"]) == ({"u_x": 2, "u_y": "linear"}, 50.0)
-    assert found["ipopt"] == {"max_iter": 30, "linear_solver": "mumps"}
+    assert arguments["left_out"] == {"p5_n6000_prbs1": [(500, 752), (2500, 3000)]}
+    assert (arguments["robust"], arguments["robust_threshold"]) == ("student", 5.0)
+    assert (arguments["std"], arguments["bootstrap_draws"], arguments["bootstrap_seed"]) == ("bootstrap", 300, 7)
+    assert (arguments["trend"], arguments["hum"]) == ({"u_x": 2, "u_y": "linear"}, 50.0)
+    assert arguments["ipopt"] == {"max_iter": 30, "linear_solver": "mumps"}
     alone = fit_arguments(experiment, "piezos", data[1:])
     assert alone["left_out"] == {}
 

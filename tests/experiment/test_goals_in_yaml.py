@@ -145,9 +145,9 @@ def test_a_design_keeps_the_rms_that_a_recording_shows(tmp_path: Path) -> None:
     figure = next(goal for goal in design.result.goals if goal.name == "rms of r")
     assert figure.excess == pytest.approx(0.0, abs=1e-5)
     # the rms from the spectrum and the response of an independent loop
-    found = control.recorded_disturbance(recording)
+    disturbance = control.recorded_disturbance(recording)
     loop = gbid.sensitivities(model.plant_at(6, 0), control.controller_model(structure, dict(design.result.gains)))
-    M = loop.response("control", found.frequency_hz)
-    power = np.einsum("kij,kjl,kil->k", M, found.density, M.conj()).real
-    assert np.sqrt((power * found.widths).sum()) == pytest.approx(limit, rel=0.01)
+    M = loop.response("control", disturbance.frequency_hz)
+    power = np.einsum("kij,kjl,kil->k", M, disturbance.density, M.conj()).real
+    assert np.sqrt((power * disturbance.widths).sum()) == pytest.approx(limit, rel=0.01)
     assert design.front[0].result.peak_sensitivity == pytest.approx(1.5, abs=1e-6)

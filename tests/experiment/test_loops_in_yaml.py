@@ -89,25 +89,25 @@ def test_the_answers_of_an_unstable_rotor_to_runout_are_filtered(tmp_path):
 def test_the_structure_of_a_fit_is_the_loop(tmp_path):
     plant = package.Plant(package.RotorBearing(delay="exact", disturbance_gain="states"))
     law = p_controller(1.2, 1.1)
-    late = package.LinearModel(law.A, 0 * law.B, law.C, law.D, B_delayed=law.B, delay=np.array([3e-4, 3e-4]))
+    delayed = package.LinearModel(law.A, 0 * law.B, law.C, law.D, B_delayed=law.B, delay=np.array([3e-4, 3e-4]))
     wanted = {
         "loop: {}": package.ClosedLoop(plant, sample_controller(law, 2e-4)),
         f"loop: {{{GAINS}, computation_samples: 0, injected: set point}}": package.ClosedLoop(
             plant, sample_controller(law, 2e-4), computation_samples=0, injected="set point"
         ),
-        f"loop: {{{GAINS}, sampled: false, pade_order: 2}}": package.ClosedLoop(plant, late, pade_order=2),
+        f"loop: {{{GAINS}, sampled: false, pade_order: 2}}": package.ClosedLoop(plant, delayed, pade_order=2),
         "loop: {structure: P, gains: {kappa_x: 1.2}}": package.ClosedLoop(
             plant, controller_structure("P"), sample_time=2e-4
         ),
     }
     for entry, structure in wanted.items():
-        found = make_structure(load_experiment(_unstable(tmp_path, ("loop: {}}", entry + "}"))), "held")
+        result = make_structure(load_experiment(_unstable(tmp_path, ("loop: {}}", entry + "}"))), "held")
         values = {q.name: 1.0 + 0.1 * i for i, q in enumerate(structure.parameters)} | {"controller_kappa_x": 1.2}
         values = {q.name: values[q.name] for q in structure.parameters}
-        one, other = evaluate(found, values), evaluate(structure, values)
+        one, other = evaluate(result, values), evaluate(structure, values)
         np.testing.assert_allclose(one.A, other.A, rtol=1e-12)
         np.testing.assert_allclose(one.K, other.K, rtol=1e-12)
-    assert {q.name: q.fixed for q in found.gains} == {"controller_kappa_x": True, "controller_kappa_y": False}
+    assert {q.name: q.fixed for q in result.gains} == {"controller_kappa_x": True, "controller_kappa_y": False}
 
 
 def test_a_tuned_controller_is_known_before_it_is_tuned(tmp_path):

@@ -50,8 +50,8 @@ def test_verb_draws_and_keeps_surfaces(campaign, capsys):
     fit = gbid.load_lpv_fit(out / "lpv" / "bearing.yaml")
     published = gbid.load_model("theisen2016")
     assert fit.model.actuators == published.actuators
-    found, true = (m.at(3, 6000).modes() for m in (gbid.load_model(out / "lpv" / "bearing_direct.yaml"), published))
-    np.testing.assert_allclose(np.array(found)[:2], np.array(true)[:2], rtol=0.02)
+    computed, true = (m.at(3, 6000).modes() for m in (gbid.load_model(out / "lpv" / "bearing_direct.yaml"), published))
+    np.testing.assert_allclose(np.array(computed)[:2], np.array(true)[:2], rtol=0.02)
 
 
 @pytest.mark.parametrize(

@@ -31,16 +31,16 @@ POINTS = ((5.0, 6000.0), (6.0, 0.0))
 @pytest.fixture(scope="module")
 def measured():
     """Two PRBS runs and a still one at each of two operating points, by file name without ending."""
-    found = {}
+    results = {}
     for seed, (pressure, speed) in enumerate(POINTS):
         conditions = {"pressure_bar": pressure, "speed_rpm": speed}
         rig, label = machine(pressure, speed), f"p{pressure:g}_n{speed:g}"
         still = record(rig, Stationary(0.6), conditions=conditions, seed=seed, name="still")
-        found[f"{label}_still1"] = columns_of(still)
+        results[f"{label}_still1"] = columns_of(still)
         for i in (1, 2):
             made = record(rig, Prbs(0.6), conditions=conditions, seed=10 * seed + i, name="prbs")
-            found[f"{label}_prbs{i}"] = columns_of(made)
-    return found
+            results[f"{label}_prbs{i}"] = columns_of(made)
+    return results
 
 
 def write_folder(folder, measured, ending="npz", text=BY_NAME, more=CAMPAIGN):
@@ -79,9 +79,9 @@ def test_a_folder_runs_as_a_campaign(measured, tmp_path, capsys):
     fits = json_of(capsys, "fit", path, "--engine", "serial")["fits"]
     assert len(fits) == 8
     known = machine(6.0, 0.0).rotor_bearing
-    found = {row["parameter"]: row["estimate"] for row in fits[2]["parameters"]}
+    by_name = {row["parameter"]: row["estimate"] for row in fits[2]["parameters"]}
     assert fits[2]["recordings"] == ["p6_n0_prbs1"]
-    assert set(KEY_PARAMETERS) <= set(found)
+    assert set(KEY_PARAMETERS) <= set(by_name)
     assert [row["frequency_hz"] for row in fits[2]["modes"]] == pytest.approx(modes(known)[0], rel=0.03)
 
     told = json_of(capsys, "crossval", path, "--engine", "serial")
@@ -90,9 +90,9 @@ def test_a_folder_runs_as_a_campaign(measured, tmp_path, capsys):
     assert pairs == {(f"{label}_{a}", f"{label}_{b}") for label in ("p5_n6000", "p6_n0") for a, b in others}
     bearing, piezos = told["crossval_summary"]
     assert (bearing["fit"], bearing["n_pairs"], piezos["fit"], piezos["n_pairs"]) == ("bearing", 4, "piezos", 12)
-    own = [row["fit_percent"] for row in told["crossval"] if row["fit"] == "bearing" and row["output"] == "p_x"]
-    assert bearing["mean"][0] == pytest.approx(np.mean(own))
-    assert bearing["std"][0] == pytest.approx(np.std(own, ddof=1))
+    percents = [row["fit_percent"] for row in told["crossval"] if row["fit"] == "bearing" and row["output"] == "p_x"]
+    assert bearing["mean"][0] == pytest.approx(np.mean(percents))
+    assert bearing["std"][0] == pytest.approx(np.std(percents, ddof=1))
     assert sum(bearing["counts"][0]) + bearing["below"][0] == 4
     assert [(p["pressure_bar"], p["speed_rpm"]) for p in bearing["points"]] == [(5, 6000), (6, 0)]
     assert min(piezos["least"]) > 90

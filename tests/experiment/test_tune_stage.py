@@ -125,10 +125,10 @@ def test_limits_that_contradict_are_an_outcome_with_the_least_violating_design(t
     result = printed_by(capsys, "tune", path, "--json", code=4)
     assert "limits contradict" in result.err
     document = json.loads(result.out)
-    design, (found, file) = document["tuning"][0], document["outcomes"]
+    design, (computed, file) = document["tuning"][0], document["outcomes"]
     assert not design["success"]
     assert design["violation"] > 0
-    assert (found["converged"], found["state"], file["stage"]) == (False, "made", "controller")
+    assert (computed["converged"], computed["state"], file["stage"]) == (False, "made", "controller")
     assert gbid.load_controller(design["controller"]).provenance["status"] == "limits contradict"
     assert command("tune", path) == 4  # kept, and still said
 
@@ -176,10 +176,10 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path, capsys):
     outcomes = run_stage(Job(load_experiment(path)), TUNE)
     assert [o.state for o in outcomes] == ["made"] * 6
     folder = tmp_path / "results" / "designs" / "controller"
-    own = gbid.load_controller(folder / "own.yaml")
-    assert own.structure is None
-    k = own.gains["k"]
-    np.testing.assert_array_equal(own.at().D, [[k, 0], [0, k]])
+    controller = gbid.load_controller(folder / "own.yaml")
+    assert controller.structure is None
+    k = controller.gains["k"]
+    np.testing.assert_array_equal(controller.at().D, [[k, 0], [0, k]])
     follows = gbid.load_controller(folder / "follows.yaml")
     np.testing.assert_allclose(follows.at(5, 0).C, follows.models[5.0, 0.0].C)
     everywhere = load(folder / "everywhere.h5", TunedDesign)

@@ -70,8 +70,8 @@ def started(path: Path, folder: Path):
     return unit
 
 
-def worst(found: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.abs(found - expected[: len(found)]).max() / np.abs(expected).max())
+def worst(computed: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.abs(computed - expected[: len(computed)]).max() / np.abs(expected).max())
 
 
 @pytest.fixture(scope="module")
@@ -91,11 +91,11 @@ def test_the_checker_accepts_the_plant_and_it_agrees(folder, delay):
     for pressure, speed in ((3.0, 0.0), (4.5, 2500.0), (7.0, 6000.0)):
         r = held(int(speed))
         point = {"pressure_bar": np.full(N, pressure), "speed_rpm": np.full(N, speed)}
-        found = simulate(
+        simulated = simulate(
             path, {**point, "r_x": r[:, 0], "r_y": r[:, 1]}, {"pressure_bar": pressure, "speed_rpm": speed}
         )
         model = exact_plant(MODEL, pressure, speed) if delay == "exact" else MODEL.plant_at(pressure, speed)
-        assert worst(found, model.simulate(r, STEP)) < REACHED < AGREES
+        assert worst(simulated, model.simulate(r, STEP)) < REACHED < AGREES
 
 
 def test_pressure_and_speed_may_change_at_each_step(folder):
@@ -103,7 +103,7 @@ def test_pressure_and_speed_may_change_at_each_step(folder):
     pressure, speed, r = 5.0 + 1.5 * np.sin(40 * T), 3000.0 + 9e3 * T, held(3)
     force = np.where((T > 0.05) & (T < 0.051), 2.0, 0.0)
     signals = {"pressure_bar": pressure, "speed_rpm": speed, "r_x": r[:, 0], "r_y": r[:, 1], "f_x": force}
-    found = simulate(path, signals, {"pressure_bar": 5.0, "speed_rpm": 3000.0})
+    simulated = simulate(path, signals, {"pressure_bar": 5.0, "speed_rpm": 3000.0})
     x = np.zeros(12)
     expected = np.zeros((N, 2))
     for k in range(N):
@@ -113,11 +113,11 @@ def test_pressure_and_speed_may_change_at_each_step(folder):
         n, m = B.shape
         step = expm(STEP * np.block([[at.A, B], [np.zeros((m, n + m))]]))
         x = step[:n, :n] @ x + step[:n, n:] @ [*r[k], force[k], 0.0]
-    assert worst(found, expected) < REACHED < AGREES
+    assert worst(simulated, expected) < REACHED < AGREES
 
 
 def test_the_length_of_the_steps_does_not_matter(plant, tmp_path):
-    found = []
+    results = []
     for length in (STEP / 8, STEP, 0.7 * STEP, 13 * STEP):
         unit, ended = started(plant, tmp_path / f"{length:.6f}"), 0
         unit.setReal([2, 3, 5], [1e-6, -2e-6, 0.01])
@@ -125,17 +125,17 @@ def test_the_length_of_the_steps_does_not_matter(plant, tmp_path):
             step = min(length, 0.0252 - ended * length)
             unit.doStep(ended * length, step)
             ended += 1
-        found.append(unit.getReal([6, 7, 8, 9]))
+        results.append(unit.getReal([6, 7, 8, 9]))
         unit.terminate()
         unit.freeInstance()
-    np.testing.assert_allclose(found[1:], np.tile(found[0], (3, 1)), rtol=1e-10)
-    assert np.abs(found[0]).min() > 1e-8
+    np.testing.assert_allclose(results[1:], np.tile(results[0], (3, 1)), rtol=1e-10)
+    assert np.abs(results[0]).min() > 1e-8
 
 
 def test_references_before_the_start_are_those_of_the_start(plant):
     r = np.full((N, 2), 1e-6)
-    found = simulate(plant, {"r_x": r[:, 0], "r_y": r[:, 1]}, {"r_x": 1e-6, "r_y": 1e-6})
-    assert worst(found, exact_plant(MODEL, 6.0, 0.0).simulate(r, STEP)) < REACHED
+    simulated = simulate(plant, {"r_x": r[:, 0], "r_y": r[:, 1]}, {"r_x": 1e-6, "r_y": 1e-6})
+    assert worst(simulated, exact_plant(MODEL, 6.0, 0.0).simulate(r, STEP)) < REACHED
 
 
 def designs(folder: Path):
@@ -168,10 +168,10 @@ def test_the_loop_agrees_with_the_sampled_loop(folder):
             w = held(7)
             point = {"pressure_bar": np.full(N, pressure), "speed_rpm": np.full(N, speed)}
             start = {"pressure_bar": pressure, "speed_rpm": speed}
-            found = simulate(path, {**point, "w_x": w[:, 0], "w_y": w[:, 1]}, start)
+            simulated = simulate(path, {**point, "w_x": w[:, 0], "w_y": w[:, 1]}, start)
             loop = sampled_loop(exact_plant(MODEL, pressure, speed), design.sampled_at(pressure, speed), STEP)
             expected = loop.closed.simulate(w)
-            assert worst(found, expected) < 1e-9 < AGREES, name
+            assert worst(simulated, expected) < 1e-9 < AGREES, name
 
 
 def scheduled_over(folder, pressure_bar):
@@ -199,8 +199,8 @@ def test_references_are_held_within_their_limit(folder):
     )
     path = save_fmu(MODEL, folder / "limited.fmu", controller=design, limit_m=5e-6)
     w = held(9, 20e-6)
-    found = simulate(path, {"w_x": w[:, 0], "w_y": w[:, 1]}, outputs=("r_x", "r_y"))
-    assert np.abs(found).max() == 5e-6
+    simulated = simulate(path, {"w_x": w[:, 0], "w_y": w[:, 1]}, outputs=("r_x", "r_y"))
+    assert np.abs(simulated).max() == 5e-6
     wide = simulate(path, {"w_x": w[:, 0], "w_y": w[:, 1]}, {"limit": 1.0}, outputs=("r_x", "r_y"))
     assert np.abs(wide).max() > 15e-6
 
@@ -249,10 +249,10 @@ def test_extrapolation_when_it_is_asked_for(plant):
     said: list[str] = []
     signals = {"pressure_bar": np.full(N, 7.2), "r_x": held(1)[:, 0]}
     start = {"pressure_bar": 7.2, "extrapolate": True}
-    found = simulate(plant, signals, start, logger=lambda *a: said.append(str(a[-1])))
+    simulated = simulate(plant, signals, start, logger=lambda *a: said.append(str(a[-1])))
     with pytest.warns(gbid.core.errors.ExtrapolationWarning):
         values = MODEL.key_parameters(7.2, 0.0, extrapolate=True)
-    assert np.abs(found).max() > 0
+    assert np.abs(simulated).max() > 0
     assert values["tau_x"] > 0
     assert sum("extrapolated" in text for text in said) == 1
 

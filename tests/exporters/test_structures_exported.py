@@ -55,9 +55,9 @@ def test_a_structure_is_exported(kind: str, tmp_path: Path) -> None:
     for point, mat, text in zip(POINTS, written["matlab"], written["yaml"], strict=False):
         sampled = sample_controller(controller_at(structure, gains, *point), 2e-4)
         mine = response([getattr(sampled, letter) for letter in "ABCD"])
-        for found in (loadmat(mat), read_yaml(text).data):
+        for computed in (loadmat(mat), read_yaml(text).data):
             theirs = response(
-                [np.array(found[letter], float).reshape(getattr(sampled, letter).shape) for letter in "ABCD"]
+                [np.array(computed[letter], float).reshape(getattr(sampled, letter).shape) for letter in "ABCD"]
             )
             np.testing.assert_allclose(theirs, mine, rtol=1e-9, atol=1e-9)
 
@@ -71,6 +71,6 @@ def test_a_structure_runs_on_the_rig_as_the_sampled_loop_says(kind: str) -> None
     zero = record(machine, Stationary(0.2), **about).signal("p").mean(axis=0)
     running = SampledController(*(getattr(controller, letter) for letter in "ABCD"), 2e-4, offset=zero)
     hit = record(machine, Hammer((Impact.along("x", 0.1, 12.0),), 0.3), controller=running, **about)
-    found = gbid.validate_impact(hit, exact_plant(MODEL, 6.0, 0.0), controller)
-    assert found.along_percent > 97
-    assert 1 / found.force_scale == pytest.approx(2.18, rel=0.01)  # the moving mass
+    validation = gbid.validate_impact(hit, exact_plant(MODEL, 6.0, 0.0), controller)
+    assert validation.along_percent > 97
+    assert 1 / validation.force_scale == pytest.approx(2.18, rel=0.01)  # the moving mass

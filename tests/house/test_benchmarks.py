@@ -31,8 +31,8 @@ def test_quick_run(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
             return in_a_process(request, **variables)
         samples, start = Samples.load(Path(request["samples"])), request["start"]
         if request["method"] == "scipy":
-            found = gbid.fit(STRUCTURE, samples.recording(), criterion="trace").parameters
-            start = {name: 1.01 * found[name] for name in start}
+            result = gbid.fit(STRUCTURE, samples.recording(), criterion="trace").parameters
+            start = {name: 1.01 * result[name] for name in start}
         with no_compiler() if request["method"] == "numpy" else nullcontext():
             return worker.run(request["method"], samples, request["repeats"], start)
 

@@ -126,10 +126,10 @@ def test_internal_links_resolve(path: Path) -> None:
         if re.match(r"[a-z]+:", target):
             continue
         file, _, anchor = target.partition("#")
-        found = (path.parent / file).resolve() if file else path
-        assert found.is_file(), f"{relative(path)}: {target}"
+        computed = (path.parent / file).resolve() if file else path
+        assert computed.is_file(), f"{relative(path)}: {target}"
         if anchor:
-            assert anchor in anchors(found), f"{relative(path)}: {target}"
+            assert anchor in anchors(computed), f"{relative(path)}: {target}"
     for info, body in fences(path):
         if info.startswith("{literalinclude}"):
             assert (path.parent / info.split()[1]).is_file(), f"{relative(path)}: {info}"
@@ -219,8 +219,8 @@ def test_tree_of_fit_results_names_what_is_written(tmp_path: Path, capsys: pytes
 
 
 def _lag(p: Any) -> dict[str, Any]:
-    late = {"B_delayed": [[0.1]], "delay": [0.05]}
-    return {"A": [[-p.a]], "B": [[p.k]], "C": [[1]], "K": [[0.5]], **late}
+    delayed = {"B_delayed": [[0.1]], "delay": [0.05]}
+    return {"A": [[-p.a]], "B": [[p.k]], "C": [[1]], "K": [[0.5]], **delayed}
 
 
 @pytest.mark.parametrize("path", [p for p in PAGES if cells(p)], ids=relative)
@@ -240,7 +240,7 @@ def commands(path: Path) -> list[str]:
     typed = [body for info, body in fences(path) if info in ("console", "text", "bash", "sh")]
     lines = [line.split(" # ")[0] for body in typed for line in body.splitlines() if "$ " in line]
     inline = re.findall(r"`(gbid [^`\n]+)`", FENCE.sub("", path.read_text(encoding="utf-8")))
-    return [found.strip() for line in (*lines, *inline) for found in COMMAND.findall(line)]
+    return [computed.strip() for line in (*lines, *inline) for computed in COMMAND.findall(line)]
 
 
 @pytest.mark.parametrize("path", LINKED, ids=relative)
@@ -298,10 +298,10 @@ def arguments(value: Any) -> set[str]:
 
 def words_on(value: Any) -> set[str]:
     """Arguments that a docstring describes, in a list or in its sentences."""
-    found = sections(value.__doc__ or "")
+    result = sections(value.__doc__ or "")
     return {
-        *described(found.get("Parameters", "")),
-        *described(found.get("Attributes", "")),
+        *described(result.get("Parameters", "")),
+        *described(result.get("Attributes", "")),
         *re.findall(r"(?<!`)`(\w+)`(?!`)", value.__doc__ or ""),
     }
 

@@ -264,17 +264,17 @@ NOT_COUNTED = ("/signals", "/reports")
 
 def places(path):
     """Every entry of a file: attributes as (item, name), datasets and groups as (parent, name)."""
-    found = []
+    results = []
     with h5py.File(path) as file:
 
         def visit(name, item):
-            parent, _, own = f"/{name}".rpartition("/")
-            found.append((parent or "/", own, False))
-            found.extend((f"/{name}", key, True) for key in item.attrs)
+            parent, _, name_in_group = f"/{name}".rpartition("/")
+            results.append((parent or "/", name_in_group, False))
+            results.extend((f"/{name}", key, True) for key in item.attrs)
 
         file.visititems(visit)
-        found.extend(("/", key, True) for key in file.attrs)
-    return [place for place in found if not UNREAD & {*place[0].split("/"), place[1]}]
+        results.extend(("/", key, True) for key in file.attrs)
+    return [place for place in results if not UNREAD & {*place[0].split("/"), place[1]}]
 
 
 def tamper(file, where, name, is_attribute, how):
@@ -316,13 +316,13 @@ def test_a_file_that_was_tampered_with_is_refused_in_one_line(store, tmp_path):
     value, path = VALUES[store](), tmp_path / "a.h5"
     save(value, path)
     assert type(load(path, type(value))) is type(value)
-    whole = path.read_bytes()
+    complete = path.read_bytes()
     tried = 0
     for where, name, is_attribute in places(path):
         for how in ("delete", "shape", "type", "kind"):
             if how == "delete" and (where in NOT_COUNTED or name == "runout_map") and name != "time":
                 continue
-            path.write_bytes(whole)
+            path.write_bytes(complete)
             with hdf5.changing(path) as file:
                 if not tamper(file, where, name, is_attribute, how):
                     continue
@@ -339,18 +339,18 @@ def test_a_file_that_was_tampered_with_is_refused_in_one_line(store, tmp_path):
 def test_flipped_bits_truncation_and_foreign_changes_are_noticed_before_the_library_reads(tmp_path):
     value, path = stored_values.fit_table(), tmp_path / "a.h5"
     save(value, path)
-    whole = path.read_bytes()
+    complete = path.read_bytes()
     rng = np.random.default_rng(0)
-    for place in rng.integers(0, len(whole), 100):
-        changed = bytearray(whole)
+    for place in rng.integers(0, len(complete), 100):
+        changed = bytearray(complete)
         changed[place] ^= 1 << rng.integers(8)
         path.write_bytes(changed)
         with pytest.raises(DataError, match=r"changed by another program|checksum at its end is missing"):
             load(path, type(value))
-    path.write_bytes(whole[:-1])
+    path.write_bytes(complete[:-1])
     with pytest.raises(DataError, match="the checksum at its end is missing"):
         load(path, type(value))
-    path.write_bytes(whole)
+    path.write_bytes(complete)
     with h5py.File(path, "r+") as file:
         file.attrs["mine"] = 1.0
     with pytest.raises(DataError, match="changed by another program"):

@@ -22,7 +22,7 @@ def test_a_class_name_stands_for_one_class() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ClassDef):
                 places[node.name.lstrip("_")].append(str(path.relative_to(ROOT)))
-    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+    assert {name: computed for name, computed in places.items() if len(computed) > 1} == {}
 
 
 def test_no_file_name_is_used_three_times() -> None:
@@ -65,5 +65,5 @@ def test_words_that_the_field_does_not_use(word: str) -> None:
 def test_sections_of_docstrings_have_lines_of_their_own() -> None:
     """A line break lost in ``Notes`` or ``Raises`` breaks the page of the API, and nothing else would notice."""
     lost = re.compile(r"(Parameters|Attributes|Returns|Yields|Raises|Notes|Examples) -{3,}")
-    found = [str(path.relative_to(ROOT)) for path in MODULES if lost.search(path.read_text(encoding="utf-8"))]
-    assert found == []
+    results = [str(path.relative_to(ROOT)) for path in MODULES if lost.search(path.read_text(encoding="utf-8"))]
+    assert results == []

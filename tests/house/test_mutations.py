@@ -41,13 +41,13 @@ EXPECTED = {
 def test_faults_of_a_small_file(tmp_path: Path) -> None:
     path = tmp_path / "size.py"
     path.write_text(SOURCE, encoding="utf-8")
-    found = mutants(path, tmp_path)
-    assert {(m.function, m.old, m.new) for m in found} == EXPECTED
-    assert len(found) == len(EXPECTED)
-    for mutant in found:
+    faults = mutants(path, tmp_path)
+    assert {(m.function, m.old, m.new) for m in faults} == EXPECTED
+    assert len(faults) == len(EXPECTED)
+    for mutant in faults:
         assert is_another_program(mutant, tmp_path)
         assert mutant.apply(SOURCE).splitlines()[: mutant.line - 1] == SOURCE.splitlines()[: mutant.line - 1]
-    same = next(m for m in found if m.old == "total += value")
+    same = next(m for m in faults if m.old == "total += value")
     assert ast.unparse(ast.parse(same.apply(SOURCE))).count("pass") == 1
     with pytest.raises(ValueError, match=r"size\.py:12 is no longer"):
         same.apply(SOURCE.replace("total += value", "total -= value"))

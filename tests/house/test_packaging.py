@@ -17,8 +17,8 @@ WHEEL = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
 def test_every_experiment_is_in_the_wheel_and_no_result_of_one():
     included = WHEEL["force-include"]
     files = {p.relative_to(ROOT) for p in (ROOT / "experiments").rglob("*") if p.suffix in (".yaml", ".py", ".csv")}
-    own = {str(p) for p in files if not {"results", "__pycache__"} & set(p.parts)}
-    assert {source for source in included if source.startswith("experiments")} == own
+    experiments = {str(p) for p in files if not {"results", "__pycache__"} & set(p.parts)}
+    assert {source for source in included if source.startswith("experiments")} == experiments
     for source, target in included.items():
         path = ROOT / source
         assert path.exists()
@@ -48,9 +48,9 @@ def test_the_version_stands_in_one_place():
 def test_each_file_of_the_project_is_in_the_source_archive():
     """What stands at the root of the checkout, apart from what the build adds itself."""
     sdist = PROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
-    own = {path.name for path in ROOT.iterdir() if not path.name.startswith(".") or path.suffix == ".yaml"}
+    names = {path.name for path in ROOT.iterdir() if not path.name.startswith(".") or path.suffix == ".yaml"}
     made = {"dist", "build", "results"}
-    assert own - made <= {*sdist, "README.md", "LICENSE", "pyproject.toml"}
+    assert names - made <= {*sdist, "README.md", "LICENSE", "pyproject.toml"}
     assert all((ROOT / name).exists() for name in sdist)
 
 
@@ -66,11 +66,11 @@ def test_the_readme_of_a_package_index_has_no_link_to_a_file_beside_it():
 def test_the_licence_of_each_dependency_is_named():
     assert "LGPL" in licences.licence("casadi") or "Lesser" in licences.licence("casadi")
     page = licences.PAGE.read_text(encoding="utf-8")
-    found = re.findall(r"^\| `([^`]+)` \| (?:always|`[a-z]+`) \| ([^|]+) \|$", page, re.MULTILINE)
-    assert [package for package, _ in found] == list(licences.extras())
-    assert not {"not known", "none stated"} & {words for _, words in found}
+    matches = re.findall(r"^\| `([^`]+)` \| (?:always|`[a-z]+`) \| ([^|]+) \|$", page, re.MULTILINE)
+    assert [package for package, _ in matches] == list(licences.extras())
+    assert not {"not known", "none stated"} & {words for _, words in matches}
     for package in ("casadi", "nptdms", "asammdf"):
-        assert re.search("LGPL|Lesser", dict(found)[package])
+        assert re.search("LGPL|Lesser", dict(matches)[package])
 
 
 def test_the_tests_need_no_client_of_a_service():
@@ -83,8 +83,8 @@ def test_the_tests_need_no_client_of_a_service():
 def test_each_digest_is_of_the_version_that_the_tests_run_with():
     def pinned(name):
         text = (ROOT / name).read_text(encoding="utf-8")
-        found = re.findall(r"^([\w.-]+)==([^\s;]+)", text, re.MULTILINE)
-        return {re.sub("[-_.]+", "-", package).lower(): version for package, version in found}
+        matches = re.findall(r"^([\w.-]+)==([^\s;]+)", text, re.MULTILINE)
+        return {re.sub("[-_.]+", "-", package).lower(): version for package, version in matches}
 
     constraints, installed = pinned("constraints.txt"), pinned("requirements.txt")
     needed = {re.sub("[-_.]+", "-", name) for name, extra in licences.extras().items() if not extra}

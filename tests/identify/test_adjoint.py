@@ -24,11 +24,11 @@ def by_adjoint(shooting, unknowns, lam):
     theta, starts = shooting.unpack(unknowns)
     values = shooting.values(theta)
     weight = shooting.weight(shooting.error_products(values, starts))
-    found = shooting.gradients(values, Lagrangian(starts, on_ends(shooting, lam), weight))
+    gradients = shooting.gradients(values, Lagrangian(starts, on_ends(shooting, lam), weight))
     by_theta = shooting.prior.information / shooting.likelihood_size * (theta - shooting.prior.mean)
-    for part, (own, _) in zip(shooting.parts, found, strict=True):
-        by_theta[part.index] += own
-    by_start = np.concatenate([starts for _, starts in found]) * shooting.state_scale
+    for part, (part_gradient, _) in zip(shooting.parts, gradients, strict=True):
+        by_theta[part.index] += part_gradient
+    by_start = np.concatenate([starts for _, starts in gradients]) * shooting.state_scale
     by_start[shooting.links[:, 1]] -= lam.reshape(-1, shooting.n_states)
     return np.concatenate([by_theta * shooting.theta_scale, by_start.ravel()])
 
@@ -53,8 +53,8 @@ def test_the_adjoint_gives_the_gradient_of_the_pass(options, joined):
     lam = np.random.default_rng(4).normal(size=shooting.n_gaps)
     expected = of_pass(shooting, unknowns, lam)
     assert np.isfinite(expected).all()
-    found = by_adjoint(shooting, unknowns, lam)
-    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-11 * np.abs(expected).max())
+    gradients = by_adjoint(shooting, unknowns, lam)
+    np.testing.assert_allclose(gradients, expected, rtol=1e-8, atol=1e-11 * np.abs(expected).max())
 
 
 def test_the_problem_has_no_value_where_the_predictor_is_unstable():
@@ -83,7 +83,7 @@ def test_exact_columns_are_second_derivatives(local, joined):
     lam = np.random.default_rng(4).normal(size=shooting.n_gaps)
     assert len(shooting.noise) == 4 + len(local)
     pattern = shooting.hessian_pattern
-    found = shooting.at(unknowns).hessian + entries_of(shooting, left_out_columns(shooting, unknowns, lam))
+    computed = shooting.at(unknowns).hessian + entries_of(shooting, left_out_columns(shooting, unknowns, lam))
     theta, _ = shooting.unpack(unknowns)
     known = shooting.prior.information / shooting.likelihood_size * (theta - shooting.prior.mean) * shooting.theta_scale
     slope = of_pass(shooting, unknowns, 0 * lam)
@@ -93,9 +93,9 @@ def test_exact_columns_are_second_derivatives(local, joined):
         ahead[j] += 1e-6
         behind[j] -= 1e-6
         column = (of_pass(shooting, ahead, lam) - of_pass(shooting, behind, lam)) / 2e-6 + 2 * slope * slope[j]
-        for own, other in ((pattern.columns, pattern.rows), (pattern.rows, pattern.columns)):
-            places = np.flatnonzero(own == j)
+        for first, other in ((pattern.columns, pattern.rows), (pattern.rows, pattern.columns)):
+            places = np.flatnonzero(first == j)
             if len(places) == 0:
                 continue
-            off = np.abs(found[places] - column[other[places]])
+            off = np.abs(computed[places] - column[other[places]])
             assert off.max() < 1e-3 * np.abs(column).max()

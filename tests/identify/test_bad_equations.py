@@ -99,10 +99,12 @@ def test_random_starts_of_equations_without_a_value_there_are_counted_as_such():
         return [x[1], u[0] - 0.2 * x[1] - ca.sqrt(p.k) * x[0]]
 
     structure = _made(spring, parameters=[Parameter("k", 1.0)])
-    found = gbid.fit_multistart(structure, duffing_recording(0, n=100), starts=5, reach=3.0, seed=1)
-    assert 0 < np.isnan(found.losses).sum() < 4  # negative k
-    assert found.best.multi_start.starts == 5
-    assert sorted(i for m in found.minima for i in m.starts) == np.flatnonzero(~np.isnan(found.losses)).tolist()
+    multistart = gbid.fit_multistart(structure, duffing_recording(0, n=100), starts=5, reach=3.0, seed=1)
+    assert 0 < np.isnan(multistart.losses).sum() < 4  # negative k
+    assert multistart.best.multi_start.starts == 5
+    assert (
+        sorted(i for m in multistart.minima for i in m.starts) == np.flatnonzero(~np.isnan(multistart.losses)).tolist()
+    )
     with pytest.raises(UsageError, match="no search for start values in the data"):
         gbid.fit(structure, duffing_recording(0, n=100), start="data")
 

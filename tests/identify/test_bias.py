@@ -69,13 +69,13 @@ def test_from_measured_inputs_the_bias_is_told_and_in_the_intervals(structure, w
     assert stated <= 1.1
     assert shifted <= 1.3
     result = gbid.fit(structure, recording(POINTS[14], 14))
-    own = np.sqrt(np.diag(result.covariance_white) - result.hold_shift**2)[: len(KEY_PARAMETERS)]
+    std = np.sqrt(np.diag(result.covariance_white) - result.hold_shift**2)[: len(KEY_PARAMETERS)]
     error = [result.parameters[key] - truth_at(POINTS[14])[key] for key in KEY_PARAMETERS]
-    assert np.sqrt(np.mean(np.square(error / own))) > without
+    assert np.sqrt(np.mean(np.square(error / std))) > without
     for note in (note for note in result.notes if "GB124" in note):
         told = [key for key in KEY_PARAMETERS if f"{key} by" in note]
-        moved = np.abs(result.hold_shift[: len(own)]) > 0.5 * own
-        assert told == np.array(KEY_PARAMETERS)[moved].tolist()
+        shift = np.abs(result.hold_shift[: len(std)]) > 0.5 * std
+        assert told == np.array(KEY_PARAMETERS)[shift].tolist()
 
 
 @pytest.mark.slow

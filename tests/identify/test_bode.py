@@ -25,24 +25,26 @@ def test_derivatives_are_those_of_the_response(structure, at, n_u):
     result = fit(structure, rec, focus="simulation", start=at, max_iterations=3)
     f = np.array([0.05, 0.4, 0.8, 2.0, 7.0])
     slopes = response_slopes(result.model, result.model_slopes, f)
-    own = {name: result.parameters[name] for name in at}
+    estimates = {name: result.parameters[name] for name in at}
     for k, name in enumerate(result.free):
-        step = 1e-5 * max(1.0, abs(own[name]))
-        up, down = (evaluate(structure, {**own, name: own[name] + d}).frequency_response(f) for d in (step, -step))
+        step = 1e-5 * max(1.0, abs(estimates[name]))
+        up, down = (
+            evaluate(structure, {**estimates, name: estimates[name] + d}).frequency_response(f) for d in (step, -step)
+        )
         np.testing.assert_allclose(slopes[k], (up - down) / (2 * step), rtol=1e-6, atol=1e-8)
 
 
 def test_bands_are_those_of_models_drawn_from_the_covariance(late):
     f = np.geomspace(0.05, 4.0, 15)
-    found = late.bode(f)
+    response = late.bode(f)
     random = np.random.default_rng(0)
     draws = random.multivariate_normal([late.parameters[n] for n in late.free], 0.01 * late.covariance, size=400)
     drawn = np.array([evaluate(LATE, dict(zip(late.free, row, strict=True))).frequency_response(f) for row in draws])
-    moved = drawn / found.response
-    np.testing.assert_allclose(10 * np.abs(drawn).std(0), found.magnitude_std, rtol=0.1)
-    np.testing.assert_allclose(10 * np.degrees(np.angle(moved)).std(0), found.phase_std_deg, rtol=0.1, atol=1e-6)
+    shifted = drawn / response.response
+    np.testing.assert_allclose(10 * np.abs(drawn).std(0), response.magnitude_std, rtol=0.1)
+    np.testing.assert_allclose(10 * np.degrees(np.angle(shifted)).std(0), response.phase_std_deg, rtol=0.1, atol=1e-6)
     for axes, part in ((0, drawn.real), (1, drawn.imag)):
-        np.testing.assert_allclose(10 * part.std(0), np.sqrt(found.covariance[..., axes, axes]), rtol=0.1, atol=1e-7)
+        np.testing.assert_allclose(10 * part.std(0), np.sqrt(response.covariance[..., axes, axes]), rtol=0.1, atol=1e-7)
 
 
 def test_the_resonance_frequency_has_the_same_std_as_the_modes():
@@ -50,9 +52,9 @@ def test_the_resonance_frequency_has_the_same_std_as_the_modes():
     rec = simulated(MODE, MODE_AT, levels(600, hold=2), noise=0.3)
     result = fit(MODE, rec, focus="simulation", fixed={"z": 0.05, "g": 2.0})
     (f, zeta), (f_std, _) = result.model.modes()[0], result.modes_std[0]
-    found = result.bode([f])
-    assert found.phase_std_deg[0, 0, 0] == pytest.approx(np.degrees(f_std / f / zeta), rel=1e-9)
-    assert found.phase_deg[0, 0, 0] == pytest.approx(-90.0, abs=1e-9)
+    response = result.bode([f])
+    assert response.phase_std_deg[0, 0, 0] == pytest.approx(np.degrees(f_std / f / zeta), rel=1e-9)
+    assert response.phase_deg[0, 0, 0] == pytest.approx(-90.0, abs=1e-9)
 
 
 def test_the_phase_of_a_long_delay_has_no_jumps():
@@ -73,13 +75,13 @@ def test_a_plain_model_has_no_bands_and_a_stored_fit_keeps_them(late, tmp_path):
 
 
 def test_the_table_has_a_row_for_each_pair_and_frequency(late):
-    found = late.bode([0.5, 1.0])
-    lines = csv_text(found.table()).splitlines()
+    response = late.bode([0.5, 1.0])
+    lines = csv_text(response.table()).splitlines()
     assert lines[1].startswith("output,input,frequency_hz,magnitude,magnitude_std,magnitude_lower")
     assert len(lines) == 2 + 2 * 2 * 2
     name_y, name_u, f, magnitude, std, *_ = lines[5].split(",")
     assert (name_y, name_u, float(f)) == ("y_1", "u_y", 1.0)
-    assert (float(magnitude), float(std)) == (found.magnitude[1, 0, 1], found.magnitude_std[1, 0, 1])
+    assert (float(magnitude), float(std)) == (response.magnitude[1, 0, 1], response.magnitude_std[1, 0, 1])
 
 
 def test_parameters_of_other_recordings_do_not_widen_the_band():
@@ -108,14 +110,14 @@ def test_frequencies_must_be_above_zero(late, wrong):
 def test_one_channel_is_the_estimate_of_scipy():
     rec = simulated(MODE, {**MODE_AT, "z": 0.3}, np.random.default_rng(3).normal(size=(4096, 1)), noise=0.2)
     u, y = rec.signal("u")[:, 0], rec.signal("y")[:, 0]
-    found = measured_response(rec, "u", "y", resolution_hz=1 / (256 * H), intersample=None)
+    measured = measured_response(rec, "u", "y", resolution_hz=1 / (256 * H), intersample=None)
     options = {"fs": 1 / H, "nperseg": 256, "noverlap": 128, "window": "hann", "detrend": "constant"}
     f, S_uy = csd(u, y, **options)
     _, S_uu = welch(u, **options)
     _, S_yy = welch(y, **options)
-    np.testing.assert_allclose(found.frequency_hz, f[1:128])
-    np.testing.assert_allclose(found.response[:, 0, 0], (S_uy / S_uu)[1:128], rtol=1e-9)
-    np.testing.assert_allclose(found.coherence[:, 0], (np.abs(S_uy) ** 2 / S_uu / S_yy)[1:128], rtol=1e-9)
+    np.testing.assert_allclose(measured.frequency_hz, f[1:128])
+    np.testing.assert_allclose(measured.response[:, 0, 0], (S_uy / S_uu)[1:128], rtol=1e-9)
+    np.testing.assert_allclose(measured.coherence[:, 0], (np.abs(S_uy) ** 2 / S_uu / S_yy)[1:128], rtol=1e-9)
 
 
 def test_std_of_the_measurement_is_its_scatter():
@@ -124,9 +126,9 @@ def test_std_of_the_measurement_is_its_scatter():
     for seed in range(12):
         u = np.random.default_rng(seed).normal(size=(8000, 2))
         rec = simulated(EVERY, EVERY_AT, u, noise=0.3, seed=seed + 100)
-        found = measured_response(rec, "u", "y", resolution_hz=0.05, intersample=None)
-        band = found.frequency_hz > 1.0  # below, the resonance is narrower than the resolution
-        off = (found.response - sampled.frequency_response(found.frequency_hz)) / found.std
+        measured = measured_response(rec, "u", "y", resolution_hz=0.05, intersample=None)
+        band = measured.frequency_hz > 1.0  # below, the resonance is narrower than the resolution
+        off = (measured.response - sampled.frequency_response(measured.frequency_hz)) / measured.std
         z.append([off[band].real, off[band].imag])
     assert 0.93 < np.sqrt(np.square(z).mean()) < 1.07
 
@@ -136,10 +138,10 @@ def test_the_hold_is_divided_out(hold):
     """A mode far below half the sampling frequency: the continuous-time response is what remains."""
     at = {**MODE_AT, "z": 0.3}
     rec = simulated(MODE, at, np.random.default_rng(3).normal(size=(40_000, 1)), hold=hold)
-    found = measured_response(rec, "u", "y", intersample=hold, resolution_hz=0.02)
-    low = found.frequency_hz < 1.5
-    truth = evaluate(MODE, at).frequency_response(found.frequency_hz[low])
-    assert np.abs(found.response[low] / truth - 1).max() < 0.05
+    measured = measured_response(rec, "u", "y", intersample=hold, resolution_hz=0.02)
+    low = measured.frequency_hz < 1.5
+    truth = evaluate(MODE, at).frequency_response(measured.frequency_hz[low])
+    assert np.abs(measured.response[low] / truth - 1).max() < 0.05
 
 
 def test_a_reference_removes_the_bias_of_a_loop():
@@ -158,8 +160,8 @@ def test_a_reference_removes_the_bias_of_a_loop():
     truth = plant.frequency_response(f)[:, 0, 0]
 
     def error(**options):
-        found = measured_response(rec, "u", "y", intersample=None, resolution_hz=0.05, **options)
-        return np.abs(np.interp(f, found.frequency_hz, found.response[:, 0, 0]) - truth)
+        measured = measured_response(rec, "u", "y", intersample=None, resolution_hz=0.05, **options)
+        return np.abs(np.interp(f, measured.frequency_hz, measured.response[:, 0, 0]) - truth)
 
     assert (error(reference="r") < 0.15).all()
     assert (error() > 3 * error(reference="r"))[1:].all()

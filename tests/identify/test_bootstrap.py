@@ -69,11 +69,11 @@ def test_the_seed_decides(result):
 
 def test_it_is_stored(result, tmp_path):
     save_fit(result, tmp_path / "fit.h5")
-    found = load_fit(tmp_path / "fit.h5")
-    assert found.options == result.options
-    assert found.trusted == "bootstrap"
-    np.testing.assert_array_equal(found.covariance, result.covariance_bootstrap)
-    np.testing.assert_array_equal(found.covariance_bootstrap, result.covariance_bootstrap)
+    loaded = load_fit(tmp_path / "fit.h5")
+    assert loaded.options == result.options
+    assert loaded.trusted == "bootstrap"
+    np.testing.assert_array_equal(loaded.covariance, result.covariance_bootstrap)
+    np.testing.assert_array_equal(loaded.covariance_bootstrap, result.covariance_bootstrap)
 
 
 def test_what_is_no_estimate_has_no_bootstrap():

@@ -31,17 +31,17 @@ def at(predictor, values):
 def by_hand(w, y, x, focus, set_point, later=1):
     """Predictions of the mode with its sampled controller, one sample after the other."""
     plant, law = evaluate(MODE, VALUES), sample_controller(evaluate(LAG, LAG_AT), H)
-    whole = expm(H * np.block([[plant.A, plant.B, plant.K], [np.zeros((2, 4))]]))[:2]
-    x, z, waiting, found = np.array(x), np.zeros(1), [np.zeros(1)] * later, []
+    complete = expm(H * np.block([[plant.A, plant.B, plant.K], [np.zeros((2, 4))]]))[:2]
+    x, z, waiting, computed = np.array(x), np.zeros(1), [np.zeros(1)] * later, []
     for now, seen in zip(w, y, strict=True):
         predicted = plant.C @ x
         heard = (seen if focus == "prediction" else predicted) - set_point * now
         waiting.append(law.C @ z + law.D @ heard)
         z = law.A @ z + law.B @ heard
         error = (seen - predicted) * (focus == "prediction")
-        x = whole @ np.concatenate([x, waiting.pop(0) + now * (not set_point), error])
-        found.append(predicted)
-    return np.array(found)
+        x = complete @ np.concatenate([x, waiting.pop(0) + now * (not set_point), error])
+        computed.append(predicted)
+    return np.array(computed)
 
 
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
@@ -74,15 +74,15 @@ def test_derivatives_of_a_sampled_loop_by_plant_and_gains():
 def test_loops_are_those_of_close_loop():
     plant, law = evaluate(MODE, VALUES, ("u",), ("y",)), evaluate(LAG, LAG_AT, ("y",), ("u",))
     continuous = gbid.close_loop(plant, law)
-    found = evaluate(gbid.ClosedLoop(MODE, law), VALUES)
+    model = evaluate(gbid.ClosedLoop(MODE, law), VALUES)
     f = np.geomspace(0.01, 4.0, 9)
-    np.testing.assert_allclose(found.frequency_response(f), continuous.frequency_response(f), rtol=1e-10)
+    np.testing.assert_allclose(model.frequency_response(f), continuous.frequency_response(f), rtol=1e-10)
     # close_loop computes behind the excitation, a target before: the same but for one sample of the excitation
     sampled = gbid.close_loop(sample_plant(plant, H, H), sample_controller(law, H))
-    found = evaluate(gbid.ClosedLoop(MODE, sample_controller(law, H)), VALUES)
+    model = evaluate(gbid.ClosedLoop(MODE, sample_controller(law, H)), VALUES)
     late = np.exp(-2j * np.pi * f * H)[:, None, None]
-    np.testing.assert_allclose(late * found.frequency_response(f), sampled.frequency_response(f), rtol=1e-9)
-    assert found.dt == H
+    np.testing.assert_allclose(late * model.frequency_response(f), sampled.frequency_response(f), rtol=1e-9)
+    assert model.dt == H
 
 
 def test_exact_delays_in_a_loop_become_filters():
@@ -103,15 +103,15 @@ def test_unknown_gain_is_estimated_along_and_its_mode_has_a_standard_deviation()
     y = evaluate(loop, truth).simulate(w)
     rng = np.random.default_rng(0)
     recording = gbid.Recording({"w": w, "y": y + 1e-3 * rng.standard_normal(y.shape)}, H)
-    found = gbid.fit(
+    result = gbid.fit(
         loop, recording, focus="simulation", fixed={"controller_pole": 20.0, "l1": 0.0, "l2": 0.0}, start=truth
     )
-    assert found.success
-    for name in found.free:
-        assert abs(found.parameters[name] - truth[name]) < 4 * found.std[name]
-    moved = found.model.modes()[0]
-    np.testing.assert_allclose(moved, evaluate(loop, truth).modes()[0], atol=4 * found.modes_std[0].max())
-    assert 0 < found.modes_std[0, 1] < 1e-2
+    assert result.success
+    for name in result.free:
+        assert abs(result.parameters[name] - truth[name]) < 4 * result.std[name]
+    shifted = result.model.modes()[0]
+    np.testing.assert_allclose(shifted, evaluate(loop, truth).modes()[0], atol=4 * result.modes_std[0].max())
+    assert 0 < result.modes_std[0, 1] < 1e-2
 
 
 def test_a_sampled_loop_with_missing_outputs_is_refused_in_prediction():
@@ -140,7 +140,7 @@ def test_errors_that_come_back_in_the_input_are_noted():
     """Noise with a memory, fed back by a controller: simulation is biased and says so, others are not."""
     truth = {**MODE_AT, "l1": 3.0, "l2": 8.0}
     plant, rng = evaluate(MODE, truth).discretise(H), np.random.default_rng(3)
-    found = {}
+    results = {}
     for gain in (0.0, 0.3):
         w, x, last = levels(2500), np.zeros(2), 0.0
         signals = {name: np.zeros((len(w), 1)) for name in "uyw"}
@@ -149,10 +149,10 @@ def test_errors_that_come_back_in_the_input_are_noted():
             y, u = plant.C[0] @ x + e, w[k, 0] + last
             signals["u"][k], signals["y"][k], signals["w"][k] = u, y, w[k, 0]
             x, last = plant.A @ x + plant.B[:, 0] * u + plant.K[:, 0] * e, gain * y
-        found[gain] = gbid.Recording(signals, H)
+        results[gain] = gbid.Recording(signals, H)
     held = {"l1": 0.0, "l2": 0.0}
     noted = {
-        name: any("GB121" in note for note in gbid.fit(structure, found[gain], start=truth, **options).notes)
+        name: any("GB121" in note for note in gbid.fit(structure, results[gain], start=truth, **options).notes)
         for name, gain, structure, options in (
             ("open", 0.0, MODE, {"focus": "simulation"}),
             ("naive", 0.3, MODE, {"focus": "simulation"}),

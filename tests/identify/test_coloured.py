@@ -111,12 +111,12 @@ def test_windows_joined_and_cut_again_are_the_same_problem(problem):
     point = unknowns[kept]
     again = in_windows(cut_up, joined, point)
     np.testing.assert_allclose(again[kept], point, rtol=1e-12)
-    whole, parts = joined.at(point), cut_up.at(again)
-    assert parts.cost == pytest.approx(whole.cost, rel=1e-12)
+    complete, parts = joined.at(point), cut_up.at(again)
+    assert parts.cost == pytest.approx(complete.cost, rel=1e-12)
     between = np.isin(cut_up.links[:, 1], (kept[cut_up.n_theta :: cut_up.n_states] - cut_up.n_theta) // cut_up.n_states)
     gaps = parts.gaps.reshape(-1, cut_up.n_states)
     np.testing.assert_allclose(gaps[~between], 0, atol=1e-9)  # within pieces they are closed
-    np.testing.assert_allclose(gaps[between].ravel(), whole.gaps, atol=1e-9)
+    np.testing.assert_allclose(gaps[between].ravel(), complete.gaps, atol=1e-9)
 
 
 def test_no_other_gain_is_sought_where_errors_are_white_or_gains_are_known(problem):

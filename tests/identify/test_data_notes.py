@@ -49,8 +49,8 @@ def test_micrometres_and_millimetres_are_no_metres(of_u, of_p):
 
 def test_the_same_recording_twice_is_named():
     u, p = disc(0)
-    found = codes(bearing(recording(u, p, "one"), recording(u.copy(), p.copy(), "two")))
-    assert found == {"GB134"}
+    computed = codes(bearing(recording(u, p, "one"), recording(u.copy(), p.copy(), "two")))
+    assert computed == {"GB134"}
     again = disc(0)[1] + 1e-9
     assert not codes(bearing(recording(u, p, "one"), recording(u, again, "two")))
 

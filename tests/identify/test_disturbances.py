@@ -162,13 +162,13 @@ def test_start_values_of_a_bearing_are_found_beside_a_drift():
         gbid.Recording({"u": u, "p": y}, 2e-4, channels=channels, units=units) for y in (p, p + 1e-6 * t * [1.0, -0.5])
     )
     free = fit(gbid.RotorBearing(), clean)
-    found = fit(gbid.RotorBearing(), drifting, trend="linear")
-    assert found.success
+    result = fit(gbid.RotorBearing(), drifting, trend="linear")
+    assert result.success
     for name in true:
-        assert found.parameters[name] == pytest.approx(free.parameters[name], abs=0.5 * free.std[name])
-        assert found.std[name] == pytest.approx(free.std[name], rel=0.05)
-    assert found.parameters["trend1_p_x"] == pytest.approx(1e-6, abs=4 * found.std["trend1_p_x"])
-    assert found.units["trend1_p_x"] == "m/s"
+        assert result.parameters[name] == pytest.approx(free.parameters[name], abs=0.5 * free.std[name])
+        assert result.std[name] == pytest.approx(free.std[name], rel=0.05)
+    assert result.parameters["trend1_p_x"] == pytest.approx(1e-6, abs=4 * result.std["trend1_p_x"])
+    assert result.units["trend1_p_x"] == "m/s"
 
 
 @pytest.mark.parametrize(

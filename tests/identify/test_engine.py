@@ -96,10 +96,10 @@ def problem(case, lengths=(300,), window=50, left_out=None):
     return predictor, theta, blocks, starts, weight
 
 
-def assert_same_sums(found, expected, rtol=1e-10):
+def assert_same_sums(computed, expected, rtol=1e-10):
     """Entry by entry in units of each row's own size: rows and columns of parameters differ by orders."""
     for name in type(expected)._fields if hasattr(expected, "_fields") else expected.__dataclass_fields__:
-        a, b = getattr(found, name), getattr(expected, name)
+        a, b = getattr(computed, name), getattr(expected, name)
         assert a.shape == b.shape, name
         assert np.isfinite(a).all(), name
         if name == "hessian":
@@ -142,22 +142,22 @@ def test_the_compiled_kernel_is_the_portable_one(case, shape, fresh, cache):
     predictor, theta, blocks, starts, weight = problem(case, *shape)
     v = predictor.at(theta)
     kernels = CompiledLinearKernel(KernelPattern.of(v)), PORTABLE
-    (found,), (expected,) = (kernel.trace(v, blocks, starts, [weight]) for kernel in kernels)
-    assert_same_sums(found.sums, expected.sums)
-    np.testing.assert_allclose(found.begin, expected.begin, rtol=1e-9, atol=1e-12 * np.abs(expected.begin).max())
+    (computed,), (expected,) = (kernel.trace(v, blocks, starts, [weight]) for kernel in kernels)
+    assert_same_sums(computed.sums, expected.sums)
+    np.testing.assert_allclose(computed.begin, expected.begin, rtol=1e-9, atol=1e-12 * np.abs(expected.begin).max())
     live = slice(blocks.n_blocks)
-    for a, b in zip(found.linked[:2], expected.linked[:2], strict=True):  # the ends are in the sums
+    for a, b in zip(computed.linked[:2], expected.linked[:2], strict=True):  # the ends are in the sums
         np.testing.assert_allclose(a[live], b[live], rtol=1e-9, atol=1e-12 * np.abs(b).max())
     random = np.random.default_rng(8)
     at = Lagrangian(starts, random.normal(size=starts.shape), weight)
-    moved = []
+    shifted = []
     for column in range(len(theta)):
         other = theta.copy()
         other[column] += (step := 1e-6 * (abs(theta[column]) or 1.0))
-        moved.append(Moved(column, step, predictor.at(other)))
+        shifted.append(Moved(column, step, predictor.at(other)))
     for a, b in zip(*(kernel.gradient(v, blocks, at) for kernel in kernels), strict=True):
         assert (np.abs(a - b) <= 1e-9 * np.abs(b) + 1e-11 * np.abs(b).max(axis=0)).all()
-    second, reference = (kernel.left_out(v, blocks, at, moved) for kernel in kernels)
+    second, reference = (kernel.left_out(v, blocks, at, shifted) for kernel in kernels)
     size = np.sqrt(np.diag(expected.sums.hessian))  # of each parameter; the portable ones are differences of gradients
     assert (np.abs(second[0] - reference[0]) <= 1e-4 * np.outer(size, size)).all()
     start = np.sqrt(np.diagonal(expected.sums.hessian_start, axis1=1, axis2=2).max(axis=0))

@@ -105,10 +105,10 @@ def test_what_the_fit_takes_from_narrow_band_errors_is_given_back():
         e = lfilter([1.0], a, drive)[2000:]
         e = e - slopes.T @ (inverse @ (slopes @ e))
         record = RecordSensitivities(np.arange(4), slopes[None], e[:, None], np.ones(n, bool))
-        found, _ = score_covariance([transformed(record, np.arange(4))], np.eye(1), root)
-        stated.append(np.diag(back.T @ found @ back))
-        found, _ = score_covariance([transformed(record, np.arange(4))], np.eye(1), TINY * np.eye(4))
-        plain.append(np.diag(found) / TINY**2)
-    given_back, without = (np.mean(np.mean(found, axis=0) / np.diag(true)) for found in (stated, plain))
+        covariance, _ = score_covariance([transformed(record, np.arange(4))], np.eye(1), root)
+        stated.append(np.diag(back.T @ covariance @ back))
+        covariance, _ = score_covariance([transformed(record, np.arange(4))], np.eye(1), TINY * np.eye(4))
+        plain.append(np.diag(covariance) / TINY**2)
+    given_back, without = (np.mean(np.mean(covariance, axis=0) / np.diag(true)) for covariance in (stated, plain))
     assert without < 0.8
     assert 0.85 < given_back < 1.2

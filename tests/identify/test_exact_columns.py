@@ -34,19 +34,21 @@ def test_the_observed_information_is_the_slope_of_the_gradient(options):
     def gradient(moved):
         at, begun = theta + moved[:n_p], starts.copy()
         begun[first] += moved[n_p:].reshape(len(first), -1)
-        found = information_over_records(Estimate(joined, at, passed_on(joined, at, begun), first), weight, block=100)
+        information = information_over_records(
+            Estimate(joined, at, passed_on(joined, at, begun), first), weight, block=100
+        )
         total = np.zeros(n_all)
-        for record in found.sensitivities:
+        for record in information.sensitivities:
             total[record.columns] -= np.einsum("amk,ab,kb->m", record.psi, weight, record.errors)
         return total
 
-    found = information_over_records(Estimate(joined, theta, starts, first), weight, observed=True, block=100)
-    steps = 1e-5 / np.sqrt(np.diag(found.hessian))
+    information = information_over_records(Estimate(joined, theta, starts, first), weight, observed=True, block=100)
+    steps = 1e-5 / np.sqrt(np.diag(information.hessian))
     expected = np.array([(gradient(s) - gradient(-s)) / (2 * s.max()) for s in np.diag(steps)])
-    size = np.sqrt(np.outer(np.diag(found.hessian), np.diag(found.hessian)))
-    assert found.observed.shape == (n_all, n_all)
-    np.testing.assert_allclose(found.observed / size, expected / size, atol=2e-4)
-    assert np.abs((found.hessian - expected) / size).max() > 0.05  # Gauss-Newton leaves something out
+    size = np.sqrt(np.outer(np.diag(information.hessian), np.diag(information.hessian)))
+    assert information.observed.shape == (n_all, n_all)
+    np.testing.assert_allclose(information.observed / size, expected / size, atol=2e-4)
+    assert np.abs((information.hessian - expected) / size).max() > 0.05  # Gauss-Newton leaves something out
 
 
 def test_columns_of_an_overflow_are_not_finite():
@@ -57,8 +59,8 @@ def test_columns_of_an_overflow_are_not_finite():
     shares = [np.full(len(part.index), np.nan) for part in joined.parts]
     weight = np.eye(joined.error_products(joined.values(theta), starts).shape[0])
     ends = np.zeros_like(starts)
-    for found in omitted_part(joined, theta, Lagrangian(starts, ends, weight), shares):
-        assert np.isnan(found.theta).all()
+    for computed in omitted_part(joined, theta, Lagrangian(starts, ends, weight), shares):
+        assert np.isnan(computed.theta).all()
 
 
 def passed_on(joined, theta, starts):
@@ -88,9 +90,9 @@ def test_a_gain_that_cannot_follow_the_errors_is_as_uncertain_as_many_fits_are()
     u = levels(1000, seed=2)
     clean = evaluate(LAG, {"a": 1.5, "b": 2.0, "k": 0.0}).simulate(u, H)
     data = [Recording({"u": u, "y": clean + ringing(1000, seed)}, H) for seed in range(30)]
-    found = [fit(LAG, each, start={"a": 1.5, "b": 2.0, "k": 0.0}, max_iterations=40) for each in data]
-    assert all(result.success for result in found)
-    assert all(result.trusted == "robust" for result in found)
-    spread = np.std([[result.parameters[name] for name in "abk"] for result in found], axis=0, ddof=1)
-    stated = np.median([[result.std[name] for name in "abk"] for result in found], axis=0)
+    results = [fit(LAG, each, start={"a": 1.5, "b": 2.0, "k": 0.0}, max_iterations=40) for each in data]
+    assert all(result.success for result in results)
+    assert all(result.trusted == "robust" for result in results)
+    spread = np.std([[result.parameters[name] for name in "abk"] for result in results], axis=0, ddof=1)
+    stated = np.median([[result.std[name] for name in "abk"] for result in results], axis=0)
     np.testing.assert_allclose(stated / spread, 1, atol=0.25)

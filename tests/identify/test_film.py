@@ -35,9 +35,12 @@ def test_stiffness_stiffening_and_delays_of_the_rig_are_found_from_data_alone(fo
 
 @pytest.mark.parametrize("delay", ["pade", "exact"])
 def test_linear_part_is_that_of_the_linear_bearing(delay):
-    own = {"delay": delay, "disturbance_gain": "none"}
-    film = nonlinear_model(equations_of(gbid.RotorBearing(film="stiffening", **own)), TRUTH)
-    at_rest, linear = film.linearise(np.zeros(film.n_states), np.zeros(2)), evaluate(gbid.RotorBearing(**own), TRUTH)
+    options = {"delay": delay, "disturbance_gain": "none"}
+    film = nonlinear_model(equations_of(gbid.RotorBearing(film="stiffening", **options)), TRUTH)
+    at_rest, linear = (
+        film.linearise(np.zeros(film.n_states), np.zeros(2)),
+        evaluate(gbid.RotorBearing(**options), TRUTH),
+    )
     for part in ("A", "B", "C", "D", *(["B_delayed", "delay"] if delay == "exact" else [])):
         np.testing.assert_allclose(getattr(at_rest, part), getattr(linear, part), rtol=1e-12, atol=1e-9)
 

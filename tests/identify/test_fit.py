@@ -161,16 +161,16 @@ def test_windows_do_not_move_the_optimum(focus, window):
 def test_scaling_does_not_move_the_optimum_of_the_rotor(rotor, rotor_fit, window):
     """Stiffnesses of 1e5 beside delays of 1e-4: the solver's tolerance says nothing then, so success is not asked."""
     task = pose(RotorBearing(), rotor, FitArguments())
-    posed = task.problem(task.begin.values, window)
-    ones = np.ones(posed.shooting.n_theta), np.ones(posed.shooting.n_states)
-    unscaled = replace(posed.shooting, theta_scale=ones[0], state_scale=ones[1])
-    box = [unscaled.pack(*posed.shooting.unpack(x)) for x in (posed.unknowns, *posed.box)]
+    problem = task.problem(task.begin.values, window)
+    ones = np.ones(problem.shooting.n_theta), np.ones(problem.shooting.n_states)
+    unscaled = replace(problem.shooting, theta_scale=ones[0], state_scale=ones[1])
+    box = [unscaled.pack(*problem.shooting.unpack(x)) for x in (problem.unknowns, *problem.box)]
     theta, starts = unscaled.unpack(solve(unscaled, *box).unknowns)
-    found = dict(zip((q.name for q in posed.assembly.free), theta, strict=True))
+    computed = dict(zip((q.name for q in problem.assembly.free), theta, strict=True))
     products = unscaled.error_products(unscaled.values(theta), starts) / unscaled.n_samples
     assert np.linalg.det(products) == pytest.approx(rotor_fit.loss, rel=1e-6)
     for name in rotor_fit.free:
-        assert abs(found[name] - rotor_fit.parameters[name]) < 1e-3 * rotor_fit.std[name], name
+        assert abs(computed[name] - rotor_fit.parameters[name]) < 1e-3 * rotor_fit.std[name], name
 
 
 def test_the_start_does_not_move_the_optimum(rotor, rotor_fit):
@@ -205,10 +205,10 @@ def test_fixed_parameters_stay():
     assert result.std["z"] == 0.0
     assert result.free == ("w", "g")
     assert result.covariance.shape == (2, 2)
-    own = LinearStructure(
+    structure = LinearStructure(
         "own", [*MODE.parameters[:1], Parameter("z", 0.06, fixed=True), *MODE.parameters[2:]], MODE.matrices
     )
-    again = fit(own, mode_data(), fixed={"l1": 0.0, "l2": 0.0})
+    again = fit(structure, mode_data(), fixed={"l1": 0.0, "l2": 0.0})
     assert again.parameters == result.parameters
 
 
@@ -415,8 +415,8 @@ def test_ctrl_c_that_is_ignored_does_not_end_the_fit():
 def test_fits_in_two_threads_are_those_in_turn():
     data = [mode_data(500), mode_data(800)]
     with ThreadPoolExecutor(2) as pool:
-        found = list(pool.map(partial(fit, MODE), 2 * data))
-    assert [result.parameters for result in found] == 2 * [fit(MODE, each).parameters for each in data]
+        computed = list(pool.map(partial(fit, MODE), 2 * data))
+    assert [result.parameters for result in computed] == 2 * [fit(MODE, each).parameters for each in data]
 
 
 FORKED = """

@@ -61,8 +61,8 @@ def test_parameters_local_to_a_recording():
     truth = {"a": 1.5, **{f"b[{name}]": b for name, b in gains.items()}}
     assert np.abs(away(result, truth, truth)).max() < 4
     for name in gains:
-        own = result.parameters_of(name)
-        assert own == {"a": result.parameters["a"], "b": result.parameters[f"b[{name}]"], "k": 0.0}
+        local_values = result.parameters_of(name)
+        assert local_values == {"a": result.parameters["a"], "b": result.parameters[f"b[{name}]"], "k": 0.0}
         assert result.local_names[name] == {"b": f"b[{name}]"}
     with pytest.raises(KeyError, match="recording 'r9' was not fitted; there are r0, r1, r2"):
         result.parameters_of("r9")
@@ -77,9 +77,9 @@ def test_local_in_everything_is_as_many_fits():
     for rec in recs:
         alone = fit(LAG, rec, focus="simulation")
         for name in ("a", "b"):
-            full, own = f"{name}[{rec.name}]", alone.std_with("white")[name]
-            assert abs(together.parameters[full] - alone.parameters[name]) < 1e-3 * own
-            assert together.std_with("white")[full] == pytest.approx(own, rel=0.1)
+            full, std = f"{name}[{rec.name}]", alone.std_with("white")[name]
+            assert abs(together.parameters[full] - alone.parameters[name]) < 1e-3 * std
+            assert together.std_with("white")[full] == pytest.approx(std, rel=0.1)
     order = [together.free.index(f"{q}[r{i}]") for i in range(2) for q in "ab"]
     cross = together.covariance_white[np.ix_(order[:2], order[2:])]
     assert np.abs(cross).max() < 1e-9 * together.covariance_white.max()
@@ -155,8 +155,8 @@ def test_offsets_of_each_recording():
     assert result.parameters_of("r1")["offset_y"] == result.parameters["offset_y[r1]"]
     assert fit(LAG, recs, focus="simulation").loss > 10 * result.loss
     # What does not touch the dynamics does not move them either: a shift of the data is a shift of the offset.
-    moved = [rec.with_signals(y=rec.signal("y") + 100.0) for rec in recs]
-    again = fit(LAG, moved, focus="simulation", trend="offset")
+    shifted = [rec.with_signals(y=rec.signal("y") + 100.0) for rec in recs]
+    again = fit(LAG, shifted, focus="simulation", trend="offset")
     for name in result.free:
         shift = 100.0 * name.startswith("offset")
         assert again.parameters[name] == pytest.approx(result.parameters[name] + shift, abs=1e-3 * result.std[name])
@@ -174,8 +174,8 @@ def test_a_prior_is_weighed_against_the_data():
         prior = {"b": (free.parameters["b"] + said * std, sure * std)}
         result = fit(LAG, rec, focus="simulation", prior=prior)
         assert result.success
-        moved = (result.parameters["b"] - free.parameters["b"]) / std
-        assert moved == pytest.approx(said / (1 + sure**2), rel=0.03)
+        shifted = (result.parameters["b"] - free.parameters["b"]) / std
+        assert shifted == pytest.approx(said / (1 + sure**2), rel=0.03)
         expected = std / np.sqrt(1 + sure**-2)
         assert result.std_with("white")["b"] == pytest.approx(expected, rel=0.02)
         assert result.std_with("white")["a"] < free.std_with("white")["a"]  # b no longer takes the blame
@@ -489,9 +489,9 @@ def test_a_disturbance_gain_that_is_held(gain):
     free = fit(LAG, rec)
     assert free.loss < result.loss
     if gain == 0:  # no gain is the model's own run
-        own = fit(LAG, rec, focus="simulation")
-        assert np.abs(away(own, result.parameters, "ab")).max() < 1e-3
-        assert own.loss == pytest.approx(result.loss, rel=1e-8)
+        simulation = fit(LAG, rec, focus="simulation")
+        assert np.abs(away(simulation, result.parameters, "ab")).max() < 1e-3
+        assert simulation.loss == pytest.approx(result.loss, rel=1e-8)
 
 
 # ---- what the data do not determine ----
@@ -505,8 +505,8 @@ def test_the_plant_without_its_actuators_is_refused_or_named():
     with pytest.raises(UsageError, match="does not determine the actuators: fix p1_x"):
         fit(alone, rec)
     result = fit(alone, rec, start=ACTUATORS, window=156)
-    dark = [name for name in result.free if np.isnan(result.std[name])]
-    assert {"kappa_x", "kappa_y", "b_xx", "b_xy", "b_yx", "b_yy"} <= set(dark)
+    undetermined = [name for name in result.free if np.isnan(result.std[name])]
+    assert {"kappa_x", "kappa_y", "b_xx", "b_xy", "b_yx", "b_yy"} <= set(undetermined)
     said = " ".join(note for note in result.notes if "do not determine" in note)
     assert all(name in said for name in ("kappa_x", "kappa_y", "b_xx", "b_yy"))
     assert "k_xx" not in said

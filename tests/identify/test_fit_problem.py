@@ -22,8 +22,8 @@ def test_functions_are_those_of_casadis_own_derivatives(mass, kind):
     problem = gbid.fit_problem(structure, mass, window=window)
     assert problem.names[:6] == ("k", "d", "b", "g1", "g2", f"mass 1[0].{'x' if kind == 'nonlinear' else 'x1'}")
     x = ca.MX.sym("x", len(problem.names))
-    own = x * ca.DM(problem.scale)
-    p, starts = own[:5], ca.reshape(own[5:], 2, 3)
+    unscaled = x * ca.DM(problem.scale)
+    p, starts = unscaled[:5], ca.reshape(unscaled[5:], 2, 3)
     u, y = mass.signal("u")[:, 0], mass.signal("y")[:, 0]
     step = gbid.casadi_functions(structure, 0.02).predictor
     errors, gaps = [], []
@@ -42,8 +42,14 @@ def test_functions_are_those_of_casadis_own_derivatives(mass, kind):
     graph = ca.Function("f", [x], [cost, g, ca.gradient(cost, x), ca.jacobian(g, x), J.T @ J / ca.dot(e, e)])
     at = problem.start * (1 + 1e-3 * np.random.default_rng(0).normal(size=len(problem.names)))
     expected = [np.array(m, float) for m in graph(at)]
-    found = [problem.cost(at), problem.constraints(at), problem.gradient(at), problem.jacobian(at), problem.hessian(at)]
-    for ours, theirs in zip(found, expected, strict=True):
+    results = [
+        problem.cost(at),
+        problem.constraints(at),
+        problem.gradient(at),
+        problem.jacobian(at),
+        problem.hessian(at),
+    ]
+    for ours, theirs in zip(results, expected, strict=True):
         np.testing.assert_allclose(np.array(ours, float), theirs, rtol=2e-6, atol=2e-7 * np.abs(theirs).max() * floor)
     assert problem.sparsity["jacobian"].nnz() < 4 * 11
 
@@ -167,8 +173,8 @@ def test_cost_and_derivatives_of_two_outputs_are_those_of_the_criterion(options)
     steps = 1e-6 * np.eye(len(at))[free]
     slopes = [(cost(at + h) - cost(at - h)) / 2e-6 for h in steps]
     np.testing.assert_allclose(np.array(problem.gradient(at), float).ravel()[free], slopes, rtol=1e-5, atol=1e-8)
-    moved = at + 0.1 * np.eye(len(at))[free[0]]
-    assert float(problem.cost(moved) - problem.cost(at)) == pytest.approx(cost(moved) - cost(at), rel=1e-6)
+    shifted = at + 0.1 * np.eye(len(at))[free[0]]
+    assert float(problem.cost(shifted) - problem.cost(at)) == pytest.approx(cost(shifted) - cost(at), rel=1e-6)
     e = errors(at)
     J = [np.outer(u, np.eye(2)[i]) * problem.scale[free[i]] for i in (0, 1)]
     W = np.linalg.inv(e.T @ e)
@@ -184,8 +190,8 @@ def test_cost_and_derivatives_of_two_outputs_are_those_of_the_criterion(options)
 def test_phases_tell_windows_and_gaps(mass):
     """Two states: each of two links has two gaps; the five parameters and the states of each window are unknown."""
     result, single = (gbid.fit(SAME["linear"], mass, window=window) for window in (100, None))
-    sizes = [[(q.windows, q.gaps, q.unknowns) for q in found.phases] for found in (result, single)]
+    sizes = [[(q.windows, q.gaps, q.unknowns) for q in computed.phases] for computed in (result, single)]
     assert [size[0] for size in sizes] == [(3, 4, 5 + 3 * 2), (1, 0, 5 + 2)]
     assert {q for size in sizes for q in size[1:]} <= {(1, 0, 5 + 2)}
-    for found in (result, single):
-        assert sum(phase.iterations for phase in found.phases) == found.iterations
+    for computed in (result, single):
+        assert sum(phase.iterations for phase in computed.phases) == computed.iterations

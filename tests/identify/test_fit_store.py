@@ -59,30 +59,30 @@ def test_round_trip_with_a_disturbance_gain_and_no_notes(tmp_path):
 
 
 def test_round_trip_with_exact_delays_local_parameters_and_offsets(tmp_path):
-    late = LinearStructure(
+    delayed = LinearStructure(
         "late",
         [Parameter("a", 1.0), Parameter("b", 1.0), Parameter("tau", 0.2, lower=0.0, upper=1.0, unit="s")],
         lambda p: {"A": [[-p.a]], "B": [[0]], "B_delayed": [[p.b]], "delay": [p.tau], "C": [[1]]},
     )
     recs = [
-        simulated(late, {"a": 2.0, "b": b, "tau": 0.33}, levels(200, seed=i), noise=0.05, seed=i, name=f"é {i}")
+        simulated(delayed, {"a": 2.0, "b": b, "tau": 0.33}, levels(200, seed=i), noise=0.05, seed=i, name=f"é {i}")
         for i, b in enumerate((1.0, 3.0))
     ]
-    made = fit(late, recs, local={"b": "recording"}, trend="offset", start={"a": 1.5})
+    made = fit(delayed, recs, local={"b": "recording"}, trend="offset", start={"a": 1.5})
     assert made.model.delay is not None
     assert made.local_names["é 1"] == {"b": "b[é 1]", "offset_y": "offset_y[é 1]"}
     save_fit(made, tmp_path / "late.h5")
-    found = load_fit(tmp_path / "late.h5")
-    assert_same(found, made)
-    assert found.parameters_of("é 1") == made.parameters_of("é 1")
+    loaded = load_fit(tmp_path / "late.h5")
+    assert_same(loaded, made)
+    assert loaded.parameters_of("é 1") == made.parameters_of("é 1")
 
 
 def test_a_fit_that_did_not_converge_is_kept_as_such(data, tmp_path):
     bad = fit(MODE, data, max_iterations=1, start={"w": 8.0})
     save_fit(bad, tmp_path / "bad.h5")
-    found = load_fit(tmp_path / "bad.h5")
-    assert found.success is False
-    assert_same(found, bad)
+    loaded = load_fit(tmp_path / "bad.h5")
+    assert loaded.success is False
+    assert_same(loaded, bad)
 
 
 def test_every_dataset_has_unit_and_name_and_the_key_is_kept(result, tmp_path):
@@ -165,7 +165,7 @@ def test_other_files_are_refused(result, data, tmp_path):
     with pytest.raises(DataError, match="not a readable HDF5 file"):
         load_fit(tmp_path / "text.h5")
     save_fit(result, tmp_path / "fit.h5")
-    whole = (tmp_path / "fit.h5").read_bytes()
-    (tmp_path / "cut.h5").write_bytes(whole[: len(whole) // 2])
+    complete = (tmp_path / "fit.h5").read_bytes()
+    (tmp_path / "cut.h5").write_bytes(complete[: len(complete) // 2])
     with pytest.raises(DataError, match=r"cut\.h5"):
         load_fit(tmp_path / "cut.h5")

@@ -74,9 +74,9 @@ def test_numbers_are_those_of_the_fits(table, fits):
 
 def test_a_fixed_parameter_has_no_covariance(table, fits):
     at = table.parameter_names.index("tau_y")
-    own = [table.parameter_names.index(name) for name in fits["fixed"].parameters]
+    columns = [table.parameter_names.index(name) for name in fits["fixed"].parameters]
     assert table.std[1, at] == 0.0
-    assert not table.covariance[1, at, own].any()
+    assert not table.covariance[1, at, columns].any()
     assert table.covariance[0, at, at] > 0
 
 

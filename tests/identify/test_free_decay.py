@@ -15,14 +15,14 @@ NOISE = 0.01
 
 def oscillator(inputs=(), *, gain=True, disturbance=None, name="oscillator"):
     """Mass on a spring, per unit mass; its gain b only with an input."""
-    own = [Parameter("k", 3500.0), Parameter("d", 1.0), *([Parameter("b", 1.0)] if gain else [])]
+    parameters = [Parameter("k", 3500.0), Parameter("d", 1.0), *([Parameter("b", 1.0)] if gain else [])]
 
     def matrices(p):
-        found = {"A": [[0, 1], [-p.k, -p.d]], "C": [[1, 0]]}
-        found |= {"B": [[0], [p.b]]} if gain else {}
-        return found | ({} if disturbance is None else {"K": disturbance})
+        results = {"A": [[0, 1], [-p.k, -p.d]], "C": [[1, 0]]}
+        results |= {"B": [[0], [p.b]]} if gain else {}
+        return results | ({} if disturbance is None else {"K": disturbance})
 
-    return LinearStructure(name, own, matrices, inputs, "y")
+    return LinearStructure(name, parameters, matrices, inputs, "y")
 
 
 ALONE = oscillator(gain=False)
@@ -106,7 +106,7 @@ def test_a_constant_force_determines_its_gain():
     result = fit(oscillator("u"), decay((1.0, 0.0), force=force), focus="simulation")
     close(result, ("k", "d", "b"), {**TRUE, "b": 1.0})
     assert "a constant force" in " ".join(result.notes)
-    late = LinearStructure(
+    delayed = LinearStructure(
         "late",
         [*oscillator("u").parameters, Parameter("tau", 1e-3, lower=0.0)],
         lambda p: {**ALONE.matrices(p), "B": [[0], [0]], "B_delayed": [[0], [p.b]], "delay": [p.tau]},
@@ -114,7 +114,7 @@ def test_a_constant_force_determines_its_gain():
         "y",
     )
     with pytest.raises(DataError, match="no recording moves u: the data do not determine tau;"):
-        fit(late, decay((1.0, 0.0), force=force), focus="simulation")
+        fit(delayed, decay((1.0, 0.0), force=force), focus="simulation")
 
 
 # ---- rotor on gas bearings ----

@@ -17,8 +17,8 @@ h = 2e-4
 
 def matrices(p):
     zero = [[0], [0]]
-    late = {"B_delayed": [[0], [p.g]], "delay": [[p.tau]]}
-    return {"A": [[0, 1], [-p.k, -p.d]], "B": zero, "C": [[1, 0]], **late}
+    delayed = {"B_delayed": [[0], [p.g]], "delay": [[p.tau]]}
+    return {"A": [[0, 1], [-p.k, -p.d]], "B": zero, "C": [[1, 0]], **delayed}
 
 
 STARTS = (3e5, 30.0, 50.0, 1e-4)
@@ -49,8 +49,8 @@ def driven(u, seed, noise=1e-5):
     """Outputs of the oscillator to held inputs whose delay is one and a half samples."""
     A, B = np.array([[0, 1], [-TRUTH["k"], -TRUTH["d"]]]), np.array([[0], [TRUTH["g"]]])
     half = signal.cont2discrete((A, B, np.eye(1, 2), np.zeros((1, 1))), h / 2)
-    late = np.concatenate([np.zeros(3), np.repeat(u, 2)[:-3]])
-    y = signal.dlsim((*half[:4], h / 2), late)[1][::2, 0]
+    delayed = np.concatenate([np.zeros(3), np.repeat(u, 2)[:-3]])
+    y = signal.dlsim((*half[:4], h / 2), delayed)[1][::2, 0]
     return gbid.Recording({"u": u, "y": y + noise * np.random.default_rng(seed).standard_normal(len(u))}, h)
 
 

@@ -61,12 +61,14 @@ def kalman_log_likelihood(result, rec):
     K = K if result.options.focus == "prediction" else 0 * K
     cov, x, P, total = result.error_covariance, result.initial_states[0], np.zeros((2, 2)), 0.0
     for u, measured in zip(rec.signals["u"][:, 0], y, strict=True):
-        there = ~np.isnan(measured)
-        S = (C @ P @ C.T + cov)[np.ix_(there, there)]
-        e = (measured - C @ x)[there]
-        across = (F @ P @ C.T + K @ cov)[:, there]
-        if there.any():
-            total -= 0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1] + there.sum() * np.log(2 * np.pi))
+        measured_mask = ~np.isnan(measured)
+        S = (C @ P @ C.T + cov)[np.ix_(measured_mask, measured_mask)]
+        e = (measured - C @ x)[measured_mask]
+        across = (F @ P @ C.T + K @ cov)[:, measured_mask]
+        if measured_mask.any():
+            total -= 0.5 * (
+                e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1] + measured_mask.sum() * np.log(2 * np.pi)
+            )
         L = across @ np.linalg.inv(S)
         x = F @ x + G * u + L @ e
         P = F @ P @ F.T + K @ cov @ K.T - L @ across.T

@@ -241,16 +241,16 @@ def test_filter_and_likelihood_are_those_of_the_whole_covariance_also_around_a_g
     psi, e = random.normal(size=(2, 3, n)) * counted, random.normal(size=(n, 2)) * counted[:, None]
     record = RecordSensitivities(np.arange(3), psi, e, counted)
     filter_ = whitening(COUPLED, n)
-    found, likelihood = whitened(record, filter_), 0.0
+    computed, likelihood = whitened(record, filter_), 0.0
     for some in (slice(0, 25), slice(31, n)):
         rows = np.repeat(np.arange(n), 2)
         inside = (rows >= some.start) & (rows < some.stop)
         part = S[np.ix_(inside, inside)]
         white = np.linalg.solve(np.linalg.cholesky(part), psi[:, :, some].transpose(2, 0, 1).reshape(-1, 3))
-        np.testing.assert_allclose(found.psi[:, :, some].transpose(2, 0, 1).reshape(-1, 3), white, atol=1e-9)
+        np.testing.assert_allclose(computed.psi[:, :, some].transpose(2, 0, 1).reshape(-1, 3), white, atol=1e-9)
         likelihood += multivariate_normal(np.zeros(len(part)), part).logpdf(e[some].ravel())
-    assert log_likelihood(found, filter_) == pytest.approx(likelihood, rel=1e-10)
-    assert not found.errors[gap].any()
+    assert log_likelihood(computed, filter_) == pytest.approx(likelihood, rel=1e-10)
+    assert not computed.errors[gap].any()
 
 
 def test_an_unstable_autoregression_gets_a_memory_of_the_record_at_most():
@@ -265,10 +265,10 @@ def test_what_the_fit_took_is_given_back_over_the_same_samples_as_the_residuals(
     counted = np.ones(n, bool)
     counted[140:150] = False
     record = RecordSensitivities(np.arange(3), psi * counted, np.ones((n, 2)) * counted[:, None], counted)
-    found = _taken(transformed(record, np.arange(3)), root @ root.T, longest)
-    moved = [np.einsum("ymk,m->ky", record.psi, column) for column in root.T]
-    expected = sum(lag_products([each[:140], each[150:]], longest)[0] for each in moved)
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    computed = _taken(transformed(record, np.arange(3)), root @ root.T, longest)
+    shifted = [np.einsum("ymk,m->ky", record.psi, column) for column in root.T]
+    expected = sum(lag_products([each[:140], each[150:]], longest)[0] for each in shifted)
+    np.testing.assert_allclose(computed, expected, atol=1e-9)
 
 
 def test_options_that_contradict_it_are_refused(coloured_fit):

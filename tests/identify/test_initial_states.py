@@ -20,30 +20,30 @@ def recordings(noise=0.05):
 
 
 def test_each_recording_has_the_state_that_is_given():
-    found = fit(MODE, recordings(), initial_state=STARTS, focus="simulation")
-    np.testing.assert_allclose(found.initial_states, list(STARTS.values()), atol=1e-12)
+    result = fit(MODE, recordings(), initial_state=STARTS, focus="simulation")
+    np.testing.assert_allclose(result.initial_states, list(STARTS.values()), atol=1e-12)
     free = fit(MODE, recordings(), focus="simulation")
-    assert found.options.initial_state == {name: tuple(state) for name, state in STARTS.items()}
+    assert result.options.initial_state == {name: tuple(state) for name, state in STARTS.items()}
     for name in "wzg":
-        assert abs(found.parameters[name] - MODE_AT[name]) < 4 * found.std[name]
-        assert found.std[name] < free.std[name]  # what is known need not be estimated
+        assert abs(result.parameters[name] - MODE_AT[name]) < 4 * result.std[name]
+        assert result.std[name] < free.std[name]  # what is known need not be estimated
     swapped = fit(MODE, recordings(), initial_state=dict(zip("ba", STARTS.values(), strict=True)), focus="simulation")
-    assert swapped.loss > 2 * found.loss
+    assert swapped.loss > 2 * result.loss
 
 
 def test_zero_is_a_state_of_a_recording():
     rest = simulated(MODE, MODE_AT, levels(600), noise=0.05, name="rest")
-    found = fit(MODE, [rest, recordings()[1]], initial_state={"rest": "zero", "b": STARTS["b"]})
-    np.testing.assert_allclose(found.initial_states, [[0.0, 0.0], STARTS["b"]], atol=1e-12)
-    assert found.success
+    result = fit(MODE, [rest, recordings()[1]], initial_state={"rest": "zero", "b": STARTS["b"]})
+    np.testing.assert_allclose(result.initial_states, [[0.0, 0.0], STARTS["b"]], atol=1e-12)
+    assert result.success
     assert rest.sample_time == H
 
 
 def test_some_states_are_given_and_others_estimated():
     states = {"a": [2.0, "estimated"], "b": "estimated"}
-    found = fit(MODE, recordings(), initial_state=states, focus="simulation")
-    assert found.options.initial_state == {"a": (2.0, "estimated"), "b": "estimated"}
-    assert found.initial_states[0, 0] == 2.0
+    result = fit(MODE, recordings(), initial_state=states, focus="simulation")
+    assert result.options.initial_state == {"a": (2.0, "estimated"), "b": "estimated"}
+    assert result.initial_states[0, 0] == 2.0
     both = recordings()
 
     def errors(x):
@@ -59,14 +59,14 @@ def test_some_states_are_given_and_others_estimated():
     best = least_squares(
         errors, [5.0, 0.05, 2.0, 0.0, 0.0, -6.0], x_scale=[5, 0.05, 2, 1, 1, 1], xtol=1e-13, ftol=1e-13
     )
-    np.testing.assert_allclose([found.parameters[q] for q in "wzg"], best.x[:3], rtol=1e-6)
-    np.testing.assert_allclose(found.initial_states.ravel()[1:], best.x[3:], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose([result.parameters[q] for q in "wzg"], best.x[:3], rtol=1e-6)
+    np.testing.assert_allclose(result.initial_states.ravel()[1:], best.x[3:], rtol=1e-4, atol=1e-5)
     variance = 2 * best.cost / (len(best.fun) - len(best.x))
     std = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)) * variance)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_white)), std[:3], rtol=1e-4)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance_white)), std[:3], rtol=1e-4)
     free = fit(MODE, both, focus="simulation")
-    assert free.aic - found.aic == pytest.approx(
-        1200 * np.log(free.error_covariance[0, 0] / found.error_covariance[0, 0]) + 2, abs=1e-6
+    assert free.aic - result.aic == pytest.approx(
+        1200 * np.log(free.error_covariance[0, 0] / result.error_covariance[0, 0]) + 2, abs=1e-6
     )
 
 

@@ -51,13 +51,13 @@ def through_all_steps(predictor, values, blocks, start, window):
     """Outputs and last state of a window with their derivatives by [theta, start], by CasADi through every step."""
     functions, (group, lane) = predictor.functions, divmod(window, blocks.lanes)
     theta, x = ca.SX.sym("theta", len(values.theta)), ca.SX.sym("x", 3)
-    at, found = x, []
+    at, computed = x, []
     for z in blocks.z(values.shift)[group, :, :, lane]:
         at, yhat, e = functions.output(at, z, theta, values.known)
         for s in range(STEPS):
             at = functions.step(at, z, e, theta, values.known, s / STEPS, 1 / STEPS)
-        found.append(yhat)
-    every, by = ca.vertcat(*found, at), ca.vertcat(theta, x)
+        computed.append(yhat)
+    every, by = ca.vertcat(*computed, at), ca.vertcat(theta, x)
     result = ca.Function("every", [theta, x], [every, ca.jacobian(every, by)])(values.theta, start)
     return (np.array(each, float) for each in result)
 
@@ -76,16 +76,16 @@ def test_pass_is_that_of_casadi_through_all_steps(case, engine):
         psi, n_y = slopes[:-3].reshape(LENGTH, 2, -1), 2 * LENGTH
         group, lane = divmod(w, blocks.lanes)
         error = blocks.y[group, :, :, lane] - every[:n_y].reshape(LENGTH, 2)
-        own = np.einsum("kyi,yz,kzj->ij", psi, weight, psi)
-        for found, wanted in (
+        gauss_newton = np.einsum("kyi,yz,kzj->ij", psi, weight, psi)
+        for computed, wanted in (
             (sweep.end[w], every[n_y:, 0]),
             (sweep.end_theta[w], slopes[-3:, :n_p]),
             (sweep.end_start[w], slopes[-3:, n_p:]),
-            (sweep.hessian_mixed[w], own[:n_p, n_p:]),
-            (sweep.hessian_start[w], own[n_p:, n_p:]),
+            (sweep.hessian_mixed[w], gauss_newton[:n_p, n_p:]),
+            (sweep.hessian_start[w], gauss_newton[n_p:, n_p:]),
         ):
-            np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-13 * np.abs(wanted).max())
-        hessian += own
+            np.testing.assert_allclose(computed, wanted, rtol=1e-12, atol=1e-13 * np.abs(wanted).max())
+        hessian += gauss_newton
         gradient -= np.einsum("kyi,yz,kz->i", psi, weight, error)
     np.testing.assert_allclose(sweep.hessian, hessian[:n_p, :n_p], rtol=1e-12, atol=1e-13 * np.abs(hessian).max())
     np.testing.assert_allclose(sweep.gradient, gradient[:n_p], rtol=1e-11, atol=1e-13 * np.abs(gradient).max())
@@ -96,22 +96,22 @@ def test_points_run_side_by_side_and_the_gradient_of_a_single_window_is_chained_
     predictor, values, blocks, starts = case
     kernel, _ = choose_kernel(predictor, AT)
     (segment,) = blocks.segments
-    whole = cut([segment], predictor, None, longest_block=LENGTH)
-    assert (whole.n_windows, whole.n_blocks) == (1, WINDOWS)
+    complete = cut([segment], predictor, None, longest_block=LENGTH)
+    assert (complete.n_windows, complete.n_blocks) == (1, WINDOWS)
     points = [values._replace(theta=values.theta * (1 + 1e-3 * i)) for i in range(11)]  # more than lanes
-    begins = kernel.begins(points, whole, starts[:1])
+    begins = kernel.begins(points, complete, starts[:1])
     for point, begin in zip(points, begins, strict=True):
-        np.testing.assert_array_equal(begin, kernel.begin(point, whole, starts[:1]))
+        np.testing.assert_array_equal(begin, kernel.begin(point, complete, starts[:1]))
     # Ten windows chained backwards, one at a time, as an adjoint would, make up the single one.
     ends, weight = np.array([[1.0, -2.0, 0.5]]), np.array([[2.0, 0.3], [0.3, 1.0]])
-    alone = kernel.gradient(values, whole, Lagrangian(starts[:1], ends, weight))
+    alone = kernel.gradient(values, complete, Lagrangian(starts[:1], ends, weight))
     chained, by_start = np.zeros_like(alone[0]), ends
     along = begins[0].T[:WINDOWS]
     for w in reversed(range(WINDOWS)):  # by the ends of windows, from the last to the first
         every_end = np.zeros((WINDOWS, 3))
         every_end[w] = by_start[0]
-        own = np.arange(blocks.used.size // LENGTH).reshape(-1, 1, blocks.lanes) == w
-        masked = replace(blocks, used=np.where(own, blocks.used, 0.0))
+        in_lane = np.arange(blocks.used.size // LENGTH).reshape(-1, 1, blocks.lanes) == w
+        masked = replace(blocks, used=np.where(in_lane, blocks.used, 0.0))
         by_theta, start_of = kernel.gradient(values, masked, Lagrangian(along, every_end, weight))
         chained, by_start = chained + by_theta, start_of[w : w + 1]
     np.testing.assert_allclose(alone[0], chained, rtol=1e-10, atol=1e-12 * np.abs(chained).max())

@@ -35,9 +35,9 @@ def drawn(result, structure, n=150, shrink=0.01):
 
 
 def test_zeros_are_those_of_the_transfer_function():
-    found = pole_zero(LinearModel(*tf2ss([1.0, 3.0], [1.0, 4.0, 7.0])))
-    np.testing.assert_allclose(found.zeros, [-3.0])
-    assert not found.has_ellipses
+    poles = pole_zero(LinearModel(*tf2ss([1.0, 3.0], [1.0, 4.0, 7.0])))
+    np.testing.assert_allclose(poles.zeros, [-3.0])
+    assert not poles.has_ellipses
     triple = pole_zero(LinearModel(-np.eye(2), np.eye(2)[:, :1], np.eye(2), np.zeros((2, 1))))
     assert len(triple.zeros) == 0  # two outputs, one input
 
@@ -54,18 +54,18 @@ def test_zeros_do_not_depend_on_units():
 def test_ellipses_are_those_of_models_drawn_from_the_covariance(which, request):
     result = request.getfixturevalue(which)
     structure = EVERY if which == "every" else LATE
-    found = pole_zero(result)
+    poles = pole_zero(result)
     places = {"poles": [], "zeros": []}
     for model in drawn(result, structure):
         other = pole_zero(model)
-        places["poles"].append(_matched(other.poles, found.poles))
-        places["zeros"].append(_matched(other.zeros, found.zeros))
-    for name, cov in (("poles", found.pole_covariance), ("zeros", found.zero_covariance)):
+        places["poles"].append(_matched(other.poles, poles.poles))
+        places["zeros"].append(_matched(other.zeros, poles.zeros))
+    for name, cov in (("poles", poles.pole_covariance), ("zeros", poles.zero_covariance)):
         cloud = np.array(places[name])
         spread = 100 * np.stack([cloud.real.std(0), cloud.imag.std(0)], axis=-1)
         np.testing.assert_allclose(spread, np.sqrt(np.diagonal(cov, axis1=1, axis2=2)), rtol=0.25, atol=1e-6)
-    assert found.has_ellipses
-    assert len(csv_text(found.table()).splitlines()) == 1 + len(found.poles) + len(found.zeros)
+    assert poles.has_ellipses
+    assert len(csv_text(poles.table()).splitlines()) == 1 + len(poles.poles) + len(poles.zeros)
 
 
 def _matched(values, order):
@@ -86,10 +86,10 @@ def test_an_ellipse_holds_its_share():
 @pytest.mark.parametrize(("kind", "reference"), [("step", step), ("impulse", impulse)])
 def test_responses_are_those_of_scipy(kind, reference):
     model = evaluate(MODE, MODE_AT)
-    found = time_response(model, kind, 8.0)
-    _, y = reference(StateSpace(model.A, model.B, model.C, model.D), T=found.time_s)
-    np.testing.assert_allclose(found.value[:, 0, 0], y, atol=1e-9)
-    assert not found.has_band
+    response = time_response(model, kind, 8.0)
+    _, y = reference(StateSpace(model.A, model.B, model.C, model.D), T=response.time_s)
+    np.testing.assert_allclose(response.value[:, 0, 0], y, atol=1e-9)
+    assert not response.has_band
 
 
 def test_a_delayed_input_gives_the_same_response_later():
@@ -102,20 +102,20 @@ def test_a_delayed_input_gives_the_same_response_later():
 
 @pytest.mark.parametrize("kind", ["step", "impulse"])
 def test_bands_of_responses_are_those_of_models_drawn_from_the_covariance(late, kind):
-    found = time_response(late, kind, 4.0)
+    response = time_response(late, kind, 4.0)
     clouds = np.array([time_response(model, kind, 4.0).value for model in drawn(late, LATE, 50)])
     std = 100 * clouds.std(0)
-    away = np.abs(found.time_s - late.parameters["tau"]) > 0.02  # at its beginning a delayed response jumps
-    np.testing.assert_allclose(std[away], found.std[away], rtol=0.25, atol=0.02 * found.std.max())
-    low, high = found.band()
+    away = np.abs(response.time_s - late.parameters["tau"]) > 0.02  # at its beginning a delayed response jumps
+    np.testing.assert_allclose(std[away], response.std[away], rtol=0.25, atol=0.02 * response.std.max())
+    low, high = response.band()
     assert ((high - low)[away] >= 0).all()
 
 
 def test_the_step_ends_at_the_static_gain(every):
-    found = time_response(every, "step")
-    np.testing.assert_allclose(found.value[-1], every.model.static_gain(), atol=5e-3)
-    np.testing.assert_allclose(found.std[-1], every.static_gain_std, rtol=0.05)
-    assert csv_text(found.table()).splitlines()[0] == "output,input,time_s,response,std"
+    response = time_response(every, "step")
+    np.testing.assert_allclose(response.value[-1], every.model.static_gain(), atol=5e-3)
+    np.testing.assert_allclose(response.std[-1], every.static_gain_std, rtol=0.05)
+    assert csv_text(response.table()).splitlines()[0] == "output,input,time_s,response,std"
 
 
 def test_wrong_questions_are_refused(every):
@@ -141,9 +141,9 @@ LAG = LinearStructure(
 def test_a_delay_is_found_to_the_sample(tau, hold):
     """Also with an input that is held for several samples, whose own correlation would hide it."""
     rec = simulated(LAG, {"tau": tau}, levels(3000, hold=hold), noise=0.02, seed=4)
-    found = estimate_delay(rec)
-    assert found.lag - 1 == int(tau / H + 1e-9)
-    assert found.delay_s == pytest.approx(int(tau / H + 1e-9) * H)
+    delays = estimate_delay(rec)
+    assert delays.lag - 1 == int(tau / H + 1e-9)
+    assert delays.delay_s == pytest.approx(int(tau / H + 1e-9) * H)
 
 
 def test_a_drift_does_not_make_a_response_long():

@@ -42,9 +42,9 @@ def test_the_best_of_several_starts_is_the_truth(rec, result):
     assert result.losses.shape == result.converged.shape == (8,)
     assert (result.status, result.success) == (result.best.status, True)
     assert result.best._repr_html_() in result._repr_html_()
-    own = fit(WIDE, rec, window=None)
-    assert result.losses[0] == own.loss  # the structure's own start comes first
-    assert own.loss > 2 * result.best.loss  # and ends elsewhere: that is what the others are for
+    single = fit(WIDE, rec, window=None)
+    assert result.losses[0] == single.loss  # the structure's own start comes first
+    assert single.loss > 2 * result.best.loss  # and ends elsewhere: that is what the others are for
     assert result.best.success
     assert result.best.loss == result.losses[result.converged].min()
     for name, value in WIDE_AT.items():
@@ -98,10 +98,10 @@ def test_minima_with_equal_losses_at_other_parameters_are_distinct():
         lambda p: {"A": [[-p.a, 0], [0, -p.b]], "B": [[1], [1]], "C": [[1, 1]]},
     )
     rec = simulated(pair, {"a": 1.0, "b": 4.0}, levels(400), noise=0.01)
-    found = fit_multistart(pair, rec, starts=8, seed=0)
-    assert found.same_optimum == 8
-    assert [len(m.starts) for m in found.minima] != [8]
-    values = sorted((m.parameters["a"] > m.parameters["b"]) for m in found.minima)
+    multistart = fit_multistart(pair, rec, starts=8, seed=0)
+    assert multistart.same_optimum == 8
+    assert [len(m.starts) for m in multistart.minima] != [8]
+    values = sorted((m.parameters["a"] > m.parameters["b"]) for m in multistart.minima)
     assert values == [False, True]
 
 
@@ -117,17 +117,17 @@ def test_the_best_is_the_smallest_loss_whatever_its_status(rec, monkeypatch, tmp
     monkeypatch.setattr("gbid.identify.multistart.fitted", limited)
     near = LinearStructure("near", [Parameter("w", 1.0, 0.5, 30.0), *WIDE.parameters[1:]], WIDE.matrices)
     monkeypatch.setattr(np.random, "default_rng", lambda seed: Fixed())
-    found = fit_multistart(near, rec, starts=2, seed=0, window=None)
-    assert found.converged.tolist() == [True, False]
-    assert found.losses[1] < found.losses[0]
-    assert found.best.loss == found.losses[1]
-    assert not found.best.success
-    assert found.best.status is FitStatus.ITERATION_LIMIT
-    assert "but did not converge" in found.best.notes[-1]
-    assert f"{found.losses[0]:.6g}" in found.best.notes[-1]
-    assert [m.status.success for m in found.minima] == [False, True]
-    save_fit(found.best, tmp_path / "best.h5")
-    assert load_fit(tmp_path / "best.h5").multi_start == found.best.multi_start
+    multistart = fit_multistart(near, rec, starts=2, seed=0, window=None)
+    assert multistart.converged.tolist() == [True, False]
+    assert multistart.losses[1] < multistart.losses[0]
+    assert multistart.best.loss == multistart.losses[1]
+    assert not multistart.best.success
+    assert multistart.best.status is FitStatus.ITERATION_LIMIT
+    assert "but did not converge" in multistart.best.notes[-1]
+    assert f"{multistart.losses[0]:.6g}" in multistart.best.notes[-1]
+    assert [m.status.success for m in multistart.minima] == [False, True]
+    save_fit(multistart.best, tmp_path / "best.h5")
+    assert load_fit(tmp_path / "best.h5").multi_start == multistart.best.multi_start
 
 
 class Fixed:
@@ -180,10 +180,10 @@ def test_starts_lie_within_bounds_and_reach(monkeypatch):
 
 
 def test_one_start_is_a_plain_fit(rec):
-    found = fit_multistart(WIDE, rec, starts=1, start=WIDE_AT)
-    own = fit(WIDE, rec, start=WIDE_AT)
-    assert found.best.parameters == own.parameters
-    assert (found.same_optimum, found.spread) == (1, 1.0)
+    multistart = fit_multistart(WIDE, rec, starts=1, start=WIDE_AT)
+    single = fit(WIDE, rec, start=WIDE_AT)
+    assert multistart.best.parameters == single.parameters
+    assert (multistart.same_optimum, multistart.spread) == (1, 1.0)
 
 
 def test_starts_that_fail_are_counted_as_such():
@@ -195,12 +195,12 @@ def test_starts_that_fail_are_counted_as_such():
     )
     u = levels(2000)
     y = evaluate(wild, {"a": -1.0, "b": 1.0}).simulate(u, H) + 0.1 * np.random.default_rng(0).normal(size=(2000, 1))
-    found = fit_multistart(wild, Recording({"u": u, "y": y}, H), starts=5, seed=0, window=None, max_iterations=30)
-    assert found.best.success
-    assert found.best.parameters["a"] == pytest.approx(-1.0, abs=0.1)
-    assert not found.converged.all()
-    assert found.converged[0]
-    assert np.isfinite(found.spread)
+    multistart = fit_multistart(wild, Recording({"u": u, "y": y}, H), starts=5, seed=0, window=None, max_iterations=30)
+    assert multistart.best.success
+    assert multistart.best.parameters["a"] == pytest.approx(-1.0, abs=0.1)
+    assert not multistart.converged.all()
+    assert multistart.converged[0]
+    assert np.isfinite(multistart.spread)
 
 
 TANK = NonlinearStructure(
@@ -227,13 +227,13 @@ def filling():
 
 def test_a_start_that_empties_the_tank_costs_no_other_start(filling):
     """Below an empty tank the root has no value, and at its level of zero no slope for a linear model."""
-    found = fit_multistart(TANK, filling, starts=6, seed=1, reach=3.0, window=None, focus="simulation")
-    assert found.converged[0]
-    assert np.isnan(found.losses).any()
-    assert not found.converged[np.isnan(found.losses)].any()
-    assert found.same_optimum >= 2
+    multistart = fit_multistart(TANK, filling, starts=6, seed=1, reach=3.0, window=None, focus="simulation")
+    assert multistart.converged[0]
+    assert np.isnan(multistart.losses).any()
+    assert not multistart.converged[np.isnan(multistart.losses)].any()
+    assert multistart.same_optimum >= 2
     for name in ("inflow", "outflow"):
-        assert abs(found.best.parameters[name] - 0.3) < 4 * found.best.std[name]
+        assert abs(multistart.best.parameters[name] - 0.3) < 4 * multistart.best.std[name]
 
 
 def test_a_nonlinear_fit_that_diverges_is_a_status(filling):
@@ -248,9 +248,9 @@ def test_local_parameters_can_be_started_anew():
         simulated(WIDE, {**WIDE_AT, "g": g}, levels(300, seed=i), noise=0.3, name=f"r{i}")
         for i, g in enumerate((1.0, 3.0))
     ]
-    found = fit_multistart(WIDE, recs, starts=3, seed=0, reach=0.1, local={"g": "recording"}, start=WIDE_AT)
-    assert found.best.success
-    assert found.best.parameters["g[r1]"] == pytest.approx(3.0, abs=0.2)
+    multistart = fit_multistart(WIDE, recs, starts=3, seed=0, reach=0.1, local={"g": "recording"}, start=WIDE_AT)
+    assert multistart.best.success
+    assert multistart.best.parameters["g[r1]"] == pytest.approx(3.0, abs=0.2)
 
 
 WRONG = [{"starts": 0}, {"starts": 2.5}, *({"reach": r} for r in (0.0, -1.0, np.inf, np.nan, None, "0.5"))]

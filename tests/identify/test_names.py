@@ -30,17 +30,17 @@ def reference(plain):
 @pytest.mark.parametrize(("source", "target"), NAMES)
 def test_any_name_comes_through(source, target, plain, reference, tmp_path):
     data = [renamed(r, source, target, f"run; {i}, [x] of 'me'") for i, r in enumerate(plain)]
-    found = gbid.fit(MODE, data, inputs=source, outputs=target, **ASKED)
-    assert list(found.parameters.values()) == list(reference.parameters.values())
-    assert found.units[f"offset_{target}[{data[0].name}]"] == ""
-    assert found.start_origin[f"offset_{target}[{data[0].name}]"] == reference.start_origin["offset_y[0]"]
-    assert list(found.parameters_of(data[1].name).values()) == list(reference.parameters_of("1").values())
-    gbid.save_fit(found, tmp_path / "fit.h5")
+    computed = gbid.fit(MODE, data, inputs=source, outputs=target, **ASKED)
+    assert list(computed.parameters.values()) == list(reference.parameters.values())
+    assert computed.units[f"offset_{target}[{data[0].name}]"] == ""
+    assert computed.start_origin[f"offset_{target}[{data[0].name}]"] == reference.start_origin["offset_y[0]"]
+    assert list(computed.parameters_of(data[1].name).values()) == list(reference.parameters_of("1").values())
+    gbid.save_fit(computed, tmp_path / "fit.h5")
     again = gbid.load_fit(tmp_path / "fit.h5")
-    assert again.options == found.options
+    assert again.options == computed.options
     assert (again.options.inputs, again.options.outputs) == ((source,), (target,))
     assert again.model.input_names == (source,)
-    for result in (found, again):
+    for result in (computed, again):
         scored = gbid.cross_validate(result, data[1])
         np.testing.assert_array_equal(scored.fit_percent, gbid.cross_validate(reference, plain[1]).fit_percent)
         tested = gbid.check_residuals(result, data[1])
@@ -51,9 +51,9 @@ def test_any_name_comes_through(source, target, plain, reference, tmp_path):
 def test_a_prior_finds_local_offsets_of_a_bracketed_signal(plain):
     data = [renamed(r, "u", "v[2]", r.name) for r in plain]
     prior = {"offset_v[2]": (1.0, 1e-6)}
-    found = gbid.fit(MODE, data, inputs="u", outputs="v[2]", trend="offset", prior=prior)
-    assert found.parameters["offset_v[2][0]"] == pytest.approx(1.0, abs=1e-3)
-    assert found.parameters["offset_v[2][1]"] == pytest.approx(1.0, abs=1e-3)
+    result = gbid.fit(MODE, data, inputs="u", outputs="v[2]", trend="offset", prior=prior)
+    assert result.parameters["offset_v[2][0]"] == pytest.approx(1.0, abs=1e-3)
+    assert result.parameters["offset_v[2][1]"] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_statuses_read_as_text_and_know_success():

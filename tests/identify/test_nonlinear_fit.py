@@ -115,8 +115,8 @@ def test_too_coarse_an_integration_is_refined_or_said():
     assert np.abs(result.integration_shift).max() > 0.1
     assert any("error of the integration" in note for note in result.notes)
     for name, shift in zip(result.free, result.integration_shift, strict=True):  # what was measured is what comes
-        moved = (fine.parameters[name] - result.parameters[name]) / result.std[name]
-        assert moved == pytest.approx(shift, rel=0.2, abs=0.3)
+        shifted = (fine.parameters[name] - result.parameters[name]) / result.std[name]
+        assert shifted == pytest.approx(shift, rel=0.2, abs=0.3)
 
 
 def test_a_stiff_structure_needs_the_implicit_integrator():

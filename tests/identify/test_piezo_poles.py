@@ -59,8 +59,8 @@ def std_of_a_double_pole(record, start):
         return {"A": A, "B": ca.vertcat(p["p"] * p["kappa"], 0), "C": ca.DM([[0, 1]])}
 
     parameters = [gbid.Parameter("p", float(start)), gbid.Parameter("kappa", KAPPA)]
-    own = gbid.LinearStructure("double", parameters, matrices, ["r"], ["u"])
-    return fit(own, record, inputs="r.x", outputs="u.x", focus="simulation").std_with("white")["p"]
+    structure = gbid.LinearStructure("double", parameters, matrices, ["r"], ["u"])
+    return fit(structure, record, inputs="r.x", outputs="u.x", focus="simulation").std_with("white")["p"]
 
 
 @pytest.mark.parametrize("zeta", [(0.957, 0.957), (0.957, 1.5), (0.3, 1.2)])

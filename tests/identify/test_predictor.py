@@ -37,9 +37,9 @@ def test_predictions_are_those_of_the_plain_loop(focus, holds):
     u, y = smooth(60, seed=1), smooth(60, seed=2)
     x0 = np.array([0.4, -1.0])
     predictor = predictor_of(EVERY, hold=holds, focus=focus)
-    found = predictions(predictor, EVERY_AT, u, y, x0)
+    computed = predictions(predictor, EVERY_AT, u, y, x0)
     expected = predicted(evaluate(EVERY, EVERY_AT), u, y, H, holds, x0, focus == "prediction")
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(computed, expected, rtol=1e-10, atol=1e-12)
     assert predictor.feeds_back is (focus == "prediction")
     ahead = u[1:, [i for i, hold in enumerate(holds) if hold == "foh"]]  # u[k+1] follows u[k] where it is on a line
     np.testing.assert_array_equal(predictor.regressors(u, y, ())[:-1, 2 : 2 + ahead.shape[1]], ahead)
@@ -67,8 +67,8 @@ def test_derivatives_are_those_of_central_differences(structure, values, h, hold
     n_z = predictor.regressors(np.ones((9, predictor.n_inputs)), np.ones((9, n_y)), at.shift).shape[1]
     for letter, shape in (("F", (n, n)), ("G", (n, n_z)), ("C", (n_y, n)), ("H", (n_y, n_z))):
         assert getattr(at, letter).shape == shape
-        found = getattr(at, "d" + letter)
-        assert found.shape == (n_p, *shape)
+        computed = getattr(at, "d" + letter)
+        assert computed.shape == (n_p, *shape)
         for i in range(n_p):
             step = np.zeros(n_p)
             step[i] = 1e-5 * abs(theta[i])
@@ -77,7 +77,7 @@ def test_derivatives_are_those_of_central_differences(structure, values, h, hold
             # Rows of positions and velocities differ by orders of magnitude: each has a size of its own.
             size = np.abs(expected).max(axis=1, keepdims=True)
             rounding = 1e-15 * np.abs(plus).max(axis=1, keepdims=True) / step[i]
-            error = np.abs(found[i] - expected)
+            error = np.abs(computed[i] - expected)
             assert (error <= 1e-6 * size + 20 * rounding).all(), f"d{letter} by {predictor.free[i].name}"
 
 
@@ -91,14 +91,14 @@ def test_several_points_at_once_are_each_by_itself(options):
     predictor = build_predictor(structure, {}, TS, "foh", "prediction", **options)
     theta = np.array([{**KEY, **GAINS}.get(q.name, 0.3) for q in predictor.free])
     points = theta * (1 + 1e-4 * np.random.default_rng(6).normal(size=(4, len(theta))))
-    for found, point in zip(predictor.at_each(points), points, strict=True):
+    for computed, point in zip(predictor.at_each(points), points, strict=True):
         expected = predictor.at(point)
-        assert found.shift == expected.shift
-        for a, b in zip(found[:8], expected[:8], strict=True):
+        assert computed.shift == expected.shift
+        for a, b in zip(computed[:8], expected[:8], strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * np.abs(b).max(initial=0))
-    late = [q.name for q in predictor.free].index("tau_x")
+    delayed = [q.name for q in predictor.free].index("tau_x")
     kink = np.tile(theta, (3, 1))
-    kink[:, late] = TS * np.array([1.0, 1.0 - 1e-9, 1.0 + 1e-9])
+    kink[:, delayed] = TS * np.array([1.0, 1.0 - 1e-9, 1.0 + 1e-9])
     at, before, after = predictor.at_each(kink)
     assert at.shift == before.shift == after.shift
     np.testing.assert_allclose(before.G + after.G, 2 * at.G, rtol=0, atol=1e-12 * np.abs(at.G).max())

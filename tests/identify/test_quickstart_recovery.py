@@ -50,8 +50,8 @@ def test_key_parameters_delays_and_modes(bearings, which):
         assert np.isfinite(result.std[name])
     for name in ("tau_x", "tau_y"):
         assert result.parameters[name] == pytest.approx(TRUTH[name], abs=0.05e-3)
-    found, expected = result.model.modes()[:2], MODEL.at(**POINT).modes()[:2]
-    for (frequency, damping), (f, z) in zip(found, expected, strict=True):
+    computed, expected = result.model.modes()[:2], MODEL.at(**POINT).modes()[:2]
+    for (frequency, damping), (f, z) in zip(computed, expected, strict=True):
         assert frequency == pytest.approx(f, abs=0.3)
         assert damping == pytest.approx(z, abs=0.003)
     np.testing.assert_allclose(result.model.static_gain(), MODEL.at(**POINT).static_gain(), atol=0.005)
@@ -59,9 +59,9 @@ def test_key_parameters_delays_and_modes(bearings, which):
 
 def test_each_model_explains_the_other_recording(bearings, filtered):
     for result, other in zip(bearings, reversed(filtered), strict=True):
-        found = cross_validate(result, other)
-        assert found.recording != found.fitted_to[0]
-        assert found.fit_percent.min() > 90
+        validation = cross_validate(result, other)
+        assert validation.recording != validation.fitted_to[0]
+        assert validation.fit_percent.min() > 90
 
 
 def test_actuators(filtered):

@@ -79,8 +79,8 @@ def test_twin_mode_rig_reaches_the_reference(twin_mode_rig):
     result = fit(structure("twin_mode_rig"), estimation, focus="simulation")
     assert result.success
     np.testing.assert_allclose(result.fit_percent, [[94.38, 94.52]], atol=0.05)
-    found = cross_validate(result, validation)
-    assert found.fit_percent.min() >= 93.5
+    computed = cross_validate(result, validation)
+    assert computed.fit_percent.min() >= 93.5
     poles = result.model.poles()
     reference = [-4.98, -7.23, -10.41, -3.96 - 69.89j, -3.96 + 69.89j, -3.98 - 71.05j, -3.98 + 71.05j]
     np.testing.assert_allclose(poles, reference, atol=0.05)

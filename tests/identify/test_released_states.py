@@ -41,28 +41,28 @@ def decay(seed, name="decay", **other):
 @pytest.mark.parametrize("window", [None, 40])
 def test_a_pendulum_that_is_released_at_rest(window):
     recording = decay(0)
-    found = fit(PENDULUM, recording, window=window)
+    result = fit(PENDULUM, recording, window=window)
     t, y = STEP * np.arange(COUNT), recording.signal("y")[:, 0]
     best = least_squares(lambda x: y - swing(*x, t), list(TRUTH.values()), x_scale=[5, 0.02, 1], xtol=1e-14, ftol=1e-14)
-    assert found.success
-    np.testing.assert_allclose(list(found.parameters.values()), best.x, rtol=1e-6)
+    assert result.success
+    np.testing.assert_allclose(list(result.parameters.values()), best.x, rtol=1e-6)
     std = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)) * 2 * best.cost / (COUNT - 3))
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_white)), std, rtol=1e-4)
-    np.testing.assert_allclose(found.initial_states, [[best.x[2], 0.0]], rtol=1e-6)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance_white)), std, rtol=1e-4)
+    np.testing.assert_allclose(result.initial_states, [[best.x[2], 0.0]], rtol=1e-6)
     free = fit(PENDULUM, recording, initial_state="estimated", fixed={"angle": 1.0})
-    assert found.std["w"] < 0.7 * free.std["w"]  # a velocity of zero is known: the phase need not be estimated
-    assert found.options.initial_state == "structure"
+    assert result.std["w"] < 0.7 * free.std["w"]  # a velocity of zero is known: the phase need not be estimated
+    assert result.options.initial_state == "structure"
 
 
 def test_each_recording_has_its_own_angle_and_one_begins_anywhere():
     recordings = [decay(1, "a"), decay(2, "b", angle=-0.4), decay(3, "c")]
     states = {"a": "structure", "b": "structure", "c": ["structure", "estimated"]}
-    found = fit(PENDULUM, recordings, initial_state=states, local={"angle": "recording"})
+    result = fit(PENDULUM, recordings, initial_state=states, local={"angle": "recording"})
     for name, angle in (("a", 1.0), ("b", -0.4), ("c", 1.0)):
-        assert abs(found.parameters[f"angle[{name}]"] - angle) < 4 * found.std[f"angle[{name}]"]
-    np.testing.assert_allclose(found.initial_states[:, 0], [found.parameters[f"angle[{n}]"] for n in "abc"])
-    np.testing.assert_array_equal(found.initial_states[:2, 1], 0.0)
-    assert found.initial_states[2, 1] != 0.0
+        assert abs(result.parameters[f"angle[{name}]"] - angle) < 4 * result.std[f"angle[{name}]"]
+    np.testing.assert_allclose(result.initial_states[:, 0], [result.parameters[f"angle[{n}]"] for n in "abc"])
+    np.testing.assert_array_equal(result.initial_states[:2, 1], 0.0)
+    assert result.initial_states[2, 1] != 0.0
 
 
 def _everything(p):
@@ -120,7 +120,7 @@ def test_a_fixed_function_is_a_given_state(options):
 
 def test_the_prediction_begins_at_the_function():
     recording = driven()
-    found = fit(EVERYTHING, recording)
+    result = fit(EVERYTHING, recording)
     u, y = recording.signal("u"), recording.signal("y")
 
     def errors(x):
@@ -129,9 +129,9 @@ def test_the_prediction_begins_at_the_function():
         return (y - model.predict(u, y, H, initial_state=[start, start * values["a"]]))[:, 0]
 
     best = least_squares(errors, list(EVERYTHING_AT.values()), xtol=1e-13, ftol=1e-13)
-    np.testing.assert_allclose(list(found.parameters.values()), best.x, rtol=1e-4)
+    np.testing.assert_allclose(list(result.parameters.values()), best.x, rtol=1e-4)
     std = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)) * 2 * best.cost / (len(y) - 5))
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_white)), std, rtol=1e-3)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance_white)), std, rtol=1e-3)
 
 
 @pytest.mark.parametrize("states", ["structure", ["structure", "estimated"], [2.5, "estimated"], [2.5, 2.0]])
@@ -153,9 +153,9 @@ def test_no_start_value_is_needed():
         (),
         "y",
     )
-    found, stated = fit(blank, decay(6)), fit(PENDULUM, decay(6))
-    assert found.success
-    np.testing.assert_allclose(list(found.parameters.values()), list(stated.parameters.values()), rtol=1e-5)
+    computed, stated = fit(blank, decay(6)), fit(PENDULUM, decay(6))
+    assert computed.success
+    np.testing.assert_allclose(list(computed.parameters.values()), list(stated.parameters.values()), rtol=1e-5)
 
 
 def test_a_parameter_of_a_state_that_is_given_is_refused():

@@ -58,8 +58,10 @@ def test_the_elasticity_is_the_derivative_of_the_weight(kind):
         np.array([0.3, 1.7, 8.0, 90.0]),
         1e-6,
     )
-    there = loss.weight(squared * (1 + step) ** 2, 1)
-    np.testing.assert_allclose((there / loss.weight(squared, 1) - 1) / step, loss.elasticity(squared), atol=1e-5)
+    shifted_weight = loss.weight(squared * (1 + step) ** 2, 1)
+    np.testing.assert_allclose(
+        (shifted_weight / loss.weight(squared, 1) - 1) / step, loss.elasticity(squared), atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("engine", ["numpy", "compiled"])

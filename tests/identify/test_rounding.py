@@ -46,15 +46,15 @@ def stated(monkeypatch, apart, rounding):
 @pytest.mark.parametrize("rounding", [1e-9, 1e-7, -3e-11])
 def test_rounding_does_not_shrink_a_standard_deviation(monkeypatch, rounding):
     """Errors are white, so that both covariances agree; the Hessian's rounding is up to 5e4 times the curvature."""
-    found = stated(monkeypatch, 1e-6, rounding)
-    white, robust = (ALONG @ c @ ALONG for c in (found.white, found.robust))
+    std = stated(monkeypatch, 1e-6, rounding)
+    white, robust = (ALONG @ c @ ALONG for c in (std.white, std.robust))
     assert white == pytest.approx(1 / (2e-12 * N), rel=0.5)
     assert robust == pytest.approx(white, rel=1e-3)
 
 
 def test_curvature_that_is_more_than_rounding_counts(monkeypatch):
     """The same where the direction is seen well: twice the curvature is half the standard deviation."""
-    found = stated(monkeypatch, 0.1, 0.0)
-    steeper = stated(monkeypatch, 0.1, float(ALONG @ (np.linalg.inv(found.white)) @ ALONG) / N)
-    ratio = (ALONG @ steeper.robust @ ALONG) / (ALONG @ found.robust @ ALONG)
+    std = stated(monkeypatch, 0.1, 0.0)
+    steeper = stated(monkeypatch, 0.1, float(ALONG @ (np.linalg.inv(std.white)) @ ALONG) / N)
+    ratio = (ALONG @ steeper.robust @ ALONG) / (ALONG @ std.robust @ ALONG)
     assert ratio == pytest.approx(0.25, rel=0.1)

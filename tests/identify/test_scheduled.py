@@ -130,11 +130,11 @@ def test_pieces_are_cut_where_the_course_changes():
 
 
 def test_surface_of_a_ramp_is_found_whatever_the_length_of_a_piece():
-    found = [
+    results = [
         gbid.fit(gbid.scheduled(BASE, "gap", surfaces=["k"], order=1, piece_s=piece), ramp()) for piece in (0.2, 0.05)
     ]
     for name, true in (("k_0", 4400.0), ("k_1", -800.0), ("d", 8.0), ("b", 5000.0)):
-        for result in found:
+        for result in results:
             assert abs(result.parameters[name] - true) < 4 * result.std[name]
 
 
@@ -144,8 +144,8 @@ def test_coefficients_in_own_units_give_the_same_polynomial():
     random = np.random.default_rng(1)
     coefficients, points = random.normal(size=6), random.uniform((3, 500), (7, 6000), (20, 2))
     P, W = points.T
-    own = schedule.to_own_units @ coefficients
-    by_hand = own[0] + own[1] * P + own[2] * W + own[3] * W * P + own[4] * P**2 + own[5] * W**2
+    scaled = schedule.to_own_units @ coefficients
+    by_hand = scaled[0] + scaled[1] * P + scaled[2] * W + scaled[3] * W * P + scaled[4] * P**2 + scaled[5] * W**2
     np.testing.assert_allclose(by_hand, schedule.terms(points) @ coefficients, rtol=1e-9, atol=1e-9)
 
 

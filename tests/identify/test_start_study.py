@@ -21,12 +21,12 @@ SAME = 1e-5  # relative difference of losses at one minimum
 def absurd_starts(case, seed):
     """Starts that are wrong by up to three decades to either side, with the right sign only where a bound gives it."""
     random = np.random.default_rng([seed, 77])
-    found = {}
+    results = {}
     for q in case.structure.parameters:
         value = case.truth.get(q.name, 0.0) or 1.0
         sign = 1.0 if q.lower >= 0 else random.choice([-1.0, 1.0])
-        found[q.name] = float(np.clip(sign * abs(value) * 10 ** random.uniform(-DECADES, DECADES), q.lower, q.upper))
-    return found
+        results[q.name] = float(np.clip(sign * abs(value) * 10 ** random.uniform(-DECADES, DECADES), q.lower, q.upper))
+    return results
 
 
 def as_users(case, starts):
@@ -44,9 +44,9 @@ def test_share_of_fits_that_reach_the_best_loss(case):
         structure = as_users(case, absurd_starts(case, seed))
         best = fit(structure, data, start=case.truth, **case.options).loss
         began = time.perf_counter()
-        found = fit(structure, data, start="data", **case.options)
+        result = fit(structure, data, start="data", **case.options)
         seconds.append(time.perf_counter() - began)
-        reached.append(found.success and found.loss <= best * (1 + SAME))
+        reached.append(result.success and result.loss <= best * (1 + SAME))
         if seed < ABSURD_SEEDS and len(case.truth) <= MOST_PARAMETERS:
             began = time.perf_counter()
             plain = fit(structure, data, max_iterations=60, **case.options)

@@ -93,11 +93,11 @@ def test_intervals_of_errors_that_the_structure_cannot_whiten(effect):
     stated = np.array([[result.std[name] for name in fits[0].free] for result in fits])
     within = (np.abs(estimates - estimates.mean(axis=0)) < 1.96 * stated).mean(axis=0)
     ratio = estimates.std(axis=0, ddof=1) / np.median(stated, axis=0)
-    for which, own in (("key parameters", slice(14)), ("disturbance gain", slice(14, None))):
+    for which, columns in (("key parameters", slice(14)), ("disturbance gain", slice(14, None))):
         print(
-            f"{next(iter(effect))}, {which}: coverage {within[own].min():.3f} to {within[own].max():.3f}, mean "
-            f"{within[own].mean():.3f}; empirical std over the stated one {ratio[own].min():.2f} to "
-            f"{ratio[own].max():.2f}"
+            f"{next(iter(effect))}, {which}: coverage {within[columns].min():.3f} to {within[columns].max():.3f}, mean "
+            f"{within[columns].mean():.3f}; empirical std over the stated one {ratio[columns].min():.2f} to "
+            f"{ratio[columns].max():.2f}"
         )
     assert within[:14].min() >= 0.75
     assert within[:14].mean() >= 0.88
@@ -148,9 +148,9 @@ def _from_random_starts(name, starts, seed=1):
     problem, rng = start_problem(name), np.random.default_rng(seed)
     reference = fit(problem.structure, problem.recording, start=problem.true, **problem.options)
     drawn = [random_start(problem, rng) for _ in range(starts)]
-    found = [fit(problem.structure, problem.recording, start=start, **problem.options) for start in drawn]
+    results = [fit(problem.structure, problem.recording, start=start, **problem.options) for start in drawn]
     poles = [np.linalg.eigvals(evaluate(problem.structure, start).A).real.max() for start in drawn]
-    return reference, found, int(sum(pole > 1e-9 for pole in poles))
+    return reference, results, int(sum(pole > 1e-9 for pole in poles))
 
 
 def test_two_hundred_random_starts_of_ten_structures():
@@ -160,14 +160,16 @@ def test_two_hundred_random_starts_of_ten_structures():
         f"\n{'structure':18} starts  unstable  at the best  success but worse  of these without a note  seconds a fit"
     )
     for name in START_PROBLEMS:
-        reference, found, astray = _from_random_starts(name, 20)
-        best = min([reference.loss, *(r.loss for r in found if np.isfinite(r.loss))])
-        good = sum(r.success and r.loss <= WORSE * best for r in found)
-        above = sum(r.success and r.loss > WORSE * best for r in found)
-        quiet = sum(r.success and r.loss > WORSE * best and not r.notes for r in found)
-        seconds = np.mean([r.wall_time_s for r in found])
-        print(f"{name:18} {len(found):6}  {astray:8}  {good:11}  {above:17}  {quiet:23}  {seconds:13.2f}", flush=True)
-        total, best_found, worse, silent = total + len(found), best_found + good, worse + above, silent + quiet
+        reference, computed, astray = _from_random_starts(name, 20)
+        best = min([reference.loss, *(r.loss for r in computed if np.isfinite(r.loss))])
+        good = sum(r.success and r.loss <= WORSE * best for r in computed)
+        above = sum(r.success and r.loss > WORSE * best for r in computed)
+        quiet = sum(r.success and r.loss > WORSE * best and not r.notes for r in computed)
+        seconds = np.mean([r.wall_time_s for r in computed])
+        print(
+            f"{name:18} {len(computed):6}  {astray:8}  {good:11}  {above:17}  {quiet:23}  {seconds:13.2f}", flush=True
+        )
+        total, best_found, worse, silent = total + len(computed), best_found + good, worse + above, silent + quiet
         unstable += astray
     print(f"{'all':18} {total:6}  {unstable:8}  {best_found:11}  {worse:17}  {silent:23}")
     assert silent == 0

@@ -33,9 +33,9 @@ def test_the_order_is_that_of_the_system(modes):
     for seed in range(2):
         model = gbid.subspace(recording(modes, seed))
         assert model.n_states == 2 * modes
-        found = np.array(model.modes())
-        np.testing.assert_allclose(found[:, 0], FREQUENCIES[:modes], rtol=2e-3)
-        np.testing.assert_allclose(found[:, 1], 0.03, rtol=0.05)
+        values = np.array(model.modes())
+        np.testing.assert_allclose(values[:, 0], FREQUENCIES[:modes], rtol=2e-3)
+        np.testing.assert_allclose(values[:, 1], 0.03, rtol=0.05)
 
 
 def spring(p):

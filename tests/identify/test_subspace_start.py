@@ -25,25 +25,25 @@ def record_of(recording, inputs=("u",), outputs=("y",)):
     return gather([recording], inputs, outputs, 10).records[0]
 
 
-def poles_of(found, h):
-    return np.sort_complex(np.log(np.linalg.eigvals(found.A).astype(complex)) / h)
+def poles_of(computed, h):
+    return np.sort_complex(np.log(np.linalg.eigvals(computed.A).astype(complex)) / h)
 
 
 def test_data_without_noise_give_the_model_exactly():
     rec = record_of(simulated(EVERY, EVERY_AT, np.random.default_rng(5).normal(size=(800, 2))))
-    found = black_box([rec], 2, feedthrough=True)
+    result = black_box([rec], 2, feedthrough=True)
     model = evaluate(EVERY, EVERY_AT)
-    np.testing.assert_allclose(poles_of(found, H), np.sort_complex(model.poles()), rtol=1e-8)
+    np.testing.assert_allclose(poles_of(result, H), np.sort_complex(model.poles()), rtol=1e-8)
     f = np.array([0.05, 0.5, 3.0])
-    response, _ = found.response(np.exp(2j * np.pi * f * H))
+    response, _ = result.response(np.exp(2j * np.pi * f * H))
     np.testing.assert_allclose(response, model.discretise(H).frequency_response(f), rtol=1e-8)
 
 
 def test_an_offset_of_each_record_does_no_harm():
     recs = [record_of(simulated(EVERY, EVERY_AT, levels(500, 2, seed=i))) for i in range(2)]
-    moved = [Record(r.name, r.inputs + 0.7 * i, r.outputs + np.array([3.0, -5.0 * i])) for i, r in enumerate(recs, 1)]
-    found = black_box(moved, 2, feedthrough=True)
-    np.testing.assert_allclose(poles_of(found, H), np.sort_complex(evaluate(EVERY, EVERY_AT).poles()), rtol=1e-7)
+    shifted = [Record(r.name, r.inputs + 0.7 * i, r.outputs + np.array([3.0, -5.0 * i])) for i, r in enumerate(recs, 1)]
+    model = black_box(shifted, 2, feedthrough=True)
+    np.testing.assert_allclose(poles_of(model, H), np.sort_complex(evaluate(EVERY, EVERY_AT).poles()), rtol=1e-7)
 
 
 def test_too_few_samples_are_refused():
@@ -62,9 +62,9 @@ def test_a_match_finds_its_way_from_far_off(factor):
     model, f = evaluate(structure, truth), np.geomspace(0.5, 60, 120)
     response = model.frequency_response(f)
     target = Target(2j * np.pi * f, response, 1 / np.abs(response), model.poles(), False)
-    found = match(predictor, target, [at * factor], *bounds)
-    assert found.misfit < 1e-6
-    np.testing.assert_allclose(found.theta, at, rtol=1e-4)
+    computed = match(predictor, target, [at * factor], *bounds)
+    assert computed.misfit < 1e-6
+    np.testing.assert_allclose(computed.theta, at, rtol=1e-4)
 
 
 def test_free_decays_are_matched_with_weights_of_each_frequency_and_output():
@@ -87,12 +87,12 @@ def test_free_decays_are_matched_with_weights_of_each_frequency_and_output():
 def test_starts_from_the_data_lead_to_the_best_loss(name):
     case = BY_NAME[name]
     data = case.make(0)
-    found = fit(case.structure, data, start="data", **case.options)
+    result = fit(case.structure, data, start="data", **case.options)
     near = fit(case.structure, data, start=case.truth, max_iterations=40, **case.options)
-    assert found.status.success
-    assert found.loss <= near.loss * (1 + 1e-6)
-    assert set(found.start_origin.values()) == {"data"}
-    told = [note for note in found.notes if "by a subspace model" in note]
+    assert result.status.success
+    assert result.loss <= near.loss * (1 + 1e-6)
+    assert set(result.start_origin.values()) == {"data"}
+    told = [note for note in result.notes if "by a subspace model" in note]
     assert len(told) == (
         0 if name in ("rotor in a gas bearing", "piezo pair") else 1
     )  # these have a method of their own

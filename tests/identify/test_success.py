@@ -99,8 +99,8 @@ def test_optimality_is_zero_at_the_minimum_and_counts_standard_deviations(name):
     problem = start_problem(name)
     result = fit(problem.structure, problem.recording, start=problem.true, **problem.options)
     task = pose(problem.structure, problem.recording, FitArguments(start=problem.true, **problem.options))
-    posed = task.problem(problem.true, result.options.window)
-    shooting, box = posed.shooting, posed.box
+    problem_at_truth = task.problem(problem.true, result.options.window)
+    shooting, box = problem_at_truth.shooting, problem_at_truth.box
     theta = np.array([result.parameters[name] for name in result.free])
     shift = 0.01 * np.sqrt(np.diag(result.covariance_white))
     first, _ = shooting.unpack(shooting.pack(theta, np.zeros((shooting.n_windows, shooting.n_states))))
@@ -150,8 +150,8 @@ def test_verdict_of_what_the_solver_calls_converged():
     assert verdict(FitStatus.CONVERGED, **good | {"worse_than_constant": True}) is FitStatus.WORSE_THAN_CONSTANT
     assert verdict(FitStatus.CONVERGED, **good | {"at_edge": True}) is FitStatus.UNSTABLE_PREDICTOR
     assert verdict(FitStatus.CONVERGED, **good | {"shaft": True}) is FitStatus.SHAFT_AS_MODE
-    dark = np.array([False, True])
-    assert verdict(FitStatus.CONVERGED, **good | {"undetermined": dark}) is FitStatus.NOT_DETERMINED
+    undetermined = np.array([False, True])
+    assert verdict(FitStatus.CONVERGED, **good | {"undetermined": undetermined}) is FitStatus.NOT_DETERMINED
 
 
 # ---- callbacks ----
@@ -167,13 +167,13 @@ def test_nothing_is_printed_and_overflows_are_one_note(start, capfd):
 
 
 def test_points_without_a_value_are_counted(monkeypatch):
-    own, calls = Predictor.at, []
+    original, calls = Predictor.at, []
 
     def at(self, theta):
         calls.append(1)
         if len(calls) in (8, 9):
             raise OverflowError("cannot convert float infinity to integer")
-        return own(self, theta)
+        return original(self, theta)
 
     monkeypatch.setattr(Predictor, "at", at)
     result = of_spring(start={"k": 1100.0})
@@ -182,13 +182,13 @@ def test_points_without_a_value_are_counted(monkeypatch):
 
 
 def test_a_defect_in_a_callback_is_raised(monkeypatch):
-    own, calls = Predictor.at, []
+    original, calls = Predictor.at, []
 
     def at(self, theta):
         calls.append(1)
         if len(calls) == 8:
             raise TypeError("a defect")
-        return own(self, theta)
+        return original(self, theta)
 
     monkeypatch.setattr(Predictor, "at", at)
     with pytest.raises(TypeError, match="a defect"):

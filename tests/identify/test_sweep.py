@@ -79,15 +79,15 @@ def by_hand(c):
 @pytest.mark.parametrize(("focus", "values"), [("prediction", EVERY_AT), ("simulation", SLOW)], ids=["fast", "slow"])
 def test_the_pass_is_what_the_plain_loop_gives(size, focus, values):
     c = case(*SIZES[size], focus, values)
-    found = KERNEL.sweep(c.predictor.at(c.theta), c.blocks, c.starts, WEIGHT)
+    sums = KERNEL.sweep(c.predictor.at(c.theta), c.blocks, c.starts, WEIGHT)
     expected = by_hand(c)
     assert c.blocks.n_windows == len(expected.end)
     linked = np.flatnonzero(expected.linked)
     for name in ("error_products", "gradient", "hessian", "gradient_start", "hessian_mixed", "hessian_start"):
-        a, b = getattr(found, name), np.array(getattr(expected, name))
+        a, b = getattr(sums, name), np.array(getattr(expected, name))
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11 * np.abs(b).max(), err_msg=name)
     for name in ("end", "end_theta", "end_start"):  # ends of a record's last window meet nothing
-        a, b = getattr(found, name)[linked], np.array(getattr(expected, name))[linked]
+        a, b = getattr(sums, name)[linked], np.array(getattr(expected, name))[linked]
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12 * np.abs(b).max(initial=0), err_msg=name)
 
 

@@ -163,8 +163,8 @@ def test_the_whiteness_test_keeps_its_level():
         whiteness_test([random.normal(size=(n, 1)) for n in (300, 150, 40)]).p_value[0] for _ in range(400)
     ]  # the last is too short to count
     assert kstest(several, "uniform").pvalue > 1e-3
-    found = whiteness_test([random.normal(size=(400, 1))], lags=12)
-    assert found.lags == 12
+    test = whiteness_test([random.normal(size=(400, 1))], lags=12)
+    assert test.lags == 12
     # A mean is no colour.
     e = random.normal(size=(400, 1))
     assert whiteness_test([e + 100.0]).p_value == pytest.approx(whiteness_test([e]).p_value, rel=1e-6)

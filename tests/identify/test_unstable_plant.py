@@ -50,11 +50,13 @@ def test_covariance_by_windows_is_that_of_whole_records(name, more, monkeypatch)
     two = [problem.recording, problem.recording.slice(0, 900)]
     two[1] = type(two[1])(two[1].signals, h, name="short")
     options = {"start": problem.true, **problem.options, **more}
-    whole = fit(problem.structure, two, **options)
+    complete = fit(problem.structure, two, **options)
     monkeypatch.setattr(module, "grows", lambda *_: True)
     by_windows = fit(problem.structure, two, **options)
-    assert by_windows.covariance_white == pytest.approx(whole.covariance_white, rel=1e-6)
-    assert [by_windows.std[n] for n in whole.free] == pytest.approx([whole.std[n] for n in whole.free], rel=1e-6)
+    assert by_windows.covariance_white == pytest.approx(complete.covariance_white, rel=1e-6)
+    assert [by_windows.std[n] for n in complete.free] == pytest.approx(
+        [complete.std[n] for n in complete.free], rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("count", [4, pytest.param(12, marks=pytest.mark.slow)])

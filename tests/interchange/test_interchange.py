@@ -69,9 +69,9 @@ def test_scipy_simulates_the_same(dt):
     assert isinstance(system, signal.StateSpace)
     u = np.random.default_rng(1).standard_normal((300, 2))
     time = 2e-4 * np.arange(300)
-    found = signal.lsim(system, u, time, interp=True)[1] if dt is None else signal.dlsim(system, u)[1]
+    computed = signal.lsim(system, u, time, interp=True)[1] if dt is None else signal.dlsim(system, u)[1]
     expected = model.simulate(u, 2e-4)
-    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(computed, expected, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("dt", [None, 2e-4])
@@ -83,8 +83,8 @@ def test_python_control_round_trip(dt):
     assert system.dt == (0 if dt is None else dt)
     assert (system.input_labels, system.output_labels) == (["u_x", "u_y"], ["p_x", "p_y"])
     s = 2j * np.pi * FREQUENCY
-    found = np.array([system(value if dt is None else np.exp(value * dt)) for value in s])
-    np.testing.assert_allclose(found, model.frequency_response(FREQUENCY), rtol=1e-8)
+    values = np.array([system(value if dt is None else np.exp(value * dt)) for value in s])
+    np.testing.assert_allclose(values, model.frequency_response(FREQUENCY), rtol=1e-8)
     damping = sorted(control.damp(system, doprint=False)[1])[:4]
     np.testing.assert_allclose(damping, sorted(2 * [z for _, z in model.modes()]), rtol=1e-7)
     again = LinearModel.from_control(system)
@@ -142,10 +142,10 @@ def test_mat_file_holds_the_model(make, tmp_path):
     """The numbers as MATLAB is told to combine them: u enters at once and, delayed, once more."""
     model = make()
     data = read(save_mat(model, tmp_path / "model.mat", units={model.input_names[0]: "m"}))
-    late = data["B_delayed"] if data["B_delayed"].size else np.zeros_like(data["B"])
+    delayed = data["B_delayed"] if data["B_delayed"].size else np.zeros_like(data["B"])
     delay = data["delay"].ravel() if data["delay"].size else np.zeros(data["B"].shape[1])
     shift = np.exp(-2j * np.pi * FREQUENCY[:, None] * delay)[:, None, :]
-    B, D = np.hstack([data["B"], late]), np.hstack([data["D"], 0 * data["D"]])
+    B, D = np.hstack([data["B"], delayed]), np.hstack([data["D"], 0 * data["D"]])
     doubled, n = response(data["A"], B, data["C"], D, FREQUENCY), data["B"].shape[1]
     np.testing.assert_allclose(
         doubled[:, :, :n] + doubled[:, :, n:] * shift, model.frequency_response(FREQUENCY), rtol=1e-7
@@ -205,16 +205,16 @@ def test_csv_of_matrices_reads_back_without_loss(tmp_path):
     model = replace(exact(), K=np.ones((exact().n_states, 4)))
     head, *entries = rows(save_csv(model, tmp_path / "model.csv"))
     assert head == ["matrix", "row", "column", "row_name", "column_name", "value"]
-    found = {letter: np.zeros(getattr(model, letter).shape) for letter in ("A", "B", "C", "D", "K", "B_delayed")}
+    results = {letter: np.zeros(getattr(model, letter).shape) for letter in ("A", "B", "C", "D", "K", "B_delayed")}
     delay = np.zeros(2)
     for letter, i, j, down, across, value in entries:
         if letter == "delay":
             delay[int(j) - 1] = float(value)
             continue
-        found[letter][int(i) - 1, int(j) - 1] = float(value)
+        results[letter][int(i) - 1, int(j) - 1] = float(value)
         if letter == "C":
             assert (down, across) == (model.output_names[int(i) - 1], model.state_names[int(j) - 1])
-    for letter, values in found.items():
+    for letter, values in results.items():
         np.testing.assert_array_equal(values, getattr(model, letter))
     np.testing.assert_array_equal(delay, model.delay)
 
@@ -226,8 +226,8 @@ def test_csv_of_responses_parameters_and_coefficients(tmp_path):
     table = np.array(entries, float)
     g = model.frequency_response(FREQUENCY)[:, 1, 0]
     column = head.index("magnitude p_y/u_x")
-    found = table[:, column] * np.exp(1j * np.deg2rad(table[:, column + 1]))
-    np.testing.assert_allclose(found, g, rtol=1e-12)
+    computed = table[:, column] * np.exp(1j * np.deg2rad(table[:, column + 1]))
+    np.testing.assert_allclose(computed, g, rtol=1e-12)
     head, *entries = rows(save_csv(some_fit(), tmp_path / "fit.csv"))
     assert head == ["parameter", "estimate", "std", "unit", "free"]
     fit = some_fit()

@@ -98,21 +98,21 @@ def test_natural_frequencies_of_a_published_rotor(speed_rpm, published):
     # published: as ROSS compares itself with the book, rad/s, to 0.1 %
     machine = rotor()
     structure = gbid.from_ross(machine, sensors=SENSORS, actuators=ACTUATORS, speed_rpm=speed_rpm)
-    found = natural(structure)
-    np.testing.assert_allclose(found, published, rtol=1e-3)
-    whole, _, _ = lateral(machine, speed_rpm * np.pi / 30)
-    np.testing.assert_allclose(found, np.sort(np.abs(np.linalg.eigvals(whole)))[::2][:6], rtol=1e-5)
+    frequencies = natural(structure)
+    np.testing.assert_allclose(frequencies, published, rtol=1e-3)
+    complete, _, _ = lateral(machine, speed_rpm * np.pi / 30)
+    np.testing.assert_allclose(frequencies, np.sort(np.abs(np.linalg.eigvals(complete)))[::2][:6], rtol=1e-5)
 
 
 def test_more_modes_come_closer_and_all_of_them_are_exact():
     machine = rotor(**TRUE)
-    whole = np.sort(np.abs(np.linalg.eigvals(lateral(machine, 300.0)[0])))[::2][:6]
+    complete = np.sort(np.abs(np.linalg.eigvals(lateral(machine, 300.0)[0])))[::2][:6]
     off = []
     for modes in (3, 6, 12, 28):
         structure = gbid.from_ross(
             machine, sensors=SENSORS, actuators=ACTUATORS, speed_rpm=300.0 * 30 / np.pi, modes=modes
         )
-        off.append(np.abs(natural(structure) / whole - 1).max())
+        off.append(np.abs(natural(structure) / complete - 1).max())
     assert off[0] > off[1] > off[2]
     assert off[3] < 1e-8
 
@@ -205,8 +205,10 @@ def test_an_identified_bearing_is_an_element_with_units_and_signs_of_ross():
     assert min(element.kxx) > 0
     # a rigid disc of this mass on the element has the modes of the model without its delays
     A = np.block([[0 * EYE, EYE], [-element.K(0)[:2, :2] / mass, -element.C(0)[:2, :2] / mass]])
-    found = sorted(np.abs(np.linalg.eigvals(A)))[::2]
-    np.testing.assert_allclose(np.array(found) / (2 * np.pi), [f for f, _ in MODEL.at(6.0, 0.0).modes()][:2], rtol=1e-6)
+    computed = sorted(np.abs(np.linalg.eigvals(A)))[::2]
+    np.testing.assert_allclose(
+        np.array(computed) / (2 * np.pi), [f for f, _ in MODEL.at(6.0, 0.0).modes()][:2], rtol=1e-6
+    )
 
 
 def test_wrong_requests_of_an_element():
@@ -244,13 +246,13 @@ def test_a_model_without_operating_points_is_written_at_the_ends_of_its_domain(t
 
 def test_the_structure_says_how_good_its_reduction_is():
     machine = rotor(**TRUE)
-    whole = np.linalg.eigvals(lateral(machine, 300.0)[0])
-    whole = whole[whole.imag > 0]
-    whole = whole[np.argsort(np.abs(whole))]
+    complete = np.linalg.eigvals(lateral(machine, 300.0)[0])
+    complete = complete[complete.imag > 0]
+    complete = complete[np.argsort(np.abs(complete))]
     options = {"sensors": SENSORS, "actuators": ACTUATORS, "speed_rpm": 300.0 * 30 / np.pi}
     few, many = (gbid.from_ross(machine, modes=modes, **options) for modes in (6, 28))
     model = evaluate(few, {parameter.name: parameter.start for parameter in few.parameters})
-    for mode, expected in zip(few.reduction, whole, strict=False):
+    for mode, expected in zip(few.reduction, complete, strict=False):
         assert mode.whole_frequency_hz == pytest.approx(abs(expected) / (2 * np.pi), rel=1e-9)
         assert mode.whole_damping == pytest.approx(-expected.real / abs(expected), rel=1e-6)
         assert np.abs(np.abs(model.poles()) / (2 * np.pi) / mode.frequency_hz - 1).min() < 1e-9

@@ -60,12 +60,12 @@ def test_terms_are_in_the_order_of_equation_16() -> None:
 @given(point=POINTS)
 def test_key_parameters_are_the_written_out_polynomial(model: LPVModel, point: tuple[float, float]) -> None:
     P, W = point
-    found = model.key_parameters(P, W)
-    assert tuple(found) == KEY_PARAMETERS
+    values = model.key_parameters(P, W)
+    assert tuple(values) == KEY_PARAMETERS
     for key, c in model.coefficients.items():
         expected = c[0] + c[1] * P + c[2] * W + c[3] * W * P + c[4] * P**2 + c[5] * W**2
         size = sum(abs(v) for v in np.multiply(c, basis(P, W)))
-        assert abs(found[key] - expected) <= 1e-14 * size
+        assert abs(values[key] - expected) <= 1e-14 * size
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])

@@ -63,15 +63,15 @@ def _with_gusts(recording, seed):
 
 def test_delays_of_recordings_are_kept_from_below_zero(scattered, repeating):
     """No bound of an unknown says so: the solver has constraints for it, and finds one minimum from two starts."""
-    found, first = repeating
-    moved = {key: tuple(1.01 * c for c in values) for key, values in PAPER.coefficients.items()}
-    start, steps = replace(PAPER, coefficients=moved), []
+    computed, first = repeating
+    shifted = {key: tuple(1.01 * c for c in values) for key, values in PAPER.coefficients.items()}
+    start, steps = replace(PAPER, coefficients=shifted), []
     options = {"structure": EXACT, "focus": "simulation", "fixed": FIXED, "scatter": False}
-    assert found.success
-    assert 0 < int(found.options["iterations"]) <= len(first)
+    assert computed.success
+    assert 0 < int(computed.options["iterations"]) <= len(first)
     assert gbid.fit_lpv_direct(scattered, start, progress=steps.append, **options).success
     assert steps[-1].cost == pytest.approx(first[-1].cost, abs=1e-8)
-    delays = [found.model.key_parameters(*point)[key] for point in POINTS for key in ("tau_x", "tau_y")]
+    delays = [computed.model.key_parameters(*point)[key] for point in POINTS for key in ("tau_x", "tau_y")]
     lowest = next(q.lower for q in EXACT.parameters if q.name == "tau_y")
     assert lowest < min(delays) < lowest + 1e-8  # one of them is there
 
@@ -81,10 +81,10 @@ def test_truth_lies_within_three_standard_deviations(scattered, repeating):
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.uniform(3, 7, 1000), rng.uniform(0, 6000, 1000)])
     mine = gbid.fit_lpv_direct(scattered, PAPER, structure=EXACT, focus="simulation", fixed=FIXED, name="mine")
-    found = {True: mine, False: repeating[0]}
+    results = {True: mine, False: repeating[0]}
     truth = PAPER.key_parameters(*points.T)
     off, z = {}, {}
-    for scatter, fit in found.items():
+    for scatter, fit in results.items():
         assert fit.success
         model = fit.model.key_parameters(*points.T)
         std = np.sqrt(np.einsum("nii->ni", fit.uncertainty_at(*points.T)))
@@ -93,9 +93,9 @@ def test_truth_lies_within_three_standard_deviations(scattered, repeating):
         z[scatter] = error / std
     assert (np.abs(z[True]) < 3).mean() > 0.95
     assert off[True]["d_xy"] < 0.5 * off[False]["d_xy"]
-    assert found[True].model.name == "mine"
-    assert found[True].model.actuators == PAPER.actuators
-    scatter_std = np.sqrt(np.diag(found[True].scatter))
+    assert results[True].model.name == "mine"
+    assert results[True].model.actuators == PAPER.actuators
+    scatter_std = np.sqrt(np.diag(results[True].scatter))
     middle = PAPER.key_parameters(5.0, 3000.0)
     assert scatter_std[0] == pytest.approx(0.01 * abs(middle["k_xx"]), rel=0.35)
 
@@ -104,8 +104,8 @@ def test_recordings_have_structures_of_their_own(one_point):
     """Piezo positions or references as inputs, six or four states: flat surfaces are where each half alone would be."""
     bearing = RotorBearing(disturbance_gain="none")
     start, options = constant(truth_at(5.0, 4000.0)), {"focus": "simulation", "scatter": False}
-    own = {one_point[0].name: EXACT, one_point[1].name: bearing, one_point[2].name: bearing}
-    mixed = gbid.fit_lpv_direct(one_point, start, structure=own, fixed=FIXED, **options)
+    structures = {one_point[0].name: EXACT, one_point[1].name: bearing, one_point[2].name: bearing}
+    mixed = gbid.fit_lpv_direct(one_point, start, structure=structures, fixed=FIXED, **options)
     halves = [
         gbid.fit(EXACT, one_point[:1], focus="simulation", fixed=FIXED, criterion="trace"),
         gbid.fit(bearing, one_point[1:], focus="simulation", criterion="trace"),
@@ -119,12 +119,12 @@ def test_recordings_have_structures_of_their_own(one_point):
     values = [np.array([half.parameters[key] for key in keys]) for half in halves]
     mean = np.linalg.solve(sum(weights), sum(w @ v for w, v in zip(weights, values, strict=True)))
     std = np.sqrt(np.diag(np.linalg.inv(sum(weights))))
-    found = np.array([mixed.model.coefficients[key][0] for key in keys])
-    assert (np.abs(found - mean) < 0.5 * std).all()
+    computed = np.array([mixed.model.coefficients[key][0] for key in keys])
+    assert (np.abs(computed - mean) < 0.5 * std).all()
     with pytest.raises(UsageError, match="structure: no recording 'r9'"):
         gbid.fit_lpv_direct(one_point, start, structure={"r9": EXACT})
     with pytest.raises(UsageError, match=r"structure 'rotor_bearing' has no p1_x, .* which another has"):
-        gbid.fit_lpv_direct(one_point, start, structure=own)
+        gbid.fit_lpv_direct(one_point, start, structure=structures)
 
 
 def test_rounds_that_do_not_settle_are_said(one_point, monkeypatch):
@@ -147,18 +147,18 @@ def test_recordings_in_open_and_in_closed_loop_share_surfaces(one_point):
     held = [recorded((5.0, 4000.0), i, controller=running) for i in (3, 4)]
     loop = gbid.ClosedLoop(EXACT, controller, inputs="w", pade_order=1)
     start, truth = constant(truth_at(5.0, 4000.0)), truth_at(5.0, 4000.0)
-    own = {recording.name: loop if recording in held else EXACT for recording in (*one_point, *held)}
-    found = gbid.fit_lpv_direct(
+    structures = {recording.name: loop if recording in held else EXACT for recording in (*one_point, *held)}
+    surfaces = gbid.fit_lpv_direct(
         [*one_point, *held],
         replace(start, coefficients={key: (1.01 * row[0], *row[1:]) for key, row in start.coefficients.items()}),
-        structure=own,
+        structure=structures,
         focus="simulation",
         fixed=FIXED,
         scatter=False,
     )
-    assert found.success
-    std = np.sqrt(np.diag(found.covariance)).reshape(14, 6)[:, 0]
-    away = [(found.model.coefficients[key][0] - truth[key]) / s for key, s in zip(KEY_PARAMETERS, std, strict=True)]
+    assert surfaces.success
+    std = np.sqrt(np.diag(surfaces.covariance)).reshape(14, 6)[:, 0]
+    away = [(surfaces.model.coefficients[key][0] - truth[key]) / s for key, s in zip(KEY_PARAMETERS, std, strict=True)]
     assert np.abs(away).max() < 4
 
 
@@ -186,8 +186,8 @@ def test_bad_input_is_refused(scattered):
         gbid.fit_lpv_direct([scattered[0], scattered[0]], PAPER)
     with pytest.raises(DataError, match="2 operating points for 6 terms"):
         gbid.fit_lpv_direct(scattered[:4], PAPER)
-    late = PAPER.coefficients["tau_x"]
-    early = replace(PAPER, coefficients={**PAPER.coefficients, "tau_x": (late[0] - 1e-3, *late[1:])})
+    delayed = PAPER.coefficients["tau_x"]
+    early = replace(PAPER, coefficients={**PAPER.coefficients, "tau_x": (delayed[0] - 1e-3, *delayed[1:])})
     with pytest.raises(DataError, match=r"tau_x = -0\.\d+ ms at .* bar, .* rpm, and no delay is negative"):
         gbid.fit_lpv_direct(scattered, early, structure=EXACT, fixed=FIXED)
     with pytest.raises(UsageError, match="k_xx is a surface"):

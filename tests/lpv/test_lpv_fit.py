@@ -27,8 +27,8 @@ K = len(KEY_PARAMETERS)
 
 
 def surface_of(model, points):
-    found = model.key_parameters(points[:, 0], points[:, 1])
-    return np.stack([found[key] * np.ones(len(points)) for key in KEY_PARAMETERS], axis=-1)
+    values = model.key_parameters(points[:, 0], points[:, 1])
+    return np.stack([values[key] * np.ones(len(points)) for key in KEY_PARAMETERS], axis=-1)
 
 
 def campaign(seed=0, scatter=0.02, own=0.01, points=GRID, truth=PAPER):
@@ -80,9 +80,11 @@ def test_ordinary_and_weighted_fits_are_least_squares_by_brute_force():
         whiten = np.linalg.inv(np.linalg.cholesky(C))
         rows.append(whiten @ np.kron(np.eye(K), phi))
         targets.append(whiten @ y)
-    whole = np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)[0].reshape(K, 6)
+    complete = np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)[0].reshape(K, 6)
     weighted = gbid.fit_lpv(data, weighting="fits")
-    np.testing.assert_allclose(weighted.coefficients, whole * size[:, None] / [1, 7, 6000, 42000, 49, 36e6], rtol=1e-6)
+    np.testing.assert_allclose(
+        weighted.coefficients, complete * size[:, None] / [1, 7, 6000, 42000, 49, 36e6], rtol=1e-6
+    )
 
 
 def test_scatter_is_the_restricted_maximum_likelihood_estimate():
@@ -99,9 +101,9 @@ def test_scatter_is_the_restricted_maximum_likelihood_estimate():
         return np.log(V).sum() + np.linalg.slogdet(information)[1] + (r**2 / V).sum()
 
     best = minimize_scalar(minus_log_likelihood, bounds=(1e-6, 10), method="bounded", options={"xatol": 1e-8}).x
-    found = with_scatter(y, X, C)
-    assert found.settled
-    assert found.scatter[0, 0] == pytest.approx(best, rel=0.01)
+    estimate = with_scatter(y, X, C)
+    assert estimate.settled
+    assert estimate.scatter[0, 0] == pytest.approx(best, rel=0.01)
 
 
 def test_scatter_matrix_of_a_large_campaign_is_found():
@@ -138,9 +140,9 @@ def test_a_recording_that_alone_determines_its_point_has_the_scatter_of_the_othe
     rng = np.random.default_rng(22)
     points = np.array([0.0, 0, 0, 0, 0, 1])[:, None]
     data = Estimates(tuple("abcdef"), points, rng.normal(size=(6, 1)), np.full((6, 1, 1), 0.1), (), ("a",), ("v",))
-    found, _, covariance = solved(data, 1)
-    assert covariance.sum() == pytest.approx(found.scatter[0, 0] + 0.1)  # that of one recording, at v = 1
-    (note,) = found.notes
+    computed, _, covariance = solved(data, 1)
+    assert covariance.sum() == pytest.approx(computed.scatter[0, 0] + 0.1)  # that of one recording, at v = 1
+    (note,) = computed.notes
     assert note.startswith("recordings that alone determine the surfaces at their operating point: f;")
     assert note.endswith("[GB307]")
 
@@ -176,7 +178,7 @@ def test_truth_of_the_rigs_scatter_lies_within_three_standard_deviations():
     rng = np.random.default_rng(8)
     points = np.column_stack([rng.uniform(3, 7, 1000), rng.uniform(0, 6000, 1000)])
     size = np.abs(surface_of(PAPER, points)).mean(axis=0)
-    own = np.broadcast_to(np.diag((1e-5 * size) ** 2), (len(GRID), K, K))
+    covariances = np.broadcast_to(np.diag((1e-5 * size) ** 2), (len(GRID), K, K))
 
     def scattered_campaign(seed):
         values = []
@@ -184,7 +186,7 @@ def test_truth_of_the_rigs_scatter_lies_within_three_standard_deviations():
             random = scatter_random(seed, name, {"pressure_bar": p, "speed_rpm": n})
             t = scattered(bearings[p, n], Scatter(share=0.35), random)[0]
             values.append(np.concatenate([t.stiffness.ravel(), t.damping.ravel(), t.input_gain.ravel(), t.delay]))
-        return Estimates(names, GRID, np.array(values), own)
+        return Estimates(names, GRID, np.array(values), covariances)
 
     assert_covers_the_truth((gbid.fit_lpv(scattered_campaign(seed)) for seed in range(10)), seed=8)
 
@@ -203,8 +205,8 @@ def test_outliers_are_named_and_held_down():
     assert len(named) <= 5
     for key in ("k_xx", "b_xy", "tau_x"):
         j = KEY_PARAMETERS.index(key)
-        moved = [np.abs(fit.surface[:, j] - clean.surface[:, j]).max() for fit in (plain, robust)]
-        assert moved[1] < 0.5 * moved[0]
+        shifted = [np.abs(fit.surface[:, j] - clean.surface[:, j]).max() for fit in (plain, robust)]
+        assert shifted[1] < 0.5 * shifted[0]
     mixed = gbid.fit_lpv(spoilt, robust=True)
     assert {("r3", "k_xx"), ("r40", "b_xy"), ("r77", "tau_x")} <= {(o.recording, o.parameter) for o in mixed.outliers}
 
@@ -227,8 +229,8 @@ def test_left_out_errors_are_those_of_a_loop():
     for point in POINTS:
         out = (point == GRID).all(axis=1)
         A = np.column_stack([np.ones(86), GRID[:, 0], GRID[:, 1] / 1e3])
-        found = np.linalg.lstsq(A[~out], data.values[~out], rcond=None)[0]
-        errors.append(data.values[out] - A[out] @ found)
+        solution = np.linalg.lstsq(A[~out], data.values[~out], rcond=None)[0]
+        errors.append(data.values[out] - A[out] @ solution)
     np.testing.assert_allclose(score.rms, np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)), rtol=1e-8)
 
 

@@ -24,8 +24,8 @@ def errors(fit):
     """Errors at 1000 random operating points, and the same in standard deviations, (1000, 14)."""
     rng = np.random.default_rng(0)
     P, Omega = rng.uniform(3, 7, 1000), rng.uniform(0, 6000, 1000)
-    found, true = (model.key_parameters(P, Omega) for model in (fit.model, PAPER))
-    error = np.stack([found[key] - true[key] for key in KEY_PARAMETERS], axis=-1)
+    computed, true = (model.key_parameters(P, Omega) for model in (fit.model, PAPER))
+    error = np.stack([computed[key] - true[key] for key in KEY_PARAMETERS], axis=-1)
     return error, error / np.sqrt(np.einsum("nii->ni", fit.uncertainty_at(P, Omega)))
 
 
@@ -144,8 +144,11 @@ def test_one_shot_of_the_papers_campaign_on_recordings_held_out(tmp_path):
     used, unseen = ([recordings[name] for name in chosen] for chosen in (seen, last))
     bearing = RotorBearing()
     first = [fits[f"{name.rpartition('_')[0]}_prbs1"] for name in last]
-    own = [gbid.cross_validate(fit, r).fit_percent for fit, r in zip(first, unseen, strict=True)]
-    percent = {"two": held_out_percent(two, list(fits.values()), unseen, bearing), "of another": float(np.mean(own))}
+    percents = [gbid.cross_validate(fit, r).fit_percent for fit, r in zip(first, unseen, strict=True)]
+    percent = {
+        "two": held_out_percent(two, list(fits.values()), unseen, bearing),
+        "of another": float(np.mean(percents)),
+    }
     for focus in ("simulation", "prediction"):
         one = gbid.fit_lpv_direct(used, two, structure=bearing, focus=focus)
         assert one.success

@@ -87,7 +87,7 @@ def test_other_tables(model: LPVModel) -> None:
 
 
 def test_reference_modes_are_what_the_model_gives(model: LPVModel) -> None:
-    found = 0
+    computed = 0
     for reference in MACHINE.reference_modes:
         if reference.kind == "measured":
             continue
@@ -95,8 +95,8 @@ def test_reference_modes_are_what_the_model_gives(model: LPVModel) -> None:
         modes = model.at(*at).modes() if reference.loop == "open" else closed_modes(model, *at)
         digits = (1, 3) if reference.kind == "expected" else (3, 5)
         assert rounded(modes, *digits) == reference.modes
-        found += 1
-    assert found == 4
+        computed += 1
+    assert computed == 4
 
 
 def test_modes_of_tables_3_and_4_as_transcribed(model: LPVModel) -> None:

@@ -25,59 +25,61 @@ def truth(speed):
 
 @pytest.fixture(scope="module")
 def fits():
-    found = []
+    results = []
     for seed, speed in enumerate(SPEEDS):
         rng = np.random.default_rng(seed)
         f = np.repeat(rng.choice([-5.0, 5.0], (75, 4)), 8, axis=0)
         q = evaluate(ROTOR, truth(speed)).simulate(f, sample_time=5e-4) + 1e-6 * rng.standard_normal((600, 4))
         rec = gbid.Recording({"f": f, "q": q}, 5e-4, name=f"{speed:g} rpm", units={"f": "N", "q": "m"})
-        found.append(gbid.fit(ROTOR, rec, focus="simulation", start=truth(speed)))
-    assert all(fit.success for fit in found)
-    return found
+        results.append(gbid.fit(ROTOR, rec, focus="simulation", start=truth(speed)))
+    assert all(fit.success for fit in results)
+    return results
 
 
 def test_surfaces_of_a_rotor_over_speed(fits):
-    found = gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling="speed_rpm", order=1)
-    names = found.estimates.parameters
+    surfaces = gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling="speed_rpm", order=1)
+    names = surfaces.estimates.parameters
     assert names == tuple(p.name for p in ROTOR.parameters)
-    constant, slope = found.coefficients.T
-    std = np.sqrt(np.diag(found.covariance)).reshape(-1, 2)
+    constant, slope = surfaces.coefficients.T
+    std = np.sqrt(np.diag(surfaces.covariance)).reshape(-1, 2)
     expected = {**{name: (value, 0.0) for name, value in FIXED.items()}, "g": (0.0, GYRO)}
     z = np.array([((c, s) - np.array(expected[n])) / d for n, c, s, d in zip(names, constant, slope, std, strict=True)])
     assert np.abs(z).max() < 4
-    model = found.model.at(9000.0)
+    model = surfaces.model.at(9000.0)
     np.testing.assert_allclose(model.modes(), evaluate(ROTOR, truth(9000.0)).modes(), rtol=2e-3)
     assert model.input_names == ("f_1", "f_2", "f_3", "f_4")
-    assert "g" in repr(found)
-    frame = found.to_frame()
+    assert "g" in repr(surfaces)
+    frame = surfaces.to_frame()
     assert list(frame.columns) == ["1", "1 std", "speed_rpm", "speed_rpm std"]
     np.testing.assert_allclose(frame.to_numpy(), np.stack([constant, std[:, 0], slope, std[:, 1]], axis=-1))
-    assert found.uncertainty_at([0.0, 6000.0]).shape == (2, 7, 7)
-    wider = found.uncertainty_at(6000.0, scatter=True) - found.uncertainty_at(6000.0)
-    np.testing.assert_allclose(wider, found.scatter, atol=1e-12 * found.scatter.max())
+    assert surfaces.uncertainty_at([0.0, 6000.0]).shape == (2, 7, 7)
+    wider = surfaces.uncertainty_at(6000.0, scatter=True) - surfaces.uncertainty_at(6000.0)
+    np.testing.assert_allclose(wider, surfaces.scatter, atol=1e-12 * surfaces.scatter.max())
 
 
 def test_an_ordinary_fit_is_least_squares(fits):
-    found = gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling=("speed_rpm",), order=("1", "speed_rpm^2"),
+    surfaces = gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling=("speed_rpm",), order=("1", "speed_rpm^2"),
                          weighting="ordinary", parameters=("g", "k_t"))  # fmt: skip
     X = np.column_stack([np.ones(4), np.square(SPEEDS)])
     for name in ("g", "k_t"):
         expected = np.linalg.lstsq(X, [fit.parameters[name] for fit in fits], rcond=None)[0]
-        np.testing.assert_allclose(found.model.coefficients[name], expected, rtol=1e-6, atol=1e-9)
-    held = found.model.key_parameters(5000.0)["d_s"]
+        np.testing.assert_allclose(surfaces.model.coefficients[name], expected, rtol=1e-6, atol=1e-9)
+    held = surfaces.model.key_parameters(5000.0)["d_s"]
     assert held == pytest.approx(np.mean([fit.parameters["d_s"] for fit in fits]))
-    assert found.notes[-1] == "held at the mean of the fits: k_s, d_s, d_t, b_s, b_t [GB306]"
+    assert surfaces.notes[-1] == "held at the mean of the fits: k_s, d_s, d_t, b_s, b_t [GB306]"
 
 
 def test_drawn_models_have_the_covariance_and_stay_within_the_bounds(fits):
-    found = gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling="speed_rpm", order=1)
-    drawn = found.draw(300, seed=0)
+    surfaces = gbid.fit_lpv(fits, SPEEDS, structure=ROTOR, scheduling="speed_rpm", order=1)
+    drawn = surfaces.draw(300, seed=0)
     g = np.array([one.key_parameters(6000.0)["g"] for one in drawn])
-    place = found.estimates.parameters.index("g")
-    assert g.std() == pytest.approx(np.sqrt(found.uncertainty_at(6000.0)[place, place]), rel=0.15)
+    place = surfaces.estimates.parameters.index("g")
+    assert g.std() == pytest.approx(np.sqrt(surfaces.uncertainty_at(6000.0)[place, place]), rel=0.15)
     narrow = tuple(replace(p, lower=p.start * (1 - 1e-12), upper=p.start * (1 + 1e-12)) if p.name == "d_s" else p
                    for p in ROTOR.parameters)  # fmt: skip
-    tight = replace(found, model=replace(found.model, structure=gbid.LinearStructure("r", narrow, ROTOR.matrices)))
+    tight = replace(
+        surfaces, model=replace(surfaces.model, structure=gbid.LinearStructure("r", narrow, ROTOR.matrices))
+    )
     with pytest.raises(UsageError, match="0 of 40 draws are within the bounds"):
         tight.draw(2, seed=0)
 

@@ -104,8 +104,8 @@ def test_intervals_keep_their_coverage_with_spikes_replaced_and_lose_it_with_the
             conditions = {"pressure_bar": point[0], "speed_rpm": point[1]}
             faults = Faults(spikes_per_s=spikes, spike_size_m=2e-6)
             raw = record(machine, Prbs(5.0), conditions=conditions, seed=seed, name="run", faults=faults)
-            found = gbid.fit(structure, prefilter(raw, **ways[way])[0], trend="offset")
-            errors = [(found.parameters[name] - true) / found.std[name] for name, true in truth.items()]
+            result = gbid.fit(structure, prefilter(raw, **ways[way])[0], trend="offset")
+            errors = [(result.parameters[name] - true) / result.std[name] for name, true in truth.items()]
             inside[spikes, way].append(np.abs(errors) < 1.96)
     coverage = {key: np.mean(hits, axis=0) for key, hits in inside.items()}
     for (spikes, way), values in coverage.items():

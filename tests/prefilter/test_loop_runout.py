@@ -53,10 +53,12 @@ def test_online_and_offline_filter_show_the_same_motion():
     offline, _ = prefilter(raw, maps.pop("p"), answers=maps, spikes=False, remove_mean=False)
     assert np.abs(raw.signal("r") - raw.signal("w")).max() > 1e-6  # the loop answers to run-out
     for signal in "rup":
-        moved = online.signal(signal) - online.signal(signal).mean(axis=0)
+        shifted = online.signal(signal) - online.signal(signal).mean(axis=0)
         same = offline.signal(signal) - offline.signal(signal).mean(axis=0)
-        assert np.abs(same - moved).max() < 1e-4 * np.abs(moved).max()
-        assert np.abs(raw.signal(signal) - raw.signal(signal).mean(axis=0) - moved).max() > 0.1 * np.abs(moved).max()
+        assert np.abs(same - shifted).max() < 1e-4 * np.abs(shifted).max()
+        assert (
+            np.abs(raw.signal(signal) - raw.signal(signal).mean(axis=0) - shifted).max() > 0.1 * np.abs(shifted).max()
+        )
 
 
 def test_answers_that_do_not_fit_are_refused():

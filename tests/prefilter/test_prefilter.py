@@ -80,8 +80,8 @@ def test_several_recordings_share_one_map_with_the_mean_of_their_means(method):
 @given(angle=st.floats(0, 2 * np.pi), turns=st.integers(-3, 3))
 def test_the_map_repeats_every_turn(method, angle, turns):
     made = _MAPS[method]
-    here, there = made.evaluate(np.array([angle, angle + turns * 2 * np.pi]))
-    np.testing.assert_allclose(here, there, atol=1e-13)
+    here, turned = made.evaluate(np.array([angle, angle + turns * 2 * np.pi]))
+    np.testing.assert_allclose(here, turned, atol=1e-13)
 
 
 _MAPS = {method: identify_runout(known(), method=method) for method in ("harmonics", "bins")}

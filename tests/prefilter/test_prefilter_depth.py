@@ -51,12 +51,12 @@ def table(amplitudes, noise=NOISE, speed_rpm=5900.0, n=5000, start=0.3, seed=1):
 def test_comparison_chooses_the_orders_that_are_there():
     amplitudes = {1: (3e-6, 0.2), 3: (0.5e-6, 1.0)}
     group = [table(amplitudes, start=0.4 * seed, seed=seed) for seed in range(4)]
-    found = compare_runout(group, harmonics=(1, 2, 3, 5, 10), bins=(25, 100))
-    assert (found.chosen.method, found.chosen.size) == ("harmonics", 3)
-    np.testing.assert_allclose(found.chosen.residual_rms, NOISE, rtol=0.03)
-    assert found.runout_map.sources == ("still0", "still1", "still2", "still3")
-    assert [trial.chosen for trial in found.trials].count(True) == 1
-    rows = found.rows()
+    comparison = compare_runout(group, harmonics=(1, 2, 3, 5, 10), bins=(25, 100))
+    assert (comparison.chosen.method, comparison.chosen.size) == ("harmonics", 3)
+    np.testing.assert_allclose(comparison.chosen.residual_rms, NOISE, rtol=0.03)
+    assert comparison.runout_map.sources == ("still0", "still1", "still2", "still3")
+    assert [trial.chosen for trial in comparison.trials].count(True) == 1
+    rows = comparison.rows()
     assert json.loads(json.dumps(rows)) == rows
     # orders 1 and 2 leave the third: half its amplitude squared beside the noise
     assert rows[1]["residual_rms_x"] == pytest.approx(np.hypot(0.5e-6 / np.sqrt(2), NOISE), rel=0.01)
@@ -65,10 +65,10 @@ def test_comparison_chooses_the_orders_that_are_there():
 def test_comparison_judges_on_parts_held_out():
     """By brute force: one fold by hand."""
     group = [table({1: (3e-6, 0.2)}, start=0.4 * seed, seed=seed) for seed in range(3)]
-    found = compare_runout(group, harmonics=(2,), bins=())
+    comparison = compare_runout(group, harmonics=(2,), bins=())
     made = identify_runout(group[:2], harmonics=2)
     rest = group[2].signal("p") - made.evaluate(group[2].signal("phi")[:, 0])
-    np.testing.assert_allclose(found.trials[0].fold_rms[2], rest.std(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(comparison.trials[0].fold_rms[2], rest.std(axis=0), rtol=1e-12)
 
 
 def test_a_sharp_spot_is_better_told_by_bins():
@@ -78,31 +78,31 @@ def test_a_sharp_spot_is_better_told_by_bins():
         rec = table({1: (3e-6, 0.2)}, n=20_000, start=0.4 * seed, seed=seed, noise=10e-9)
         spot = 4e-6 * np.exp(-(((rec.signal("phi") - 2.0) / 0.03) ** 2))  # an electrical spot on the disc
         group.append(rec.with_signals(p=rec.signal("p") + spot + 0 * rng.standard_normal()))
-    found = compare_runout(group, harmonics=(5, 10), bins=(100, 400))
-    assert (found.chosen.method, found.chosen.size) == ("bins", 400)
+    comparison = compare_runout(group, harmonics=(5, 10), bins=(100, 400))
+    assert (comparison.chosen.method, comparison.chosen.size) == ("bins", 400)
 
 
 def test_one_recording_is_cut_into_stretches():
     rec = table({1: (3e-6, 0.2)})
-    found = compare_runout(rec, harmonics=(1, 2), bins=())
-    assert found.held_out == ("still1[0:1250]", "still1[1250:2500]", "still1[2500:3750]", "still1[3750:5000]")
-    assert found.chosen.size == 1
+    comparison = compare_runout(rec, harmonics=(1, 2), bins=())
+    assert comparison.held_out == ("still1[0:1250]", "still1[1250:2500]", "still1[2500:3750]", "still1[3750:5000]")
+    assert comparison.chosen.size == 1
 
 
 def test_a_size_that_cannot_be_made_is_listed_with_its_reason():
-    found = compare_runout(table({1: (3e-6, 0.2)}, speed_rpm=6000.0), harmonics=(3, 40), bins=())
-    assert "cannot distinguish 40 harmonics" in found.trials[1].note
-    assert np.isnan(found.trials[1].residual_rms).all()
-    assert found.chosen.size == 3
+    comparison = compare_runout(table({1: (3e-6, 0.2)}, speed_rpm=6000.0), harmonics=(3, 40), bins=())
+    assert "cannot distinguish 40 harmonics" in comparison.trials[1].note
+    assert np.isnan(comparison.trials[1].residual_rms).all()
+    assert comparison.chosen.size == 3
     with pytest.raises(DataError, match="no run-out map can be made"):
         compare_runout(table({1: (3e-6, 0.2)}, speed_rpm=6000.0), harmonics=(40,), bins=())
 
 
 def test_a_shaft_at_rest_has_its_mean_only():
     still = rig(Stationary(1.0), "still", speed=0.0)
-    found = compare_runout(still)
-    assert (found.chosen.method, found.runout_map.method) == ("mean", "mean")
-    assert found.chosen.residual_rms == pytest.approx(still.signal("p").std(axis=0), rel=0.05)
+    comparison = compare_runout(still)
+    assert (comparison.chosen.method, comparison.runout_map.method) == ("mean", "mean")
+    assert comparison.chosen.residual_rms == pytest.approx(still.signal("p").std(axis=0), rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -125,8 +125,8 @@ def test_wrong_comparisons_are_named(call, error, words):
 def test_runout_residual_measures_noise_and_a_line_beside_it():
     rec = table({1: (3e-6, 0.2)}, n=25_000)
     whirl = 0.4e-6 * np.cos(TURN * 47.0 * rec.time)
-    moved = rec.with_signals(p=rec.signal("p") + np.column_stack([whirl, 0 * whirl]))
-    left = runout_residual(identify_runout(rec), moved)
+    shifted = rec.with_signals(p=rec.signal("p") + np.column_stack([whirl, 0 * whirl]))
+    left = runout_residual(identify_runout(rec), shifted)
     np.testing.assert_allclose(left.noise, NOISE, rtol=0.03)
     assert left.frequency_hz[0] == pytest.approx(47.0, abs=0.2)
     assert left.order[0] == pytest.approx(47.0 * 60 / 5900, rel=0.01)
@@ -159,10 +159,10 @@ def test_online_is_the_offline_filter_bit_for_bit(method, median):
     offline, report = prefilter(excited, made, median=median)
     online = OnlinePrefilter(made, offset=report.offsets["p"], median=median)
     values = zip(excited.signal("p"), excited.signal("phi")[:, 0], strict=True)
-    found = [online.step(p, phi) for p, phi in values]
-    assert found[: online.delay] == [None] * online.delay
-    late = found[online.delay :] + online.finish()
-    assert np.array_equal(np.array(late), offline.signal("p"))
+    results = [online.step(p, phi) for p, phi in values]
+    assert results[: online.delay] == [None] * online.delay
+    delayed = results[online.delay :] + online.finish()
+    assert np.array_equal(np.array(delayed), offline.signal("p"))
     assert online.delay == median // 2
 
 
@@ -172,8 +172,8 @@ def test_online_median_alone(values, half):
     rec = Recording({"p": np.array(values)[:, None]}, 1.0)
     offline, _ = prefilter(rec, median=2 * half + 1, remove_mean=False)
     online = OnlinePrefilter(None, median=2 * half + 1)
-    found = [online.step([value], None) for value in values]
-    assert np.array_equal(np.array(found[half:] + online.finish()), offline.signal("p"))
+    results = [online.step([value], None) for value in values]
+    assert np.array_equal(np.array(results[half:] + online.finish()), offline.signal("p"))
 
 
 def test_online_refuses_a_bad_sample_and_goes_on():
@@ -200,11 +200,11 @@ def test_missing_index_is_found_from_the_run_out(experiment, method):
     rec = rig(experiment, "other")
     shift = 2.1
     lost = rec.with_signals(phi=np.mod(rec.signal("phi") - shift, TURN))
-    found = align_index(made, lost)
-    assert found.sure
+    alignment = align_index(made, lost)
+    assert alignment.sure
     # An encoder count is 1.5 mrad; half of it may be off by the map's own entries.
-    assert abs(found.offset - shift) < 5 * found.std + 0.8e-3
-    aligned = found.apply(lost)
+    assert abs(alignment.offset - shift) < 5 * alignment.std + 0.8e-3
+    aligned = alignment.apply(lost)
     assert "degrees added to phi" in aligned.provenance["index"]
     true, _ = prefilter(rec, made, median=1)
     ours, _ = prefilter(aligned, made, median=1)
@@ -222,27 +222,27 @@ def test_std_of_the_offset_is_honest():
     made = identify_runout(table(amplitudes, n=100_000, noise=1e-9))
     errors, stds = [], []
     for seed in range(40):
-        found = align_index(made, table(amplitudes, n=4000, noise=200e-9, seed=seed))
-        errors.append((found.offset + np.pi) % TURN - np.pi)
-        stds.append(found.std)
+        alignment = align_index(made, table(amplitudes, n=4000, noise=200e-9, seed=seed))
+        errors.append((alignment.offset + np.pi) % TURN - np.pi)
+        stds.append(alignment.std)
     assert 0.7 < np.std(errors) / np.mean(stds) < 1.4
 
 
 def test_run_out_alike_after_half_a_turn_is_not_sure():
     only_second = {2: (2e-6, 0.4)}
     made = identify_runout(table(only_second))
-    found = align_index(made, table(only_second, seed=2))
-    assert not found.sure
-    assert abs(abs(found.offset - found.next_best) - np.pi) < 0.01
+    alignment = align_index(made, table(only_second, seed=2))
+    assert not alignment.sure
+    assert abs(abs(alignment.offset - alignment.next_best) - np.pi) < 0.01
     with pytest.raises(DataError, match="cannot be found from the run-out"):
-        found.apply(table(only_second))
+        alignment.apply(table(only_second))
 
 
 def test_another_machines_map_is_not_sure():
     made = identify_runout(table({1: (2e-6, 0.4), 2: (1e-6, 0.0), 3: (1e-6, 1.0)}))
-    found = align_index(made, table({4: (2e-6, 0.4), 5: (1e-6, 0.2)}, seed=2))
-    assert found.explained < 0.5
-    assert not found.sure
+    alignment = align_index(made, table({4: (2e-6, 0.4), 5: (1e-6, 0.2)}, seed=2))
+    assert alignment.explained < 0.5
+    assert not alignment.sure
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,9 @@ def test_clean_data_are_left_alone():
     for seed in range(20):
         for noise in (NOISE, 0.65e-6):
             _, values = wave(25_000, noise, seed)
-            found = remove_spikes(values)
-            np.testing.assert_array_equal(found.values, values)
-            assert [len(samples) for samples in found.samples] == [0, 0]
+            cleaned = remove_spikes(values)
+            np.testing.assert_array_equal(cleaned.values, values)
+            assert [len(samples) for samples in cleaned.samples] == [0, 0]
 
 
 @pytest.mark.parametrize(("run", "size"), [(1, 0.5e-6), (1, -2e-6), (1, 50e-6), (2, 2e-6), (3, -2e-6), (3, 50e-6)])
@@ -35,14 +35,14 @@ def test_spikes_are_found_and_replaced(run, size):
     where = np.concatenate([np.arange(start, start + run) for start in (7, 700, 1234, 1250, 4000, 4993 - run)])
     spiked = values.copy()
     spiked[where, 0] += size
-    found = remove_spikes(spiked)
-    np.testing.assert_array_equal(found.samples[0], where)
-    assert len(found.samples[1]) == 0
+    cleaned = remove_spikes(spiked)
+    np.testing.assert_array_equal(cleaned.samples[0], where)
+    assert len(cleaned.samples[1]) == 0
     untouched = np.delete(np.arange(len(values)), where)
-    np.testing.assert_array_equal(found.values[untouched], values[untouched])
-    np.testing.assert_array_equal(found.values[:, 1], values[:, 1])
+    np.testing.assert_array_equal(cleaned.values[untouched], values[untouched])
+    np.testing.assert_array_equal(cleaned.values[:, 1], values[:, 1])
     # A bridge over three samples carries up to 2.1 times the noise of one sample.
-    assert np.abs(found.values[where, 0] - clean[where, 0]).max() < 4 * 2.1 * NOISE
+    assert np.abs(cleaned.values[where, 0] - clean[where, 0]).max() < 4 * 2.1 * NOISE
 
 
 @given(start=st.integers(7, 490), size=st.sampled_from([-1.0, 1.0]), seed=st.integers(0, 100))

@@ -83,13 +83,13 @@ def test_results_as_frames(rec, result):
     frame = result.to_frame()
     assert frame.loc["w", "std"] == result.std["w"]
     assert set(frame.index) == set(result.parameters)
-    found = gbid.cross_validate(result, rec)
-    np.testing.assert_array_equal(found.to_frame()["y_simulated"], found.simulated[:, 0])
+    validation = gbid.cross_validate(result, rec)
+    np.testing.assert_array_equal(validation.to_frame()["y_simulated"], validation.simulated[:, 0])
     bode = result.bode([0.5, 1.0]).to_frame()
     assert bode["frequency_hz"].tolist() == [0.5, 1.0]
     assert gbid.measured_response(rec, "u", "y").to_frame()["coherence"].between(0, 1).all()
     scores = gbid.cross_validate_many([result], [rec.slice(0, 500, "other")]).to_frame()
-    assert scores.loc[0, "fit_percent_y"] == pytest.approx(found.fit_percent[0], abs=1.0)
+    assert scores.loc[0, "fit_percent_y"] == pytest.approx(validation.fit_percent[0], abs=1.0)
     assert scores.loc[0, "recording"] == "other"
 
 
@@ -127,6 +127,9 @@ def test_values_draw_themselves(rec, result):
 
 @pytest.mark.parametrize("call", [gbid.fit, gbid.fit_multistart, gbid.cross_validate, gbid.check_residuals])
 def test_data_first_is_told(call, rec, result):
-    own = "structure" if call in (gbid.fit, gbid.fit_multistart) else "result"
-    with pytest.raises(UsageError, match=rf"{own} = .*; the order is the other way round: \w+\({own}, recording"):
+    expected_argument = "structure" if call in (gbid.fit, gbid.fit_multistart) else "result"
+    with pytest.raises(
+        UsageError,
+        match=rf"{expected_argument} = .*; the order is the other way round: \w+\({expected_argument}, recording",
+    ):
         call([rec] if call is gbid.fit else rec, result)

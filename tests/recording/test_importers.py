@@ -293,8 +293,8 @@ def test_signals_at_uneven_times_are_interpolated(tmp_path):
     assert np.abs(np.angle(np.exp(1j * (rec.signals["phi"][:, 0] - turned)))).max() < 1e-9
     assert 0 <= rec.signals["phi"].min() <= rec.signals["phi"].max() < 2 * np.pi
     np.testing.assert_array_equal(rec.signals["v"][:, 0], even[:, 2])
-    late = DT * np.arange(n) + rng.uniform(-12 * jitter, 12 * jitter, n)
-    path = write_csv(tmp_path / "b.csv", "t,a,phi [Grad],r", np.column_stack([late, at(late)]))
+    delayed = DT * np.arange(n) + rng.uniform(-12 * jitter, 12 * jitter, n)
+    path = write_csv(tmp_path / "b.csv", "t,a,phi [Grad],r", np.column_stack([delayed, at(delayed)]))
     refused(path, {"signals": signals, "time": "t"}, "let the clock of the converter time them")
 
 
@@ -511,12 +511,12 @@ def test_of_a_large_csv_file_the_ends_are_looked_at(tmp_path, monkeypatch, eol):
     lines[150:150] = [b"# a comment", b"", b"% another"]
     path.write_bytes(b"# made by hand" + eol.encode() + eol.encode().join(lines))
     mapping = ImportMapping.from_dict({"signals": {"p": {"columns": ["a", "b"], "unit": "um"}}, "time": "t"})
-    whole = list_channels(path), read_layout(path), peek(path, mapping)
+    complete = list_channels(path), read_layout(path), peek(path, mapping)
     monkeypatch.setattr(text_files, "_END", 4000)
     monkeypatch.setattr(text_files, "_BLOCK", 3000)
     monkeypatch.setattr(Path, "read_bytes", None)
-    assert (read_layout(path), peek(path, mapping)) == whole[1:]
-    for ours, expected in zip(list_channels(path), whole[0], strict=True):
+    assert (read_layout(path), peek(path, mapping)) == complete[1:]
+    for ours, expected in zip(list_channels(path), complete[0], strict=True):
         assert replace(ours, step=None) == replace(expected, step=None)
         assert ours.step == pytest.approx(expected.step)
 
@@ -550,23 +550,23 @@ def test_a_text_file_beyond_the_memory_is_refused(tmp_path, monkeypatch):
 
 def test_a_cut_csv_file_gives_no_wrong_number(tmp_path):
     """Cut anywhere within its last lines: the last row is left out and said, or the cut is between two rows."""
-    whole, path = write_csv(tmp_path / "a.csv").read_bytes(), tmp_path / "b.csv"
+    complete, path = write_csv(tmp_path / "a.csv").read_bytes(), tmp_path / "b.csv"
     mapping, told = {"signals": {"p": BOTH}, "time": "t"}, 0
-    for end in {*range(len(whole) - 120, len(whole), 6), whole.rstrip().rindex(b"\n") + 1, len(whole) - 1}:
-        path.write_bytes(whole[:end])
-        if whole[:end].splitlines()[-1].count(b",") < 4:
+    for end in {*range(len(complete) - 120, len(complete), 6), complete.rstrip().rindex(b"\n") + 1, len(complete) - 1}:
+        path.write_bytes(complete[:end])
+        if complete[:end].splitlines()[-1].count(b",") < 4:
             refused(path, mapping, "is the file truncated")
             continue
         rec = import_recording(path, mapping)
         n, rows = rec.n_samples, rec.provenance["source_rows"]
         np.testing.assert_array_equal(rec.signals["p"], 1e-6 * DATA[:n, :2])
         is_told = "the last line is left out" in rec.provenance.get("import_remarks", "")
-        assert is_told == (whole[end - 1 : end] != b"\n")
+        assert is_told == (complete[end - 1 : end] != b"\n")
         assert rows.startswith(f"{n} rows; the first: t = 0, a = {DATA[0, 0]:g}, ")
         assert f"; the last: t = {T[n - 1]:g}, " in rows
         told += is_told
     assert told > 2
-    path.write_bytes(whole[:-1])
+    path.write_bytes(complete[:-1])
     assert read_layout(path)["last_line"].startswith("left out")
 
 

@@ -140,18 +140,22 @@ def test_the_listing_of_csv_npz_and_mat(tmp_path):
     from scipy.io import savemat
 
     (tmp_path / "a.csv").write_text("t [ms],p_x (um),word\n0.0,1,a\n0.2,2,b\n0.4,3,c\n")
-    found = {channel.name: channel for channel in list_channels(tmp_path / "a.csv")}
-    assert (found["t"].unit, found["t"].step) == ("ms", pytest.approx(0.2))
-    assert (found["p_x"].unit, found["p_x"].n_samples, found["word"].remark) == ("um", 3, "not all cells are numbers")
+    results = {channel.name: channel for channel in list_channels(tmp_path / "a.csv")}
+    assert (results["t"].unit, results["t"].step) == ("ms", pytest.approx(0.2))
+    assert (results["p_x"].unit, results["p_x"].n_samples, results["word"].remark) == (
+        "um",
+        3,
+        "not all cells are numbers",
+    )
     np.savez(tmp_path / "a.npz", p=np.column_stack([X, Y]), fs=5000.0, obj=np.array([{}], dtype=object))
-    found = {channel.name: channel for channel in list_channels(tmp_path / "a.npz")}
-    assert [*found] == ["p[0]", "p[1]", "fs", "obj"]
-    assert (found["fs"].remark, found["obj"].remark[:7]) == ("one number: 5000", "pickled")
+    results = {channel.name: channel for channel in list_channels(tmp_path / "a.npz")}
+    assert [*results] == ["p[0]", "p[1]", "fs", "obj"]
+    assert (results["fs"].remark, results["obj"].remark[:7]) == ("one number: 5000", "pickled")
     savemat(tmp_path / "a.mat", {"data": {"p": np.column_stack([X, Y]), "t": T[:, None]}, "name": "rig"})
-    found = {channel.name: channel for channel in list_channels(tmp_path / "a.mat")}
-    assert {"data.p[0]", "data.p[1]", "data.t"} <= set(found)
-    assert found["data.t"].step == pytest.approx(DT)
-    assert found["name"].remark
+    results = {channel.name: channel for channel in list_channels(tmp_path / "a.mat")}
+    assert {"data.p[0]", "data.p[1]", "data.t"} <= set(results)
+    assert results["data.t"].step == pytest.approx(DT)
+    assert results["name"].remark
     for path in ("a.csv", "a.npz", "a.mat"):
         assert all(channel.sample_time is None for channel in list_channels(tmp_path / path))
 

@@ -70,9 +70,9 @@ def test_timeseries_beside_arrays_and_in_a_struct(tmp_path, version):
 def test_timeseries_as_matlab_stores_it(tmp_path, version):
     """Properties that are computed have a stored twin with an underscore; uniform times are start and increment."""
     info = opaque("tsdata.timemetadata", Start_=0.5, Increment_=H, Length=float(N), Time_=np.zeros((0, 0)))
-    own = opaque("tsdata.timemetadata", Time_=2 * T, Length=float(N))
+    metadata = opaque("tsdata.timemetadata", Time_=2 * T, Length=float(N))
     stored = {"Data_": U, "Data": np.zeros((0, 0)), "Time": np.zeros((0, 0))}
-    a, b = opaque("timeseries", TimeInfo_=info, **stored), opaque("timeseries", TimeInfo=own, **stored)
+    a, b = opaque("timeseries", TimeInfo_=info, **stored), opaque("timeseries", TimeInfo=metadata, **stored)
     path = file(tmp_path, version, a=a, b=b)
     rec = read(path, "a.Data[1]", "a.Time", "b.Time", "b.TimeInfo.Time", time="a.Time")
     np.testing.assert_allclose(rec.signals["s"], np.column_stack([U[:, 1], 0.5 + T, 2 * T, 2 * T]), atol=1e-15)

@@ -126,9 +126,9 @@ def test_samples_of_a_file_of_a_logger_are_read_alone(tmp_path, kind):
         with pytest.raises(DataError, match=rf"samples {samples[0]} to {samples[1]} are not within its 500 samples"):
             import_recording(path, {**mapping, "samples": samples})
     if kind == "parquet":
-        whole = path.read_bytes()
-        place = whole.index(P[0, 450:452].tobytes())
-        path.write_bytes(whole[:place] + bytes(16) + whole[place + 16 :])  # damage in the last row group
+        complete = path.read_bytes()
+        place = complete.index(P[0, 450:452].tobytes())
+        path.write_bytes(complete[:place] + bytes(16) + complete[place + 16 :])  # damage in the last row group
         import_recording(path, {**mapping, "samples": [0, 400]})
         with pytest.raises(DataError, match="not a readable Parquet"):
             import_recording(path, mapping)

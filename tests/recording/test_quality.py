@@ -249,7 +249,9 @@ def test_wrong_sample_time_shows_beside_the_others_at_rest():
     assert find_group_problems(group) == {}
     group[2] = replace(group[2], sample_time=1e-3)
     problems = find_group_problems(group)
-    assert {name: [p.kind for p in own] for name, own in problems.items()} == {"r2": ["sample_time"]}
+    assert {name: [p.kind for p in found_problems] for name, found_problems in problems.items()} == {
+        "r2": ["sample_time"]
+    }
     assert "a sample time of 0.0002 s would fit" in problems["r2"][0].text
     # another hold at the right clock is another experiment, not a fault
     group[2] = rig(Prbs(1.0, hold_s=10e-3), 5.0, 0.0, name="r2")

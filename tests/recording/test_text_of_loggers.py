@@ -199,11 +199,11 @@ def test_segments_of_labview_are_joined_by_their_times(tmp_path):
     path = tmp_path / "a.lvm"
     path.write_text(of_labview(0.0, 0.02, 0.05))
     mapping = {"time": "X_Value", "signals": {"u": {"columns": "u", "unit": "V", "stored_unit": "V"}}}
-    whole = import_recording(path, {**mapping, "gaps": "missing"})
-    assert whole.n_samples == 70
-    assert whole.missing == {"u": 10}
-    np.testing.assert_allclose(whole.signals["u"][[0, 20, 50], 0], [0, 1, 2])
-    remarks = whole.provenance["import_remarks"]
+    complete = import_recording(path, {**mapping, "gaps": "missing"})
+    assert complete.n_samples == 70
+    assert complete.missing == {"u": 10}
+    np.testing.assert_allclose(complete.signals["u"][[0, 20, 50], 0], [0, 1, 2])
+    remarks = complete.provenance["import_remarks"]
     assert "3 segments; the headers of those after the first, lines 34, 61, left out" in remarks
     assert import_recording(path, mapping).n_samples == 40  # the longest piece without a gap
     path.write_text(of_labview(0.0, 0.02, x_columns="No"))

@@ -59,11 +59,11 @@ def test_recordings_of_the_rig_have_its_units():
 def test_what_is_shown_has_the_units_of_the_recording(tmp_path):
     for units, shown in (({}, "-"), ({"u": "V", "p": "rad/s"}, "rad/s")):
         rec = drive(units)
-        found = gbid.fit(first_order(), rec, trend="offset")
-        offset = next(unit for name, unit in found.units.items() if name.startswith("offset_p"))
+        result = gbid.fit(first_order(), rec, trend="offset")
+        offset = next(unit for name, unit in result.units.items() if name.startswith("offset_p"))
         assert offset == units.get("p", "")
 
-        validation = gbid.cross_validate(found, rec)
+        validation = gbid.cross_validate(result, rec)
         assert (validation.input_units, validation.output_units) == ((units.get("u", ""),), (units.get("p", ""),))
         axes = Figure().subplots(2)
         plot_response(validation, list(axes))
@@ -71,8 +71,8 @@ def test_what_is_shown_has_the_units_of_the_recording(tmp_path):
         assert any(f"[{shown}]" in label for label in labels)
         assert not any("µm" in label for label in labels)
 
-        there = loadmat(gbid.save_mat(found, tmp_path / f"motor{len(units)}.mat", units=units), squeeze_me=True)
-        assert (str(there["InputUnit"]), str(there["OutputUnit"])) == tuple(
+        stored = loadmat(gbid.save_mat(result, tmp_path / f"motor{len(units)}.mat", units=units), squeeze_me=True)
+        assert (str(stored["InputUnit"]), str(stored["OutputUnit"])) == tuple(
             units.get(name, "") or "[]" for name in ("u", "p")
         )
 

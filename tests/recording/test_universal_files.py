@@ -92,11 +92,11 @@ def test_data_at_nodes_over_frequency_are_responses(tmp_path):
 
 def test_what_is_missing_or_damaged_is_refused(tmp_path):
     path = timed(tmp_path / "run.unv")
-    whole = path.read_bytes()
+    complete = path.read_bytes()
     signals = {"signals": {"force": {"columns": ["force"], "unit": "N"}}}
-    last, lines = whole.rindex(b"    -1\n    58"), whole.splitlines(keepends=True)
+    last, lines = complete.rindex(b"    -1\n    58"), complete.splitlines(keepends=True)
     for damaged, words in (
-        (whole[: last + 900], "truncated, or no universal file"),
+        (complete[: last + 900], "truncated, or no universal file"),
         (b"".join(lines[:30] + lines[31:]), "function 1 has 296 of 300 points"),
         (b"hello\n" * 100, "truncated, or no universal file"),
         (b"", "truncated, or no universal file"),
@@ -107,8 +107,8 @@ def test_what_is_missing_or_damaged_is_refused(tmp_path):
     twice = written(tmp_path / "twice.unv", *[function(4, G[i], F) for i in range(2)])
     with pytest.raises(DataError, match="has the response of 1x to 9z twice"):
         FrequencyData.read(twice, std=1.0)
-    late = [function(1, X, begin + DT * np.arange(300), node) for node, begin in ((1, 0.0), (2, 0.1))]
-    path = written(tmp_path / "late.unv", *late)
+    delayed = [function(1, X, begin + DT * np.arange(300), node) for node, begin in ((1, 0.0), (2, 0.1))]
+    path = written(tmp_path / "late.unv", *delayed)
     with pytest.raises(DataError, match=r"begins at 0\.1 s, another one at 0 s"):
         gbid.import_recording(path, {"signals": {"a": {"columns": ["1x", "2x"], "unit": "N", "stored_unit": "N"}}})
     with pytest.raises(DataError, match="holds no frequency responses"):

@@ -91,8 +91,8 @@ def tables_of(result):
 
 @pytest.mark.parametrize("name", AWFUL, ids=lambda name: ascii(name)[:20])
 def test_tables_keep_their_form(name, plain):
-    found = named(plain[0], name)
-    for table, usual in zip(tables_of(found), tables_of(plain[0]), strict=True):
+    computed = named(plain[0], name)
+    for table, usual in zip(tables_of(computed), tables_of(plain[0]), strict=True):
         console = Console(file=io.StringIO(), width=200, force_terminal=False)
         console.print(terminal_table(table))
         assert not acts_on_a_terminal(console.file.getvalue())
@@ -100,7 +100,7 @@ def test_tables_keep_their_form(name, plain):
         assert "<script" not in html_table(table)
         text = markdown_table(table)
         assert not acts_on_a_terminal(text)
-    given = csv_table(tabulate([TableEntry(name, "m", (name,), {}, found)]))
+    given = csv_table(tabulate([TableEntry(name, "m", (name,), {}, computed)]))
     text = csv_text(given, [name])
     lines = [line for line in text.split("\n") if not line.startswith("# ")]
     rows = list(csv.reader(lines[:-1]))
@@ -108,18 +108,18 @@ def test_tables_keep_their_form(name, plain):
     assert len(rows[0]) == len(rows[1]) == len(given.columns)
     assert not any(cell.startswith(("=", "+", "@")) for row in rows for cell in row)
     assert not acts_on_a_terminal(text)
-    assert not acts_on_a_terminal(repr(found))
+    assert not acts_on_a_terminal(repr(computed))
 
 
 @pytest.mark.parametrize("name", AWFUL, ids=lambda name: ascii(name)[:20])
 def test_files_for_other_programs(name, plain, tmp_path):
     result = plain[0]
-    found = named(result, name)
-    numbers = save_mat(found, tmp_path / "awful.mat")
+    computed = named(result, name)
+    numbers = save_mat(computed, tmp_path / "awful.mat")
     assert loadmat(numbers)["InputName"][0, 0].item() == name.replace("\0", " ")
-    table = save_csv(found, tmp_path / "awful.csv")
+    table = save_csv(computed, tmp_path / "awful.csv")
     assert len({len(row) for row in csv.reader(table.read_text(encoding="utf-8").split("\n")[:-1])}) == 1
-    text = save_yaml(found, tmp_path / "awful.yaml").read_text(encoding="utf-8")
+    text = save_yaml(computed, tmp_path / "awful.yaml").read_text(encoding="utf-8")
     assert YAML(typ="safe").load(text)["structure"] == name
     recording = gbid.Recording(
         {"u": np.zeros((3, 1))}, 1.0, {}, name, units={"u": name}, channels={"u": (name,)}, provenance={"by": name}

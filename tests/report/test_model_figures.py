@@ -132,14 +132,14 @@ def test_the_figures_section_draws_bode_diagrams_with_their_numbers(tmp_path, mo
 
 def test_poles_with_ellipses_and_several_models(result):
     axes = report.plot_poles({"fit": result, "truth": evaluate(MODE, MODE_AT)})
-    found = report.pole_data(result)["mode"]
+    computed = report.pole_data(result)["mode"]
     crosses = [line for line in axes.lines if line.get_marker() == "x"]
-    np.testing.assert_array_equal(crosses[0].get_xdata(), found.poles.real)
+    np.testing.assert_array_equal(crosses[0].get_xdata(), computed.poles.real)
     rings = [line for line in axes.lines if len(line.get_xdata()) == 60]
     assert len(rings) == 2  # one for each pole of the fit, none for the plain model
-    at = np.column_stack(rings[0].get_data()) - [found.poles[0].real, found.poles[0].imag]
+    at = np.column_stack(rings[0].get_data()) - [computed.poles[0].real, computed.poles[0].imag]
     assert np.abs(at[:, 0]).max() == pytest.approx(
-        np.sqrt(-2 * np.log(0.05) * found.pole_covariance[0, 0, 0]), rel=0.01
+        np.sqrt(-2 * np.log(0.05) * computed.pole_covariance[0, 0, 0]), rel=0.01
     )
     assert [text.get_text() for text in axes.figure.legends[0].get_texts()] == ["fit", "truth"]
 

@@ -62,8 +62,8 @@ def test_each_figure_of_the_paper_has_a_name():
 def test_a_file_is_enough_for_verb_and_page(tmp_path, one_file, monkeypatch):
     assert "poles_of_the_machine" in named_figures()
     path = write_quick(tmp_path, text=QUICK)
-    found = {name: figure for name, figure in named_figures().items() if name == "poles_of_the_machine"}
-    monkeypatch.setattr(paper(), "named_figures", lambda: found)  # the others take their time
+    results = {name: figure for name, figure in named_figures().items() if name == "poles_of_the_machine"}
+    monkeypatch.setattr(paper(), "named_figures", lambda: results)  # the others take their time
     monkeypatch.setattr(report_file, "Pictures", BlankPictures)
     assert command("paper", path, "--only", "figures") == 0
     assert (tmp_path / "results" / "quick" / "figures" / "poles_of_the_machine.pdf").is_file()

@@ -105,9 +105,9 @@ def test_report(made, expected, monkeypatch):
     assert WORDS in section
     rows = re.findall(r"<tr>(.*?)</tr>", section, re.DOTALL)
     cells = [re.findall(r"<t[hd][^>]*>\s*(.*?)\s*</t[hd]>", row, re.DOTALL) for row in rows]
-    found = {row[0]: row[1:] for row in cells if row}
+    results = {row[0]: row[1:] for row in cells if row}
     for heading, values in expected.items():
-        assert found[heading] == values
+        assert results[heading] == values
     top = page[page.index('id="summary"') : page.index('id="controller"')]
     assert "controller slow: sampled loop not stable at every point, sampled at 1 ms (zero-order hold)" in top
     assert "an impact of 5 N along x" in page

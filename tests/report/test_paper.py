@@ -170,13 +170,13 @@ class Stored(SimpleNamespace):
 
 
 def test_values_of_ours_from_surfaces_and_impacts(monkeypatch):
-    paper, own = machine(), dict(_values())
+    paper, computed = machine(), dict(_values())
     tau = paper.coefficients["tau_x"]
     points = np.array(paper.operating_points, float)
     linear = (tau[0] + 2e-4, tau[1] + 1e-4, *tau[2:])  # an rms is not the largest, and not about a mean
-    moved = replace(paper, coefficients={**paper.coefficients, "tau_x": linear})
+    shifted = replace(paper, coefficients={**paper.coefficients, "tau_x": linear})
     sizes = (("g_xx", 0.1), ("g_yx", 0.3), ("omega_1", 5.0))
-    surfaces = SimpleNamespace(model=moved, deviations=[SimpleNamespace(name=n, largest=v) for n, v in sizes])
+    surfaces = SimpleNamespace(model=shifted, deviations=[SimpleNamespace(name=n, largest=v) for n, v in sizes])
     ring = SimpleNamespace(modes=lambda: ((99.0, 0.11), (119.0, 0.22)))
     impacts = {
         "open": SimpleNamespace(expected=((100.0, 0.1), (120.0, 0.2)), ringdown=ring),
@@ -193,18 +193,18 @@ def test_values_of_ours_from_surfaces_and_impacts(monkeypatch):
     monkeypatch.setattr(compared, "_drawn", lambda results: {q: np.full((2, 2), 0.01) for q in ("open", "closed")})
     monkeypatch.setattr(compared, "recorded_again", lambda results, loop: {"open": again}[loop])
     expected = np.sqrt(np.mean((2e-4 + 1e-4 * points[:, 0]) ** 2))
-    assert own["surface_tau_x"](results)[0] == pytest.approx(expected)
-    assert [own[f"surface_{name}"](results)[0] for name in ("tau_y", "omega_1")] == pytest.approx([0, 0], abs=1e-9)
-    assert own["largest_gain"](results)[0] == 0.3
-    assert [own[f"damping_factor_{i}"](results)[0] for i in (1, 2)] == pytest.approx([3.0, 2.5])
-    assert own["damping_factor_1"](results)[1] == pytest.approx(3.0 * np.hypot(0.01 / 0.3, 0.01 / 0.1))
-    assert own["expected_closed_frequency_2"](results) == (121.0, 0.01)
-    assert own["obtained_open_frequency_1"](results) == (99.0, pytest.approx(3 / np.sqrt(2)))  # between recordings
-    assert own["obtained_open_damping_1"](results) == (0.11, pytest.approx(0.04 / np.sqrt(2)))
-    assert own["obtained_open_damping_2"](results) == (0.22, 0.0)
-    assert [own[f"bearing_{what}"](results)[0] for what in ("mean_x", "mean_y", "std_y")] == [81.0, 82.0, 4.0]
-    assert own["bearing_mean_x"](results)[1] == pytest.approx(3.0 / np.sqrt(51))
-    assert own["bearing_std_y"](results)[1] == pytest.approx(4.0 / 10)
+    assert computed["surface_tau_x"](results)[0] == pytest.approx(expected)
+    assert [computed[f"surface_{name}"](results)[0] for name in ("tau_y", "omega_1")] == pytest.approx([0, 0], abs=1e-9)
+    assert computed["largest_gain"](results)[0] == 0.3
+    assert [computed[f"damping_factor_{i}"](results)[0] for i in (1, 2)] == pytest.approx([3.0, 2.5])
+    assert computed["damping_factor_1"](results)[1] == pytest.approx(3.0 * np.hypot(0.01 / 0.3, 0.01 / 0.1))
+    assert computed["expected_closed_frequency_2"](results) == (121.0, 0.01)
+    assert computed["obtained_open_frequency_1"](results) == (99.0, pytest.approx(3 / np.sqrt(2)))  # between recordings
+    assert computed["obtained_open_damping_1"](results) == (0.11, pytest.approx(0.04 / np.sqrt(2)))
+    assert computed["obtained_open_damping_2"](results) == (0.22, 0.0)
+    assert [computed[f"bearing_{what}"](results)[0] for what in ("mean_x", "mean_y", "std_y")] == [81.0, 82.0, 4.0]
+    assert computed["bearing_mean_x"](results)[1] == pytest.approx(3.0 / np.sqrt(51))
+    assert computed["bearing_std_y"](results)[1] == pytest.approx(4.0 / 10)
 
 
 def test_scatter_of_the_rig_predicts_the_rms_off_the_surfaces():
@@ -225,8 +225,11 @@ def test_scatter_of_the_rig_predicts_the_rms_off_the_surfaces():
     )
     own = dict(_values())
     for name in CHARACTERISTICS:
-        (found, std), (predicted, _) = own[f"rms_{name}"](results), compared._of_share(NUMBERS[f"rms_{name}"], results)
-        assert found == pytest.approx(predicted, abs=4 * std), name
+        (computed, std), (predicted, _) = (
+            own[f"rms_{name}"](results),
+            compared._of_share(NUMBERS[f"rms_{name}"], results),
+        )
+        assert computed == pytest.approx(predicted, abs=4 * std), name
 
 
 def test_std_of_characteristics_follows_from_that_of_the_key_parameters():
@@ -234,8 +237,8 @@ def test_std_of_characteristics_follows_from_that_of_the_key_parameters():
     values = np.array([float(keys[key]) for key in KEY_PARAMETERS])
     root = 1e-3 * np.abs(values)[:, None] * np.random.default_rng(1).standard_normal((14, 14))
     drawn = values + np.random.default_rng(2).standard_normal((4000, 14)) @ root.T
-    found = compared._propagated(values, root @ root.T)
-    np.testing.assert_allclose(found, characteristics(drawn).std(axis=0), rtol=0.05)
+    computed = compared._propagated(values, root @ root.T)
+    np.testing.assert_allclose(computed, characteristics(drawn).std(axis=0), rtol=0.05)
 
 
 def test_readings_of_a_coefficient_are_plants_of_the_machine(monkeypatch):
@@ -256,11 +259,11 @@ def test_readings_of_a_coefficient_are_plants_of_the_machine(monkeypatch):
     by_hand = min(zeta for bar, rpm in used.operating_points for _, zeta in used.plant_at(bar, rpm).modes())
     assert rows[0][2] == pytest.approx(by_hand)
     assert [row[1] for row in rows] == [0, 2]  # all points but the one at rest
-    tuned, first, whole = np.array([row[3:] for row in designs]).T
+    tuned, first, complete = np.array([row[3:] for row in designs]).T
     assert first[0] == pytest.approx(tuned[0], rel=1e-5)
     assert (tuned >= first - 1e-6).all()
-    assert whole.min() > first.min()  # a design over all readings as plants has the better worst case
-    assert (tuned >= whole - 1e-6).all()
+    assert complete.min() > first.min()  # a design over all readings as plants has the better worst case
+    assert (tuned >= complete - 1e-6).all()
 
 
 def test_another_reading_moves_surfaces_without_changing_their_errors(surfaces):
@@ -291,9 +294,13 @@ def test_another_reading_moves_surfaces_without_changing_their_errors(surfaces):
     np.testing.assert_allclose(
         fit.estimates.values - fit.surface, surfaces.estimates.values - surfaces.surface, atol=1e-6
     )
-    moved = {key: np.subtract(fit.model.coefficients[key], surfaces.model.coefficients[key]) for key in KEY_PARAMETERS}
-    assert moved["d_yx"][5] == pytest.approx(-9 * 3.087e-7, rel=1e-6)
-    assert all(abs(moved[key]).max() < 1e-6 * abs(np.array(surfaces.model.coefficients[key])).max() for key in moved)
+    shifted = {
+        key: np.subtract(fit.model.coefficients[key], surfaces.model.coefficients[key]) for key in KEY_PARAMETERS
+    }
+    assert shifted["d_yx"][5] == pytest.approx(-9 * 3.087e-7, rel=1e-6)
+    assert all(
+        abs(shifted[key]).max() < 1e-6 * abs(np.array(surfaces.model.coefficients[key])).max() for key in shifted
+    )
 
 
 def test_impacts_recorded_again_scatter_as_the_rig_does(monkeypatch):
@@ -346,14 +353,14 @@ def test_broken_list_of_figures_is_refused(tmp_path):
 
 def staircases(gain, scatter=0.0):
     """Recordings of a static map, one staircase for each axis, with the equilibrium away from zero."""
-    random, found = np.random.default_rng(1), []
+    random, computed = np.random.default_rng(1), []
     levels = 1e-6 * np.concatenate([np.arange(-5, 6), np.arange(4, -6, -1)])
     for axis in (0, 1):
         u = np.zeros((len(levels) * 200, 2))
         u[:, axis] = np.repeat(levels, 200)
         p = u @ gain.T + [3e-6, -2e-6] + scatter * random.standard_normal(u.shape)
-        found.append(gbid.Recording({"r": u, "u": u, "p": p}, 2e-4, name="xy"[axis]))
-    return found
+        computed.append(gbid.Recording({"r": u, "u": u, "p": p}, 2e-4, name="xy"[axis]))
+    return computed
 
 
 def test_static_map_panels_are_the_gains():
@@ -419,7 +426,7 @@ def study(loop, start, decay):
         p[impact:, 0] += 1e-6 * np.exp(-decay * time[: 2000 - impact])
     windows = ((start, start + 400), (start + 900, start + 1300))
     impacts = tuple(MeasuredImpact(a, a + 10, 10.0, 0.0) for a, _ in windows)
-    found = ImpactValidation(
+    result = ImpactValidation(
         0.5,
         0.01,
         np.array([80.0, 1.0]),
@@ -437,7 +444,7 @@ def study(loop, start, decay):
     )
     modes = ((120.0, 0.1), (130.0, 0.1))
     return ImpactStudy(
-        {"pressure_bar": 6.0, "speed_rpm": 0.0}, loop, "m", "", modes, modes, small_value(RingDown), (found,)
+        {"pressure_bar": 6.0, "speed_rpm": 0.0}, loop, "m", "", modes, modes, small_value(RingDown), (result,)
     )
 
 

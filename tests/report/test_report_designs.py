@@ -148,8 +148,8 @@ def test_faults_of_designs_stand_on_top(page, results) -> None:
 
 def test_designs_of_other_settings_are_not_shown_as_present(made, tmp_path) -> None:
     other = write_quick(tmp_path, ("peak_sensitivity: 2.0", "peak_sensitivity: 1.9"), text=YAML)
-    found = Results(Job(load_experiment(other, made.parent / "results" / "designs"))).tuned
-    assert list(found) == ["held", "elsewhere"]
+    computed = Results(Job(load_experiment(other, made.parent / "results" / "designs"))).tuned
+    assert list(computed) == ["held", "elsewhere"]
     with pytest.raises(DataError, match="design feedback: not made yet; `gbid tune` makes it"):
         assert Results(Job(load_experiment(other, tmp_path / "out"))).tuned
 

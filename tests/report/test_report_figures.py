@@ -96,8 +96,8 @@ def test_diagrams_are_vectors_and_keep_their_words_in_blocks(name, drawn):
 @pytest.mark.parametrize("name", DIAGRAMS)
 def test_diagrams_draw_into_axes_of_ones_own_and_leave_settings_alone(name):
     before = dict(mpl.rcParams)
-    own = Figure()
-    ax = own.subplots()
+    figure = Figure()
+    ax = figure.subplots()
     assert FIGURES[name](ax) is ax
     assert ax.texts
     assert dict(mpl.rcParams) == before
@@ -107,8 +107,8 @@ def test_too_few_axes_are_refused():
     data = report.modes_data(machine())
     with pytest.raises(UsageError, match="1 axes for 2 panels; give one for each"):
         report.plot_over_pressure(data, [Figure().subplots()])
-    own = Figure()
-    axes = list(own.subplots(1, 2))
+    figure = Figure()
+    axes = list(figure.subplots(1, 2))
     assert report.plot_over_pressure(data, axes).tolist() == axes
     with pytest.raises(UsageError, match="projection='3d'"):
         report.plot_surfaces(report.surfaces_data(machine(), ("k_xx",)), [Figure().subplots()])
@@ -213,8 +213,8 @@ def test_damping_map_and_root_locus_are_the_loops():
     plant = loop()[0]
     locus = report.root_locus_data(plant, lambda f: p_controller(f * 1.125, f * 0.99), [0.0, 1.0])
     assert locus.poles.shape == (2, plant.n_states + 2)
-    found = locus.poles[1][np.abs(locus.poles[1].imag) > 1]
-    damping = sorted(-found.real / np.abs(found))
+    computed = locus.poles[1][np.abs(locus.poles[1].imag) > 1]
+    damping = sorted(-computed.real / np.abs(computed))
     assert damping[0] == pytest.approx(0.31841, abs=1e-5)
     open_loop = np.sort_complex(np.append(plant.poles(), [-2000 * np.pi] * 2))
     np.testing.assert_allclose(np.sort_complex(locus.poles[0]), open_loop, rtol=1e-6)

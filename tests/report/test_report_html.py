@@ -136,8 +136,8 @@ class Outline(HTMLParser):
 
 
 def embedded(page, name):
-    found = re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', page, re.DOTALL)
-    return json.loads(found[1])
+    solution = re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', page, re.DOTALL)
+    return json.loads(solution[1])
 
 
 def test_page_needs_nothing_from_outside(page):
@@ -296,10 +296,10 @@ def test_packed_curves_keep_four_digits(values):
 
 def test_trace_covers_short_recordings(job):
     validation = validate_pair(job, "piezos", "p3_n0_prbs1", "p3_n0_prbs1")
-    late = trace(validation, from_s=0.99)
-    assert late["start"] + late["outputs"][0]["n"] * late["step"] <= 1.0 + 1e-9
+    delayed = trace(validation, from_s=0.99)
+    assert delayed["start"] + delayed["outputs"][0]["n"] * delayed["step"] <= 1.0 + 1e-9
     error = 1e6 * (validation.measured - validation.simulated)[:, 0]
-    low = late["outputs"][0]["error_low"]
+    low = delayed["outputs"][0]["error_low"]
     raw = np.frombuffer(base64.b64decode(low["values"]), "<i2") * low["scale"]
     assert raw.min() == pytest.approx(error.min(), abs=low["scale"])
 
@@ -348,7 +348,7 @@ def opened(job, tmp_path_factory):
     )
     command = [CHROMIUM, *ARGUMENTS, "--allow-file-access-from-files", "--dump-dom", outer.as_uri()]
     text = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
-    answers = [json.loads(html.unescape(found)) for found in re.findall(r"<pre>(.*?)</pre>", text, re.DOTALL)]
+    answers = [json.loads(html.unescape(computed)) for computed in re.findall(r"<pre>(.*?)</pre>", text, re.DOTALL)]
     assert [answer["faultless"] for answer in answers] == [True] * len(addresses)
     return dict(zip(addresses, answers, strict=True))
 
@@ -367,11 +367,11 @@ def test_page_fits_a_phone(opened):
     assert opened["phone"]["needed"] <= opened["phone"]["width"]
 
 
-def matched(found, expected):
+def matched(computed, expected):
     """Largest relative distance of eigenvalues to their nearest, each taken once."""
     left, worst = list(expected), 0.0
-    assert len(found) == len(left)
-    for value in found:
+    assert len(computed) == len(left)
+    for value in computed:
         k = int(np.argmin(np.abs(np.array(left) - value)))
         worst = max(worst, abs(left[k] - value) / abs(left[k]))
         del left[k]
@@ -384,41 +384,41 @@ def test_explorer_computes_what_the_library_computes(job, opened, seed):
     pressure, speed, kx, ky, corner, axis = drawn_settings(seed).values()
     model = Results(job).loop_model
     assert model.name == "small"  # the surfaces of this experiment, not the rig's
-    found, verdict = json.loads(opened[seed]["results"]), opened[seed]["verdict"]
-    assert found["settings"]["pressure"] == pressure
+    computed, verdict = json.loads(opened[seed]["results"]), opened[seed]["verdict"]
+    assert computed["settings"]["pressure"] == pressure
     plant, controller = model.plant_at(pressure, speed), p_controller(kx, ky, corner)
     closed = close_loop(plant, controller)
-    poles = [complex(*value) for value in found["eigenvalues"]]
+    poles = [complex(*value) for value in computed["eigenvalues"]]
     assert matched(poles, closed.poles()) < 1e-9
-    assert found["stable"] == closed.is_stable()
+    assert computed["stable"] == closed.is_stable()
     loop = sensitivities(plant, controller)
-    S = loop.response("output", np.array(found["frequency_hz"]))
-    np.testing.assert_allclose(found["largest"], np.linalg.svd(S, compute_uv=False)[:, 0], rtol=1e-6)
-    np.testing.assert_allclose(found["xx"], np.abs(S[:, 0, 0]), rtol=1e-6)
-    np.testing.assert_allclose(found["yy"], np.abs(S[:, 1, 1]), rtol=1e-6)
-    assert found["stable"]
-    assert found["peak"]["value"] == pytest.approx(loop.peak("output").value, rel=1e-6)
+    S = loop.response("output", np.array(computed["frequency_hz"]))
+    np.testing.assert_allclose(computed["largest"], np.linalg.svd(S, compute_uv=False)[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(computed["xx"], np.abs(S[:, 0, 0]), rtol=1e-6)
+    np.testing.assert_allclose(computed["yy"], np.abs(S[:, 1, 1]), rtol=1e-6)
+    assert computed["stable"]
+    assert computed["peak"]["value"] == pytest.approx(loop.peak("output").value, rel=1e-6)
     at_rest = np.linalg.svd(loop.response("output", [0.0])[0], compute_uv=False)[0]
-    assert found["static_amplification"] == pytest.approx(at_rest, rel=1e-6)
-    assert found["damping"] == pytest.approx(min(damping for _, damping in closed.modes()), rel=1e-9)
-    assert f"{found['damping']:.3f}" in verdict
+    assert computed["static_amplification"] == pytest.approx(at_rest, rel=1e-6)
+    assert computed["damping"] == pytest.approx(min(damping for _, damping in closed.modes()), rel=1e-9)
+    assert f"{computed['damping']:.3f}" in verdict
     impact = HalfSine(mass_kg=2.18).towards({"x": 0.0, "y": 90.0}[axis])
     answer = impact_response(plant, controller, impact, duration_s=0.2)
-    time = np.array(found["time_s"])
+    time = np.array(computed["time_s"])
     at = np.rint(time / 2e-5).astype(int)
     np.testing.assert_allclose(answer.time_s[at], time, atol=1e-12)
-    position = np.array(found["position_m"])
+    position = np.array(computed["position_m"])
     assert np.abs(position - answer.p[at]).max() <= 1e-6 * np.abs(answer.p).max()
 
 
 @needs_chromium
 def test_explorer_says_when_the_loop_is_unstable(job, opened):
-    found = json.loads(opened["unstable"]["results"])
+    document = json.loads(opened["unstable"]["results"])
     model = Results(job).loop_model
     closed = close_loop(model.plant_at(3.0, 0.0), p_controller(3.0, 3.0, 1000.0))
     assert not closed.is_stable()
-    assert not found["stable"]
-    assert found["peak"]["value"] is None  # infinite
+    assert not document["stable"]
+    assert document["peak"]["value"] is None  # infinite
     assert "Unstable: a real pole grows" in opened["unstable"]["verdict"]
 
 

@@ -203,7 +203,7 @@ GAINS = {"kappa_x": 0.9, "kappa_y": 0.7, "kd_x": 0.2, "kd_y": -0.1}
 @pytest.mark.parametrize("sampled", [False, True])
 def test_explored_loops_are_those_of_the_library(sampled):
     design = design_of("PD", dict.fromkeys(GAINS, 0.0))
-    found = explored_loop(design, Explored(5.0, 3000.0, GAINS, "y", sampled))
+    result = explored_loop(design, Explored(5.0, 3000.0, GAINS, "y", sampled))
     controller = controller_model(design.structure, GAINS)
     plant = PAPER.plant_at(5.0, 3000.0)
     if sampled:
@@ -213,33 +213,33 @@ def test_explored_loops_are_those_of_the_library(sampled):
         curves = sensitivities(plant, controller)
         modes = curves.model("plant").modes()
         damping, peak = min(z for _, z in modes), curves.peak("output")
-        np.testing.assert_allclose([(f, z) for f, z, _ in found["modes"]], modes)
-    assert found["damping"] == pytest.approx(damping)
-    assert found["peak"]["value"] == pytest.approx(peak.value)
-    assert found["modes"][0][2] == pytest.approx(2 * np.pi * found["modes"][0][0] * found["modes"][0][1])
+        np.testing.assert_allclose([(f, z) for f, z, _ in result["modes"]], modes)
+    assert result["damping"] == pytest.approx(damping)
+    assert result["peak"]["value"] == pytest.approx(peak.value)
+    assert result["modes"][0][2] == pytest.approx(2 * np.pi * result["modes"][0][0] * result["modes"][0][1])
     k = 140
-    S = curves.response("output", [found["frequency_hz"][k]])[0]
-    assert found["largest"][k] == pytest.approx(np.linalg.norm(S, 2))
-    assert found["yy"][k] == pytest.approx(abs(S[1, 1]))
+    S = curves.response("output", [result["frequency_hz"][k]])[0]
+    assert result["largest"][k] == pytest.approx(np.linalg.norm(S, 2))
+    assert result["yy"][k] == pytest.approx(abs(S[1, 1]))
     response = impact_response(plant, controller, HalfSine(mass_kg=2.18).towards(90.0), duration_s=0.2)
-    np.testing.assert_allclose(found["closed_m"], response.p[::10, 1])
-    json.dumps(found, allow_nan=False)
+    np.testing.assert_allclose(result["closed_m"], response.p[::10, 1])
+    json.dumps(result, allow_nan=False)
 
 
 def test_explored_loop_that_is_unstable_and_wrong_questions():
     design = design_of("P", {"kappa_x": 0.5, "kappa_y": 0.5})
-    found = explored_loop(design, Explored(6.0, 0.0, {"kappa_x": 2.9}))
-    assert not found["stable"]
-    assert found["peak"]["value"] is None
-    json.dumps(found, allow_nan=False)
-    for asked, text in (
+    loop = explored_loop(design, Explored(6.0, 0.0, {"kappa_x": 2.9}))
+    assert not loop["stable"]
+    assert loop["peak"]["value"] is None
+    json.dumps(loop, allow_nan=False)
+    for question, text in (
         (Explored(6.0, 0.0, {"kappa": 1.0}), "no gain 'kappa'"),
         (Explored(6.0, 0.0, {}, "z"), "axis = 'z'"),
         (Explored(6.0, 0.0, {"kappa_x": np.inf}), "finite"),
         (Explored(9.0, 0.0, {}), "outside its domain"),
     ):
         with pytest.raises(UsageError, match=text):
-            explored_loop(design, asked)
+            explored_loop(design, question)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium for the tests in the browser")

@@ -49,9 +49,9 @@ def made(*parts, run=None, **options):
 def test_it_is_found_and_changes_the_readings_only(slip) -> None:
     assert {"floor_vibration", "frame_slip", "mains_hum", "probe_drift"} == set(rig_effects())
     plain, slipped = made(), made(rig_effect("frame_slip", size_m=2e-6, at_s=0.1))
-    moved = slipped.signal("p") - plain.signal("p")
-    np.testing.assert_allclose(moved[:, 0], 2e-6 * (plain.time >= 0.1), atol=1e-15)
-    np.testing.assert_array_equal(moved[:, 1], 0.0)
+    shifted = slipped.signal("p") - plain.signal("p")
+    np.testing.assert_allclose(shifted[:, 0], 2e-6 * (plain.time >= 0.1), atol=1e-15)
+    np.testing.assert_array_equal(shifted[:, 1], 0.0)
     np.testing.assert_array_equal(slipped.signal("u"), plain.signal("u"))
     stored = json.loads(slipped.provenance["rig"])["effects"]["frame_slip"]
     assert (stored["size_m"], stored["at_s"]) == (2e-6, 0.1)
@@ -88,10 +88,10 @@ def test_effects_that_ship() -> None:
     shaken = made(
         rig_effect("floor_vibration", frequency_hz=10.0, acceleration=0.5, direction_deg=0.0), run=Stationary(0.4)
     )
-    moved = 2 * np.exp(-2j * np.pi * 10 * t) @ (shaken.signal("p") - quiet) / 2000
+    shifted = 2 * np.exp(-2j * np.pi * 10 * t) @ (shaken.signal("p") - quiet) / 2000
     s, rotor = 2j * np.pi * 10, machine().rotor_bearing
     expected = np.linalg.solve(s**2 * np.eye(2) - s * rotor.damping - rotor.stiffness, [0.5, 0.0])
-    assert np.abs(moved) == pytest.approx(np.abs(expected), rel=0.02)
+    assert np.abs(shifted) == pytest.approx(np.abs(expected), rel=0.02)
     with pytest.raises(UsageError, match="amplitude_m = -1"):
         rig_effect("mains_hum", amplitude_m=-1.0)
 
@@ -101,5 +101,5 @@ def test_a_run_makes_it(tmp_path: Path) -> None:
     path = tmp_path / "one.yaml"
     path.write_text(text, encoding="utf-8")
     assert gbid("rig", path) == 0
-    found = next((tmp_path / "results").rglob("recordings/*prbs1.h5"))
-    assert "probe_drift" in load_recording(found).provenance["rig"]
+    computed = next((tmp_path / "results").rglob("recordings/*prbs1.h5"))
+    assert "probe_drift" in load_recording(computed).provenance["rig"]

@@ -93,9 +93,9 @@ def test_a_film_without_feed_meets_the_analytic_limit_of_small_eccentricity(kind
 def test_quasi_static_stiffness_is_that_of_two_loads():
     at = point()
     loads = [equilibrium(replace(at, film=replace(COARSE, gravity=9.81 + more)))[:2] for more in (-0.05, 0.05)]
-    moved = (loads[1] - loads[0]) / 0.1
+    shifted = (loads[1] - loads[0]) / 0.1
     stiffness = at.at_frequency(1e-3)[0]
-    assert stiffness @ moved == pytest.approx([0.0, 1.0], abs=1e-4)
+    assert stiffness @ shifted == pytest.approx([0.0, 1.0], abs=1e-4)
 
 
 def test_gains_of_the_injectors_are_the_slope_of_the_rates():

@@ -244,8 +244,8 @@ def test_encoder_angle_is_wrapped_and_within_one_count(angles, counts):
     angle = np.array(angles)
     shown = encoder_angle(replace(SensorChain(), encoder_counts=counts), angle)
     assert ((shown >= 0) & (shown < 2 * np.pi)).all()
-    late = np.mod(angle - shown + 1e-9, 2 * np.pi)
-    assert (late < (2 * np.pi / counts if counts else 0) + 2e-9).all()
+    delayed = np.mod(angle - shown + 1e-9, 2 * np.pi)
+    assert (delayed < (2 * np.pi / counts if counts else 0) + 2e-9).all()
 
 
 # ---- bad input ----

@@ -195,11 +195,11 @@ def test_without_its_nonlinearities_a_stack_is_its_transfer_function():
             s.reference_gain * 22.5e-6 * numerator[-1] / (open_poles + numerator)[-1],
             rel=1e-9,
         )
-        moved = rec.signal("y_p")[:, i] - start
+        shifted = rec.signal("y_p")[:, i] - start
         _, from_start, _ = lsim(
             (s.reference_gain * numerator[2:], open_poles + numerator), told - 22.5e-6, time, interp=False
         )
-        np.testing.assert_allclose(moved, from_start[::20], rtol=0, atol=2e-12)
+        np.testing.assert_allclose(shifted, from_start[::20], rtol=0, atol=2e-12)
 
 
 @pytest.mark.parametrize(("spread", "least", "most"), [(0.0, 99.7, 99.95), (0.2, 97.0, 99.95)])

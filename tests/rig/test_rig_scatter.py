@@ -101,13 +101,13 @@ def gain(truth: RotorBearingTruth) -> Any:
 
 def test_each_number_moves_its_own_quantity_by_half_its_deviation() -> None:
     z = [1.0, -0.5, 0.6, -0.8, 1.0, -2.0, 1.0, -1.0, 0.5, 2.0]
-    found, rejected = scattered(TRUTH, SCATTER, Given(z))
+    drawn, rejected = scattered(TRUTH, SCATTER, Given(z))
     assert rejected == 0
     frequency, damping = modes(TRUTH)
-    np.testing.assert_allclose(modes(found)[0], frequency + np.array([1.0, -1.0]), rtol=1e-9)
-    np.testing.assert_allclose(modes(found)[1], damping + np.array([0.003, -0.008]), rtol=1e-9)
-    np.testing.assert_allclose(found.delay, TRUTH.delay + np.array([0.5e-4, -2e-4]), rtol=1e-12)
-    np.testing.assert_allclose(gain(found), gain(TRUTH) + np.array([[0.005, -0.01], [0.0075, 0.04]]), rtol=1e-9)
+    np.testing.assert_allclose(modes(drawn)[0], frequency + np.array([1.0, -1.0]), rtol=1e-9)
+    np.testing.assert_allclose(modes(drawn)[1], damping + np.array([0.003, -0.008]), rtol=1e-9)
+    np.testing.assert_allclose(drawn.delay, TRUTH.delay + np.array([0.5e-4, -2e-4]), rtol=1e-12)
+    np.testing.assert_allclose(gain(drawn), gain(TRUTH) + np.array([[0.005, -0.01], [0.0075, 0.04]]), rtol=1e-9)
 
 
 def test_the_scatter_is_that_of_the_papers_recordings() -> None:
@@ -118,14 +118,14 @@ def test_the_scatter_is_that_of_the_papers_recordings() -> None:
 
 
 def test_mode_shapes_are_kept() -> None:
-    found, _ = scattered(TRUTH, SCATTER, Given([1.0, -0.5, 0.6, -0.8, *[0.0] * 6]))
+    drawn, _ = scattered(TRUTH, SCATTER, Given([1.0, -0.5, 0.6, -0.8, *[0.0] * 6]))
 
     def shapes(truth: RotorBearingTruth) -> Any:
         values, vectors = np.linalg.eig(np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]]))
         upper = [i for i in np.argsort(np.abs(values), kind="stable") if values[i].imag > 0]
         return vectors[1, upper] / vectors[0, upper]
 
-    np.testing.assert_allclose(shapes(found), shapes(TRUTH), rtol=1e-8)
+    np.testing.assert_allclose(shapes(drawn), shapes(TRUTH), rtol=1e-8)
 
 
 @pytest.mark.parametrize(("place", "sign"), [(2, -1), (3, -1), (4, -1), (5, -1), (2, 1), (0, -1)])
@@ -133,10 +133,10 @@ def test_draws_beyond_the_limits_are_rejected_and_counted(place: int, sign: int)
     """Too little damping or a delay too short; a mode that no longer oscillates; a frequency below zero."""
     wild = np.zeros(10)
     wild[place] = sign * 1000.0
-    found, rejected = scattered(TRUTH, SCATTER, Given(wild, wild, np.zeros(10)))
+    drawn, rejected = scattered(TRUTH, SCATTER, Given(wild, wild, np.zeros(10)))
     assert rejected == 2
-    np.testing.assert_allclose(found.stiffness, TRUTH.stiffness, rtol=1e-9, atol=1e-6)
-    np.testing.assert_allclose(found.damping, TRUTH.damping, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(drawn.stiffness, TRUTH.stiffness, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(drawn.damping, TRUTH.damping, rtol=1e-9, atol=1e-8)
 
 
 def test_half_of_a_small_damping_or_delay_is_allowed() -> None:
@@ -144,9 +144,9 @@ def test_half_of_a_small_damping_or_delay_is_allowed() -> None:
     strict = Scatter(share=1.0, damping=(1.0, 1.0), delay_s=(1.0, 1.0), minimum_damping=0.9, minimum_delay_s=1.0)
     damping, delay = modes(TRUTH)[1], TRUTH.delay
     just = np.concatenate([[0, 0], -0.49 * damping, -0.49 * delay, np.zeros(4)])
-    found, rejected = scattered(TRUTH, strict, Given(just))
+    drawn, rejected = scattered(TRUTH, strict, Given(just))
     assert rejected == 0
-    np.testing.assert_allclose(modes(found)[1], 0.51 * damping, rtol=1e-8)
+    np.testing.assert_allclose(modes(drawn)[1], 0.51 * damping, rtol=1e-8)
     for place, size in ((2, damping[0]), (3, damping[1]), (4, delay[0]), (5, delay[1])):
         below = np.zeros(10)
         below[place] = -0.51 * size

@@ -174,8 +174,8 @@ def test_halving_the_step_moves_no_recording_by_the_sensor_noise(experiment, con
         for over in (20, 40)
     ]
     for signal in ("r", "u", "p", "y_p"):
-        moved = np.abs(made[1].signal(signal) - made[0].signal(signal)).max()
-        assert moved < 0.01 * SENSOR_NOISE, (signal, moved)
+        shifted = np.abs(made[1].signal(signal) - made[0].signal(signal)).max()
+        assert shifted < 0.01 * SENSOR_NOISE, (signal, shifted)
 
 
 def test_recordings_are_the_same_bit_for_bit_and_chunks_do_not_show(monkeypatch):

@@ -35,8 +35,8 @@ def test_rotor_follows_the_surfaces():
     p = made.signal("p")
     begin = np.concatenate([p[0], (-3 * p[0] + 4 * p[1] - p[2]) / (2 * TS)])
     t = np.arange(0, len(p), 25) * TS
-    found = solve_ivp(rates, (0, t[-1]), begin, t_eval=t, rtol=1e-6, atol=1e-12).y[:2].T
-    np.testing.assert_allclose(p[::25], found, rtol=0, atol=0.003 * np.abs(p).max())
+    solution = solve_ivp(rates, (0, t[-1]), begin, t_eval=t, rtol=1e-6, atol=1e-12).y[:2].T
+    np.testing.assert_allclose(p[::25], solution, rtol=0, atol=0.003 * np.abs(p).max())
 
 
 def test_constant_course_is_a_constant_point():

@@ -55,10 +55,10 @@ def test_derivative_with_respect_to_the_delay(order):
     value = ca.vertcat(m.C @ x[:order] + m.D, m.C @ x[order:])
     jacobian = ca.Function("d", [tau], [value, ca.jacobian(value, tau)])
     at, step = 5e-4, 1e-8
-    found = np.array(jacobian(at)[1])[:, 0]
+    values = np.array(jacobian(at)[1])[:, 0]
     plus, minus = (response(at + d, order, omega)[0] for d in (step, -step))
     expected = (plus - minus) / (2 * step)
-    np.testing.assert_allclose(found[0] + 1j * found[1], expected, rtol=1e-7)
+    np.testing.assert_allclose(values[0] + 1j * values[1], expected, rtol=1e-7)
     np.testing.assert_allclose(np.array(jacobian(at)[0])[0, 0], response(at, order, omega)[0].real, rtol=1e-12)
 
 

@@ -63,21 +63,21 @@ def shop(n: int) -> gbid.LinearModel:
 def recorded(n: int, seed: int, samples: int = 3000, noise: float = 2e-7) -> gbid.Recording:
     """Recording of the loop, sample by sample: the reference of a current acts after the delay of its amplifier."""
     random, (A, B, C) = np.random.default_rng(seed), machine(n)
-    size, whole = len(A), int(LATE[n] / T)
+    size, complete = len(A), int(LATE[n] / T)
 
     def passed(t: float) -> tuple[np.ndarray, np.ndarray]:
         both = expm(t * np.block([[A, B], [np.zeros((n, size + n))]]))
         return both[:size, :size], both[:size, size:]
 
-    early = LATE[n] - whole * T
+    early = LATE[n] - complete * T
     (F1, G1), (F2, G2) = passed(early), passed(T - early)
     w = 0.05 * np.repeat(random.choice([-1.0, 1.0], (samples // 10, n)), 10, axis=0)
-    x, before, past, p = np.zeros(size), np.zeros(n), [np.zeros(n)] * (whole + 2), np.empty((samples, n))
+    x, before, past, p = np.zeros(size), np.zeros(n), [np.zeros(n)] * (complete + 2), np.empty((samples, n))
     for k in range(samples):
         p[k] = C @ x + noise * random.standard_normal(n)
         current = w[k] - SHOP["kp"] * p[k] - SHOP["kd"] / T * (p[k] - before)
         before, past = p[k], [current, *past[:-1]]
-        x = F2 @ (F1 @ x + G1 @ past[whole + 1]) + G2 @ past[whole]
+        x = F2 @ (F1 @ x + G1 @ past[complete + 1]) + G2 @ past[complete]
     return gbid.Recording({"w": w, "p": p}, T, name=f"{n} axes, {seed}", units={"w": "A", "p": "m"})
 
 
@@ -144,9 +144,9 @@ def deviations(n: int, seeds: range) -> np.ndarray:
     fits = [gbid.fit(loop(n), recorded(n, seed), focus="simulation") for seed in seeds]
     assert all(fit.success for fit in fits)
     assert all(fit.std[name] < 0.03 * fit.parameters[name] for fit in fits for name in fit.std if name.startswith("k_"))
-    found = [name for name in fits[0].parameters if name.startswith("k_")]
-    assert len(found) == 2 * n
-    return np.array([[(fit.parameters[name] - true(n)[name]) / fit.std[name] for name in found] for fit in fits])
+    results = [name for name in fits[0].parameters if name.startswith("k_")]
+    assert len(results) == 2 * n
+    return np.array([[(fit.parameters[name] - true(n)[name]) / fit.std[name] for name in results] for fit in fits])
 
 
 @pytest.mark.parametrize(("n", "seeds"), [(1, range(3)), (4, range(1))])

@@ -49,13 +49,13 @@ def test_rotor_bearing_has_the_transfer_function_of_equations_5_to_9(order):
     model = evaluate(RotorBearing(pade_order=order), {**KEY, **GAINS})
     assert model.n_states == 4 + 2 * order
     K, D, B = square("k"), square("d"), square("b")
-    for s, found in zip(2j * np.pi * FREQUENCIES, model.frequency_response(FREQUENCIES), strict=True):
+    for s, computed in zip(2j * np.pi * FREQUENCIES, model.frequency_response(FREQUENCIES), strict=True):
         delays = []
         for tau in (KEY["tau_x"], KEY["tau_y"]):
             a, b, c, d = (np.array(ca.DM(m)) for m in pade_delay(tau, order)[:4])
             delays.append((c @ np.linalg.solve(s * np.eye(order) - a, b) + d)[0, 0])
         expected = np.linalg.solve(s**2 * np.eye(2) - s * D - K, B @ np.diag(delays))
-        np.testing.assert_allclose(found, expected, rtol=1e-9)
+        np.testing.assert_allclose(computed, expected, rtol=1e-9)
     np.testing.assert_allclose(model.static_gain(), -np.linalg.solve(K, B), rtol=1e-9)
 
 
@@ -107,11 +107,11 @@ def test_wrong_options_of_the_papers_structures(make, text):
 
 def test_piezo_pair_is_equation_12():
     model = evaluate(PiezoPair(), ACTUATORS)
-    for s, found in zip(2j * np.pi * FREQUENCIES, model.frequency_response(FREQUENCIES), strict=True):
+    for s, computed in zip(2j * np.pi * FREQUENCIES, model.frequency_response(FREQUENCIES), strict=True):
         axis = {
             a: ACTUATORS[f"kappa_{a}"] / ((s / ACTUATORS[f"p1_{a}"] + 1) * (s / ACTUATORS[f"p2_{a}"] + 1)) for a in "xy"
         }
-        np.testing.assert_allclose(found, np.diag([axis["x"], axis["y"]]), rtol=1e-12)
+        np.testing.assert_allclose(computed, np.diag([axis["x"], axis["y"]]), rtol=1e-12)
     np.testing.assert_allclose(np.sort(model.poles().real), [-8143, -6494, -3078, -2452], rtol=1e-12)
     assert model.K is None
     assert [q.name for q in PiezoPair().parameters] == list(ACTUATORS)
@@ -133,8 +133,8 @@ def test_plant_is_the_series_of_both(outputs, order):
     actuators = evaluate(PiezoPair(), ACTUATORS).frequency_response(FREQUENCIES)
     series = evaluate(bearing, {**KEY, **GAINS}).frequency_response(FREQUENCIES) @ actuators
     expected = np.concatenate([actuators, series], axis=1) if "u" in outputs else series
-    found = model.frequency_response(FREQUENCIES)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+    response = model.frequency_response(FREQUENCIES)
+    np.testing.assert_allclose(response, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
     # Only the error of the disc position drives the rotor's velocities.
     twice = 4 if "u" in outputs and not order else 0
     K = np.zeros((8 + 2 * (order or 0) + twice, 4 if "u" in outputs else 2))

@@ -64,7 +64,7 @@ def grid_of_maps() -> tuple[RunoutMap, ...]:
 def eventful_samples(n: int = 3000) -> list[ChainInput]:
     """Return samples with spikes, faulty numbers, a stuck sensor, turns both ways, and changes of mode and point."""
     random = np.random.default_rng(0)
-    found = []
+    results = []
     for k in range(n):
         angle = (k * 0.1257 * (1 if k < 2000 else -1)) % (2 * pi) - (2 * pi if k % 7 == 0 else 0.0)
         size = 3e-6 if k < 1500 else 18e-6
@@ -83,5 +83,5 @@ def eventful_samples(n: int = 3000) -> list[ChainInput]:
         if k > 2800:
             mode = ChainMode.OFF
         pressure, speed = 3.0 + 4.0 * ((k // 300) % 2), 6000 * abs(sin(k / 700))
-        found.append(ChainInput((x, y), angle, pressure, speed, mode))
-    return found
+        results.append(ChainInput((x, y), angle, pressure, speed, mode))
+    return results

@@ -46,23 +46,23 @@ def surfaces():
 
 def delays():
     points = grid_points()
-    found = estimates(("tau_x", "tau_y"), points)
-    return report.plot_over_pressure(report.delays_data(machine(), points=points, estimates=found))
+    result = estimates(("tau_x", "tau_y"), points)
+    return report.plot_over_pressure(report.delays_data(machine(), points=points, estimates=result))
 
 
 def modes():
     points, random = grid_points(), np.random.default_rng(2)
     true = np.array([[frequency for frequency, _ in machine().at(*point).modes()[:2]] for point in points])
-    found = {f"frequency_{i + 1}": true[:, i] * (1 + 0.01 * random.standard_normal(len(points))) for i in range(2)}
-    return report.plot_over_pressure(report.modes_data(machine(), points=points, estimates=found))
+    results = {f"frequency_{i + 1}": true[:, i] * (1 + 0.01 * random.standard_normal(len(points))) for i in range(2)}
+    return report.plot_over_pressure(report.modes_data(machine(), points=points, estimates=results))
 
 
 def static_gains():
     points, random = grid_points(), np.random.default_rng(3)
     true = np.array([machine().at(*point).static_gain().ravel() for point in points])
     names = [f"g_{i}{j}" for i in "xy" for j in "xy"]
-    found = {name: true[:, k] + 0.005 * random.standard_normal(len(points)) for k, name in enumerate(names)}
-    return report.plot_over_pressure(report.static_gains_data(machine(), points=points, estimates=found))
+    results = {name: true[:, k] + 0.005 * random.standard_normal(len(points)) for k, name in enumerate(names)}
+    return report.plot_over_pressure(report.static_gains_data(machine(), points=points, estimates=results))
 
 
 def histograms():
@@ -217,8 +217,8 @@ def impulses():
 
 
 def campbell():
-    found = {speed: machine().at(6.0, speed) for speed in (0.0, 2000.0, 4000.0, 6000.0)}
-    return report.plot_campbell({**found, 3000.0: machine().at(6.0, 3000.0)})
+    results = {speed: machine().at(6.0, speed) for speed in (0.0, 2000.0, 4000.0, 6000.0)}
+    return report.plot_campbell({**results, 3000.0: machine().at(6.0, 3000.0)})
 
 
 def orbit():

@@ -23,14 +23,14 @@ def extras() -> dict[str, str]:
 def licence(package: str) -> str | None:
     """The licence that the metadata of an installed package state; None when it is not installed."""
     try:
-        found = distribution(package)
+        result = distribution(package)
     except PackageNotFoundError:
         return None
-    classifiers = [c.split(" :: ")[-1] for c in found.metadata.get_all("Classifier") or () if "License ::" in c]
+    classifiers = [c.split(" :: ")[-1] for c in result.metadata.get_all("Classifier") or () if "License ::" in c]
     named = [c for c in classifiers if c != "OSI Approved"]
-    written = (found.metadata.get("License") or "").strip().splitlines()
-    words = [found.metadata.get("License-Expression"), *named, *written[:1]]
-    texts = [file for file in found.files or () if re.search(r"dist-info/.*LICEN[CS]E", str(file))]
+    written = (result.metadata.get("License") or "").strip().splitlines()
+    words = [result.metadata.get("License-Expression"), *named, *written[:1]]
+    texts = [file for file in result.files or () if re.search(r"dist-info/.*LICEN[CS]E", str(file))]
     words += ["see its file " + texts[0].name] if texts else []
     return next(word for word in [*words, "none stated"] if word)
 
@@ -38,9 +38,9 @@ def licence(package: str) -> str | None:
 def rows() -> list[str]:
     """The rows of the table; what is not installed keeps its row."""
     kept = dict(re.findall(r"^\| `([^`]+)` \|[^|]*\| ([^|]+) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
-    found = {package: licence(package) or kept.get(package, "not known") for package in extras()}
+    results = {package: licence(package) or kept.get(package, "not known") for package in extras()}
     by = {package: f"`{extra}`" if extra else "always" for package, extra in extras().items()}
-    return [f"| `{package}` | {by[package]} | {words} |" for package, words in found.items()]
+    return [f"| `{package}` | {by[package]} | {words} |" for package, words in results.items()]
 
 
 def write() -> None:

@@ -27,21 +27,21 @@ def motion(r, true):
     A[8:10, 10:12] = np.eye(2)
     A[10:12, 8:10], A[10:12, 10:12], A[10:12, [5, 7]] = (square(letter, true) for letter in "kdb")
     tau = np.array([true["tau_x"], true["tau_y"]])
-    whole = np.floor(tau / TS).astype(int)
-    changes = tau - whole * TS
+    complete = np.floor(tau / TS).astype(int)
+    changes = tau - complete * TS
     edges = sorted({0.0, TS, *changes.tolist()})
     pieces = []
     for begin, end in pairwise(edges):
         step = expm(np.block([[A, B], [np.zeros((4, 16))]]) * (end - begin))
-        pieces.append((step[:12, :12], step[:12, 12:], whole + (begin < changes)))
-    longest = int(whole.max()) + 1
+        pieces.append((step[:12, :12], step[:12, 12:], complete + (begin < changes)))
+    longest = int(complete.max()) + 1
     every = np.vstack([np.zeros((longest, 2)), r])
     x, states = np.zeros(12), np.empty((len(r), 12))
     for k in range(len(r)):
         states[k] = x
         for F, G, lag in pieces:
-            late = every[k + longest - lag, [0, 1]]
-            x = F @ x + G @ np.concatenate([every[k + longest], late])
+            delayed = every[k + longest - lag, [0, 1]]
+            x = F @ x + G @ np.concatenate([every[k + longest], delayed])
     return states[:, [1, 3]], states[:, 8:10]
 
 

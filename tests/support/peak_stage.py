@@ -84,8 +84,8 @@ def _write_count(_: Job, part: Path, count: int) -> None:
 
 def _document(_: Job, outcomes: Sequence[Outcome]) -> Document:
     """Peaks by recording."""
-    own = [o for o in outcomes if o.stage == "peak" and o.state != "failed" and o.item != "count"]
-    return {"peaks": [{"recording": o.item, "peak": float(o.path.read_text().splitlines()[1])} for o in own]}
+    of_stage = [o for o in outcomes if o.stage == "peak" and o.state != "failed" and o.item != "count"]
+    return {"peaks": [{"recording": o.item, "peak": float(o.path.read_text().splitlines()[1])} for o in of_stage]}
 
 
 def _tables(document: Document) -> list[Table]:

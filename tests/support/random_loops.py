@@ -42,9 +42,9 @@ def random_problem(seed: int) -> RandomProblem:
         B[n // 2 :] = 0.0
     matrix = A + ca.SX(B) @ K @ ca.SX(C)
     if kind == "dynamic":
-        own = ca.SX.zeros(2, 2)
-        own[0, 0], own[1, 1] = g[0], g[-1]
-        matrix = ca.diagcat(matrix, own)
+        block = ca.SX.zeros(2, 2)
+        block[0, 0], block[1, 1] = g[0], g[-1]
+        matrix = ca.diagcat(matrix, block)
     elif kind == "nan":
         matrix = matrix + ca.sqrt(g[0]) * 0.1
     elif kind == "infinite":

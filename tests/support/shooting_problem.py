@@ -26,8 +26,8 @@ def problem(engine="numpy", disturbances=UNDISTURBED, **options):
     structure = gbid.RotorBearing()
     data = gather(recordings, ("u",), ("p",), minimum=50)
     settings = {"criterion": "trace", "left_out": {"b": [(700, 900)]}, "window": 100, **options}
-    asked = FitArguments(intersample="foh", output_weights=[1.0, 2.0], prior={"k_xx": (-6e5, 1e3)}, **settings)
+    arguments = FitArguments(intersample="foh", output_weights=[1.0, 2.0], prior={"k_xx": (-6e5, 1e3)}, **settings)
     with no_compiler() if engine == "numpy" else nullcontext():
-        assembly = assemble(structure, structure.parameters, BEGIN, data, asked, disturbances=disturbances)
+        assembly = assemble(structure, structure.parameters, BEGIN, data, arguments, disturbances=disturbances)
     begin = {q.name: BEGIN.get(q.name.partition("[")[0], 1e-7) for q in assembly.free}
-    return build_problem(assembly, data, asked, begin)
+    return build_problem(assembly, data, arguments, begin)

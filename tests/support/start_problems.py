@@ -140,13 +140,16 @@ def free_decay(rng):
 
 def delayed_mode(rng):
     true = {"k": 400.0, "d": 4.0, "b": 40.0, "tau": 0.013}
-    own = [*(Parameter(name, true[name]) for name in "kdb"), Parameter("tau", true["tau"], lower=0.0, upper=0.05)]
+    parameters = [
+        *(Parameter(name, true[name]) for name in "kdb"),
+        Parameter("tau", true["tau"], lower=0.0, upper=0.05),
+    ]
 
     def matrices(p):
-        late = {"B": [[0], [0]], "B_delayed": [[0], [p.b]], "delay": [p.tau]}
-        return {"A": [[0, 1], [-p.k, -p.d]], "C": [[1, 0]], **late}
+        delayed = {"B": [[0], [0]], "B_delayed": [[0], [p.b]], "delay": [p.tau]}
+        return {"A": [[0, 1], [-p.k, -p.d]], "C": [[1, 0]], **delayed}
 
-    structure = LinearStructure("delayed", own, matrices, "u", "y")
+    structure = LinearStructure("delayed", parameters, matrices, "u", "y")
     return _simulated(structure, true, _held_levels(2000, 15, rng), 0.01, 0.02, rng)
 
 

@@ -83,15 +83,15 @@ def found_pythons() -> dict[tuple[int, int], str]:
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     candidates = [sys.executable, *(path for minor in range(11, 20) if (path := shutil.which(f"python3.{minor}")))]
     candidates += map(str, sorted(versions.glob("3.*/bin/python")))
-    found: dict[tuple[int, int], str] = {}
+    results: dict[tuple[int, int], str] = {}
     for path in candidates:
         # A shim of pyenv for a version that is not chosen ends with an error.
         said = subprocess.run([path, "--version"], capture_output=True, text=True, check=False).stdout
         if number := re.match(r"Python (\d+)\.(\d+)\.\d+$", said.strip()):
             version = (int(number[1]), int(number[2]))
             if version >= (3, 11):
-                found.setdefault(version, path)
-    return dict(sorted(found.items()))
+                results.setdefault(version, path)
+    return dict(sorted(results.items()))
 
 
 def check_source(archive: Path) -> int:

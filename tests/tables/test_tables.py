@@ -105,11 +105,11 @@ def test_terminal_without_headings_folds_what_may_wrap():
 
 
 def test_html():
-    found = read_html(STIFFNESS)
-    assert found.rows[0] == ["parameter", "estimate [N/m]", "std", "recording"]
-    assert found.rows[1] == ["k_xx", "-633.31e3", "0.3", "run 1"]
-    assert ("a", {"href": "#fit&run%201"}) in found.tags
-    assert [attrs for tag, attrs in found.tags if tag == "th"][:2] == [
+    table = read_html(STIFFNESS)
+    assert table.rows[0] == ["parameter", "estimate [N/m]", "std", "recording"]
+    assert table.rows[1] == ["k_xx", "-633.31e3", "0.3", "run 1"]
+    assert ("a", {"href": "#fit&run%201"}) in table.tags
+    assert [attrs for tag, attrs in table.tags if tag == "th"][:2] == [
         {"scope": "col", "class": "left"},
         {"scope": "col"},
     ]
@@ -153,9 +153,9 @@ def test_awkward_names_on_a_terminal():
 
 
 def test_awkward_names_in_html():
-    found = read_html(awkward_table())
-    assert found.rows[1] == SHOWN
-    assert {tag for tag, _ in found.tags} == {"p", "div", "table", "thead", "tbody", "tr", "th", "td"}
+    table = read_html(awkward_table())
+    assert table.rows[1] == SHOWN
+    assert {tag for tag, _ in table.tags} == {"p", "div", "table", "thead", "tbody", "tr", "th", "td"}
     link = Table("", [Column("a")], [[Cell("x", href='"><script>')]])
     assert "<script>" not in html_table(link)
 

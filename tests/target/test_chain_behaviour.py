@@ -38,11 +38,11 @@ def test_in_the_linear_range_it_is_the_filter_and_the_sampled_controller(kind: s
     e = np.array([online.step(u.position, u.angle) for u in samples])
     np.testing.assert_array_equal([y.deviation for y in outputs], e)
     expected = controller.sampled_at().simulate(e)
-    found = np.array([y.reference for y in outputs])
+    values = np.array([y.reference for y in outputs])
     assert not any(y.saturated for y in outputs)
-    np.testing.assert_allclose(found[2:], expected[2:], rtol=0, atol=1e-17)  # the fade takes two samples
+    np.testing.assert_allclose(values[2:], expected[2:], rtol=0, atol=1e-17)  # the fade takes two samples
     np.testing.assert_allclose(
-        np.array([y.stack for y in outputs])[2:], 22.5e-6 + found[2:] @ ALLOCATION.T, rtol=0, atol=1e-18
+        np.array([y.stack for y in outputs])[2:], 22.5e-6 + values[2:] @ ALLOCATION.T, rtol=0, atol=1e-18
     )
 
 
@@ -57,9 +57,9 @@ def test_a_schedule_is_the_exact_controller_within_its_tolerance_and_changes_wit
     chain = chain_of(controller, options=ChainOptions(**QUICK))
     assert 0 < chain.controller.error < 2e-3
     samples = moving(300)
-    found = np.array([y.reference for y in PythonChain(chain).run(samples)])
+    values = np.array([y.reference for y in PythonChain(chain).run(samples)])
     exact = controller.sampled_at(5.0, 3000.0).simulate(np.array([u.position for u in samples]))
-    assert np.abs(found[2:] - exact[2:]).max() < 2e-3 * np.abs(exact).max()
+    assert np.abs(values[2:] - exact[2:]).max() < 2e-3 * np.abs(exact).max()
 
     def gains(jump: bool) -> np.ndarray:
         twin = PythonChain(chain)
@@ -79,9 +79,9 @@ def test_maps_are_interpolated_over_speed() -> None:
     chain = chain_of(design("P"), runout_maps=maps, options=ChainOptions(**QUICK))
     for speed, weight in ((2000.0, 0.0), (4000.0, 0.5), (6000.0, 1.0), (0.0, 0.0)):
         twin = PythonChain(chain)
-        found = twin.step(ChainInput((0.0, 0.0), 1.0, 3.0, speed)).deviation
+        step = twin.step(ChainInput((0.0, 0.0), 1.0, 3.0, speed)).deviation
         low, high = (m.evaluate(np.array([1.0]))[0] for m in maps[:2])
-        np.testing.assert_allclose(found, -((1 - weight) * low + weight * high), rtol=0, atol=1e-18)
+        np.testing.assert_allclose(step, -((1 - weight) * low + weight * high), rtol=0, atol=1e-18)
 
 
 def test_ramps_and_fades() -> None:
@@ -160,10 +160,10 @@ def test_single_faulty_samples_and_spikes_are_bridged() -> None:
     clean = PythonChain(chain).run([ChainInput((v, 1e-9 * k)) for k, v in enumerate(wave)])
     broken = [v + (2e-5 if k in (100, 101, 150) else 0.0) for k, v in enumerate(wave)]
     broken[200] = nan
-    found = PythonChain(chain).run([ChainInput((v, 1e-9 * k)) for k, v in enumerate(broken)])
-    miss = np.abs(np.array([y.deviation for y in found]) - np.array([y.deviation for y in clean]))
+    outputs = PythonChain(chain).run([ChainInput((v, 1e-9 * k)) for k, v in enumerate(broken)])
+    miss = np.abs(np.array([y.deviation for y in outputs]) - np.array([y.deviation for y in clean]))
     assert miss.max() < 0.6e-6  # of 20 um; a held sample of this wave is 0.45 um late
-    assert not any(y.fault for y in found)
+    assert not any(y.fault for y in outputs)
     step = [0.0] * 50 + [15e-6] * 50
     after = PythonChain(chain).run([ChainInput((v + 1e-9 * (k % 2), 1e-9 * k)) for k, v in enumerate(step)])
     assert after[52].deviation[0] < 1e-6

@@ -42,8 +42,8 @@ def test_double_is_exact_and_float_within_tolerance(kind: str, maps: str, guards
     options = ChainOptions(**SHORT, **guards)  # type: ignore[arg-type]
     chain = chain_of(design(kind), runout_maps=MAPS[maps], options=options)
     expected = PythonChain(chain).run(SAMPLES)
-    found = CompiledChain(chain).run(SAMPLES)
-    assert found == expected
+    outputs = CompiledChain(chain).run(SAMPLES)
+    assert outputs == expected
     assert {int(each.fault) for each in expected} >= {0, ChainFault.SIGNAL, ChainFault.STUCK}
     assert any(each.held for each in expected)
     assert max(abs(each.reference[0]) for each in expected) > 5e-6

@@ -33,9 +33,9 @@ def compiler(name: str) -> str:
 
 
 def written(folder: Path, kind: str = "biquad", number: str = "double", maps: str = "harmonics", **further) -> Chain:
-    found = {"none": (), "harmonics": (runout_map(),), "bins": (runout_map("bins"),), "grid": grid_of_maps()}[maps]
+    computed = {"none": (), "harmonics": (runout_map(),), "bins": (runout_map("bins"),), "grid": grid_of_maps()}[maps]
     options = ChainOptions(number=number, ramp_s=0.1, fade_s=0.05, **further)  # type: ignore[arg-type]
-    chain = chain_of(design(kind), runout_maps=found, options=options)
+    chain = chain_of(design(kind), runout_maps=computed, options=options)
     write_chain(chain, folder)
     return chain
 

@@ -57,27 +57,29 @@ def test_a_state_that_no_output_sees_is_left_at_zero():
 def test_the_truth_explains_all_of_another_recording(model):
     x0 = [2.0, -4.0]
     rec = simulated(MODE, MODE_AT, levels(300, seed=7), x0=x0, name="second")
-    found = cross_validate(model, Recording(rec.signals, H, {"speed_rpm": 60.0}, "second", units={"u": "V", "y": "m"}))
-    assert found.fit_percent == pytest.approx([100.0], abs=1e-3)
-    assert found.infinity_norm == pytest.approx([0.0], abs=1e-4)
-    np.testing.assert_allclose(found.initial_state, x0, rtol=1e-4)
-    np.testing.assert_array_equal(found.measured, rec.signal("y"))
-    np.testing.assert_allclose(found.simulated, rec.signal("y"), atol=1e-4)
-    np.testing.assert_array_equal(found.inputs, rec.signal("u"))
-    np.testing.assert_allclose(found.time, H * np.arange(300))
-    assert (found.recording, found.fitted_to) == ("second", ("first",))
-    assert (found.input_names, found.output_names) == (("u",), ("y",))
-    assert (found.input_units, found.output_units) == (("V",), ("m",))
-    assert found.conditions == {"speed_rpm": 60.0}
+    validation = cross_validate(
+        model, Recording(rec.signals, H, {"speed_rpm": 60.0}, "second", units={"u": "V", "y": "m"})
+    )
+    assert validation.fit_percent == pytest.approx([100.0], abs=1e-3)
+    assert validation.infinity_norm == pytest.approx([0.0], abs=1e-4)
+    np.testing.assert_allclose(validation.initial_state, x0, rtol=1e-4)
+    np.testing.assert_array_equal(validation.measured, rec.signal("y"))
+    np.testing.assert_allclose(validation.simulated, rec.signal("y"), atol=1e-4)
+    np.testing.assert_array_equal(validation.inputs, rec.signal("u"))
+    np.testing.assert_allclose(validation.time, H * np.arange(300))
+    assert (validation.recording, validation.fitted_to) == ("second", ("first",))
+    assert (validation.input_names, validation.output_names) == (("u",), ("y",))
+    assert (validation.input_units, validation.output_units) == (("V",), ("m",))
+    assert validation.conditions == {"speed_rpm": 60.0}
 
 
 def test_noise_leaves_its_own_part(model):
     clean = simulated(MODE, MODE_AT, levels(3000, seed=7)).signal("y")
     noise = clean.std() * np.random.default_rng(1).normal(size=clean.shape)
     rec = Recording({"u": levels(3000, seed=7), "y": clean + noise}, H)
-    found = cross_validate(model, rec)
-    assert found.fit_percent[0] == pytest.approx(100 * (1 - np.sqrt(0.5)), abs=2)
-    assert found.infinity_norm[0] == pytest.approx(np.abs(noise).max(), rel=0.1)
+    validation = cross_validate(model, rec)
+    assert validation.fit_percent[0] == pytest.approx(100 * (1 - np.sqrt(0.5)), abs=2)
+    assert validation.infinity_norm[0] == pytest.approx(np.abs(noise).max(), rel=0.1)
 
 
 def test_the_hold_and_the_channels_of_the_fit_are_kept():

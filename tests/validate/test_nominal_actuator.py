@@ -60,15 +60,15 @@ def test_limit_of_outliers_is_the_quantile_of_all_entries(n):
 
 def test_the_model_with_the_smallest_distances_is_chosen():
     values = scattered()
-    found = nominal_actuator(table_of(values))
+    nominal = nominal_actuator(table_of(values))
     logs = np.log(values)
     scale = 1.4826 * np.array([np.median(abs(c - np.median(c))) for c in logs.T])
     sums = [sum(np.sqrt((((a - b) / scale) ** 2).sum()) for b in logs) for a in logs]
-    assert found.name == f"r{int(np.argmin(sums))}"
-    np.testing.assert_allclose(found.distances, np.array(sums) / 85)
-    np.testing.assert_array_equal(list(found.parameters.values()), values[int(np.argmin(sums))])
-    assert found.outliers == ()
-    assert abs(np.log(list(found.parameters.values())) - np.log(TRUE)).max() < 0.08
+    assert nominal.name == f"r{int(np.argmin(sums))}"
+    np.testing.assert_allclose(nominal.distances, np.array(sums) / 85)
+    np.testing.assert_array_equal(list(nominal.parameters.values()), values[int(np.argmin(sums))])
+    assert nominal.outliers == ()
+    assert abs(np.log(list(nominal.parameters.values())) - np.log(TRUE)).max() < 0.08
 
 
 def test_planted_outliers_are_named_and_do_not_move_the_choice():
@@ -79,9 +79,9 @@ def test_planted_outliers_are_named_and_do_not_move_the_choice():
     spoilt[victims[0], 2] *= 1.05  # a gain
     spoilt[victims[1], 4] *= 3  # a pole
     spoilt[victims[2]] = [900.0, 9e5, 1.2, 800.0, 9e5, 1.1]
-    found = nominal_actuator(table_of(spoilt))
-    assert found.name == clean.name
-    named = {(o.model, o.parameter): o for o in found.outliers}
+    nominal = nominal_actuator(table_of(spoilt))
+    assert nominal.name == clean.name
+    named = {(o.model, o.parameter): o for o in nominal.outliers}
     assert (f"r{victims[0]}", "kappa_x") in named
     assert (f"r{victims[1]}", "p2_y") in named
     assert {p for m, p in named if m == f"r{victims[2]}"} == set(ACTUATOR)
@@ -90,7 +90,7 @@ def test_planted_outliers_are_named_and_do_not_move_the_choice():
     assert gain.kind == "gain"
     assert gain.reason.startswith(f"kappa_x = {spoilt[victims[0], 2]:.4g}, median 1.86")
     assert "rad/s" in named[f"r{victims[1]}", "p2_y"].reason
-    sizes = [abs(o.z) for o in found.outliers]
+    sizes = [abs(o.z) for o in nominal.outliers]
     assert sizes == sorted(sizes, reverse=True)
 
 
@@ -126,9 +126,9 @@ def test_failed_fits_are_left_out_and_named():
     status = np.full(12, "converged", dtype="U60")
     status[5] = "stopped after 100 iterations"
     values[7, 0] = np.nan
-    found = nominal_actuator(table_of(values, success=good, status=status))
-    assert len(found.models) == 10
-    assert found.left_out == ("r5: stopped after 100 iterations", "r7: converged")
+    nominal = nominal_actuator(table_of(values, success=good, status=status))
+    assert len(nominal.models) == 10
+    assert nominal.left_out == ("r5: stopped after 100 iterations", "r7: converged")
     with pytest.raises(DataError, match="none of 12 actuator fits converged; the first: r0"):
         nominal_actuator(table_of(values, success=np.zeros(12, dtype=bool)))
 
@@ -147,18 +147,18 @@ def test_other_tables_are_refused():
 
 def test_results_of_fits_do_as_well_and_the_file_feeds_a_model(tmp_path):
     results = [fit(PiezoPair(), record(machine(), Prbs(1.0), conditions=STILL, seed=i, name=f"r{i}")) for i in range(3)]
-    found = nominal_actuator(results)
-    assert found.models == ("r0", "r1", "r2")
+    nominal = nominal_actuator(results)
+    assert nominal.models == ("r0", "r1", "r2")
     for name, value in zip(ACTUATOR, TRUE, strict=True):
-        assert found.parameters[name] == pytest.approx(value, rel=0.1)
-    assert all(0 < std < 0.1 * found.parameters[name] for name, std in found.std.items())
-    save_nominal_actuator(found, tmp_path / "a.yaml", source="here")
+        assert nominal.parameters[name] == pytest.approx(value, rel=0.1)
+    assert all(0 < std < 0.1 * nominal.parameters[name] for name, std in nominal.std.items())
+    save_nominal_actuator(nominal, tmp_path / "a.yaml", source="here")
     actuators = load_actuators(tmp_path / "a.yaml")
-    assert actuators == found.parameters
+    assert actuators == nominal.parameters
     model = replace(load_model("theisen2016"), actuators=actuators)
     assert model.plant_at(6, 0).A.shape[0] > 6
     with pytest.raises(UsageError, match="exists already"):
-        save_nominal_actuator(found, tmp_path / "a.yaml")
+        save_nominal_actuator(nominal, tmp_path / "a.yaml")
     text = (tmp_path / "a.yaml").read_text()
     (tmp_path / "b.yaml").write_text(text.replace("kind: actuators", "kind: other"))
     with pytest.raises(DataError, match="not a file with a nominal actuator"):

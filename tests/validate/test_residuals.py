@@ -43,27 +43,27 @@ def result(data):
 
 
 def test_the_residuals_of_the_true_model_are_white(data, result):
-    found = check_residuals(result, data)
-    assert found.recording == "first"
-    assert found.p_white.shape == (1,)
-    assert found.p_white[0] > 0.01
-    assert (found.input_names, found.output_names) == (("u",), ("y",))
-    np.testing.assert_array_equal(found.lags, np.arange(51))
-    np.testing.assert_array_equal(found.cross_lags, np.arange(-50, 51))
-    np.testing.assert_allclose(found.time, H * np.arange(51))
-    assert found.autocorrelation[0, 0] == pytest.approx(1.0)
-    assert found.verdict == (f"y: residuals white (p = {found.p_white[0]:.2g})",)
-    assert found.outside[0, 0] < 0.1
-    assert found.p_independent[0, 0] > 0.01
-    assert found.band == pytest.approx(norm.ppf(0.995) / np.sqrt(4000))
-    assert found.rms[0] == pytest.approx(np.sqrt(result.loss), rel=1e-3)
-    assert found.fit_percent[0] == pytest.approx(result.fit_percent[0, 0], abs=0.05)
+    tests = check_residuals(result, data)
+    assert tests.recording == "first"
+    assert tests.p_white.shape == (1,)
+    assert tests.p_white[0] > 0.01
+    assert (tests.input_names, tests.output_names) == (("u",), ("y",))
+    np.testing.assert_array_equal(tests.lags, np.arange(51))
+    np.testing.assert_array_equal(tests.cross_lags, np.arange(-50, 51))
+    np.testing.assert_allclose(tests.time, H * np.arange(51))
+    assert tests.autocorrelation[0, 0] == pytest.approx(1.0)
+    assert tests.verdict == (f"y: residuals white (p = {tests.p_white[0]:.2g})",)
+    assert tests.outside[0, 0] < 0.1
+    assert tests.p_independent[0, 0] > 0.01
+    assert tests.band == pytest.approx(norm.ppf(0.995) / np.sqrt(4000))
+    assert tests.rms[0] == pytest.approx(np.sqrt(result.loss), rel=1e-3)
+    assert tests.fit_percent[0] == pytest.approx(result.fit_percent[0, 0], abs=0.05)
 
 
 def test_all_numbers_are_those_of_numpy(data, result):
     """The residuals by the model's own predict, their correlations by sums."""
     short = data.slice(0, 400)
-    found = check_residuals(result, short, lags=12)
+    tests = check_residuals(result, short, lags=12)
     u, y = short.signal("u"), short.signal("y")
 
     def error(x0):
@@ -74,15 +74,15 @@ def test_all_numbers_are_those_of_numpy(data, result):
     free = runs[0] - runs[1]
     x0 = (free @ runs[0]) / (free @ free)
     e = error(x0)
-    assert found.infinity_norm[0] == pytest.approx(np.abs(e).max(), rel=1e-6)
-    assert found.rms[0] == pytest.approx(np.sqrt(np.mean(e**2)), rel=1e-6)
+    assert tests.infinity_norm[0] == pytest.approx(np.abs(e).max(), rel=1e-6)
+    assert tests.rms[0] == pytest.approx(np.sqrt(np.mean(e**2)), rel=1e-6)
     e, v = e - e.mean(), u[:, 0] - u.mean()
     auto = np.correlate(e, e, "full")[399 : 399 + 13] / (e @ e)
-    np.testing.assert_allclose(found.autocorrelation[0], auto, atol=1e-6)
+    np.testing.assert_allclose(tests.autocorrelation[0], auto, atol=1e-6)
     cross = np.correlate(e, v, "full")[399 - 12 : 399 + 13] / np.sqrt((e @ e) * (v @ v))
-    np.testing.assert_allclose(found.crosscorrelation[0, 0], cross, atol=1e-6)
-    inside = np.abs(cross[12:]) <= found.cross_band[0, 0]
-    assert found.outside[0, 0] == pytest.approx(1 - inside.mean())
+    np.testing.assert_allclose(tests.crosscorrelation[0, 0], cross, atol=1e-6)
+    inside = np.abs(cross[12:]) <= tests.cross_band[0, 0]
+    assert tests.outside[0, 0] == pytest.approx(1 - inside.mean())
 
 
 @pytest.mark.parametrize("rho", [0.8, -0.6])
@@ -91,27 +91,27 @@ def test_a_known_autocorrelation(result, rho):
     u = levels(20000, seed=3)
     e = lfilter([0.2], [1, -rho], np.random.default_rng(5).normal(size=(20000, 1)), axis=0)
     rec = Recording({"u": u, "y": evaluate(LAG, LAG_AT).simulate(u, H) + e}, H, name="coloured")
-    own = replace(held(result, LAG_AT), options=replace(result.options, focus="simulation"))
-    found = check_residuals(own, rec, lags=20)
-    np.testing.assert_allclose(found.autocorrelation[0], rho ** np.arange(21), atol=0.06)
-    assert found.p_white[0] < 1e-10
-    assert "not white" in found.verdict[0]
-    assert found.outside[0, 0] < 0.1  # coloured, but nothing of the input is in it
+    simulation = replace(held(result, LAG_AT), options=replace(result.options, focus="simulation"))
+    tests = check_residuals(simulation, rec, lags=20)
+    np.testing.assert_allclose(tests.autocorrelation[0], rho ** np.arange(21), atol=0.06)
+    assert tests.p_white[0] < 1e-10
+    assert "not white" in tests.verdict[0]
+    assert tests.outside[0, 0] < 0.1  # coloured, but nothing of the input is in it
 
 
 def test_a_delay_that_is_left_out_shows_at_its_lags():
     """The model acts at once, the system three samples late: the input's next samples are missing from it."""
-    late = LinearStructure(
+    delayed = LinearStructure(
         "late",
         LAG.parameters[:2],
         lambda p: {"A": [[-p.a]], "B": [[0]], "B_delayed": [[p.b]], "delay": [0.3], "C": [[1]]},
     )
     u = np.random.default_rng(1).choice([-1.0, 1.0], (5000, 1))  # white, so that each lag stands for itself
     truth = {"a": 1.5, "b": 2.0}
-    rec = simulated(late, truth, u, noise=0.05)
+    rec = simulated(delayed, truth, u, noise=0.05)
     at_once = fit(LAG, rec, focus="simulation")
     wrong = check_residuals(at_once, rec, lags=30)
-    right = check_residuals(fit(late, rec), rec, lags=30)
+    right = check_residuals(fit(delayed, rec), rec, lags=30)
     assert right.outside[0, 0] < 0.1
     assert right.p_independent[0, 0] > 0.01
     assert wrong.p_independent[0, 0] < 1e-6
@@ -135,16 +135,16 @@ def test_a_delay_that_is_left_out_shows_at_its_lags():
 def test_bands_cover_ninety_nine_of_a_hundred(result, rho, hold):
     """For residuals of any colour and inputs of any colour, as long as one has nothing of the other."""
     outside_cross, outside_auto, chance = [], [], []
-    own = replace(held(result, {**LAG_AT, "k": 0.0}), options=replace(result.options, focus="simulation"))
+    simulation = replace(held(result, {**LAG_AT, "k": 0.0}), options=replace(result.options, focus="simulation"))
     for seed in range(40):
         random = np.random.default_rng(100 + seed)
         u = np.repeat(random.choice([-1.0, 1.0], (2000 // hold, 1)), hold, axis=0)
         e = lfilter([0.2], [1, -rho], random.normal(size=(2000, 1)), axis=0)
-        rec = Recording({"u": u, "y": own.model.simulate(u, H) + e}, H)
-        found = check_residuals(own, rec, lags=30)
-        outside_cross.append((np.abs(found.crosscorrelation) > found.cross_band[:, :, None]).mean())
-        outside_auto.append((np.abs(found.autocorrelation[0, 1:]) > found.band).mean())
-        chance.append(found.p_independent[0, 0])
+        rec = Recording({"u": u, "y": simulation.model.simulate(u, H) + e}, H)
+        tests = check_residuals(simulation, rec, lags=30)
+        outside_cross.append((np.abs(tests.crosscorrelation) > tests.cross_band[:, :, None]).mean())
+        outside_auto.append((np.abs(tests.autocorrelation[0, 1:]) > tests.band).mean())
+        chance.append(tests.p_independent[0, 0])
     assert kstest(chance, "uniform").pvalue > 1e-3
     assert 0.002 < np.mean(outside_cross) < 0.03
     if rho == 0:
@@ -155,10 +155,10 @@ def test_bands_cover_ninety_nine_of_a_hundred(result, rho, hold):
 
 def test_another_recording_may_be_tested(data, result):
     other = innovations(LAG, LAG_AT, levels(2000, seed=9), noise=[0.3], seed=7, name="second")
-    found = check_residuals(result, other)
-    assert found.recording == "second"
-    assert found.p_white[0] > 1e-3
-    assert found.rms[0] == pytest.approx(0.3, rel=0.1)
+    tests = check_residuals(result, other)
+    assert tests.recording == "second"
+    assert tests.p_white[0] > 1e-3
+    assert tests.rms[0] == pytest.approx(0.3, rel=0.1)
 
 
 def test_a_poor_gain_shows_as_colour(data, result):
@@ -177,15 +177,15 @@ def test_several_inputs_and_outputs_have_their_names():
     clean = evaluate(two, {"a": 1.5, "b": 2.0, "c": 1.0}).simulate(u, H)
     clean[:, 1] += 0.3 * np.concatenate([[0.0], u[:-1, 0]])  # the second output follows the first input as well
     rec = Recording({"u": u, "y": clean + 0.1 * np.random.default_rng(1).normal(size=u.shape)}, H)
-    found = check_residuals(fit(two, rec, focus="simulation"), rec, lags=8)
-    assert found.crosscorrelation.shape == (2, 2, 17)
-    assert found.cross_band.shape == found.outside.shape == (2, 2)
-    assert found.outside[1, 0] > 0.1
-    assert found.outside[0].max() < 0.3
-    assert "y_2: residuals still follow u_x: the structure leaves something out" in found.verdict
-    assert not any("y_1" in word and "follow" in word for word in found.verdict)
-    assert found.follows == ((), ("u_x",))
-    assert found.white.tolist() == [True, False]
+    tests = check_residuals(fit(two, rec, focus="simulation"), rec, lags=8)
+    assert tests.crosscorrelation.shape == (2, 2, 17)
+    assert tests.cross_band.shape == tests.outside.shape == (2, 2)
+    assert tests.outside[1, 0] > 0.1
+    assert tests.outside[0].max() < 0.3
+    assert "y_2: residuals still follow u_x: the structure leaves something out" in tests.verdict
+    assert not any("y_1" in word and "follow" in word for word in tests.verdict)
+    assert tests.follows == ((), ("u_x",))
+    assert tests.white.tolist() == [True, False]
 
 
 @pytest.mark.parametrize("lags", [0, -1, 101])
@@ -207,9 +207,9 @@ def test_a_model_that_overflows_is_refused(data, result):
 
 def test_the_simulation_of_a_mode_leaves_its_white_noise():
     rec = simulated(MODE, MODE_AT, levels(2000), noise=0.3)
-    found = check_residuals(fit(MODE, rec, focus="simulation"), rec)
-    assert found.p_white[0] > 0.01
-    assert found.rms[0] == pytest.approx(0.3, rel=0.05)
+    tests = check_residuals(fit(MODE, rec, focus="simulation"), rec)
+    assert tests.p_white[0] > 0.01
+    assert tests.rms[0] == pytest.approx(0.3, rel=0.05)
 
 
 # ---- numbers by their formulas ----
@@ -226,47 +226,47 @@ def test_band_and_probability_are_those_of_bartletts_covariance(data, result):
     lags = 20
     poor = replace(result, model=replace(result.model, K=None))
     slow = data.with_signals(u=levels(4000, hold=60, seed=2))
-    found = check_residuals(poor, slow, lags=lags)
+    tests = check_residuals(poor, slow, lags=lags)
     u, y = slow.signal("u"), slow.signal("y")
     state = estimate_initial_state(poor.model, u, y, H, poor.options.intersample)
     e = (y - poor.model.simulate(u, H, initial_state=state, intersample=poor.options.intersample))[:, 0]
     e, v = e - e.mean(), u[:, 0] - u.mean()
     most, n = 2 * lags, len(e)
-    own, other = correlations(e, e, most), correlations(v, v, most + lags)
+    of_errors, other = correlations(e, e, most), correlations(v, v, most + lags)
     covariance = [
-        sum((1 - abs(m) / (most + 1)) * own[abs(m)] * other[abs(m + k)] for m in range(-most, most + 1))
+        sum((1 - abs(m) / (most + 1)) * of_errors[abs(m)] * other[abs(m + k)] for m in range(-most, most + 1))
         for k in range(lags + 1)
     ]
-    assert found.cross_band[0, 0] == pytest.approx(norm.ppf(0.995) * np.sqrt(covariance[0] / n), rel=1e-9)
+    assert tests.cross_band[0, 0] == pytest.approx(norm.ppf(0.995) * np.sqrt(covariance[0] / n), rel=1e-9)
     values, vectors = np.linalg.eigh(toeplitz(covariance))
     kept = values > 1e-6 * values[-1]
     assert kept.sum() > np.sum(values > 1e-1 * values[-1])
     statistic = n * np.sum((vectors.T @ correlations(v, e, lags))[kept] ** 2 / values[kept])
-    assert found.p_independent[0, 0] == pytest.approx(chi2.sf(statistic, kept.sum()), rel=1e-6, abs=1e-300)
+    assert tests.p_independent[0, 0] == pytest.approx(chi2.sf(statistic, kept.sum()), rel=1e-6, abs=1e-300)
 
 
 def test_two_outputs_are_white_at_half_a_percent_each(data, result):
     two = {"p_white": np.array([0.006, 0.004]), "p_independent": np.ones((2, 1)), "output_names": ("x", "y")}
-    found = replace(check_residuals(result, data), **two)
-    np.testing.assert_array_equal(found.white, [True, False])
-    assert found.verdict == ("x: residuals white (p = 0.006)", "y: residuals not white (p = 0.004)")
+    computed = replace(check_residuals(result, data), **two)
+    np.testing.assert_array_equal(computed.white, [True, False])
+    assert computed.verdict == ("x: residuals white (p = 0.006)", "y: residuals not white (p = 0.004)")
 
 
 def test_the_longest_stretch_is_tested(data, result):
-    found = check_residuals(result, data, left_out=[(700, 800), (2900, 2950)])
+    tests = check_residuals(result, data, left_out=[(700, 800), (2900, 2950)])
     alone = check_residuals(result, data.slice(800, 2900))
     for name in ("autocorrelation", "crosscorrelation", "cross_band", "p_white", "rms", "infinity_norm"):
-        np.testing.assert_allclose(getattr(found, name), getattr(alone, name), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(getattr(tests, name), getattr(alone, name), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
 def test_an_offset_of_the_outputs_changes_nothing_where_offsets_are_estimated(data, result, focus):
     free = replace(result, disturbances=OFFSET, options=replace(result.options, focus=focus))
-    moved = data.with_signals(y=data.signal("y") + 40.0)
-    found, plain = check_residuals(free, moved), check_residuals(free, data)
-    np.testing.assert_allclose(found.rms, plain.rms, rtol=1e-9)
-    np.testing.assert_allclose(found.infinity_norm, plain.infinity_norm, rtol=1e-9)
-    np.testing.assert_allclose(found.autocorrelation, plain.autocorrelation, atol=1e-9)
+    shifted = data.with_signals(y=data.signal("y") + 40.0)
+    computed, plain = check_residuals(free, shifted), check_residuals(free, data)
+    np.testing.assert_allclose(computed.rms, plain.rms, rtol=1e-9)
+    np.testing.assert_allclose(computed.infinity_norm, plain.infinity_norm, rtol=1e-9)
+    np.testing.assert_allclose(computed.autocorrelation, plain.autocorrelation, atol=1e-9)
 
 
 # ---- offsets that belong to a recording ----

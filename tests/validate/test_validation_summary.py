@@ -56,10 +56,10 @@ def plainly(result, recording, left_out=()):
     free = np.stack(columns, axis=2)
     size = np.linalg.norm(free[kept].reshape(-1, free.shape[2]), axis=0)
     from_rest = run(u, np.zeros(n))
-    found = np.linalg.lstsq((free[kept] / size).reshape(-1, len(size)), (y - from_rest)[kept].ravel(), rcond=None)[0]
-    simulated = from_rest + (free / size) @ found
+    solution = np.linalg.lstsq((free[kept] / size).reshape(-1, len(size)), (y - from_rest)[kept].ravel(), rcond=None)[0]
+    simulated = from_rest + (free / size) @ solution
     norm = np.abs(y - simulated)[kept].max(axis=0)
-    return fit_percent(y[kept], simulated[kept]), norm, simulated, (found / size)[:n]
+    return fit_percent(y[kept], simulated[kept]), norm, simulated, (solution / size)[:n]
 
 
 # ---- many, one by one, and plain least squares ----
@@ -121,15 +121,17 @@ def test_stretches_left_out_do_not_count():
     y = clean.signal("y").copy()
     y[100:160], y[0:20] = 1e3, -1e3
     bad, left_out = clean.with_signals(y=y), [(100, 160), (0, 20)]
-    found = cross_validate(result, bad, left_out)
-    assert found.fit_percent[0] == pytest.approx(100, abs=1e-2)
-    np.testing.assert_allclose(found.simulated, plainly(result, bad, left_out)[2], rtol=0, atol=1e-8)
-    np.testing.assert_allclose(found.initial_state, [1.0, 2.0], rtol=1e-3)
-    assert found.simulated.shape == found.measured.shape == (600, 1)
+    validation = cross_validate(result, bad, left_out)
+    assert validation.fit_percent[0] == pytest.approx(100, abs=1e-2)
+    np.testing.assert_allclose(validation.simulated, plainly(result, bad, left_out)[2], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(validation.initial_state, [1.0, 2.0], rtol=1e-3)
+    assert validation.simulated.shape == validation.measured.shape == (600, 1)
     assert cross_validate(result, bad).fit_percent[0] < 50
     kept = np.r_[20:100, 160:600]
-    expected = 100 * (1 - np.linalg.norm(y[kept] - found.simulated[kept]) / np.linalg.norm(y[kept] - y[kept].mean()))
-    assert found.fit_percent[0] == pytest.approx(expected, rel=1e-12)
+    expected = 100 * (
+        1 - np.linalg.norm(y[kept] - validation.simulated[kept]) / np.linalg.norm(y[kept] - y[kept].mean())
+    )
+    assert validation.fit_percent[0] == pytest.approx(expected, rel=1e-12)
     assert check_residuals(result, bad, 20, left_out).infinity_norm[0] < 1e-2 < check_residuals(result, bad, 20).rms[0]
 
 
@@ -139,11 +141,11 @@ def test_offsets_are_those_of_the_samples_that_count(recordings):
     wrong = recordings[1].signal(signal).copy()
     wrong[500:900] += 10 * np.ptp(wrong, axis=0)
     bad, left_out = recordings[1].with_signals(**{signal: wrong}), [(500, 900)]
-    found = cross_validate(result, bad, left_out)
+    validation = cross_validate(result, bad, left_out)
     percent, norm, response, _ = plainly(result, bad, left_out)
-    np.testing.assert_allclose(found.simulated, response, rtol=0, atol=1e-8 * np.abs(response).max())
-    np.testing.assert_allclose(found.fit_percent, percent, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(found.infinity_norm, norm, rtol=1e-7)
+    np.testing.assert_allclose(validation.simulated, response, rtol=0, atol=1e-8 * np.abs(response).max())
+    np.testing.assert_allclose(validation.fit_percent, percent, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(validation.infinity_norm, norm, rtol=1e-7)
 
 
 @pytest.mark.parametrize("stretch", [(-1, 5), (5, 5), (590, 601), (0, 600)])
@@ -172,37 +174,37 @@ def some_scores(n=40, seed=0):
 
 def test_summary_is_that_of_numpy():
     scores = some_scores()
-    found = summarise(scores, bins=8, worst=2)
-    assert (found.n_pairs, found.n_models, found.n_recordings) == (40, 8, 40)
-    np.testing.assert_allclose(found.mean, scores.fit_percent.mean(0))
-    np.testing.assert_allclose(found.std, scores.fit_percent.std(0, ddof=1))
-    np.testing.assert_allclose(found.infinity_norm_max, scores.infinity_norm.max(0))
-    np.testing.assert_array_equal(found.counts.sum(axis=1) + found.below, [40, 40])
-    assert found.counts.shape == (2, 8)
-    assert found.edges.shape == (2, 9)
+    summary = summarise(scores, bins=8, worst=2)
+    assert (summary.n_pairs, summary.n_models, summary.n_recordings) == (40, 8, 40)
+    np.testing.assert_allclose(summary.mean, scores.fit_percent.mean(0))
+    np.testing.assert_allclose(summary.std, scores.fit_percent.std(0, ddof=1))
+    np.testing.assert_allclose(summary.infinity_norm_max, scores.infinity_norm.max(0))
+    np.testing.assert_array_equal(summary.counts.sum(axis=1) + summary.below, [40, 40])
+    assert summary.counts.shape == (2, 8)
+    assert summary.edges.shape == (2, 9)
     order = np.argsort(scores.fit_percent[:, 1])
-    assert [w.recording for w in found.worst if w.output == "p_y"] == [f"r{i}" for i in order[:2]]
-    assert [(p.pressure_bar, p.speed_rpm) for p in found.points] == [(3, 0), (3, 4000), (6, 0), (6, 4000)]
+    assert [w.recording for w in summary.worst if w.output == "p_y"] == [f"r{i}" for i in order[:2]]
+    assert [(p.pressure_bar, p.speed_rpm) for p in summary.points] == [(3, 0), (3, 4000), (6, 0), (6, 4000)]
     rows = (scores.pressure_bar == 3) & (scores.speed_rpm == 4000)
-    np.testing.assert_allclose(found.points[1].mean, scores.fit_percent[rows].mean(0))
-    assert sum(p.n_pairs for p in found.points) == 40
+    np.testing.assert_allclose(summary.points[1].mean, scores.fit_percent[rows].mean(0))
+    assert sum(p.n_pairs for p in summary.points) == 40
 
 
 def test_one_hopeless_model_does_not_flatten_the_histogram():
     scores = some_scores()
     fit = scores.fit_percent.copy()
     fit[3, 0] = -4e4
-    found = summarise(replace(scores, fit_percent=fit))
-    assert found.below.tolist() == [1, 0]
-    assert found.edges[0, 0] > 50
-    assert found.least[0] == -4e4
-    assert found.worst[0].model == "m3"
+    summary = summarise(replace(scores, fit_percent=fit))
+    assert summary.below.tolist() == [1, 0]
+    assert summary.edges[0, 0] > 50
+    assert summary.least[0] == -4e4
+    assert summary.worst[0].model == "m3"
 
 
 def test_points_that_are_not_known_are_one():
     nowhere = np.full(40, np.nan)
-    found = summarise(replace(some_scores(), pressure_bar=nowhere, speed_rpm=nowhere))
-    assert [p.n_pairs for p in found.points] == [40]
+    summary = summarise(replace(some_scores(), pressure_bar=nowhere, speed_rpm=nowhere))
+    assert [p.n_pairs for p in summary.points] == [40]
 
 
 def test_equal_fits_and_single_pairs():
@@ -221,21 +223,21 @@ def test_equal_fits_and_single_pairs():
 
 
 def test_summary_comes_back_as_it_was(tmp_path):
-    found = summarise(some_scores(), failed=["m1 on r2: not there"])
-    save(found, tmp_path / "a.h5")
+    summary = summarise(some_scores(), failed=["m1 on r2: not there"])
+    save(summary, tmp_path / "a.h5")
     back = load(tmp_path / "a.h5", ValidationSummary)
     for name in ("mean", "std", "edges", "counts", "below", "infinity_norm_max", "median"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(found, name))
-    assert back.worst == found.worst
-    assert back.failed == found.failed
+        np.testing.assert_array_equal(getattr(back, name), getattr(summary, name))
+    assert back.worst == summary.worst
+    assert back.failed == summary.failed
     assert (back.n_pairs, back.output_names, back.output_units) == (40, ("p_x", "p_y"), ("m", "m"))
-    for one, other in zip(back.points, found.points, strict=True):
+    for one, other in zip(back.points, summary.points, strict=True):
         assert (one.pressure_bar, one.speed_rpm, one.n_pairs) == (other.pressure_bar, other.speed_rpm, other.n_pairs)
         np.testing.assert_array_equal(one.mean, other.mean)
     with pytest.raises(UsageError, match="exists already"):
-        save(found, tmp_path / "a.h5")
-    write_csv(summary_csv_table(found), tmp_path / "a.csv")
+        save(summary, tmp_path / "a.h5")
+    write_csv(summary_csv_table(summary), tmp_path / "a.csv")
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert lines[1] == "pressure_bar,speed_rpm,output,pairs,mean,std,infinity_norm,unit"
-    assert lines[2].startswith(f"all,all,p_x,40,{found.mean[0]!r},".replace("np.float64(", "").replace(")", ""))
+    assert lines[2].startswith(f"all,all,p_x,40,{summary.mean[0]!r},".replace("np.float64(", "").replace(")", ""))
     assert len(lines) == 2 + 2 * 5

@@ -23,9 +23,9 @@ def mutate_hdf5(random: Random, content: bytes) -> bytes:
     memory = io.BytesIO(content)
     with h5py.File(memory, "r+") as file:
         for _ in range(random.choice((1, 1, 2, 3))):
-            found: list[str] = []
-            file.visit(found.append)
-            _change_entry(random, file, random.choice(found) if found else "/")
+            results: list[str] = []
+            file.visit(results.append)
+            _change_entry(random, file, random.choice(results) if results else "/")
         for name in ("gbid_kind", "schema_version"):
             if random.randrange(50) == 0 and name in file.attrs:
                 file.attrs[name] = random.choice((1, 2, 99, "fit", "recording", -1))

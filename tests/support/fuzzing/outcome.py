@@ -121,12 +121,12 @@ class MemoryOfProcess:
 
 
 def _family() -> list[int]:
-    own = os.getpid()
+    process = os.getpid()
     try:
-        children = Path(f"/proc/{own}/task/{own}/children").read_text().split()
+        children = Path(f"/proc/{process}/task/{process}/children").read_text().split()
     except OSError:
         children = []
-    return [own, *map(int, children)]
+    return [process, *map(int, children)]
 
 
 def _status(process: int, what: bytes) -> int:

@@ -112,18 +112,22 @@ def _texts() -> list[FuzzTarget]:
         save_model(load_model("theisen2016"), places["model"])
         actuators = dict(load_model("theisen2016").actuators)
         write_yaml({"kind": ACTUATORS_KIND, "schema_version": 1, "actuators": actuators}, places["actuators"])
-        found = {name: path.read_bytes() for name, path in places.items()}
+        results = {name: path.read_bytes() for name, path in places.items()}
     table = with_text_checksum(
         csv_text(plain_table(("a", "b"), [(1.5, 2.5), (3.0, -1e-9)], ("note",))), ".csv"
     ).encode()
     experiment = (share_folder("experiments") / "quickstart.yaml").read_bytes()
-    own = FileOrigin.OWN
+    origin = FileOrigin.OWN
     return [
-        FuzzTarget("controller", ".yaml", own, found["p"], _telling(gbid.load_controller), mutate_tree, 10),
-        FuzzTarget("controller, biquad", ".yaml", own, found["biquad"], _telling(gbid.load_controller), mutate_text, 2),
-        FuzzTarget("LPV model", ".yaml", own, found["model"], _telling(load_model), mutate_tree, 5),
-        FuzzTarget("nominal actuators", ".yaml", own, found["actuators"], _telling(load_actuators), mutate_tree, 10),
-        FuzzTarget("table of results", ".csv", own, table, _read_text, mutate_text, 40),
+        FuzzTarget("controller", ".yaml", origin, results["p"], _telling(gbid.load_controller), mutate_tree, 10),
+        FuzzTarget(
+            "controller, biquad", ".yaml", origin, results["biquad"], _telling(gbid.load_controller), mutate_text, 2
+        ),
+        FuzzTarget("LPV model", ".yaml", origin, results["model"], _telling(load_model), mutate_tree, 5),
+        FuzzTarget(
+            "nominal actuators", ".yaml", origin, results["actuators"], _telling(load_actuators), mutate_tree, 10
+        ),
+        FuzzTarget("table of results", ".csv", origin, table, _read_text, mutate_text, 40),
         FuzzTarget("experiment", ".yaml", FileOrigin.FOREIGN, experiment, _plainly(_read_experiment), mutate_tree, 4),
         FuzzTarget(
             "experiment, files", ".yaml", FileOrigin.FOREIGN, _OF_FILES, _plainly(_read_experiment), mutate_tree, 6
@@ -322,8 +326,8 @@ def _import(path: Path) -> tuple[Any, tuple[str, ...]]:
 
 def _design() -> TunedDesign:
     gain = ca.SX.sym("g")
-    found = gbid.maximise_damping(ca.Function("A", [gain], [oscillator(gain)]), ["g"], 0.0, 0.5, "decay")
-    return TunedDesign("design", "model", found, (), (), HalfSine(), 2e-4)
+    design = gbid.maximise_damping(ca.Function("A", [gain], [oscillator(gain)]), ["g"], 0.0, 0.5, "decay")
+    return TunedDesign("design", "model", design, (), (), HalfSine(), 2e-4)
 
 
 def _seal_mutated(random: Random, content: bytes) -> bytes:
