@@ -2,8 +2,9 @@
 
 ``python -m benchmarks.kills [--kills N] [--minutes M] [--seed S] [--output FILE]``
 
-The verbs are `run`, `batch` (with a pool of two workers), `tune`, `report`, `figures`, `export` (C source of a tuned
-controller) and `serve` (it never ends, so each of its campaigns is one kill). A campaign is one verb on a
+The verbs are `run`, `batch` (with a pool of two workers), `tune`, `report`, `paper` (its figures), `export`
+(C source of a tuned controller) and `serve` (it never ends, so each of its campaigns is one kill). A campaign is one
+verb on a
 fresh copy of what it needs: it is killed, checked and started again until it ends by itself. The instant of a kill is
 drawn uniformly from the time that the verb takes undisturbed, so that it may fall into anything. Most signals are
 SIGKILL; the others are SIGTERM, SIGINT and SIGHUP. With `batch` every third victim is a worker.
@@ -24,7 +25,7 @@ At the end of each campaign:
 - twice: results that were complete at a kill, with the content key that they have at the end, and were written again.
 - left: temporary files and locks.
 
-In a fifth of the campaigns of `run`, `report` and `figures` the first command may write no file larger than a few ten
+In a fifth of the campaigns of `run`, `report` and `paper` the first command may write no file larger than a few ten
 kilobytes, as on a full disk: it must end with code 3, and the next one must go on.
 
 In every other campaign the clock goes backwards: the times of the files are set years back or ahead after a kill, and
@@ -52,14 +53,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.running import options_of, store
+from benchmarks.running import markdown, options_of, store
 
-VERBS = {"run": 0.26, "batch": 0.06, "tune": 0.2, "report": 0.14, "figures": 0.14, "export": 0.14, "serve": 0.06}
+VERBS = {"run": 0.26, "batch": 0.06, "tune": 0.2, "report": 0.14, "paper": 0.14, "export": 0.14, "serve": 0.06}
 """Share of the kills of each verb; `batch` has fewer, because its workers import everything anew."""
 _SERIAL = ("--engine", "serial")
 _ENGINES = {
     **{"run": _SERIAL, "tune": _SERIAL, "batch": ("--engine", "pool", "--workers", "2")},
-    **{"export": ("--to", "c"), "serve": ("--port", "0")},
+    **{"export": ("--to", "c"), "serve": ("--port", "0"), "paper": ("--only", "figures")},
 }
 _MARK = "GBID_KILL_STUDY"
 _PATIENCE = 2.0  # time after which a process of a killed command is an orphan [s]
@@ -240,7 +241,7 @@ def make_cases(folder: Path) -> list[Case]:
     cases = []
     before = {
         "tune": ("import", "fit", "crossval"),
-        **dict.fromkeys(("report", "figures", "export", "serve"), ("run",)),
+        **dict.fromkeys(("report", "paper", "export", "serve"), ("run",)),
     }
     for verb in VERBS:
         template = folder / verb
@@ -293,7 +294,7 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
     seen: dict[str, tuple[str, int, int]] = {}
     for attempt in range(1000):
         mark = f"{os.getpid()}-{folder.name}-{attempt}"
-        full = attempt == 0 and chance.random() < _FULL and case.verb in ("run", "report", "figures")
+        full = attempt == 0 and chance.random() < _FULL and case.verb in ("run", "report", "paper")
         largest = chance.randrange(2_000, 60_000) if full else 0
         process = begin(arguments, log, mark, clock and attempt > 0, largest)
         by_worker = case.verb == "batch" and attempt % 3 == 2
@@ -417,6 +418,15 @@ def _figures(seed: int, kills: int, tallies: Mapping[str, Tally], stale: Sequenc
         "signals": dict(sum((tally.signals for tally in tallies.values()), Counter())),
         "verbs": verbs,
     }
+
+
+def table(run: Mapping[str, Any]) -> str:
+    """Return the counts of each verb as Markdown."""
+    shown = {"kills": "kills", "campaigns": "rounds", "clocks": "rounds with another clock", "full": "full disks"}
+    shown |= {"lost": "lost", "twice": "made twice", "half": "half sets", "orphans": "processes after 2 s"}
+    shown |= {"left": "left over", "failed": "hangs, wrong codes"}
+    rows = [[f"`gbid {verb}`", *(row[key] for key in shown)] for verb, row in run["verbs"].items()]
+    return markdown(["verb", *shown.values()], [*rows, ["all", *(run[key] for key in shown)]])
 
 
 def main() -> None:

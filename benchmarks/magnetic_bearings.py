@@ -17,7 +17,7 @@ from scipy.linalg import eig
 from scipy.signal import cont2discrete
 
 import gbid
-from benchmarks.running import about, options_of, run_study, timed
+from benchmarks.running import about, markdown, options_of, run_study, timed
 from gbid.control import ISO_LIMITS, AxisSensitivity, MaxDamping, MinDamping, sample_controller
 from gbid.export import ChainInput, ChainOptions
 from gbid.export.chain import Chain, chain_of
@@ -430,6 +430,42 @@ def true_values(rotor: Any) -> dict[str, float]:
         for j, (end, e) in enumerate(zip("ab", rotor.bearing_elements, strict=True))
     ]
     return {**dict(pairs), "omega_amplifier": 2 * np.pi * truth.amplifier_hz, "tau_amplifier": truth.delay_s}
+
+
+def fit_table(run: Mapping[str, Any]) -> str:
+    """Return the estimates beside the true values as Markdown."""
+    rows = []
+    for row in run["fit"]["parameters"]:
+        off = row["value"] - row["truth"]
+        cells = [f"{row[key]:.5g}" for key in ("start", "value", "std", "truth")]
+        rows.append([row["name"], *cells, f"{100 * off / row['truth']:+.2f}", f"{off / row['std']:+.1f}"])
+    head = ["parameter", "start", "estimate", "std", "truth", "error [%]", "error [std]"]
+    return markdown(head, rows, f"From {run['fit']['seconds']:.1f} s.")
+
+
+def speed_table(run: Mapping[str, Any]) -> str:
+    """Return peaks, positions and currents over the speed as Markdown."""
+    keys = {"speed_rpm": ".0f", "peak": ".3f", "position_um": ".1f", "current_A": ".3f", "largest_current_A": ".2f"}
+    rows = [[format(row[key], form) for key, form in keys.items()] for row in run["by_speed"]]
+    head = ["speed [rpm]", "peak of S", "position at the end [um]", "current at the end [A]", "largest current [A]"]
+    return markdown(head, rows)
+
+
+def judgements(run: Mapping[str, Any]) -> str:
+    """Return in words what ROSS and the other rotors say, and the processor time."""
+    judge, rotors = run["ross"], run["rotors"]
+    peaks, held = ([rotor[key] for rotor in rotors] for key in ("peak", "position_um"))
+    seconds = {"fit": run["fit"]["processor_s"], **run["design"]["processor_s"]}
+    return "\n".join(
+        (
+            f"{judge['speed_rpm']:.0f} rpm: peak {judge['peak']:.3f} by ROSS, {judge['peak_of_simulation']:.3f} in the "
+            f"simulation; largest difference at any frequency {100 * judge['largest_difference']:.2f} %",
+            f"{len(peaks)} other rotors of the series: peaks {min(peaks):.2f} to {max(peaks):.2f}; "
+            f"{sum(peak < 3 for peak in peaks)} in zone A; positions at the end at most {max(held):.1f} um",
+            f"processor time [s]: {', '.join(f'{name} {s:.1f}' for name, s in seconds.items())}; "
+            f"in all {sum(seconds.values()):.0f}",
+        )
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -478,6 +478,43 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_study(run, options.output, table)
 
 
+def pictures(run: Mapping[str, Any]) -> None:
+    """Draw a stretch of the first test of each benchmark into the current figure of pyplot."""
+    import matplotlib.pyplot as plt
+
+    _, axes = plt.subplots(len(run), 1, figsize=(8, 1.9 * len(run)), layout="constrained")
+    for ax, entry in zip(axes, run.values(), strict=True):
+        shown = entry["picture"]
+        t, y, simulation = (np.array(shown[key]) for key in ("t", "y", "simulated"))
+        ax.plot(t, y, color="0.6", lw=2.5, label="measured")
+        ax.plot(t, simulation, color="C0", lw=0.9, label="simulated")
+        ax.plot(t, y - simulation, color="C3", lw=0.9, label="error")
+        ax.set_title(f"{entry['title']}: {shown['test']}", fontsize=9, loc="left")
+        ax.margins(x=0)
+    axes[0].legend(ncols=3, fontsize=8, loc="upper right")
+    axes[-1].set_xlabel("time [s]")
+
+
+def estimates_text(run: Mapping[str, Any]) -> str:
+    """Return what was chosen, the kind of the residuals, and the parameters with their standard deviations."""
+    lines = []
+    for entry in run.values():
+        lines.append(f"{entry['title']}: {entry['chosen']}; residuals {entry['residuals']}")
+        for name, (value, std, unit) in entry["parameters"].items():
+            lines.append(f"    {name:5s} {value:12.6g} +- {std:8.2g} {unit}")
+    return "\n".join(lines)
+
+
+def friction_text(run: Mapping[str, Any]) -> str:
+    """Return the friction of the drive in the training data beside that of a fit to the test."""
+    entry = run["emps"]
+    lines = []
+    for name in ("m", "F_v", "F_c", "F_0", "F_a"):
+        (value, std, unit), (other, other_std, _) = entry["parameters"][name], entry["fits_of_tests"]["pulses"][name]
+        lines.append(f"{name:4s} training {value:8.2f} +- {std:5.2f}   test {other:8.2f} +- {other_std:5.2f} {unit}")
+    return "\n".join(lines)
+
+
 def table(run: Mapping[str, Any]) -> str:
     """Return the errors of all tests beside the least published one, with parameters and times, as Markdown."""
     rows = []

@@ -35,7 +35,7 @@ def stated(monkeypatch, apart, rounding):
         weight=lambda products: np.eye(1),
         prior=SimpleNamespace(information=np.zeros(2)),
         extra=None,
-        parts=(SimpleNamespace(predictor=SimpleNamespace(feeds_back=False)),),
+        parts=(SimpleNamespace(predictor=SimpleNamespace(feeds_back=False), blocks=SimpleNamespace(segments=())),),
     )
     held = np.zeros(2, bool)
     products = errors.T @ errors

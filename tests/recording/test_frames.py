@@ -104,7 +104,7 @@ def test_values_draw_themselves(rec, result):
     assert [ax.get_ylabel() for ax in panels] == ["$p$ [µm]", "$y$ [V]"]
     assert panels[0].lines[0].get_xdata()[0] == pytest.approx(1.0)
     assert rec.plot(panels, signals=("p", "y"))[0] is panels[0]
-    assert result.plot()[0, 0].get_ylabel() == "magnitude"
+    assert result.plot()[0, 0].get_ylabel() == "magnitude [output/input]"
     assert result.model.plot().shape == (2, 1)
     assert gbid.measured_response(rec, "u", "y").plot().shape == (3, 1)
     assert gbid.cross_validate(result, rec).plot().shape == (2,)
