@@ -4,10 +4,9 @@
 
 The verbs are `run`, `batch` (with a pool of two workers), `tune`, `report`, `paper` (its figures), `export`
 (C source of a tuned controller) and `serve` (it never ends, so each of its campaigns is one kill). A campaign is one
-verb on a
-fresh copy of what it needs: it is killed, checked and started again until it ends by itself. The instant of a kill is
-drawn uniformly from the time that the verb takes undisturbed, so that it may fall into anything. Most signals are
-SIGKILL; the others are SIGTERM, SIGINT and SIGHUP. With `batch` every third victim is a worker.
+verb on a fresh copy of what it needs: it is killed, checked and started again until it ends by itself. The instant of
+a kill is drawn uniformly from the time that the verb takes undisturbed, so that it may fall into anything. Most signals
+are SIGKILL; the others are SIGTERM, SIGINT and SIGHUP. With `batch` every third victim is a worker.
 
 Each command is a fork of this process, which has done the same work before: otherwise most kills would hit imports.
 
