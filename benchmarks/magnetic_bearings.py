@@ -459,9 +459,11 @@ def judgements(run: Mapping[str, Any]) -> str:
     return "\n".join(
         (
             f"{judge['speed_rpm']:.0f} rpm: peak {judge['peak']:.3f} by ROSS, {judge['peak_of_simulation']:.3f} in the "
-            f"simulation; largest difference at any frequency {100 * judge['largest_difference']:.2f} %",
-            f"{len(peaks)} other rotors of the series: peaks {min(peaks):.2f} to {max(peaks):.2f}; "
-            f"{sum(peak < 3 for peak in peaks)} in zone A; positions at the end at most {max(held):.1f} um",
+            "simulation",
+            f"largest difference at any frequency {100 * judge['largest_difference']:.2f} %",
+            f"{len(peaks)} other rotors of the series: peaks {min(peaks):.2f} to {max(peaks):.2f}, "
+            f"{sum(peak < 3 for peak in peaks)} in zone A",
+            f"their positions at the end: at most {max(held):.1f} um",
             f"processor time [s]: {', '.join(f'{name} {s:.1f}' for name, s in seconds.items())}; "
             f"in all {sum(seconds.values()):.0f}",
         )

@@ -169,6 +169,12 @@ def test_notebooks_to_download_need_nothing_but_gbid() -> None:
         assert "literalinclude" not in path.read_text(encoding="utf-8"), relative(path)
 
 
+@pytest.mark.parametrize("path", [p for p in PAGES if any("Markdown(" in cell for cell in cells(p))], ids=relative)
+def test_tables_made_by_cells_are_rendered(path: Path) -> None:
+    """Without this line of its head a page shows such a table as running text with bars."""
+    assert "\nmystnb:\n  render_markdown_format: myst\n" in path.read_text(encoding="utf-8").split("\n---\n")[0] + "\n"
+
+
 def test_equation_labels_are_defined() -> None:
     for path in PAGES:
         text = path.read_text(encoding="utf-8")
