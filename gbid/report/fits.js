@@ -69,7 +69,7 @@ const Fits = (() => {
     script.src = [data.beside, ...name.split("/").map(encodeURIComponent)].join("/") + ".js";
     script.onerror = () => {
       host.textContent =
-        "The page has the curves of the worst and the best fits. `gbid report EXPERIMENT --curves` writes the others beside it, and `gbid serve EXPERIMENT` draws them when they are asked for.";
+        "The page has the curves of the worst and the best fits. The command “gbid report EXPERIMENT --curves” writes the others beside it, and “gbid serve EXPERIMENT” draws them on demand.";
     };
     document.head.appendChild(script);
   }

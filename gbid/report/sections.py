@@ -538,7 +538,7 @@ def warnings(results: Results) -> list[Link]:
         add_if(lack, f"surfaces {item} miss the means of some parameters by more than chance", "#surfaces")
         add_if(not fit.success, f"surfaces {item}: {fit.status}", "#surfaces")
         far = len(fit.outliers)
-        add_if(far, f"surfaces {item}: far off lie {far} of the estimates", "#surfaces")
+        add_if(far, f"surfaces {item}: {far} estimate{'s' * (far != 1)} far off their surface", "#surfaces")
     for design in results.assessed:
         links += [Link(f"controller {design.name}: {text}", "#controller") for text in design.warnings()]
     links += [Link(f"controller {name}: {text}", "#controller") for name, text in results.designs.missing.items()]
