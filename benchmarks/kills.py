@@ -393,7 +393,8 @@ def study(kills: int, minutes: float, seed: int, output: Path | None) -> dict[st
         deadline = time.monotonic() + 60 * minutes
         number, most = 0, {verb: round(share * kills) for verb, share in VERBS.items()}
         while time.monotonic() < deadline and any(tallies[verb].counts["kills"] < most[verb] for verb in VERBS):
-            for case in sorted(cases, key=lambda case: tallies[case.verb].counts["kills"] / VERBS[case.verb])[:2]:
+            left = [case for case in cases if tallies[case.verb].counts["kills"] < most[case.verb]]
+            for case in sorted(left, key=lambda case: tallies[case.verb].counts["kills"] / VERBS[case.verb])[:2]:
                 number += 1
                 campaign(case, folder / f"{case.verb}{number}", chance, tallies[case.verb], most[case.verb])
             figures = _figures(seed, kills, tallies, ())
