@@ -142,6 +142,9 @@ def test_the_hold_is_divided_out(hold):
     low = measured.frequency_hz < 1.5
     truth = evaluate(MODE, at).frequency_response(measured.frequency_hz[low])
     assert np.abs(measured.response[low] / truth - 1).max() < 0.05
+    of_samples = measured_response(rec, "u", "y", intersample=None, resolution_hz=0.02)
+    part = np.abs(measured.response / of_samples.response)
+    np.testing.assert_allclose(measured.std / of_samples.std, part, rtol=1e-9)  # an error is divided by the hold, too
 
 
 def test_a_reference_removes_the_bias_of_a_loop():
