@@ -15,7 +15,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.notes import FitNote
 from gbid.core.option_types import takes_options
-from gbid.identify.frequency_fit import fitted_to_responses
+from gbid.identify.frequency_fit import USED, fitted_to_responses
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import FitTask, Measured, PosedProblem, Recordings, apart, pose, with_options
 from gbid.identify.problem.hessian import gauss_newton
@@ -23,7 +23,6 @@ from gbid.identify.problem.solve import NlpFunctions, Trouble, nlp_functions
 from gbid.identify.restarts import best_attempt, windows_of
 from gbid.identify.result import FitResult, Profile
 from gbid.identify.uncertainty.residual_tests import COLOURED
-from gbid.recording.recording import Recording
 from gbid.structure import AnyStructure, kind_of
 from gbid.structure.parameter import asked_once
 
@@ -37,6 +36,7 @@ def fitted(structure: AnyStructure, recordings: Measured, options: FitArguments)
             with one_blas_thread():
                 parameters = with_options(structure.parameters, options)
                 result = fitted_to_responses(structure, parameters, responses, options)
+            result = with_profiles(result, options.profile)
             return replace(result, wall_time_s=time.perf_counter() - began)
         task = pose(structure, recordings, options)
         # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
@@ -89,7 +89,7 @@ def profile(
     *,
     level: float = 0.95,
     structure: AnyStructure | None = None,
-    recordings: Recordings | None = None,
+    recordings: Measured | None = None,
 ) -> dict[str, Profile]:
     """Return the profile likelihoods of estimated parameters: which values of each the data do not contradict.
 
@@ -108,8 +108,8 @@ def profile(
         Probability of the intervals.
     structure : Structure or NonlinearStructure, optional
         For a result from a file: the structure of its fit.
-    recordings : Recording or sequence of Recording, optional
-        For a result from a file: the recordings of its fit. It is fitted again, from its estimates.
+    recordings : Recording, FrequencyData or sequence of these, optional
+        For a result from a file: the data of its fit. It is fitted again, from its estimates.
 
     Returns
     -------
@@ -151,13 +151,15 @@ def with_profiles(result: FitResult, wanted: Sequence[str]) -> FitResult:
 _SAME_LIKELIHOOD = 0.1  # difference of log-likelihoods: far below what moves the end of an interval
 
 
-def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Recordings) -> FitResult:
+def _fitted_again(result: FitResult, structure: AnyStructure, recordings: Measured) -> FitResult:
     """Return the fit of a stored result, made again from its estimates."""
     stated, own_names = {q.name for q in structure.parameters}, result.own_names
     start = {own_names.get(q, q): result.parameters[q] for q in result.free if own_names.get(q, q) in stated}
-    settled = {field.name: getattr(result.options, field.name) for field in fields(result.options)}
+    in_time, responses = apart(recordings)
+    known = [field.name for field in fields(result.options) if in_time or field.name in USED]
+    settled = {name: getattr(result.options, name) for name in known}
     again = fitted(structure, recordings, FitArguments(**{**settled, "start": start, "profile": ()}))
-    n_samples = sum(rec.n_samples for rec in ([recordings] if isinstance(recordings, Recording) else recordings))
+    n_samples = sum(rec.n_samples for rec in in_time) + sum(2 * each.response.size for each in responses)
     if again.free != result.free or not abs(np.log(again.loss / result.loss)) * n_samples < _SAME_LIKELIHOOD:
         raise UsageError(
             f"fitted again from its estimates, {', '.join(result.recordings)} have the loss {again.loss:.6g}, and the "

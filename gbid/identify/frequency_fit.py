@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from gbid.identify.problem.solve import TOLERANCES, Progress
 from gbid.identify.result import FitResult, FitStatus, StdKind
 from gbid.identify.start.start import Begin, begin_values
 from gbid.identify.uncertainty.covariance import UNDETERMINED, Covariance, spreads_of
+from gbid.identify.uncertainty.profiles import ConstrainedFit, Walker
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
 from gbid.structure import AnyStructure, Parameter, as_names, kind_of
 
@@ -31,7 +33,8 @@ _FAR = 0.3  # part of a response that counts as its error at first: far from a r
 _UNLIKELY = 0.01  # probability of larger errors, for all outputs, below which the stated ones are too small
 _FOLLOWS = 4.0  # standard deviations of the correlation of neighbouring errors, beyond chance
 _SAMPLES = (2_000, 20_000)  # of the motion for start values
-_USED = ("inputs", "outputs", "start", "fixed", "bounds", "prior", "max_iterations", "progress")
+USED = ("inputs", "outputs", "start", "fixed", "bounds", "prior", "max_iterations", "progress", "profile")
+"""Options of `gbid.fit` that have a meaning for frequency responses alone."""
 
 
 def fitted_to_responses(
@@ -77,11 +80,14 @@ def fitted_to_responses(
     known = _prior_of(names, options.prior or {})
     box = np.array([next((q.lower, q.upper) for q in parameters if q.name == name) for name in names]).T
     start = np.array([begin.values[name] for name in names])
-    solution, evaluations = _least(errors, known, start, box, options.max_iterations, options.progress)
+    problem = _LeastSquares(errors, known, box, options.max_iterations)
+    solution, evaluations = _least(problem, start, options.progress)
     theta = np.asarray(solution.x, float)
     held = np.asarray(solution.active_mask != 0)
     at_end, sums = [each.at(theta) for each in errors], [each.sums(theta) for each in errors]
-    spread, rest = _spread(errors, at_end, sums, (theta - known[0], known[1]), held)
+    offsets = theta - known[0], known[1]
+    spread, rest = _spread(errors, at_end, sums, offsets, held)
+    unbound = _spread(errors, at_end, sums, offsets, np.zeros_like(held))[0] if held.any() else spread
     left = [error for error, _ in at_end]
     p_values, follows = _tests(errors, left, int((~held).sum()))
     refused = bool((p_values < _UNLIKELY / len(p_values)).any())
@@ -97,6 +103,20 @@ def fitted_to_responses(
     count = sum(2 * int(each.measured.sum()) for each in errors)
     likelihood = -sum(costs) - sum(
         each.weight * float(np.log(2 * np.pi * each.data.std[each.measured] ** 2).sum()) for each in errors
+    )
+    trusted = np.where(unbound.open, np.nan, np.diag(unbound.of(kind)))
+    loss = 2 * sum(costs) / count
+    profiler = ResponseProfiler(
+        tuple(names.tolist()),
+        np.ones(len(names)),
+        (box[0], box[1]),
+        1.0,
+        loss,
+        problem,
+        theta,
+        np.sqrt(trusted),
+        trusted / np.diag(unbound.white),
+        count,
     )
     squares = sum(np.einsum("fyu,fzu->yz", e, e.conj()).real for e in left) / count
     status = FitStatus.CONVERGED
@@ -123,7 +143,7 @@ def fitted_to_responses(
         modes_std=modes,
         static_gain_std=gain,
         initial_states=np.zeros((len(data), model.n_states)),
-        loss=2 * sum(costs) / count,
+        loss=loss,
         error_covariance=squares,
         fit_percent=np.array([_fit_percent(each, error) for each, error in zip(errors, left, strict=True)]),
         aic=2 * len(theta) - 2 * likelihood,
@@ -162,6 +182,7 @@ def fitted_to_responses(
         model=model,
         sample_time=np.nan,
         model_slopes=ModelSlopes(*slopes),
+        profiler=profiler,
     )
 
 
@@ -170,7 +191,7 @@ def refuse_other_options(options: FitArguments) -> None:
     standard = FitArguments()
     for each in fields(FitArguments):
         given, default = getattr(options, each.name), getattr(standard, each.name)
-        if each.name not in (*_USED, "focus", "intersample") and given != default and (given or default):
+        if each.name not in (*USED, "focus", "intersample") and given != default and (given or default):
             raise UsageError(
                 f"{each.name} has no meaning in a fit to frequency responses alone; leave it out", each.name
             )
@@ -222,21 +243,65 @@ def _prior_of(names: npt.NDArray[np.str_], prior: Mapping[str, tuple[float, floa
     return mean, std
 
 
-def _least(
-    errors: Sequence[ResponseErrors],
-    known: tuple[FloatArray, FloatArray],
-    start: FloatArray,
-    box: FloatArray,
-    max_iterations: int,
-    progress: Callable[[Progress], None] | None,
-) -> tuple[Any, int]:
+@dataclass(frozen=True, eq=False)
+class _LeastSquares:
+    """Errors of responses, and of what was known of the parameters, both in standard deviations, as a problem."""
+
+    errors: Sequence[ResponseErrors]
+    known: tuple[FloatArray, FloatArray]  # means and standard deviations
+    box: FloatArray
+    max_iterations: int
+
+    def at(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the errors and their slopes."""
+        rows, slopes = zip(*(part.rows(theta) for part in self.errors), strict=True)
+        mean, std = self.known
+        return np.concatenate([*rows, (theta - mean) / std]), np.vstack([*slopes, np.diag(1 / std)])
+
+    def solved(
+        self,
+        begin: FloatArray,
+        report: Callable[[FloatArray, FloatArray, FloatArray], None] | None = None,
+        held: int | None = None,
+    ) -> Any:
+        """Return the solution of scipy, with one parameter held if given; `report` is called with the slopes."""
+        from scipy.optimize import least_squares  # half a second, which other fits do not need
+
+        moves = np.arange(len(begin)) != (-1 if held is None else held)
+        last: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+        def both(moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+            if moved.tobytes() not in last:
+                theta = begin.copy()
+                theta[moves] = moved
+                last.clear()
+                last[moved.tobytes()] = self.at(theta)
+            return last[moved.tobytes()]
+
+        def slopes_at(moved: FloatArray) -> FloatArray:
+            if report is not None:
+                report(moved, *both(moved))
+            return both(moved)[1][:, moves]
+
+        box = self.box[:, moves]
+        return least_squares(
+            lambda moved: both(moved)[0],
+            np.clip(begin[moves], *box),
+            slopes_at,
+            tuple(box),
+            x_scale="jac",
+            ftol=1e-14,
+            xtol=1e-12,
+            gtol=1e-14,
+            max_nfev=self.max_iterations,
+        )
+
+
+def _least(problem: _LeastSquares, start: FloatArray, progress: Callable[[Progress], None] | None) -> tuple[Any, int]:
     """Return the best of two solutions, from the start and from a fit with wider errors, and all iterations.
 
     `progress` is called where the slopes are computed: at the start of each search, and after each step of it.
     """
-    from scipy.optimize import least_squares  # half a second, which other fits do not need
-
-    mean, std = known
     passed: list[FloatArray] = []
 
     def report(theta: FloatArray, rows: FloatArray, slopes: FloatArray) -> None:
@@ -248,41 +313,46 @@ def _least(
             progress(Progress(len(passed), 0.5 * float(rows @ rows), 0.0, float(step), sigma))
             passed.append(theta.copy())
 
-    def solved(begin: FloatArray, relative: float) -> Any:
-        parts = [replace(each, relative=relative) for each in errors]
-        last: dict[bytes, tuple[FloatArray, FloatArray]] = {}
-
-        def both(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-            if theta.tobytes() not in last:
-                rows, slopes = zip(*(part.rows(theta) for part in parts), strict=True)
-                last.clear()
-                last[theta.tobytes()] = (
-                    np.concatenate([*rows, (theta - mean) / std]),
-                    np.vstack([*slopes, np.diag(1 / std)]),
-                )
-            return last[theta.tobytes()]
-
-        def slopes_at(theta: FloatArray) -> FloatArray:
-            report(theta, *both(theta))
-            return both(theta)[1]
-
-        inside = np.clip(begin, *box)
-        return least_squares(
-            lambda theta: both(theta)[0],
-            inside,
-            slopes_at,
-            tuple(box),
-            x_scale="jac",
-            ftol=1e-14,
-            xtol=1e-12,
-            gtol=1e-14,
-            max_nfev=max_iterations,
-        )
-
-    at_first = solved(start, _FAR)
-    solutions = [solved(begin, 0.0) for begin in (start, at_first.x)]
+    wide = replace(problem, errors=[replace(each, relative=_FAR) for each in problem.errors])
+    at_first = wide.solved(start, report)
+    solutions = [problem.solved(begin, report) for begin in (start, at_first.x)]
     best = min(solutions, key=lambda solution: float(solution.cost))
     return best, int(at_first.nfev + sum(solution.nfev for solution in solutions))
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseProfiler(Walker):
+    """Likelihood around the estimates of a fit to frequency responses."""
+
+    problem: _LeastSquares
+    theta: FloatArray
+    std: FloatArray  # that the fit trusts; of a parameter on a bound as if none were on one
+    factor: FloatArray  # its square over the one that the curvature gives alone
+    count: int  # of real and imaginary parts
+
+    @cached_property
+    def origin(self) -> ConstrainedFit:
+        """The solution of the fit."""
+        rows = self.problem.at(self.theta)[0]
+        return ConstrainedFit(self.theta, None, 0.5 * float(rows @ rows))
+
+    def losses(self, rises: FloatArray) -> FloatArray:
+        """Return the losses: mean squares of the errors."""
+        return self.loss + 2 * rises / self.count
+
+    def spread(self, j: int) -> tuple[float, float]:
+        """Return the standard deviation of a parameter, and by how much the ratio of its likelihoods is too large."""
+        return float(self.std[j]), float(self.factor[j]) if np.isfinite(self.factor[j]) else 1.0
+
+    def constrained(self, start: ConstrainedFit, j: int | None, change: float, _ridge: float = 0.0) -> ConstrainedFit:
+        """Return the least squares with one parameter changed from that of `start`, and held."""
+        theta = start.unknowns.copy()
+        theta[j] += change
+        if len(theta) > 1:
+            solution = self.problem.solved(theta, held=j)
+            theta[np.arange(len(theta)) != j] = solution.x
+        rows = self.problem.at(theta)[0]
+        return ConstrainedFit(theta, None, 0.5 * float(rows @ rows))
 
 
 def _spread(

@@ -395,16 +395,19 @@ def _profiler(optimum: Optimum, residuals: _Residuals, certainty: _Certainty, lo
     """Return what computes profiles of the cost later; none for a model of the errors."""
     if optimum.weighted:
         return None
+    estimate = residuals.estimate
     return Profiler(
         _free_names(optimum),
-        residuals.estimate,
+        estimate.problem.theta_scale,
         optimum.problem.box,
+        estimate.problem.likelihood_size,
+        loss,
+        estimate,
         residuals.products,
         certainty.on_bound,
         np.where(certainty.unknown, np.nan, np.diag(certainty.covariance)),
         np.diag(certainty.spread.curvature),
         certainty.by_blocks,
-        loss,
     )
 
 

@@ -443,7 +443,8 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         """The model with the derivatives of its matrices and the covariance of the parameters."""
         model = self.linear_model
         units = dict.fromkeys((*model.input_names, *model.output_names), "m") if self.structure in IN_METRES else {}
-        return UncertainModel(model, self.model_slopes, self.covariance, self.sample_time, units)
+        sample_time = None if np.isnan(self.sample_time) else self.sample_time  # of a fit to frequency responses
+        return UncertainModel(model, self.model_slopes, self.covariance, sample_time, units)
 
     def bode(self, frequency_hz: npt.ArrayLike | None = None) -> Bode:
         """Return the frequency response of the model with standard deviations from `covariance`.

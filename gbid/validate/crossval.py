@@ -405,7 +405,8 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
         When the recording lacks a signal or has another sample time, when no sample counts, when the simulation
         overflows, or when the model is unstable and would grow by more than 1000 over the recording.
     """
-    data, fitted = validation_data(result, recording, left_out), simulator(result)
+    data = validation_data(result, recording, left_out)
+    fitted = at_step_of(simulator(result), data.sample_time)
     explained = _explain(fitted, data)
     simulated = fitted.run(data.inputs, explained.initial_state)
     simulated = simulated + fitted.disturbed(data.outputs - simulated, data.counted)

@@ -58,7 +58,7 @@ def assert_true(path):
 
 
 def test_every_verb_works(tmp_path, capsys):
-    path, results = write(tmp_path, more="figures: {spring: {}}\n"), tmp_path / "results"
+    path, results = write(tmp_path, more="    profile: [k]\nfigures: {spring: {}}\n"), tmp_path / "results"
     assert "0 recordings, 1 fit" in printed_by(capsys, "check", path).out
     assert "1 of 1 converged" in printed_by(capsys, "run", path).out
     assert_true(path)
@@ -68,6 +68,7 @@ def test_every_verb_works(tmp_path, capsys):
     assert (results / "figures" / "spring_responses_response_1.png").stat().st_size > 10_000
     page = (results / "report.html").read_text()
     assert "frequency responses of frf" in page
+    assert "Profile likelihoods: k identifiable" in page
     assert json_of(capsys, "fit", path)["fits"][0]["model"] == "responses"
     assert len(json_of(capsys, "export", path, "--to", "csv")["files"]) == 3
     (tmp_path / "frf.csv").write_text((tmp_path / "frf.csv").read_text().replace("4.000", "4.001", 1))

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import optimize, signal
 
 import gbid
 from gbid import FrequencyData, LinearStructure, Parameter
@@ -292,6 +292,52 @@ def test_python_control_gives_the_response_of_its_object():
     assert result.parameters["k"] == pytest.approx(TRUTH["k"], rel=1e-6)
     with pytest.raises(UsageError, match="a TransferFunction is no frequency response of python-control"):
         FrequencyData.from_control(plant, 1.0)
+
+
+def test_a_profile_is_that_of_a_search_on_a_grid():
+    """Few lines near the resonance, so that the likelihood is no parabola; scipy searches without slopes."""
+    f = np.linspace(94, 106, 9)
+    data = measured(3, f=f, part=0.4)
+    result = gbid.fit(OSCILLATOR, data, fixed={"tau": TRUTH["tau"]}, profile=["d"])
+    profile = result.profiles["d"]
+
+    def cost(x, d):
+        model = response(f, k=x[0] * TRUTH["k"], d=d, g=x[1] * TRUTH["g"])
+        return (np.abs((model - data.response[:, 0, 0]) / data.std[:, 0, 0]) ** 2).sum()
+
+    def least(d):
+        search = optimize.minimize(
+            cost, [1, 1], (d,), "Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-9, "maxiter": 4000}
+        )
+        return search.fun
+
+    at_minimum = optimize.minimize_scalar(least, bounds=(1.0, 60.0), method="bounded", options={"xatol": 1e-4})
+    ends = [
+        optimize.brentq(lambda d: least(d) - at_minimum.fun - 3.8415, *bracket, xtol=1e-3)
+        for bracket in ((1.0, at_minimum.x), (at_minimum.x, 200.0))
+    ]
+    np.testing.assert_allclose(profile.interval, ends, rtol=0.01)
+    low, high = abs(profile.interval - np.array(result.parameters["d"]))
+    assert high > 1.1 * low  # no parabola
+    assert gbid.profile(result, ["d"], structure=OSCILLATOR, recordings=data)["d"].interval == pytest.approx(
+        profile.interval, rel=1e-3
+    )
+
+
+def test_a_parameter_on_its_bound_has_a_profile_on_one_side():
+    result = gbid.fit(OSCILLATOR, measured(1), bounds={"tau": (0.0, 2.9e-4)}, profile="all")
+    assert np.isnan(result.std["tau"])
+    profile = result.profiles["tau"]
+    assert (profile.verdict, profile.interval[1]) == ("one-sided", 2.9e-4)
+    assert profile.interval[0] < 2.9e-4
+
+
+def test_a_fit_to_responses_is_drawn_and_validated_on_a_recording():
+    result = gbid.fit(OSCILLATOR, measured(1))
+    curve = result.bode()
+    assert curve.frequency_hz.min() < 100 < curve.frequency_hz.max()
+    validated = gbid.cross_validate(result, driven(np.random.default_rng(5).standard_normal(400), 5))
+    assert validated.fit_percent[0] > 90
 
 
 def test_a_result_is_stored(tmp_path):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.sparse.linalg import MatrixRankWarning
@@ -83,7 +84,7 @@ class ConstrainedFit(NamedTuple):
     """Minimum of the cost for one value of a parameter: unknowns, values there, and the cost."""
 
     unknowns: FloatArray
-    iterate: Iterate
+    iterate: Any
     cost: float
 
 
@@ -96,17 +97,127 @@ class Side(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Profiler:
-    """Likelihood around the estimates of a fit. It is not stored: a pickled one is None.
+class Walker(ABC):
+    """Profile likelihoods by walks along a parameter. It is not stored: a pickled one is None.
 
     Attributes
     ----------
     names : tuple of str
         Free parameters.
+    scales : (n_theta,) array
+        Scales of the parameters.
+    box : (n_unknowns,) array, (n_unknowns,) array
+        Bounds of the unknowns, scaled; the parameters are the first.
+    likelihood_size : float
+        The log-likelihood over the cost.
+    loss : float
+        Loss of the fit.
+    """
+
+    names: tuple[str, ...]
+    scales: FloatArray
+    box: Box
+    likelihood_size: float
+    loss: float
+
+    def __reduce__(self) -> tuple[type, tuple[()]]:
+        return type(None), ()
+
+    def __call__(self, name: str, unit: str, level: float) -> Profile:
+        """Return the profile of a parameter; see `gbid.profile`."""
+        with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            return self._profile(name, unit, level)
+
+    @cached_property
+    @abstractmethod
+    def origin(self) -> ConstrainedFit:
+        """Minimum of the cost with all parameters free."""
+
+    @abstractmethod
+    def losses(self, rises: FloatArray) -> FloatArray:
+        """Return the losses where the cost is larger by `rises`."""
+
+    @abstractmethod
+    def spread(self, j: int) -> tuple[float, float]:
+        """Return the standard deviation of a parameter, and by how much the ratio of its likelihoods is too large."""
+
+    @abstractmethod
+    def constrained(
+        self, start: ConstrainedFit, j: int | None, change: float, ridge: float = WALK.ridge
+    ) -> ConstrainedFit | None:
+        """Return the minimum with one unknown changed from that of `start`, and held."""
+
+    def _profile(self, name: str, unit: str, level: float) -> Profile:
+        j, threshold = self.names.index(name), float(chdtri(1, 1 - level))
+        std, factor = self.spread(j)
+        origin, scale = self.origin, float(self.scales[j])
+        to_ratio = 2 * self.likelihood_size / factor
+        first = np.sqrt(threshold) / WALK.steps * std / scale
+        if not np.isfinite(first):
+            first = WALK.first * max(abs(float(origin.unknowns[j])), self.likelihood_size**-0.5)
+        sides = [self._walk(j, direction, float(first), to_ratio, threshold) for direction in (-1, 1)]
+        values, ratios = ([*reversed(down[1:]), *up] for down, up in zip(sides[0][:2], sides[1][:2], strict=True))
+        lower, upper = (_end(side, way, threshold) for side, way in zip(sides, (-1, 1), strict=True))
+        return Profile(
+            name=name,
+            unit=unit,
+            estimate=scale * float(origin.unknowns[j]),
+            std=std,
+            level=level,
+            values=scale * np.array(values),
+            ratios=np.array(ratios),
+            losses=self.losses(np.array(ratios) / to_ratio),
+            interval=(scale * lower, scale * upper),
+            verdict=_verdict([side.end for side in sides]),
+        )
+
+    def _walk(self, j: int, direction: int, first: float, to_ratio: float, threshold: float) -> Side:
+        """Walk to one side until the ratio is above the threshold."""
+        limit, at, target = float(self.box[max(direction, 0)][j]), self.origin, float(np.sqrt(threshold))
+        begin, aim, length = float(at.unknowns[j]), target / WALK.steps, first
+        side, root, cuts, edge = Side([begin], [0.0]), 0.0, 0, direction * np.inf
+        far = WALK.farthest * max(abs(begin), first)
+        while len(side.values) <= WALK.most:
+            room = direction * (limit - float(at.unknowns[j]))
+            if room <= (WALK.at_bound * first if at is self.origin else 0.0):
+                side.values[-1] = limit
+                return side._replace(end="bound")
+            length = min(length, room, abs(edge - float(at.unknowns[j])) / 2)
+            following = self.constrained(at, j, direction * length, WALK.damped if cuts else WALK.ridge)
+            if following is None:
+                if length < WALK.at_bound * first:
+                    return side._replace(end="edge")
+                edge = float(at.unknowns[j]) + direction * length
+                continue
+            ratio = to_ratio * (following.cost - self.origin.cost)
+            if ratio < -WALK.below:
+                return side._replace(end="lower")
+            rise = np.sqrt(np.maximum(ratio, 0.0)) - root
+            if not rise <= 2 * aim:
+                if cuts == WALK.cuts:
+                    return side._replace(end="open" if np.isnan(rise) else "edge")
+                length, cuts = length * (max(0.2, aim / rise) if rise > 0 else 0.5), cuts + 1
+                continue
+            side.values.append(float(following.unknowns[j]))
+            side.ratios.append(max(ratio, 0.0))
+            at, root, cuts = following, root + rise, 0
+            if root > target:
+                return side._replace(end="crossed")
+            if abs(side.values[-1] - begin) > far:
+                break
+            wanted = aim if target - root > 1.5 * aim else 1.05 * (target - root)
+            length *= min(2.0, max(0.2, wanted / rise)) if rise > 0 else 2.0
+        return side
+
+
+@dataclass(frozen=True, eq=False)
+class Profiler(Walker):
+    """Likelihood around the estimates of a fit to recordings.
+
+    Attributes
+    ----------
     estimate : Estimate
         Problem of the fit at its estimates.
-    box : (n_unknowns,) array, (n_unknowns,) array
-        Bounds of the unknowns, scaled.
     products : (n_y, n_y) array
         Sum of the products of the errors.
     held : (n_theta,) boolean array
@@ -117,27 +228,14 @@ class Profiler:
         Variances that the curvature of the cost gives alone.
     coloured : bool
         Whether residuals are coloured.
-    loss : float
-        Loss of the fit.
     """
 
-    names: tuple[str, ...]
     estimate: Estimate
-    box: Box
     products: FloatArray
     held: BoolArray
     variance: FloatArray
     curvature: FloatArray
     coloured: bool
-    loss: float
-
-    def __reduce__(self) -> tuple[type, tuple[()]]:
-        return type(None), ()
-
-    def __call__(self, name: str, unit: str, level: float) -> Profile:
-        """Return the profile of a parameter; see `gbid.profile`."""
-        with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return self._profile(name, unit, level)
 
     @cached_property
     def posed(self) -> tuple[Shooting, FloatArray, Box]:
@@ -173,7 +271,7 @@ class Profiler:
             box[0][j] = box[1][j] = start.unknowns[j] + change
         n_rows = 0 if problem.extra is None else len(problem.extra.lower)
         direct = not len(problem.limits[0]) and not n_rows  # else the active ones have to be found
-        to_ratio, x = 2 * problem.likelihood_size, start.unknowns + move
+        to_ratio, x = 2 * self.likelihood_size, start.unknowns + move
         try:
             if direct and change:
                 x = start.unknowns + self._step(start.iterate, start.unknowns, move, box, ridge)
@@ -214,7 +312,7 @@ class Profiler:
         model = here._replace(hessian=hessian, gradient=gradient, gaps=gaps)
         return move + gauss_newton_step(problem, model, x, box)
 
-    def _scale(self, j: int) -> tuple[float, float]:
+    def spread(self, j: int) -> tuple[float, float]:
         """Return the standard deviation of a parameter, and by how much the ratio of its likelihoods is too large.
 
         A parameter on a bound gets them as if it were free; one that is not determined has no standard deviation, and
@@ -226,74 +324,15 @@ class Profiler:
             held[j] = False
             spread = covariance(self.estimate, self.products, held, coloured=self.coloured)
             variance, curvature = np.diag(spread.robust if self.coloured else spread.white), np.diag(spread.curvature)
-        factors = variance * self.estimate.problem.likelihood_size / curvature
+        factors = variance * self.likelihood_size / curvature
         known = np.isfinite(factors) & (factors > 0)
         if known[j]:
             return float(np.sqrt(variance[j])), float(factors[j])
         return np.nan, float(np.median(factors[known])) if known.any() else 1.0
 
-    def _profile(self, name: str, unit: str, level: float) -> Profile:
-        j, threshold = self.names.index(name), float(chdtri(1, 1 - level))
-        std, factor = self._scale(j)
-        origin, scale = self.origin, float(self.estimate.problem.theta_scale[j])
-        to_ratio = 2 * self.posed[0].likelihood_size / factor
-        first = np.sqrt(threshold) / WALK.steps * std / scale
-        if not np.isfinite(first):
-            first = WALK.first * max(abs(float(origin.unknowns[j])), self.posed[0].likelihood_size ** -0.5)
-        sides = [self._walk(j, direction, float(first), to_ratio, threshold) for direction in (-1, 1)]
-        values, ratios = ([*reversed(down[1:]), *up] for down, up in zip(sides[0][:2], sides[1][:2], strict=True))
-        lower, upper = (_end(side, way, threshold) for side, way in zip(sides, (-1, 1), strict=True))
-        return Profile(
-            name=name,
-            unit=unit,
-            estimate=scale * float(origin.unknowns[j]),
-            std=std,
-            level=level,
-            values=scale * np.array(values),
-            ratios=np.array(ratios),
-            losses=self.loss * np.exp(2 * np.array(ratios) / to_ratio),
-            interval=(scale * lower, scale * upper),
-            verdict=_verdict([side.end for side in sides]),
-        )
-
-    def _walk(self, j: int, direction: int, first: float, to_ratio: float, threshold: float) -> Side:
-        """Walk to one side until the ratio is above the threshold."""
-        _, _, box = self.posed
-        limit, at, target = float(box[max(direction, 0)][j]), self.origin, float(np.sqrt(threshold))
-        begin, aim, length = float(at.unknowns[j]), target / WALK.steps, first
-        side, root, cuts, edge = Side([begin], [0.0]), 0.0, 0, direction * np.inf
-        far = WALK.farthest * max(abs(begin), first)
-        while len(side.values) <= WALK.most:
-            room = direction * (limit - float(at.unknowns[j]))
-            if room <= (WALK.at_bound * first if at is self.origin else 0.0):
-                side.values[-1] = limit
-                return side._replace(end="bound")
-            length = min(length, room, abs(edge - float(at.unknowns[j])) / 2)
-            following = self.constrained(at, j, direction * length, WALK.damped if cuts else WALK.ridge)
-            if following is None:
-                if length < WALK.at_bound * first:
-                    return side._replace(end="edge")
-                edge = float(at.unknowns[j]) + direction * length
-                continue
-            ratio = to_ratio * (following.cost - self.origin.cost)
-            if ratio < -WALK.below:
-                return side._replace(end="lower")
-            rise = np.sqrt(np.maximum(ratio, 0.0)) - root
-            if not rise <= 2 * aim:
-                if cuts == WALK.cuts:
-                    return side._replace(end="open" if np.isnan(rise) else "edge")
-                length, cuts = length * (max(0.2, aim / rise) if rise > 0 else 0.5), cuts + 1
-                continue
-            side.values.append(float(following.unknowns[j]))
-            side.ratios.append(max(ratio, 0.0))
-            at, root, cuts = following, root + rise, 0
-            if root > target:
-                return side._replace(end="crossed")
-            if abs(side.values[-1] - begin) > far:
-                break
-            wanted = aim if target - root > 1.5 * aim else 1.05 * (target - root)
-            length *= min(2.0, max(0.2, wanted / rise)) if rise > 0 else 2.0
-        return side
+    def losses(self, rises: FloatArray) -> FloatArray:
+        """Return the losses where the cost is larger by `rises`."""
+        return np.asarray(self.loss * np.exp(2 * rises))
 
 
 def _end(side: Side, direction: int, threshold: float) -> float:
