@@ -228,11 +228,15 @@ class MultiStartSection(Section):
 
 
 class ResponseSection(Section):
-    """File of frequency responses, with what it does not state, as `gbid.FrequencyData.read` takes it."""
+    """File of frequency responses, with what it does not state, as `gbid.FrequencyData.read` takes it.
+
+    `reference`: they are responses of a closed loop, of the inputs and outputs of the fit to these signals.
+    """
 
     file: Text
     averages: Positive | None = None
     std: Positive | None = None
+    reference: Names | None = None
 
 
 if TYPE_CHECKING:
@@ -252,8 +256,8 @@ class FitSection(OptionsSection, FitOptions, frozen=True):
     `left_out`: by name of a recording, stretches ``[from, to]`` [s] from the first sample; the sample at ``to`` is used
     again. `local` needs `together`. ``inputs: []`` is a free decay. `loop`: the recordings were made under a
     controller; the structure is then that of the loop, from what was injected. `responses`: files of frequency
-    responses, or such a file with its `averages` or `std`. They are fitted in one criterion with the recordings, or
-    alone with ``recordings: []``.
+    responses, or such a file with its `averages`, `std` or `reference`. They are fitted in one criterion with the
+    recordings, or alone with ``recordings: []``.
     """
 
     structure: Text

@@ -150,6 +150,7 @@ BUILT_IN: dict[str, tuple[Callable[..., Structure | ScheduledStructure], tuple[s
     "rotor_bearing": (RotorBearing, (*_OF_BEARING, "film")),
     "piezo_pair": (PiezoPair, ("disturbance_gain", "poles")),
     "plant": (_plant, (*_OF_BEARING, "poles")),
+    "rigid_rotor": (RigidRotor, (*_OF_ROTOR, "k_s", "k_i")),
     "magnetic_bearing": (_magnetic_bearing, (*_OF_ROTOR, "k_s", "k_i", *_OF_AMPLIFIERS)),
     "scheduled_rotor_bearing": (partial(_scheduled, RotorBearing), (*_OF_BEARING, *_OF_SCHEDULE)),
     "scheduled_plant": (partial(_scheduled, _plant), (*_OF_BEARING, *_OF_SCHEDULE)),

@@ -49,6 +49,9 @@ class FrequencyData(ChannelCurves, Pictured):
         windows are ``(4 / 9, 1 / 36)``.
     name : str
         Name of the data.
+    of_loop : bool
+        Whether they are quotients of responses of a loop, whose errors are correlated in a way that `std` does not
+        contain; see `channels`. A fit then takes the robust standard deviations.
 
     Attributes
     ----------
@@ -80,6 +83,7 @@ class FrequencyData(ChannelCurves, Pictured):
     output_names: tuple[str, ...]
     name: str = "response"
     correlation: tuple[float, ...] = ()
+    of_loop: bool = False
 
     def __init__(
         self,
@@ -93,6 +97,7 @@ class FrequencyData(ChannelCurves, Pictured):
         averages: float | None = None,
         correlation: Sequence[float] = (),
         name: str = "response",
+        of_loop: bool = False,
     ) -> None:
         f = np.atleast_1d(np.asarray(frequencies, float))
         input_names, output_names = as_names(inputs), as_names(outputs)
@@ -121,7 +126,12 @@ class FrequencyData(ChannelCurves, Pictured):
         if (sigma[np.isfinite(sigma)] < 0).any() or not (sigma[np.isfinite(sigma) & np.isfinite(G)] > 0).any():
             raise UsageError(f"std of {name!r} must be positive")
         made = {"frequency_hz": f, "response": G, "std": sigma, "name": name, "correlation": tuple(correlation)}
-        for field, value in {**made, "input_names": input_names, "output_names": output_names}.items():
+        for field, value in {
+            **made,
+            "of_loop": of_loop,
+            "input_names": input_names,
+            "output_names": output_names,
+        }.items():
             object.__setattr__(self, field, value)
 
     def _brief(self) -> Description:
@@ -238,19 +248,38 @@ class FrequencyData(ChannelCurves, Pictured):
         options: dict[str, Any] = {"averages": averages, "correlation": correlation, "name": title}
         return cls(frequencies, responses, sigma, squared, inputs, outputs, **options)
 
-    def channels(self, inputs: str | Sequence[str], outputs: str | Sequence[str]) -> FrequencyData:
+    def channels(
+        self, inputs: str | Sequence[str], outputs: str | Sequence[str], *, reference: str | Sequence[str] = ()
+    ) -> FrequencyData:
         """Return the responses between these channels, in this order.
 
         Parameters
         ----------
         inputs, outputs : str or sequence of str
             Names of a structure: channels (``"u_x"``, ``"u.x"``) or signals (``"u"``: all its channels).
+        reference : str or sequence of str
+            Signals that excite a closed loop from outside, as many as inputs. The data are then responses of inputs
+            and outputs to them, and the result is the plant, ``G_yr G_ur^-1``. It may be unstable.
 
         Raises
         ------
         DataError
-            When a channel is missing.
+            When a channel is missing, or the references do not move the inputs independently.
+        UsageError
+            When there are not as many references as inputs.
+
+        Notes
+        -----
+        To first order the error of ``G = G_yr G_ur^-1`` is ``(E_yr - G E_ur) G_ur^-1``. Its standard deviation takes
+        the errors of all responses as independent.
         """
+        if reference:
+            return self._plant(as_names(inputs), as_names(outputs), as_names(reference))
+        if driven := [each for each in as_names(inputs) if each.replace(".", "_") in self.output_names]:
+            raise DataError(
+                f"{driven[0]!r} is an output of the frequency response {self.name!r} to {', '.join(self.input_names)}; "
+                "say with reference what excites this loop"
+            )
         rows, columns = (
             _places(names, as_names(wanted), self.name)
             for names, wanted in ((self.output_names, outputs), (self.input_names, inputs))
@@ -265,7 +294,25 @@ class FrequencyData(ChannelCurves, Pictured):
             *names,
             correlation=self.correlation,
             name=self.name,
+            of_loop=self.of_loop,
         )
+
+    def _plant(self, inputs: Sequence[str], outputs: Sequence[str], reference: Sequence[str]) -> FrequencyData:
+        to_u, to_y = self.channels(reference, inputs), self.channels(reference, outputs)
+        n_u, n_r = to_u.response.shape[1:]
+        if n_u != n_r:
+            raise UsageError(f"frequency response {self.name!r}: {n_r} references for {n_u} inputs; give as many")
+        known = np.isfinite(to_u.response).all(axis=(1, 2))
+        try:
+            inverse = np.linalg.inv(to_u.response[known])
+        except np.linalg.LinAlgError:
+            moved = f"{', '.join(reference)} do not move {', '.join(inputs)} independently"
+            raise DataError(f"frequency response {self.name!r}: {moved}") from None
+        G = to_y.response[known] @ inverse
+        variance = (to_y.std[known] ** 2 + np.abs(G) ** 2 @ to_u.std[known] ** 2) @ np.abs(inverse) ** 2
+        names = to_u.output_names, to_y.output_names
+        options: dict[str, Any] = {"correlation": self.correlation, "name": self.name, "of_loop": True}
+        return FrequencyData(self.frequency_hz[known], G, np.sqrt(variance), None, *names, **options)
 
 
 def _of_csv(path: Path, needs_spread: bool) -> tuple[dict[tuple[str, str], PairResponse], bool]:

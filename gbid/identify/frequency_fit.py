@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtrc
@@ -23,12 +24,14 @@ from gbid.identify.options import FitArguments
 from gbid.identify.predictor import build_predictor, matrices_with_slopes
 from gbid.identify.problem.solve import TOLERANCES, Progress
 from gbid.identify.result import FitResult, FitStatus, StdKind
-from gbid.identify.start.start import Begin, begin_values
+from gbid.identify.start.black_box import Target, match
+from gbid.identify.start.start import Begin, begin_values, drawn_starts, has_no_starts
 from gbid.identify.uncertainty.covariance import UNDETERMINED, Covariance, spreads_of
 from gbid.identify.uncertainty.profiles import ConstrainedFit, Walker
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
-from gbid.structure import AnyStructure, Parameter, as_names, kind_of
+from gbid.structure import AnyStructure, Parameter, Structure, as_names, kind_of, symbolic_matrices
 
+_ACCURACY = 1e-3  # smallest relative standard deviation that a match of start values believes
 _FAR = 0.3  # part of a response that counts as its error at first: far from a resonance its slopes lead nowhere
 _UNLIKELY = 0.01  # probability of larger errors, for all outputs, below which the stated ones are too small
 _FOLLOWS = 4.0  # standard deviations of the correlation of neighbouring errors, beyond chance
@@ -68,6 +71,11 @@ def fitted_to_responses(
     of neighbours that a spectral window correlates count as fewer.
     """
     structure = check_linear(stated)
+    if symbolic_matrices(structure)[1].feedback is not None:
+        raise UsageError(
+            f"{structure.name} is a sampled loop; fit its plant to the responses of inputs and outputs to the reference"
+            " (FrequencyData.channels(..., reference=), in the YAML responses: [{file: ..., reference: r}])"
+        )
     refuse_other_options(options)
     inputs = structure.inputs if options.inputs is None else as_names(options.inputs)
     outputs = structure.outputs if options.outputs is None else as_names(options.outputs)
@@ -91,7 +99,8 @@ def fitted_to_responses(
     left = [error for error, _ in at_end]
     p_values, follows = _tests(errors, left, int((~held).sum()))
     refused = bool((p_values < _UNLIKELY / len(p_values)).any())
-    kind: StdKind = "robust" if refused or p_values.size > 1 else "white"
+    doubtful = refused or p_values.size > 1 or any(each.of_loop for each in data)
+    kind: StdKind = "robust" if doubtful else "white"
     chosen = spread.of(kind)
     values = dict(zip(names.tolist(), theta.tolist(), strict=True))
     estimates = {q.name: values.get(q.name, fixed.get(q.name, 0.0)) for q in parameters}
@@ -198,7 +207,7 @@ def refuse_other_options(options: FitArguments) -> None:
 
 
 def _begin(
-    structure: AnyStructure, parameters: tuple[Parameter, ...], data: FrequencyData, options: FitArguments
+    structure: Structure, parameters: tuple[Parameter, ...], data: FrequencyData, options: FitArguments
 ) -> Begin:
     """Return the start values: those stated, others from the steady motion that the responses describe."""
     missing = [q.name for q in parameters if q.start is None]
@@ -207,7 +216,32 @@ def _begin(
     if not (missing or from_data):
         origin = {q.name: "user" if q.name in given else "structure" for q in parameters}
         return Begin({q.name: float(q.start or 0.0) for q in parameters}, origin, ())
+    if has_no_starts(structure):
+        return _matched(structure, parameters, data, given, from_data)
     return begin_values(structure, parameters, steady_motion(data), "zoh", given, from_data=from_data)
+
+
+def _matched(
+    structure: Structure, parameters: tuple[Parameter, ...], data: FrequencyData, given: set[str], from_data: bool
+) -> Begin:
+    """Return start values at which the structure has nearly the responses, from many random starts."""
+    stated = {q.name: float(q.start) for q in parameters if q.start is not None and (q.fixed or not from_data)}
+    fixed = {q.name: float(q.start or 0.0) for q in parameters if q.fixed}
+    predictor = build_predictor(structure, fixed, 1.0, "zoh", "simulation")
+    known = {q.name: q for q in parameters}
+    free = [known[q.name] for q in predictor.free]
+    bounds = np.array([(q.lower, q.upper) for q in free], float).reshape(-1, 2)
+    f, size = data.frequency_hz, np.abs(data.response)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weight = np.nan_to_num(1 / np.hypot(data.std, _ACCURACY * size), posinf=0.0)
+    poles = np.full(predictor.n_states, -2 * np.pi * np.sqrt(f[0] * f[-1]), complex)
+    s = np.asarray(2j * np.pi * f, complex)
+    target = Target(s, np.nan_to_num(data.response), weight, poles, decays=False)
+    delays = {symbol.name() for symbol in ca.symvar(symbolic_matrices(structure)[1].delay)}
+    best = match(predictor, target, drawn_starts(free, bounds, delays, target, 0.5 / f[-1]), *bounds.T)
+    values = {q.name: 0.0 for q in parameters} | dict(zip((q.name for q in free), best.theta.tolist(), strict=True))
+    origin = {name: "user" if name in given else "structure" for name in stated}
+    return Begin(values | stated, {q.name: origin.get(q.name, "data") for q in parameters}, ())
 
 
 def steady_motion(data: FrequencyData) -> FitData:

@@ -104,6 +104,60 @@ def test_it_is_validated_on_recordings_that_are_named(tmp_path):
     assert gbid("run", path, "--until", "crossval") == 0
 
 
+BEARING = """\
+format: 1
+name: levitated
+results: results
+fits:
+  spring:
+    structure: magnetic_bearing
+    options: {mass_kg: 2.0}
+    inputs: [i]
+    responses: [{file: loop.csv, reference: r}]
+"""
+OF_BEARING = {"k_s_z": 2e5, "k_i_z": 80.0, "omega_amplifier": 2400 * np.pi, "tau_amplifier": 4e-5}
+
+
+def write_loop(folder, seed=0):
+    """Responses of current and position to what an analyser injects; the noise of the sensor is in both."""
+    random, s = np.random.default_rng(seed), 2j * np.pi * np.geomspace(5, 600, 150)
+    k_s, k_i, omega, tau = OF_BEARING.values()
+    plant, controller = k_i / (2.0 * s**2 - k_s) * np.exp(-s * tau) / (1 + s / omega), 6000 + 12 * s / (1 + s / 6000)
+    sensor, amplifier = np.array([[3e-7], [4e-5]]) * (
+        random.standard_normal((2, 150)) + 1j * random.standard_normal((2, 150))
+    )
+    sensitivity = 1 / (1 + plant * controller)
+    current = sensitivity * (1 - controller * sensor) + amplifier
+    position = sensitivity * (plant + sensor)
+    std = {"i": np.abs(controller * sensitivity) * 3e-7 + 4e-5, "p": np.abs(sensitivity) * 3e-7}
+    rows = [
+        f"{output},r,{f!r},{value.real!r},{value.imag!r},{spread!r}"
+        for output, values in (("i", current), ("p", position))
+        for f, value, spread in zip((s.imag / 2 / np.pi).tolist(), values.tolist(), std[output].tolist(), strict=True)
+    ]
+    (folder / "loop.csv").write_text("\n".join(["output,input,frequency_hz,real,imaginary,std", *rows]) + "\n")
+    (folder / "own.yaml").write_text(BEARING)
+    return folder / "own.yaml"
+
+
+def test_a_magnetic_bearing_in_its_loop_gives_its_stiffness_and_gain(tmp_path, capsys):
+    path = write_loop(tmp_path)
+    assert gbid("run", path) == 0
+    result = load_fit(tmp_path / "results" / "fits" / "spring" / "responses.h5")
+    assert result.trusted == "robust"
+    for name, value in OF_BEARING.items():
+        assert abs(result.parameters[name] - value) < 3 * result.std[name]
+    assert result.std["k_s_z"] < 3e-3 * OF_BEARING["k_s_z"]
+    assert result.std["k_i_z"] < 3e-3 * OF_BEARING["k_i_z"]
+    (tmp_path / "own.yaml").write_text(BEARING.replace("reference: r", "reference: [r, w]"))
+    assert "no channel 'w'; it has r" in printed_by(capsys, "check", path, code=2).err
+    (tmp_path / "own.yaml").write_text(BEARING.replace(", reference: r", ""))
+    assert (
+        "'i' is an output of the frequency response 'loop' to r; say with reference"
+        in printed_by(capsys, "check", path, code=2).err
+    )
+
+
 @pytest.mark.parametrize(
     ("response", "more", "words"),
     [

@@ -196,6 +196,24 @@ def test_a_magnetic_bearing_in_its_loop_gives_its_stiffness_and_gain():
         assert result.std[name] < 1e-3 * value
 
 
+def test_the_responses_of_a_loop_give_what_signals_of_the_loop_give():
+    recording, _ = levitated(0)
+    direct = gbid.measured_response(recording, "u", "p", period_s=0.5)
+    loop = gbid.measured_response(recording, "r", ["u", "p"], period_s=0.5, intersample=None)
+    plant = loop.channels("u", "p", reference="r")
+    held = np.isin(direct.frequency_hz, plant.frequency_hz)
+    quotient = gbid.measured_response(recording, "u", "p", period_s=0.5, intersample=None)
+    np.testing.assert_allclose(plant.response, quotient.response[held], rtol=1e-9)
+    assert plant.channels("u", "p").of_loop
+
+
+def test_a_sampled_loop_is_no_structure_of_responses():
+    law = gbid.LinearModel(*(np.array([[q]]) for q in (0.0, 1.0, 2.0, -3.0)), dt=h)
+    loop = gbid.ClosedLoop(OSCILLATOR, law, inputs="r", outputs="y", pade_order=1)
+    with pytest.raises(UsageError, match="is a sampled loop; fit its plant"):
+        gbid.fit(loop, measured(0))
+
+
 def test_stated_deviations_that_are_too_small_are_told_and_not_believed():
     result = gbid.fit(OSCILLATOR, measured(5, stated=0.3))
     assert result.trusted == "robust"

@@ -100,7 +100,7 @@ def response_of(experiment: Experiment, fit: str, i: int) -> FrequencyData:
     """
     section = experiment.spec.fits[fit].responses[i]
     data = FrequencyData.read(experiment.folder / section.file, averages=section.averages, std=section.std)
-    return data.channels(*fit_channels(experiment, fit))
+    return data.channels(*fit_channels(experiment, fit), reference=section.reference or ())
 
 
 def _response_problems(experiment: Experiment, name: str, section: FitSection) -> Found:
@@ -287,7 +287,7 @@ def fit_result(experiment: Experiment, name: str, model: str) -> Result:
     settings["structure"] = structure_settings(experiment, name)
     settings["recordings"] = recordings
     if section.responses:
-        files = [(file_digest(experiment.folder / each.file), each.averages, each.std) for each in section.responses]
+        files = [(file_digest(experiment.folder / each.file), each.model_dump()) for each in section.responses]
         settings["responses"] = files
     sources = [fit_input(experiment, experiment.recordings[recording]) for recording in recordings]
     path = experiment.path(f"{FOLDER}/{name}", model)

@@ -397,7 +397,9 @@ def subspace_start(
     model = black_box(records, predictor.n_states, feedthrough=not decays and at_once)
     target = _target(model, data, holds, decays)
     bounds = np.array([(q.lower, q.upper) for q in free], float).reshape(-1, 2)
-    starts = _draw(free, bounds, {symbol.name() for symbol in ca.symvar(m.delay)}, target, data.sample_time, seed)
+    starts = drawn_starts(
+        free, bounds, {symbol.name() for symbol in ca.symvar(m.delay)}, target, data.sample_time, seed
+    )
     best = match(predictor, target, starts, bounds[:, 0], bounds[:, 1])
     values = {q.name: float(v) for q, v in zip(free, best.theta, strict=True)}
     unused = {name: float(np.clip(0.0, known[name].lower, known[name].upper)) for name in predictor.unused}
@@ -438,8 +440,8 @@ def _frequencies(poles: ComplexArray, data: FitData) -> FloatArray:
     return np.unique(np.concatenate([np.geomspace(low, high, _FREQUENCIES_SUBSPACE_START), inside]))
 
 
-def _draw(
-    free: Sequence[Parameter], bounds: FloatArray, delays: set[str], target: Target, sample_time: float, seed: int
+def drawn_starts(
+    free: Sequence[Parameter], bounds: FloatArray, delays: set[str], target: Target, sample_time: float, seed: int = 0
 ) -> Iterator[FloatArray]:
     """Yield starts of the match: the stated one, then random ones between the bounds or over many decades."""
     random = np.random.default_rng(seed)
@@ -486,6 +488,12 @@ class Begin:
     notes: tuple[str, ...]
 
 
+def has_no_starts(structure: Any) -> bool:
+    """Return whether a linear structure has no method of its own for start values from data."""
+    unknown = start_values.dispatch(type(structure)) is start_values.dispatch(object)
+    return unknown and hasattr(structure, "matrices") and kind_of(structure).plant is structure
+
+
 def begin_values(
     structure: Any,
     parameters: Sequence[Parameter],
@@ -526,8 +534,7 @@ def begin_values(
     stated = {q.name: q.start for q in parameters if q.start is not None and (q.fixed or not from_data)}
     notes: tuple[str, ...] = ()
     missing = [q.name for q in parameters if q.name not in stated]
-    unknown = start_values.dispatch(type(structure)) is start_values.dispatch(object)
-    if missing and unknown and hasattr(structure, "matrices"):
+    if missing and has_no_starts(structure):
         driven: Any = structure if data.input_names else kind_of(structure).without_inputs()
         start = subspace_start(driven, data, parameters, intersample)
         values = {**start.values, **stated}

@@ -43,6 +43,8 @@ class MeasuredResponse(FrequencyData):
         Name of the first recording.
     correlation : tuple of float
         Correlation of the errors of neighbouring frequencies; see `FrequencyData`.
+    of_loop : bool
+        See `FrequencyData`.
     averages : float
         Equivalent number of independent segments.
     """
@@ -215,9 +217,8 @@ def _of_periods(
     S = uniform_filter1d(noise, 2 * width + 1, axis=0, mode="nearest") / (freedom * periods / len(recordings))
     mean = np.stack(means)  # recordings, lines, channels
     amplitude = np.abs(mean[:, :, :n_u]).max(axis=0)
-    moving = amplitude > np.maximum(
-        _MOVES * np.sqrt(np.einsum("faa->fa", S[:, :n_u, :n_u]).real), _OF_LARGEST * amplitude.max(initial=0.0)
-    )
+    spread = np.sqrt(np.maximum(np.einsum("faa->fa", S[:, :n_u, :n_u]).real, 0.0))
+    moving = amplitude > np.maximum(_MOVES * spread, _OF_LARGEST * amplitude.max(initial=0.0))
     chosen = np.flatnonzero(moving.any(axis=1))
     response = np.full((len(chosen), y[0].shape[1], n_u), np.nan, complex)
     variance = np.full(response.shape, np.nan)
