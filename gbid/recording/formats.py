@@ -6,10 +6,11 @@ find it by `file_formats`.
 
 from __future__ import annotations
 
+import struct
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -32,6 +33,7 @@ from gbid.recording.readers import (
     OpenFile,
     StoredArray,
     array_format,
+    index_of,
     rows_of,
     with_values,
 )
@@ -66,31 +68,35 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     ``u_x``. A column of lists of fixed length is an array with several columns.
     """
     is_parquet = path.suffix.lower() in _PARQUET
-    kind = "parquet" if is_parquet else "feather"
-    package = extra_package(f"pyarrow.{kind}", "arrow", f"{path}: a {kind.capitalize()} file")
-    opened: Any = package.ParquetFile(path, page_checksum_verification=True) if is_parquet else nullcontext()
-    table: Any = None if is_parquet else package.read_table(path)
+    kind = "Parquet" if is_parquet else "Feather"
+    pyarrow, ipc, parquet = (
+        extra_package(f"pyarrow{module}", "arrow", f"{path}: a {kind} file") for module in ("", ".ipc", ".parquet")
+    )
+    opened: Any = (
+        parquet.ParquetFile(path, page_checksum_verification=True) if is_parquet else pyarrow.OSFile(str(path))
+    )
     with opened as file:
-        schema = file.schema_arrow if is_parquet else table.schema
+        schema = file.schema_arrow if is_parquet else ipc.open_file(file).schema
 
-        def read(heading: str, part: FilePart | None) -> tuple[Any, int | None, int]:
-            """Return the values, the number of the first one, and the number of all; of Parquet no other row groups."""
+        def read(index: int, part: FilePart | None) -> tuple[Any, int, int | None]:
+            """Return the values, the number of all, and that of the first one; no other pieces are kept."""
             rows, first = rows_of(None if part is None or part.axis else part)  # channels as rows are read as a whole
-            if table is not None:
-                return table.column(heading)[rows], first, table.num_rows
-            total = file.metadata.num_rows
+            if not is_parquet:
+                pieces, total = _feather_rows(ipc, file, index, rows)
+                return pyarrow.chunked_array(pieces, schema.field(index).type), total, first
+            heading, total = schema.names[index], file.metadata.num_rows
             if first is None:
-                return file.read(columns=[heading]).column(0), None, total
+                return file.read(columns=[heading]).column(0), total, None
             sizes = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
             ends = np.cumsum(sizes)
             chosen = np.flatnonzero((ends > first) & (ends - sizes < rows.stop)).tolist()
             before = int(ends[chosen[0]]) - sizes[chosen[0]] if chosen else 0
             values = file.read_row_groups(chosen, columns=[heading]).column(0)
-            return values[first - before : rows.stop - before], first, total
+            return values[first - before : rows.stop - before], total, first
 
         def stored(index: int, part: FilePart | None = None) -> StoredArray:
             field = schema.field(index)
-            column, first, total = read(field.name, part)
+            column, total, first = read(index, part)
             metadata = field.metadata or {}
             stated = next((metadata[key].decode("utf-8", "replace") for key in _ARROW_UNITS if key in metadata), None)
             values = column.to_numpy()  # nan for null
@@ -107,6 +113,19 @@ def open_arrow(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             lambda: zip(short_names(headings), map(stored, range(len(headings))), strict=True),
             lambda name, part: stored(find_heading(path, headings, name), part),
         )
+
+
+def _feather_rows(ipc: Any, file: Any, index: int, rows: slice) -> tuple[list[Any], int]:
+    """Return rows of a column of a Feather file, and the number of all; the pieces of the file are read one by one."""
+    reader = ipc.open_file(file, options=ipc.IpcReadOptions(included_fields=[index]))
+    kept, total = [], 0
+    for i in range(reader.num_record_batches):
+        column = reader.get_batch(i).column(0)
+        first, stop = max((rows.start or 0) - total, 0), len(column) if rows.stop is None else rows.stop - total
+        if first < len(column) and stop > 0:
+            kept.append(column[first:stop])
+        total += len(column)
+    return kept, total
 
 
 ARROW = array_format((".parquet", ".pq", ".feather", ".arrow"), "Parquet or Feather file", open_arrow)
@@ -273,13 +292,7 @@ def _stored_hdf5(dataset: Any, field: str | None, part: FilePart | None = None) 
     unit = next((each for each in stated if isinstance(each, str | bytes)), None)
     if dataset.shape is None:
         return StoredArray(np.zeros(0))
-    where: Any = ()
-    first = total = None
-    if part is not None and (
-        dataset.ndim == 1 or (dataset.ndim == 2 and dataset.shape[part.axis] == max(dataset.shape))
-    ):
-        axis, (rows, first) = part.axis * (dataset.ndim - 1), rows_of(part)
-        where, total = (slice(None),) * axis + (rows,), dataset.shape[axis]
+    where, first, total = index_of(dataset.shape, part)
     values = dataset[where] if field is None else dataset.fields(field)[where]
     unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
     return StoredArray(np.asarray(values), unit, first=first, total=total)
@@ -400,10 +413,14 @@ def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
     Fields of structs, properties of objects (`timeseries`, `iddata`, classes of one's own) and variables of tables have
     dotted names.
     """
-    variables, classes = _load(path, None if names is None else {name.partition(".")[0] for name in names})
+    roots = None if names is None else {name.partition(".")[0] for name in names}
+    load = cache(lambda: _load(path, roots))
 
-    def get(name: str) -> StoredArray:
+    def get(name: str, part: FilePart | None = None) -> StoredArray:
+        if part is not None and part.samples is not None and (rows := _rows_of_mat73(path, name, part)) is not None:
+            return rows
         root, *fields = name.split(".")
+        variables, classes = load()
         if root not in classes:
             raise DataError(f"{path}: no variable {root!r}; {nearest(root, classes)}")
         value = matlab_value(variables[root])
@@ -430,7 +447,31 @@ def open_mat(path: Path, names: Sequence[str] | None) -> Iterator[OpenFile]:
         for field in value:
             yield from leaves(f"{name}.{field}", matlab_value(value[field], inside=value), depth + 1)
 
-    yield OpenFile(get, lambda: (leaf for name in classes for leaf in leaves(name, matlab_value(variables[name]))))
+    def every() -> Iterator[tuple[str, StoredArray]]:
+        variables, classes = load()
+        return (leaf for name in classes for leaf in leaves(name, matlab_value(variables[name])))
+
+    yield OpenFile(get, every, get)
+
+
+_NUMBERS = {f"{kind}{bits}".encode() for kind in ("int", "uint") for bits in (8, 16, 32, 64)} | {b"double", b"single"}
+
+
+def _rows_of_mat73(path: Path, name: str, part: FilePart) -> StoredArray | None:
+    """Return samples of a matrix, or of one in a struct, of a v7.3 file; None of anything else, which is loaded."""
+    if not h5py.is_hdf5(path):
+        return None
+    with h5py.File(path, "r") as file:
+        dataset = file.get(name.replace(".", "/"))
+        if not isinstance(dataset, h5py.Dataset) or dataset.attrs.get("MATLAB_class") not in _NUMBERS:
+            return None
+        if dataset.ndim != 2 or dataset.dtype.names or "MATLAB_empty" in dataset.attrs:
+            return None
+        is_vector = min(dataset.shape) == 1
+        where, first, total = index_of((dataset.size,) if is_vector else dataset.shape[::-1], part)
+        if is_vector:
+            return StoredArray(dataset[(0, *where) if len(dataset) == 1 else (*where, 0)], first=first, total=total)
+        return StoredArray(dataset[(*where, slice(None), slice(None))[1::-1]].T, first=first, total=total)
 
 
 def _channels_of_iddata(value: MatObject, where: str) -> dict[str, StoredArray]:
@@ -613,10 +654,17 @@ def open_npz(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
         if twice:
             raise DataError(f"{path}: holds variable {twice[0]!r} more than once; save it again with each name once")
 
-        def get(name: str) -> StoredArray:
+        def get(name: str, part: FilePart | None = None) -> StoredArray:
             if name not in archive.files:
                 raise DataError(f"{path}: no variable {name!r}; {nearest(name, archive.files)}")
             try:
+                if (
+                    part is not None
+                    and part.samples is not None
+                    and (mapped := _mapped_member(archive, name)) is not None
+                ):
+                    where, first, total = index_of(mapped.shape, part)
+                    return StoredArray(np.array(mapped[where]), first=first, total=total)
                 return StoredArray(archive[name])
             except ValueError as error:
                 if "pickle" not in str(error):
@@ -626,7 +674,22 @@ def open_npz(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
             )
             return StoredArray(np.zeros(0), fault=text, remark="pickled Python objects: not loaded")
 
-        yield OpenFile(get, lambda: ((name, get(name)) for name in archive.files))
+        yield OpenFile(get, lambda: ((name, get(name)) for name in archive.files), get)
+
+
+def _mapped_member(archive: Any, name: str) -> Any:
+    """Return an array of an archive where it stands in the file, mapped into memory; None of a compressed one."""
+    info, handle = archive.zip.getinfo(f"{name}.npy"), archive.zip.fp
+    if info.compress_type:
+        return None
+    handle.seek(info.header_offset + 26)  # lengths of name and extra field (PKWARE, APPNOTE.TXT, Sec. 4.3.7)
+    handle.seek(info.header_offset + 30 + sum(struct.unpack("<HH", handle.read(4))))
+    version = np.lib.format.read_magic(handle)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, columns_first, dtype = read(handle)
+    if dtype.hasobject or 0 in shape:
+        return None
+    return np.memmap(handle, dtype, "r", handle.tell(), shape, "F" if columns_first else "C")
 
 
 NPZ = array_format((".npz",), "npz archive", open_npz)

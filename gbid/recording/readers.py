@@ -147,6 +147,17 @@ def rows_of(part: FilePart | None) -> tuple[slice, int | None]:
     return (slice(None), None) if samples is None else (slice(*samples), samples[0])
 
 
+def index_of(shape: tuple[int, ...], part: FilePart | None) -> tuple[tuple[slice, ...], int | None, int | None]:
+    """Return the index of the samples to be read of an array, the number of the first one, and of all.
+
+    All are read, without numbers, where no samples are named or the axis of time is not the longer one.
+    """
+    if part is None or not (len(shape) == 1 or (len(shape) == 2 and shape[part.axis] == max(shape))):
+        return (), None, None
+    axis, (rows, first) = part.axis * (len(shape) - 1), rows_of(part)
+    return (*[slice(None)] * axis, rows), first, shape[axis]
+
+
 class OpenFile(NamedTuple):
     """Open file that holds arrays by name.
 

@@ -49,6 +49,20 @@ def test_channels_are_rows_where_it_is_said(channels_as_rows):
         import_recording(channels_as_rows, {**mapping, "axis": 1, "samples": [10, 600]})
 
 
+def test_samples_of_matrices_of_matlab_and_numpy_are_read_alone(tmp_path):
+    """A matrix in a struct of a v7.3 file; one in an archive, with time along its columns."""
+    path = write_part("mat", tmp_path / "a.mat")
+    signals = {"s": {"columns": ["run.pos[0]", "run.pos[2]"], "unit": "V"}}
+    made = import_recording(path, {"sample_time_s": 1e-3, "signals": signals, "samples": [130, 270]})
+    np.testing.assert_array_equal(made.signal("s"), P[::2, 130:270].T)
+    np.savez(tmp_path / "a.npz", p=np.asfortranarray(P))
+    signals = {"s": {"columns": ["p[0]", "p[2]"], "unit": "V"}}
+    mapping = {"sample_time_s": 1e-3, "signals": signals, "samples": [130, 270], "axis": 1}
+    np.testing.assert_array_equal(import_recording(tmp_path / "a.npz", mapping).signal("s"), P[::2, 130:270].T)
+    np.savez_compressed(tmp_path / "a.npz", p=P)
+    np.testing.assert_array_equal(import_recording(tmp_path / "a.npz", mapping).signal("s"), P[::2, 130:270].T)
+
+
 def test_an_axis_the_other_way_and_one_of_text_are_refused(tmp_path):
     np.savez(tmp_path / "a.npz", p=P.T)
     (tmp_path / "a.csv").write_text("a;b\n1;2\n2;3\n")
@@ -105,6 +119,31 @@ def write_part(kind, path):
                 here = slice(100 * k, 100 * (k + 1))
                 channels = [nptdms.ChannelObject("g", "p", P[0, here])]
                 writer.write_segment(channels + [nptdms.ChannelObject("g", "short", P[1, here])] * (k < 4))
+    elif kind == "feather":
+        pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'gbid[arrow]'")
+        from pyarrow import feather
+
+        feather.write_feather(pa.table({"p": P[0], "q": P[1]}), path, chunksize=100)
+    elif kind == "npz":
+        np.savez(path, p=P[0], short=P[1, :400])
+    elif kind == "mat":  # v7.3: HDF5 with a block of its own before, and shapes the other way round
+        with h5py.File(path, "w", userblock_size=512) as file:
+            for name, values in (("p", P[0]), ("short", P[1, :400]), ("run/pos", P)):
+                file[name] = np.atleast_2d(values)
+                file[name].attrs["MATLAB_class"] = np.bytes_("double")
+            file["run"].attrs["MATLAB_class"] = np.bytes_("struct")
+        with path.open("r+b") as file:
+            file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    elif kind in ("uff", "unv"):
+        pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'gbid[uff]'")
+        common = {"type": 58, "func_type": 1, "load_case_id": 0, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0}
+        common |= {"orddenom_spec_data_type": 0, "abscissa_spec_data_type": 17, "binary": int(kind == "uff")}
+        sets = [
+            {**common, "rsp_ent_name": name, "rsp_node": node, "data": values, "x": 1e-3 * np.arange(len(values))}
+            for node, (name, values) in enumerate([("p", P[0]), ("short", P[1, :400]), ("late", P[2])], 1)
+        ]
+        sets[0]["abscissa_spacing"], sets[1]["abscissa_spacing"], sets[2]["abscissa_spacing"] = 1, 1, 0
+        pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
     else:
         asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'gbid[mdf]'")
         with asammdf.MDF(version="4.10") as file:
@@ -114,13 +153,13 @@ def write_part(kind, path):
     return path
 
 
-@pytest.mark.parametrize("kind", ["parquet", "tdms", "mf4"])
+@pytest.mark.parametrize("kind", ["parquet", "tdms", "mf4", "feather", "npz", "mat"])
 def test_samples_of_a_file_of_a_logger_are_read_alone(tmp_path, kind):
     path = write_part(kind, tmp_path / f"a.{kind}")
     mapping = {"sample_time_s": 1e-3, "signals": {"s": {"columns": "p", "unit": "V"}}}
     for first, stop in ((130, 270), (100, 200), (0, 2), (498, 500)):
         made = import_recording(path, {**mapping, "samples": [first, stop]})
-        np.testing.assert_array_equal(made.signal("s")[:, 0], P[0, first:stop])
+        np.testing.assert_allclose(made.signal("s")[:, 0], P[0, first:stop], rtol=1e-11 if kind == "unv" else 0)
         assert made.provenance["source_rows"].startswith(f"rows {first} to {stop}, read alone")
     for samples in ([10, 501], [600, 700]):
         with pytest.raises(DataError, match=rf"samples {samples[0]} to {samples[1]} are not within its 500 samples"):
@@ -132,7 +171,7 @@ def test_samples_of_a_file_of_a_logger_are_read_alone(tmp_path, kind):
         import_recording(path, {**mapping, "samples": [0, 400]})
         with pytest.raises(DataError, match="not a readable Parquet"):
             import_recording(path, mapping)
-    else:
+    elif kind != "feather":
         several = {"s": {"columns": ["p", "short"], "unit": "V"}}
         with pytest.raises(DataError, match="different numbers of samples: p 500, short 400"):
             import_recording(path, {**mapping, "signals": several, "samples": [0, 10]})
