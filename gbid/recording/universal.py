@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+import mmap
+import re
+import tempfile
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +16,9 @@ import numpy as np
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import DataError, nearest
 from gbid.core.extras import extra_package
-from gbid.recording.readers import OpenFile, StoredArray
+from gbid.recording.columns import numbered_twins
+from gbid.recording.mapping import FilePart
+from gbid.recording.readers import OpenFile, StoredArray, rows_of
 
 UNIVERSAL_ENDINGS = (".uff", ".unv", ".uf")
 SPREAD = "standard deviation of the real part, and of the imaginary part"
@@ -42,8 +47,89 @@ class PairResponse(NamedTuple):
     quality: FloatArray | None
 
 
-def read_sets(path: Path, kinds: Sequence[int] = (58,)) -> list[dict[str, Any]]:
-    """Return the sets of these kinds, each with the fields of pyuff.
+_MARK = re.compile(rb"    -1 *(?=\r?\n|\r?\Z)")  # before and after each set
+_PER_LINE = {(2, 1): 6, (2, 0): 3, (4, 1): 4, (4, 0): 2, (5, 1): 3, (5, 0): 2, (6, 1): 2, (6, 0): 1}
+"""Points in a line of text, by type of the ordinate (single, double, both complex) and even spacing."""
+
+
+class _Block(NamedTuple):
+    """Set 58 in a file: lines before the numbers, where these are, and how: bytes of a point, or points in a line."""
+
+    head: bytes
+    begin: int
+    end: int
+    point_bytes: int
+    per_line: int
+
+    def cut(self, data: Any, rows: slice) -> tuple[bytes, int]:
+        """Return the set with these points, and how many points of the same line are before them."""
+        first, stop = rows.start or 0, rows.stop
+        begin, end, skipped = self.begin, self.end, first
+        if self.point_bytes:
+            end = end if stop is None else min(end, begin + stop * self.point_bytes)
+            begin, skipped = begin + first * self.point_bytes, 0
+        elif (length := data.find(b"\n", begin) + 1 - begin) > 0:
+            line = first // self.per_line
+            at = begin + line * length
+            if at == begin or (at < end and data[at - 1 : at] == b"\n"):  # else lines have several lengths
+                last = end if stop is None else begin + -(-stop // self.per_line) * length
+                begin, end, skipped = at, min(end, last), first - line * self.per_line
+        return self.head + data[begin:end] + b"\n" * (not self.point_bytes) + b"    -1\n", skipped
+
+
+def _blocks(path: Path, data: Any) -> Iterator[_Block]:
+    """Yield the sets 58 of a file that is mapped into memory."""
+    mark, k = _MARK.search(data), 0
+    while mark:
+        lines, at = list[bytes](), mark.start()
+        while len(lines) < 13 and not (len(lines) == 2 and lines[1][:6].strip() != b"58"):
+            stop = data.find(b"\n", at) + 1 or len(data)
+            lines, at = [*lines, data[at:stop]], stop
+        begin, point_bytes, per_line = at, 0, 0
+        if len(lines) == 13:
+            order, points, even = (int(lines[8][k : k + 10]) for k in (0, 10, 20))
+            numbers, per_line = 1 + (order > 4) + (not even), _PER_LINE[order, int(even == 1)]
+            point_bytes = (4 if order in (2, 5) else 8) * numbers * (lines[1][6:7].lower() == b"b")
+            at += points * point_bytes
+        end = _MARK.search(data, min(at, len(data)))
+        if end is None:
+            raise DataError(f"{path}: truncated, or no universal file: a set has no end; copy it again")
+        if len(lines) == 13:
+            k += 1
+            length = data.find(b"\n", begin) + 1 - begin
+            if not point_bytes and (count := -(-(end.start() - begin) // length) * per_line) < points:
+                raise DataError(f"{path}: function {k} has {count} of {points} points; copy or record it again")
+            yield _Block(b"".join(lines), begin, end.start(), point_bytes, per_line)
+        mark = _MARK.search(data, end.end())
+
+
+def read_rows(path: Path, rows: slice, chosen: Sequence[int] | None = None) -> list[dict[str, Any]]:
+    """Return functions (sets 58; all, or some by number) with these points alone, as `read_sets` does.
+
+    The values of a function are in ``data``, its times in ``x``; ``num_pts`` counts all of its points.
+    """
+    _check_end(path)
+    with path.open("rb") as handle, mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        blocks = [block for k, block in enumerate(_blocks(path, data)) if chosen is None or k in chosen]
+        parts = [block.cut(data, rows) for block in blocks]
+    with tempfile.TemporaryDirectory() as folder:
+        short = Path(folder) / "rows.uff"
+        short.write_bytes(b"".join(part for part, _ in parts))
+        sets = read_sets(short, whole=False)
+    for each, (_, skipped) in zip(sets, parts, strict=True):
+        first = rows.start or 0
+        count = max(min(each["num_pts"] if rows.stop is None else rows.stop, each["num_pts"]) - first, 0)
+        each["data"], each["x"] = (each[key][skipped : skipped + count] for key in ("data", "x"))
+        if len(each["data"]) < count:
+            found = first + len(each["data"])
+            raise DataError(f"{path}: a function has {found} of {each['num_pts']} points; copy or record it again")
+        if each["abscissa_spacing"]:
+            each["x"] = each["abscissa_min"] + each["abscissa_inc"] * np.arange(first, first + count)
+    return sets
+
+
+def read_sets(path: Path, kinds: Sequence[int] = (58,), *, whole: bool = True) -> list[dict[str, Any]]:
+    """Return the sets of these kinds, each with the fields of pyuff; `whole`: a function must have all of its points.
 
     Raises
     ------
@@ -53,19 +139,23 @@ def read_sets(path: Path, kinds: Sequence[int] = (58,)) -> list[dict[str, Any]]:
         When pyuff is not installed.
     """
     pyuff = extra_package("pyuff", "uff", f"{path}: a universal file")
-    with path.open("rb") as handle:
-        handle.seek(max(0, path.stat().st_size - 200))
-        if handle.read().rstrip()[-2:] != b"-1":
-            raise DataError(f"{path}: truncated, or no universal file: its last line is not -1; copy it again")
+    _check_end(path)
     try:
         file = pyuff.UFF(str(path))
         sets = [file.read_sets(i) for i, kind in enumerate(file.get_set_types().tolist()) if kind in kinds]
     except Exception as error:  # a damaged file can raise any kind of error
         raise DataError(f"{path}: not a readable universal file (damaged or of another format): {error}") from None
     for k, each in enumerate(sets, start=1):
-        if each["type"] == 58 and (count := len(each["data"])) < each["num_pts"]:
+        if whole and each["type"] == 58 and (count := len(each["data"])) < each["num_pts"]:
             raise DataError(f"{path}: function {k} has {count} of {each['num_pts']} points; copy or record it again")
     return sets
+
+
+def _check_end(path: Path) -> None:
+    with path.open("rb") as handle:
+        handle.seek(max(0, path.stat().st_size - 200))
+        if handle.read().rstrip()[-2:] != b"-1":
+            raise DataError(f"{path}: truncated, or no universal file: its last line is not -1; copy it again")
 
 
 def _points(sets: Sequence[Mapping[str, Any]], role: str) -> list[str]:
@@ -89,36 +179,49 @@ def _points(sets: Sequence[Mapping[str, Any]], role: str) -> list[str]:
 @contextmanager
 def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFile]:
     """Return a context with the functions of a universal file over time; `time` where they share their times."""
-    sets = read_sets(path)
-    for each in sets:
-        count = each["num_pts"]
-        each["data"], each["x"] = each["data"][:count], each["x"][:count]
+    sets = read_rows(path, slice(0, 1))
     is_time = [each["func_type"] == _TIME or each["abscissa_spec_data_type"] == _OVER_TIME for each in sets]
     points = zip(_points(sets, "rsp"), _points(sets, "ref"), is_time, strict=True)
-    names = [output if timed else f"{output} / {source}" for output, source, timed in points]
-    count, seen = Counter(names), Counter[str]()
-    arrays: dict[str, StoredArray] = {}
-    starts: dict[float | None, float] = {}
-    for name, each, timed in zip(names, sets, is_time, strict=True):
-        seen[name] += 1
-        unit = str(each["ordinate_axis_units_lab"]).strip()
+    names = numbered_twins([output if timed else f"{output} / {source}" for output, source, timed in points])
+    known = {name: k for k, name in enumerate(names)}
+    over_time = [k for k, timed in enumerate(is_time) if timed]
+    starts: dict[float, float] = {}
+    for k in over_time:
+        if sets[k]["abscissa_spacing"]:
+            starts.setdefault(float(sets[k]["abscissa_inc"]), float(sets[k]["abscissa_min"]))
+
+    def get(name: str, part: FilePart | None = None) -> StoredArray:
+        rows, first = rows_of(part)
+        if name == "time" and name not in known and (shared := times(rows)) is not None:
+            return StoredArray(shared, "s", first=first, total=sets[over_time[0]]["num_pts"])
+        if name not in known:
+            raise DataError(f"{path}: no function {name!r}; {nearest(name, known)}")
+        each = sets[known[name]]
+        unit: str | None = str(each["ordinate_axis_units_lab"]).strip()
+        timed = is_time[known[name]]
         fault = remark = "" if timed else "no function of time; frequency responses are for a fit's responses"
         step = float(each["abscissa_inc"]) if each["abscissa_spacing"] and timed else None
-        begin = float(each["x"][0]) if len(each["x"]) else 0.0
-        if step is not None and abs(begin - starts.setdefault(step, begin)) > 0.01 * step:
+        begin = float(each["abscissa_min"])
+        if step is not None and abs(begin - starts[step]) > 0.01 * step:
             fault = f"begins at {begin:g} s, another one at {starts[step]:g} s; import them from files of their own"
-        key = name if count[name] == 1 else f"{name} #{seen[name]}"
-        arrays[key] = StoredArray(each["data"], None if unit in ("", "NONE") else unit, step, fault, remark)
-    times = [each["x"] for each, timed in zip(sets, is_time, strict=True) if timed]
-    if times and all(np.array_equal(x, times[0]) for x in times):
-        arrays.setdefault("time", StoredArray(times[0], "s"))
+        (read,) = read_rows(path, rows, [known[name]])
+        unit = None if unit in ("", "NONE") else unit
+        return StoredArray(read["data"], unit, step, fault, remark, first, each["num_pts"])
 
-    def get(name: str) -> StoredArray:
-        if name not in arrays:
-            raise DataError(f"{path}: no function {name!r}; {nearest(name, arrays)}")
-        return arrays[name]
+    def times(rows: slice) -> FloatArray | None:
+        """Return the times that all functions share; None where they do not."""
+        kinds = {(sets[k]["num_pts"], sets[k]["abscissa_spacing"], sets[k]["abscissa_min"]) for k in over_time}
+        if len(kinds) != 1 or len({sets[k]["abscissa_inc"] for k in over_time}) != 1:
+            return None
+        first, *others = [each["x"] for each in read_rows(path, rows, over_time)]
+        return first if all(np.array_equal(first, x) for x in others) else None
 
-    yield OpenFile(get, lambda: iter(arrays.items()))
+    def every() -> Iterator[tuple[str, StoredArray]]:
+        yield from ((name, get(name)) for name in known)
+        if "time" not in known and (shared := times(slice(None))) is not None:
+            yield "time", StoredArray(shared, "s")
+
+    yield OpenFile(get, every, get)
 
 
 def read_responses(path: Path) -> tuple[dict[tuple[str, str], PairResponse], bool]:

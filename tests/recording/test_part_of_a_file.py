@@ -63,6 +63,17 @@ def test_samples_of_matrices_of_matlab_and_numpy_are_read_alone(tmp_path):
     np.testing.assert_array_equal(import_recording(tmp_path / "a.npz", mapping).signal("s"), P[::2, 130:270].T)
 
 
+def test_samples_of_a_universal_file_have_the_times_of_their_function(tmp_path):
+    path = write_part("unv", tmp_path / "a.unv")
+    for column, values in (("late", P[2]), ("short", P[1])):
+        mapping = {"sample_time_s": 1e-3, "signals": {"s": {"columns": column, "unit": "V"}}}
+        for first, stop in ((131, 270), (0, 2), (397, 400)):
+            made = import_recording(path, {**mapping, "samples": [first, stop]})
+            np.testing.assert_allclose(made.signal("s")[:, 0], values[first:stop], rtol=1e-11)
+        whole = import_recording(path, mapping)
+        np.testing.assert_allclose(whole.signal("s")[:, 0], values[: whole.n_samples], rtol=1e-11)
+
+
 def test_an_axis_the_other_way_and_one_of_text_are_refused(tmp_path):
     np.savez(tmp_path / "a.npz", p=P.T)
     (tmp_path / "a.csv").write_text("a;b\n1;2\n2;3\n")
@@ -134,16 +145,27 @@ def write_part(kind, path):
             file["run"].attrs["MATLAB_class"] = np.bytes_("struct")
         with path.open("r+b") as file:
             file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    elif kind in ("uff", "unv"):
+    elif kind in ("uff", "unv"):  # in binary; in text, of which the third function has times of its own
         pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'gbid[uff]'")
         common = {"type": 58, "func_type": 1, "load_case_id": 0, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0}
-        common |= {"orddenom_spec_data_type": 0, "abscissa_spec_data_type": 17, "binary": int(kind == "uff")}
+        common |= {"orddenom_spec_data_type": 0, "abscissa_spec_data_type": 17}
+        values = {"p": P[0], "short": P[1, :400], "late": P[2]}
         sets = [
-            {**common, "rsp_ent_name": name, "rsp_node": node, "data": values, "x": 1e-3 * np.arange(len(values))}
-            for node, (name, values) in enumerate([("p", P[0]), ("short", P[1, :400]), ("late", P[2])], 1)
+            common
+            | {"rsp_ent_name": name, "rsp_node": k, "abscissa_spacing": k < 3, "x": 1e-3 * np.arange(len(y)), "data": y}
+            for k, (name, y) in enumerate(values.items(), 1)
         ]
-        sets[0]["abscissa_spacing"], sets[1]["abscissa_spacing"], sets[2]["abscissa_spacing"] = 1, 1, 0
         pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
+        if kind == "uff":
+            texts = [text.splitlines(keepends=True) for text in path.read_text().split("    -1\n")[1:4:2]]
+            blocks = [
+                f"    -1\n    58b{1:6}{2:6}{11:12}{8 * len(y):12}{0:6}{0:6}{0:12}{0:12}\n".encode()
+                + "".join(lines[1:12]).encode()
+                + y.astype("<f8").tobytes()
+                + b"    -1\n"
+                for lines, y in zip(texts, values.values(), strict=False)
+            ]
+            path.write_bytes(b"".join(blocks))
     else:
         asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'gbid[mdf]'")
         with asammdf.MDF(version="4.10") as file:
@@ -153,7 +175,7 @@ def write_part(kind, path):
     return path
 
 
-@pytest.mark.parametrize("kind", ["parquet", "tdms", "mf4", "feather", "npz", "mat"])
+@pytest.mark.parametrize("kind", ["parquet", "tdms", "mf4", "feather", "npz", "mat", "uff", "unv"])
 def test_samples_of_a_file_of_a_logger_are_read_alone(tmp_path, kind):
     path = write_part(kind, tmp_path / f"a.{kind}")
     mapping = {"sample_time_s": 1e-3, "signals": {"s": {"columns": "p", "unit": "V"}}}
