@@ -300,9 +300,9 @@ def export(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="EXPERIMENT|MODEL|CONTROLLER",
+            metavar="EXPERIMENT|MODEL|CONTROLLER|DATA",
             help="An experiment YAML (its fits, LPV models and controllers), a model YAML or name, a controller YAML, "
-            "or a fit or a recording in .h5.",
+            "a fit or a recording in .h5, or a folder of these.",
             show_default=False,
             autocompletion=complete_source,
         ),
@@ -333,7 +333,7 @@ def export(
         typer.Option("--output", "-o", metavar="DIR", help="Folder; `export` in the results, or here for a file."),
     ] = None,
 ) -> None:
-    """Write models and controllers for other programs."""
+    """Write models, controllers and recordings for other programs."""
     from gbid.cli.printing import print_json, print_notes, tell, tell_line
     from gbid.experiment.exporting import find_exports, write_exports
 

@@ -62,7 +62,7 @@ def find_exports(
     Parameters
     ----------
     source : str
-        An experiment YAML, a model YAML or name, a controller YAML, or a fit or a recording in .h5.
+        An experiment YAML, a model YAML or name, a controller YAML, a fit or a recording in .h5, or a folder of these.
     at : (pressure_bar, speed_rpm), optional
         Operating point. LPV models give their linear models there.
     results : path, optional
@@ -82,15 +82,20 @@ def find_exports(
         When the experiment has no models and no controllers yet.
     """
     path = Path(source)
+    if at is not None and (path.is_dir() or path.suffix in (".h5", ".hdf5")):
+        raise UsageError(f"--at is for LPV models and controllers, not for {source}; leave it out")
+    if path.is_dir():
+        items, left_out = [], []
+        for file in sorted(path.glob("*.h5")):
+            try:
+                items.append(_stored(file))
+            except GbidError as error:
+                left_out.append(str(error))
+        if not items:
+            raise DataError(f"{source}: no recordings and no fits (.h5) in this folder")
+        return Exports(source, _apart(items), Path(), tuple(left_out))
     if path.suffix in (".h5", ".hdf5"):
-        if at is not None:
-            raise UsageError(f"--at is for LPV models and controllers, not for {source}; leave it out")
-        value, name = load(path), path.stem
-        if not isinstance(value, FitResult | Recording):
-            raise UsageError(f"{source}: a {type(value).__name__} is not exported; give a fit or a recording")
-        if isinstance(value, FitResult):
-            name = f"{path.parent.name}_{name}"
-        return Exports(source, (ExportItem(identifier(name), value),), Path())
+        return Exports(source, (_stored(path),), Path())
     if path.suffix in (".yaml", ".yml"):
         kind = read_yaml(path).data.get("kind")
         if kind == "controller":
@@ -100,6 +105,15 @@ def find_exports(
             return _of_experiment(load_experiment(path, results, announce=announce), at)
     model = load_model(source)
     return Exports(source, _of_model(identifier(model.name), model, at), Path(), notes=model.notes)
+
+
+def _stored(path: Path) -> ExportItem:
+    """Return the recording or the fit in a file; the recording has the name of its file."""
+    value = load(path)
+    if not isinstance(value, FitResult | Recording):
+        raise UsageError(f"{path}: a {type(value).__name__} is not exported; give a fit or a recording")
+    is_fit = isinstance(value, FitResult)
+    return ExportItem(identifier(f"{path.parent.name}_{path.stem}") if is_fit else path.stem, value)
 
 
 def identifier(text: str) -> str:
@@ -224,7 +238,8 @@ def write_exports(exports: Exports, to: str, request: ExportRequest) -> list[Pat
     if not items:
         takes = ", ".join(_WORDS[kind] for kind in target.takes)
         kinds = ", ".join(dict.fromkeys(_WORDS[item.kind] for item in exports.items))
-        raise UsageError(f"{exports.source}: --to {to} takes {takes}; here are only {kinds}: choose another target")
+        hint = "give a recording (.h5) or a folder of them" if "Recording" in target.takes else "choose another target"
+        raise UsageError(f"{exports.source}: --to {to} takes {takes}; here are only {kinds}: {hint}")
     with atomic_set(request.folder, request.overwrite) as stage:
         staged = replace(request, folder=stage, beside=exports.items)
         files = [path for item in items for path in target.write(item, staged)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,13 +19,16 @@ from gbid.recording import Recording
 from gbid.recording.universal import SPREAD, UNIVERSAL_ENDINGS
 
 
-def save_data(what: Recording | FrequencyData, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write a recording or frequency responses for another program, and return the path of the file.
+def save_data(
+    what: Recording | FrequencyData | Sequence[Recording], path: str | Path, *, overwrite: bool = False
+) -> Path:
+    """Write recordings or frequency responses for another program, and return the path of the file.
 
     Parameters
     ----------
-    what : Recording or FrequencyData
-        The data. A channel is named ``p_x``, or by its signal where that has one channel.
+    what : Recording, sequence of Recording, or FrequencyData
+        The data. A channel is named ``p_x``, or by its signal where that has one channel. Several recordings are for
+        ``.mf4``: a group for each, by the name of the recording, whose channels are ``run 1/p_x``.
     path : path
         The new file. Its ending decides the format: ``.parquet`` (extra ``arrow``) and ``.mf4`` (extra ``mdf``) for
         recordings, ``.uff`` or ``.unv`` (extra ``uff``) for both.
@@ -40,8 +43,9 @@ def save_data(what: Recording | FrequencyData, path: str | Path, *, overwrite: b
     Raises
     ------
     UsageError
-        When the ending is unknown, the package is not installed, the file exists and `overwrite` is not set, or the
-        format cannot hold the data: universal files have no missing samples and names of at most 10 characters.
+        When the ending is unknown, the package is not installed, the file exists and `overwrite` is not set, recordings
+        have one name, or the format cannot hold the data: universal files have no missing samples and names of at most
+        10 characters.
     DataError
         When the file cannot be written.
 
@@ -52,7 +56,14 @@ def save_data(what: Recording | FrequencyData, path: str | Path, *, overwrite: b
     path = given_path(path)
     writers: dict[str, Callable[[Any, Path], None]] = dict.fromkeys(UNIVERSAL_ENDINGS, _write_universal)
     if isinstance(what, Recording):
-        writers |= {".parquet": _write_parquet, ".mf4": _write_mdf}
+        writers |= {".parquet": _write_parquet, ".mf4": lambda recording, part: _write_mdf([recording], part)}
+    elif not isinstance(what, FrequencyData):
+        writers = {".mf4": _write_mdf}
+        names = [recording.name for recording in what]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise UsageError(
+                f"two recordings have the name {twice[0]!r}; rename one, as in replace(recording, name=...)"
+            )
     if path.suffix.lower() not in writers:
         raise UsageError(f"{path}: unknown ending {path.suffix!r}; for this there is {', '.join(writers)}")
     with atomic_path(path, overwrite) as part:
@@ -95,12 +106,13 @@ def _write_parquet(recording: Recording, path: Path) -> None:
     parquet.write_table(table, path, write_page_checksum=True)
 
 
-def _write_mdf(recording: Recording, path: Path) -> None:
+def _write_mdf(recordings: Sequence[Recording], path: Path) -> None:
     asammdf = extra_package("asammdf", "mdf", f"{path}: an MDF file")
-    time = recording.time
-    signals = [asammdf.Signal(values, time, unit=unit, name=name) for name, unit, values in _columns(recording)]
     with asammdf.MDF() as file, path.open("w+b") as handle:
-        file.append(signals, comment=_about(recording), common_timebase=True)
+        for recording in recordings:
+            time, columns = recording.time, _columns(recording)
+            signals = [asammdf.Signal(values, time, unit=unit, name=name) for name, unit, values in columns]
+            file.append(signals, acq_name=recording.name, comment=_about(recording), common_timebase=True)
         file.save(handle)
 
 

@@ -31,7 +31,7 @@ class ExportItem:
     Attributes
     ----------
     name : str
-        Name of its files without ending: letters, digits and ``_``, a letter first.
+        Name of its files without ending: letters, digits and ``_``, a letter first; of a recording, that of its file.
     what : LinearModel, FitResult, LPVModel, ControllerDesign or Recording
         The value.
     maps : tuple of RunoutMap

@@ -179,6 +179,7 @@ _TAIL, _SPREAD = 20, 300  # lines at the end that show the columns; lines over t
 _DESCRIBED = 40  # largest number of lines below the names within which a line of units is looked for
 _BLOCK_LINES = 1000  # largest number of lines of a block above or below the names
 _RULE = "***"  # beginning of a line that ends a block above the names: LabVIEW's ***End_of_Header***
+_UNIT_WORDS = ("unit", "units", "einheit", "einheiten", "y_unit_label")  # what a line of units may begin with
 _UNUSED = ("", "Comment")  # last heading of a column that rows do not have: LabVIEW's
 _MOST = 0.75  # share of the cells of a column that are numbers, where the column is one of numbers
 _DIGITS = {  # digits are not given back (++): else a long cell that is no number takes the square of its length
@@ -458,7 +459,13 @@ class _Candidate:
     def is_names(self, text: str) -> bool:
         """Return whether a line may hold the names of the columns."""
         row = self.cells(text)
-        return row is not None and all(row) and not any(_is_value(cell, self.decimal) for cell in row)
+        names = [] if row is None else [row[i] for i in self.filled if i < len(row)]
+        is_text = bool(names) and all(names) and not any(_is_value(cell, self.decimal) for cell in row or ())
+        return is_text and not self.says_units(text)
+
+    def says_units(self, text: str) -> bool:
+        """Return whether a line begins with a word for units, and has no other words."""
+        return split_cells(text, self.delimiter)[0].lower() in _UNIT_WORDS and self.is_units(text)
 
     def is_units(self, text: str) -> bool:
         """Return whether a line may hold the units of the columns."""
@@ -466,6 +473,7 @@ class _Candidate:
         if row is None:
             return False
         units = [row[i] for i in self.filled if i < len(row)]  # where rows have no cell, a line may have its kind
+        units = [cell for cell in units if cell.lower() not in _UNIT_WORDS]
         return any(units) and all(is_file_unit(cell) for cell in units)
 
     def is_block(self, text: str) -> bool:
@@ -506,7 +514,10 @@ def _with_header(
     if at is None and named:
         at = named[0]
     if at is not None:
-        return layout(content[at], *_below(columns, content[at + 1 :]))
+        unit_line, rows_from, block = _below(columns, content[at + 1 :])
+        if unit_line is None:  # LabVIEW has it above
+            unit_line = next((line for line in content[:at] if columns.says_units(line.text)), None)
+        return layout(content[at], unit_line, rows_from, block)
     units = next((line for line in content[start:first] if columns.is_units(line.text)), None)
     return layout(header, units if header else None, rows_from)
 
@@ -816,7 +827,7 @@ def read_table(path: Path, options: TextOptions | None = None, *, ends: bool = F
     below = split_cells(layout.unit_line.text, layout.delimiter) if layout.unit_line else []
     units: list[str | None] = [name_and_unit(heading)[1] for heading in headings]
     for i, cell in enumerate(below[: len(headings)]):
-        if units[i] is None and cell and is_file_unit(cell):
+        if units[i] is None and cell and cell.lower() not in _UNIT_WORDS and is_file_unit(cell):
             units[i] = written_unit(cell.strip("[]() "))
     units = ["s" if is_stamp(cell) else unit for unit, cell in zip_longest(units, cells[: len(units)], fillvalue="")]
     is_open = len(rows) > 1 and not text.endswith("\n") and rows[-1] == lines[-1]

@@ -52,7 +52,7 @@ _PER_LINE = {(2, 1): 6, (2, 0): 3, (4, 1): 4, (4, 0): 2, (5, 1): 3, (5, 0): 2, (
 """Points in a line of text, by type of the ordinate (single, double, both complex) and even spacing."""
 
 
-class _Block(NamedTuple):
+class _FunctionSet(NamedTuple):
     """Set 58 in a file: lines before the numbers, where these are, and how: bytes of a point, or points in a line."""
 
     head: bytes
@@ -77,7 +77,7 @@ class _Block(NamedTuple):
         return self.head + data[begin:end] + b"\n" * (not self.point_bytes) + b"    -1\n", skipped
 
 
-def _blocks(path: Path, data: Any) -> Iterator[_Block]:
+def _blocks(path: Path, data: Any) -> Iterator[_FunctionSet]:
     """Yield the sets 58 of a file that is mapped into memory."""
     mark, k = _MARK.search(data), 0
     while mark:
@@ -99,7 +99,7 @@ def _blocks(path: Path, data: Any) -> Iterator[_Block]:
             length = data.find(b"\n", begin) + 1 - begin
             if not point_bytes and (count := -(-(end.start() - begin) // length) * per_line) < points:
                 raise DataError(f"{path}: function {k} has {count} of {points} points; copy or record it again")
-            yield _Block(b"".join(lines), begin, end.start(), point_bytes, per_line)
+            yield _FunctionSet(b"".join(lines), begin, end.start(), point_bytes, per_line)
         mark = _MARK.search(data, end.end())
 
 

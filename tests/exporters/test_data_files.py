@@ -42,6 +42,40 @@ def test_mdf(tmp_path):
     np.testing.assert_array_equal(gbid.import_recording(path, READ_BACK).signal("force"), RUN.signal("force"))
 
 
+def test_several_recordings_are_groups_of_an_mdf_file(tmp_path):
+    pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'gbid[mdf]'")
+    other = gbid.Recording({"u": RANDOM.standard_normal((50, 2))}, 1 / 1000, units={"u": "V"}, name="run 2")
+    path = gbid.save_data([RUN, other], tmp_path / "runs.mf4")
+    first = {"u": {"columns": ["run 1/u_x", "run 1/u_y"]}}
+    np.testing.assert_array_equal(gbid.import_recording(path, {"signals": first}).signal("u"), RUN.signal("u"))
+    second = {"u": {"columns": ["run 2/u_x", "run 2/u_y"], "stored_unit": "V"}}
+    back = gbid.import_recording(path, {"signals": second})
+    np.testing.assert_array_equal(back.signal("u"), other.signal("u"))
+    assert back.sample_time == pytest.approx(1e-3)
+    with pytest.raises(UsageError, match="two recordings have the name 'run 1'"):
+        gbid.save_data([RUN, RUN], tmp_path / "twice.mf4")
+    with pytest.raises(UsageError, match=r"unknown ending '.parquet'; for this there is .mf4"):
+        gbid.save_data([RUN, other], tmp_path / "runs.parquet")
+
+
+@pytest.mark.parametrize(("to", "ending"), [("parquet", ".parquet"), ("mdf", ".mf4"), ("universal", ".unv")])
+def test_a_folder_of_recordings_becomes_a_file_for_each(tmp_path, capsys, to, ending):
+    pytest.importorskip(
+        {"parquet": "pyarrow", "mdf": "asammdf", "universal": "pyuff"}[to], reason="extra not installed"
+    )
+    for name in ("5 bar, run 1", "p6"):
+        gbid.save_recording(RUN, tmp_path / f"{name}.h5")
+    (tmp_path / "damaged.h5").write_bytes(b"no HDF5")
+    made = json_of(capsys, "export", tmp_path, "--to", to, "-o", tmp_path / "out")
+    assert [path.rpartition("/")[2] for path in made["files"]] == [f"5 bar, run 1{ending}", f"p6{ending}"]
+    assert "damaged.h5" in made["left_out"][0]
+    content = (tmp_path / "out" / f"p6{ending}").read_bytes()
+    gbid.save_recording(RUN[10:], tmp_path / "p6.h5", overwrite=True)
+    assert "exists" in printed_by(capsys, "export", tmp_path, "--to", to, "-o", tmp_path / "out", code=2).err
+    assert (tmp_path / "out" / f"p6{ending}").read_bytes() == content
+    assert "no recordings and no fits" in printed_by(capsys, "export", tmp_path / "out", "--to", to, code=3).err
+
+
 def test_universal(tmp_path, capsys):
     pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'gbid[uff]'")
     sets = pyuff.UFF(str(gbid.save_data(RUN, tmp_path / "run.unv"))).read_sets()

@@ -99,3 +99,30 @@ def test_the_listing_says_how_a_file_is_read(tmp_path, capsys):
     shown = printed_by(capsys, "import", "--peek", str(path)).out
     assert "encoding 'cp1252', delimiter ';', decimal ',', header line 6, unit line 7, first row in line 8" in shown
     assert "rises in even steps of 0.1: 10 Hz" in shown
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "units"),
+    [
+        (
+            "version,1.0\ntrace_values,,,\n,Time,Force,Pos\nunit,s,N,mm\ndescription,,,\n,0,1.5,2\n,0.1,1.6,3\n,0.2,1.7,4\n",
+            ("", "Time", "Force", "Pos"),
+            (None, "s", "N", "mm"),
+        ),
+        (
+            "File;a\n\nName;Force;Name;Pos\nType;LREAL;Type;LREAL\nUnit;N;Unit;mm\n0,5;1,5;0,5;2\n1,5;1,6;1,5;3\n2,5;1,7;2,5;4\n",
+            ("Name #1", "Force", "Name #2", "Pos"),
+            (None, "N", None, "mm"),
+        ),
+        (
+            "Samples\t3\t3\nY_Unit_Label\tN\tmm\t\nX0\t0\t0\nX_Value\tForce\tPos\tComment\n0.1\t1.5\t2\n0.2\t1.6\t3\n0.3\t1.7\t4\n",
+            ("X_Value", "Force", "Pos"),
+            (None, "N", "mm"),
+        ),
+    ],
+    ids=["dSPACE", "Beckhoff", "LabVIEW"],
+)
+def test_a_line_that_says_unit_has_the_units(tmp_path, text, names, units):
+    (tmp_path / "a.txt").write_text(text)
+    table = read_table(tmp_path / "a.txt")
+    assert (table.headings, table.units, len(table.rows)) == (names, units, 3)
