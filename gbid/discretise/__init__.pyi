@@ -2,6 +2,7 @@
 
 from .dual import (
     Dual as Dual,
+    at_points as at_points,
     constant as constant,
     side_by_side as side_by_side,
 )
@@ -13,11 +14,13 @@ from .exact import (
     check_holds as check_holds,
     delayed_taps as delayed_taps,
     discretise as discretise,
+    distinct_steps as distinct_steps,
     exponentials as exponentials,
     hold_response as hold_response,
     over_sample as over_sample,
     propagate as propagate,
     squarings_for as squarings_for,
+    step_numbers as step_numbers,
 )
 from .steps import (
     IntegratorName as IntegratorName,

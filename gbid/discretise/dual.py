@@ -100,13 +100,14 @@ def constant(value: FloatArray, n_parameters: int) -> Dual:
 def side_by_side(parts: list[Dual]) -> Dual:
     """Return duals of the same number of rows joined side by side; a matrix without points is the same at all."""
     points = max((part.value.shape[:-2] for part in parts), key=len)
-    parts = [part if part.value.shape[:-2] == points else _at_points(part, points) for part in parts]
+    parts = [part if part.value.shape[:-2] == points else at_points(part, points) for part in parts]
     return Dual(
         np.concatenate([part.value for part in parts], axis=-1), np.concatenate([part.slope for part in parts], axis=-1)
     )
 
 
-def _at_points(part: Dual, points: tuple[int, ...]) -> Dual:
+def at_points(part: Dual, points: tuple[int, ...]) -> Dual:
+    """Return a dual that is the same at all points, of which `points` is the shape."""
     value, slope = part.value, part.slope
     return Dual(
         np.broadcast_to(value, (*points, *value.shape)),

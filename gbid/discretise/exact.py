@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dgebal
 
-from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.arrays import ComplexArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.discretise.dual import Dual
 
@@ -39,7 +39,7 @@ class Exponentials(NamedTuple):
 
 
 def _identity_like(Z: Any) -> Any:
-    return ca.SX.eye(Z.shape[0]) if isinstance(Z, ca.SX) else np.eye(Z.shape[0])
+    return ca.SX.eye(Z.shape[0]) if isinstance(Z, ca.SX) else np.eye(Z.shape[-1])
 
 
 def exponentials(Z: Any, squarings: int) -> Exponentials:
@@ -199,7 +199,7 @@ def over_sample(A: Any, t: Any, squarings: int | None = None) -> Exponentials:
 def discretise(
     A: Any,
     B: Any,
-    sample_time: float,
+    sample_time: float | FloatArray,
     hold: str | Sequence[str] = "zoh",
     squarings: int | None = None,
     *,
@@ -213,8 +213,8 @@ def discretise(
         System matrix [1/s].
     B : (n, n_inputs) casadi.SX, numpy array or Dual
         Input matrix.
-    sample_time : float
-        Time between samples ``h`` [s].
+    sample_time : float or (n_points, 1, 1) array
+        Time between samples ``h`` [s]; or several, for which a numeric result has a first axis.
     hold : {"zoh", "foh"} or sequence of these
         Hold of all inputs, or of each.
     squarings : int, optional
@@ -331,6 +331,29 @@ def delayed_taps(
     rise_after = (after.phi2 @ b) * (rest * rest * h)
     rise_before = (whole.phi2 @ b) * h - rise_after - held_after * early + held_before * rest
     return Taps(shift, [rise_after, held_after - rise_after + rise_before, held_before - rise_before])
+
+
+# ---- Irregular times: intervals that are equal share their matrices.
+
+_SAME = 1e-9  # relative difference of intervals that is rounding: over a million samples, a thousandth of one
+
+
+def distinct_steps(*times: FloatArray) -> FloatArray:
+    """Return the different intervals between the times of one or several records [s], in rising order.
+
+    Intervals are the same when they differ by the rounding of the times or by less than 1e-9 of the median interval.
+    """
+    steps = np.concatenate([np.diff(time) for time in times])
+    rounding = 4 * np.finfo(float).eps * max(float(np.abs(time).max()) for time in times)
+    steps.sort()
+    begins = np.flatnonzero(np.diff(steps, prepend=-np.inf) > max(_SAME * float(np.median(steps)), rounding))
+    return np.asarray(np.add.reduceat(steps, begins) / np.diff(begins, append=len(steps)))
+
+
+def step_numbers(time: FloatArray, steps: FloatArray) -> IntArray:
+    """Return the position in `steps` of the interval after each time, (n_samples,); the last has that before it."""
+    numbers = np.searchsorted((steps[1:] + steps[:-1]) / 2, np.diff(time))
+    return np.append(numbers, numbers[-1:])
 
 
 # ---- Linear recursion over a long record, in blocks of samples.

@@ -277,6 +277,8 @@ def sample_times_differ(experiment: Experiment, seen: Mapping[str, Peek]) -> Ite
     """Yield a text for each recording of a fit whose sample time differs from that of most recordings of the fit."""
     for fit in experiment.spec.fits:
         known = [q.name for q in experiment.fit_recordings(fit) if q.name in seen]
+        if any(seen[name].is_irregular for name in known):
+            continue
         rounded = {name: float(f"{seen[name].sample_time:.4g}") for name in known}
         usual, count = Counter(rounded.values()).most_common(1)[0] if known else (0.0, 0)
         for name in known:

@@ -309,6 +309,7 @@ class ColumnsSection(Section):
     stored_unit: str | None = None
     channels: Names | None = None
     hold: Switch = False
+    interpolate: Switch = False
     rests_at_limits: Switch = False
 
 

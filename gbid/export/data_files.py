@@ -139,10 +139,9 @@ def _write_universal(what: Recording | FrequencyData, path: Path) -> None:
 
 
 def _functions(recording: Recording) -> list[dict[str, Any]]:
-    if recording.missing:
-        raise UsageError(
-            f"recording {recording.name!r} has missing samples, which universal files do not have; write .parquet"
-        )
+    if recording.missing or recording.stamps is not None:
+        what = "missing samples" if recording.missing else "irregular times"
+        raise UsageError(f"recording {recording.name!r} has {what}, which universal files do not have; write .parquet")
     evenly = {"func_type": 1, "abscissa_spacing": 1, "x": recording.time, "id1": f"{recording.name[:80]}"}
     return [
         {**evenly, **_point("rsp", name, i), "data": values, "ordinate_axis_units_lab": unit[:20] or "NONE"}

@@ -38,6 +38,8 @@ class Record:
     missing : (n_samples, n_outputs) boolean array or None
         Outputs that are missing; None when none is. In their place `outputs` has straight lines between neighbours,
         which only start values and scales use.
+    time : (n_samples,) array or None
+        Irregular times of the samples from the first one [s]; None for even ones.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Record:
     outputs: FloatArray
     conditions: Mapping[str, float] = field(default_factory=dict)
     missing: BoolArray | None = None
+    time: FloatArray | None = None
 
     @property
     def n_samples(self) -> int:
@@ -61,7 +64,7 @@ class FitData:
     records : tuple of Record
         Inputs and outputs of each recording.
     sample_time : float
-        Time between samples [s].
+        Time between samples [s]; the mean one where times are irregular.
     input_names, output_names : tuple of str
         Names of the channels, such as ``u_x``.
     output_units : tuple of str
@@ -79,9 +82,35 @@ class FitData:
         """Number of samples in all records."""
         return sum(record.n_samples for record in self.records)
 
+    @property
+    def is_irregular(self) -> bool:
+        """Whether the times of a record are irregular; then every record has times."""
+        return self.records[0].time is not None
+
+    def time_of(self, record: Record) -> FloatArray:
+        """Return the times of the samples of one of the records from the first one [s], (n_samples,)."""
+        return np.asarray(self.sample_time * np.arange(record.n_samples)) if record.time is None else record.time
+
+    def at_even_times(self) -> FitData:
+        """Return the data with straight lines between irregular times, read at even ones: for start values only."""
+        if not self.is_irregular:
+            return self
+        records = []
+        for record in self.records:
+            time = self.time_of(record)
+            even = self.sample_time * np.arange(int(time[-1] / self.sample_time) + 1)
+            inputs, outputs = (
+                np.stack([np.interp(even, time, column) for column in values.T], axis=1)
+                if values.size
+                else np.zeros((len(even), 0))
+                for values in (record.inputs, record.outputs)
+            )
+            records.append(Record(record.name, inputs, outputs, record.conditions))
+        return replace(self, records=tuple(records))
+
 
 def select(
-    recording: Recording, names: Sequence[str], *, gaps: bool = False
+    recording: Recording, names: Sequence[str], *, gaps: bool = False, irregular: bool = False
 ) -> tuple[FloatArray, list[str], list[str]]:
     """Return signals or single channels of a recording as columns of one array.
 
@@ -91,8 +120,8 @@ def select(
         The recording.
     names : sequence of str
         Signals (``"p"``: all channels) or channels (``"p.x"``). A signal with exactly this name comes first.
-    gaps : bool
-        Whether samples may be missing (NaN).
+    gaps, irregular : bool
+        Whether samples may be missing (NaN), and their times irregular.
 
     Returns
     -------
@@ -113,7 +142,7 @@ def select(
     units: list[str] = []
     for name in names:
         signal, channel = _meant(recording, name)
-        values, channels = recording.signal(signal, gaps=gaps), recording.channels[signal]
+        values, channels = recording.signal(signal, gaps=gaps, irregular=irregular), recording.channels[signal]
         if channel and channel not in channels:
             raise DataError(
                 f"recording {recording.name!r}: signal {signal!r} has no channel {channel!r}; "
@@ -135,7 +164,7 @@ def _meant(recording: Recording, name: str) -> tuple[str, str]:
 
 
 def same_columns(
-    recordings: Sequence[Recording], names: Sequence[str], *, gaps: bool = False
+    recordings: Sequence[Recording], names: Sequence[str], *, gaps: bool = False, irregular: bool = False
 ) -> tuple[list[FloatArray], list[str], list[str]]:
     """Return signals or channels of several recordings as columns, and names and units of the channels, as `select`.
 
@@ -146,15 +175,16 @@ def same_columns(
     """
     if not recordings:
         raise DataError("no recordings; give at least one")
-    first, (_, labels, units) = recordings[0], select(recordings[0], names, gaps=gaps)
-    columns = []
+    first, columns = recordings[0], []
+    _, labels, units = select(first, names, gaps=gaps, irregular=irregular)
+    any_clock = irregular and any(recording.stamps is not None for recording in recordings)
     for recording in recordings:
-        if not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
+        if not any_clock and not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
             raise DataError(
                 f"recordings {first.name!r} and {recording.name!r} have different sample times: "
                 f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one, or use them separately"
             )
-        values, others, _ = select(recording, names, gaps=gaps)
+        values, others, _ = select(recording, names, gaps=gaps, irregular=irregular)
         if others != labels:
             raise DataError(
                 f"recordings {first.name!r} and {recording.name!r} have different channels, {', '.join(labels)} and "
@@ -165,7 +195,13 @@ def same_columns(
 
 
 def gather(
-    recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequence[str], minimum: int, *, gaps: bool = False
+    recordings: Sequence[Recording],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    minimum: int,
+    *,
+    gaps: bool = False,
+    irregular: bool = False,
 ) -> FitData:
     """Return the data of a fit from recordings, after checks.
 
@@ -177,8 +213,9 @@ def gather(
         Signals or channels.
     minimum : int
         Smallest number of samples of a record.
-    gaps : bool
-        Whether outputs may be missing (NaN).
+    gaps, irregular : bool
+        Whether outputs may be missing (NaN), and the times of samples irregular. Recordings at irregular times may have
+        different rates.
 
     Returns
     -------
@@ -191,9 +228,9 @@ def gather(
         When there are no recordings, sample times or channels differ, a record is too short, or an output is constant.
         An input may be constant or zero: see `gbid.identify.problem.states`.
     """
-    u, input_names, _ = same_columns(recordings, inputs)
-    y, output_names, output_units = same_columns(recordings, outputs, gaps=gaps)
-    records = []
+    u, input_names, _ = same_columns(recordings, inputs, irregular=irregular)
+    y, output_names, output_units = same_columns(recordings, outputs, gaps=gaps, irregular=irregular)
+    any_clock, records = any(recording.stamps is not None for recording in recordings), []
     for recording, u_columns, y_columns in zip(recordings, u, y, strict=True):
         if recording.n_samples < minimum:
             raise DataError(
@@ -207,7 +244,8 @@ def gather(
                 "constant: is the sensor connected"
             )
         arrays = np.ascontiguousarray(u_columns), np.ascontiguousarray(y_columns)
-        records.append(Record(recording.name, *arrays, recording.conditions, missing))
+        time = recording.time if any_clock else None
+        records.append(Record(recording.name, *arrays, recording.conditions, missing, time))
     names = tuple(input_names), tuple(output_names), tuple(output_units)
     return FitData(tuple(records), recordings[0].sample_time, *names)
 

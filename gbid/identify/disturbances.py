@@ -175,24 +175,25 @@ class Disturbances:
         gains = [parameters[self.gain_name(output)] for output in self.walking]
         return model.with_integrators(list(self.walking), gains) if gains else model
 
-    def regressors(self, n_samples: int, sample_time: float) -> FloatArray:
-        """Return the regressors of a record, (n_samples, n_columns).
+    def regressors(self, time: FloatArray) -> FloatArray:
+        """Return the regressors of a record with samples at these times [s], (n_samples, n_columns).
 
         The polynomials are those of Legendre over the record, with one as their highest coefficient: ``1``, ``t - t_m``
         with the middle t_m of the record, and so on [s^k]. They are almost orthogonal, so the offset is the mean of the
         trend, and the first coefficient is the mean slope. Cosine and sine begin at the first sample.
         """
-        half = max((n_samples - 1) / 2, 0.5)
-        scaled = (np.arange(n_samples) - (n_samples - 1) / 2) / half
+        since = time - time[0]
+        half = float(since[-1]) / 2 or 1.0
+        scaled = since / half - 1
         columns = []
         for power in range(self.n_polynomials):
             unit = np.eye(power + 1)[power]
             highest = legendre.leg2poly(unit)[-1]
-            columns.append(legendre.legval(scaled, unit) * (half * sample_time) ** power / highest)
-        phase = 2 * np.pi * sample_time * np.arange(n_samples)
+            columns.append(legendre.legval(scaled, unit) * half**power / highest)
+        phase = 2 * np.pi * since
         for frequency in self.hum:
             columns += [np.cos(frequency * phase), np.sin(frequency * phase)]
-        return np.stack(columns, axis=1) if columns else np.zeros((n_samples, 0))
+        return np.stack(columns, axis=1) if columns else np.zeros((len(time), 0))
 
 
 _FIRST_SHARE = 0.01  # of an error that a random walk takes over, at the start

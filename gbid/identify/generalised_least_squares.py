@@ -195,8 +195,11 @@ def weighted_solution(problem: WeightedProblem, first: Solution, start: FloatArr
     tell apart, the best one gains log(n / 2) of log-likelihood by chance. The maximum that is reached from the start
     counts unless another one is better by more. The others widen the intervals, each by its likelihood.
     """
-    if any(segment.missing is not None for part in problem.shooting.parts for segment in part.blocks.segments):
-        raise UsageError("errors='ar' needs every output sample, and some are missing (NaN); use errors='white'")
+    if not all(segment.is_plain for part in problem.shooting.parts for segment in part.blocks.segments):
+        raise UsageError(
+            "errors='ar' needs every output sample, and some are missing (NaN) or at irregular times; use "
+            "errors='white'"
+        )
     if any(part.predictor.feeds_back for part in problem.shooting.parts):
         raise UsageError("errors = 'ar' is for a simulation: this predictor feeds measured outputs back")
     task, kept = problem.in_one_window()

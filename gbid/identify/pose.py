@@ -60,7 +60,7 @@ class FitTask:
     parameters : tuple of Parameter
         Its parameters, with the starts, fixed values and bounds of the caller.
     data, undisturbed : FitData
-        Data, and the same with trends and hum subtracted.
+        Data, and the same with trends and hum subtracted, at even times.
     options : FitArguments
         Options, with the names of inputs and outputs.
     hold : {"zoh", "foh"} or sequence of these
@@ -226,7 +226,7 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
     hold = structure.intersample if options.intersample is None else options.intersample
     from_data = options.start == "data"
     parameters = with_options(structure.parameters, options)
-    data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10, gaps=True)
+    data = gather(recordings, inputs, outputs, minimum=len(parameters) + 10, gaps=True, irregular=True)
     options = replace(options, inputs=inputs, outputs=outputs)
     stated, structure = structure, equations_of(structure)
     scheduled = kind_of(structure).scheduled
@@ -240,7 +240,7 @@ def pose(structure: AnyStructure, recordings: Measured, options: FitArguments) -
     disturbances = disturbances_of(options, data.output_names, data.sample_time)
     given = {*({} if from_data else options.start or {}), *(options.fixed or {})}
     with one_blas_thread():
-        undisturbed = without_disturbances(disturbances, data)
+        undisturbed = without_disturbances(disturbances, data).at_even_times()
         if scheduled and courses:
             begin = scheduled_start(scheduled, parameters, undisturbed, courses, hold, options.focus, given)
         else:
@@ -383,7 +383,8 @@ def _with_kalman_gains(
 
     def changes(part: RecordGroup) -> bool:
         simple = isinstance(part.predictor, Predictor) and part.predictor.feedback is None
-        return bool(part.blocks.gains) and simple and (det or part.predictor.feeds_back)
+        gaps = any(segment.missing is not None for segment in part.blocks.segments)
+        return bool(part.blocks.gains) and gaps and simple and (det or part.predictor.feeds_back)
 
     if not any(map(changes, shooting.parts)):
         return shooting, solution

@@ -5,14 +5,26 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Never
 
 import casadi as ca
 import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.discretise import Dual, Hold, check_holds, constant, delayed_taps, discretise, over_sample, side_by_side
+from gbid.discretise import (
+    Dual,
+    Hold,
+    at_points,
+    check_holds,
+    constant,
+    delayed_taps,
+    discretise,
+    over_sample,
+    side_by_side,
+    squarings_for,
+    step_numbers,
+)
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
 from gbid.structure import Matrices, Parameter, Structure, kind_of, symbolic_matrices
@@ -51,6 +63,8 @@ class GeneralPredictor(ABC):
         Whether initial states are functions of the parameters. They act like an impulse at the first sample.
     spare : int
         Number of states, the last ones, that are zero and without effect; see `with_spare_states`.
+    intervals : (n_steps,) array or None
+        Different intervals between irregular times [s]; None where all are `sample_time`.
     """
 
     free: tuple[Parameter, ...]
@@ -68,6 +82,7 @@ class GeneralPredictor(ABC):
     sample_time: float
     released: bool
     spare: int = field(default=0, kw_only=True)
+    intervals: FloatArray | None = field(default=None, kw_only=True)
 
     @property
     def _lead(self) -> list[int]:
@@ -80,13 +95,16 @@ class GeneralPredictor(ABC):
         driven = self.prompt or self.delayed or self.feeds_back or self.disturbances.n_columns
         return self.released or not driven
 
-    def regressors(self, inputs: FloatArray, outputs: FloatArray, shift: tuple[int, ...]) -> FloatArray:
+    def regressors(
+        self, inputs: FloatArray, outputs: FloatArray, shift: tuple[int, ...], time: FloatArray | None = None
+    ) -> FloatArray:
         """Return the regressors ``z`` of one record, shape (n_samples, n_z).
 
-        Row k contains, in this order: prompt inputs ``u[k]``; ``u[k+1]`` of those under first-order hold; for each
-        delayed input its samples around ``k - shift``; those of trends and hum; an impulse at the first sample;
-        ``y[k]`` if the disturbance gain is used. Before the record an input is constant at its first sample. After it
-        the input is constant at its last sample, without effect.
+        Row k contains, in this order: the next interval of a record with irregular times `time` [s]; prompt inputs
+        ``u[k]``; ``u[k+1]`` of those under first-order hold; for each delayed input its samples around ``k - shift``;
+        those of trends and hum; an impulse at the first sample; ``y[k]`` if the disturbance gain is used. Before the
+        record an input is constant at its first sample. After it the input is constant at its last sample, without
+        effect.
         """
         n = len(inputs)
 
@@ -94,19 +112,25 @@ class GeneralPredictor(ABC):
             rows = np.clip(np.arange(n) - lag, 0, n - 1)
             return np.asarray(inputs[np.ix_(rows, np.array(channels, int))])
 
-        parts = [inputs[:, list(self.prompt)]]
+        parts = [] if time is None else [self._interval_column(time)]
+        parts.append(inputs[:, list(self.prompt)])
         if self._lead:
             parts.append(lagged(self._lead, -1))
         for i, d in zip(self.delayed, shift, strict=True):
             first = d - 1 if self.holds[i] == "foh" else d
             parts += [lagged([i], lag) for lag in range(first, d + 2)]
         if self.disturbances.n_columns:
-            parts.append(self.disturbances.regressors(n, self.sample_time))
+            even = np.asarray(self.sample_time * np.arange(n), np.float64)
+            parts.append(self.disturbances.regressors(even if time is None else time))
         if self._has_impulse:
             parts.append(np.eye(n, 1))
         if self.feeds_back:
             parts.append(outputs)
         return np.hstack(parts)
+
+    @abstractmethod
+    def _interval_column(self, time: FloatArray) -> FloatArray:
+        """Return what the kernel takes as the interval after each of these times, (n_samples, 1)."""
 
     @abstractmethod
     def at(self, theta: FloatArray) -> Any:
@@ -122,6 +146,22 @@ class GeneralPredictor(ABC):
     @abstractmethod
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
+
+
+class IntervalMatrices(NamedTuple):
+    """Matrices of a predictor for each interval between irregular times.
+
+    Attributes
+    ----------
+    F, G : (n_steps, n, n), (n_steps, n, n_z) array
+        As in `PredictorValues`.
+    slopes : (n_steps, n, n_p, n + n_z) array
+        Derivatives of ``[F G]``.
+    """
+
+    F: FloatArray
+    G: FloatArray
+    slopes: FloatArray
 
 
 class PredictorValues(NamedTuple):
@@ -150,6 +190,8 @@ class PredictorValues(NamedTuple):
         Derivatives of H.
     shift : tuple of int
         Whole samples in the delay of each delayed input; these determine the regressors.
+    by_interval : IntervalMatrices or None
+        Those of irregular times; F and G are then those of the mean interval.
     """
 
     F: FloatArray
@@ -161,6 +203,7 @@ class PredictorValues(NamedTuple):
     dC: FloatArray
     dH: FloatArray
     shift: tuple[int, ...]
+    by_interval: IntervalMatrices | None = None
 
     @property
     def n_parameters(self) -> int:
@@ -190,17 +233,29 @@ class Predictor(GeneralPredictor):
         UsageError
             When an exact delay is negative.
         """
-        return self._values(*self._parts(theta))
+        values = self._values(*self._parts(theta))
+        if self.intervals is None:
+            return values
+        (F, G, _, _), _ = self._parts(theta, self.intervals)
+        slopes = np.concatenate([F.slope, G.slope], axis=3).transpose(1, 2, 0, 3)
+        return values._replace(by_interval=IntervalMatrices(F.value, G.value, np.ascontiguousarray(slopes)))
+
+    def _interval_column(self, time: FloatArray) -> FloatArray:
+        """Return the number of the interval; see `GeneralPredictor`."""
+        assert self.intervals is not None
+        return step_numbers(time, self.intervals)[:, None].astype(float)
 
     def at_each(self, points: FloatArray) -> list[PredictorValues]:
         """Return the matrices at several points; see `GeneralPredictor`."""
+        if self.intervals is not None:
+            return [self.at(point) for point in points]
         parts, shift = self._parts(points)
-        at_points = ([Dual(part.value[i], part.slope[:, i]) for part in parts] for i in range(len(points)))
-        return [self._values(each, shift) for each in at_points]
+        each_point = ([Dual(part.value[i], part.slope[:, i]) for part in parts] for i in range(len(points)))
+        return [self._values(each, shift) for each in each_point]
 
-    def _parts(self, theta: FloatArray) -> tuple[tuple[Dual, ...], list[int]]:
-        """Return F, G, C and H, and the whole samples in the delays."""
-        (F, drive, C, feed, Kd), x0, shift = self._without_errors(theta)
+    def _parts(self, theta: FloatArray, steps: FloatArray | None = None) -> tuple[tuple[Dual, ...], list[int]]:
+        """Return F, G, C and H, and the whole samples in the delays; with an axis of several steps where given."""
+        (F, drive, C, feed, Kd), x0, shift = self._without_errors(theta, steps)
         n_y = self.n_outputs
         if self._has_impulse:
             drive, feed = side_by_side([drive, F @ x0]), side_by_side([feed, C @ x0])
@@ -214,19 +269,24 @@ class Predictor(GeneralPredictor):
         values = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
         return _with_zero_states(values, self.spare) if self.spare else values
 
-    def _without_errors(self, theta: FloatArray) -> tuple[LoopParts, Dual, list[int]]:
+    def _without_errors(self, theta: FloatArray, steps: FloatArray | None = None) -> tuple[LoopParts, Dual, list[int]]:
         """Return the structure in discrete time before errors are fed back, its initial state, and samples in delays.
 
         It is that of a loop with its controller closed. B and D are the effects of the regressors on state and output,
         without impulse and measured outputs.
         """
-        A, B, C, D, K, B_delayed, delay, x0, *law = self._evaluate(theta)
+        step: Any = self.sample_time
+        evaluated, doublings = self._evaluate(theta), None
+        if steps is not None:
+            doublings = squarings_for([evaluated[0].value * steps[-1]])
+            evaluated, step = [at_points(each, steps.shape) for each in evaluated], steps[:, None, None]
+        A, B, C, D, K, B_delayed, delay, x0, *law = evaluated
         n_p, n_y, n = len(self.free), self.n_outputs, A.shape[0]
         prompt, lead = list(self.prompt), self._lead
         by_law = [law[4]] if law else []
         acting = [B.columns(prompt), *by_law, K] if self.feeds_back else [B.columns(prompt), *by_law]
         n_held = sum(part.shape[1] for part in acting[1:])
-        step, holds, whole = self.sample_time, [self.holds[i] for i in prompt], over_sample(A, self.sample_time)
+        holds, whole = [self.holds[i] for i in prompt], over_sample(A, step, doublings)
         F, now, following = discretise(A, side_by_side(acting), step, holds + ["zoh"] * n_held, whole=whole)
         # Effect of the inputs without feedback, in the order of the regressors: state part, then output part.
         drives, shift = [now.columns(slice(0, len(prompt)))], []
@@ -344,6 +404,7 @@ def build_predictor(
     *,
     disturbances: Disturbances = UNDISTURBED,
     released: Sequence[bool] = (),
+    intervals: FloatArray | None = None,
 ) -> Predictor:
     """Return the predictor of a structure for a fit.
 
@@ -363,6 +424,8 @@ def build_predictor(
         Trends and hum of the outputs, estimated along.
     released : sequence of bool
         States of the structure that begin at its ``x0``; empty when this is so for no state of any record.
+    intervals : (n_steps,) array, optional
+        Different intervals between irregular times [s].
 
     Returns
     -------
@@ -372,7 +435,7 @@ def build_predictor(
     Raises
     ------
     UsageError
-        When no free parameter remains.
+        When no free parameter remains, or for irregular times with an exact delay or a sampled controller.
 
     Notes
     -----
@@ -388,6 +451,8 @@ def build_predictor(
     gain_symbols = ca.vertcat(*(ca.SX.sym(q.name) for q in gains)) if gains else ca.SX(0, 1)
     m = _with_random_walks(stated, disturbances.walking, gain_symbols)
     holds = check_holds(intersample, m.B.shape[1])
+    if m.feedback is not None and intervals is not None:
+        refuse_irregular(structure.name, "a sampled controller")
     if m.feedback is not None:
         m.feedback.refuse_other_data(structure.name, holds, sample_time)
     n, n_u, n_y, n_all = m.A.shape[0], m.B.shape[1], m.C.shape[0], m.n_states
@@ -407,6 +472,8 @@ def build_predictor(
         matrices = ca.substitute(matrices, [ca.vertcat(*known)], [ca.vertcat(*numbers)])
     matrices[7] = ca.diag(ca.DM([float(each) for each in released] + [0.0] * (n_all - len(released)))) @ matrices[7]
     delayed = tuple(_driven(m.B_delayed)) if m.has_delay else ()
+    if intervals is not None and delayed:
+        refuse_irregular(structure.name, "exact delays")
     matrices[6] = matrices[6][list(delayed)] if delayed else ca.SX(0, 1)
     coefficients = [ca.SX.sym(term.name) for term in disturbances.terms]
     symbols = [p[i] for i, q in enumerate(structure.parameters) if q in free]
@@ -433,6 +500,16 @@ def build_predictor(
         _function=function,
         _shapes=tuple(matrix.shape for matrix in matrices),
         feedback=m.feedback,
+        intervals=intervals,
+    )
+
+
+def refuse_irregular(structure: str, what: str) -> Never:
+    """Refuse irregular times for a structure with something that acts between them."""
+    raise UsageError(
+        f"structure {structure!r}: {what} with samples at irregular times: what happens between two of them is not "
+        "computed. Take rational delays (pade_order=2), or, where all times are multiples of a resolution of the "
+        "clock, import the samples onto this grid (gaps: missing, and the resolution as sample_time_s)"
     )
 
 

@@ -111,7 +111,8 @@ def repair_overloads(rec: Recording) -> Recording:
     Such a sample (a full scale, 9999, 1e37) stands for no position, and decides means, spectra and maps. It is replaced
     as `remove_spikes` does, or on a line between its neighbours where that takes it for part of a step.
     ``import_remarks`` of the provenance tells of it. Runs of more than three such samples stay, and smaller spikes,
-    which are the prefilter's. The command r stays: a single pulse may be meant.
+    which are the prefilter's. The command r stays: a single pulse may be meant. So do signals with missing samples or
+    irregular times.
 
     Parameters
     ----------
@@ -119,7 +120,8 @@ def repair_overloads(rec: Recording) -> Recording:
         The recording.
     """
     repaired, texts = {}, []
-    for name in filter(rec.signals.__contains__, _MEASURED):
+    whole = [name for name in _MEASURED if name in rec.signals and name not in rec.missing and rec.stamps is None]
+    for name in whole:
         values = rec.signal(name)
         distance = np.abs(values - np.median(values, axis=0))
         if not np.any(distance.max(axis=0) > OVERLOAD * np.percentile(distance, 99.0, axis=0)):

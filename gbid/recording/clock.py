@@ -206,8 +206,8 @@ class Clock:
         What was found and done.
     places : (n_samples,) array of int or None
         Numbers of the samples on the grid of an import with missing samples.
-    late : (n_samples,) array or None
-        Times of the samples after these places, in steps of the grid, from -0.5 to 0.5; None where there are none.
+    stamps : (n_samples,) array or None
+        Irregular times that are kept [s].
     """
 
     rows: np.ndarray[tuple[int], np.dtype[np.intp]]
@@ -215,14 +215,17 @@ class Clock:
     time: FloatArray | None = None
     remarks: tuple[str, ...] = ()
     places: npt.NDArray[np.intp] | None = None
-    late: FloatArray | None = None
+    stamps: FloatArray | None = None
 
 
 _LONGEST_GRID = 200  # samples of the grid for each measured one: passes of a fit go over all of them
 
 
 def _grid(path: Path, mapping: ImportMapping, time: FloatArray, start: int) -> Clock:
-    """Return a clock whose samples stand on a grid of times, between which samples are missing."""
+    """Return a clock whose samples stand on a grid of times, between which samples are missing, or at their own times.
+
+    A sample time that is given is the step of the grid. Without one the times are their own where they fit no grid.
+    """
     steps = np.diff(time)
     if not (steps > 0).all():
         k = int(np.flatnonzero(steps <= 0)[0])
@@ -234,20 +237,23 @@ def _grid(path: Path, mapping: ImportMapping, time: FloatArray, start: int) -> C
     else:
         places = np.rint((time - time[0]) / step).astype(np.intp)
     off, usual = float(np.abs(time - time[0] - step * places).max()), float(np.median(steps))
+    rows = np.arange(len(time))
     if off > MAX_JITTER * usual or (np.diff(places) < 1).any():
+        if mapping.sample_time is None:
+            text = f"{len(np.unique(np.rint(1e6 * steps / usual)))} different intervals: the times are kept as they are"
+            return Clock(rows, float(time[-1] - time[0]) / (len(time) - 1), None, (text,), stamps=time - time[0])
         raise DataError(
             f"{path}: gaps: missing: the times are up to {off / usual:.2g} of their median step off an even grid of "
-            f"{step:g} s; give the resolution of the clock as sample_time_s, of which all times are multiples. Times "
-            f"without a common clock are within half a percent with sample_time_s: {usual / 100:.2g}"
+            f"{step:g} s; leave out sample_time_s to keep the times as they are, or give the resolution of the clock, "
+            "of which all times are multiples"
         )
     if places[-1] >= _LONGEST_GRID * len(time):
         raise DataError(
             f"{path}: gaps: missing: with steps of {step:g} s there would be {places[-1] + 1} samples for {len(time)} "
-            f"measured ones; give a longer sample_time_s, such as {usual / 100:.2g}, or import pieces"
+            "measured ones; leave out sample_time_s to keep the times as they are, or import pieces"
         )
-    rows, remark = np.arange(len(time)), f"{places[-1] + 1 - len(time)} of {places[-1] + 1} samples are missing"
-    late = (time - time[0]) / step - places
-    return Clock(rows, step, None, (remark,), places, late if np.abs(late).max() > MAX_JITTER else None)
+    remark = f"{places[-1] + 1 - len(time)} of {places[-1] + 1} samples are missing"
+    return Clock(rows, step, None, (remark,), places)
 
 
 def on_grid(values: FloatArray, places: npt.NDArray[np.intp]) -> FloatArray:
@@ -255,20 +261,6 @@ def on_grid(values: FloatArray, places: npt.NDArray[np.intp]) -> FloatArray:
     grid = np.full((int(places[-1]) + 1, values.shape[1]), np.nan)
     grid[places] = values
     return grid
-
-
-def with_times_of_changes(held: FloatArray, clock: Clock) -> FloatArray:
-    """Return held values (n, n_channels) on a grid with their means in the steps within which they change.
-
-    The integral of an input up to each time is then exact, and the state that follows from it to the square of a step.
-    """
-    if clock.places is None or clock.late is None:
-        return held
-    result, places, late = held.copy(), clock.places[1:], clock.late[1:, None]
-    changes = np.diff(held[clock.places], axis=0)
-    np.add.at(result, places, -changes * np.maximum(late, 0))
-    np.add.at(result, places - 1, changes * np.maximum(-late, 0))
-    return result
 
 
 def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], start: int) -> Clock:

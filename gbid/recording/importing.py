@@ -18,14 +18,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.files import refuse_special
 from gbid.core.names import given_path
 from gbid.core.units import SIGNALS
-from gbid.recording.clock import (
-    on_grid,
-    read_clock,
-    resampled,
-    times_of,
-    untimed_sample_time,
-    with_times_of_changes,
-)
+from gbid.recording.clock import on_grid, read_clock, resampled, times_of, untimed_sample_time
 from gbid.recording.columns import FileColumn, file_unit, unit_factor
 from gbid.recording.formats import file_formats, format_of, iddata_in
 from gbid.recording.mapping import FilePart, ImportMapping, SignalMapping, TextOptions
@@ -97,14 +90,17 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
             signals[name] = resampled(signals[name], units[name], clock.time, clock.sample_time)
         if clock.places is not None:
             signals[name] = on_grid(signals[name], clock.places)
+    filled = {False: "", True: ", the last value held"}
     missing = [
-        f"signal {name!r}: {count} samples missing" + (", the last value held" if mapping.signals[name].hold else "")
+        f"signal {name!r}: {count} samples missing"
+        + (", on straight lines" if mapping.signals[name].interpolate else filled[mapping.signals[name].hold])
         for name, values in signals.items()
         if (count := int(np.isnan(values).sum()))
     ]
     said = [text for text in (*dict.fromkeys(c.remark for c in columns.values()), *clock.remarks, *missing) if text]
     remarks = {"import_remarks": "; ".join(said)} if said else {}
     held = [name for name, signal in mapping.signals.items() if signal.hold]
+    on_lines = [name for name, signal in mapping.signals.items() if signal.interpolate]
     try:
         recording = Recording(
             signals,
@@ -120,10 +116,11 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
                 "source_samples": f"{first} to {last + 1}",
                 **remarks,
             },
-        ).held(*held)
+            stamps=clock.stamps,
+        )
+        return recording.held(*held).interpolated(*on_lines)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
-    return recording.with_signals(**{name: with_times_of_changes(recording.signals[name], clock) for name in held})
 
 
 def _sha256(path: Path) -> str:
@@ -151,7 +148,7 @@ def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording
     Raises
     ------
     DataError
-        When the file cannot be read or has no such object, or when its data are spectra or have no sample time.
+        When the file cannot be read or has no such object, or when its data are spectra or have no times.
     UsageError
         When the file has several such objects and none is named.
     """
@@ -163,18 +160,13 @@ def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     recordings = []
     for each in experiments:
-        if each.sample_time is None:
-            raise DataError(
-                f"{path}: experiment {each.name} has sampling instants and no sample time: import it with a mapping, "
-                "its column time as time, and gaps: missing"
-            )
         if twice := each.inputs.keys() & each.outputs.keys():
             raise DataError(f"{path}: experiment {each.name}: {min(twice)!r} is an input and an output; rename one")
         channels = each.inputs | each.outputs
         recordings.append(
             Recording(
                 {name: channel.values for name, channel in channels.items()},
-                each.sample_time,
+                each.sample_time or math.nan,
                 name=each.name,
                 units={name: channel.unit for name, channel in channels.items()},
                 provenance={
@@ -183,6 +175,7 @@ def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording
                     "intersample": ", ".join(each.hold),
                     "start_s": f"{each.start:g}",
                 },
+                stamps=each.time,
             )
         )
     return recordings
@@ -341,10 +334,13 @@ class Peek:
         Number of samples that the recording will have.
     sample_time : float
         Time between samples [s].
+    is_irregular : bool
+        Whether it is the mean of irregular times.
     """
 
     n_samples: int
     sample_time: float
+    is_irregular: bool = False
 
 
 def list_channels(path: Path, options: TextOptions | None = None) -> list[FileChannel]:
@@ -434,7 +430,7 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
         check_finite(path, {mapping.time: columns[mapping.time]}, start, time=mapping.time)
     clock = read_clock(path, mapping, columns, start)
     n = len(clock.rows) if clock.places is None else int(clock.places[-1]) + 1
-    return Peek(n, clock.sample_time)
+    return Peek(n, clock.sample_time, is_irregular=clock.stamps is not None)
 
 
 def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, FileColumn]) -> Peek | None:

@@ -96,6 +96,9 @@ class SignalMapping:
         Names of the channels; when not given, the default names of `Recording`.
     hold : bool
         Whether missing samples have the last value before them, as a command has between its samples.
+    interpolate : bool
+        Whether missing samples lie on a straight line in time between those around them, as an input with first-order
+        hold does.
 
     Raises
     ------
@@ -108,9 +111,12 @@ class SignalMapping:
     stored_unit: str | None = None
     channels: tuple[str, ...] | None = None
     hold: bool = False
+    interpolate: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", _words("columns", self.columns))
+        if self.hold and self.interpolate:
+            raise UsageError("hold and interpolate are both true; an input is one of them between its samples")
         if self.channels is not None:
             object.__setattr__(self, "channels", _words("channels", self.channels))
             if len(self.channels) != len(self.columns):
@@ -161,9 +167,9 @@ class ImportMapping:
         Number of the piece to take, from 1, where gaps of the time column cut the file into pieces; by default the
         longest.
     gaps : {"pieces", "missing"}
-        What gaps of the time column are. "pieces" cut the file. "missing" makes samples NaN: the times are those of an
-        even grid, whose step is `sample_time`, else the median step. With the resolution of the clock as `sample_time`
-        any time stamps are such a grid: the model goes on from one to the next exactly.
+        What gaps of the time column are. "pieces" cut the file. "missing" makes samples NaN where the times are those
+        of an even grid, whose step is `sample_time`, else the median step. Other times are kept as they are
+        (`Recording.stamps`): a fit goes on from one to the next exactly.
     encoding, decimal, delimiter, header_line : optional
         Layout of a text file, where it is not to be found in the file; see `TextOptions`.
 

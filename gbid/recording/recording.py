@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -127,7 +128,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         Names are free. Rows are samples, columns are channels; arrays are never transposed. An array of one dimension
         is one channel. NaN is a missing sample; the outputs of a fit may have such gaps.
     sample_time : float
-        Time between samples [s].
+        Time between samples [s]; with `stamps` it is left out, and becomes their mean step.
     conditions : dict of str to float, optional
         Operating point and other constants of the experiment, e.g. ``{"pressure_bar": 6.0, "speed_rpm": 0.0}``.
     name : str, optional
@@ -139,21 +140,25 @@ class Recording(Brief, Pictured, hdf5.InFile):
         default to ``"1", "2", ...``.
     provenance : dict of str to str, optional
         Texts about the origin of the data, stored with the file.
+    stamps : (n_samples,) array, optional
+        Irregular times of the samples [s]; they are stored from the first one. Even ones become None. A fit goes from
+        each to the next exactly; what needs even samples refuses them.
 
     Raises
     ------
     DataError
         When a signal is not an array of one or two dimensions of numbers that are finite or NaN, when the lengths
-        differ, or when the sample time is not positive.
+        differ, when the sample time is not positive, or when the stamps do not rise.
     """
 
     signals: Mapping[_Key, Annotated[FloatArray, Own()]]
-    sample_time: Annotated[float, Own()]
+    sample_time: Annotated[float, Own()] = math.nan
     conditions: Mapping[_Key, Annotated[float, Own()]] = field(default_factory=dict)
     name: str = "recording"
     units: Mapping[str, str] = field(default_factory=dict)
     channels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
+    stamps: Annotated[FloatArray | None, Own()] = None
 
     def __post_init__(self) -> None:
         for key in (*self.signals, *self.conditions):
@@ -165,10 +170,11 @@ class Recording(Brief, Pictured, hdf5.InFile):
         if len(set(lengths.values())) > 1:
             text = ", ".join(f"{name} {n}" for name, n in lengths.items())
             raise DataError(f"recording {self.name!r}: signals have different numbers of samples: {text}")
-        if not (_is_finite(self.sample_time) and self.sample_time > 0):
-            raise DataError(
-                f"recording {self.name!r}: sample_time = {self.sample_time!r} s; it must be a positive number"
-            )
+        stamps, sample_time = self.stamps, self.sample_time
+        if stamps is not None:
+            stamps, sample_time = _irregular(self.name, stamps, self.n_samples)
+        if not (_is_finite(sample_time) and sample_time > 0):
+            raise DataError(f"recording {self.name!r}: sample_time = {sample_time!r} s; it must be a positive number")
         for key, value in self.conditions.items():
             if not _is_finite(value):
                 raise DataError(f"recording {self.name!r}: condition {key} = {value!r} is not a finite number")
@@ -186,7 +192,8 @@ class Recording(Brief, Pictured, hdf5.InFile):
                 )
         freeze = object.__setattr__
         freeze(self, "signals", MappingProxyType(signals))
-        freeze(self, "sample_time", float(self.sample_time))
+        freeze(self, "sample_time", float(sample_time))
+        freeze(self, "stamps", stamps)
         freeze(self, "conditions", MappingProxyType({k: float(v) for k, v in self.conditions.items()}))
         freeze(self, "units", MappingProxyType(units))
         freeze(self, "channels", MappingProxyType(channels))
@@ -205,7 +212,8 @@ class Recording(Brief, Pictured, hdf5.InFile):
         signals.attrs["signal"] = first
         hdf5.add_texts(signals, "auxiliary_signals", others)
         hdf5.add_texts(signals, "axes", ["time", "."])
-        hdf5.add_dataset(signals, "time", self.time, "s", "time from the first sample")
+        time = hdf5.add_dataset(signals, "time", self.time, "s", "time from the first sample")
+        time.attrs["irregular"] = self.stamps is not None
         for name, values in self.signals.items():
             known = SIGNALS.get(name)
             long_name = known.long_name if known and known.unit == self.units[name] else name  # else another rig's
@@ -219,10 +227,12 @@ class Recording(Brief, Pictured, hdf5.InFile):
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> Recording:
         """Return the recording in a `group` of `to_hdf5`, whose time axis must agree with its sample time."""
-        signals, units, channels = {}, {}, {}
+        signals, units, channels, irregular = {}, {}, {}, False
         for name, item in hdf5.read_group(group, "signals").items():
             signals[name] = hdf5.read_dataset(group["signals"], name)
-            if name != "time":
+            if name == "time":
+                irregular = bool(item.attrs.get("irregular", False))
+            else:
                 units[name] = hdf5.read_text(item, "units")
                 channels[name] = hdf5.read_texts(item, "channels")
         if "time" not in signals:
@@ -232,7 +242,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         source = hdf5.read_group(group, "provenance")
         provenance = {key: hdf5.read_text(source, key) for key in source.attrs}
         sample_time, name = _one_number(group, "sample_time"), hdf5.read_text(group, "name")
-        rec = cls(signals, sample_time, conditions, name, units, channels, provenance)
+        rec = cls(signals, sample_time, conditions, name, units, channels, provenance, time if irregular else None)
         if time.shape != (rec.n_samples,):
             raise DataError(f"/signals/time has shape {time.shape}, expected ({rec.n_samples},)")
         wrong = np.flatnonzero(~(np.abs(time - rec.time) <= 1e-3 * rec.sample_time))
@@ -245,7 +255,8 @@ class Recording(Brief, Pictured, hdf5.InFile):
         return rec
 
     def _brief(self) -> Description:
-        about = f"{self.name}, {self.n_samples} samples of {self.sample_time:g} s, {self.duration:g} s"
+        irregular = " at irregular times, on average" if self.stamps is not None else ""
+        about = f"{self.name}, {self.n_samples} samples{irregular} of {self.sample_time:g} s, {self.duration:g} s"
         signals = {
             name: f"{', '.join(self.channels[name])} [{self.units[name]}] "
             f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g}"
@@ -353,9 +364,11 @@ class Recording(Brief, Pictured, hdf5.InFile):
     @property
     def time(self) -> FloatArray:
         """Sample times from zero [s], shape (n_samples,)."""
+        if self.stamps is not None:
+            return self.stamps
         return np.asarray(self.sample_time * np.arange(self.n_samples), dtype=np.float64)
 
-    def signal(self, name: str, *, gaps: bool = False) -> FloatArray:
+    def signal(self, name: str, *, gaps: bool = False, irregular: bool = False) -> FloatArray:
         """Return the values of one signal, shape (n_samples, n_channels).
 
         Parameters
@@ -364,20 +377,27 @@ class Recording(Brief, Pictured, hdf5.InFile):
             Name of the signal.
         gaps : bool
             Whether samples may be missing (NaN). By default a signal with missing samples is refused.
+        irregular : bool
+            Whether the times of the samples may be irregular. By default they are refused.
 
         Raises
         ------
         DataError
-            When the recording has no such signal, or when samples of it are missing.
+            When the recording has no such signal, when samples of it are missing, or when its times are irregular.
         """
         if name not in self.signals:
             raise DataError(f"recording {self.name!r} has no signal {name!r}; it has {', '.join(self.signals)}")
         values = self.signals[name]
+        if not irregular and self.stamps is not None:
+            raise DataError(
+                f"recording {self.name!r} has samples at irregular times, which fits, simulations and residual tests "
+                "take, but not this; interpolate its signals onto even times before (numpy.interp)"
+            )
         if not gaps and self.missing.get(name):
             raise DataError(
                 f"recording {self.name!r}: {self.missing[name]} samples of signal {name!r} are missing, the first "
                 f"{_first_missing(values)}; only the outputs of a fit may have gaps: hold the last value of an input "
-                f"with recording.held({name!r}), or take a stretch without gaps"
+                f"with recording.held({name!r}), draw lines with recording.interpolated, or take a stretch without gaps"
             )
         return values
 
@@ -404,11 +424,40 @@ class Recording(Brief, Pictured, hdf5.InFile):
         """
         signals = {}
         for name in names:
-            values = self.signal(name, gaps=True)
+            values = self.signal(name, gaps=True, irregular=True)
             if np.isnan(values[0]).any():
                 raise DataError(f"recording {self.name!r}: the first sample of signal {name!r} is missing; begin later")
             last = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(len(values))[:, None]))
             signals[name] = np.take_along_axis(values, last, axis=0)
+        return replace(self, signals={**self.signals, **signals})
+
+    def interpolated(self, *names: str) -> Recording:
+        """Return a copy in which missing samples lie on a straight line in time between those around them.
+
+        That is what an input with first-order hold is between its samples; it is no repair of a measured output.
+
+        Parameters
+        ----------
+        *names : str
+            The signals.
+
+        Raises
+        ------
+        DataError
+            When there is no such signal, or when its first or last sample is missing.
+        """
+        signals = {}
+        for name in names:
+            values, time = self.signal(name, gaps=True, irregular=True).copy(), self.time
+            for column in values.T:
+                missing = np.isnan(column)
+                if missing[0] or missing[-1]:
+                    at = "first" if missing[0] else "last"
+                    raise DataError(
+                        f"recording {self.name!r}: the {at} sample of signal {name!r} is missing; cut there"
+                    )
+                column[missing] = np.interp(time[missing], time[~missing], column[~missing])
+            signals[name] = values
         return replace(self, signals={**self.signals, **signals})
 
     def with_signals(self, **signals: npt.ArrayLike) -> Recording:
@@ -442,12 +491,34 @@ class Recording(Brief, Pictured, hdf5.InFile):
                 f"recording {self.name!r}: samples {start} to {stop} are not within its {self.n_samples} samples"
             )
         signals = {key: values[start:stop] for key, values in self.signals.items()}
-        return replace(self, signals=signals, name=name or self.name)
+        stamps = None if self.stamps is None else self.stamps[start:stop]
+        return replace(self, signals=signals, name=name or self.name, stamps=stamps)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)  # arrays come from another process writable
         for values in self.signals.values():
             values.setflags(write=False)
+
+
+_EVEN = 1e-9  # largest deviation of a step from the mean step, relative, that is rounding
+
+
+def _irregular(recording: str, stamps: npt.ArrayLike, n: int) -> tuple[FloatArray | None, float]:
+    """Return irregular times from the first one, None where they are even, and their mean step."""
+    time = np.asarray(stamps, float)
+    if time.shape != (n,) or n < 2:
+        raise DataError(f"recording {recording!r}: stamps have shape {time.shape}; give a time for each of {n} samples")
+    steps = np.diff(time)
+    if not (steps > 0).all():
+        k = int(np.flatnonzero(~(steps > 0))[0])
+        raise DataError(
+            f"recording {recording!r}: the stamps do not rise at sample {k + 1}: {time[k]:g} s, {time[k + 1]:g} s"
+        )
+    mean, time = float(time[-1] - time[0]) / (n - 1), time - time[0]
+    if np.abs(steps / mean - 1).max() <= _EVEN:
+        return None, float(f"{mean:.12g}")
+    time.setflags(write=False)
+    return time, mean
 
 
 def without_gaps(values: FloatArray) -> tuple[FloatArray, BoolArray | None]:

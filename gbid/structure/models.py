@@ -18,7 +18,16 @@ from gbid.core.errors import UsageError
 from gbid.core.extras import Pictured, extra_package
 from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.option_types import OneText
-from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
+from gbid.discretise import (
+    Hold,
+    check_holds,
+    delayed_taps,
+    discretise,
+    distinct_steps,
+    propagate,
+    squarings_for,
+    step_numbers,
+)
 
 
 def channels(model: str, what: str, values: npt.ArrayLike, count: int, n_samples: int | None = None) -> FloatArray:
@@ -60,6 +69,17 @@ def check_sample_time(model: str, sample_time: float | None) -> float:
     return sample_time
 
 
+def check_clock(model: str, clock: npt.ArrayLike | None, n_samples: int) -> float | FloatArray:
+    """Return a sample time, also that of even times, or the irregular times of the samples (n_samples,)."""
+    if clock is None or np.ndim(clock) == 0:
+        return check_sample_time(model, clock)  # type: ignore[arg-type]  # a number or None
+    time = np.asarray(clock, float)
+    if time.shape != (n_samples,) or not (np.diff(time) > 0).all() or not np.isfinite(time).all():
+        raise UsageError(f"model {model!r}: times of the samples must be ({n_samples},) numbers that rise")
+    steps = distinct_steps(time) if n_samples > 1 else np.ones(1)
+    return float(steps[0]) if len(steps) == 1 else time
+
+
 # ---- What every model answers, linear or not: simulations and predictions of sampled signals.
 
 
@@ -74,7 +94,7 @@ class SampledSignals(ABC):
     def simulate(
         self,
         inputs: npt.ArrayLike,
-        sample_time: float | None = None,
+        sample_time: float | npt.ArrayLike | None = None,
         *,
         initial_state: npt.ArrayLike | None = None,
         intersample: str | Sequence[str] | None = None,
@@ -85,8 +105,8 @@ class SampledSignals(ABC):
         ----------
         inputs : (n_samples, n_inputs) array
             Input signals.
-        sample_time : float, optional
-            Time between samples [s]; a discrete model has its own.
+        sample_time : float or (n_samples,) array, optional
+            Time between samples [s], or the irregular times of the samples; a discrete model has its own.
         initial_state : (n_states,) array, optional
             State at the first sample; zero when not given.
         intersample : {"zoh", "foh"} or sequence of these, optional
@@ -111,7 +131,7 @@ class SampledSignals(ABC):
         self,
         inputs: npt.ArrayLike,
         outputs: npt.ArrayLike,
-        sample_time: float | None = None,
+        sample_time: float | npt.ArrayLike | None = None,
         *,
         initial_state: npt.ArrayLike | None = None,
         intersample: str | Sequence[str] | None = None,
@@ -126,8 +146,8 @@ class SampledSignals(ABC):
             Input signals.
         outputs : (n_samples, n_outputs) array
             Measured outputs.
-        sample_time : float, optional
-            Time between samples [s]; a discrete model has its own.
+        sample_time : float or (n_samples,) array, optional
+            Time between samples [s], or the irregular times of the samples; a discrete model has its own.
         initial_state : (n_states,) array, optional
             State at the first sample; zero when not given.
         intersample : {"zoh", "foh"} or sequence of these, optional
@@ -163,7 +183,7 @@ class SampledSignals(ABC):
         self,
         u: FloatArray,
         y: FloatArray | None,
-        sample_time: float | None,
+        sample_time: npt.ArrayLike | None,
         initial_state: Any,
         holds: tuple[Hold, ...],
     ) -> FloatArray:
@@ -402,33 +422,57 @@ class LinearModel(SampledSignals, Brief, Pictured):
         self,
         u: FloatArray,
         y: FloatArray | None,
-        sample_time: float | None,
+        sample_time: npt.ArrayLike | None,
         initial_state: Any,
         holds: tuple[Hold, ...],
     ) -> FloatArray:
         """Return the outputs of the recursion ``x[k+1] = F x[k] + f[k]``; see `SampledSignals`."""
-        if self.dt is None:
-            sample_time = check_sample_time(self.name, sample_time)
-            F, now, following = discretise(np.array(self.A), np.array(self.B), sample_time, holds)
-        else:
-            if sample_time is not None and not np.isclose(sample_time, self.dt, rtol=1e-9):
-                raise UsageError(f"model {self.name!r} has sample time {self.dt} s, not {sample_time} s")
-            if any(hold != "zoh" for hold in holds):
-                raise UsageError(f"model {self.name!r} is discrete: its inputs cannot be interpolated")
-            F, now, following = self.A, self.B, np.zeros_like(self.B)
         x0 = np.zeros(len(self.A)) if initial_state is None else np.asarray(initial_state, float)
         if x0.shape != (len(self.A),):
             raise UsageError(f"model {self.name!r}: initial_state has shape {x0.shape}, expected ({len(self.A)},)")
+        if self.dt is None:
+            clock = check_clock(self.name, sample_time, len(u))
+            if isinstance(clock, np.ndarray):
+                return self._irregular_response(u, y, clock, x0, holds)
+            sample_time = clock
+            F, now, following = discretise(np.array(self.A), np.array(self.B), sample_time, holds)
+        else:
+            if sample_time is not None and (np.ndim(sample_time) or not np.isclose(sample_time, self.dt, rtol=1e-9)):
+                raise UsageError(f"model {self.name!r} has sample time {self.dt} s, not {sample_time} s")
+            sample_time = self.dt
+            if any(hold != "zoh" for hold in holds):
+                raise UsageError(f"model {self.name!r} is discrete: its inputs cannot be interpolated")
+            F, now, following = self.A, self.B, np.zeros_like(self.B)
         forcing = u @ now.T
         forcing[:-1] += u[1:] @ following.T
-        if self.delay is not None and sample_time is not None:
+        if self.delay is not None:
             forcing += self._delayed_forcing(u, sample_time, holds)
         if y is not None and self.K is not None:
             gain = np.array(self.K)
-            if self.dt is None and sample_time is not None:
+            if self.dt is None:
                 gain = discretise(np.array(self.A), gain, sample_time, "zoh").G_now
             F, forcing = F - gain @ self.C, forcing + (y - u @ self.D.T) @ gain.T
         return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+
+    def _irregular_response(
+        self, u: FloatArray, y: FloatArray | None, time: FloatArray, x: FloatArray, holds: tuple[Hold, ...]
+    ) -> FloatArray:
+        """Return the outputs at irregular times from the initial state `x`; each interval has its own matrices."""
+        if self.delay is not None:
+            raise UsageError(f"model {self.name!r} has exact delays, which irregular times do not take; see with_pade")
+        steps, A = distinct_steps(time), np.array(self.A)
+        numbers, doublings = step_numbers(time, steps), squarings_for([A * steps[-1]])
+        F, now, following = discretise(A, np.array(self.B), steps[:, None, None], holds, doublings)
+        forcing = (now[numbers] @ u[:, :, None])[:, :, 0]
+        forcing[:-1] += (following[numbers[:-1]] @ u[1:, :, None])[:, :, 0]
+        if y is not None and self.K is not None:
+            gain = discretise(A, np.array(self.K), steps[:, None, None], "zoh", doublings).G_now
+            F, forcing = F - gain @ self.C, forcing + (gain[numbers] @ (y - u @ self.D.T)[:, :, None])[:, :, 0]
+        states = np.empty_like(forcing)
+        for k, number in enumerate(numbers):
+            states[k] = x
+            x = F[number] @ x + forcing[k]
+        return np.asarray(states @ self.C.T + u @ self.D.T)
 
     def _delayed_forcing(self, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
         """Return the effect of the delayed inputs on the state; before the record they have their first value."""

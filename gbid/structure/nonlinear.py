@@ -19,7 +19,7 @@ from gbid.core.hdf5 import NOT_STORED, Stored
 from gbid.core.option_types import Allowed, Exact, OneText, check_options
 from gbid.discretise import Hold, IntegratorName, one_step, step_inputs
 from gbid.structure.linear import as_names, in_one_line
-from gbid.structure.models import LinearModel, SampledSignals, check_sample_time
+from gbid.structure.models import LinearModel, SampledSignals, check_clock
 from gbid.structure.parameter import Parameter, Values, as_vector, once, set_fields
 
 MOST_STEPS = 256
@@ -508,13 +508,16 @@ class NonlinearModel(SampledSignals, Brief):
         self,
         u: FloatArray,
         y: FloatArray | None,
-        sample_time: float | None,
+        sample_time: npt.ArrayLike | None,
         initial_state: Any,
         holds: tuple[Hold, ...],
     ) -> FloatArray:
         """Return the outputs of `step_function`, some samples at a time: more would take memory."""
-        h, (n, n_u) = check_sample_time(self.name, sample_time), u.shape
-        shift = np.zeros(n_u, int) if self.delay is None else np.floor(self.delay / h).astype(int)
+        (n, n_u), clock = u.shape, check_clock(self.name, sample_time, len(u))
+        if isinstance(clock, np.ndarray) and self.delay is not None:
+            raise UsageError(f"model {self.name!r} has exact delays, which irregular times do not take")
+        h = np.append(np.diff(clock), 0.0) if isinstance(clock, np.ndarray) else np.full(n, clock)
+        shift = np.zeros(n_u, int) if self.delay is None else np.floor(self.delay / h[0]).astype(int)
         rows = np.arange(n)[:, None, None] - shift[:, None] + [1, 0, -1]  # (n_samples, n_inputs, 3)
         around = u[np.clip(rows, 0, n - 1), np.arange(n_u)[:, None]]
         step = self._step(holds, feeds_back=y is not None)
@@ -527,7 +530,7 @@ class NonlinearModel(SampledSignals, Brief):
         for first in range(0, n, length):
             rows = np.minimum(np.arange(first, first + length), n - 1)
             inputs = around[rows].transpose(1, 0, 2).reshape(n_u, 3 * length)
-            states, outputs = run(x, inputs, y[rows].T, self.parameters, h)
+            states, outputs = run(x, inputs, y[rows].T, self.parameters, h[rows][None])
             x = np.asarray(states[:, -1], float).ravel()
             samples.append(np.array(outputs, float).T)
         return np.concatenate(samples)[:n]

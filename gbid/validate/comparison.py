@@ -17,7 +17,7 @@ from gbid.identify.data import select
 from gbid.identify.uncertainty.curves import Tabled
 from gbid.recording import Recording
 from gbid.structure import LinearModel, as_names
-from gbid.validate.simulate import at_step_of, fit_percent, refuse_scheduled, simulator, simulator_of
+from gbid.validate.simulate import at_clock_of, fit_percent, refuse_scheduled, simulator, simulator_of
 
 Models = LinearModel | FitResult | Sequence[LinearModel | FitResult] | Mapping[str, LinearModel | FitResult]
 
@@ -140,7 +140,7 @@ def compare(
         for k, (recording, (u, y)) in enumerate(zip(several, data, strict=True)):
             if isinstance(model, FitResult):
                 refuse_scheduled(model)
-                runner = at_step_of(simulator(model), recording.sample_time)
+                runner = at_clock_of(simulator(model), recording.sample_time)
             else:
                 runner = simulator_of(model, recording.sample_time)
                 u, y = u - u.mean(axis=0), y - y.mean(axis=0)

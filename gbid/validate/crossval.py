@@ -17,7 +17,7 @@ from gbid.core.extras import Pictured, data_frame
 from gbid.core.hdf5 import Stored
 from gbid.identify import FitResult
 from gbid.recording import Recording
-from gbid.validate.simulate import Explained, Ranges, Simulator, ValidationData, at_step_of, simulator, validation_data
+from gbid.validate.simulate import Explained, Ranges, Simulator, ValidationData, at_clock_of, simulator, validation_data
 
 # ---- Scores of many models on many recordings, and their summary (paper, Sec. 3.8, Figs. 9 and 10).
 
@@ -406,7 +406,7 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
         overflows, or when the model is unstable and would grow by more than 1000 over the recording.
     """
     data = validation_data(result, recording, left_out)
-    fitted = at_step_of(simulator(result), data.sample_time)
+    fitted = at_clock_of(simulator(result), data.clock)
     explained = _explain(fitted, data)
     simulated = fitted.run(data.inputs, explained.initial_state)
     simulated = simulated + fitted.disturbed(data.outputs - simulated, data.counted)
@@ -493,9 +493,9 @@ _GROWTH = 1e3  # over a recording: what is known to a thousandth of an output is
 
 
 def _explain(fitted: Simulator, data: ValidationData) -> Explained:
-    fitted = at_step_of(fitted, data.sample_time)
+    fitted = at_clock_of(fitted, data.clock)
     model = fitted.model
-    if not np.isclose(data.sample_time, fitted.sample_time, rtol=1e-6, atol=0):
+    if not np.allclose(data.clock, fitted.sample_time, rtol=1e-6, atol=0):
         raise DataError(
             f"recording {data.name!r} has sample time {data.sample_time:g} s; the model was fitted at "
             f"{fitted.sample_time:g} s: resample the recording"

@@ -159,8 +159,8 @@ def check_residuals(
         overflow.
     """
     refuse_scheduled(result)
-    u, input_names, _ = select(recording, result.options.inputs)
-    output_names = select(recording, result.options.outputs, gaps=True)[1]
+    u, input_names, _ = select(recording, result.options.inputs, irregular=True)
+    output_names = select(recording, result.options.outputs, gaps=True, irregular=True)[1]
     stretch, counted = _tested(result, recording, left_out)
     u = u[stretch]
     if len(u) < 4:
@@ -188,7 +188,7 @@ def check_residuals(
     return ResidualTest(
         recording=recording.name,
         lags=np.arange(lags + 1),
-        time=recording.time[: lags + 1],
+        time=np.asarray(recording.sample_time * np.arange(lags + 1), np.float64),
         autocorrelation=np.array([correlation(channel, channel, lags) for channel in e.T]),
         band=quantile / float(np.sqrt(counted.sum())),
         cross_lags=np.arange(-lags, lags + 1),
@@ -207,7 +207,7 @@ def check_residuals(
 
 def _tested(result: FitResult, recording: Recording, left_out: Ranges) -> tuple[slice, BoolArray]:
     """Return the stretch that is tested, and which of its samples have all outputs."""
-    missing = np.isnan(select(recording, result.options.outputs, gaps=True)[0])
+    missing = np.isnan(select(recording, result.options.outputs, gaps=True, irregular=True)[0])
     whole = np.asarray(~missing.any(axis=1), bool)
     counted = counted_samples(recording, left_out)
     tested = np.ones(len(whole), bool) if counted is None else counted
@@ -222,13 +222,14 @@ def _predicted(
     result: FitResult, recording: Recording, stretch: slice, counted: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the outputs without their disturbances, and their predictions; only samples that count are explained."""
-    u = select(recording, result.options.inputs)[0][stretch]
-    y = select(recording, result.options.outputs, gaps=True)[0][stretch]
+    u = select(recording, result.options.inputs, irregular=True)[0][stretch]
+    y = select(recording, result.options.outputs, gaps=True, irregular=True)[0][stretch]
+    clock = recording.sample_time if recording.stamps is None else recording.stamps[stretch]
     model, some = result.model, None if counted.all() else counted
     overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     with np.errstate(over="ignore", invalid="ignore"):
         disturbances = result.disturbances
-        fitted = simulator_of(model, recording.sample_time, disturbances=disturbances)
+        fitted = simulator_of(model, clock, disturbances=disturbances)
         if isinstance(fitted, NonlinearSimulator) and result.options.focus == "prediction":
             fitted = replace(
                 fitted, predicts=bool(fitted.model.K.any()) and not disturbances.instead_of_walks(1).n_columns
@@ -241,7 +242,7 @@ def _predicted(
         if result.options.focus == "prediction":
             model = disturbances.with_walks_as_states(model, result.parameters)
             state = np.concatenate([state, np.zeros(len(disturbances.walking))])
-            predicted = model.predict(u, y, recording.sample_time, initial_state=state)
+            predicted = model.predict(u, y, clock, initial_state=state)
     if not np.isfinite(predicted).all():
         raise overflow
     return y, predicted
@@ -292,7 +293,8 @@ def shaft_lines(result: FitResult, recording: Recording, left_out: Ranges = ()) 
     Returns
     -------
     list of ShaftLine
-        Empty for a shaft at rest, without phi, where outputs of a simulation are missing, and for less than a turn.
+        Empty for a shaft at rest, without phi, where outputs of a simulation are missing, at irregular times, and for
+        less than a turn.
 
     Raises
     ------
@@ -300,7 +302,7 @@ def shaft_lines(result: FitResult, recording: Recording, left_out: Ranges = ()) 
         When the recording lacks a signal, or when the predictions overflow.
     """
     turning = turns_per_second(recording)
-    if turning is None:
+    if turning is None or recording.stamps is not None:
         return []
     names = select(recording, result.options.outputs, gaps=True)[1]
     stretch, counted = _tested(result, recording, left_out)

@@ -84,8 +84,8 @@ class Simulator:
     ----------
     model : LinearModel or NonlinearModel
         The model.
-    sample_time : float
-        Time between samples [s].
+    sample_time : float or (n_samples,) array
+        Time between samples [s], or their irregular times.
     intersample : {"zoh", "foh"} or sequence of these, optional
         Inter-sample behaviour of the inputs; by default that of the model.
     disturbances : Disturbances
@@ -95,7 +95,7 @@ class Simulator:
     """
 
     model: Any
-    sample_time: float
+    sample_time: float | FloatArray
     intersample: str | Sequence[str] | None = None
     disturbances: Disturbances = UNDISTURBED
     name: str = "model"
@@ -157,7 +157,8 @@ class Simulator:
         known = self.disturbances.instead_of_walks(1)
         if not known.n_columns:
             return np.zeros((len(rest), 1))
-        columns = known.regressors(n, self.sample_time)
+        clock = self.sample_time
+        columns = known.regressors(clock[:n] if isinstance(clock, np.ndarray) else np.linspace(0.0, clock * (n - 1), n))
         chosen = columns if counted is None else columns[counted]
         return known.closest(rest.T, chosen) @ (columns if everywhere else chosen).T
 
@@ -274,9 +275,11 @@ def estimate_initial_state(
     return fitted.explain(np.transpose(inputs), np.transpose(outputs), counted).initial_state
 
 
-def _modes(model: LinearModel, sample_time: float, intersample: str | Sequence[str] | None) -> Modes | None:
-    """Return the modes of a model with held inputs; None for delays, sampled models, bad eigenvectors."""
-    if model.delay is not None or model.dt is not None:
+def _modes(
+    model: LinearModel, sample_time: float | FloatArray, intersample: str | Sequence[str] | None
+) -> Modes | None:
+    """Return the modes of a model; None for delays, sampled models, irregular times, bad eigenvectors."""
+    if model.delay is not None or model.dt is not None or isinstance(sample_time, np.ndarray):
         return None
     F, now, following = discretise(np.array(model.A), np.array(model.B), sample_time, model.holds(intersample))
     if not np.isfinite(F).all():
@@ -384,7 +387,7 @@ def _lengths(counted: BoolArray, n_states: int) -> list[int]:
 @singledispatch
 def simulator_of(
     model: Any,
-    sample_time: float,
+    sample_time: float | FloatArray,
     intersample: str | Sequence[str] | None = None,
     disturbances: Disturbances = UNDISTURBED,
     name: str = "model",
@@ -411,11 +414,18 @@ def simulator(result: FitResult) -> Simulator:
     return simulator_of(result.model, result.sample_time, None, result.disturbances, ", ".join(result.recordings))
 
 
-def at_step_of(fitted: Simulator, sample_time: float) -> Simulator:
-    """Return a simulator for a recording; that of a fit to frequency responses alone has no sample time of its own."""
-    if isinstance(fitted, LinearSimulator) and np.isnan(fitted.sample_time):
-        return replace(fitted, sample_time=sample_time)
-    return fitted
+def at_clock_of(fitted: Simulator, clock: float | FloatArray) -> Simulator:
+    """Return a simulator for a recording with this sample time or irregular times.
+
+    That of a fit to frequency responses alone has no sample time of its own.
+    """
+    own = fitted.sample_time
+    return replace(fitted, sample_time=clock) if isinstance(clock, np.ndarray) or np.isnan(own).any() else fitted
+
+
+def clock_of(recording: Recording) -> float | FloatArray:
+    """Return the sample time of a recording [s], or its irregular times."""
+    return recording.sample_time if recording.stamps is None else recording.stamps
 
 
 # ---- Signals of a recording on which models are validated, and the samples that count.
@@ -436,6 +446,8 @@ class ValidationData:
         Operating point of the recording.
     sample_time : float
         Time between samples [s].
+    clock : float or (n_samples,) array
+        The same, or their irregular times.
     inputs : (n_inputs, n_samples) array
         Input signals.
     outputs : (n_outputs, n_samples) array
@@ -451,6 +463,7 @@ class ValidationData:
     name: str
     conditions: dict[str, float]
     sample_time: float
+    clock: float | FloatArray
     inputs: FloatArray
     outputs: FloatArray
     counted: BoolArray | None
@@ -478,8 +491,8 @@ def validation_data(result: FitResult, recording: Recording, left_out: Ranges = 
     DataError
         When the recording lacks a signal, or has no sample that counts.
     """
-    u, input_names, input_units = select(recording, result.options.inputs)
-    y, output_names, output_units = select(recording, result.options.outputs, gaps=True)
+    u, input_names, input_units = select(recording, result.options.inputs, irregular=True)
+    y, output_names, output_units = select(recording, result.options.outputs, gaps=True, irregular=True)
     counted = counted_samples(recording, left_out)
     y, missing = without_gaps(y)
     if missing is not None:
@@ -492,6 +505,7 @@ def validation_data(result: FitResult, recording: Recording, left_out: Ranges = 
         recording.name,
         dict(recording.conditions),
         recording.sample_time,
+        clock_of(recording),
         np.ascontiguousarray(u.T),
         np.ascontiguousarray(y.T),
         counted,

@@ -210,7 +210,7 @@ def test_tree_of_fit_results_names_what_is_written(tmp_path: Path, capsys: pytes
     y = 0.1 * random.standard_normal((200, 1)) + np.cumsum(u, axis=0) * 0.01
     gbid.save_fit(gbid.fit(lag, gbid.Recording({"u": u, "y": y}, 0.1)), tmp_path / "fit.h5")
     page = DOCS / "file-formats.md"
-    exec(compile(cells(page)[0], page.name, "exec"), {})
+    exec(compile(cells(page)[-1], page.name, "exec"), {})
     printed = capsys.readouterr().out
     section = page.read_text(encoding="utf-8").split("## Fit results")[1].split("\n## ")[0]
     section += printed[printed.index("FitResult/") : printed.index("FitTable/")]

@@ -196,6 +196,16 @@ def test_an_experiment_names_its_channels_in_the_yaml(tmp_path, capsys):
     np.testing.assert_allclose(recording.signal("gap"), 1e-6 * Y[:120])
 
 
+def test_sampling_instants_are_kept(tmp_path):
+    instants = T + 1e-3 * np.sin(np.arange(len(T)))[:, None]
+    variables = {"z": merged(Ts_=cell(T[:0], T[:0]), SamplingInstants_=cell(instants, T[:120]))}
+    irregular, even = gbid.load_iddata(file(tmp_path, "v7", **variables))
+    np.testing.assert_allclose(irregular.time, 1e-3 * (instants - instants[0])[:, 0], atol=1e-12)
+    assert irregular.stamps is not None
+    assert even.stamps is None
+    assert even.sample_time == pytest.approx(1e-3 * H)
+
+
 @pytest.mark.parametrize(
     ("variables", "words"),
     [
@@ -203,10 +213,6 @@ def test_an_experiment_names_its_channels_in_the_yaml(tmp_path, capsys):
         ({"z": merged(TimeUnit_="fortnights")}, "the time unit 'fortnights' is not one of nanoseconds"),
         ({"z": merged(OutputData_=cell(Y))}, "has 1 experiments of outputs and 2 of inputs"),
         ({"z": merged(Ts_=cell(T[:0], T[:0]))}, "experiment 1 has neither a sample time Ts nor SamplingInstants"),
-        (
-            {"z": merged(Ts_=cell(T[:0], T[:0]), SamplingInstants_=cell(T, T[:120]))},
-            "its column time as time, and gaps",
-        ),
         ({"z": merged(OutputName_=cell("force"))}, "'force' is an input and an output; rename one"),
         ({"z": merged(), "w": merged()}, "has the iddata objects z, w; name one"),
         ({"y": Y}, "has no iddata object; import its arrays"),

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import asdict, fields, replace
 from functools import lru_cache, partial
 from itertools import islice
-from math import ceil, inf, nan
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -369,7 +369,8 @@ def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, i
     DataError
         When no sample lies between the times, or the end lies beyond the recording.
     """
-    first, stop = (ceil(t / recording.sample_time - 1e-6) for t in (from_s, to_s))
+    ends = np.append(recording.time, recording.duration) / recording.sample_time
+    first, stop = (int(np.searchsorted(ends, t / recording.sample_time - 1e-6)) for t in (from_s, to_s))
     where = f"left_out: recording {recording.name!r}"
     if stop > recording.n_samples:
         end = recording.n_samples * recording.sample_time

@@ -58,6 +58,8 @@ class Segment:
         Outputs of the record that are missing, with values in their place; None when none is.
     gains : GapGains or None
         What a kernel for missing samples needs; None for other kernels.
+    time : (n_samples,) array or None
+        Irregular times of the record [s]; None for even ones.
     """
 
     inputs: FloatArray
@@ -68,6 +70,12 @@ class Segment:
     weights: FloatArray | None = None
     missing: BoolArray | None = None
     gains: GapGains | None = None
+    time: FloatArray | None = None
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether every output is measured, at even times."""
+        return self.missing is None and self.time is None
 
     @property
     def present(self) -> BoolArray:
@@ -187,7 +195,7 @@ class Blocks:
                 self._regressors.clear()
             parts = []
             for p in self.segments:
-                rows = self.predictor.regressors(p.inputs, p.measured, shift)
+                rows = self.predictor.regressors(p.inputs, p.measured, shift, p.time)
                 parts.append(p.part(rows if p.gains is None else np.hstack([rows, p.gains.columns])))
             self._regressors[shift] = in_groups(parts, self.length)
         return self._regressors[shift]

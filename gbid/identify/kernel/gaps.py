@@ -1,4 +1,7 @@
-"""Kernel of linear predictors for recordings with missing output samples, and the Kalman gains after each gap.
+"""Kernel of linear predictors for missing output samples and irregular times, and the Kalman gains after each gap.
+
+At irregular times each interval has matrices F and G of its own; the first regressor is its number. The correction by
+an error lasts as long as the interval: e is constant between samples, as in the model of even times.
 
 At a missing sample the predictor takes its own prediction for the measured output: the correction is skipped. A
 regressor that is NaN says so. Behind the regressors stand, for each sample k, two matrices:
@@ -18,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.kernel.blocks import Blocks, GapGains, Prediction, Segment, in_groups
 from gbid.identify.kernel.portable import PortablePasses, flat, grouped
 from gbid.identify.kernel.sums import Sweep, spectral_radius
@@ -38,12 +41,15 @@ class GapKernel(PortablePasses):
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return states and weighted outputs with their derivatives; see `SampleKernel`."""
         step, n_p = _step(v, x, z), v.n_parameters
-        psi, S = v.C @ slopes, v.F @ slopes
-        n_known = step.known.shape[1]
+        psi, S = v.C @ slopes, step.F @ slopes
+        n_known, regressors = step.known.shape[1], np.hstack([step.known, step.measured])
         psi[:, :, :n_p] += (v.dC @ x.T + v.dH[:, :, :n_known] @ step.known.T).T
-        S[:, :, :n_p] += (v.dF @ x.T + v.dG[:, :, :n_known] @ step.known.T).T
+        if v.by_interval is None:
+            S[:, :, :n_p] += (v.dF @ x.T + v.dG @ regressors.T).T
+        else:
+            onto = v.by_interval.slopes[step.interval]
+            S[:, :, :n_p] += (onto @ np.hstack([x, regressors])[:, None, :, None])[..., 0]
         if step.measured.shape[1]:
-            S[:, :, :n_p] += (v.dG[:, :, n_known:] @ step.measured.T).T
             S += step.by_prediction @ psi
         return step.after, S, step.outputs, step.T @ psi
 
@@ -80,6 +86,10 @@ class _Step(NamedTuple):
     known, measured : (W, m), (W, n_y) array
         Regressors before the outputs, and outputs with predictions for missing ones; without columns if none are fed
         back.
+    F : (n, n) or (W, n, n) array
+        Transition of all blocks, or of each at irregular times.
+    interval : (W,) integer array
+        Numbers of the intervals; without meaning at even times.
     """
 
     after: FloatArray
@@ -88,24 +98,34 @@ class _Step(NamedTuple):
     by_prediction: FloatArray
     known: FloatArray
     measured: FloatArray
+    F: FloatArray
+    interval: IntArray
 
 
 def _step(v: PredictorValues, x: FloatArray, z: FloatArray) -> _Step:
     """Return the step of a sample; behind its regressors `z` stand T and, where outputs are fed back, L."""
-    n_y, (n, n_z) = len(v.C), v.G.shape
+    n_y, (n, n_z), F, G, interval = len(v.C), v.G.shape, v.F, v.G, np.zeros(0, np.int64)
+    if v.by_interval is not None:
+        interval, z = z[:, 0].astype(np.int64), z[:, 1:]
+        F, G = v.by_interval.F[interval], v.by_interval.G[interval]
     feeds_back = z.shape[1] > n_z + n_y**2
     n_known = n_z - n_y if feeds_back else n_z
     known, T = z[:, :n_known], z[:, n_z : n_z + n_y**2].reshape(-1, n_y, n_y)
     yhat = x @ v.C.T + known @ v.H[:, :n_known].T
-    after, outputs = x @ v.F.T + known @ v.G[:, :n_known].T, (T @ yhat[:, :, None])[:, :, 0]
+    after, outputs = _times(F, x) + _times(G[..., :n_known], known), (T @ yhat[:, :, None])[:, :, 0]
     y = z[:, n_known:n_z]
     if not feeds_back:
-        return _Step(after, outputs, T, np.zeros((len(z), n, n_y)), known, y)
-    onto, L = v.G[:, n_known:], z[:, n_z + n_y**2 :].reshape(-1, n, n_y)
+        return _Step(after, outputs, T, np.zeros((len(z), n, n_y)), known, y, F, interval)
+    onto, L = G[..., n_known:], z[:, n_z + n_y**2 :].reshape(-1, n, n_y)
     missing = np.isnan(y)
     y = np.where(missing, yhat, y)
-    after = after + y @ onto.T + (L @ (y - yhat)[:, :, None])[:, :, 0]
-    return _Step(after, outputs, T, np.where(missing[:, None, :], onto, -L), known, y)
+    after = after + _times(onto, y) + (L @ (y - yhat)[:, :, None])[:, :, 0]
+    return _Step(after, outputs, T, np.where(missing[:, None, :], onto, -L), known, y, F, interval)
+
+
+def _times(matrix: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the products of one matrix, or of a matrix for each row, with the rows (W, n)."""
+    return np.asarray(rows @ matrix.T if matrix.ndim == 2 else (matrix @ rows[:, :, None])[:, :, 0])
 
 
 # ---- Kalman gains after gaps: those of the model with the covariance of its innovations, found in rounds.
@@ -177,8 +197,11 @@ def with_kalman_gains(v: PredictorValues, blocks: Blocks, innovation: FloatArray
 def _filter(v: PredictorValues, blocks: Blocks, measured: BoolArray, innovation: FloatArray) -> _Filter:
     """Run the filter in all blocks side by side, until each begins with the covariance at the end of the one before."""
     (length, width, n_y), n = measured.shape, len(v.F)
-    K = v.G[:, -n_y:] if blocks.predictor.feeds_back else np.zeros((n, n_y))
-    A, eye = v.F + K @ v.C, np.eye(n_y)
+    F, G, intervals = v.F[None], v.G[None], np.zeros((length, width), np.int64)
+    if v.by_interval is not None:
+        F, G, intervals = v.by_interval.F, v.by_interval.G, flat(blocks.z(v.shift))[:, :, 0].astype(np.int64)
+    every_K = G[:, :, -n_y:] if blocks.predictor.feeds_back else np.zeros((len(G), n, n_y))
+    every_A, eye = F + every_K @ v.C, np.eye(n_y)
     first = np.zeros(width, bool)
     first[blocks.window_first[blocks.segment_first]] = True
     start = np.zeros((width, n, n))
@@ -186,16 +209,19 @@ def _filter(v: PredictorValues, blocks: Blocks, measured: BoolArray, innovation:
     while True:
         P = start
         for k in range(length):
+            A, K = every_A[intervals[k]], every_K[intervals[k]]
             both = measured[k][:, :, None] & measured[k][:, None, :]
             PC = P @ v.C.T
             S = np.where(both, v.C @ PC + innovation, eye)
             across = (A @ PC + K @ innovation) * measured[k][:, None, :]
             gain = np.linalg.solve(S, across.swapaxes(1, 2)).swapaxes(1, 2)
             gains[k], covariances[k] = gain - K * measured[k][:, None, :], S
-            P = A @ P @ A.T + K @ innovation @ K.T - gain @ across.swapaxes(1, 2)
+            P = A @ P @ A.swapaxes(1, 2) + K @ innovation @ K.swapaxes(1, 2) - gain @ across.swapaxes(1, 2)
             P = (P + P.swapaxes(1, 2)) / 2
         following = np.concatenate([np.zeros((1, n, n)), P[:-1]])
         following[first] = 0.0
-        if not K.any() or np.abs(following - start).max() <= 1e-9 * max(np.abs(following).max(), np.finfo(float).tiny):
+        if not every_K.any() or np.abs(following - start).max() <= 1e-9 * max(
+            np.abs(following).max(), np.finfo(float).tiny
+        ):
             return _Filter(gains, covariances)
         start = following

@@ -26,7 +26,7 @@ from gbid.core.errors import UsageError
 from gbid.discretise import Hold, IntegratorName, check_holds, one_step, step_inputs
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
-from gbid.identify.predictor import GeneralPredictor
+from gbid.identify.predictor import GeneralPredictor, refuse_irregular
 from gbid.structure import Parameter, kind_of
 from gbid.structure.nonlinear import NonlinearStructure, first_steps, jumps_in, symbolic_equations
 
@@ -62,6 +62,8 @@ class SampleEquations(NamedTuple):
         Whether an impulse is a regressor.
     integrator : {"rk4", "implicit"}
         The integrator.
+    irregular : bool
+        Whether the interval to the next sample is a regressor, the first one.
     """
 
     x: ca.SX
@@ -80,6 +82,7 @@ class SampleEquations(NamedTuple):
     coefficients: ca.SX
     impulse: bool
     integrator: IntegratorName
+    irregular: bool = False
 
 
 class SampleFunctions(NamedTuple):
@@ -119,7 +122,7 @@ class _ByContent:
         values = [equations.dx, equations.y, equations.K, equations.x0, equations.coefficients, equations.early]
         written = ca.Function("equations", symbols, values).serialize()
         self.equations = equations
-        options = ("prompt", "delayed", "holds", "disturbances", "impulse", "integrator")
+        options = ("prompt", "delayed", "holds", "disturbances", "impulse", "integrator", "irregular")
         self._content = (written, *(rest[name] for name in options))
 
     def __eq__(self, other: object) -> bool:
@@ -137,9 +140,9 @@ def _functions(equations: _ByContent) -> SampleFunctions:
     feeds_back = eq.K.nnz() > 0
     taps = [3 if eq.holds[i] == "foh" else 2 for i in eq.delayed]
     rest = [eq.disturbances.n_columns, int(eq.impulse), n_y * feeds_back]
-    widths = [len(eq.prompt), len(lead), sum(taps), *rest]
+    widths = [int(eq.irregular), len(eq.prompt), len(lead), sum(taps), *rest]
     z = ca.SX.sym("z", sum(widths))
-    now, ahead, delayed, trend, impulse, measured = _parts(z, widths)
+    interval, now, ahead, delayed, trend, impulse, measured = _parts(z, widths)
     u = ca.SX(eq.u.numel(), 3)  # see `step_inputs`
     early: list[ca.SX | None] = [None] * eq.u.numel()
     for row, i in enumerate(eq.prompt):
@@ -168,7 +171,7 @@ def _functions(equations: _ByContent) -> SampleFunctions:
     derivative = ca.vertcat(eq.dx, ca.SX(len(walking), 1)) + eq.K @ e
     f = ca.Function("f", [eq.x, eq.u], [ca.densify(derivative)], {"allow_free": True})
     ends = step_inputs(u, eq.holds, early, t, w)
-    after = one_step(eq.integrator, f, eq.x, ends, eq.known[-1] * w)
+    after = one_step(eq.integrator, f, eq.x, ends, (interval if eq.irregular else eq.known[-1]) * w)
 
     every = ca.vertcat(eq.x, e, eq.theta)
     of_output, of_step = [eq.x, z, eq.theta, eq.known], [eq.x, z, e, eq.theta, eq.known, t, w]
@@ -270,6 +273,10 @@ class NonlinearPredictor(GeneralPredictor):
         known[-1 - len(shift) : -1] = shift
         return NonlinearValues(theta, known, self.steps, tuple(int(each) for each in shift))
 
+    def _interval_column(self, time: FloatArray) -> FloatArray:
+        """Return the interval itself [s]; see `GeneralPredictor`."""
+        return np.diff(time, append=time[-1])[:, None]
+
     def delay_slopes(self, theta: FloatArray) -> FloatArray:
         """Return the derivatives of the delays of all inputs by the free parameters, (n_free, n_inputs)."""
         slopes = np.zeros((len(self.free), self.n_inputs))
@@ -291,6 +298,7 @@ def build_nonlinear_predictor(
     *,
     disturbances: Disturbances = UNDISTURBED,
     released: Sequence[bool] = (),
+    intervals: FloatArray | None = None,
 ) -> NonlinearPredictor:
     """Return the predictor of a nonlinear structure for a fit; arguments as for `build_predictor`.
 
@@ -299,9 +307,11 @@ def build_nonlinear_predictor(
     Raises
     ------
     UsageError
-        When no free parameter remains.
+        When no free parameter remains, or for irregular times with an exact delay.
     """
     eq = symbolic_equations(structure)
+    if intervals is not None and eq.delayed:
+        refuse_irregular(structure.name, "exact delays")
     n, n_y = eq.x.numel(), eq.y.numel()
     gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
     K = eq.K if focus == "prediction" else ca.SX(n, n_y)
@@ -357,7 +367,9 @@ def build_nonlinear_predictor(
         coefficients=coefficients,
         impulse=any(released) or not driven,
         integrator=structure.integrator,
+        irregular=intervals is not None,
     )
+    longest = sample_time if intervals is None else float(intervals[-1])
     values = {**dict.fromkeys(unused, 0.0), **fixed}
     return NonlinearPredictor(
         free=(*free, *gains, *(Parameter("coefficient", 0.0).renamed(term.name) for term in disturbances.terms)),
@@ -376,9 +388,10 @@ def build_nonlinear_predictor(
         released=any(released),
         functions=sample_functions(equations),
         known=np.array([*(values[name] for name in others), *[0.0] * len(eq.delayed), sample_time]),
-        steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), sample_time),
+        steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), longest),
         adapts=structure.steps == "auto",
         jumps=jumps_in(eq),
+        intervals=intervals,
         _x0=ca.Function("x0", [theta, known], [ca.densify(x0_all)]),
         _delay=ca.Function("delay", [theta, known], [ca.densify(delays), ca.densify(ca.jacobian(delays, theta))]),
     )

@@ -17,7 +17,7 @@ from gbid.core.arrays import BoolArray, FloatArray, IntArray, point_label
 from gbid.core.compiled import CompilerMissingError
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
-from gbid.discretise import Hold
+from gbid.discretise import Hold, distinct_steps
 from gbid.identify.data import FitData, Record
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.frequency_data import FrequencyData, ResponseErrors
@@ -184,7 +184,8 @@ def segments_of(
         counts = np.where(record.missing.all(axis=1), 0.0, counts)
         if not counts.any():
             raise DataError(f"recording {record.name!r}: all samples are left out or missing")
-    whole = Segment(record.inputs, record.outputs, None if counts.all() else counts, missing=record.missing)
+    counts_or_none = None if counts.all() else counts
+    whole = Segment(record.inputs, record.outputs, counts_or_none, missing=record.missing, time=record.time)
     return [(replace(whole, start=a, stop=b), bisect_right(edges, a)) for a, b in pairwise(sorted(cuts))]
 
 
@@ -248,13 +249,15 @@ def grouped(members: Sequence[Member], window: int | None, begin: Mapping[str, f
 
 
 def _needs_gap_kernel(predictor: GeneralPredictor, segments: Sequence[Segment]) -> bool:
-    """Return whether a missing output is a regressor, or is missing where other outputs are measured.
+    """Return whether times are irregular, or a missing output is a regressor or is missing beside measured ones.
 
     Raises
     ------
     UsageError
         When that is so for a structure that is not linear, or predictions correct a loop with a sampled controller.
     """
+    if predictor.intervals is not None and isinstance(predictor, Predictor):
+        return True
     gaps = [~s.present for s in segments if s.missing is not None]
     if not any(gap.any() if predictor.feeds_back else (gap.any(1) != gap.all(1)).any() for gap in gaps):
         return False
@@ -279,7 +282,7 @@ _WINDOWS = {"prediction": (256, 64), "simulation": (128, 192)}
 Measured outputs stabilise a prediction, so its windows are longer.
 """
 _WITH_GAPS = 64
-"""Samples in a window where outputs are missing: numpy runs all windows side by side, sample by sample."""
+"""Samples in a window where outputs are missing or times irregular: numpy runs all windows side by side."""
 
 
 class OwnStructure(NamedTuple):
@@ -383,11 +386,12 @@ def assemble(
         hold = structure.intersample if options.intersample is None else options.intersample
         each = [OwnStructure(structure, hold)] * len(data.records)
     model_of = [each.index(chosen) for chosen in each]  # first record with the structure of each
+    intervals = distinct_steps(*(r.time for r in data.records if r.time is not None)) if data.is_irregular else None
 
     @cache
     def predictor_for(kind: Focus, released: tuple[bool, ...], model: int) -> GeneralPredictor:
         structure, hold = each[model]
-        more: dict[str, Any] = {"disturbances": disturbances, "released": released}
+        more: dict[str, Any] = {"disturbances": disturbances, "released": released, "intervals": intervals}
         build: Callable[..., GeneralPredictor] = build_predictor
         if kind_of(structure).nonlinear:
             build = partial(build_nonlinear_predictor, begin=begin)
@@ -513,7 +517,8 @@ def automatic_window(data: FitData, focus: Focus) -> int:
     n = data.n_samples
     usual, most = _WINDOWS[focus]
     if any(
-        r.missing is not None and (focus == "prediction" or (r.missing.any(1) != r.missing.all(1)).any())
+        r.time is not None
+        or (r.missing is not None and (focus == "prediction" or (r.missing.any(1) != r.missing.all(1)).any()))
         for r in data.records
     ):
         usual, most = _WITH_GAPS, n

@@ -239,10 +239,11 @@ def disturbance_starts(
         return [gains for _ in data.records]
     model, starts = kind_of(structure).model(begin), []
     for record in data.records:
-        left = record.outputs - model.simulate(record.inputs, data.sample_time, intersample=intersample)
+        clock = data.sample_time if record.time is None else record.time
+        left = record.outputs - model.simulate(record.inputs, clock, intersample=intersample)
         if not np.abs(left).max() < _RUNAWAY * np.abs(record.outputs).max():
             left = record.outputs
-        columns = disturbances.regressors(record.n_samples, data.sample_time)
+        columns = disturbances.regressors(data.time_of(record))
         coefficients = disturbances.closest(left, columns)
         rest = np.median(left - columns @ coefficients.T, axis=0)
         coefficients[:, 0] += rest * [trend.n_terms > 0 for trend in disturbances.trends]
@@ -261,7 +262,7 @@ def without_disturbances(disturbances: Disturbances, data: FitData) -> FitData:
         return data
     records = []
     for record in data.records:
-        columns = known.regressors(record.n_samples, data.sample_time)
+        columns = known.regressors(data.time_of(record))
         course = columns @ known.closest(record.outputs, columns).T
         records.append(replace(record, outputs=record.outputs - course))
     return replace(data, records=tuple(records))

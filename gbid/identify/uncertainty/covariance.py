@@ -666,8 +666,8 @@ def covariance(
             partial(transformed, kept=np.flatnonzero(keep)), information.sensitivities
         )
         transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
-        gaps = any(segment.missing is not None for part in problem.parts for segment in part.blocks.segments)
-        usable = not at.filters and not gaps and not any(part.predictor.feeds_back for part in problem.parts)
+        plain = all(segment.is_plain for part in problem.parts for segment in part.blocks.segments)
+        usable = not at.filters and plain and not any(part.predictor.feeds_back for part in problem.parts)
         filtered = np.zeros_like(H) if usable else None
         J, models = score_covariance(transforms, weight, root, filtered)
         if filtered is not None:
