@@ -12,6 +12,7 @@ import pytest
 from gain_problems import damping_problem
 
 import gbid
+from gbid.control import MaxDamping
 from gbid.control.tuning.local import ascend, optimise_locally
 from gbid.control.tuning.problem import Evaluations, GainProblem, Score
 from gbid.control.tuning.result import GainStatus
@@ -113,3 +114,16 @@ def test_a_used_budget_ends_starts_and_ascents() -> None:
     assert climbed.evaluations > 5
     options = {"max_evaluations": 100, "stop": lambda: True}
     assert ascend(problem.merit_and_slope, neutral, problem.lower, problem.upper, unit, **options).evaluations == 1
+
+
+@pytest.mark.parametrize("evaluations", [30, 400])
+def test_a_budget_that_ends_early_leaves_stable_gains(evaluations: int) -> None:
+    """A quarter of the box stabilises this free mass; near the start, without feedback, its poles are at zero."""
+    matrices = ([[0.0, 1.0], [0.0, 0.0]], [[0.0], [9e4]], [[1.0, 0.0]], [[0.0]])
+    mass = gbid.LinearModel(*map(np.array, matrices))
+    law = gbid.controller_structure("notch", axes=("",))
+    result = gbid.tune(mass, law, goals=[MaxDamping()], evaluations=evaluations)
+    assert result.status is GainStatus.ITERATION_LIMIT
+    K = gbid.control.controller_at(law, dict(result.gains), 0.0, 0.0)
+    A = np.block([[mass.A + mass.B @ K.D @ mass.C, mass.B @ K.C], [K.B @ mass.C, K.A]])
+    assert np.linalg.eigvals(A).real.max() < 0
