@@ -194,9 +194,9 @@ class LocalSearch:
         It begins with shorter steps, and has curvature and coalescence, where it is called `again`.
         """
         if self.free:
-            return self._ascent(start, 100 + 20 * len(start))
+            return self._stable_one(start, self._ascent(start, 100 + 20 * len(start)))
         radius, few = 0.02 if again else 0.1, self.options.short
-        return optimise_locally(
+        end = optimise_locally(
             self.problem,
             start,
             radius=radius,
@@ -206,14 +206,22 @@ class LocalSearch:
             pace=self.options.pace,
             repair=False,
         )
+        return self._stable_one(start, end)
 
     def full(self, start: FloatArray, goal: float = -np.inf) -> LocalOptimum:
         """Return a local optimum; less good where it will not soon reach a goal."""
-        if self.free:
-            start = self._ascent(start, 200 + 60 * len(start)).x
-        return optimise_locally(
-            self.problem, start, max_iterations=self.options.full, goal=goal, pace=self.options.pace
-        )
+        begin = self._ascent(start, 200 + 60 * len(start)).x if self.free else start
+        end = optimise_locally(self.problem, begin, max_iterations=self.options.full, goal=goal, pace=self.options.pace)
+        return self._stable_one(start, end)
+
+    def _stable_one(self, start: FloatArray, end: LocalOptimum) -> LocalOptimum:
+        """Return the end of a local search; its start where it went from stable loops to unstable ones.
+
+        The violation of an unstable loop is that of its slowest pole, and may be smaller than that of a peak.
+        """
+        if end.score.violation <= FEASIBLE or self.problem.stable(end.x) or not self.problem.stable(start):
+            return end
+        return LocalOptimum(start, self.problem.score(start), end.iterations, False)
 
     def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
         """Return the local optimum after a random move of some size; less good where it will not be better."""
@@ -222,9 +230,10 @@ class LocalSearch:
             ascent = self._ascent(best.x + step * np.maximum(self.unit, np.abs(best.x)), 100 + 40 * len(best.x))
             return optimise_locally(self.problem, ascent.x, max_iterations=20, radius=1e-3)
         x, radius = best.x + step * (self.problem.upper - self.problem.lower), self.options.hop_radius
-        return optimise_locally(
+        end = optimise_locally(
             self.problem, x, max_iterations=60, radius=radius, goal=rank(best), pace=self.options.pace
         )
+        return self._stable_one(best.x, end)
 
     def with_certificate(self, best: LocalOptimum) -> LocalOptimum:
         """Return a certified design by local searches with short steps from one without, or else the best of them.
