@@ -248,6 +248,7 @@ def _cannot_write(path: Path, error: Exception) -> DataError:
 
 _LABEL = b"\ngbid sha256 "
 _LENGTH = len(_LABEL) + 64 + 1
+_END = 100
 
 
 def with_checksum(content: bytes) -> bytes:
@@ -256,7 +257,12 @@ def with_checksum(content: bytes) -> bytes:
 
 
 def has_valid_checksum(path: Path) -> bool:
-    """Return whether a file ends with its checksum; false when it ends otherwise.
+    """Return whether a file ends with its checksum; false when it ends otherwise, errors as `checked_end`."""
+    return checked_end(path) is not None
+
+
+def checked_end(path: Path) -> bytes | None:
+    """Return the last 100 bytes before the checksum of a file, or fewer; None when it does not end with one.
 
     Raises
     ------
@@ -267,12 +273,12 @@ def has_valid_checksum(path: Path) -> bool:
     """
     size = path.stat().st_size - _LENGTH
     if size < 0:
-        return False
+        return None
     with path.open("rb") as file:
-        file.seek(size)
-        last = file.read(_LENGTH)
+        file.seek(max(0, size - _END))
+        end, last = (end := file.read())[:-_LENGTH], end[-_LENGTH:]
         if not last.startswith(_LABEL):
-            return False
+            return None
         file.seek(0)
         digest = hashlib.sha256()
         while size > 0:
@@ -286,7 +292,7 @@ def has_valid_checksum(path: Path) -> bool:
             f"{path}: damaged, or changed by another program: its checksum is not that of its bytes; "
             "take a copy of it from a backup, or make it again"
         )
-    return True
+    return end
 
 
 # ---- Checksum of a text file: the SHA-256 of its lines, written in a comment.

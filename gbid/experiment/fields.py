@@ -28,8 +28,8 @@ from pydantic_core import ErrorDetails
 
 from gbid._version import __version__
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
-from gbid.core.files import add_text_checksum, atomic_path, is_changed
-from gbid.core.hdf5 import MADE_WITH, changing, opened, versions
+from gbid.core.files import add_text_checksum, atomic_path, checked_end, is_changed
+from gbid.core.hdf5 import KEY, MADE_WITH, changing, opened, versions
 from gbid.core.names import given_path
 from gbid.core.option_types import Finite
 from gbid.discretise import Hold
@@ -273,11 +273,8 @@ def _inner_type(kind: Any) -> Any:
 
 # ---- Content keys: a result stays valid while its settings and its sources are the same.
 
-ATTRIBUTE = "key"
-"""Attribute at the root of an HDF5 file; other files contain ``content_key: <key>`` in a comment."""
-
 _KEYED_TEXT = (".csv", ".txt", ".yaml")
-_IN_TEXT = re.compile(rb"content_key: ([0-9a-f]{64})")
+_KEY = re.compile(rb"content_key: ([0-9a-f]{64})")  # in a text file a comment, in an HDF5 file before the checksum
 
 
 _CONTENTS = 2
@@ -403,11 +400,14 @@ def _key_in(path: Path, _version: tuple[int, ...]) -> str:
     """Return the content key in a file; the stages ask for each key many times."""
     try:
         if path.suffix == ".h5":
-            with opened(path) as file:
-                return str(file.attrs.get(ATTRIBUTE, ""))
-        content = path.read_bytes()
-        key = _IN_TEXT.search(content)
-        return key[1].decode() if key and not is_changed(content) else ""
+            key = _KEY.search(checked_end(path) or b"")
+            if key is None:  # an older file, or one that no experiment made
+                with opened(path) as file:
+                    return str(file.attrs.get(KEY, ""))
+        else:
+            key = _KEY.search(content := path.read_bytes())
+            key = None if key and is_changed(content) else key
+        return key[1].decode() if key else ""
     except (OSError, DataError):
         return ""
 
@@ -448,11 +448,11 @@ def writing_keyed(path: Path, key: str, origin: Mapping[str, Any] = MappingProxy
         yield part
         if path.suffix == ".h5":
             with changing(part) as file:
-                file.attrs[ATTRIBUTE] = key
+                file.attrs[KEY] = key
                 file.attrs[MADE_WITH] = json.dumps({**versions(), **origin})
         else:
             content = part.read_bytes() if path.suffix in _KEYED_TEXT else b""  # pictures and pages state it themselves
-            if content and not _IN_TEXT.search(content):
+            if content and not _KEY.search(content):
                 part.write_bytes(f"# content_key: {key}\n".encode() + content)
             add_text_checksum(part, path.suffix)
 

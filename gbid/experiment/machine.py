@@ -110,7 +110,7 @@ def outside_domain(domain: Domain, name: str, point: Place, where: Location) -> 
 # ---- Machine and arguments of `gbid.rig.record` from the rig section of an experiment.
 
 
-def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVModel) -> Machine:
+def machine_at(experiment: Experiment, planned: PlannedRecording) -> Machine:
     """Return the rig at the operating point of a recording, before any scatter.
 
     Raises
@@ -118,12 +118,17 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     UsageError
         When the point lies outside the domain of the model, or the rig refuses a value.
     """
-    rig = needed(experiment.spec.rig, "rig")
     course, point = course_of(experiment, planned), planned.conditions
-    start = (
-        (point["pressure_bar"], point["speed_rpm"]) if course is None else tuple(map(float, course.at(np.array(0.0))))
-    )
-    parameters = _true_parameters(model, *start)
+    if course is not None:
+        return _machine_at(experiment, *map(float, course.at(np.array(0.0))))
+    return _machine_at(experiment, point["pressure_bar"], point["speed_rpm"])
+
+
+@lru_cache(maxsize=256)
+def _machine_at(experiment: Experiment, pressure_bar: float, speed_rpm: float) -> Machine:
+    """Return the rig at a pressure and speed; cached, because many recordings are made at each operating point."""
+    rig = needed(experiment.spec.rig, "rig")
+    parameters = _true_parameters(rig_model(experiment), pressure_bar, speed_rpm)
     return Machine.from_parameters(
         parameters,
         _stacks(rig.actuators) if rig.actuators.kind == "stacks" else parameters,
@@ -136,7 +141,7 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
         non_synchronous=rig.non_synchronous,
         process_noise=rig.process_noise,
         effects=tuple(rig_effect(name, **options) for name, options in rig.effects.items()),
-        film=_film(rig, *start),
+        film=_film(rig, pressure_bar, speed_rpm),
     )
 
 
@@ -300,7 +305,7 @@ def rig_run(experiment: Experiment, planned: PlannedRecording) -> PlannedRun:
     """
     model, run = rig_model(experiment), rig_experiment(experiment, planned)
     surfaces = model.key_parameters if isinstance(run, ScheduledRun) else None
-    return PlannedRun(machine_at(experiment, planned, model), run, record_options(experiment, planned), surfaces)
+    return PlannedRun(machine_at(experiment, planned), run, record_options(experiment, planned), surfaces)
 
 
 def _stacks(section: ActuatorSection) -> PiezoStacks:

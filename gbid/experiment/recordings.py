@@ -256,7 +256,7 @@ def excitation_limits(
     limits = section.limits
     if limits.clearance_m is None and planned.imported is None and DISC in outputs:
         return rig_limits(
-            machine_at(experiment, planned, rig_model(experiment)),
+            machine_at(experiment, planned),
             conditions=planned.conditions,
             peaks=limits.peaks,
             radius=limits.radius,

@@ -11,9 +11,8 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
-from gbid.control.tuning.problem import SearchStep
 from gbid.core.arrays import one_blas_thread
 from gbid.core.errors import DataError, GbidError, NoSpaceError, UsageError, from_interrupt
 from gbid.core.files import atomic_path
@@ -21,6 +20,9 @@ from gbid.core.tables import Column, Table
 from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.fields import InputError, Result, is_current, writing_keyed
 from gbid.identify import Progress
+
+if TYPE_CHECKING:
+    from gbid.control.tuning.problem import SearchStep
 
 # ---- Outcome of a task.
 

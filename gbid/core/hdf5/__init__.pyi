@@ -1,6 +1,7 @@
 """Public names of `gbid.core.hdf5`, and the files that define them: the one list."""
 
 from .file import (
+    KEY as KEY,
     MADE_WITH as MADE_WITH,
     DamagedError as DamagedError,
     FileKind as FileKind,

@@ -26,7 +26,6 @@ from gbid.experiment.recordings import recording_result, recording_tasks, save_m
 from gbid.experiment.rig_schema import ControllerChoice, RigLoopSection, RigSection
 from gbid.experiment.run import Job, Stage, Task
 from gbid.experiment.stages.prefilter import identified_map
-from gbid.lpv import LPVModel
 from gbid.prefilter import RunoutMap, identify_runout
 from gbid.rig import ProgramController, SampledController, rig_effect, rig_effects
 from gbid.rig.excitation import whole_samples
@@ -64,14 +63,12 @@ def rig_runs(experiment: Experiment) -> Found:
     made = [planned for planned in experiment.recordings.values() if planned.imported is None]
     alike = {(q.run, tuple(q.conditions.items()), q.in_loop): q for q in made}  # what the check looks at
     refused = [
-        problem
-        for planned in alike.values()
-        for problem in refusal(("rig",), partial(_check_run, experiment, planned, model))
+        problem for planned in alike.values() for problem in refusal(("rig",), partial(_check_run, experiment, planned))
     ]
     yield from dict.fromkeys(refused)
 
 
-def _check_run(experiment: Experiment, planned: PlannedRecording, model: LPVModel) -> None:
+def _check_run(experiment: Experiment, planned: PlannedRecording) -> None:
     """Refuse a recording that the rig cannot make, as one without controller of an unstable rotor.
 
     Raises
@@ -79,7 +76,7 @@ def _check_run(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     UsageError
         With what to do.
     """
-    machine = machine_at(experiment, planned, model)
+    machine = machine_at(experiment, planned)
     rig_experiment(experiment, planned)
     try:
         if not planned.in_loop:
