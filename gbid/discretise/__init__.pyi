@@ -1,11 +1,5 @@
 """Public names of `gbid.discretise`, and the files that define them: the one list."""
 
-from .dual import (
-    Dual as Dual,
-    at_points as at_points,
-    constant as constant,
-    side_by_side as side_by_side,
-)
 from .exact import (
     Discrete as Discrete,
     Exponentials as Exponentials,

@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.notes import FitNote
-from gbid.discretise import Dual
+from gbid.discretise.dual import Dual
 from gbid.identify.data import FitData, Record
 from gbid.identify.disturbances import UNDISTURBED
 from gbid.identify.frequency_data import FrequencyData, ResponseErrors, ResponseSums, check_linear

@@ -13,7 +13,7 @@ import scipy
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.core.notes import FitNote
-from gbid.discretise import Dual
+from gbid.discretise.dual import Dual
 from gbid.identify.options import FitArguments
 from gbid.identify.predictor import Predictor
 from gbid.identify.problem.hessian import in_one_window, in_windows

@@ -12,19 +12,8 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import UsageError
-from gbid.discretise import (
-    Dual,
-    Hold,
-    at_points,
-    check_holds,
-    constant,
-    delayed_taps,
-    discretise,
-    over_sample,
-    side_by_side,
-    squarings_for,
-    step_numbers,
-)
+from gbid.discretise.dual import Dual, at_points, constant, side_by_side
+from gbid.discretise.exact import Hold, check_holds, delayed_taps, discretise, over_sample, squarings_for, step_numbers
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
 from gbid.structure import Matrices, Parameter, Structure, kind_of, symbolic_matrices

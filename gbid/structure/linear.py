@@ -14,7 +14,8 @@ import numpy as np
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.discretise import Dual, Exponentials, Hold, delayed_taps, discretise
+from gbid.discretise import Exponentials, Hold, delayed_taps, discretise
+from gbid.discretise.dual import Dual
 from gbid.structure.models import LinearModel
 from gbid.structure.parameter import Parameter, Values, as_vector, once, set_fields
 

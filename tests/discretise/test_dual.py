@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gbid.discretise import Dual, constant, delayed_taps, discretise, side_by_side
+from gbid.discretise import delayed_taps, discretise
+from gbid.discretise.dual import Dual, constant, side_by_side
 
 STEP = 1e-6
 N_P = 3

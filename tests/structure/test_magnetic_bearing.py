@@ -8,7 +8,7 @@ from scipy.linalg import block_diag, expm
 
 import gbid
 from gbid.core.errors import UsageError
-from gbid.discretise import Dual
+from gbid.discretise.dual import Dual
 from gbid.experiment.load import load_experiment
 from gbid.experiment.structures import make_structure
 from gbid.identify.predictor import build_predictor

@@ -12,7 +12,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.notes import FitNote
-from gbid.discretise import Dual
+from gbid.discretise.dual import Dual
 from gbid.identify.data import FitData
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.problem.nlp import Shooting

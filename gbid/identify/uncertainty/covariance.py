@@ -13,7 +13,7 @@ from scipy.sparse import bmat, csc_array, eye_array
 from scipy.sparse.linalg import splu
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray, one_of_each_pair, oscillatory_modes, poles_of_samples
-from gbid.discretise import Dual
+from gbid.discretise.dual import Dual
 from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.kernel.sums import Lagrangian, Sweep, Traced, tied

@@ -17,7 +17,8 @@ from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
 from gbid.core.tables import Column, Entry, Table
-from gbid.discretise import Dual, constant, discretise
+from gbid.discretise import discretise
+from gbid.discretise.dual import Dual, constant
 from gbid.identify.uncertainty.uncertain_model import (
     ModelLike,
     ModelSlopes,
