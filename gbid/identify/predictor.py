@@ -347,7 +347,7 @@ class Predictor(GeneralPredictor):
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
         points = np.ascontiguousarray(theta, float).reshape(-1, len(self.free))
         flat = np.empty((len(points), self._function.nnz_out(0)))
-        jacobian = np.empty((len(points), len(self.free), flat.shape[1]))  # CasADi stacks columns
+        jacobian = np.empty((len(points), len(self.free), flat.shape[1]))
         buffer: Any
         buffer, call = self._function.buffer()  # a tenth of the time that a call with matrices of CasADi takes
         for point, values, slopes in zip(points, flat, jacobian, strict=True):
@@ -357,11 +357,10 @@ class Predictor(GeneralPredictor):
             call()
         flat, jacobian = (flat[0], jacobian[0]) if np.ndim(theta) == 1 else (flat, jacobian.swapaxes(0, 1))
         result, start = [], 0
-        for rows, columns in self._shapes:
-            entries = slice(start, start + rows * columns)
-            value = flat[..., entries].reshape(*flat.shape[:-1], columns, rows).swapaxes(-1, -2)
-            slope = jacobian[..., entries].reshape(*jacobian.shape[:-1], columns, rows).swapaxes(-1, -2)
-            result.append(Dual(np.ascontiguousarray(value), np.ascontiguousarray(slope)))
+        for shape in self._shapes:
+            entries = slice(start, start + shape[0] * shape[1])
+            value, slope = (rows[..., entries].reshape(*rows.shape[:-1], *shape) for rows in (flat, jacobian))
+            result.append(Dual(value, slope))
             start = entries.stop
         return result
 
@@ -467,7 +466,7 @@ def build_predictor(
     coefficients = [ca.SX.sym(term.name) for term in disturbances.terms]
     symbols = [p[i] for i, q in enumerate(structure.parameters) if q in free]
     theta = ca.vertcat(*symbols, gain_symbols, *coefficients)
-    flat = ca.vertcat(*(ca.vec(ca.densify(matrix)) for matrix in matrices))
+    flat = ca.vertcat(*(ca.vec(ca.densify(matrix.T)) for matrix in matrices))  # row by row, as numpy has them
     function = ca.Function("matrices", [theta], [flat, ca.densify(ca.jacobian(flat, theta))])
     prompt = range(n_u) if law else sorted({*_driven(m.B), *_driven(m.D)})
     noise, walks = kind_of(structure).anatomy().gain_only, tuple(range(len(free), len(free) + len(gains)))

@@ -475,14 +475,10 @@ class Shooting:
         return self.cost(self.error_products(values, starts)) + known / self.likelihood_size
 
     def at(self, unknowns: FloatArray) -> Iterate:
-        """Return the values at a point."""
-        return self.of(*self.unpack(unknowns))
-
-    def of(self, theta: FloatArray, starts: FloatArray) -> Iterate:
-        """Return the values at a point in physical units; those of the last two points are stored."""
-        key = theta.tobytes() + starts.tobytes()
+        """Return the values at a point; those of the last two points are stored."""
+        key = unknowns.tobytes()
         if key not in self._last:
-            self._last[key] = self._evaluate(theta, starts)
+            self._last[key] = self._evaluate(*self.unpack(unknowns))
             if len(self._last) > 2:
                 self._last.pop(next(iter(self._last)))
         return self._last[key]
@@ -504,7 +500,7 @@ class Shooting:
     def rate(self, theta: FloatArray, starts: FloatArray) -> float:
         """Return the growth of a small deviation in a sample at a point; for linear predictors without a pass."""
         alone = self.growth(self.values(theta))
-        return self.of(theta, starts).rate if np.isnan(alone) else alone
+        return self.at(self.pack(theta, starts)).rate if np.isnan(alone) else alone
 
     def growth(self, values: list[Any], sweeps: Sequence[Sweep] = ()) -> float:
         """Return the largest growth of a small deviation in a sample, over all parts; NaN where that needs a pass."""
