@@ -447,11 +447,12 @@ def _joined(total: FloatArray, root: FloatArray) -> FloatArray:
 
     The sum is a covariance where the residuals are what their model says. At a point that is no minimum they are not.
     """
-    linear, change = root.T @ total @ root
+    linear = root.T @ total[0] @ root
     if not np.isfinite(linear).all():
         raise np.linalg.LinAlgError("the covariance of the gradient overflows")
-    if not change.any():
+    if not total[1].any():
         return np.asarray(linear)
+    change = root.T @ total[1] @ root
     share, axes = eigh(change, linear + 1e-12 * np.trace(linear) * np.eye(len(linear)))
     onto = linear @ axes
     return np.asarray(linear + (onto * np.maximum(share, _LEAST - 1)) @ onto.T)

@@ -381,10 +381,12 @@ def _add(
     """Add the Hessian of a part; the sensitivities `along` convert its starts of windows to all unknowns."""
     total[np.ix_(index, index)] += hessian.theta
     for mixed, of_start, T in zip(hessian.mixed, of_starts, along, strict=True):
+        places = np.flatnonzero(T.any(axis=0))  # few: the initial states of other records do not move this start
+        T = T[:, places]
         across = mixed @ T
-        total[index] += across
-        total[:, index] += across.T
-        total += T.T @ of_start @ T
+        total[np.ix_(index, places)] += across
+        total[np.ix_(places, index)] += across.T
+        total[np.ix_(places, places)] += T.T @ of_start @ T
 
 
 def _omitted(at: Estimate, sums: Sequence[Sweep], weight: FloatArray) -> list[PartHessian]:
@@ -644,17 +646,22 @@ def covariance(
     J_white = ((share * information.hessian if alike else information.shaped) + known * unit)[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
-    free = _along_constraints(at)[:, keep] / scale
-    along = null_space(free) if len(free) else np.eye(len(scale))
-    eigenvalues, vectors = np.linalg.eigh(along.T @ (H / np.outer(scale, scale)) @ along)
-    vectors = along @ vectors
+    fixed = _along_constraints(at)[:, keep] / scale
+    along = null_space(fixed) if len(fixed) else None  # directions that active constraints leave free; all without any
+
+    def within(matrix: FloatArray) -> FloatArray:
+        scaled = matrix / np.outer(scale, scale)
+        return scaled if along is None else along.T @ scaled @ along
+
+    eigenvalues, vectors = np.linalg.eigh(within(H))
+    vectors = vectors if along is None else along @ vectors
     undetermined = eigenvalues < UNDETERMINED * eigenvalues[-1]
     root = vectors[:, ~undetermined] / np.sqrt(eigenvalues[~undetermined]) / scale[:, None]  # root root' is the inverse
     flatness, n_kept = np.nan, int((~held).sum())
 
     def over_parameters(J: FloatArray, onto: FloatArray) -> FloatArray:
         result = np.zeros((n_p, n_p))
-        result[np.ix_(~held, ~held)] = (onto @ J @ onto.T)[:n_kept, :n_kept]
+        result[np.ix_(~held, ~held)] = onto[:n_kept] @ J @ onto[:n_kept].T
         return result
 
     J_white = root.T @ J_white @ root
@@ -671,8 +678,8 @@ def covariance(
         filtered = np.zeros_like(H) if usable else None
         J, models = score_covariance(transforms, weight, root, filtered)
         if filtered is not None:
-            inner = along.T @ ((filtered + _known(at)[kept]) / np.outer(scale, scale)) @ along
-            weighted = over_parameters(np.linalg.pinv(inner, hermitian=True), along / scale[:, None])
+            inner = np.linalg.pinv(within(filtered + _known(at)[kept]), hermitian=True)
+            weighted = over_parameters(inner, (np.eye(len(scale)) if along is None else along) / scale[:, None])
         J_known = root.T @ (known * unit)[kept] @ root
         J += J_known
         blurred = eigenvalues[~undetermined] < _RESOLVED * eigenvalues[-1]
@@ -694,7 +701,7 @@ def covariance(
     directions = directions[np.linalg.norm(directions, axis=1) > 1e-2]
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
     curvature = np.zeros((n_p, n_p))
-    curvature[np.ix_(~held, ~held)] = (onto @ root.T)[:n_kept, :n_kept]
+    curvature[np.ix_(~held, ~held)] = onto[:n_kept] @ root[:n_kept].T
     return Covariance(white, robust, flatness, directions, condition, drawn, tuple(models), curvature, weighted)
 
 
