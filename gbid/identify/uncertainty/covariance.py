@@ -651,7 +651,7 @@ def covariance(
 
     def within(matrix: FloatArray) -> FloatArray:
         scaled = matrix / np.outer(scale, scale)
-        return scaled if along is None else along.T @ scaled @ along
+        return scaled if along is None else np.asarray(along.T @ scaled @ along)
 
     eigenvalues, vectors = np.linalg.eigh(within(H))
     vectors = vectors if along is None else along @ vectors
@@ -678,7 +678,7 @@ def covariance(
         filtered = np.zeros_like(H) if usable else None
         J, models = score_covariance(transforms, weight, root, filtered)
         if filtered is not None:
-            inner = np.linalg.pinv(within(filtered + _known(at)[kept]), hermitian=True)
+            inner = np.asarray(np.linalg.pinv(within(filtered + _known(at)[kept]), hermitian=True), float)
             weighted = over_parameters(inner, (np.eye(len(scale)) if along is None else along) / scale[:, None])
         J_known = root.T @ (known * unit)[kept] @ root
         J += J_known
