@@ -19,6 +19,8 @@ from gbid.core.tables import Column, Table
 from gbid.identify.predictor import Predictor, matrices_with_slopes
 from gbid.identify.uncertainty.curves import ChannelCurves, response_slopes
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
+from gbid.recording.columns import name_and_unit
+from gbid.recording.text_files import read_text
 from gbid.recording.universal import UNIVERSAL_ENDINGS, PairResponse, read_responses
 from gbid.structure import AnyStructure, LinearModel, Structure, as_names, kind_of
 
@@ -157,7 +159,8 @@ class FrequencyData(ChannelCurves, Pictured):
         ----------
         path : str or path
             CSV file with a row for each output, input and frequency, and a header: ``frequency_hz``, then ``magnitude``
-            and ``phase_deg``, or ``real`` and ``imaginary``; ``magnitude_std``, ``std`` or ``coherence``; ``output``
+            or ``magnitude_db`` and ``phase_deg`` (also ``Frequency (Hz)``, ``Magnitude (dB)``, ``Phase (°)``), or
+            ``real`` and ``imaginary``; ``magnitude_std``, ``std`` or ``coherence``; ``output``
             and ``input`` with the names of the channels where there are several. Or a universal file (``.uff``,
             ``.unv``, ``.uf``) with frequency responses in sets 58, and perhaps their coherence, or in sets 55. A value
             at 0 Hz is left out.
@@ -183,7 +186,9 @@ class FrequencyData(ChannelCurves, Pictured):
             pairs, coherent = read_responses(path) if is_universal else _of_csv(path, std is None)
         except OSError as error:
             raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
-        except (UnicodeDecodeError, ValueError, TypeError) as error:
+        except DataError:
+            raise
+        except (ValueError, TypeError, AttributeError) as error:
             raise DataError(f"{path}: is no table of a frequency response: {error}") from None
         outputs, inputs = (list(dict.fromkeys(pair[k] for pair in pairs)) for k in (0, 1))
         f = np.unique(np.concatenate([each.frequency_hz for each in pairs.values()]))
@@ -315,26 +320,51 @@ class FrequencyData(ChannelCurves, Pictured):
         return FrequencyData(self.frequency_hz[known], G, np.sqrt(variance), None, *names, **options)
 
 
+_SUFFIX = {"Hz": "_hz", "dB": "_db", "deg": "_deg", "°": "_deg"}
+"""Ends of the names of columns by their units, so that ``Phase [°]`` is ``phase_deg``; others are not looked at."""
+_HEADER_LINES = 200  # within which the header line is looked for
+
+
+def _names(line: str) -> tuple[list[str], str]:
+    """Return the names of columns in a line of a CSV file, and the character between them."""
+    delimiter = max(",;\t", key=line.count)
+    headings = [name_and_unit(cell.strip()) for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    return [name.lower() + _SUFFIX.get(unit or "", "") for name, unit in headings], delimiter
+
+
 def _of_csv(path: Path, needs_spread: bool) -> tuple[dict[tuple[str, str], PairResponse], bool]:
-    """Return the responses in a CSV file by output and input, and whether their quality is the coherence."""
-    rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    given = set(rows[0]) if rows else set[str]()
-    polar = {"magnitude", "phase_deg"} <= given
+    """Return the responses in a CSV file by output and input, and whether their quality is the coherence.
+
+    The header line is the first one with the frequency. Numbers have a decimal comma where no comma is between them.
+    """
+    lines = read_text(path).text.splitlines()
+    named = enumerate(_names(line) for line in lines[:_HEADER_LINES])
+    at, (names, delimiter) = next(
+        (each for each in named if "frequency_hz" in each[1][0]), (0, _names("".join(lines[:1])))
+    )
+    lines = lines[at:]
+    rows = list(csv.DictReader(lines[1:], names, delimiter=delimiter))
+    given = set(names)
+    scale = next((key for key in ("magnitude", "magnitude_db") if key in given), "")
+    polar = bool(scale) and "phase_deg" in given
     spread = next((key for key in ("magnitude_std", "std", "coherence") if key in given), None)
     lacks_spread = needs_spread and spread is None
     if "frequency_hz" not in given or not (polar or {"real", "imaginary"} <= given) or lacks_spread:
+        missing = "magnitude_std, std or coherence, or std given with the file" if lacks_spread else "no more"
         raise DataError(
-            f"{path}: needs the columns frequency_hz, magnitude and phase_deg (or real and imaginary), and "
-            f"magnitude_std, std or coherence; it has {', '.join(sorted(given)) or 'nothing'}"
+            f"{path}: needs the columns frequency_hz, magnitude (or magnitude_db) and phase_deg, or real and "
+            f"imaginary, and {missing}; it has {', '.join(sorted(given)) or 'nothing'}"
         )
-    keys = ["frequency_hz", *(("magnitude", "phase_deg") if polar else ("real", "imaginary"))]
+    keys = ["frequency_hz", *((scale, "phase_deg") if polar else ("real", "imaginary"))]
     keys += [] if spread is None else [spread]
     numbers: dict[tuple[str, str], list[list[float]]] = {}
     for row in rows:
-        numbers.setdefault((row.get("output", "y"), row.get("input", "u")), []).append([float(row[k]) for k in keys])
+        cells = [row[k] if delimiter == "," else row[k].replace(",", ".") for k in keys]
+        numbers.setdefault((row.get("output", "y"), row.get("input", "u")), []).append([float(cell) for cell in cells])
     pairs = {}
     for pair, values in numbers.items():
         f, a, b, *quality = np.array(values).T
+        a = 10 ** (a / 20) if scale == "magnitude_db" and polar else a
         response = a * np.exp(1j * np.radians(b)) if polar else a + 1j * b
         pairs[pair] = PairResponse(f, response, quality[0] if quality else None)
     return pairs, spread == "coherence"

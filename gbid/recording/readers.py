@@ -260,7 +260,9 @@ def _array_channels(name: str, stored: StoredArray) -> list[FileChannel]:
     columns = np.asarray(value, float).reshape(len(value), -1)
     rows, count = columns.shape
     if rows < count or count > MAX_COLUMNS:
-        which = "more columns than rows" if rows < count else f"name columns {name}[0] ..."
+        which = (
+            "more columns than rows: axis: 1 where they are samples" if rows < count else f"name columns {name}[0] ..."
+        )
         return [FileChannel(name, rows, unit, sample_time, remark=f"shape {value.shape}: {which}")]
     names = [name] if count == 1 else [f"{name}[{i}]" for i in range(count)]
     return [

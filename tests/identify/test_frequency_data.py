@@ -300,6 +300,25 @@ def test_a_file_gives_back_what_was_saved(tmp_path):
     assert shaker.std[0, 0, 0] == pytest.approx(np.sqrt(0.5 / (2 * 0.5 * 10)))
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Frequency response\nRun;3\nFrequency [Hz];Magnitude [dB];Phase [°];Coherence\n"
+        "10,0;20,0;-90,0;0,5\n20,0;0,0;180,0;0,9\n",
+        "Frequency (Hz)\tReal (m/N)\tImaginary (m/N)\tCoherence\n10.0\t0.0\t-10.0\t0.5\n20.0\t-1.0\t0.0\t0.9\n",
+    ],
+)
+def test_files_of_analysers_are_read(tmp_path, text):
+    (tmp_path / "a.txt").write_bytes(text.encode("cp1252"))
+    data = FrequencyData.read(tmp_path / "a.txt", averages=10)
+    np.testing.assert_allclose(data.frequency_hz, [10, 20])
+    np.testing.assert_allclose(data.response[:, 0, 0], [-10j, -1], atol=1e-12)
+    assert data.std[0, 0, 0] == pytest.approx(10 * np.sqrt(0.5 / 10))
+    (tmp_path / "a.txt").write_text("Frequency (Hz),Level\n1,2\n")
+    with pytest.raises(DataError, match=r"a\.txt: needs the columns frequency_hz.*; it has frequency_hz, level"):
+        FrequencyData.read(tmp_path / "a.txt")
+
+
 def test_python_control_gives_the_response_of_its_object():
     control = pytest.importorskip("control", reason="control is not installed: pip install 'gbid[control]'")
     plant = control.tf([TRUTH["g"]], [1, TRUTH["d"], TRUTH["k"]], inputs="force", outputs="gap")
