@@ -142,6 +142,8 @@ def compare(
 
     if not on:
         raise UsageError("--on is missing: give the recordings on which the models are compared")
+    if others := [path for path in (*on, *(plain or ())) if path.is_file() and path.suffix not in (".h5", ".hdf5")]:
+        raise UsageError(f"{others[0]}: give a recording (.h5), as `gbid import` makes it of a file of a logger")
     named: dict[str, Any] = {f"{path.parent.name}/{path.stem}": load_fit(path) for path in models}
     orders = None
     if plain:
