@@ -74,7 +74,9 @@ class _FunctionSet(NamedTuple):
             if at == begin or (at < end and data[at - 1 : at] == b"\n"):  # else lines have several lengths
                 last = end if stop is None else begin + -(-stop // self.per_line) * length
                 begin, end, skipped = at, min(end, last), first - line * self.per_line
-        return self.head + data[begin:end] + b"\n" * (not self.point_bytes) + b"    -1\n", skipped
+        numbers = data[begin:end]
+        at_end = b"" if self.point_bytes or numbers.endswith(b"\n") else b"\n"
+        return self.head + numbers + at_end + b"    -1\n", skipped
 
 
 def _blocks(path: Path, data: Any) -> Iterator[_FunctionSet]:
@@ -108,6 +110,7 @@ def read_rows(path: Path, rows: slice, chosen: Sequence[int] | None = None) -> l
 
     The values of a function are in ``data``, its times in ``x``; ``num_pts`` counts all of its points.
     """
+    pyuff = extra_package("pyuff", "uff", f"{path}: a universal file")
     _check_end(path)
     with path.open("rb") as handle, mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
         blocks = [block for k, block in enumerate(_blocks(path, data)) if chosen is None or k in chosen]
@@ -115,7 +118,7 @@ def read_rows(path: Path, rows: slice, chosen: Sequence[int] | None = None) -> l
     with tempfile.TemporaryDirectory() as folder:
         short = Path(folder) / "rows.uff"
         short.write_bytes(b"".join(part for part, _ in parts))
-        sets = read_sets(short, whole=False)
+        sets = _sets(pyuff, short, path)
     for each, (_, skipped) in zip(sets, parts, strict=True):
         first = rows.start or 0
         count = max(min(each["num_pts"] if rows.stop is None else rows.stop, each["num_pts"]) - first, 0)
@@ -128,8 +131,8 @@ def read_rows(path: Path, rows: slice, chosen: Sequence[int] | None = None) -> l
     return sets
 
 
-def read_sets(path: Path, kinds: Sequence[int] = (58,), *, whole: bool = True) -> list[dict[str, Any]]:
-    """Return the sets of these kinds, each with the fields of pyuff; `whole`: a function must have all of its points.
+def read_sets(path: Path, kinds: Sequence[int]) -> list[dict[str, Any]]:
+    """Return the sets of these kinds, each with the fields of pyuff.
 
     Raises
     ------
@@ -140,15 +143,20 @@ def read_sets(path: Path, kinds: Sequence[int] = (58,), *, whole: bool = True) -
     """
     pyuff = extra_package("pyuff", "uff", f"{path}: a universal file")
     _check_end(path)
-    try:
-        file = pyuff.UFF(str(path))
-        sets = [file.read_sets(i) for i, kind in enumerate(file.get_set_types().tolist()) if kind in kinds]
-    except Exception as error:  # a damaged file can raise any kind of error
-        raise DataError(f"{path}: not a readable universal file (damaged or of another format): {error}") from None
+    sets = [each for each in _sets(pyuff, path, path) if each["type"] in kinds]
     for k, each in enumerate(sets, start=1):
-        if whole and each["type"] == 58 and (count := len(each["data"])) < each["num_pts"]:
+        if each["type"] == 58 and (count := len(each["data"])) < each["num_pts"]:
             raise DataError(f"{path}: function {k} has {count} of {each['num_pts']} points; copy or record it again")
     return sets
+
+
+def _sets(pyuff: Any, file: Path, path: Path) -> list[dict[str, Any]]:
+    """Return the sets of a file, or of a part of it; `path` is for messages."""
+    try:
+        opened = pyuff.UFF(str(file))
+        return [opened.read_sets(i) for i, kind in enumerate(opened.get_set_types().tolist()) if kind in (55, 58)]
+    except Exception as error:  # a damaged file can raise any kind of error
+        raise DataError(f"{path}: not a readable universal file (damaged or of another format): {error}") from None
 
 
 def _check_end(path: Path) -> None:
@@ -210,9 +218,12 @@ def open_universal(path: Path, _names: Sequence[str] | None) -> Iterator[OpenFil
 
     def times(rows: slice) -> FloatArray | None:
         """Return the times that all functions share; None where they do not."""
-        kinds = {(sets[k]["num_pts"], sets[k]["abscissa_spacing"], sets[k]["abscissa_min"]) for k in over_time}
-        if len(kinds) != 1 or len({sets[k]["abscissa_inc"] for k in over_time}) != 1:
+        keys = ("num_pts", "abscissa_spacing", "abscissa_min", "abscissa_inc")
+        if len({tuple(sets[k][key] for key in keys) for k in over_time}) != 1:
             return None
+        head = sets[over_time[0]]
+        if head["abscissa_spacing"]:
+            return np.asarray(head["abscissa_min"] + head["abscissa_inc"] * np.arange(head["num_pts"])[rows], float)
         first, *others = [each["x"] for each in read_rows(path, rows, over_time)]
         return first if all(np.array_equal(first, x) for x in others) else None
 

@@ -31,7 +31,9 @@ def written(path, *sets):
 def timed(path, binary=False):
     t, um = DT * np.arange(300), {"ordinate_axis_units_lab": "um"}
     sets = (function(1, X, t, 1, 1, **um), function(1, Y, t, 1, -2, **um), function(1, X * Y, t, 4, 3, "force"))
-    written(path, *sets, function(4, G[0], F, 1, 1))
+    written(
+        path, *sets, function(4, G[0], F, 1, 1), *([] if binary else [function(4, G[1], F**2, 2, abscissa_spacing=0)])
+    )
     if binary:  # the header lines of the text, then the numbers as the format says: pyuff's writer leaves a file open
         texts = [text.splitlines(keepends=True) for text in path.read_text().split("    -1\n")[1::2]]
         kind = f"    58b{1:6}{2:6}{11:12}{2400:12}{0:6}{0:6}{0:12}{0:12}\n"
@@ -46,7 +48,7 @@ def timed(path, binary=False):
 def test_functions_of_time_are_imported(tmp_path, capsys, binary):
     path = timed(tmp_path / "run.unv", binary)
     rows = {row["channel"]: row for row in json_of(capsys, "import", "--peek", str(path))["channels"]}
-    assert list(rows) == ["1x", "1-y", "force", "1x / 9z", "time"]
+    assert list(rows) == ["1x", "1-y", "force", "1x / 9z", *([] if binary else ["2x / 9z"]), "time"]
     assert (rows["1-y"]["unit"], rows["1-y"]["samples"]) == ("um", 300)
     assert rows["1-y"]["sample_time_s"] == pytest.approx(DT, rel=1e-5)
     mapping = {"signals": {"p": {"columns": ["1x", "1-y"]}, "force": {"columns": ["force"], "unit": "N"}}}
