@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtrc
@@ -24,8 +23,8 @@ from gbid.identify.options import FitArguments
 from gbid.identify.predictor import build_predictor, matrices_with_slopes
 from gbid.identify.problem.solve import TOLERANCES, Progress
 from gbid.identify.result import FitResult, FitStatus, StdKind
-from gbid.identify.start.black_box import Target, match
-from gbid.identify.start.start import Begin, begin_values, drawn_starts, has_no_starts
+from gbid.identify.start.black_box import Target
+from gbid.identify.start.start import Begin, begin_values, has_no_starts, matched
 from gbid.identify.uncertainty.covariance import UNDETERMINED, Covariance, spreads_of
 from gbid.identify.uncertainty.profiles import ConstrainedFit, Walker
 from gbid.identify.uncertainty.uncertain_model import ModelSlopes
@@ -228,18 +227,13 @@ def _matched(
     stated = {q.name: float(q.start) for q in parameters if q.start is not None and (q.fixed or not from_data)}
     fixed = {q.name: float(q.start or 0.0) for q in parameters if q.fixed}
     predictor = build_predictor(structure, fixed, 1.0, "zoh", "simulation")
-    known = {q.name: q for q in parameters}
-    free = [known[q.name] for q in predictor.free]
-    bounds = np.array([(q.lower, q.upper) for q in free], float).reshape(-1, 2)
     f, size = data.frequency_hz, np.abs(data.response)
     with np.errstate(divide="ignore", invalid="ignore"):
         weight = np.nan_to_num(1 / np.hypot(data.std, _ACCURACY * size), posinf=0.0)
     poles = np.full(predictor.n_states, -2 * np.pi * np.sqrt(f[0] * f[-1]), complex)
     s = np.asarray(2j * np.pi * f, complex)
     target = Target(s, np.nan_to_num(data.response), weight, poles, decays=False)
-    delays = {symbol.name() for symbol in ca.symvar(symbolic_matrices(structure)[1].delay)}
-    best = match(predictor, target, drawn_starts(free, bounds, delays, target, 0.5 / f[-1]), *bounds.T)
-    values = {q.name: 0.0 for q in parameters} | dict(zip((q.name for q in free), best.theta.tolist(), strict=True))
+    values, _ = matched(structure, predictor, parameters, target, 0.5 / float(f[-1]))
     origin = {name: "user" if name in given else "structure" for name in stated}
     return Begin(values | stated, {q.name: origin.get(q.name, "data") for q in parameters}, ())
 

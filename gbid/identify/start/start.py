@@ -17,7 +17,7 @@ from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold, check_holds, hold_response
 from gbid.identify.data import FitData, Record, column_means, moves
-from gbid.identify.predictor import build_predictor
+from gbid.identify.predictor import Predictor, build_predictor
 from gbid.identify.start.black_box import BlackBox, Target, black_box, match
 from gbid.structure import (
     ClosedLoop,
@@ -387,8 +387,6 @@ def subspace_start(
     """
     fixed = {q.name: float(q.start) for q in parameters if q.fixed and q.start is not None}
     predictor = build_predictor(structure, fixed, data.sample_time, intersample, "simulation")
-    known = {q.name: q for q in parameters}
-    free = [known[q.name] for q in predictor.free]
     holds = check_holds(intersample, predictor.n_inputs)
     decays = not any(moves(r.inputs).any() for r in data.records)
     records = [Record(r.name, r.inputs[:, :0], r.outputs) for r in data.records] if decays else data.records
@@ -396,14 +394,26 @@ def subspace_start(
     at_once = "foh" in holds or m.D.nnz() > 0  # inputs act on the outputs of the same sample
     model = black_box(records, predictor.n_states, feedthrough=not decays and at_once)
     target = _target(model, data, holds, decays)
+    values, misfit = matched(structure, predictor, parameters, target, data.sample_time, seed)
+    return SubspaceStart(values, len(model.A), model.lags, misfit)
+
+
+def matched(
+    structure: Structure,
+    predictor: Predictor,
+    parameters: Sequence[Parameter],
+    target: Target,
+    sample_time: float,
+    seed: int = 0,
+) -> tuple[dict[str, float], float]:
+    """Return parameters at which a structure has nearly a response, and the part that it does not explain."""
+    known = {q.name: q for q in parameters}
+    free = [known[q.name] for q in predictor.free]
     bounds = np.array([(q.lower, q.upper) for q in free], float).reshape(-1, 2)
-    starts = drawn_starts(
-        free, bounds, {symbol.name() for symbol in ca.symvar(m.delay)}, target, data.sample_time, seed
-    )
-    best = match(predictor, target, starts, bounds[:, 0], bounds[:, 1])
-    values = {q.name: float(v) for q, v in zip(free, best.theta, strict=True)}
+    delays = {symbol.name() for symbol in ca.symvar(symbolic_matrices(structure)[1].delay)}
+    best = match(predictor, target, _draw(free, bounds, delays, target, sample_time, seed), *bounds.T)
     unused = {name: float(np.clip(0.0, known[name].lower, known[name].upper)) for name in predictor.unused}
-    return SubspaceStart({**unused, **values}, len(model.A), model.lags, min(best.misfit, 1.0))
+    return unused | {q.name: float(v) for q, v in zip(free, best.theta, strict=True)}, min(best.misfit, 1.0)
 
 
 def _target(model: BlackBox, data: FitData, holds: Sequence[Hold], decays: bool) -> Target:
@@ -440,8 +450,8 @@ def _frequencies(poles: ComplexArray, data: FitData) -> FloatArray:
     return np.unique(np.concatenate([np.geomspace(low, high, _FREQUENCIES_SUBSPACE_START), inside]))
 
 
-def drawn_starts(
-    free: Sequence[Parameter], bounds: FloatArray, delays: set[str], target: Target, sample_time: float, seed: int = 0
+def _draw(
+    free: Sequence[Parameter], bounds: FloatArray, delays: set[str], target: Target, sample_time: float, seed: int
 ) -> Iterator[FloatArray]:
     """Yield starts of the match: the stated one, then random ones between the bounds or over many decades."""
     random = np.random.default_rng(seed)
