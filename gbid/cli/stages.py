@@ -22,6 +22,7 @@ from gbid.experiment.run import Job, Outcome, Stage, Task, has_section, no_tasks
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks
 from gbid.report.fit_tables import campaign_document, campaign_tables
+from gbid.report.read import kept_report
 from gbid.report.views import summary_lines, view_of
 
 # ---- Command that one would sensibly give next, from the sections that an experiment has.
@@ -365,16 +366,14 @@ def run_all(path: Path, options: CommonOptions) -> None:
         print_plan(experiment, stages, options)
         return
 
-    from gbid.report.pictures import draw_figures
-    from gbid.report.write import write_report
-
     with opened(experiment, options) as job:
         outcomes = run_campaign(job)
         table, collected = collect(job) if experiment.spec.fits else (None, [])
         outcomes += collected
         for stage in stages:
             outcomes += () if stage.early else run_stage(job, stage)
-        drawn, written = draw_figures(job), write_report(job)
+        drawn = _drawn(job) if experiment.spec.figures else []
+        written = kept_report(job) or _written(job)
     outcomes += [*drawn, written]
     shown = [stage for stage in registry.STAGES if stage.name not in ("rig", "import", "figure")]
     document = document_of(job, shown, outcomes)
@@ -390,3 +389,17 @@ def run_all(path: Path, options: CommonOptions) -> None:
     lines += [*summary_lines(document), f"results: {experiment.results}"]
     lines += [f"report: {page}"] if page else []
     conclude("run", experiment, options, outcomes, {**document, **about}, tables if options.verbose else (), lines)
+
+
+def _drawn(job: Job) -> list[Outcome]:
+    from gbid.report.pictures import (
+        draw_figures,  # half a second: what draws is imported when there is something to draw
+    )
+
+    return draw_figures(job)
+
+
+def _written(job: Job) -> Outcome:
+    from gbid.report.write import write_report
+
+    return write_report(job)

@@ -23,9 +23,10 @@ from gbid.experiment.controllers import (
     sample_time,
 )
 from gbid.experiment.experiment import Experiment, recordings_of
+from gbid.experiment.fields import content_key, stored_key
 from gbid.experiment.machine import rig_machine, rig_model
 from gbid.experiment.recordings import RecordingSignals, load_made, read_signals
-from gbid.experiment.run import Job, Task, standing
+from gbid.experiment.run import Job, Outcome, Task, standing
 from gbid.experiment.schema import ControllerSection, wanted_signals
 from gbid.experiment.stages.crossval import CrossvalRow, nominal_of, read_crossval, read_summary
 from gbid.experiment.stages.cycle import CycleRow, made_rows
@@ -647,3 +648,34 @@ def _first(values: Iterable[Value], otherwise: str) -> Value:
 def _all_there(missing: Mapping[str, str]) -> None:
     if missing:
         raise DataError("; ".join(missing.values()))
+
+
+# ---- Report: the key of what it shows.
+
+REPORT = "report.html"
+_FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller", "cycle", "loops")
+
+
+def report_key(results: Results) -> str:
+    """Return the content key of the report: the states of all results and the keys of their files."""
+    experiment = results.experiment
+    standings = [[f.stage, f.item, f.state, f.text] for f in results.standings]
+    fits = [stored_key(results.job.path("fits", f.item)) for f in results.standings if f.stage == "fit"]
+    spec = {**experiment.spec.model_dump(mode="json", exclude={"rig", "imported"}), "standings": standings}
+    return content_key("report", spec, [*fits, *made_keys(results)])
+
+
+def made_keys(results: Results) -> list[str]:
+    """Return the keys of the results that the report shows beside recordings and fits."""
+    folders = [results.experiment.results / folder for folder in _FOLDERS]
+    return [stored_key(path) for folder in folders for path in sorted(folder.glob("*.*"))]
+
+
+def kept_report(job: Job) -> Outcome | None:
+    """Return the outcome of the report when it shows the present results; else None. It is found without drawing."""
+    path = job.experiment.results / REPORT
+    if stored_key(path) != report_key(Results(job)):
+        return None
+    outcome = Outcome("report", REPORT, path, "kept")
+    job.reporter.end(outcome)
+    return outcome

@@ -21,7 +21,7 @@ from gbid.report.control_sections import (
 from gbid.report.named import named_figures
 from gbid.report.page import Block, Fold, PageSection, Pictures, Shown, Words, render
 from gbid.report.pictures import plot
-from gbid.report.read import Results
+from gbid.report.read import REPORT, Results, made_keys, report_key
 from gbid.report.sections import (
     curves_script,
     fits_section,
@@ -36,9 +36,6 @@ from gbid.report.sections import (
     with_curves,
 )
 from gbid.validate import ModelComparison
-
-NAME = "report.html"
-_FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller", "cycle", "loops")
 
 
 def write_report(job: Job, path: Path | None = None) -> Outcome:
@@ -64,7 +61,7 @@ def write_report(job: Job, path: Path | None = None) -> Outcome:
     DataError
         When the file cannot be written.
     """
-    path = job.experiment.results / NAME if path is None else path
+    path = job.experiment.results / REPORT if path is None else path
     results = Results(job)
     key = report_key(results)
     mine = bool(stored_key(path))
@@ -153,7 +150,7 @@ def _late_sections(results: Results, kept: Kept) -> list[PageSection | None]:
     """Return the sections with the dear pictures; a campaign makes their results last, when its fits are there."""
     lacking = (results.statics, results.designs, results.studies)
     reasons = [item for stage in lacking for item in stage.missing.items()]
-    stand = (results.experiment, *_made_keys(results), *results.designs.made, *results.surfaces, *reasons)
+    stand = (results.experiment, *made_keys(results), *results.designs.made, *results.surfaces, *reasons)
     if stand not in kept:
         pictures = Pictures("late")
         drawn = [_with_named(section(results, pictures), results, pictures) for section in _LATE]
@@ -174,21 +171,6 @@ def _with_named(section: PageSection | None, results: Results, pictures: Picture
             except (DataError, UsageError) as error:
                 blocks.append(Words(f"{figure.words}: {error}", "warn"))
     return replace(section, blocks=blocks)
-
-
-def report_key(results: Results) -> str:
-    """Return the content key of the report: the states of all results and the keys of their files."""
-    experiment = results.experiment
-    standings = [[f.stage, f.item, f.state, f.text] for f in results.standings]
-    fits = [stored_key(results.job.path("fits", f.item)) for f in results.standings if f.stage == "fit"]
-    spec = {**experiment.spec.model_dump(mode="json", exclude={"rig", "imported"}), "standings": standings}
-    return content_key("report", spec, [*fits, *_made_keys(results)])
-
-
-def _made_keys(results: Results) -> list[str]:
-    """Return the keys of the results that the report shows beside recordings and fits."""
-    folders = [results.experiment.results / folder for folder in _FOLDERS]
-    return [stored_key(path) for folder in folders for path in sorted(folder.glob("*.*"))]
 
 
 def comparison_text(comparison: ModelComparison, orders: SubspaceOrders | None = None) -> str:

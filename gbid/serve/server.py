@@ -35,9 +35,9 @@ from gbid.core.tables import finite_or_none
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.report.page import environment, page_part, script
-from gbid.report.read import AssessedDesign, Results
+from gbid.report.read import AssessedDesign, Results, report_key
 from gbid.report.sections import curves_script
-from gbid.report.write import Kept, report_key, report_text
+from gbid.report.write import Kept, report_text
 from gbid.structure import LinearModel
 
 # ---- Closed loop of one design for any gains at one operating point: the numbers that the gain explorer draws.

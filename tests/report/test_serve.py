@@ -27,9 +27,8 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.fit import FIT
 from gbid.experiment.stages.rig import RIG
-from gbid.report.read import AssessedDesign, Results
+from gbid.report.read import AssessedDesign, Results, report_key
 from gbid.report.sections import curves_script
-from gbid.report.write import report_key
 from gbid.serve import open_server
 from gbid.serve.server import THREADS, Explored, Live, explored_loop
 

@@ -342,11 +342,15 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 
 def _check_kind(file: h5py.File, path: Path, kind: FileKind) -> None:
-    name = file.attrs.get("gbid_kind")
+    stated: dict[str, Any] = {}
+    for key in ("gbid_kind", "schema_version"):
+        with contextlib.suppress(DamagedError):
+            stated[key] = read_attribute(file, key)
+    name = stated.get("gbid_kind")
     if not isinstance(name, str) or name != kind.name:
         other = name if isinstance(name, str) else "an HDF5 file of another program"
         raise DataError(f"{path}: expected a gbid {kind.name} file, found {other}")
-    version = file.attrs.get("schema_version", "missing")
+    version = stated.get("schema_version", "missing")
     if not isinstance(version, np.integer) or version != kind.schema_version:
         raise DataError(
             f"{path}: schema_version {version}, this gbid reads {kind.schema_version}; {kind.remedy}, or read the file "
