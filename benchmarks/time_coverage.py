@@ -152,7 +152,7 @@ def coverage_table(run: dict[str, Any]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study."""
-    options = options_of(__doc__, arguments, "time_coverage.json", seeds=(40, "recordings of each kind"))
+    options = options_of(__doc__, arguments, "time_coverage.json", seeds=(100, "recordings of each kind"))
     return run_study(lambda: measure(options.seeds), options.output, coverage_table)
 
 

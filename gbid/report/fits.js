@@ -36,7 +36,8 @@ const Fits = (() => {
   }
 
   function plot(host, trace, output) {
-    const time = output.measured.values && Array.from({ length: output.n }, (_, i) => 1e3 * (trace.start + i * trace.step));
+    const since = trace.times ? curve(trace.times) : Array.from({ length: output.n }, (_, i) => i * trace.step);
+    const time = since.map((t) => 1e3 * (trace.start + t));
     const unit = output.unit;
     Charts.draw(host, {
       title: `${output.name}, measured and simulated, from ${Charts.number(trace.start)} s`,

@@ -20,6 +20,7 @@ from gbid.core.tables import Cell, Column, Entry, Table, shown_unit
 from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
 from gbid.experiment.stages.fit import load_made_fit, response_of
+from gbid.recording.clock import MAX_JITTER
 from gbid.report.control_sections import LACK, held_back
 from gbid.report.control_tables import tuning_documents
 from gbid.report.fit_tables import (
@@ -248,8 +249,9 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
     Returns
     -------
     dict
-        recording; start, step, duration [s]; outputs, each with name, unit, n, measured, simulated, and error_n,
-        error_low, error_high. Lengths are in micrometres. Curves are in the form of `packed`.
+        recording; start, step, duration [s]; at irregular times `times`, from the start; outputs, each with name, unit,
+        n, measured, simulated, and error_n, error_low, error_high. Lengths are in micrometres. Curves are in the form
+        of `packed`.
     """
     time, n = validation.time, len(validation.time)
     first = n // 3 if from_s is None else int(np.searchsorted(time, from_s))
@@ -257,6 +259,11 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
     every = max(1, min(SAMPLES, n) // POINTS)
     part = slice(first, first + SAMPLES, every)
     edges = np.linspace(0, n, min(BINS, n) + 1).astype(int)[:-1]
+    step, duration = (float(time[1] - time[0]), n * float(time[1] - time[0])) if n > 1 else (0.0, 0.0)
+    irregular = n > 1 and np.ptp(np.diff(time)) > MAX_JITTER * step
+    if irregular:
+        duration = float(time[-1])
+        edges = np.searchsorted(time, np.linspace(0, duration, min(BINS, n) + 1)[:-1])
     outputs = []
     for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
         factor, shown = (1e6, "µm") if unit == "m" else (1.0, unit or "-")
@@ -274,13 +281,13 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
                 "error_high": packed(np.maximum.reduceat(error, edges)),
             }
         )
-    step = float(time[1] - time[0]) if n > 1 else 0.0
     return {
         "recording": validation.recording,
         "start": float(time[first]),
         "step": every * step,
-        "duration": n * step,
+        "duration": duration,
         "outputs": outputs,
+        **({"times": packed(time[part] - time[first])} if irregular else {}),
     }
 
 

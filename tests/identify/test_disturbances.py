@@ -50,7 +50,7 @@ def test_coefficients_of_drift_and_hum_are_found(focus):
 
 def test_a_polynomial_is_that_of_numpy():
     """The monic Legendre polynomials span the same courses as powers of time."""
-    columns = Disturbances(("y",), (Trend(5),)).regressors(N, H)
+    columns = Disturbances(("y",), (Trend(5),)).regressors(H * np.arange(N))
     for power in range(5):
         fitted = np.polynomial.Polynomial.fit(T, columns[:, power], power).convert()
         assert fitted.coef[-1] == pytest.approx(1.0, rel=1e-9)

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
 
@@ -33,7 +34,7 @@ from gbid.report.canvas import figure_of
 from gbid.report.control_sections import explorer_model
 from gbid.report.page import Pictures
 from gbid.report.read import Results
-from gbid.report.sections import fit_data, packed, trace, warnings
+from gbid.report.sections import SAMPLES, fit_data, packed, trace, warnings
 from gbid.report.views import view_of
 
 CHROMIUM = find_chromium()
@@ -302,6 +303,19 @@ def test_trace_covers_short_recordings(job):
     low = delayed["outputs"][0]["error_low"]
     raw = np.frombuffer(base64.b64decode(low["values"]), "<i2") * low["scale"]
     assert raw.min() == pytest.approx(error.min(), abs=low["scale"])
+
+
+def test_trace_has_the_times_of_irregular_samples(job):
+    validation = validate_pair(job, "piezos", "p3_n0_prbs1", "p3_n0_prbs1")
+    times = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.5, len(validation.time)))
+    made = trace(replace(validation, time=times - times[0]))
+    times, first = times - times[0], len(times) // 3
+    first = max(0, min(first, len(times) - SAMPLES))
+    shown = np.frombuffer(base64.b64decode(made["times"]["values"]), "<i2") * made["times"]["scale"]
+    every = max(1, min(SAMPLES, len(times)) // 600)
+    part = times[first : first + SAMPLES : every]
+    np.testing.assert_allclose(shown, part - part[0], atol=2 * made["times"]["scale"])
+    assert made["duration"] == times[-1]
 
 
 # ---------------------------------------------------------------- in the browser
