@@ -12,9 +12,11 @@ from scipy.optimize import minimize
 import gbid
 from benchmarks.known_loops import two_masses_canonical
 from gbid.control.tuning.loops import families_of
+from gbid.control.tuning.peaks import Peaks, peak_slopes
 from gbid.control.tuning.plane import InvariantSubspaces
 from gbid.control.tuning.plants import TuneOptions, plants_of
-from gbid.control.tuning.problem import GainProblem, Limits
+from gbid.control.tuning.problem import GainProblem, Limits, rows_of
+from gbid.structure import LinearModel
 
 
 def delayed_loop(a: float, tau: float) -> ca.Function:
@@ -158,9 +160,12 @@ def paper_problem(controller: str, **limits: float) -> tuple[GainProblem, np.nda
     return GainProblem((family,), Limits(peak_sensitivity=2.0, peak_control=1.8, **limits), low, high, 800.0), x
 
 
+STATIC = {"static_amplification": 1.5, "slowest_pole": 100.0}
+
+
 @pytest.mark.parametrize("controller", ["P", "biquad"])
 def test_slopes_of_all_pieces_against_differences(controller: str) -> None:
-    problem, x = paper_problem(controller, static_amplification=1.5, slowest_pole=100.0)
+    problem, x = paper_problem(controller, **STATIC)
     functions = problem.functions(x)
     assert {function.kind for function in functions.limits} >= {"sensitivity", "control", "static"}
     step = 1e-6
@@ -179,23 +184,40 @@ def test_slopes_of_all_pieces_against_differences(controller: str) -> None:
                 assert function.slope[i] == pytest.approx(difference, rel=2e-4, abs=2e-5)
 
 
-def test_curvature_of_all_pieces_against_differences() -> None:
-    problem, x = paper_problem("biquad", static_amplification=1.5, slowest_pole=100.0)
+def through_problem() -> tuple[GainProblem, np.ndarray]:
+    """A plant with feedthrough: the matrices of the loop are no linear functions of those of the controller."""
+    plant = LinearModel(
+        [[0, 1, 0, 0], [-900, -6, 50, 0], [0, 0, 0, 1], [-80, 0, -1600, -9]], [[0, 0], [900, 0], [0, 0], [300, 1600]],
+        [[1, 0, 0, 0], [0.2, 0, 1, 0]], [[0.3, 0.1], [-0.1, 0.2]], input_names=["a", "b"], output_names=["c", "d"],
+    )  # fmt: skip
+    structure = gbid.controller_structure("lead-lag")
+    low, high = (np.array([getattr(p, side) for p in structure.parameters]) for side in ("lower", "upper"))
+    plants = plants_of(plant, structure, TuneOptions())
+    family = plants.family(plants.points)
+    return GainProblem((family,), Limits(peak_sensitivity=1.0), low, high, 30.0), low + 0.37 * (high - low)
+
+
+@pytest.mark.parametrize("made", [lambda: paper_problem("biquad", **STATIC), through_problem])
+def test_curvature_of_all_pieces_against_differences(made: Any) -> None:
+    problem, x = made()
     here = problem.functions(x, window=0.1)
-    step = 1e-5
-    sides = [problem.functions(x + step * e, window=0.2) for e in np.vstack([np.eye(len(x)), -np.eye(len(x))])]
-    for group in ("aim", "limits"):
-        for function in getattr(here, group):
-            # the slope of a peak at a fixed frequency has another derivative than the slope of the peak
-            if function.kind not in ("aim", "pole", "static"):
-                continue
-            slopes = []
-            for side in sides:
-                alike = [p for p in getattr(side, group) if (p.kind, p.loop) == (function.kind, function.loop)]
+    assert {"aim", "sensitivity"} <= {function.kind for function in (*here.aim, *here.limits)}
+    designs = [x + 1e-5 * e for e in np.vstack([np.eye(len(x)), -np.eye(len(x))])]
+    for function in (*here.aim, *here.limits):
+        slopes = []
+        for design in designs:
+            loops = problem.families[0].derivatives(design)
+            if function.kind in ("aim", "pole"):
+                side = problem.functions(design, window=0.2)
+                alike = [p for p in (*side.aim, *side.limits) if (p.kind, p.loop) == (function.kind, function.loop)]
                 slopes.append(min(alike, key=lambda p, place=function.place: abs(p.place - place)).slope)
-            difference = (np.array(slopes[: len(x)]) - slopes[len(x) :]) / (2 * step)
-            curvature = problem.curvature(x, here.states, [(function, 1.0)])
-            np.testing.assert_allclose(curvature, difference, rtol=1e-3, atol=1e-3 * np.abs(difference).max())
+            else:  # of a peak at a fixed frequency
+                rows = rows_of(problem.families[0], function.kind)
+                peak = Peaks(np.array([function.loop]), np.array([function.place.imag]), np.ones(1))
+                slopes.append(np.divide(*peak_slopes(loops, rows, peak))[0])
+        difference = (np.array(slopes[: len(x)]) - slopes[len(x) :]) / 2e-5
+        curvature = problem.curvature(x, here.states, [(function, 1.0)])
+        np.testing.assert_allclose(curvature, difference, rtol=1e-3, atol=1e-3 * np.abs(difference).max())
 
 
 @pytest.mark.parametrize(("centre", "size"), [(-1 + 0j, 3), (-4 + 2j, 2)])
@@ -211,7 +233,7 @@ def test_power_sums_of_a_cluster_against_differences(centre: complex, size: int)
 
     def cluster(x: np.ndarray) -> Any:
         loops = family.derivatives(x)
-        return InvariantSubspaces(loops.A[0], loops.dA[0]).cluster(centre, size, 1.0)
+        return InvariantSubspaces(loops, 0).cluster(centre, size, 1.0)
 
     x, step = np.array([0.02, 0.03, 0.05]), 1e-5
     here = cluster(x)

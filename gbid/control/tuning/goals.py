@@ -265,7 +265,7 @@ class ModeMeasure(Measure):
         upper = state.system.values.imag >= -REAL * np.abs(state.system.values)
         loop, which = np.nonzero(self._counts(state) & upper & (every > -window))
         values = state.system.values[loop, which]
-        slopes = state.system.slopes(loop, which, state.derivatives.dA) * rate_slopes(values, T)[:, None]
+        slopes = state.system.slopes(loop, which, state.derivatives) * rate_slopes(values, T)[:, None]
         rates = true_rates(values, T)
         if self.quantity == "damping":
             slope = -damping_slopes(rates, slopes, T)

@@ -9,13 +9,11 @@ import ctypes
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from gbid.control.tuning.loops import Derivatives
-from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.arrays import ComplexArray, FloatArray, IntArray
 from gbid.core.compiled import CompilerMissingError, Library, load_library
 
-IntArray = npt.NDArray[np.intp]
 SchurResponse = tuple[ComplexArray, ComplexArray, ComplexArray]
 """Schur form (n, n) of a loop, with its inputs and outputs in that basis."""
 
@@ -332,23 +330,39 @@ static void product(long k, const num *a, const num *b, num *out)
         }
 }
 
+/* Products of k vectors (n) with a real matrix, entry (j, a) of which is at M[j * along + a * across]: (k, p). */
+static void project(long k, long n, long p, const num *x, const double *M, long along, long across, num *out)
+{
+    for (long i = 0; i < k; i++, x += n, out += p)
+        for (long a = 0; a < p; a++) {
+            num sum = {0.0, 0.0};
+            for (long j = 0; j < n; j++) {
+                double entry = M[j * along + a * across];
+                sum.re += entry * x[j].re, sum.im += entry * x[j].im;
+            }
+            out[a] = sum;
+        }
+}
+
 /* Mean and power sums of the k eigenvalues of a Schur form nearest to a place, see `Cluster`: the k
-   eigenvalues, mean, k - 1 sums, and the gradients (d) of each. Returns 0 when they are not apart from the others. */
-long cluster(long n, long d, long k, const num *form, const double *dA, double re, double im, double rate,
-             double farthest, num *value)
+   eigenvalues, mean, k - 1 sums, and the gradients (d) of each, from the derivatives L core R (n, p, q, n) of the
+   matrix. Returns 0 when they are not apart from the others. */
+long cluster(long n, long d, long k, long p, long q, const num *form, const double *L, const double *core,
+             const double *R, double re, double im, double rate, double farthest, num *value)
 {
     const double *unit = (const double *)(form + 2 * n * n);
     num place = {re, im}, *mean = value + k, *power = mean + 1, *mean_slope = power + k - 1;
     num *power_slope = mean_slope + d;
     long ended = 0, *order = malloc(n * sizeof(long));
-    num *T = malloc((2 * n * n + 3 * n * k + 3 * k * k + n) * sizeof(num));
-    double *flat = malloc((2 * n * n + n) * sizeof(double));
+    num *T = malloc((2 * n * n + (3 * n + p + q) * k + 3 * k * k + n) * sizeof(num));
+    double *flat = malloc((2 * p * q + n) * sizeof(double));
     if (!order || !T || !flat) {
         ended = -1;
         goto done;
     }
     num *Z = T + n * n, *X = Z + n * n, *left = X + n * k, *turned = left + n * k, *N = turned + n * k;
-    num *R = N + k * k, *before = R + k * k, *diagonal = before + k * k;
+    num *power_of_N = N + k * k, *before = power_of_N + k * k, *diagonal = before + k * k;
+    num *rows = diagonal + n, *columns = rows + k * p;
     memcpy(T, form, 2 * n * n * sizeof(num));
     for (long i = 0; i < n; i++) diagonal[i] = T[i * n + i];
     nearest(n, diagonal, place, flat, order);
@@ -379,44 +393,44 @@ long cluster(long n, long d, long k, const num *form, const double *dA, double r
             num t = j < i ? (num){0.0, 0.0} : T[i * n + j];
             if (i == j) t.re -= sum.re, t.im -= sum.im;
             N[i * k + j] = (num){t.re / rate, t.im / rate};
-            R[i * k + j] = (num){i == j, 0.0};
+            power_of_N[i * k + j] = (num){i == j, 0.0};
         }
     }
-    /* trace of N^(j-1) left dA right, with R = N^(j-1) */
+    project(k, n, p, left, L, p, 1, rows), project(k, n, q, turned, R, 1, n, columns);
+    /* trace of N^(j-1) rows core columns */
     for (long j = 1; j <= k; j++) {
         num trace = {0.0, 0.0};
-        for (long i = 0; i < k; i++) trace.re += R[i * k + i].re, trace.im += R[i * k + i].im;
-        memset(flat, 0, 2 * n * n * sizeof(double));
+        for (long i = 0; i < k; i++) trace.re += power_of_N[i * k + i].re, trace.im += power_of_N[i * k + i].im;
+        memset(flat, 0, 2 * p * q * sizeof(double));
         for (long i = 0; i < k; i++)
-            for (long a = 0; a < n; a++) {
+            for (long a = 0; a < p; a++) {
                 num w = {0.0, 0.0};
                 for (long l = i; l < k; l++) {
-                    num t = times(R[i * k + l], left[l * n + a]);
+                    num t = times(power_of_N[i * k + l], rows[l * p + a]);
                     w.re += t.re, w.im += t.im;
                 }
-                const num *v = turned + i * n;
-                double *restrict re = flat + a * n, *restrict im = re + n * n;
-                for (long b = 0; b < n; b++)
+                const num *v = columns + i * q;
+                double *restrict re = flat + a * q, *restrict im = re + p * q;
+                for (long b = 0; b < q; b++)
                     re[b] += w.re * v[b].re - w.im * v[b].im, im[b] += w.re * v[b].im + w.im * v[b].re;
             }
         num *out = j == 1 ? mean_slope : power_slope + (j - 2) * d;
         double share = j == 1 ? 1.0 / k : j / (k * rate);
-        for (long p = 0; p < d; p++) {
-            const double *M = dA + p * n * n;
+        for (long g = 0; g < d; g++) {
+            const double *M = core + g * p * q;
             double re = 0.0, im = 0.0;
-            for (long i = 0; i < n * n; i++) re += flat[i] * M[i], im += flat[n * n + i] * M[i];
+            for (long i = 0; i < p * q; i++) re += flat[i] * M[i], im += flat[p * q + i] * M[i];
             if (j > 1) {
-                num t = times(trace, mean_slope[p]);
+                num t = times(trace, mean_slope[g]);
                 re -= t.re, im -= t.im;
             }
-            out[p] = (num){share * re, share * im};
+            out[g] = (num){share * re, share * im};
         }
-        memcpy(before, R, k * k * sizeof(num));
-        product(k, before, N, R);
+        memcpy(before, power_of_N, k * k * sizeof(num));
+        product(k, before, N, power_of_N);
         if (j > 1) {
-            /* R is now N^j */
             num t = {0.0, 0.0};
-            for (long i = 0; i < k; i++) t.re += R[i * k + i].re / k, t.im += R[i * k + i].im / k;
+            for (long i = 0; i < k; i++) t.re += power_of_N[i * k + i].re / k, t.im += power_of_N[i * k + i].im / k;
             power[j - 2] = t;
         }
     }
@@ -571,39 +585,27 @@ static void solve_row(long n, const num *M, const long *order, num *y)
     }
 }
 
-/* Real part of w M v for d real matrices (rows, columns): with T = Re(w v), a sum of products. */
-static void contract(long d, long rows, long columns, const double *M, long stride, const num *w, const num *v,
-                     double *T, double *out)
+/* Largest singular values of k two by two responses at given frequencies, and their gradients (k, d), from the
+   derivatives L core R of [[A, B], [C, D]], (n + n_y, p, q, n + 2). */
+long peak_slopes(long k, long n, long d, long n_y, long row, long p, long q, const long *loop, const double *w,
+                 const double *A, const double *B, const double *C, const double *D, const double *L,
+                 const double *core, const double *R, double *value, double *slope)
 {
-    for (long i = 0; i < rows; i++)
-        for (long j = 0; j < columns; j++) T[i * columns + j] = w[i].re * v[j].re - w[i].im * v[j].im;
-    for (long p = 0; p < d; p++, M += stride) {
-        double sum = 0.0;
-        for (long i = 0; i < rows * columns; i++) sum += M[i] * T[i];
-        out[p] += sum;
-    }
-}
-
-/* Largest singular values of k two by two responses at given frequencies, and their gradients (k, d). */
-long peak_slopes(long k, long n, long d, long n_y, long row, const long *loop, const double *w, const double *A,
-                 const double *B, const double *C, const double *D, const double *dA, const double *dB,
-                 const double *dC, const double *dD, double *value, double *slope)
-{
-    num *M = malloc((n * n + 4 * n) * sizeof(num));
-    double *T = malloc((n * n + 2 * n) * sizeof(double));
+    num *M = calloc(n * n + 4 * n + n_y + 2 + p + q, sizeof(num));
     long *order = malloc(n * sizeof(long));
-    if (!M || !T || !order) {
-        free(M), free(T), free(order);
+    if (!M || !order) {
+        free(M), free(order);
         return -1;
     }
-    num *X[2] = {M + n * n, M + n * n + n}, *u_row = M + n * n + 2 * n, *x_v = u_row + n;
-    for (long q = 0; q < k; q++) {
-        long l = loop[q];
+    num *X[2] = {M + n * n, M + n * n + n}, *u_row = M + n * n + 2 * n, *u = u_row + n + row, *x_v = u_row + n + n_y;
+    num *v = x_v + n, *left = v + 2, *right = left + p;
+    for (long i_peak = 0; i_peak < k; i_peak++) {
+        long l = loop[i_peak];
         const double *a = A + l * n * n, *b = B + l * n * 2;
         const double *c = C + (l * n_y + row) * n, *D_l = D + (l * n_y + row) * 2;
-        double *g = slope + q * d;
+        double *g = slope + i_peak * d;
         for (long i = 0; i < n * n; i++) M[i] = (num){-a[i], 0.0};
-        for (long i = 0; i < n; i++) M[i * n + i].im = w[q];
+        for (long i = 0; i < n; i++) M[i * n + i].im = w[i_peak];
         factor(n, M, order, 1e-300);
         num S[2][2];
         for (int j = 0; j < 2; j++) {
@@ -623,7 +625,6 @@ long peak_slopes(long k, long n, long d, long n_y, long row, const long *loop, c
             h.im += S[r][0].re * S[r][1].im - S[r][0].im * S[r][1].re;
         }
         double half = (h0 - h1) / 2, radius = sqrt(half * half + square(h));
-        num v[2], u[2];
         if (half >= 0) v[0] = (num){half + radius, 0.0}, v[1] = (num){h.re, -h.im};
         else v[0] = h, v[1] = (num){radius - half, 0.0};
         double length = sqrt(square(v[0]) + square(v[1]));
@@ -633,8 +634,7 @@ long peak_slopes(long k, long n, long d, long n_y, long row, const long *loop, c
             num x = times(S[r][0], v[0]), y = times(S[r][1], v[1]);
             u[r] = (num){x.re + y.re, x.im + y.im};
         }
-        value[q] = sqrt(square(u[0]) + square(u[1]));
-        double unit = value[q] > 0 ? value[q] : 1.0;
+        double height = value[i_peak] = sqrt(square(u[0]) + square(u[1])), unit = height > 0 ? height : 1.0;
         for (int r = 0; r < 2; r++) u[r] = (num){u[r].re / unit, -u[r].im / unit};
         for (long i = 0; i < n; i++) {
             num x = times(X[0][i], v[0]), y = times(X[1][i], v[1]);
@@ -642,13 +642,18 @@ long peak_slopes(long k, long n, long d, long n_y, long row, const long *loop, c
             u_row[i] = (num){u[0].re * c[i] + u[1].re * c[n + i], u[0].im * c[i] + u[1].im * c[n + i]};
         }
         solve_row(n, M, order, u_row);
-        memset(g, 0, d * sizeof(double));
-        contract(d, 2, 2, dD + l * d * n_y * 2 + row * 2, n_y * 2, u, v, T, g);
-        contract(d, 2, n, dC + l * d * n_y * n + row * n, n_y * n, u, x_v, T, g);
-        contract(d, n, 2, dB + l * d * n * 2, n * 2, u_row, v, T, g);
-        contract(d, n, n, dA + l * d * n * n, n * n, u_row, x_v, T, g);
+        project(1, n + n_y, p, u_row, L + l * (n + n_y) * p, p, 1, left);
+        project(1, n + 2, q, x_v, R + l * q * (n + 2), 1, n + 2, right);
+        for (long i = 0; i < d; i++) {
+            const double *M_i = core + (l * d + i) * p * q;
+            double sum = 0.0;
+            for (long a = 0; a < p; a++)
+                for (long b = 0; b < q; b++)
+                    sum += M_i[a * q + b] * (left[a].re * right[b].re - left[a].im * right[b].im);
+            g[i] = sum;
+        }
     }
-    free(M), free(T), free(order);
+    free(M), free(order);
     return 0;
 }
 
@@ -840,8 +845,8 @@ def kernels() -> Library | None:
     library.spectra.argtypes = [count, count, place, place]
     library.schur_form.argtypes = [count, place, place]
     library.eigensystems.argtypes = [count, count, place, real, *[place] * 3]
-    library.cluster.argtypes = [*[count] * 3, *[place] * 2, *[real] * 4, place]
-    library.peak_slopes.argtypes = [*[count] * 5, *[place] * 12]
+    library.cluster.argtypes = [*[count] * 5, *[place] * 4, *[real] * 4, place]
+    library.peak_slopes.argtypes = [*[count] * 7, *[place] * 11]
     library.peaks.argtypes = [*[count] * 4, real, count, *[place] * 13]
     for name in ("spectra", "schur_form", "eigensystems", "cluster", "peak_slopes", "peaks"):
         getattr(library, name).restype = count
@@ -876,7 +881,13 @@ def compiled_schur_form(library: Library, A: FloatArray) -> ComplexArray | None:
 
 
 def compiled_cluster(
-    library: Library, form: ComplexArray, dA: FloatArray, size: int, place: complex, rate: float, farthest: float
+    library: Library,
+    form: ComplexArray,
+    slopes: tuple[FloatArray, FloatArray, FloatArray],
+    size: int,
+    place: complex,
+    rate: float,
+    farthest: float,
 ) -> tuple[ComplexArray, ...] | None:
     """Return eigenvalues, mean, its derivatives, power sums and theirs for the cluster nearest to a place.
 
@@ -886,8 +897,8 @@ def compiled_cluster(
         The kernels.
     form : complex array
         Schur form by `compiled_schur_form`.
-    dA : (d, n, n) array
-        Derivatives of the matrix.
+    slopes : tuple of array
+        Factors (n, p), (d, p, q) and (q, n) of the derivatives of the matrix.
     size : int
         Number k of eigenvalues, at most n.
     place : complex
@@ -901,25 +912,26 @@ def compiled_cluster(
     -------
     Arrays (k,), (1,), (d,), (k - 1,) and (k - 1, d); None when the subspace is not determined.
     """
-    (d, n, _), dA = dA.shape, np.ascontiguousarray(dA)
+    n, (d, p, q) = len(slopes[0]), slopes[1].shape
     out = np.empty(2 * size + size * d, complex)
-    given = form.ctypes.data, dA.ctypes.data, place.real, place.imag, rate, farthest
-    if not _found(library.cluster(n, d, size, *given, out.ctypes.data)):
+    factors = [np.ascontiguousarray(factor) for factor in slopes]
+    given = form.ctypes.data, *(factor.ctypes.data for factor in factors), place.real, place.imag, rate, farthest
+    if not _found(library.cluster(n, d, size, p, q, *given, out.ctypes.data)):
         return None
-    slopes = out[2 * size :].reshape(size, d)
-    return out[:size], out[size : size + 1], slopes[0], out[size + 1 : 2 * size], slopes[1:]
+    gradients = out[2 * size :].reshape(size, d)
+    return out[:size], out[size : size + 1], gradients[0], out[size + 1 : 2 * size], gradients[1:]
 
 
 def compiled_peak_slopes(
     library: Library, loops: Derivatives, first_row: int, loop: IntArray, frequency: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return gradients (k, d) of the largest singular values of two by two responses, and the values (k,)."""
-    k, (_, d, n, _) = len(loop), loops.dA.shape
+    k, (_, n_y, n), (_, d, p, q) = len(loop), loops.C.shape, loops.core.shape
     value, slope = np.empty(k), np.empty((k, d))
-    given = [loop, frequency, *(getattr(loops, name) for name in ("A", "B", "C", "D", "dA", "dB", "dC", "dD"))]
-    arrays = [np.ascontiguousarray(array) for array in given]
+    matrices = loops.A, loops.B, loops.C, loops.D, loops.left, loops.core, loops.right
+    arrays = [np.ascontiguousarray(array) for array in (loop, frequency, *matrices)]
     addresses = [array.ctypes.data for array in (*arrays, value, slope)]
-    _found(library.peak_slopes(k, n, d, loops.C.shape[1], first_row, *addresses))
+    _found(library.peak_slopes(k, n, d, n_y, first_row, p, q, *addresses))
     return slope, value
 
 

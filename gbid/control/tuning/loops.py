@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from gbid.control.controllers.structures import Scheduled
-from gbid.core.arrays import FloatArray
+from gbid.core.arrays import ComplexArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.structure import LinearModel, pade_delay
 from gbid.structure.linear import Structure
@@ -87,24 +87,81 @@ class Loops:
         """Whether B, C and D are finite."""
         return all(np.isfinite(M).all() for M in (self.B, self.C, self.D))
 
-    def of(self, loops: npt.NDArray[np.intp]) -> Self:
+    def of(self, loops: IntArray) -> Self:
         """Return some of the loops."""
         return type(self)(*(getattr(self, entry.name)[loops] for entry in fields(self)))
 
 
 @dataclass(frozen=True)
 class Derivatives(Loops):
-    """Matrices of loops and their derivatives by each gain, with the d gains as second axis."""
+    """Matrices of m loops, and the derivatives of ``[[A, B], [C, D]]`` by d gains as products ``left core right``.
 
-    dA: FloatArray
-    dB: FloatArray
-    dC: FloatArray
-    dD: FloatArray
+    Gains change a loop by the few signals of its controller only, so that these factors are small.
 
-    @classmethod
-    def joined(cls, parts: Sequence[Derivatives]) -> Derivatives:
-        """Return the loops of all parts, one part after the other."""
-        return cls(*(np.concatenate([getattr(part, entry.name) for part in parts]) for entry in fields(cls)))
+    Attributes
+    ----------
+    left : (m, n + n_y, k) array
+        Effect of the changed signals.
+    core : (m, d, k, l) array
+        Derivatives of the controller by each gain.
+    right : (m, l, n + n_d) array
+        Signals that the controller takes.
+    through : (m, l, k) array
+        Effect of the changed signals on those that the controller takes, in no time.
+    """
+
+    left: FloatArray
+    core: FloatArray
+    right: FloatArray
+    through: FloatArray
+
+    def factors(self, loops: IntArray, rows: ComplexArray, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return ``row left`` (k, p) and ``right column`` (k, l) for rows and columns of k loops.
+
+        Rows (k, n) and columns (k, n) are those of A, with n_y and n_d more entries those of all matrices.
+        """
+        left, right = self.left[loops, : rows.shape[1]], self.right[loops][:, :, : columns.shape[1]]
+        return (rows[:, None] @ left)[:, 0], (right @ columns[:, :, None])[:, :, 0]
+
+    def along(self, loops: IntArray, rows: ComplexArray, columns: ComplexArray) -> ComplexArray:
+        """Return ``row d[[A, B], [C, D]] column`` (k, d) for rows and columns of k loops, see `factors`."""
+        inner, outer = self.factors(loops, rows, columns)
+        return bilinear(inner, self.core[loops], outer)
+
+    def second(
+        self, bend: FloatArray, loops: IntArray, inner: ComplexArray, outer: ComplexArray, resolvent: ComplexArray
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        r"""Return products and second derivatives of k perturbed loops.
+
+        Parameters
+        ----------
+        bend : (m, d, d, k, l) array
+            Second derivatives of the controller, of each loop or of all.
+        loops, inner, outer
+            Loops, and factors a (k, p) and b (k, l) as those of `factors`.
+        resolvent : (k, n, n) array
+            R, by which a change of the states acts on itself.
+
+        Returns
+        -------
+        tuple of array
+            With the derivatives :math:`K_p` of the controller :math:`a K_p` (k, d, l), :math:`K_p b` (k, d, p), and
+            :math:`a K_{pq} b + a K_p R' K_q b + a K_q R' K_p b` (k, d, d), :math:`R'` being R between the signals.
+        """
+        n, (_, d, *size) = resolvent.shape[-1], self.core.shape
+        core, bend = self.core[loops], bend[loops % len(bend)].reshape(len(loops), d * d, *size)
+        by_row, by_column = (inner[:, None, None] @ core)[:, :, 0], (core @ outer[:, None, :, None])[..., 0]
+        inside = self.right[loops][:, :, :n] @ resolvent @ self.left[loops, :n] + self.through[loops]
+        cross = by_row @ inside @ by_column.swapaxes(1, 2)
+        return by_row, by_column, bilinear(inner, bend, outer).reshape(cross.shape) + cross + cross.swapaxes(1, 2)
+
+
+def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
+    """Return ``w M v`` of rows w (k, i), real matrices M (k, d, i, j) and columns v (k, j): (k, d)."""
+    both = (w[:, :, None] * v[:, None, :]).reshape(len(w), w.shape[1] * v.shape[1])
+    # One real product for real and imaginary part is faster than a complex copy of M.
+    product = M.reshape(*M.shape[:2], both.shape[1]) @ np.stack([both.real, both.imag], axis=-1)
+    return np.asarray(product[..., 0] + 1j * product[..., 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +196,15 @@ class LoopFamily(ABC):
     def derivatives(self, gains: FloatArray) -> Derivatives:
         """Return the matrices with their derivatives."""
 
+    @abstractmethod
+    def core(self, gains: FloatArray) -> FloatArray:
+        """Return the core of the derivatives (m, d, k, l); that of all loops, if it is one, once."""
+
+    def bend(self, gains: FloatArray, steps: FloatArray) -> FloatArray:
+        """Return derivatives (m, d, d, k, l) of the core of the derivatives, by differences of given steps (d,)."""
+        near = np.stack([self.core(moved) for moved in gains + np.diag(steps)], axis=1)
+        return np.asarray((near - self.core(gains)[:, None]) / steps[:, None, None, None])
+
     def states(self, gains: FloatArray) -> FloatArray:
         """Return A (m, n, n)."""
         return self.matrices(gains).A
@@ -171,10 +237,19 @@ class FunctionLoops(LoopFamily):
         return Loops(*self._calls[0](gains))
 
     def derivatives(self, gains: FloatArray) -> Derivatives:
-        """Return the matrices with their derivatives."""
-        values, slopes = (call(gains) for call in self._calls)
+        """Return the matrices with their derivatives, which stand between unit matrices."""
+        loops, core = self.matrices(gains), self.core(gains)
+        rows, columns = core.shape[2:]
+        left, right = (np.broadcast_to(M, (len(core), *M.shape)) for M in map(np.eye, (rows, columns)))
+        through = np.zeros((len(core), columns, rows))
+        return Derivatives(loops.A, loops.B, loops.C, loops.D, left, core, right, through)
+
+    def core(self, gains: FloatArray) -> FloatArray:
+        """Return the derivatives of all entries of the matrices."""
+        dA, dB, dC, dD = self._calls[1](gains)
+        core = np.concatenate([np.concatenate([dA, dB], axis=3), np.concatenate([dC, dD], axis=3)], axis=2)
         # an infinite derivative is as useless as NaN, which spreads without warnings
-        return Derivatives(*values, *(np.where(np.isfinite(slope), slope, np.nan) for slope in slopes))
+        return np.where(np.isfinite(core), core, np.nan)
 
 
 def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFamily, ...]:
@@ -282,12 +357,15 @@ class PlantMatrices:
         return PlantMatrices(2 / sample_time * (eye - 2 * P), scale * P @ self.B, scale * CP, self.D - CP @ self.B)
 
 
-def inverses(matrices: FloatArray) -> FloatArray:
+_Number = TypeVar("_Number", np.float64, np.complex128)
+
+
+def inverses(matrices: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
     """Return inverses; not finite where there is none: an algebraic loop without solution, a pole at z = -1."""
     try:
-        return np.asarray(np.linalg.inv(matrices), np.float64)
+        return np.asarray(np.linalg.inv(matrices), matrices.dtype)
     except np.linalg.LinAlgError:
-        results = np.full(matrices.shape, np.nan)
+        results = np.full(matrices.shape, np.nan, matrices.dtype)
         for place in np.ndindex(*matrices.shape[:-2]):
             with suppress(np.linalg.LinAlgError):
                 results[place] = np.linalg.inv(matrices[place])
@@ -560,7 +638,9 @@ class ControlLoops(LoopFamily):
         right[:, :k, n : n + k], right[:, k:, :n], right[:, k:, n + k :] = np.eye(k), plants.C, ports.F
         through = np.zeros((m, k + n_p, k + n_r))
         through[:, k:, k:] = plants.D
-        return rest, left, right, through
+        n = n + k
+        kept = slice(None) if self.ports is None else [*range(n), *(n + row for row in ports.rows)]
+        return rest[:, kept], left[:, kept], right, through
 
     def matrices(self, gains: FloatArray) -> Loops:
         """Return the matrices of all loops."""
@@ -568,25 +648,19 @@ class ControlLoops(LoopFamily):
         rest, left, right, E = self._frame
         if E.any():
             K = inverses(np.eye(K.shape[-2]) - K @ E) @ K
-        return Loops(*self._parts(rest + left @ K @ right))
+        system, n = rest + left @ K @ right, self.plants.A.shape[-1] + self.law.n_states
+        return Loops(system[:, :n, :n].copy(), system[:, :n, n:], system[:, n:, :n], system[:, n:, n:])
 
     def derivatives(self, gains: FloatArray) -> Derivatives:
         """Return the matrices with their derivatives."""
-        K, dK = (call(gains)[0] for call in self._calls)
-        K, dK = self.law.in_plane(K), self.law.slopes_in_plane(K, dK)
-        rest, left, right, E = self._frame
+        (_, left, right, E), core, loops = self._frame, self.core(gains), self.matrices(gains)
         if E.any():  # (I - E K)^-1 = I + E (I - K E)^-1 K
-            left = left @ inverses(np.eye(K.shape[-2]) - K @ E)
-            signals = right + E @ inverses(np.eye(K.shape[-2]) - K @ E) @ K @ right
-        else:
-            signals = right
-        slopes = left[:, None] @ dK @ signals[:, None]
-        return Derivatives(*self._parts(rest + left @ K @ right), *self._parts(slopes))
+            K = self.law.in_plane(self._calls[0](gains)[0])
+            inverse = inverses(np.eye(K.shape[-2]) - K @ E)
+            left, right = left @ inverse, right + E @ inverse @ K @ right
+        core = np.broadcast_to(core, (len(self), *core.shape[1:]))
+        return Derivatives(loops.A, loops.B, loops.C, loops.D, left, core, right, E)
 
-    def _parts(self, system: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return A, B, C and D of system matrices."""
-        n = self.plants.A.shape[-1] + self.law.n_states
-        if self.ports is not None:
-            kept = [*range(n), *(n + row for row in self.ports.rows)]
-            system = system[..., kept, :]
-        return system[..., :n, :n].copy(), system[..., :n, n:], system[..., n:, :n], system[..., n:, n:]
+    def core(self, gains: FloatArray) -> FloatArray:
+        """Return the derivatives of the controller."""
+        return self.law.slopes_in_plane(*(call(gains)[0] for call in self._calls))

@@ -9,10 +9,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from gbid.control.loop.norm import largest_singular_values
-from gbid.control.tuning.kernels import IntArray, SchurResponse, compiled_peak_slopes, compiled_peaks, kernels
-from gbid.control.tuning.loops import Derivatives, Loops
-from gbid.control.tuning.plane import Eigensystem, bilinear, schur_form
-from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
+from gbid.control.tuning.kernels import SchurResponse, compiled_peak_slopes, compiled_peaks, kernels
+from gbid.control.tuning.loops import Derivatives, Loops, inverses
+from gbid.control.tuning.plane import Eigensystem, schur_form
+from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 _PER_DECADE = 28
 _SUSPECT = 1e6
@@ -308,7 +308,7 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
     """Return derivatives (k, d) of the largest singular value by the gains at fixed frequency, and its value (k,).
 
     At a maximum over frequency this is the derivative of the peak, because the change of its frequency has an effect of
-    second order only. With ``S = C R B + D``, ``R = (j w - A)^-1``: ``dS = dD + dC R B + C R (dB + dA R B)``.
+    second order only. With ``S = C R B + D``, ``R = (j w - A)^-1``: ``dS = [C R, I] d[[A, B], [C, D]] [R B; I]``.
     """
     first, last, _ = rows.indices(loops.C.shape[1])
     if (last - first, loops.B.shape[2]) == (2, 2) and (library := kernels()) is not None:
@@ -327,6 +327,36 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
     u, v = U[:, :, 0].conj(), Vh[:, 0].conj()
     RBv = (RB @ v[:, :, None])[:, :, 0]
     uCR = np.asarray(np.linalg.solve(system.transpose(0, 2, 1), (u[:, None] @ C).transpose(0, 2, 1))[:, :, 0], complex)
-    dS = bilinear(u, loops.dD[i][:, :, rows], v) + bilinear(u, loops.dC[i][:, :, rows], RBv)
-    dS = dS + bilinear(uCR, loops.dB[i], v) + bilinear(uCR, loops.dA[i], RBv)
+    outputs = np.zeros((len(i), loops.C.shape[1]), complex)
+    outputs[:, rows] = u
+    dS = loops.along(i, np.hstack([uCR, outputs]), np.hstack([RBv, v]))
     return np.where(finite[:, None], dS.real, np.nan), values[:, 0]
+
+
+def peak_curvature(
+    loops: Derivatives, rows: slice, loop: IntArray, frequency: FloatArray, bend: FloatArray
+) -> FloatArray:
+    r"""Return second derivatives (k, d, d) of the logarithm of the largest singular value at fixed frequencies.
+
+    It is the largest eigenvalue of the Hermitian matrix :math:`[[0, S], [S^H, 0]]`, whose others are the other singular
+    values, all negative ones, and zeros. With :math:`x_{ij} = u_i^H S_p v_j` an eigenvalue :math:`\pm s_i` acts by
+    :math:`x_{i1} \pm x_{1i}^*`. For `bend` see `Derivatives.second`.
+    """
+    n = loops.A.shape[-1]
+    R = inverses(np.asarray(1j * frequency[:, None, None] * np.eye(n) - loops.A[loop], complex))
+    C, B, left, right = loops.C[loop][:, rows], loops.B[loop], loops.left[loop], loops.right[loop]
+    S = C @ R @ B + loops.D[loop][:, rows]
+    finite = np.asarray(np.isfinite(S).all(axis=(1, 2)))
+    U, s, Vh = np.linalg.svd(np.where(finite[:, None, None], S, 0.0))
+    # of each left singular vector u^H [C R, I] left, of each right one right [R B; I] v
+    from_signals = U.conj().swapaxes(1, 2) @ (C @ R @ left[:, :n] + left[:, n:][:, rows])
+    to_signals = (right[:, :, :n] @ R @ B + right[:, :, n:]) @ Vh.conj().swapaxes(1, 2)
+    by_row, by_column, second = loops.second(bend, loop, from_signals[:, 0], to_signals[:, :, 0], R)
+    size = max(S.shape[1:])
+    x, y = np.zeros((2, *by_row.shape[:2], size), complex)
+    x[:, :, : S.shape[1]], y[:, :, : S.shape[2]] = by_column @ from_signals.swapaxes(1, 2), (by_row @ to_signals).conj()
+    s = np.pad(s, ((0, 0), (0, size - s.shape[1])))[:, None]
+    slope, total = x[..., 0].real / s[..., 0], second.real
+    for pair, distance in (((x + y)[..., 1:], s[..., :1] - s[..., 1:]), (x - y, s[..., :1] + s)):
+        total = total + (pair.conj() / distance @ pair.swapaxes(1, 2)).real / 2
+    return np.asarray(total / s[..., :1] - slope[:, :, None] * slope[:, None])

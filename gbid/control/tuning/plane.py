@@ -16,14 +16,14 @@ from scipy.linalg import eig
 from scipy.linalg.lapack import dgebal, zgees, ztrsen, ztrsyl
 
 from gbid.control.tuning.kernels import (
-    IntArray,
     compiled_cluster,
     compiled_eigensystems,
     compiled_eigenvalues,
     compiled_schur_form,
     kernels,
 )
-from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray
+from gbid.control.tuning.loops import Derivatives
+from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray, IntArray
 
 _FASTEST = 40.0
 """Largest decay of a mode in one sample, as an exponent; a dead-beat mode (z = 0) is given this rate."""
@@ -133,14 +133,6 @@ def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float
     return np.asarray((1 - short) * by_gains + (1 - damping_factors(rates)[:, None]) * fading)
 
 
-def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
-    """Return ``w M v`` of rows w (k, i), real matrices M (k, d, i, j) and columns v (k, j): (k, d)."""
-    both = (w[:, :, None] * v[:, None, :]).reshape(len(w), w.shape[1] * v.shape[1])
-    # One real product for real and imaginary part is faster than a complex copy of M.
-    product = M.reshape(*M.shape[:2], both.shape[1]) @ np.stack([both.real, both.imag], axis=-1)
-    return np.asarray(product[..., 0] + 1j * product[..., 1])
-
-
 def _decomposed(decompose: Callable[[FloatArray], Any], A: FloatArray) -> tuple[Any, BoolArray]:
     """Return the decompositions of those matrices (m, n, n) that have one, and which these are (m,)."""
     usable = np.asarray((np.abs(A) < LARGEST).all(axis=(1, 2)))  # a comparison with NaN is false
@@ -223,9 +215,22 @@ class Eigensystem:
             left[i] = rows / np.where(np.abs(products) > 1.0 / _LONGEST, products, 1.0 / _LONGEST)
         return left
 
-    def slopes(self, loops: IntArray, which: IntArray, dA: FloatArray) -> ComplexArray:
-        """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with ``w v = 1``; dA is (m, d, n, n)."""
-        return bilinear(self.left[loops, which], dA[loops], self.right[loops, :, which])
+    def slopes(self, loops: IntArray, which: IntArray, derivatives: Derivatives) -> ComplexArray:
+        """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with ``w v = 1``."""
+        return derivatives.along(loops, self.left[loops, which], self.right[loops, :, which])
+
+    @np.errstate(divide="ignore", invalid="ignore")  # equal eigenvalues have no second derivatives
+    def curvature(
+        self, loops: IntArray, which: IntArray, derivatives: Derivatives, bend: FloatArray
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return chosen eigenvalues, first (k, d) and second (k, d, d) derivatives, see `Derivatives.second`."""
+        values, row = self.values[loops], np.arange(len(loops))
+        gaps = values[row, which][:, None] - values
+        gaps[row, which] = np.inf
+        resolvent = (self.right[loops] / gaps[:, None]) @ self.left[loops]
+        inner, outer = derivatives.factors(loops, self.left[loops, which], self.right[loops, :, which])
+        by_row, _, second = derivatives.second(bend, loops, inner, outer, resolvent)
+        return values[row, which], (by_row @ outer[:, :, None])[:, :, 0], second
 
 
 # ---- Clusters of eigenvalues that are about to meet, by functions of the gains that are smooth where they meet.
@@ -307,15 +312,17 @@ class InvariantSubspaces:
 
     Parameters
     ----------
-    A : (n, n) array
-        Matrix of the loop.
-    dA : (d, n, n) array
-        Its derivatives by the gains.
+    loops : Derivatives
+        Matrices of loops and their derivatives by the gains.
+    i : int
+        The loop.
     """
 
-    def __init__(self, A: FloatArray, dA: FloatArray) -> None:
-        usable = np.isfinite(dA).all() and np.abs(A).max() < LARGEST  # which NaN is not, either
-        self._dA, self._schur = dA, schur_form(A) if usable else None
+    def __init__(self, loops: Derivatives, i: int) -> None:
+        n = loops.A.shape[-1]
+        self._slopes = loops.left[i, :n], loops.core[i], loops.right[i, :, :n]
+        usable = np.abs(loops.A[i]).max() < LARGEST and all(np.isfinite(part).all() for part in self._slopes)
+        self._schur = schur_form(loops.A[i]) if usable else None  # a comparison with NaN is false
 
     def cluster(self, centre: complex, size: int, rate: float) -> Cluster | None:
         """Return the cluster of the eigenvalues nearest to a place in the complex plane.
@@ -341,7 +348,7 @@ class InvariantSubspaces:
             return None
         form, basis, unit, packed = self._schur
         if packed is not None and (library := kernels()) is not None:
-            parts = compiled_cluster(library, packed, self._dA, size, centre, rate, _FARTHEST)
+            parts = compiled_cluster(library, packed, self._slopes, size, centre, rate, _FARTHEST)
             return None if parts is None else Cluster(parts[0], complex(parts[1][0]), *parts[2:])
         n = len(unit)
         left = basis.conj().T
@@ -360,23 +367,24 @@ class InvariantSubspaces:
                 return None
             left = basis.conj().T
             left = left[:size] + (X / scale) @ left[size:]
-        return _cluster(form[:size, :size], left / unit, unit[:, None] * basis[:, :size], self._dA, rate)
+        L, core, R = self._slopes
+        return _cluster(form[:size, :size], left / unit @ L, R @ (unit[:, None] * basis[:, :size]), core, rate)
 
 
-def _cluster(M: ComplexArray, left: ComplexArray, right: ComplexArray, dA: FloatArray, rate: float) -> Cluster:
-    """Return the cluster of all eigenvalues of an upper triangular matrix ``M = left A right``."""
-    size, d = len(M), len(dA)
+def _cluster(M: ComplexArray, left: ComplexArray, right: ComplexArray, core: FloatArray, rate: float) -> Cluster:
+    """Return the cluster of all eigenvalues of an upper triangular matrix with derivatives ``left core right``."""
+    size, d = len(M), len(core)
     values = M.diagonal().copy()
     mean = complex(values.sum() / size)
     N = M / rate
     N[range(size), range(size)] = (values - mean) / rate
-    # trace of N^(j-1) left dA right as a product of right N^(j-1) left with dA, for all j at once
+    # trace of N^(j-1) left core right as a product of right N^(j-1) left with core, for all j at once
     powers = [np.eye(size, dtype=complex)]
     for _ in range(size):
         powers.append(powers[-1] @ N)
     traces = np.array([power.trace() for power in powers], complex)
     flat = (right @ np.array(powers[:-1]) @ left).transpose(0, 2, 1).reshape(size, -1)
-    products = np.vstack([flat.real, flat.imag]) @ dA.reshape(d, -1).T
+    products = np.vstack([flat.real, flat.imag]) @ core.reshape(d, -1).T
     inner = products[:size] + 1j * products[size:]
     mean_slope = inner[0] / size
     factors = np.arange(2, size + 1)[:, None] / (size * rate)

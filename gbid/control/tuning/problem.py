@@ -17,9 +17,8 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 
 from gbid.control.loop.norm import largest_singular_values
-from gbid.control.tuning.kernels import IntArray
 from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
-from gbid.control.tuning.peaks import HIGHEST, ModalResponse, Peaks, find_peaks, peak_slopes
+from gbid.control.tuning.peaks import HIGHEST, ModalResponse, Peaks, find_peaks, peak_curvature, peak_slopes
 from gbid.control.tuning.plane import (
     Cluster,
     Eigensystem,
@@ -30,7 +29,7 @@ from gbid.control.tuning.plane import (
     rate_slopes,
     true_rates,
 )
-from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray
+from gbid.core.arrays import REAL, BoolArray, ComplexArray, FloatArray, IntArray
 from gbid.core.hdf5 import Stored
 from gbid.core.option_types import Allowed, NotNegative, Positive, check_options
 
@@ -271,7 +270,7 @@ class LoopSubspaces:
             self._loops[family] = known or self.families[family].derivatives(self.x)
         if (family, loop) not in self._forms:
             loops = self._loops[family]
-            self._forms[family, loop] = InvariantSubspaces(loops.A[loop], loops.dA[loop])
+            self._forms[family, loop] = InvariantSubspaces(loops, loop)
         return self._forms[family, loop]
 
 
@@ -480,7 +479,7 @@ class GainProblem:
     ) -> list[ActiveFunction]:
         loop, which = np.nonzero(chosen)
         values = system.values[loop, which]
-        numbers, gradients = self._of_values(kind, f, values, system.slopes(loop, which, derivatives.dA))
+        numbers, gradients = self._of_values(kind, f, values, system.slopes(loop, which, derivatives))
         return [
             ActiveFunction(kind, f, int(i), float(number), gradient, complex(value))
             for i, number, gradient, value in zip(loop, numbers, gradients, values, strict=True)
@@ -512,8 +511,8 @@ class GainProblem:
     ) -> FloatArray:
         """Return the second derivative (d, d) of a weighted sum of functions that were active at a nearby design.
 
-        It is the difference of gradients at nearby designs, those of peaks at their old frequency. Other limits, means
-        of clusters (which need a Schur form for each gain), and functions without a gradient nearby are left out.
+        Those of peaks are at their old frequency. Other limits, means of clusters (which need a Schur form for each
+        gain), and functions without a second derivative are left out.
 
         Parameters
         ----------
@@ -532,32 +531,25 @@ class GainProblem:
             known = [(piece, weight) for piece, weight in weighted if piece.family == f and piece.kind in kinds]
             if not known:
                 continue
-            used = np.unique([piece.loop for piece, _ in known])
-            designs = [state.derivatives, *(state.family.derivatives(y) for y in x + np.diag(step))]
-            near = Derivatives.joined([loops.of(used) for loops in designs])
-            system = Eigensystem.of(near.A)
-            for kind in {piece.kind for piece, _ in known}:
+            bend = state.family.bend(x, step)
+            for kind in kinds:
                 same = [(piece, weight) for piece, weight in known if piece.kind == kind]
-                # loop of each function at each design, the designs side by side
-                first = np.searchsorted(used, [piece.loop for piece, _ in same])
-                loops = (first[:, None] + np.arange(0, len(near.A), len(used))).ravel()
-                places = np.repeat([piece.place for piece, _ in same], len(designs))
-                slopes = self._slopes_near(kind, f, near, system, loops, places).reshape(len(same), len(designs), -1)
-                second = (slopes[:, 1:] - slopes[:, :1]) / step[:, None]
+                if not same:
+                    continue
+                loops, places = (np.array([getattr(q, name) for q, _ in same]) for name in ("loop", "place"))
+                if kind in _RESPONSES:
+                    rows = rows_of(state.family, kind)
+                    second = peak_curvature(state.derivatives, rows, loops, places.imag, bend)
+                else:
+                    nearest = np.abs(state.system.values[loops] - places[:, None]).argmin(axis=1)
+                    values, first, change = state.system.curvature(loops, nearest, state.derivatives, bend)
+                    moved = (values[:, None] + step * first).ravel(), first[:, None] + step[:, None] * change
+                    here = self._of_values(kind, f, values, first)[1][:, None]
+                    near = self._of_values(kind, f, moved[0], moved[1].reshape(-1, len(x)))[1]
+                    second = (near.reshape(change.shape) - here) / step[:, None]
                 sound = np.isfinite(second).all(axis=(1, 2))
                 total += np.einsum("n,nqd->qd", np.array([weight for _, weight in same])[sound], second[sound])
         return total
-
-    def _slopes_near(
-        self, kind: str, f: int, near: Derivatives, system: Eigensystem, loops: IntArray, places: ComplexArray
-    ) -> FloatArray:
-        """Return the gradients (k, d) of functions of some loops: of the eigenvalue, or the peak, next to a place."""
-        if kind in _RESPONSES:
-            slopes, heights = peak_slopes(near, rows_of(self.families[f], kind), Peaks(loops, places.imag, places.imag))
-            return slopes / np.where(heights > 0, heights, np.nan)[:, None]
-        nearest = np.abs(system.values[loops] - places[:, None]).argmin(axis=1)
-        slopes_of_values = system.slopes(loops, nearest, near.dA)
-        return self._of_values(kind, f, system.values[loops, nearest], slopes_of_values)[1]
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
         """Return measures of a design in each loop of a family, larger is worse (n, m).

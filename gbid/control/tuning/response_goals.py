@@ -23,7 +23,6 @@ from gbid.control.tuning.goals import (
     bound_over_frequency,
     rms_under,
 )
-from gbid.control.tuning.kernels import IntArray
 from gbid.control.tuning.loops import ControlLoops, Derivatives, LoopFamily, Loops, Path
 from gbid.control.tuning.peaks import (
     ModalResponse,
@@ -36,7 +35,7 @@ from gbid.control.tuning.peaks import (
 )
 from gbid.control.tuning.plane import Eigensystem, searched_frequencies, true_frequencies
 from gbid.control.tuning.problem import ExtraLimit, LoopState, Measure, Pieces
-from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.arrays import ComplexArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, Finite, NotNegative, Number, Positive
 from gbid.lpv import MachineData
@@ -137,8 +136,10 @@ class ResponseMeasure(Measure):
         D = factor * loops.D[..., rows, :] + unit * np.eye(n_rows, loops.D.shape[-1], k=self.channel or 0)
         changed = replace(loops, C=factor * loops.C[..., rows, :], D=D[..., columns], B=loops.B[..., columns])
         if isinstance(changed, Derivatives):
-            dC, dD = factor * changed.dC[..., rows, :], factor * changed.dD[..., rows, columns]
-            return replace(changed, dB=changed.dB[..., columns], dC=dC, dD=dD)
+            n, (left, right) = changed.A.shape[-1], (changed.left, changed.right)
+            left = np.concatenate([left[:, :n], factor * left[:, n:][:, rows]], axis=1)
+            right = np.concatenate([right[..., :n], right[..., n:][..., columns]], axis=2)
+            return replace(changed, left=left, right=right)
         return changed
 
     @staticmethod
@@ -151,16 +152,15 @@ class ResponseMeasure(Measure):
             return loops
         M = direct_response(loops.A, loops.B, loops.C, loops.D, frequency[:, None])[:, 0]
         ratio = np.sqrt((np.abs(M[:, 1, 0]) + 1e-300) / (np.abs(M[:, 0, 1]) + 1e-300)).clip(1e-6, 1e6)
-        left = np.stack([ratio, np.ones(len(ratio))], axis=1)[:, :, None]
-        right = 1 / left.transpose(0, 2, 1)
+        n, left = loops.A.shape[-1], np.stack([ratio, np.ones(len(ratio))], axis=1)[:, :, None]
+        right, states = 1 / left.transpose(0, 2, 1), np.ones((len(ratio), n, 1))
         return replace(
             loops,
             B=loops.B * right,
             C=loops.C * left,
             D=loops.D * left * right,
-            dB=loops.dB * right[:, None],
-            dC=loops.dC * left[:, None],
-            dD=loops.dD * (left * right)[:, None],
+            left=loops.left * np.concatenate([states, left], axis=1),
+            right=loops.right * np.concatenate([states.swapaxes(1, 2), right], axis=2),
         )
 
 
@@ -574,8 +574,8 @@ class MarginMeasure(Measure):
         v = (resolvent @ near.B[row, :, channel, None])[..., 0]
         u = (near.C[row, None, channel] @ resolvent)[:, 0]
         S = np.einsum("kn,kn->k", near.C[row, channel], v) + near.D[row, channel, channel]
-        dS = np.einsum("kn,kdnm,km->kd", u, near.dA, v) + np.einsum("kn,kdn->kd", u, near.dB[row, ..., channel])
-        dS += np.einsum("kdn,kn->kd", near.dC[row, :, channel], v) + near.dD[row, :, channel, channel]
+        outputs, inputs = (np.eye(size)[channel] for size in near.D.shape[1:])
+        dS = near.along(row, np.hstack([u, outputs]), np.hstack([v, inputs]))
         L, dL, dL_dw = 1 - 1 / S, dS / S[:, None] ** 2, -1j * np.einsum("kn,kn->k", u, v) / S**2
         # the crossing moves along the frequency with the gains; at rest L stays real
         moved, along = ((part / L[:, None]).real if self.is_phase else part.imag for part in (dL, dL_dw[:, None]))

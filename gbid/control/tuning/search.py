@@ -10,12 +10,11 @@ from itertools import islice
 import numpy as np
 
 from gbid.control.tuning.certificate import certify
-from gbid.control.tuning.kernels import IntArray
 from gbid.control.tuning.local import LocalOptimum, ascend, optimise_locally
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import eigenvalues, true_rates
 from gbid.control.tuning.problem import FEASIBLE, PENALTY, GainProblem, Limits, Score, SearchStep, merit
-from gbid.core.arrays import ComplexArray, FloatArray
+from gbid.core.arrays import ComplexArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Count, CountOrZero, check_options
 
