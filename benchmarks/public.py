@@ -24,7 +24,7 @@ from scipy.signal import resample, resample_poly
 
 import gbid
 from benchmarks.running import DOCS, about, markdown, options_of, run_study, stored, timed
-from gbid import LinearModel, NonlinearStructure, Recording
+from gbid import NonlinearStructure, Recording
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import GbidError
 from gbid.core.files import share_folder
@@ -421,63 +421,50 @@ def slower(x: FloatArray) -> FloatArray:
     return np.asarray(resample(x, len(x) // 8))
 
 
-def interpolated(models: Mapping[float, LinearModel], u: FloatArray) -> FloatArray:
-    """Return the outputs of models of levels of excitation, weighted by the effective value of u; see `Simulator`."""
-    weights = [np.interp(u.std(), list(models), row) for row in np.eye(len(models))]
-    pairs = zip(weights, models.values(), strict=True)
-    parts = [weight * model.simulate(slower(u), 1 / 50) for weight, model in pairs if weight > 0]
-    return np.asarray(resample(np.sum(parts, axis=0), len(u)))
-
-
 def f16(
     folder: Path, orders: Sequence[int] = (20, 28), structures: Sequence[NonlinearStructure] | None = None
 ) -> dict[str, Any]:
     """Return what the F-16 tells; see `measured`. Errors are relative to the measured accelerations, in per cent.
 
-    Candidates are structures, and linear subspace models: one of all levels, or one of each level, interpolated. All
-    are fitted to the mean period. The first period of each level counts in no figure, as the initial state is not
-    known.
+    Candidates are structures and linear subspace models, fitted to the mean periods of all levels. The first period of
+    each level counts in no figure, as the initial state is not known.
     """
     levels = aircraft(folder)
     period = len(levels[1][1]) // PERIODS
-    means = {}
+    means = []
     for level in TRAINED:
         u, y = (slower(x.reshape(PERIODS, period, -1)[1:].mean(axis=0)) for x in levels[level])
         signals = {"voltage": u, **dict(zip(SENSORS, np.split(y, 3, axis=1), strict=True))}
-        means[level] = Recording(signals, 1 / 50, name=f"level {level}")
+        means.append(Recording(signals, 1 / 50, name=f"level {level}"))
 
-    def black_box(order: int, each: bool, rows: int | None) -> Simulator:
-        groups = [[level] for level in TRAINED] if each else [TRAINED]
-        models = {
-            float(levels[group[0]][0].std()): gbid.subspace(
-                [means[level][:rows] for level in group], order, inputs="voltage", outputs=SENSORS, feedthrough=True
-            )
-            for group in groups
-        }
-        if not all(model.is_stable() for model in models.values()):
-            raise GbidError("an unstable model")
-        return partial(interpolated, models)
+    def simulator(simulate: Callable[..., FloatArray], **options: Any) -> Simulator:
+        return lambda u: np.asarray(resample(simulate(slower(u), 1 / 50, **options), len(u)))
+
+    def black_box(order: int, rows: int | None) -> Simulator:
+        model = gbid.subspace(
+            [mean[:rows] for mean in means], order, inputs="voltage", outputs=SENSORS, feedthrough=True
+        )
+        if not model.is_stable():
+            raise GbidError(f"order {order}: an unstable model")
+        return simulator(model.simulate)
 
     results: dict[str, gbid.FitResult] = {}
 
     def grey_box(structure: NonlinearStructure, rows: int | None) -> Simulator:
         start = results[structure.name].parameters if structure.name in results else None
-        result = gbid.fit(structure, [means[level][:rows] for level in TRAINED], start=start, window=None)
+        result = gbid.fit(structure, [mean[:rows] for mean in means], start=start, window=None)
         results[structure.name] = result
-        return lambda u: np.asarray(resample(result.model.simulate(slower(u), 1 / 50, intersample="foh"), len(u)))
+        return simulator(result.model.simulate, intersample="foh")
 
     candidates: list[tuple[str, int, Callable[[int | None], Simulator]]] = [
         (structure.name, len(structure.parameters), partial(grey_box, structure))
         for structure in (shipped("f16.py", "linear", "structure") if structures is None else structures)
     ]
-    for each, words in ((False, "one of all levels"), (True, "interpolated between levels")):
-        for order in orders:
-            count = (len(TRAINED) if each else 1) * (4 * order + 3)
-            candidates.append((f"order {order}, {words}", count, partial(black_box, order, each)))
+    candidates += [(f"linear, order {order}", 4 * order + 3, partial(black_box, order)) for order in orders]
 
-    def left(simulator: Simulator, level: int, periods: int = PERIODS) -> list[FloatArray]:
+    def left(simulate: Simulator, level: int, periods: int = PERIODS) -> list[FloatArray]:
         u, y = (x[: periods * period] for x in levels[level])
-        return [y[period:], (y - simulator(u))[period:]]
+        return [y[period:], (y - simulate(u))[period:]]
 
     def relative(errors: Sequence[Sequence[FloatArray]]) -> float:
         y, e = (np.concatenate(each) for each in zip(*errors, strict=True))
@@ -486,8 +473,8 @@ def f16(
     def score(fit: Callable[[int | None], Simulator]) -> float:
         last = slice(3 * period // 4, None)
         try:
-            simulator = fit(3 * len(means[1]) // 4)
-            return relative([[x[last] for x in left(simulator, level, 2)] for level in TRAINED])
+            simulate = fit(3 * len(means[0]) // 4)
+            return relative([[x[last] for x in left(simulate, level, 2)] for level in TRAINED])
         except GbidError:
             return float("inf")
 
@@ -495,9 +482,9 @@ def f16(
     scores, choice_s = timed(lambda: [score(fit) for _, _, fit in candidates])
     best = next(i for i, value in enumerate(scores) if value <= 1.01 * min(scores))
     chosen = candidates[best][0]
-    simulator, fit_s = timed(lambda: candidates[best][2](None))
+    simulate, fit_s = timed(lambda: candidates[best][2](None))
     compiled = compiler_s() - compiled
-    errors = {level: left(simulator, level) for level in TESTED}
+    errors = {level: left(simulate, level) for level in TESTED}
     y, error_y = (signal[-period:, 1] for signal in errors[TESTED[1]])
     result = results.get(chosen)
     return {
