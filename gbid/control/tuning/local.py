@@ -106,8 +106,7 @@ class RidgeStep:
 
 def ridge_step(
     functions: ActiveFunctions,
-    aim: list[ActiveFunction],
-    equalities: list[tuple[float, FloatArray]],
+    group: tuple[Meeting, ...],
     H: FloatArray,
     width: FloatArray,
     box: tuple[FloatArray, FloatArray],
@@ -118,11 +117,9 @@ def ridge_step(
     Parameters
     ----------
     functions : ActiveFunctions
-        Score and functions of the limits.
-    aim : list of ActiveFunction
-        Functions of the objective.
-    equalities : list of (value, gradient)
-        Functions that become zero.
+        Score, and functions of objective and limits.
+    group : tuple of Meeting
+        Eigenvalues that nearly meet at the end of the step. Their means take their place in the objective.
     H : (d, d) array
         Curvature.
     width : (d,) array
@@ -139,7 +136,18 @@ def ridge_step(
     d, now = len(width), functions.score.value
     reach = np.maximum(box[1] - box[0], 1e-300)
     size = float(np.max(reach / width))
-    limits = functions.limits
+    lower, upper = np.empty(d + 2), np.empty(d + 2)
+    lower[:d], upper[:d] = box[0] / reach, box[1] / reach
+    lower[d:], upper[d:] = (-1e6, 0.0), 1e6
+    equalities = [row for one in group for row in one.rows]
+    if equalities:
+        scaled = np.array([slope for _, slope in equalities]) * reach
+        norm = np.maximum(np.sqrt((scaled * scaled).sum(axis=1)), 1e-300)
+        equal, sides = scaled / norm[:, None], -np.array([value for value, _ in equalities]) / norm
+        if not _within_reach(equal, sides, lower[:d], upper[:d]):
+            return None
+    aim = [piece for piece in functions.aim if not any(one.holds(piece) for one in group)] if group else functions.aim
+    aim, limits = [*aim, *(one.mean for one in group)], functions.limits
     n_aim, n_held = len(aim), len(aim) + len(limits)
     rows = np.zeros((n_held + len(equalities), d + 2))
     low, high = np.zeros(len(rows)), np.full(len(rows), np.inf)
@@ -152,10 +160,8 @@ def ridge_step(
         rows[n_aim:n_held, d + 1] = 1.0
         low[n_aim:n_held] = np.array([piece.value for piece in limits]) / size
     if equalities:
-        scaled = np.array([slope for _, slope in equalities]) * reach
-        norm = np.maximum(np.sqrt((scaled * scaled).sum(axis=1)), 1e-300)
-        rows[n_held:, :d] = scaled / norm[:, None]
-        low[n_held:] = high[n_held:] = -np.array([value for value, _ in equalities]) / norm
+        rows[n_held:, :d] = equal
+        low[n_held:] = high[n_held:] = sides
     curve = np.zeros((d + 2, d + 2))
     curve[:d, :d] = H * (reach[:, None] * reach / size)
     # a sum is finite when its terms are
@@ -163,12 +169,8 @@ def ridge_step(
         return None
     linear = np.zeros(d + 2)
     linear[d:] = -1.0, penalty
-    # without active functions of the objective (all modes real) t has the largest possible value as its bound
-    lower, upper = np.empty(d + 2), np.empty(d + 2)
-    lower[:d], upper[:d] = box[0] / reach, box[1] / reach
-    lower[d:], upper[d:] = (-1e6, 0.0), ((1.0 - now) / size + 1.0 if not aim else 1e6, 1e6)
-    if equalities and not _within_reach(rows[n_held:], low[n_held:], lower, upper):
-        return None
+    if not aim:  # all modes are real: t has the largest possible value as its bound
+        upper[d] = (1.0 - now) / size + 1.0
     # gradients of eigenvalues that nearly meet are very large; rows of equal length keep the programme well scaled
     length = np.maximum(np.abs(rows).max(axis=1), 1.0)
     rows, low, high = rows / length[:, None], low / length, high / length
@@ -302,20 +304,24 @@ def _sqp(
         box = np.maximum(-radius * width, problem.lower - x), np.minimum(radius * width, problem.upper - x)
         # peaks are not computed for a design whose objective alone is below the present merit
         floor = merit(functions.score, penalty)
-        first = ridge_step(functions, list(functions.aim), [], H, width, box, penalty)
+        first = ridge_step(functions, (), H, width, box, penalty)
         best, improvement = first, -np.inf
         if first is not None:
             penalty = max(penalty, 2.0 * first.limit_weight if first.keeps_limits else 0.0)
             improvement = merit(problem.score(x + first.move, floor), penalty) - floor
-        steps: list[_MeetingStep] = []
+        steps: list[tuple[RidgeStep, tuple[Meeting, ...]]] = []
         if not plain and (first is None or improvement < 0.5 * first.gain or first.gain <= 1e-13):
             groups = meetings(problem, x, functions) if groups is None else groups
-            steps = _meeting_steps(groups, functions, H, width, box, penalty)
-        for step, means in steps:
+            # steps at whose ends eigenvalues nearly meet, the most promising first
+            possible = [(ridge_step(functions, group, H, width, box, penalty), group) for group in groups]
+            steps = sorted(((step, group) for step, group in possible if step), key=lambda pair: -pair[0].gain)
+        for step, group in steps:
             penalty = max(penalty, 2.0 * step.limit_weight if step.keeps_limits else 0.0)
             if step.gain <= improvement:
                 continue
-            move = back_to_meeting(problem, x, step.move, means, floor + max(improvement, 0.0) - _MOVED)
+            move = back_to_meeting(
+                problem, x, step.move, tuple(one.mean for one in group), floor + max(improvement, 0.0) - _MOVED
+            )
             if move is None:
                 continue
             gained = merit(problem.score(x + move, floor + max(improvement, 0.0)), penalty) - floor
@@ -351,29 +357,6 @@ def _sqp(
             if rise < _SETTLED and (iteration >= _LATE or reached > goal > -np.inf):
                 return LocalOptimum(x, functions.score, iteration, True)
     return LocalOptimum(x, functions.score, max_iterations, False)
-
-
-_MeetingStep = tuple[RidgeStep, tuple[ActiveFunction, ...]]
-
-
-def _meeting_steps(
-    groups: list[tuple[Meeting, ...]],
-    functions: ActiveFunctions,
-    H: FloatArray,
-    width: FloatArray,
-    box: tuple[FloatArray, FloatArray],
-    penalty: float,
-) -> list[_MeetingStep]:
-    """Return steps at whose ends eigenvalues nearly meet, with the means of these, the most promising first."""
-    steps = []
-    for group in groups:
-        keep = [piece for piece in functions.aim if not any(one.holds(piece) for one in group)]
-        means = tuple(one.mean for one in group)
-        rows = [row for one in group for row in one.rows]
-        step = ridge_step(functions, [*keep, *means], rows, H, width, box, penalty)
-        if step is not None:
-            steps.append((step, means))
-    return sorted(steps, key=lambda pair: -pair[0].gain)
 
 
 # ---- BFGS with a weak Wolfe line search, which makes progress where a function has no gradient (Lewis, Overton, 2013).

@@ -434,10 +434,12 @@ class GainProblem:
         for f, (derivatives, system, aim) in enumerate(zip(slopes_by, systems, values, strict=True)):
             upper = system.values.imag >= -REAL * np.abs(system.values)  # of conjugates one is enough
             top = self.limits.weight if self.limits.objective == "damping" else np.inf
-            near = (aim <= worst + window) & upper & (aim < top)
-            aims += self._of_eigenvalues("aim", f, system, derivatives, near)
-            slow = (self.slowest + rates[f].real) / self.scale
-            limits += self._of_eigenvalues("pole", f, system, derivatives, (slow > -window) & upper)
+            near = (aim <= worst + window) & (aim < top)
+            slow = (self.slowest + rates[f].real) / self.scale > -window
+            loop, which = np.nonzero((near | slow) & upper)
+            eigen = loop, system.values[loop, which], system.slopes(loop, which, derivatives)
+            aims += self._of_eigenvalues("aim", f, *eigen, near[loop, which])
+            limits += self._of_eigenvalues("pole", f, *eigen, slow[loop, which])
         for kind, f, peaks, limit in self._responses(slopes_by, systems, window):
             keep = np.flatnonzero(peaks.value > limit * np.exp(-window))
             chosen = Peaks(peaks.loop[keep], peaks.frequency[keep], peaks.value[keep])
@@ -475,11 +477,10 @@ class GainProblem:
         return merit(functions.score, penalty), slope
 
     def _of_eigenvalues(
-        self, kind: str, f: int, system: Eigensystem, derivatives: Derivatives, chosen: BoolArray
+        self, kind: str, f: int, loop: IntArray, values: ComplexArray, slopes: ComplexArray, chosen: BoolArray
     ) -> list[ActiveFunction]:
-        loop, which = np.nonzero(chosen)
-        values = system.values[loop, which]
-        numbers, gradients = self._of_values(kind, f, values, system.slopes(loop, which, derivatives))
+        loop, values = loop[chosen], values[chosen]
+        numbers, gradients = self._of_values(kind, f, values, slopes[chosen])
         return [
             ActiveFunction(kind, f, int(i), float(number), gradient, complex(value))
             for i, number, gradient, value in zip(loop, numbers, gradients, values, strict=True)
