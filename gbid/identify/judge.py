@@ -119,7 +119,7 @@ def judge(optimum: Optimum) -> FitResult:
         engine=assembly.engine,
         schedule=task.courses.schedule if task.courses else None,
         model=model,
-        sample_time=task.data.sample_time,
+        sample_time=np.nan if task.data.is_irregular else task.data.sample_time,
         local_names=local_names,
         model_slopes=spreads.slopes,
         hold_shift=bias.moved,

@@ -288,7 +288,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         The structure at the estimates, in continuous time; with local parameters, those of the first recording. It
         simulates with the inter-sample behaviour of the fit.
     sample_time : float
-        Time between samples [s].
+        Time between samples [s]; nan where the times are irregular, and of a fit to frequency responses alone.
     local_names : dict of str to dict
         For each recording, the full names of its local parameters by their own names; empty without local parameters.
     multi_start : StartsTried or None
@@ -443,7 +443,7 @@ class FitResult(Brief, Pictured, hdf5.InFile):
         """The model with the derivatives of its matrices and the covariance of the parameters."""
         model = self.linear_model
         units = dict.fromkeys((*model.input_names, *model.output_names), "m") if self.structure in IN_METRES else {}
-        sample_time = None if np.isnan(self.sample_time) else self.sample_time  # of a fit to frequency responses
+        sample_time = None if np.isnan(self.sample_time) else self.sample_time  # see its attribute
         return UncertainModel(model, self.model_slopes, self.covariance, sample_time, units)
 
     def bode(self, frequency_hz: npt.ArrayLike | None = None) -> Bode:

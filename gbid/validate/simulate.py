@@ -417,7 +417,7 @@ def simulator(result: FitResult) -> Simulator:
 def at_clock_of(fitted: Simulator, clock: float | FloatArray) -> Simulator:
     """Return a simulator for a recording with this sample time or irregular times.
 
-    That of a fit to frequency responses alone has no sample time of its own.
+    That of a fit to irregular times, or to frequency responses alone, has no sample time of its own.
     """
     own = fitted.sample_time
     return replace(fitted, sample_time=clock) if isinstance(clock, np.ndarray) or np.isnan(own).any() else fitted

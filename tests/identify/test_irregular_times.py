@@ -149,6 +149,22 @@ def test_two_loggers_in_one_file(tmp_path, hold):
     assert error.std() == pytest.approx(0.01, rel=0.2)
 
 
+def test_recordings_of_different_rates_are_fitted_together_and_validated_at_another():
+    random, model = np.random.default_rng(3), LinearModel(A, B, C, [[0]], intersample=("foh",))
+    even = []
+    for step in (0.02, 0.05):
+        u = random.standard_normal(400)
+        y = model.simulate(u, step)[:, 0] + 0.02 * random.standard_normal(400)
+        even.append(Recording({"u": u, "y": y}, step, name=f"{step}"))
+    result = gbid.fit(structure(), [even[0], made("jitter", 1, "foh")], focus="simulation", intersample="foh")
+    assert result.success
+    for name in ("w", "z", "g"):
+        assert abs(result.parameters[name] - TRUTH[name]) < 4 * result.std[name]
+    validation = gbid.cross_validate(result, even[1])
+    assert (validation.measured - validation.simulated).std() == pytest.approx(0.02, rel=0.2)
+    assert len(result.bode().frequency_hz) > 50
+
+
 EXPERIMENT = """\
 format: 1
 name: irregular
