@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from experiment_files import gbid as cli
 
 import gbid
 from gbid import LinearStructure, Parameter, Recording
@@ -180,3 +181,44 @@ def test_coverage_is_that_without_gaps(seeds):
         ratio = np.array([[(r.parameters[q] - TRUTH[q]) / r.std[q] for q in names] for r in fits])
         covered = (np.abs(ratio) < 1.96).mean()
         assert covered > 0.95 - 2 * np.sqrt(0.95 * 0.05 / ratio.size) * 2  # parameters of a fit are correlated
+
+
+EXPERIMENT = """\
+format: 1
+name: gaps
+results: results
+import:
+  data_folder: .
+  recordings:
+    - name: a
+      file: a.csv
+      sample_time_s: 0.01
+      signals: {u: {columns: [u], unit: m, channels: [one]}, p: {columns: [p], unit: m, channels: [one]}}
+fits:
+  mode: {structure: structure.py:structure, focus: simulation, outputs: p}
+"""
+STRUCTURE = """\
+from gbid import LinearStructure, Parameter
+
+
+def matrices(p):
+    return {"A": [[0, 1], [-p.w**2, -2 * p.z * p.w]], "B": [[0], [p.g]], "C": [[1, 0]]}
+
+
+own = [Parameter("w", 9.0), Parameter("z", 0.1), Parameter("g", 80.0)]
+structure = LinearStructure("mode", own, matrices, "u", "p")
+"""
+
+
+def test_an_experiment_takes_signals_of_the_rig_with_missing_samples(tmp_path):
+    rec = made(6, gain=False)
+    rows = zip(rec.signals["u"][:, 0], rec.signals["y"][:, 0], strict=True)
+    lines = [f"{u:g},{'' if np.isnan(y) else f'{y:.9g}'}" for u, y in rows]
+    (tmp_path / "a.csv").write_text("\n".join(["u,p", *lines, ""]))
+    (tmp_path / "structure.py").write_text(STRUCTURE)
+    (tmp_path / "experiment.yaml").write_text(EXPERIMENT)
+    for verb in ("check", "run"):
+        assert cli(verb, tmp_path / "experiment.yaml") == 0
+    stored = gbid.load(tmp_path / "results" / "fits" / "mode" / "a.h5")
+    for name in ("w", "z", "g"):
+        assert abs(stored.parameters[name] - TRUTH[name]) < 4 * stored.std[name]
