@@ -456,7 +456,7 @@ class LpvPlants(Plants):
         """Plant at the first point."""
         return self.lpv.plant_at(float(self.points[0, 0]), float(self.points[0, 1]))
 
-    @property
+    @cached_property
     def slowest(self) -> tuple[float, ...]:
         """Slowest decay of the oscillatory modes of each open loop [1/s]."""
         every = (self.lpv, *self.others)
