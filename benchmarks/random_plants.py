@@ -5,7 +5,8 @@ states, units from 1e-9 to 1e9. A run fails by an exception, by twice its budget
 although it keeps its limits, or by "no stabilising gains" where one of 500 random gains stabilises. Where the time
 ended such a search, it is repeated with 5000 evaluations, and counted as a second search.
 
-``python -m benchmarks.random_plants [--plants N] [--seconds S] [--first SEED] [--output FILE]``
+``python -m benchmarks.random_plants [--plants N] [--seconds S] [--first SEED] [--failures] [--output FILE]``; with
+``--failures`` only the failures of the stored run are tried again.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 import gbid
-from benchmarks.running import about, options_of, run_study
+from benchmarks.running import about, options_of, run_study, stored
 from gbid.control import GainStatus, MaxDamping, PeakSensitivity, controller_at, sampled_loop, state_feedback
 from gbid.control.controllers.built_in import built_in_structures
 
@@ -32,9 +33,27 @@ _AGAIN = 5000
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study."""
-    numbers = {"plants": (500, "number of plants"), "seconds": (1.0, "budget of a search"), "first": (0, "first seed")}
+    numbers: dict[str, tuple[Any, str]] = {
+        "plants": (500, "number of plants"),
+        "seconds": (1.0, "budget of a search"),
+        "first": (0, "first seed"),
+    }
+    numbers["failures"] = (False, "try the failures of the stored run again")
     options = options_of(__doc__, arguments, "random-plants.json", **numbers)
+    if options.failures:
+        return run_study(lambda: again(stored(options.output, {})), options.output, summary)
     return run_study(lambda: study(options.first, options.plants, options.seconds), options.output, summary)
+
+
+def again(run: dict[str, Any]) -> dict[str, Any]:
+    """Return a stored run in which the plants that failed are replaced by new searches."""
+    statuses, failures = Counter(run["statuses"]), []
+    for failure in run["failures"]:
+        new = study(failure["seed"], 1, run["seconds"])
+        statuses.subtract([failure["status"]])
+        statuses.update(new["statuses"])
+        failures += new["failures"]
+    return {**run, "statuses": dict(+statuses), "failures": failures}
 
 
 def study(first: int, count: int, seconds: float) -> dict[str, Any]:
@@ -48,14 +67,16 @@ def study(first: int, count: int, seconds: float) -> dict[str, Any]:
             status, problem = "exception", traceback.format_exc(limit=-2)
         statuses[status] += 1
         if problem:
-            failures.append({"seed": seed, "what": problem})
+            failures.append({"seed": seed, "status": status, "what": problem})
             print(seed, problem, flush=True)
     return {"about": about(), "plants": count, "seconds": seconds, "statuses": dict(statuses), "failures": failures}
 
 
 def summary(run: dict[str, Any]) -> str:
     """Return the result in words."""
-    return f"{run['plants']} plants: {run['statuses']}, {len(run['failures'])} failures"
+    counts = ", ".join(f"{count} {status}" for status, count in sorted(run["statuses"].items()))
+    failures = "".join(f"\n  {failure['what']}" for failure in run["failures"])
+    return f"{run['plants']} plants, {run['seconds']:g} s each: {counts}\nfailures: {len(run['failures'])}{failures}"
 
 
 def judged(seed: int, seconds: float, again: bool = False) -> tuple[str, str]:

@@ -1,0 +1,28 @@
+"""Study of random plants: its stored figures, and one plant of each kind."""
+
+import json
+
+import pytest
+
+from benchmarks.random_plants import PLANTS, judged, summary
+from benchmarks.running import DOCS
+
+STORED = json.loads((DOCS / "random-plants.json").read_text(encoding="utf-8"))
+
+
+def test_hardly_any_of_500_plants_fails_and_none_by_an_exception_or_its_budget():
+    assert STORED["plants"] == sum(STORED["statuses"].values()) == 500
+    assert "exception" not in STORED["statuses"]
+    assert len(STORED["failures"]) <= 1
+    for failure in STORED["failures"]:  # gains that one of 1 000 random draws finds, among 20
+        assert failure["what"].endswith("20 gains: random gains stabilise")
+        assert failure["status"] == "no stabilising gains (second search)"
+    assert f"failures: {len(STORED['failures'])}" in summary(STORED)
+
+
+@pytest.mark.parametrize("seed", [0, 12, 276])
+def test_a_plant_keeps_the_rules_of_the_study(seed):
+    status, problem = judged(seed, 1.0)
+    assert problem == ""
+    assert "no stabilising gains" not in status
+    assert seed % len(PLANTS) == 0
