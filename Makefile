@@ -89,6 +89,7 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 	$(BIN)/python -m benchmarks.fit_speed --output docs/benchmarks.json
 	$(BIN)/python -m benchmarks.rig_speed --output docs/rig-speed.json
 	$(BIN)/python -m benchmarks.tune_speed --output docs/tune-speed.json
+	$(BIN)/python -m benchmarks.tune_seeds
 	$(BIN)/python -m benchmarks.nonlinear_speed --output docs/nonlinear-speed.json
 	$(BIN)/python -m benchmarks.campaign_speed --output docs/campaign-speed.json
 	$(BIN)/python -m benchmarks.campaign_bill --output docs/campaign-bill.json

@@ -81,6 +81,33 @@ def integrators(n: int) -> KnownLoop:
     return KnownLoop(f"{n} integrators", function, (-30.0,) * n, (*(30.0,) * (n - 1), float(n)), 1.0)
 
 
+def reactor(limit: float = 20.0) -> KnownLoop:
+    """Chemical reactor REA1 of COMPleib with static feedback; its best is the best that any search found.
+
+    F. Leibfritz, "COMPleib: constrained matrix-optimization problem library", 2004.
+    """
+    A = [[1.38, -0.2077, 6.715, -5.676], [-0.5814, -4.29, 0, 0.675], [1.067, 4.273, -6.654, 5.893]]
+    A.append([0.048, 4.273, 1.343, -2.104])
+    B, C = [[0, 0], [5.679, 0], [1.136, -3.146], [1.136, 0]], [[1, 0, 1, -1], [0, 1, 0, 0], [0, 0, 1, -1]]
+    return _static_feedback("REA1", np.array(A), np.array(B), np.array(C), limit, 16.6918)
+
+
+def tuned_mass_damper(limit: float = 20.0) -> KnownLoop:
+    """Tuned mass damper TMD of COMPleib with static feedback; its best is the best that any search found."""
+    M, damping, stiffness, lever = np.array([[1.0, 1, 0], [-1, 1, 0], [0, 0, 5]]), 0.05, 3.0, (0.6 / 0.4) ** 2
+    K, D = np.diag([0, 0, stiffness]), np.diag([0, 0, damping])
+    forces = np.array([[-1, -1], [lever, -lever], [1, 1.0]])
+    A = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
+    B = np.vstack([np.zeros((3, 2)), np.linalg.solve(M, forces)])
+    C = np.array([[1, 0, -1, 0, 0, 0], [0, 0, 0, 1, 0, -1], [0, 1, -1, 0, 0, 0], [0, 0, 0, 0, 1, -1.0]])
+    return _static_feedback("TMD", A, B, C, limit, 1.1127)
+
+
+def _static_feedback(name: str, A: Any, B: Any, C: Any, limit: float, best: float) -> KnownLoop:
+    g = ca.SX.sym("g", B.shape[1] * C.shape[0])
+    return _known(name, A + B @ ca.reshape(g, B.shape[1], C.shape[0]) @ C, g, limit, best)
+
+
 def _known(name: str, A: Any, g: Any, limit: float, best: float) -> KnownLoop:
     n = g.shape[0]
     return KnownLoop(name, ca.Function("A", [g], [A]), (-limit,) * n, (limit,) * n, float(best))

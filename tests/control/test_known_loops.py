@@ -10,7 +10,9 @@ from random_loops import KINDS, random_problem
 from scipy.optimize import differential_evolution
 
 import gbid
-from benchmarks.known_loops import delayed_pd, integrators, two_masses
+from benchmarks.known_loops import delayed_pd, integrators, reactor, tuned_mass_damper, two_masses
+from benchmarks.running import DOCS, stored
+from benchmarks.tune_seeds import NEAR, STORED, problems, seeds_table
 from gbid.control import GainStatus, MaxDamping, PeakSensitivity, controller_at
 
 
@@ -37,6 +39,21 @@ def test_two_masses_from_ten_seeds(limit: float) -> None:
     shares = np.array([two_masses(limit).tune(seed=seed).value / two_masses(limit).best for seed in range(10)])
     assert (shares > 0.98).sum() >= 8
     assert (shares <= 1 + 1e-9).all()
+
+
+def test_ten_seeds_are_near_the_best_or_claim_no_optimum() -> None:
+    run = stored(DOCS / STORED, {})
+    assert list(run["problems"]) == list(problems())
+    for name, rows in run["problems"].items():
+        best = max(row["value"] for row in rows)
+        assert all(row["value"] >= (1 - NEAR) * best or row["status"] != "optimal" for row in rows), name
+    assert len(seeds_table(run).splitlines()) == len(run["problems"]) + 4
+
+
+def test_no_seed_is_better_than_the_best_that_is_known() -> None:
+    run = stored(DOCS / STORED, {})["problems"]
+    for loop in (reactor(), tuned_mass_damper()):
+        assert max(row["value"] for row in run[loop.name]) == pytest.approx(loop.best, abs=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(len(KINDS)))

@@ -251,8 +251,8 @@ class TuneOptions(DesignOptions):
     evaluations : int, optional
         Budget of all searches: number of designs after which they end, about.
     seconds : float, optional
-        Budget of all searches: time after which they end, about. With a budget that ends a search, the status is
-        ``"iteration limit"`` unless the design so far has a certificate.
+        Budget of all searches: time of the clock after which they end, about. With a budget that ends a search, the
+        status is ``"iteration limit"`` unless the design so far has a certificate.
 
     Raises
     ------
