@@ -13,12 +13,20 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import eig
+from scipy.linalg import eig, eigh
 from scipy.signal import cont2discrete
 
 import gbid
 from benchmarks.running import about, markdown, options_of, run_study, timed
-from gbid.control import ISO_LIMITS, AxisSensitivity, MaxDamping, MinDamping, sample_controller
+from gbid.control import (
+    ISO_LIMITS,
+    AxisSensitivity,
+    DisturbanceSpectrum,
+    MaxDamping,
+    MinDamping,
+    RmsResponse,
+    sample_controller,
+)
 from gbid.export import ChainInput, ChainOptions
 from gbid.export.chain import Chain, chain_of
 from gbid.export.chain_c import CompiledChain
@@ -28,7 +36,8 @@ from gbid.structure import evaluate
 
 SAMPLE_TIME = 4e-5  # [s]
 BIAS = 1.0  # current at rest, and limit of the control current [A]
-FULL_SCALE = 250e-6  # of the converters of the positions, to both sides [m]
+RETAINER = 0.5e-3  # clearance of the retainer bearings: half of the air gap [m]
+FULL_SCALE = 1.2 * RETAINER  # of the converters of the positions, to both sides [m]
 BITS = 12
 NOISE = 1e-7  # of a position, standard deviation [m]
 CURRENT_NOISE = 1e-3  # of a current, standard deviation [A]
@@ -88,7 +97,8 @@ class Machine:
     """Simulation of the machine by its eigenvectors, with all degrees of freedom of ROSS's model; without gbid.
 
     Between two samples the references of the currents are held, each acts after the delay of its amplifier. The force
-    of an unbalance is held as well.
+    of an unbalance is held as well. A run has the forces of the magnets with the squares of currents and gaps: what
+    they differ from ``k_s z + k_i i`` is a further force, held before and after the delay.
     """
 
     def __init__(self, rotor: Any, truth: Truth, speed_rpm: float) -> None:
@@ -110,13 +120,17 @@ class Machine:
             np.repeat([abs(float(getattr(e, k))) * f for e, f in zip(magnets, part, strict=True)], 2)
             for k, part in (("ks", truth.k_s), ("ki", truth.k_i))
         )
+        free, self.gap = K, k_i * BIAS / k_s  # of a magnet k_s = k_i i_0 / g
+        self.k_s, self.k_i = k_s, k_i
         K = K - self.places @ np.diag(k_s) @ self.places.T
         at_node = range(4) if per == 4 else (0, 1, 3, 4)  # what is along the shaft, and its twist, is at rest
         lateral = [i for i in range(len(M)) if i % per in at_node]
-        M, C, K = (matrix[np.ix_(lateral, lateral)] for matrix in (M, C, K))
+        M, C, K, free = (matrix[np.ix_(lateral, lateral)] for matrix in (M, C, K, free))
         self.places, n = self.places[lateral], len(lateral)
+        _, rigid = eigh(free, M, subset_by_index=(0, 3))
         fast, slow = 2 * np.pi * truth.amplifier_hz, 2 * np.pi * SENSOR_HZ
-        per_force = np.linalg.solve(M, np.hstack([self.places * k_i, np.eye(n)[:, [lateral.index(per * heavy)]]]))
+        forces = [self.places * k_i, np.eye(n)[:, [lateral.index(per * heavy)]], self.places]
+        per_force = np.linalg.solve(M, np.hstack(forces))
         A = np.zeros((2 * n + 8, 2 * n + 8))
         A[:n, n : 2 * n] = np.eye(n)
         A[n : 2 * n, :n], A[n : 2 * n, n : 2 * n] = -np.linalg.solve(M, K), -np.linalg.solve(M, C)
@@ -126,32 +140,36 @@ class Machine:
         scale = np.concatenate([np.full(n, 300.0), np.ones(n), np.full(8, 300.0)])  # balances the eigenvectors
         scale[2 * n : 2 * n + 4] = 1.0
         self.values, V = eig(scale[:, None] * A / scale)
-        B = np.zeros((len(A), 5))
+        B = np.zeros((len(A), 9))
         B[2 * n : 2 * n + 4, :4] = fast * np.eye(4)
-        B[n : 2 * n, 4] = per_force[:, 4]
+        B[n : 2 * n, 4:] = per_force[:, 4:]
         self.into = np.linalg.solve(V, scale[:, None] * B)
-        self.shown, self.currents = V[-4:] / 300.0, V[-8:-4]
-        self.start = np.linalg.solve(
-            V, np.vstack([300.0 * np.linalg.pinv(self.places.T), np.zeros((n + 4, 4)), 300.0 * np.eye(4)])
-        )
+        self.shown, self.currents, self.at_magnets = V[-4:] / 300.0, V[-8:-4], self.places.T @ V[:n] / 300.0
+        moved = rigid @ np.linalg.inv(self.places.T @ rigid)
+        self.start = np.linalg.solve(V, np.vstack([300.0 * moved, np.zeros((n + 4, 4)), 300.0 * np.eye(4)]))
 
-    def held(self, T: float = SAMPLE_TIME) -> tuple[Any, Any, Any]:
-        """Return what the states keep over a sample, and the effects of the inputs before and after the delay."""
-        rest, complete = T - self.truth.delay_s, np.exp(self.values * T)
-        after = np.exp(self.values * rest)
-        G0 = ((after - 1) / self.values)[:, None] * self.into
-        G1 = ((complete - after) / self.values)[:, None] * self.into
-        return complete, G0, G1
+    def over(self, duration: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the states keep over a duration, and the effects of inputs that are held."""
+        kept = np.exp(self.values * duration)
+        return kept, ((kept - 1) / self.values)[:, None] * self.into
+
+    def beyond_linear(self, z: np.ndarray, i: np.ndarray) -> np.ndarray:
+        """Return the force of each magnet without its linear part [N], with both coils at their bias current."""
+        z = np.clip(z, -0.95 * self.gap, 0.95 * self.gap)
+        pulls = ((BIAS + i) / (self.gap - z)) ** 2 - ((BIAS - i) / (self.gap + z)) ** 2
+        return np.asarray(self.k_i * self.gap**2 / (4 * BIAS) * pulls - self.k_s * z - self.k_i * i)
 
     def run(
-        self, controlled: Callable[[np.ndarray], np.ndarray], steps: int, start: float, seed: int, unbalance: float
+        self, controlled: Callable[[np.ndarray], np.ndarray], steps: int, start: np.ndarray, seed: int, unbalance: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the measured positions and currents, and the references of the currents, each (steps, 4).
 
-        `controlled` gets the positions as converted and returns the reference that acts one sample later.
+        `start` are the positions of the rotor at rest. `controlled` gets the positions as converted and returns the
+        reference that acts one sample later.
         """
-        random, (complete, G0, G1) = np.random.default_rng(seed), self.held()
-        x = self.start @ (start * random.choice([-1.0, 1.0], 4)).astype(complex)
+        random, delay = np.random.default_rng(seed), self.truth.delay_s
+        parts = self.over(delay), self.over(SAMPLE_TIME - delay)
+        x = self.start @ start.astype(complex)
         i_step, p_step = 2 * BIAS / 2**BITS, 2 * FULL_SCALE / 2**BITS
         p, i, references = np.zeros((3, steps, 4))
         later, now, before = np.zeros((3, 4))
@@ -164,14 +182,16 @@ class Machine:
             now = np.clip(i_step * np.round(now / i_step), -BIAS, BIAS)
             references[k] = now
             force = unbalance * self.omega**2 * np.cos(self.omega * k * SAMPLE_TIME)
-            x = complete * x + G0[:, :4] @ now + G1[:, :4] @ before + (G0[:, 4] + G1[:, 4]) * force
+            for (kept, effect), reference in zip(parts, (before, now), strict=True):
+                more = self.beyond_linear((self.at_magnets @ x).real, (self.currents @ x).real)
+                x = kept * x + effect @ np.concatenate([reference, [force], more])
         return p, i, references
 
     def plant_response(self, hz: np.ndarray) -> np.ndarray:
         """Return the response of the sampled plant, (n, 4, 4), from the references to the positions."""
-        complete, G0, G1 = self.held()
-        z = np.exp(2j * np.pi * hz * SAMPLE_TIME)
-        return np.stack([(self.shown / (each - complete)) @ (G0 + G1 / each)[:, :4] for each in z])
+        (late, before), (kept, now) = self.over(self.truth.delay_s), self.over(SAMPLE_TIME - self.truth.delay_s)
+        z, before = np.exp(2j * np.pi * hz * SAMPLE_TIME), kept[:, None] * before
+        return np.stack([(self.shown / (each - kept * late)) @ (now + before / each)[:, :4] for each in z])
 
     def sensitivity(self, law: gbid.LinearModel, hz: np.ndarray) -> np.ndarray:
         """Return the sensitivity of each axis with the others closed, (n, 4), with one sample of computation."""
@@ -208,7 +228,12 @@ def structure(rotor: Any, speed_rpm: float, modes: int, outputs: tuple[str, ...]
 
 
 def law_of_bearings() -> gbid.LinearStructure:
-    """Return PD control of each bearing, equal in its axes, with a low-pass of second order."""
+    """Return PD control of each bearing, equal in its axes, with a low-pass of second order.
+
+    Bounds from the data sheet: at kp = 1000 A/m = i_0 / g the bearing has no stiffness, at five times this 0.2 mm take
+    the full current. With kd = 100 A s/m the rigid rotor is critically damped in the stiffest bearing. The corner lies
+    above the rigid modes and below half of the Nyquist frequency.
+    """
 
     def matrices(p: Any) -> dict[str, Any]:
         parts = []
@@ -222,10 +247,10 @@ def law_of_bearings() -> gbid.LinearStructure:
         gbid.Parameter(f"{name}_{end}", start, low, high, unit=unit)
         for end in "ab"
         for name, start, low, high, unit in (
-            ("kp", 2500.0, 1300.0, 4000.0, "A/m"),
-            ("kd", 18.0, 5.0, 22.0, "A s/m"),
-            ("corner", 1850.0, 1600.0, 2200.0, "Hz"),
-            ("zeta", 0.1, 0.08, 0.5, ""),
+            ("kp", 2500.0, 1000.0, 5000.0, "A/m"),
+            ("kd", 18.0, 1.0, 100.0, "A s/m"),
+            ("corner", 1850.0, 100.0, 6250.0, "Hz"),
+            ("zeta", 0.1, 0.02, 1.0, ""),
         )
     ]
     channels = tuple(f"p_{axis}" for axis in AXES), tuple(f"i_{axis}" for axis in AXES)
@@ -243,7 +268,7 @@ def first_law() -> gbid.LinearModel:
 def recorded(machine: Machine, seconds: float, seed: int) -> gbid.Recording:
     """Return a recording of the levitated rotor, with random currents added to those of its controller."""
     law, steps, random = first_law(), round(seconds / SAMPLE_TIME), np.random.default_rng(seed)
-    w = 0.06 * np.repeat(random.choice([-1.0, 1.0], (-(-steps // 25), 4)), 25, axis=0)[:steps]
+    w = 0.02 * np.repeat(random.choice([-1.0, 1.0], (-(-steps // 25), 4)), 25, axis=0)[:steps]
     z, k = np.zeros(len(law.A)), 0
 
     def controlled(p: np.ndarray) -> np.ndarray:
@@ -253,7 +278,7 @@ def recorded(machine: Machine, seconds: float, seed: int) -> gbid.Recording:
         return current + (w[k] if k < steps else 0.0)
 
     w[0] = 0.0  # the first current acts at the second sample
-    p, i, _ = machine.run(controlled, steps, 0.0, seed, 0.0)
+    p, i, _ = machine.run(controlled, steps, np.zeros(4), seed, 0.0)
     units = {"w": "A", "i": "A", "p": "m"}
     return gbid.Recording({"w": w, "i": i, "p": p}, SAMPLE_TIME, name="levitated", units=units)
 
@@ -270,16 +295,24 @@ def plants_of(rotor: Any, parameters: Mapping[str, float], speeds: Sequence[floa
     return [evaluate(structure(rotor, speed, modes=16), parameters, *names) for speed in speeds]
 
 
+def noise() -> DisturbanceSpectrum:
+    """Return the spectrum of sensor noise and rounding of the converters, white up to the Nyquist frequency."""
+    density = (NOISE**2 + (2 * FULL_SCALE / 2**BITS) ** 2 / 12) * 2 * SAMPLE_TIME
+    return DisturbanceSpectrum(np.array([0.0, 0.5 / SAMPLE_TIME]), np.stack(2 * [density * np.eye(4)]))
+
+
 def tuned(plants: list[gbid.LinearModel]) -> gbid.GainResult:
     """Return the gains with the most damping of rigid and first bending modes, well within zone A at all speeds."""
     law = law_of_bearings()
+    positions, currents = plants[0].output_names, plants[0].input_names
     goals = [
         MaxDamping(high_hz=150.0),
         AxisSensitivity(0.83 * ISO_LIMITS["A"]),
         MinDamping(4e-5, low_hz=150.0, high_hz=4200.0),
+        RmsResponse(sources=positions, targets=currents, limit=0.2 * BIAS, spectrum=noise()),
     ]
     start = {gain.name: gain.start for gain in law.parameters}
-    return gbid.tune(plants, law, goals=goals, sample_time=SAMPLE_TIME, start=start, starts=0, evaluations=1100)
+    return gbid.tune(plants, law, goals=goals, sample_time=SAMPLE_TIME, start=start, starts=0, evaluations=1000)
 
 
 def compiled(design: gbid.GainResult) -> Chain:
@@ -289,20 +322,50 @@ def compiled(design: gbid.GainResult) -> Chain:
     return chain_of(replace(design.design(name="amb"), name="amb"), options=options)
 
 
-def levitated(machine: Machine, chain: Chain, seconds: float, seed: int) -> dict[str, float]:
-    """Return largest position and current of the last fifth of a run with the compiled C, from 5 um off the centre."""
+def levitated(machine: Machine, chain: Chain, seconds: float, seed: int, start: np.ndarray) -> dict[str, float]:
+    """Return largest position and current of the last fifth of a run with the compiled C, and of the whole run.
+
+    `start` are the positions of the axes at rest. A radius above the clearance of the retainer bearings is a touch.
+    """
     running = CompiledChain(chain)
 
     def controlled(p: np.ndarray) -> np.ndarray:
         return np.array(running.step(ChainInput(tuple(p), mode=ChainMode.CONTROL)).stack)
 
-    p, _, i = machine.run(controlled, round(seconds / SAMPLE_TIME), 5e-6, seed, UNBALANCE)
-    tail = slice(-len(p) // 5, None)
+    p, _, i = machine.run(controlled, round(seconds / SAMPLE_TIME), start, seed, UNBALANCE)
+    tail, radius = slice(-len(p) // 5, None), np.hypot(p[:, ::2], p[:, 1::2])
     return {
         "position_um": 1e6 * float(np.abs(p[tail]).max()),
         "current_A": float(np.abs(i[tail]).max()),
         "largest_current_A": float(np.abs(i).max()),
+        "largest_radius_um": 1e6 * float(radius.max()),
     }
+
+
+DIRECTIONS = {
+    "both ends along a coil axis": (1.0, 0.0, 1.0, 0.0),
+    "both ends between the coil axes": (0.5**0.5, 0.5**0.5, 0.5**0.5, 0.5**0.5),
+    "ends on opposite sides": (1.0, 0.0, -1.0, 0.0),
+}
+
+
+def lift_off(machine: Machine, chain: Chain) -> list[dict[str, Any]]:
+    """Return for each direction the largest offset, up to the retainer bearings, from which the rotor levitates.
+
+    It levitates when it is within a tenth of the clearance after 0.3 s, and does not touch on the way.
+    """
+    rows = []
+    for name, direction in DIRECTIONS.items():
+        runs = []
+        for share in np.arange(10, 0, -1) / 10:
+            run = levitated(machine, chain, 0.3, 1, share * RETAINER * np.array(direction))
+            touches = run["largest_radius_um"] > 1.01e6 * RETAINER
+            held = run["position_um"] < 1e5 * RETAINER
+            runs.append({"offset_um": 1e6 * share * RETAINER, "held": held, "touches": touches, **run})
+            if held and not touches:
+                break
+        rows.append({"direction": name, "levitates": runs[-1], "from_retainer": runs[0]})
+    return rows
 
 
 # ---- ROSS as the judge, and the study.
@@ -389,17 +452,18 @@ def judged(rotor: Any, design: gbid.GainResult, rotors: int) -> dict[str, Any]:
     hz = np.geomspace(1.0, 4000.0, 240)
 
     def one(truth: Truth, speed: float, seed: int) -> dict[str, float]:
-        machine = Machine(rotor, truth, speed)
+        machine, start = Machine(rotor, truth, speed), 5e-6 * np.random.default_rng(seed).choice([-1.0, 1.0], 4)
         modes = np.abs(machine.values.imag) / (2 * np.pi)  # a bending mode has a narrow peak
         near = np.outer(modes[(modes > 1.0) & (modes < 8000.0)], 1 + np.array([-1e-3, -3e-4, 0.0, 3e-4, 1e-3]))
         peak = float(machine.sensitivity(law, np.concatenate([hz, near.ravel()])).max())
-        return {"speed_rpm": speed, "peak": peak, **levitated(machine, chain, 0.1, seed)}
+        return {"speed_rpm": speed, "peak": peak, **levitated(machine, chain, 0.1, seed, start)}
 
     coarse = hz[::8]
     by_ross = ross_sensitivity(rotor, law, 4500.0, coarse)
     simulated = Machine(rotor, Truth(), 4500.0).sensitivity(law, coarse)
     return {
         "degrees_of_freedom": int(rotor.ndof),
+        "lift_off": lift_off(Machine(rotor, Truth(), 0.0), chain),
         "by_speed": [one(Truth(), float(speed), 1) for speed in np.linspace(0.0, SPEEDS[-1], 5)],
         "ross": {
             "speed_rpm": 4500.0,
@@ -448,6 +512,18 @@ def speed_table(run: Mapping[str, Any]) -> str:
     keys = {"speed_rpm": ".0f", "peak": ".3f", "position_um": ".1f", "current_A": ".3f", "largest_current_A": ".2f"}
     rows = [[format(row[key], form) for key, form in keys.items()] for row in run["by_speed"]]
     head = ["speed [rpm]", "peak of S", "position at the end [um]", "current at the end [A]", "largest current [A]"]
+    return markdown(head, rows)
+
+
+def lift_off_table(run: Mapping[str, Any]) -> str:
+    """Return the offsets from which the rotor levitates as Markdown."""
+    rows = []
+    for row in run["lift_off"]:
+        best, first = row["levitates"], row["from_retainer"]
+        reached = f"{best['offset_um']:.0f}" if best["held"] and not best["touches"] else "none"
+        end = f"{first['largest_radius_um']:.0f}, {'then held' if first['held'] else 'not held'}"
+        rows.append([row["direction"], reached, f"{best['largest_current_A']:.2f}", end])
+    head = ["start", "largest offset that levitates [um]", "its current [A]", "radius from the retainer bearings [um]"]
     return markdown(head, rows)
 
 

@@ -106,5 +106,32 @@ def test_zone_a_holds_over_the_speeds_and_for_twenty_rotors():
     assert STORED["ross"]["largest_difference"] < 0.01
 
 
+def test_the_rotor_lifts_off_its_retainer_bearings_with_saturated_currents():
+    assert len(STORED["lift_off"]) == len(study.DIRECTIONS)
+    for row in STORED["lift_off"]:
+        best = row["levitates"]
+        assert best["held"]
+        assert not best["touches"]
+        assert best["offset_um"] == pytest.approx(1e6 * study.RETAINER)
+        assert best["largest_current_A"] == pytest.approx(study.BIAS)
+
+
+def test_gains_are_within_bounds_but_for_the_damping_of_the_low_pass():
+    gains = STORED["design"]["gains"]
+    for gain in study.law_of_bearings().parameters:
+        inside = gain.lower * 1.02 < gains[gain.name] < gain.upper / 1.02
+        assert inside or gain.name.startswith("zeta"), gain.name
+
+
+def test_forces_of_magnets_are_those_of_the_squares_of_currents_and_gaps():
+    machine = study.Machine(SmallRotor(), study.Truth(k_s=(1.0, 1.0), k_i=(1.0, 1.0)), 0.0)
+    z, i, gap = 3e-4, -0.4, 12.0 * study.BIAS / 8e3
+    pole = 12.0 * gap**2 / (4 * study.BIAS)
+    expected = pole * (((study.BIAS + i) / (gap - z)) ** 2 - ((study.BIAS - i) / (gap + z)) ** 2)
+    more = machine.beyond_linear(np.full(4, z), np.full(4, i))
+    np.testing.assert_allclose(more + 8e3 * z + 12.0 * i, expected)
+    np.testing.assert_allclose(machine.beyond_linear(np.full(4, 1e-8), np.full(4, 1e-6)), 0.0, atol=1e-9)
+
+
 def test_from_data_to_compiled_code_takes_less_than_five_minutes():
     assert STORED["fit"]["processor_s"] + sum(STORED["design"]["processor_s"].values()) < 300
