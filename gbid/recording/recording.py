@@ -105,7 +105,7 @@ def _even_step(times: npt.NDArray[Any]) -> float:
         at = int(uneven[0]) if len(uneven) else 0
         raise DataError(
             f"the times of the frame are not evenly spaced: step {steps[at]:g} s at row {at + 1}, median step "
-            f"{median:g} s; resample the frame, or give sample_time"
+            f"{median:g} s; give sample_time, or keep these times: Recording(signals, stamps=times)"
         )
     return float(f"{steps.mean():.12g}")  # as an import rounds it
 
@@ -213,7 +213,8 @@ class Recording(Brief, Pictured, hdf5.InFile):
         hdf5.add_texts(signals, "auxiliary_signals", others)
         hdf5.add_texts(signals, "axes", ["time", "."])
         time = hdf5.add_dataset(signals, "time", self.time, "s", "time from the first sample")
-        time.attrs["irregular"] = self.stamps is not None
+        if self.stamps is not None:
+            time.attrs["irregular"] = True
         for name, values in self.signals.items():
             known = SIGNALS.get(name)
             long_name = known.long_name if known and known.unit == self.units[name] else name  # else another rig's
@@ -231,7 +232,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         for name, item in hdf5.read_group(group, "signals").items():
             signals[name] = hdf5.read_dataset(group["signals"], name)
             if name == "time":
-                irregular = bool(item.attrs.get("irregular", False))
+                irregular = "irregular" in item.attrs
             else:
                 units[name] = hdf5.read_text(item, "units")
                 channels[name] = hdf5.read_texts(item, "channels")
