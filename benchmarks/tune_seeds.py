@@ -1,6 +1,6 @@
 """Designs of ten seeds, each beside the best of all: biquads at twelve operating points, two plants of COMPleib.
 
-``python -m benchmarks.tune_seeds [--seeds N] [--output FILE]`` takes about eleven minutes of processor time.
+``python -m benchmarks.tune_seeds [--seeds N] [--output FILE]`` takes about ten minutes of processor time.
 """
 
 from __future__ import annotations

@@ -53,7 +53,8 @@ def test_ten_seeds_are_near_the_best_or_claim_no_optimum() -> None:
 def test_no_seed_is_better_than_the_best_that_is_known() -> None:
     run = stored(DOCS / STORED, {})["problems"]
     for loop in (reactor(), tuned_mass_damper()):
-        assert max(row["value"] for row in run[loop.name]) == pytest.approx(loop.best, abs=1e-4)
+        best = max(row["value"] for row in run[loop.name])
+        assert (1 - NEAR) * loop.best <= best <= loop.best + 1e-4
 
 
 @pytest.mark.parametrize("seed", range(len(KINDS)))
