@@ -14,37 +14,32 @@ from typing import Any
 import gbid
 from benchmarks.running import DOCS, markdown, store, timed
 from benchmarks.running import stored as stored_run
-from gbid.control import MaxDamping, PeakSensitivity
+from gbid.control import MaxDamping, pareto
 from gbid.control.controllers.structures import controller_structure, with_schedule
 
 STORED = DOCS / "structures.json"
 CAPS = (1.5, 2.0, 2.6)
 STARTS = 3
-"""Random starts of the design under the lowest cap; the others start from the design before."""
+"""Random starts of the design under each cap; the design under the cap before is a further start."""
 KINDS = ("P", "PI", "lead-lag", "PPF", "PD", "full P", "notch", "PID", "observer", "full PD", "biquad", "filter")
 
 
 def designs_of(kind: str, model: gbid.LPVModel, caps: tuple[float, ...] = CAPS, starts: int = STARTS) -> dict[str, Any]:
     """Return the designs of one structure: number of gains, and damping, peak, status and time under each cap."""
     structure = with_schedule(controller_structure(kind), model.domain)
-    results: list[dict[str, Any]] = []
-    start: Mapping[str, float] | None = None
-    for cap in caps:
-        more = {"goals": [MaxDamping(), PeakSensitivity(cap)], "start": start, "starts": 1 if start else starts}
-        result, spent = timed(partial(gbid.tune, model, structure, **more))
-        start = result.gains if result.success else None
-        results.append(
-            {
-                "cap": cap,
-                "damping": result.value,
-                "peak": result.peak_sensitivity,
-                "control": result.peak_control,
-                "status": str(result.status),
-                "cpu_s": spent,
-                "gains": dict(result.gains),
-            }
-        )
-    return {"gains": len(structure.parameters), "designs": results}
+    front, spent = timed(partial(pareto, model, caps, goals=[MaxDamping()], controller=structure, starts=starts))
+    results = [
+        {
+            "cap": cap,
+            "damping": design.value,
+            "peak": design.peak_sensitivity,
+            "control": design.peak_control,
+            "status": str(design.status),
+            "gains": dict(design.gains),
+        }
+        for cap, design in zip(front.caps, front.designs, strict=True)
+    ]
+    return {"gains": len(structure.parameters), "cpu_s": spent, "designs": results}
 
 
 def structures_table(run: Mapping[str, Any]) -> str:
@@ -69,7 +64,13 @@ def main() -> None:
         run |= {"caps": CAPS, "points": len(model.operating_points), "starts": STARTS}
         run.setdefault("structures", {})[kind] = entry
         store(run, STORED)
-        print(kind, entry["gains"], [f"{d['damping']:.4f} ({d['cpu_s']:.0f} s)" for d in entry["designs"]], flush=True)
+        print(
+            kind,
+            entry["gains"],
+            [f"{d['damping']:.4f}" for d in entry["designs"]],
+            f"{entry['cpu_s']:.0f} s",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

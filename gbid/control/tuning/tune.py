@@ -357,7 +357,8 @@ def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
     -------
     ParetoFront
         The design of the next lower limit is a start value of each search, because it also satisfies the higher
-        limit. So a higher limit never gives a worse design.
+        limit. So a higher limit never gives a worse design. Then each limit is searched once more, from the design of
+        the next higher one alone, which may lead to a better optimum.
 
     Raises
     ------
@@ -374,8 +375,19 @@ def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
         raise UsageError(f"pareto: caps = {caps!r}; give numbers above 1 (S_o is 1 at high frequencies)")
     designs: list[GainResult] = []
     given, goals = options.pop("start", None), options.pop("goals", None)
-    for cap in rising:
-        start = designs[-1].gains if designs and designs[-1].keeps_limits else given
+
+    def design(cap: float, start: Mapping[str, float] | None, **more: Any) -> GainResult:
         limit = {"peak_sensitivity": cap} if goals is None else {"goals": [*goals, PeakSensitivity(cap)]}
-        designs.append(tune(lpv, start=start, **limit, **options))
+        return tune(lpv, start=start, **limit, **(options | more))
+
+    for cap in rising:
+        designs.append(design(cap, designs[-1].gains if designs and designs[-1].keeps_limits else given))
+    for i in reversed(range(len(rising) - 1)):
+        if not designs[i + 1].keeps_limits:
+            continue
+        again = design(rising[i], designs[i + 1].gains, starts=0, seeds=1)
+        if again.keeps_limits and not designs[i].value >= again.value:
+            designs[i] = again
+        if designs[i].keeps_limits and designs[i].value > designs[i + 1].value:
+            designs[i + 1] = design(rising[i + 1], designs[i].gains, starts=0, seeds=1)
     return ParetoFront(tuple(rising), tuple(designs))
