@@ -392,9 +392,8 @@ def run_all(path: Path, options: CommonOptions) -> None:
 
 
 def _drawn(job: Job) -> list[Outcome]:
-    from gbid.report.pictures import (
-        draw_figures,  # half a second: what draws is imported when there is something to draw
-    )
+    # half a second: what draws is imported when there is something to draw
+    from gbid.report.pictures import draw_figures
 
     return draw_figures(job)
 

@@ -128,12 +128,8 @@ class FrequencyData(ChannelCurves, Pictured):
         if (sigma[np.isfinite(sigma)] < 0).any() or not (sigma[np.isfinite(sigma) & np.isfinite(G)] > 0).any():
             raise UsageError(f"std of {name!r} must be positive")
         made = {"frequency_hz": f, "response": G, "std": sigma, "name": name, "correlation": tuple(correlation)}
-        for field, value in {
-            **made,
-            "of_loop": of_loop,
-            "input_names": input_names,
-            "output_names": output_names,
-        }.items():
+        made |= {"of_loop": of_loop, "input_names": input_names, "output_names": output_names}
+        for field, value in made.items():
             object.__setattr__(self, field, value)
 
     def _brief(self) -> Description:
