@@ -16,7 +16,7 @@ from gbid.control.loop.close import Method
 from gbid.control.loop.norm import largest_singular_values, peak_gain
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import damping_factors, eigenvalues, true_rates
-from gbid.control.tuning.problem import GainProblem, SearchStep, rows_of
+from gbid.control.tuning.problem import GainProblem, Objective, SearchStep, rows_of
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
@@ -71,6 +71,10 @@ class WorstMode:
     frequency_hz: float
     damping: float
 
+    def value(self, objective: Objective) -> float:
+        """Return its damping factor, or its decay [1/s]."""
+        return self.damping if objective == "damping" else 2 * np.pi * self.frequency_hz * self.damping
+
 
 @dataclass(frozen=True)
 class GoalFigure:
@@ -104,7 +108,7 @@ class GainResult(Brief):
         Gains by name.
     value : float
         Smallest damping factor of the oscillatory modes over all loops, or slowest decay [1/s]; computed from the
-        eigenvalues of the final matrices.
+        eigenvalues of the final matrices. Of an unstable design that of its worst pole, see `worst`.
     objective : {"damping", "decay", "goals"}
         Quantity that was maximised. ``"goals"``: the smallest of minus the excesses of the soft goals, which `value`
         then is.

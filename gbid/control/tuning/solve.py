@@ -547,7 +547,7 @@ def summarise(
     more = {**_peaks(problem, x, stable), **_certificate(certificate), **more}
     return GainResult(
         dict(zip(names, map(float, x), strict=True)),
-        problem.in_units(score.value),
+        problem.in_units(score.value) if stable else worst.value(problem.limits.objective),
         problem.limits.objective,
         status,
         score.violation,

@@ -96,9 +96,7 @@ def goal_figures(solution: GainSolution, result: GainResult) -> GainResult:
         return result
     if not limits.weight:
         return replace(result, objective="goals")
-    worst = result.worst
-    decay = 2 * np.pi * worst.frequency_hz * worst.damping
-    return replace(result, value=worst.damping if limits.objective == "damping" else decay)
+    return replace(result, value=result.worst.value(limits.objective))
 
 
 def _edge_notes(solution: GainSolution, names: tuple[str, ...]) -> tuple[str, ...]:
