@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from benchmarks import random_plants
 from benchmarks.random_plants import PLANTS, judged, summary
 from benchmarks.running import DOCS
 
@@ -26,3 +27,10 @@ def test_a_plant_keeps_the_rules_of_the_study(seed):
     assert problem == ""
     assert "no stabilising gains" not in status
     assert seed % len(PLANTS) == 0
+
+
+def test_gains_are_found_where_one_random_draw_of_1250_stabilises(monkeypatch):
+    monkeypatch.setattr(random_plants, "_AGAIN", 800)
+    status, problem = judged(499, 1.0, again=True)
+    assert problem == ""
+    assert status != "no stabilising gains"

@@ -387,14 +387,22 @@ class GainProblem:
         inwards = np.where(x + step > self.upper, -step, step)
         return LoopState(family, x, loops, Eigensystem.of(loops.A) if system is None else system, inwards)
 
+    @property
+    def edge(self) -> float:
+        """Growth above which a pole is unstable [1/s].
+
+        Half of the tolerance is for rounding: a design at the limit is computed again by another method.
+        """
+        return -(STABLE / 2) * self.scale
+
+    def growth(self, x: FloatArray) -> float:
+        """Return the largest growth of a pole of all loops [1/s]; infinite when a pole is not finite."""
+        rates = [true_rates(eigenvalues(family.states(x)), family.sample_time).real for family in self.families]
+        return max(float(np.where(np.isfinite(rate), rate, np.inf).max()) for rate in rates)
+
     def stable(self, x: FloatArray) -> bool:
         """Return whether all loops are stable."""
-        return all(bool(self.decays(family, eigenvalues(family.states(x))).all()) for family in self.families)
-
-    def decays(self, family: LoopFamily, values: ComplexArray) -> BoolArray:
-        """Return which eigenvalues of a family, of any shape, count as stable; those that are not finite do not."""
-        # half of the tolerance is for rounding: a design at the limit is computed again by another method
-        return true_rates(values, family.sample_time).real < -(STABLE / 2) * self.scale
+        return self.growth(x) < self.edge
 
     def aim(self, rates: ComplexArray, sample_time: float | None = None) -> FloatArray:
         """Return the objective of each mode from its rate: damping factor, or decay in units of the scale."""

@@ -327,7 +327,7 @@ def worst_mode(problem: GainProblem, x: FloatArray) -> WorstMode:
         values = true_rates(eigenvalues(family.states(x)), family.sample_time)
         aim = problem.aim(values, family.sample_time) if problem.limits.weight else damping_factors(values)
         # a pole that grows is worse than any that does not
-        rank = np.where(problem.decays(family, values), aim, -2.0 - values.real / problem.scale)
+        rank = np.where(values.real < problem.edge, aim, -2.0 - values.real / problem.scale)
         rank = np.where(np.isnan(values), -np.inf, rank)
         i, j = np.unravel_index(rank.argmin(), rank.shape)
         if worst is None or rank[i, j] < worst[0]:
