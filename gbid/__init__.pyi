@@ -72,7 +72,7 @@ from .identify import (
     subspace as subspace,
     subspace_orders as subspace_orders,
 )
-from .identify.fit import fit as fit
+from .identify.fitting import fit as fit
 from .lpv import (
     LPVFit as LPVFit,
     LPVModel as LPVModel,

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 import h5py
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from gbid.characterise.plateaus import branch_difference, find_plateaus, steady_means, steady_parts
 from gbid.core import hdf5
@@ -153,7 +153,7 @@ class StaticMap(Brief, hdf5.InFile):
         """
         if not 0 < level < 1:
             raise UsageError(f"level = {level}; give a share between 0 and 1")
-        half = stdtrit(self.dof, 0.5 + level / 2) * self.gain_std
+        half = scipy.special.stdtrit(self.dof, 0.5 + level / 2) * self.gain_std
         return np.stack([self.gain - half, self.gain + half], axis=-1)
 
     def panel(self, output: int, source: int) -> dict[str, FloatArray]:

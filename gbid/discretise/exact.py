@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import casadi as ca
 import numpy as np
-from scipy.linalg.lapack import dgebal
+import scipy
 
 from gbid.core.arrays import ComplexArray, FloatArray, IntArray
 from gbid.core.errors import UsageError
@@ -111,7 +111,7 @@ def squarings_for(matrices: Iterable[FloatArray]) -> int:
 def _squarings(Z: FloatArray) -> int:
     if Z.size == 0 or not np.isfinite(Z).all():
         return 0
-    Z = dgebal(Z, scale=1)[0]
+    Z = scipy.linalg.lapack.dgebal(Z, scale=1)[0]
     squared = Z @ Z
     power = squared @ squared
     reach = max(_norm(power) ** (1 / 4), _norm(power @ Z) ** (1 / 5))

@@ -13,8 +13,8 @@ from itertools import pairwise
 from typing import Annotated, Literal, cast
 
 import numpy as np
+import scipy
 from annotated_types import Ge, Le
-from scipy.linalg import solve_discrete_are
 
 from gbid._version import __version__
 from gbid.control import ControllerDesign, GainResult, Scheduled
@@ -624,7 +624,7 @@ def anti_windup_gain(controller: LinearModel) -> FloatArray:
     Q, S = B @ B.T, B @ D.T
     R = D @ D.T + size**2 * np.eye(len(C))
     try:
-        P = solve_discrete_are(A.T, C.T, Q, R, s=S)
+        P = scipy.linalg.solve_discrete_are(A.T, C.T, Q, R, s=S)
     except np.linalg.LinAlgError:  # an integrator that no output shows, or that no input drives
         return none
     gain = np.linalg.solve((C @ P @ C.T + R).T, (A @ P @ C.T + S).T).T

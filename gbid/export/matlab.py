@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import savemat
+import scipy
 
 from gbid._version import __version__
 from gbid.core.errors import UsageError
@@ -64,7 +64,7 @@ def save_mat(
         what.need_bearing()
     contents = lpv_contents(what) if isinstance(what, LPVModel) else linear_contents(what, units)
     with atomic_path(path, overwrite) as part, part.open("wb") as handle:
-        savemat(handle, contents, oned_as="column", long_field_names=True)
+        scipy.io.savemat(handle, contents, oned_as="column", long_field_names=True)
         handle.seek(0)  # in place of the date: the same model gives the same bytes
         handle.write(f"MATLAB 5.0 MAT-file, written by gbid {__version__}".encode().ljust(_TEXT))
     return path

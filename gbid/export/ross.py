@@ -15,8 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import eigh
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
@@ -410,7 +409,7 @@ def modal_basis(equations: LateralMatrices, modes: int, loads: FloatArray) -> Fl
     symmetric = (equations.stiffness + equations.stiffness.T) / 2.0
     stiff = np.repeat([_support(bearing.stiffness, symmetric) for bearing in equations.bearings], 2)
     supported = symmetric + (supports * stiff) @ supports.T
-    _, shapes = eigh(supported, equations.mass, subset_by_index=[0, modes - 1])
+    _, shapes = scipy.linalg.eigh(supported, equations.mass, subset_by_index=[0, modes - 1])
     gyroscopic = (equations.damping - equations.damping.T) @ shapes[:, :N_GYROSCOPIC]
     loaded = np.hstack([supports, loads, gyroscopic])
     forced = np.linalg.solve(supported, loaded[:, loaded.any(axis=0)])
@@ -516,7 +515,7 @@ def _reduction(equations: LateralMatrices, shapes: FloatArray, modes: int) -> tu
     """Return the lowest oscillating modes of the whole rotor and the nearest of the reduced one."""
     whole, reduced = (_oscillating(equations.state_matrix(basis)) for basis in (None, shapes))
     whole = whole[:modes]
-    rows, columns = linear_sum_assignment(np.abs(whole[:, None] - reduced) / np.abs(whole)[:, None])
+    rows, columns = scipy.optimize.linear_sum_assignment(np.abs(whole[:, None] - reduced) / np.abs(whole)[:, None])
     return tuple(ReducedMode(*_mode(reduced[j]), *_mode(whole[i])) for i, j in zip(rows, columns, strict=True))
 
 

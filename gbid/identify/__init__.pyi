@@ -3,7 +3,7 @@
 from .data import (
     select as select,
 )
-from .fit import (
+from .fitting import (
     FitProblem as FitProblem,
     fit as fit,
     fit_problem as fit_problem,

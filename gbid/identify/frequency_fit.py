@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtrc
+import scipy
 
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.core.errors import UsageError
@@ -435,7 +435,7 @@ def _tests(errors: Sequence[ResponseErrors], left: Sequence[ComplexArray], n_fre
         both = int((each.measured[lag:] & each.measured[:-lag]).sum())
         chance += 2 * both * spread * mean_square**2
     freedom = np.maximum(freedom - n_free / n_y, 1.0)
-    return chdtrc(freedom, squares), products > _FOLLOWS * np.sqrt(chance)
+    return scipy.special.chdtrc(freedom, squares), products > _FOLLOWS * np.sqrt(chance)
 
 
 def _notes(refused: bool, follows: bool, p_values: FloatArray) -> list[str]:

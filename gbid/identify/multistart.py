@@ -14,7 +14,7 @@ from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.notes import FitNote
 from gbid.core.option_types import options_of_call
-from gbid.identify.fit import fitted, with_profiles
+from gbid.identify.fitting import fitted, with_profiles
 from gbid.identify.options import FitArguments
 from gbid.identify.pose import Measured
 from gbid.identify.result import FitResult, FitStatus, StartsTried

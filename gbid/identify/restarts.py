@@ -30,7 +30,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import solve_discrete_are
+import scipy
 
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import GbidError
@@ -470,7 +470,7 @@ def observer_gain(model: LinearModel, sample_time: float, noise: FloatArray, rea
     Q = axes / np.maximum(size, _FLAT * size[-1]) @ axes.T / memory  # of states in units of 1 / scale
     step, out = F * scale[:, None] / scale, model.C / noise[:, None] / scale
     try:
-        P = solve_discrete_are(step.T, out.T, Q, np.eye(len(noise)))
+        P = scipy.linalg.solve_discrete_are(step.T, out.T, Q, np.eye(len(noise)))
         filtered = np.linalg.solve(out @ P @ out.T + np.eye(len(noise)), out @ P @ step.T).T
         return np.asarray(np.linalg.solve(held.G_now, filtered / scale[:, None] / noise))
     except (np.linalg.LinAlgError, ValueError):  # scipy's error for eigenvalues that cannot be told apart

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import h5py
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri
+import scipy
 
 from gbid.core import hdf5
 from gbid.core.arrays import FloatArray
@@ -144,7 +144,7 @@ class Profile(Brief, Pictured):
     @property
     def threshold(self) -> float:
         """Quantile of the chi-square distribution with one degree of freedom: 3.84 for the level 0.95."""
-        return float(chdtri(1, 1 - self.level))
+        return float(scipy.special.chdtri(1, 1 - self.level))
 
 
 def _of_each(at: str, words: str) -> Stored:

@@ -21,7 +21,7 @@ from gbid.core.notes import SurfaceNote
 from gbid.core.option_types import takes_options
 from gbid.discretise import Hold
 from gbid.identify.data import Channels, FitData, gather_own
-from gbid.identify.fit import fit
+from gbid.identify.fitting import fit
 from gbid.identify.options import FitArguments, Focus, Scope
 from gbid.identify.predictor import build_predictor
 from gbid.identify.problem.assemble import OwnStructure, Ties, assemble, build_problem, full_start, unknown_bounds

@@ -7,12 +7,13 @@ units of the scheduling variables.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from scipy.special import fdtrc, ndtr, ndtri
+import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.brief import Brief
@@ -254,11 +255,9 @@ _MAD = 1.4826  # standard deviation of a normal variable over its median absolut
 _LEAST_OUTLIERS = 3.5  # Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
 _FALSE_ALARM = 0.05  # probability of at least one outlier when all entries are normal
 HUBER = 1.345  # standard deviations; 95 % efficient for normal errors (Huber, Robust Statistics, 1981)
-CLIPPING_SLOPE = 1 - 2 * float(ndtr(-HUBER))  # mean slope of the clipping function
-_DENSITY = float(
-    np.exp(-(HUBER**2) / 2) / np.sqrt(2 * np.pi)
-)  # density of a standard normal variable at HUBER; the next line is the variance of a clipped one
-_VARIANCE = CLIPPING_SLOPE - 2 * HUBER * _DENSITY + 2 * HUBER**2 * float(ndtr(-HUBER))
+CLIPPING_SLOPE = math.erf(HUBER / math.sqrt(2))  # mean slope of the clipping function
+_DENSITY = math.exp(-(HUBER**2) / 2) / math.sqrt(2 * math.pi)  # density of a standard normal variable at HUBER
+_VARIANCE = CLIPPING_SLOPE - 2 * HUBER * _DENSITY + HUBER**2 * (1 - CLIPPING_SLOPE)  # variance of a clipped one
 _HUBER_ROUNDS, _HUBER_SETTLED = 30, 1e-2  # largest number of rounds; change that ends them, in standard deviations
 
 
@@ -301,7 +300,7 @@ def threshold(count: int) -> float:
 
     It is 3.5, and larger for many entries, because some normal values then exceed 3.5 by chance.
     """
-    return max(_LEAST_OUTLIERS, float(-ndtri(_FALSE_ALARM / (2 * count))))
+    return max(_LEAST_OUTLIERS, float(-scipy.special.ndtri(_FALSE_ALARM / (2 * count))))
 
 
 def outliers(
@@ -452,7 +451,7 @@ def lack_of_fit(
     pure = ((values - means[group]) ** 2).sum(axis=0) / (n - n_points)
     missed = ((means[group] - surface) ** 2).sum(axis=0) / (n_points - len(exponents))
     ratio = np.divide(missed, pure, out=np.full(len(pure), np.inf), where=pure > 0)
-    return np.asarray(fdtrc(n_points - len(exponents), n - n_points, ratio))
+    return np.asarray(scipy.special.fdtrc(n_points - len(exponents), n - n_points, ratio))
 
 
 def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents, scheduling: Sequence[str]) -> FloatArray:

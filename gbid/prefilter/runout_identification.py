@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigvalsh, solve
+import scipy
 
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
@@ -163,14 +163,14 @@ def _fit_harmonics(
         raise DataError(f"{len(basis)} samples cannot determine {len(orders)} harmonics; use fewer harmonics")
     # The condition number of a map that is accepted is small, so that the normal equations lose no digits.
     gram = basis.T @ basis
-    squares = eigvalsh(gram)
+    squares = scipy.linalg.eigvalsh(gram)
     shares = np.sqrt(len(p))  # the column of a mean is nonzero only for its own recording
     if squares[-1] > (_WORST_CONDITION * shares) ** 2 * squares[0]:
         raise DataError(
             f"the recorded shaft angles cannot distinguish {len(orders)} harmonics; at constant speed a turn "
             "needs more than twice as many samples as harmonics: use fewer harmonics"
         )
-    solution = solve(gram, basis.T @ np.vstack(p), assume_a="pos")
+    solution = scipy.linalg.solve(gram, basis.T @ np.vstack(p), assume_a="pos")
     means = list(solution[: len(p)])
     cosine, sine = np.split(np.sqrt(2) * solution[len(p) :], 2)
     return means, cosine, sine

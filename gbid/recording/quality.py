@@ -13,7 +13,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy
-from scipy.special import betaincinv
 
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.recording.recording import Recording, without_gaps
@@ -164,7 +163,7 @@ def _response(inputs: FloatArray, outputs: FloatArray) -> _Response | None:
     gain = np.full((outputs.shape[1], inputs.shape[1]), np.nan)
     own_power = np.einsum("fjj->fj", s_uu).real
     gain[:, moving] = np.sqrt(np.einsum("fij,fj->ij", np.abs(h) ** 2, own_power) / own_power.sum(axis=0))
-    chance = float(betaincinv(len(moving), n_segments - len(moving), CHANCE))
+    chance = float(scipy.special.betaincinv(len(moving), n_segments - len(moving), CHANCE))
     return _Response(gain, np.median(coherence, axis=0), chance)
 
 

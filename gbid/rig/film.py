@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import j1
+import scipy
 
 from gbid.core.arrays import FloatArray, frequencies_and_dampings, one_blas_thread
 from gbid.core.compiled import load_library
@@ -244,7 +244,7 @@ def mouths(film: GasFilm) -> tuple[np.ndarray, FloatArray]:
     k = np.hypot(*np.meshgrid(*(2 * np.pi / (n * d) * np.arange(-400, 401) for n, d in ((rows, dz), (columns, dx)))))
     laplacian[0, 0] = k[400, 400] = np.inf  # the mean is not part of it
     k_R = np.where(np.isfinite(k), k * R, 1.0)
-    mouth = np.sum((2 * j1(k_R) / (k_R * k)) ** 2)
+    mouth = np.sum((2 * scipy.special.j1(k_R) / (k_R * k)) ** 2)
 
     def cells(radius: float) -> tuple[np.ndarray, np.ndarray]:
         return np.round(radius * z / dz).astype(int), np.round(radius * x / dx).astype(int)

@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from gbid.core.arrays import FloatArray, one_blas_thread, recursion
 from gbid.core.brief import Brief
@@ -135,12 +135,12 @@ def _positions(
         delay = float(rotor_bearing.delay[axis])
         for point in range(oversampling):
             since = sample_time * point / oversampling
-            u[:, point, axis] = states @ expm(chain * since)[_U]
+            u[:, point, axis] = states @ scipy.linalg.expm(chain * since)[_U]
             # p is the state one delay earlier: go back by `late` samples, then forward by `ahead` seconds.
             samples_back = int(np.ceil((delay - since) / sample_time - 1e-12))
             ahead = max(samples_back * sample_time + since - delay, 0.0)
             if samples_back < n_samples:
-                p[samples_back:, point] += states[: n_samples - samples_back] @ expm(chain * ahead)[_P].T
+                p[samples_back:, point] += states[: n_samples - samples_back] @ scipy.linalg.expm(chain * ahead)[_P].T
     return u.reshape(-1, 2), p.reshape(-1, 2)
 
 
@@ -162,7 +162,7 @@ def _states_at_samples(chains: list[FloatArray], reference: FloatArray, sample_t
     step = np.zeros((12, 12))
     drive = np.zeros((12, 2))
     for axis, chain in enumerate(chains):
-        transition = expm(chain * sample_time)
+        transition = scipy.linalg.expm(chain * sample_time)
         rows = slice(6 * axis, 6 * axis + 6)
         step[rows, rows], drive[rows, axis] = transition[:6, :6], transition[:6, 6]
     states = np.zeros((len(reference), 12))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
@@ -290,7 +290,7 @@ def _stack_arrays(actuator: PiezoStacks, h: float, open_loop: int | None) -> Sta
 def _linear_steps(actuator: ActuatorTruth, h: float) -> FloatArray:
     rows = np.zeros((2, 6))
     for j, (slow, fast, gain) in enumerate(zip(actuator.slow_pole, actuator.fast_pole, actuator.gain, strict=True)):
-        step = expm(h * np.array([[-slow, 0, slow * gain], [fast, -fast, 0], [0, 0, 0]]))
+        step = scipy.linalg.expm(h * np.array([[-slow, 0, slow * gain], [fast, -fast, 0], [0, 0, 0]]))
         rows[j, :5] = step[0, 0], step[0, 2], step[1, 0], step[1, 1], step[1, 2]
     return rows
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag
+import scipy
 
 from gbid.core.arrays import ComplexArray, FloatArray, oscillatory_modes, poles_of_samples
 from gbid.core.brief import Brief, Description, brief
@@ -322,7 +322,7 @@ class LinearModel(SampledSignals, Brief, Pictured):
         K, rest = np.zeros((self.n_states, n_y)) if self.K is None else self.K, np.zeros((added, n_u))
         return replace(
             self,
-            A=block_diag(self.A, np.zeros((added, added))),
+            A=scipy.linalg.block_diag(self.A, np.zeros((added, added))),
             B=np.vstack([self.B, rest]),
             C=np.hstack([self.C, onto]),
             K=np.vstack([K, np.asarray(gains)[:, None] * onto.T]),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief, estimates
@@ -183,7 +183,7 @@ def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = N
     distances = np.linalg.norm(z[:, None] - z[None], axis=2).sum(axis=1) / max(1, len(z) - 1)
     chosen = int(np.argmin(distances))
     freedom = max(1.0, _EFFICIENCY * (len(z) - 1))
-    limit = max(_LEAST, float(-stdtrit(freedom, _FALSE_ALARM / (2 * z.size))))
+    limit = max(_LEAST, float(-scipy.special.stdtrit(freedom, _FALSE_ALARM / (2 * z.size))))
     medians = np.exp(np.median(logs, axis=0))
     off = [
         ActuatorOutlier(

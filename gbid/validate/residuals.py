@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
 from gbid.core.brief import Brief, Description, brief
@@ -177,7 +177,7 @@ def check_residuals(
     error = y[counted] - predicted[counted]
     e, v = np.zeros_like(y), u - u.mean(0)  # zero where there is no residual: it is in no sum
     e[counted] = error - error.mean(0)
-    quantile = float(ndtri(0.5 + _LEVEL / 2))
+    quantile = float(scipy.special.ndtri(0.5 + _LEVEL / 2))
     test = input_test(e, u, lags)
     n, pairs = len(e), list(np.ndindex(test.statistic.shape))
     before = np.array([correlation(e[:, j], v[:, i], lags)[:0:-1] for j, i in pairs])

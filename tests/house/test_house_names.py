@@ -1,7 +1,6 @@
 """Names stand for one thing: classes, files, packages, and the words of the field."""
 
 import ast
-import importlib
 import re
 from collections import Counter, defaultdict
 
@@ -43,8 +42,7 @@ def test_no_file_has_the_name_of_a_function_beside_it() -> None:
                 hidden += [
                     f"{init.parent.name}.{a.name}" for a in node.names if a.name in beside and node.module != "gbid"
                 ]
-    assert hidden == ["identify.fit"]
-    assert callable(importlib.import_module("gbid.identify").fit)  # imported at once: it stands before its file
+    assert hidden == []
 
 
 def test_a_public_name_stands_in_one_list() -> None:

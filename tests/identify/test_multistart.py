@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from gbid.core.errors import DataError, UsageError
 from gbid.identify import FitStatus, fit, fit_multistart, load_fit, save_fit
-from gbid.identify.fit import fitted
+from gbid.identify.fitting import fitted
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, NonlinearStructure, Parameter, evaluate
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from math import ceil, cos, inf, isfinite, nan, pi, radians, sin
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from gbid.control.impact.measured import Pulse, pulse_forcing
 from gbid.control.loop.close import close_loop, force_entry, sample_plant
@@ -230,8 +230,8 @@ def _simulate(A: FloatArray, push: FloatArray, length: float, duration: float) -
     h = length / n_during
     start = np.zeros(n + 2)
     start[n + 1] = 1.0
-    first = propagate(expm(during * h), np.zeros((n_during + 1, n + 2)), start)[:, :n]
-    second = propagate(expm(A * STEP_S), np.zeros((n_after + 1, n)), first[-1])
+    first = propagate(scipy.linalg.expm(during * h), np.zeros((n_during + 1, n + 2)), start)[:, :n]
+    second = propagate(scipy.linalg.expm(A * STEP_S), np.zeros((n_after + 1, n)), first[-1])
     time = np.concatenate([h * np.arange(n_during + 1), length + STEP_S * np.arange(1, n_after + 1)])
     return time, np.vstack([first, second[1:]])
 
@@ -296,7 +296,8 @@ def force_response(
     if E.shape != (n, 2):
         raise UsageError(f"impact: entry of the force on {plant.name!r} has shape {E.shape}, expected ({n}, 2)")
     loop = loop_of_impact(plant, controller, sample_time, computation_s)
-    F, C = np.array(loop.A) if loop.dt is not None else expm(np.array(loop.A) * sample_time), np.array(loop.C)
+    F, C = np.array(loop.A), np.array(loop.C)
+    F = F if loop.dt is not None else scipy.linalg.expm(F * sample_time)
     # The states of the plant come first in every loop. Between samples of a sampled one the force acts on them only.
     A = np.array(plant.A if loop.dt is not None else loop.A)
     E = np.vstack([E, np.zeros((len(A) - n, 2))])

@@ -13,8 +13,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import scipy
-from scipy.linalg import expm, logm, solve_triangular
-from scipy.special import ndtri
 
 from gbid.control.impact.measured import MeasuredImpact, Pulse, find_impacts, force_of, pulse_forcing, pulses_of
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, oscillatory_modes
@@ -60,7 +58,7 @@ class Scale:
 
     def free(self, theta: FloatArray, n: int) -> FloatArray:
         """Return the free responses, shape (n, 2, 4): one for each initial state."""
-        return _powers(expm(self.matrix(theta) * self.rate * self.sample_time), n)[:, :2]
+        return _powers(scipy.linalg.expm(self.matrix(theta) * self.rate * self.sample_time), n)[:, :2]
 
     def free_slopes(self, theta: FloatArray, n: int) -> FloatArray:
         """Return the derivatives of `free` with respect to the parameters of K and D, shape (8, n, 2, 4)."""
@@ -70,7 +68,7 @@ class Scale:
             both = np.zeros((8, 8))  # the upper right block of exp([A dA; 0 A]) is the derivative of exp(A)
             both[:4, :4] = both[4:, 4:] = A
             both[2 + (i % 4) // 2, 4 + i % 2 + 2 * (i // 4)] = -1.0
-            slopes[i] = _powers(expm(both * step), n)[:, :2, 4:]
+            slopes[i] = _powers(scipy.linalg.expm(both * step), n)[:, :2, 4:]
         return slopes
 
 
@@ -217,7 +215,7 @@ def lagging_force(
         if not rate.imag:
             A, E = A[:2, :2], E[:2]
         forcing = pulse_forcing(A, E, data.pulses, len(data.position), sample_time)
-        states = propagate(expm(A * sample_time), forcing, np.zeros(len(A))) * data.used[:, None]
+        states = propagate(scipy.linalg.expm(A * sample_time), forcing, np.zeros(len(A))) * data.used[:, None]
         columns += [states[:, [i + 2 * part for i in directions]] for part in range(len(A) // 2)]
     return np.hstack(columns)
 
@@ -332,7 +330,7 @@ class RingProblem:
             for (start, stop), (q, r) in zip(segments, bases, strict=True):
                 if change is None:
                     break
-                states = solve_triangular(r, q.T @ left[start:stop].reshape(-1))
+                states = scipy.linalg.solve_triangular(r, q.T @ left[start:stop].reshape(-1))
                 changes[start:stop, :, :first] = np.moveaxis(change[:, : stop - start] @ states, 0, -1)
             for channel in range(2):
                 changes[:, channel, first + channel :: 2] = lagging * self.weights[channel]
@@ -537,7 +535,7 @@ def _realised(data: Sequence[RingData], step: int, rows: int, sample_time: float
     eigenvalues = np.linalg.eigvals(A_d)
     if (np.abs(eigenvalues) < 1e-6).any() or (np.abs(eigenvalues.imag) < 1e-9 * np.abs(eigenvalues)).any():
         return None  # real poles: no two oscillations
-    A = np.real(logm(A_d)) / (step * sample_time)
+    A = np.real(scipy.linalg.logm(A_d)) / (step * sample_time)
     C = observed[:2]
     change = np.vstack([C, C @ A])
     if np.linalg.cond(change / np.abs(change).max(axis=1, keepdims=True)) > 1e8:
@@ -798,7 +796,7 @@ class RingDown(Brief):
         if not 0 < level < 1:
             raise UsageError(f"level = {level}; give a number between 0 and 1")
         centre = np.column_stack([self.frequency_hz, self.damping]).ravel()
-        half = ndtri(0.5 + level / 2) * np.sqrt(np.diag(self.covariance))
+        half = scipy.special.ndtri(0.5 + level / 2) * np.sqrt(np.diag(self.covariance))
         return np.column_stack([centre - half, centre + half])
 
 

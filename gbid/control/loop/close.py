@@ -7,7 +7,7 @@ from math import ceil, inf, isfinite, pi
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag, expm
+import scipy
 
 from gbid.core.arrays import FloatArray, is_real
 from gbid.core.errors import UsageError
@@ -77,7 +77,7 @@ def loop_with_disturbances(plant: LinearModel, controller: LinearModel) -> Linea
     p[:, : plant.n_states] += plant.C
     p[:, n + n_r :] += np.eye(n_p)
     rates = np.vstack([plant.B @ r, controller.B @ p])
-    rates[:, :n] += block_diag(plant.A, controller.A)
+    rates[:, :n] += scipy.linalg.block_diag(plant.A, controller.A)
     outputs = np.vstack([p, r])
     return LinearModel(
         rates[:, :n],
@@ -256,7 +256,7 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
                     key = (shift - 1 + j, i)
                     weights[key] = weights.get(key, np.zeros((len(A), 1))) + tap
     depth = max([back for back, _ in weights] + [prompt if plant.D.any() else 0], default=0)
-    return _with_registers(plant, expm(A * sample_time), weights, prompt, depth, sample_time)
+    return _with_registers(plant, scipy.linalg.expm(A * sample_time), weights, prompt, depth, sample_time)
 
 
 def sample_controller(controller: LinearModel, sample_time: float, method: Method = "tustin") -> LinearModel:

@@ -7,7 +7,7 @@ from math import inf, pi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import matrix_balance
+import scipy
 
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
@@ -143,7 +143,7 @@ def _peak_of(
     at_infinity = float(np.linalg.norm(D, 2)) if D.size else 0.0
     if not len(A) or not B.any() or not C.any():
         return at_infinity, 0.0
-    A, scaling = matrix_balance(A, permute=False, separate=True)
+    A, scaling = scipy.linalg.matrix_balance(A, permute=False, separate=True)
     scale = scaling[0]
     B, C = B / scale[:, None], C * scale
     eye = np.eye(len(A))

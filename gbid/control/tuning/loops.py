@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self, TypeVar
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
+import scipy
 
 from gbid.control.controllers.structures import Scheduled
 from gbid.core.arrays import ComplexArray, FloatArray, IntArray
@@ -470,7 +470,7 @@ def _with_inputs(K: FloatArray, n: int) -> FloatArray:
 
 def _tanh(M: FloatArray, T: float) -> FloatArray:
     """Return ``(2 / T) tanh(M T / 2)`` of matrices (..., n, n)."""
-    E, eye = expm(T * M), np.eye(M.shape[-1])
+    E, eye = scipy.linalg.expm(T * M), np.eye(M.shape[-1])
     return np.asarray(2 / T * (E - eye) @ inverses(E + eye))
 
 

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import eig
-from scipy.linalg.lapack import dgebal, zgees, ztrsen, ztrsyl
+import scipy
 
 from gbid.control.tuning.kernels import (
     compiled_cluster,
@@ -210,7 +209,7 @@ class Eigensystem:
             left = np.full(self.right.shape, np.inf, complex)
         defective = ~(np.abs(left).max(axis=(1, 2)) < _DEFECTIVE) & ~np.isnan(self.values[:, 0])
         for i in np.flatnonzero(defective):
-            rows = eig(self.A[i], left=True, right=False, check_finite=False)[1].conj().T
+            rows = scipy.linalg.eig(self.A[i], left=True, right=False, check_finite=False)[1].conj().T
             products = (rows * self.right[i].T).sum(axis=1, keepdims=True)
             left[i] = rows / np.where(np.abs(products) > 1.0 / _LONGEST, products, 1.0 / _LONGEST)
         return left
@@ -302,8 +301,8 @@ def schur_form(A: FloatArray) -> SchurForm | None:
         n = len(A)
         form, rows = packed[: 2 * n * n].reshape(2, n, n)
         return SchurForm(form, rows.T, packed[2 * n * n :].view(float)[:n], packed)
-    balanced, _, _, unit, _ = dgebal(A, scale=1)
-    form, _, _, basis, _, failed = zgees(lambda _: None, balanced)
+    balanced, _, _, unit, _ = scipy.linalg.lapack.dgebal(A, scale=1)
+    form, _, _, basis, _, failed = scipy.linalg.lapack.zgees(lambda _: None, balanced)
     return None if failed else SchurForm(form, basis, unit)
 
 
@@ -359,10 +358,11 @@ class InvariantSubspaces:
                 return None
             chosen = np.zeros(n, np.int32)
             chosen[order[:size]] = 1
-            form, basis, _, inside, *_, failed = ztrsen(chosen, form, basis, job=b"N")
+            form, basis, _, inside, *_, failed = scipy.linalg.lapack.ztrsen(chosen, form, basis, job=b"N")
             if failed or inside != size:
                 return None
-            X, scale, failed = ztrsyl(form[:size, :size], form[size:, size:], form[:size, size:], isgn=-1)
+            inside, outside, between = form[:size, :size], form[size:, size:], form[:size, size:]
+            X, scale, failed = scipy.linalg.lapack.ztrsyl(inside, outside, between, isgn=-1)
             if failed < 0 or not np.abs(X).max() < _FARTHEST * scale:
                 return None
             left = basis.conj().T

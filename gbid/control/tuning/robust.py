@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
+import scipy
 from annotated_types import Ge, Lt
-from scipy.special import bdtrc, betaincinv
 
 from gbid.control.controllers.structures import Scheduled, controller_structure, with_schedule
 from gbid.control.tuning.goals import Goal, limits_of
@@ -94,14 +94,14 @@ class PlantDraws(Brief):
             Between 0 and 1.
         """
         n = len(self.value)
-        k = int(np.sum(bdtrc(np.arange(n), n, 1 - probability) >= confidence))  # it falls with k
+        k = int(np.sum(scipy.special.bdtrc(np.arange(n), n, 1 - probability) >= confidence))  # it falls with k
         return float(np.sort(self.value)[k - 1]) if k > 0 else -np.inf
 
 
 def lower_bound(share: float, n: int, confidence: float) -> float:
     """Return the lower confidence bound of a probability from the share of n trials (Clopper and Pearson 1934)."""
     k = round(share * n)
-    return float(betaincinv(k, n - k + 1, 1 - confidence)) if k else 0.0
+    return float(scipy.special.betaincinv(k, n - k + 1, 1 - confidence)) if k else 0.0
 
 
 def on_draws(problem: GainProblem, plants: Plants, x: FloatArray, n: int) -> PlantDraws:

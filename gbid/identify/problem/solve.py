@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.linalg import MatrixRankWarning, splu
+import scipy
 
 from gbid.core.arrays import FloatArray, IntArray, one_solver
 from gbid.core.errors import GbidError, UsageError
@@ -270,7 +269,7 @@ def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: Box) -> flo
         return 0.0
     try:
         step = gauss_newton_step(problem, iterate, unknowns, box)
-    except (RuntimeError, ValueError, MatrixRankWarning):  # singular
+    except (RuntimeError, ValueError, scipy.sparse.linalg.MatrixRankWarning):  # singular
         return np.inf
     return in_standard_deviations(problem, iterate, step)
 
@@ -316,7 +315,7 @@ def forces_of_bounds(problem: Shooting, unknowns: FloatArray, box: Box) -> Float
         return nothing
     try:
         _, inward = _bounded_step(problem, iterate, unknowns, box)
-    except (RuntimeError, ValueError, MatrixRankWarning):  # singular
+    except (RuntimeError, ValueError, scipy.sparse.linalg.MatrixRankWarning):  # singular
         return nothing
     outward = np.maximum(np.where(below < above, inward, -inward)[: problem.n_theta], 0.0)
     return np.asarray(np.where(near, outward, 0.0) * problem.likelihood_size / problem.theta_scale)
@@ -360,13 +359,14 @@ def _bounded_step(problem: Shooting, iterate: Iterate, x: FloatArray, box: Box) 
 
     def solved(spring: FloatArray, target: FloatArray) -> FloatArray:
         stiff, pulled = np.pad(spring, (0, m)), np.pad(spring * target, (0, m))
-        matrix = coo_array((np.concatenate([entries, entries, diagonal + stiff]), places), shape=(n + m, n + m))
+        values = np.concatenate([entries, entries, diagonal + stiff])
+        matrix = scipy.sparse.coo_array((values, places), shape=(n + m, n + m))
         matrix.has_canonical_format = True  # each entry once: no search for others
         matrix = matrix.tocsc()
         matrix.has_canonical_format = matrix.has_sorted_indices = True  # the factorisation needs no order in a column
         with warnings.catch_warnings():
-            warnings.simplefilter("error", MatrixRankWarning)
-            return np.asarray(splu(matrix).solve(slope + pulled)[:n])
+            warnings.simplefilter("error", scipy.sparse.linalg.MatrixRankWarning)
+            return np.asarray(scipy.sparse.linalg.splu(matrix).solve(slope + pulled)[:n])
 
     spring, target = np.zeros(n), np.zeros(n)
     step = solved(spring, target)

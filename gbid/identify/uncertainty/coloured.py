@@ -8,8 +8,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import cho_factor, eigh, solve_discrete_lyapunov, solve_triangular
+import scipy
 
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from gbid.identify.predictor import PredictorValues
@@ -48,7 +47,8 @@ class ErrorModel(NamedTuple):
         """
         n_y = len(self.innovation)
         lags = np.concatenate([np.eye(n_y)[None], -self.coefficients])
-        return np.asarray(np.tensordot(_inverses(rfft(lags, size, axis=0)), np.linalg.cholesky(self.innovation), 1))
+        inverses = _inverses(scipy.fft.rfft(lags, size, axis=0))
+        return np.asarray(np.tensordot(inverses, np.linalg.cholesky(self.innovation), 1))
 
     def spectrum(self, frequencies: FloatArray) -> FloatArray:
         """Return the spectrum at frequencies (n,) in radians per sample, (n, n_y, n_y) complex."""
@@ -94,13 +94,13 @@ def _stretch_products(e: FloatArray, longest: int) -> FloatArray:
     """Return the sums of `lag_products` for one stretch, added over several signals, (n_signals, n_samples, n_y)."""
     n_signals, n, n_y = e.shape
     M = np.empty((longest + 1, longest + 1, n_y, n_y))
-    size = next_fast_len(n + longest, real=True)
+    size = scipy.fft.next_fast_len(n + longest, real=True)
     now, all_of = (
-        rfft(np.ascontiguousarray(part.transpose(0, 2, 1)), size)
+        scipy.fft.rfft(np.ascontiguousarray(part.transpose(0, 2, 1)), size)
         for part in (np.concatenate([np.zeros((n_signals, longest, n_y)), e[:, longest:]], axis=1), e)
     )
     both = np.einsum("saf,sbf->abf", now, all_of.conj())
-    M[0] = irfft(both, size)[:, :, : longest + 1].transpose(2, 0, 1)
+    M[0] = scipy.fft.irfft(both, size)[:, :, : longest + 1].transpose(2, 0, 1)
     M[1:, 0] = M[0, 1:].transpose(0, 2, 1)
     # One lag more in both: one sample enters in front, and one leaves at the end.
     first = e[:, longest - 1 :: -1] if longest else e[:, :0]
@@ -151,8 +151,8 @@ def error_model(products: FloatArray, count: int, order: int | None = None) -> E
         past = products[1:, 1:].transpose(0, 2, 1, 3).reshape(longest * n_y, longest * n_y)
         present = products[1:, 0].reshape(longest * n_y, n_y)
         past = past + _FLOOR * np.diag(np.diag(past) + np.finfo(float).tiny)
-        factor = cho_factor(past, lower=True)[0]
-        whitened = solve_triangular(factor, present, lower=True)
+        factor = scipy.linalg.cho_factor(past, lower=True)[0]
+        whitened = scipy.linalg.solve_triangular(factor, present, lower=True)
         explained = np.cumsum(np.einsum("mka,mkb->mab", *2 * [whitened.reshape(longest, n_y, n_y)]), axis=0)
         covariances += list((products[0, 0] - explained) / count)
     orders = np.arange(longest + 1)
@@ -163,7 +163,9 @@ def error_model(products: FloatArray, count: int, order: int | None = None) -> E
     if order is None:
         order = int(np.nanargmin(np.where(np.isfinite(criterion), criterion, np.inf)))
     k = order * n_y
-    solved = solve_triangular(factor[:k, :k], whitened[:k], lower=True, trans="T") if order else whitened[:0]
+    solved = whitened[:0]
+    if order:
+        solved = scipy.linalg.solve_triangular(factor[:k, :k], whitened[:k], lower=True, trans="T")
     return ErrorModel(solved.reshape(order, n_y, n_y).transpose(0, 2, 1), covariances[order])
 
 
@@ -294,9 +296,9 @@ class Whitening(NamedTuple):
         result = values[:, :, p:].copy()
         for lag, a in enumerate(self.model.coefficients[: n - p if p < self.model.order else p], 1):
             result -= np.tensordot(a, values[:, :, p - lag : n - lag], 1)
-        result = solve_triangular(self.root, result.reshape(n_y, -1), lower=True).reshape(result.shape)
+        result = scipy.linalg.solve_triangular(self.root, result.reshape(n_y, -1), lower=True).reshape(result.shape)
         rows = values[:, :, :p].transpose(2, 0, 1).reshape(p * n_y, m)
-        begin = solve_triangular(self.first[: p * n_y, : p * n_y], rows, lower=True) if p else rows
+        begin = scipy.linalg.solve_triangular(self.first[: p * n_y, : p * n_y], rows, lower=True) if p else rows
         return np.concatenate([begin.reshape(p, n_y, m).transpose(1, 2, 0), result], axis=2)
 
     def log_det(self, n: int) -> float:
@@ -326,7 +328,7 @@ def whitening(model: ErrorModel, n_samples: int) -> Whitening:
     companion[:n_y] *= np.repeat(lags, n_y)
     drive = np.zeros((size, size))
     drive[:n_y, :n_y] = model.innovation
-    latest_first = solve_discrete_lyapunov(companion, drive, method="bilinear")
+    latest_first = scipy.linalg.solve_discrete_lyapunov(companion, drive, method="bilinear")
     blocks = latest_first.reshape(order, n_y, order, n_y)[::-1, :, ::-1]
     first = blocks.reshape(size, size)
     return Whitening(model, root, np.asarray(np.linalg.cholesky((first + first.T) / 2), float))
@@ -453,7 +455,7 @@ def _joined(total: FloatArray, root: FloatArray) -> FloatArray:
     if not total[1].any():
         return np.asarray(linear)
     change = root.T @ total[1] @ root
-    share, axes = eigh(change, linear + 1e-12 * np.trace(linear) * np.eye(len(linear)))
+    share, axes = scipy.linalg.eigh(change, linear + 1e-12 * np.trace(linear) * np.eye(len(linear)))
     onto = linear @ axes
     return np.asarray(linear + (onto * np.maximum(share, _LEAST - 1)) @ onto.T)
 
@@ -489,7 +491,7 @@ def transformed(record: RecordSensitivities, kept: IntArray) -> Transform:
     place = np.searchsorted(kept, record.columns)
     chosen = np.flatnonzero(kept[np.minimum(place, len(kept) - 1)] == record.columns)
     n = len(record.errors)
-    size = next_fast_len(n + min(n, _APART), real=True)
+    size = scipy.fft.next_fast_len(n + min(n, _APART), real=True)
     psi = record.psi if len(chosen) == len(place) else record.psi[:, chosen]
     feedback = _feedback(record, place, chosen)
     onto = np.fft.rfft(psi, size)  # pads row by row; that of scipy copies all rows first
@@ -540,10 +542,10 @@ def _add_information(total: FloatArray, transform: Transform, model: ErrorModel)
     psi, columns, size, n = transform.psi, transform.columns, transform.size, len(transform.errors)
     n_y = len(psi)
     lags = np.concatenate([np.eye(n_y)[None], -model.coefficients])
-    inverse_root = solve_triangular(np.linalg.cholesky(model.innovation), np.eye(n_y), lower=True)
-    onto = inverse_root @ rfft(lags, size, axis=0)
+    inverse_root = scipy.linalg.solve_triangular(np.linalg.cholesky(model.innovation), np.eye(n_y), lower=True)
+    onto = inverse_root @ scipy.fft.rfft(lags, size, axis=0)
     for row in onto.transpose(1, 2, 0):
-        filtered = irfft(np.einsum("bf,bmf->mf", row, psi, optimize=True), size)[:, model.order : n]
+        filtered = scipy.fft.irfft(np.einsum("bf,bmf->mf", row, psi, optimize=True), size)[:, model.order : n]
         total[np.ix_(columns, columns)] += filtered @ filtered.T
 
 
@@ -562,7 +564,7 @@ def _taken(transform: Transform, C: FloatArray, longest: int) -> FloatArray:
     scale = np.sqrt(np.maximum(np.diag(C)[columns], np.finfo(float).tiny))
     values, axes = np.linalg.eigh(C[np.ix_(columns, columns)] / np.outer(scale, scale))
     part = (scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0))).T @ psi
-    moved = irfft(part, size)[..., : len(transform.counted)].transpose(1, 2, 0)
+    moved = scipy.fft.irfft(part, size)[..., : len(transform.counted)].transpose(1, 2, 0)
     return lag_products([moved[:, some] for some in _stretches(transform.counted)], longest)[0]
 
 
@@ -639,7 +641,7 @@ def bootstrap_factors(
     """
     random = np.random.default_rng(bootstrap.seed)
     plain = [t._replace(feedback=None) for t in transforms]
-    slopes = [irfft(t.psi, t.size)[..., : len(t.errors)] for t in plain]
+    slopes = [scipy.fft.irfft(t.psi, t.size)[..., : len(t.errors)] for t in plain]
     roots = [model.root(t.size) for model, t in zip(models, plain, strict=True)]
     prior = np.linalg.cholesky(estimator.known + 1e-30 * np.eye(len(estimator.known)))
     ratios = np.empty((bootstrap.draws, len(estimator.onto)))
@@ -664,6 +666,6 @@ def bootstrap_factors(
 
 def _drawn(root: FloatArray, t: Transform, random: np.random.Generator) -> FloatArray:
     """Return errors of a record with a spectrum, (n_samples, n_y); zero for samples that are left out."""
-    white = rfft(random.normal(size=(t.size, root.shape[-1])), axis=0)
-    e = irfft(np.einsum("fab,fb->fa", root, white), t.size, axis=0)[: len(t.errors)]
+    white = scipy.fft.rfft(random.normal(size=(t.size, root.shape[-1])), axis=0)
+    e = scipy.fft.irfft(np.einsum("fab,fb->fa", root, white), t.size, axis=0)[: len(t.errors)]
     return np.asarray(e * t.counted[:, None])

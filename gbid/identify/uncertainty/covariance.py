@@ -8,9 +8,7 @@ from functools import cached_property, partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.linalg import null_space
-from scipy.sparse import bmat, csc_array, eye_array
-from scipy.sparse.linalg import splu
+import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray, one_of_each_pair, oscillatory_modes, poles_of_samples
 from gbid.discretise.dual import Dual
@@ -444,18 +442,18 @@ def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray,
     n_p, size = by_theta.shape[2], (links + 1) * n
     blocks = [[None] * (links + 1) for _ in range(links)]
     for i, step in enumerate(by_start / scale[:, None] * scale):
-        blocks[i][i], blocks[i][i + 1] = csc_array(-step), eye_array(n)
+        blocks[i][i], blocks[i][i + 1] = scipy.sparse.csc_array(-step), scipy.sparse.eye_array(n)
     right = (by_theta / scale[:, None]).reshape(-1, n_p)
-    gaps = csc_array(bmat(blocks)) if links else csc_array((0, size))
+    gaps = scipy.sparse.csc_array(scipy.sparse.bmat(blocks)) if links else scipy.sparse.csc_array((0, size))
     if known.any():
-        fixed = csc_array(eye_array(n, size))[known]
-        gaps = csc_array(bmat([[fixed], [gaps]])) if links else csc_array(fixed)
+        fixed = scipy.sparse.csc_array(scipy.sparse.eye_array(n, size))[known]
+        gaps = scipy.sparse.csc_array(scipy.sparse.bmat([[fixed], [gaps]])) if links else scipy.sparse.csc_array(fixed)
         right = np.vstack([np.zeros((int(known.sum()), n_p)), right])
     sides = np.zeros((size, 2 * n))  # a free trajectory is seen at the first window or, where it grows, at the last
     sides[:n, :n] = sides[-n:, n:] = np.eye(n)
     if gaps.shape[0]:
         try:
-            factors = splu(csc_array(gaps @ gaps.T))
+            factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(gaps @ gaps.T))
         except RuntimeError as singular:  # far from a solution: the model grows beyond rounding in a window
             raise np.linalg.LinAlgError("the gaps between windows depend on each other") from singular
         following = gaps.T @ factors.solve(right)
@@ -647,7 +645,7 @@ def covariance(
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
     fixed = _along_constraints(at)[:, keep] / scale
-    along = null_space(fixed) if len(fixed) else None  # directions that active constraints leave free; all without any
+    along = scipy.linalg.null_space(fixed) if len(fixed) else None  # directions left free by active constraints, or all
 
     def within(matrix: FloatArray) -> FloatArray:
         scaled = matrix / np.outer(scale, scale)

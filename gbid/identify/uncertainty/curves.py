@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import eig
+import scipy
 
 from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.brief import Brief, Description, brief
@@ -560,7 +560,7 @@ def ellipse(covariance: FloatArray, level: float = LEVEL, n: int = 60) -> FloatA
 
 def _pencil(M: FloatArray, N: FloatArray, rate: float, dM: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Return the finite eigenvalues by rising magnitude, and their derivatives (n_free, n)."""
-    values, left, right = eig(M / rate, N, left=True, right=True)
+    values, left, right = scipy.linalg.eig(M / rate, N, left=True, right=True)
     keep = np.flatnonzero(np.isfinite(values) & (np.abs(values) < _FAR))
     keep = keep[np.lexsort((values[keep].imag, np.abs(values[keep])))]
     values, left, right = values[keep] * rate, left[:, keep].conj(), right[:, keep]

@@ -9,8 +9,7 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.sparse.linalg import MatrixRankWarning
-from scipy.special import chdtri
+import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray, one_blas_thread
 from gbid.identify.options import FitArguments
@@ -148,7 +147,7 @@ class Walker(ABC):
         """Return the minimum with one unknown changed from that of `start`, and held."""
 
     def _profile(self, name: str, unit: str, level: float) -> Profile:
-        j, threshold = self.names.index(name), float(chdtri(1, 1 - level))
+        j, threshold = self.names.index(name), float(scipy.special.chdtri(1, 1 - level))
         std, factor = self.spread(j)
         origin, scale = self.origin, float(self.scales[j])
         to_ratio = 2 * self.likelihood_size / factor
@@ -291,7 +290,7 @@ class Profiler(Walker):
                 x, here, ridge = x + step, trial, max(ridge / 10, WALK.ridge)
                 if at_rest and ridge <= WALK.damped:
                     return ConstrainedFit(x, here, here.cost)
-        except (RuntimeError, ValueError, MatrixRankWarning):  # singular
+        except (RuntimeError, ValueError, scipy.sparse.linalg.MatrixRankWarning):  # singular
             pass
         solution = solve(problem, np.clip(x, *box), *box, _BY_IPOPT)
         here = problem.at(solution.unknowns)

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import toeplitz
-from scipy.special import chdtrc
+import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.identify.data import column_means
@@ -67,10 +65,10 @@ def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
         size = len(first)
         product = np.array([first[: size - lag] @ second[lag:] if lag < size else 0.0 for lag in range(lags + 1)])
     else:
-        n = next_fast_len(len(first) + lags + 1, real=True)
-        ahead = rfft(first, n)
-        behind = ahead if alike else rfft(second, n)
-        product = irfft(np.conj(ahead) * behind, n)[: lags + 1]
+        n = scipy.fft.next_fast_len(len(first) + lags + 1, real=True)
+        ahead = scipy.fft.rfft(first, n)
+        behind = ahead if alike else scipy.fft.rfft(second, n)
+        product = scipy.fft.irfft(np.conj(ahead) * behind, n)[: lags + 1]
     scale = np.sqrt(float(first @ first) * float(second @ second))
     return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)
 
@@ -98,7 +96,7 @@ def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
             continue
         rho = np.array([correlation(channel, channel, lags)[1:] for channel in centred.T])
         statistic += n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum(axis=1)
-    return Whiteness(statistic, np.asarray(chdtrc(lags * max(1, len(used)), statistic)), lags)
+    return Whiteness(statistic, np.asarray(scipy.special.chdtrc(lags * max(1, len(used)), statistic)), lags)
 
 
 def _statistic_of_pairs(residuals: FloatArray, lags: int) -> float:
@@ -139,7 +137,7 @@ class InputTest(NamedTuple):
     @property
     def p_value(self) -> FloatArray:
         """Probability of a larger statistic for independent residuals, (n_y, n_u); one for an input that is still."""
-        return np.where(self.freedom > 0, chdtrc(np.maximum(self.freedom, 1), self.statistic), 1.0)
+        return np.where(self.freedom > 0, scipy.special.chdtrc(np.maximum(self.freedom, 1), self.statistic), 1.0)
 
 
 def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: bool = False) -> InputTest:
@@ -190,7 +188,8 @@ def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: b
     for i in range(len(u)):
         for j in range(len(e)):
             if j == 0 or gaps or not white:  # for white residuals it is the same for all outputs
-                covariance = _of_pairs(e[j], u[i], of_residual[j], lags) if gaps else toeplitz(variance[j, i])
+                pairs = _of_pairs(e[j], u[i], of_residual[j], lags) if gaps else None
+                covariance = scipy.linalg.toeplitz(variance[j, i]) if pairs is None else pairs
                 variance[j, i] = covariance[0]
                 values, vectors = np.linalg.eigh(covariance)
                 kept = values > 1e-6 * values[-1]
@@ -211,8 +210,8 @@ def _of_pairs(residuals: FloatArray, source: FloatArray, colour: FloatArray, lag
     pairs = correlation(present * 1.0, present * 1.0, len(colour) - 1)
     rho = np.where(pairs * count > 0.5, colour / np.maximum(pairs, 1 / max(count, 1)), 0.0)
     met = np.array([np.concatenate([np.zeros(lag), source[: n - lag]]) for lag in range(lags + 1)]) * present
-    size = next_fast_len(n + len(rho), real=True)
-    filtered = irfft(rfft(met, size) * (2 * rfft(rho, size).real - rho[0]), size)[:, :n]
+    size = scipy.fft.next_fast_len(n + len(rho), real=True)
+    filtered = scipy.fft.irfft(scipy.fft.rfft(met, size) * (2 * scipy.fft.rfft(rho, size).real - rho[0]), size)[:, :n]
     return np.asarray(met @ filtered.T) * (n / max(count * float(source @ source), np.finfo(float).tiny))
 
 
