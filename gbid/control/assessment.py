@@ -49,7 +49,7 @@ class PointAssessment:
     pressure_bar, speed_rpm : float
         Operating point; NaN for a plant that is a linear model.
     stable : bool
-        Whether the continuous loop is stable.
+        Whether the continuous loop is stable, which has no computation time.
     damping : float
         Smallest damping factor of the oscillatory modes of the continuous loop; -1 for an unstable real pole.
     modes : tuple of (frequency_hz, damping)
@@ -173,6 +173,8 @@ class Assessment(Brief):
     impact : HalfSine
         The reference impact, applied along x and along y; without a mass when the moving mass is not known. The figures
         of its response are then nan.
+    for_sampling : bool
+        Whether the design is for the sampled loop: a result of `gbid.tune` with a sample time.
     """
 
     name: str
@@ -183,12 +185,13 @@ class Assessment(Brief):
     computation_s: float
     method: Method
     impact: HalfSine
+    for_sampling: bool = False
 
     def _brief(self) -> Description:
         worst = {name: f"{value:.5g} at {point.label}" for name, (value, point) in self.worst.items()}
-        about = (
-            f"{self.name or self.structure}, {len(self.points)} operating points, {'' if self.stable else 'not '}stable"
-        )
+        loops = {"sampled": self.sampled_stable, "continuous": self.continuous_stable}
+        verdicts = ", ".join(f"{loop} loop {'' if stable else 'not '}stable" for loop, stable in loops.items())
+        about = f"{self.name or self.structure}, {len(self.points)} operating points, {verdicts}"
         return brief(self, about, gains=self.gains, **worst)
 
     def to_frame(self) -> Any:
@@ -208,8 +211,18 @@ class Assessment(Brief):
 
     @property
     def stable(self) -> bool:
-        """Whether the continuous loop is stable at all operating points."""
+        """Whether the loop of the design is stable at all points: the sampled one if it is for sampling."""
+        return self.sampled_stable if self.for_sampling else self.continuous_stable
+
+    @property
+    def continuous_stable(self) -> bool:
+        """Whether the continuous loop, without computation time, is stable at all points."""
         return all(point.stable for point in self.points)
+
+    @property
+    def sampled_stable(self) -> bool:
+        """Whether the sampled loop is stable at all points."""
+        return all(point.sampled_stable for point in self.points)
 
     @property
     def worst(self) -> dict[str, tuple[float, PointAssessment]]:
@@ -275,6 +288,7 @@ def assess(
         nobody said a sample time, or when a plant is none or has other channels than the controller.
     """
     law: Any = controller
+    for_sampling = isinstance(controller, GainResult) and controller.sample_time is not None
     if isinstance(controller, GainResult):
         sample_time = controller.sample_time if sample_time is None else sample_time
         computation_s = controller.computation_s if computation_s is None else computation_s
@@ -295,7 +309,7 @@ def assess(
         impact = impact.on(lpv.machine)
         piezo_travel_m = lpv.machine.piezo_travel_m if piezo_travel_m is None else piezo_travel_m
     about = name or structure.name, structure.name, dict(gains)
-    plan = Assessment(*about, (), T, computation, method or "tustin", impact)
+    plan = Assessment(*about, (), T, computation, method or "tustin", impact, for_sampling)
     results = (_assess_point(plant, structure, plan, piezo_travel_m) for plant in plants)
     return replace(plan, points=tuple(results))
 

@@ -103,7 +103,7 @@ class AssessedDesign:
     def warnings(self) -> list[str]:
         """Return the warnings of the design: stability, sampling, peak of S_o and travel."""
         worst = {name: value for name, (value, _) in self.figures.worst.items()}
-        if not self.figures.stable.all():
+        if not (self.for_sampling or self.figures.stable.all()):
             return ["not stable at every operating point"]
         texts = []
         if not self.figures.sampled_stable.all():

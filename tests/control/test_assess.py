@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import gbid
-from gbid.control import PStructure, scheduled
+from gbid.control import MaxDamping, PStructure, scheduled
 from gbid.control.assessment import FIGURES, DesignFigures
 from gbid.core.errors import UsageError
 from gbid.report.control_tables import comparison_table
@@ -126,3 +127,18 @@ def test_figures_of_an_impact_need_the_moving_mass_of_this_machine() -> None:
     table = comparison_table("own", [DesignFigures.of(unknown)], conditions_words(unknown.impact, 2e-4, "tustin"))
     assert not {"disc [um]", "stack [um]", "decay [ms]"} & {row[0] for row in table.rows}
     assert "left out: moving mass not known" in str(table)
+
+
+def test_the_verdict_of_a_sampled_design_is_that_of_its_loop() -> None:
+    w = 300.0
+    plant = gbid.LinearModel([[0.0, 1.0], [-(w**2), 2.0]], [[0.0], [w**2]], [[1.0, 0.0]], [[0.0]])
+    gain, none = gbid.Parameter("k", 0.0, -0.5, 0.5, unit="m/m"), {"A": ca.SX(0, 0), "C": ca.SX(1, 0)}
+    law = gbid.LinearStructure("static", [gain], lambda p: {**none, "D": [[p["k"]]]}, ("p",), ("r",))
+    design = gbid.tune(plant, law, goals=[MaxDamping()], sample_time=5e-4)
+    assessment = gbid.assess(plant, design)
+    # without its delay a static gain moves the frequency only: the modes of s^2 - 2 s + w^2 (1 - k) grow
+    assert (assessment.continuous_stable, assessment.sampled_stable, assessment.stable) == (False, True, True)
+    assert "sampled loop stable, continuous loop not stable" in repr(assessment)
+    continuous = gbid.assess(plant, law, design.gains, sample_time=5e-4)
+    assert continuous.sampled_stable
+    assert not continuous.stable

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import gbid
-from gbid.control import MaxDamping, PeakSensitivity
+from gbid.control import MaxDamping, PeakSensitivity, scheduled
+from gbid.core.errors import UsageError
+from gbid.lpv import Domain
 
 PD = gbid.controller_structure("PD", axes=("",))
 GOALS = [MaxDamping(), PeakSensitivity(4.0)]
@@ -45,3 +48,29 @@ def test_bounds_in_other_units_are_named_as_the_reason():
     far = gbid.tune(unstable_plant(0, 1.0), PD, goals=GOALS, bounds={"kappa": (-1e-1, 0.1), "kd": (-1e-1, 0.1)})
     assert far.status == "no stabilising gains"
     assert "give bounds=" not in " ".join(far.notes)
+
+
+def test_bounds_of_a_constant_coefficient_widen_those_of_its_gain():
+    structure = scheduled(gbid.controller_structure("P", axes=("",)), ("1", "Omega"), Domain((0.0, 0.0), (0.0, 6000.0)))
+    designs = []
+    for scale in (1.0, 1e-3):
+        models = [gbid.LinearModel([[0, 1], [-(w**2), -6]], [[0], [w**2]], [[scale, 0]], [[0]]) for w in (300, 400)]
+        bounds = {p.name: (p.lower / scale, p.upper / scale) for p in structure.parameters}
+        designs.append(gbid.tune(models, structure, goals=[MaxDamping()], speeds_rpm=[0, 6000], bounds=bounds))
+    plain, small = designs
+    assert small.value == pytest.approx(plain.value, rel=1e-6)
+    assert abs(small.gains["kappa_1"]) > max(parameter.upper for parameter in structure.parameters)
+
+
+def test_a_structure_without_states_says_so():
+    plant = gbid.LinearModel([[0, 1], [-9e4, -6]], [[0], [9e4]], [[0, 1e-3]], [[0]])
+    gain = gbid.Parameter("k", 0.0, -1.0, 1.0, unit="s")
+    none = {"A": ca.SX(0, 0), "C": ca.SX(1, 0)}
+    law = gbid.LinearStructure("static", [gain], lambda p: {**none, "D": [[p["k"]]]}, ("p",), ("r",))
+    design = gbid.tune(plant, law, goals=[MaxDamping()])
+    # s^2 + (6 - 90 k) s + 300^2 has the damping (6 - 90 k) / 600, largest at the lower bound
+    assert design.value == pytest.approx(96 / 600)
+    assert design.design(sample_time=1e-4).sampled_at().D.item() == pytest.approx(-1.0)
+    short = gbid.LinearStructure("short", [gain], lambda p: {"D": [[p["k"]]]}, ("p",), ("r",))
+    with pytest.raises(UsageError, match="matrices must give A and C; of a controller without states"):
+        gbid.tune(plant, short, goals=[MaxDamping()])

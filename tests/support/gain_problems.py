@@ -52,7 +52,7 @@ class DampedLoops:
         labels = tuple(f"{P:g} bar, {Omega:g} rpm" for P, Omega in rows[:, :2])
         return FunctionLoops(labels, rows[:, :2].copy(), 2, function=function, jacobian=jacobian)
 
-    def gain_limits(self, points: np.ndarray) -> tuple[()]:
+    def gain_limits(self, points: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[()]:
         """No limits on the gain."""
         return ()
 

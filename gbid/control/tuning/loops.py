@@ -414,9 +414,15 @@ class ControllerLaw:
             if isinstance(structure, Scheduled)
             else structure.matrices(values)
         )
-        matrices = {letter: _as_sx(given.get(letter, ca.SX(*shape))) for letter in "ABCD"}
-        n, (n_r, n_p) = matrices["A"].shape[0], shape
-        for letter, size in {"A": (n, n), "B": (n, n_p), "C": (n_r, n), "D": (n_r, n_p)}.items():
+        if not {"A", "C"} <= set(given):
+            raise UsageError(
+                f"controller {structure.name!r}: matrices must give A and C; of a controller without states "
+                "A = casadi.SX(0, 0) and C = casadi.SX(outputs, 0)"
+            )
+        n, (n_r, n_p) = _as_sx(given["A"]).shape[0], shape
+        sizes = {"A": (n, n), "B": (n, n_p), "C": (n_r, n), "D": (n_r, n_p)}
+        matrices = {letter: _as_sx(given.get(letter, ca.SX(*size))) for letter, size in sizes.items()}
+        for letter, size in sizes.items():
             if matrices[letter].shape != size:
                 raise UsageError(
                     f"controller {structure.name!r}: {letter} has shape {matrices[letter].shape}, expected {size}"

@@ -225,7 +225,8 @@ class TuneOptions(DesignOptions):
         Limit M on the peak of the output sensitivity; None maximises damping without this limit, see the notes of
         `gbid.tune`.
     bounds : dict of str to (lower, upper), optional
-        Bounds of gains in place of those of the structure.
+        Bounds of gains in place of those of the structure. Wider ones of the constant coefficient of a scheduled gain
+        hold for the gain at every point, too.
     uncertainty : Uncertainty, optional
         Drawn plants for which the design must also hold.
     objective : {"damping", "decay"}
@@ -384,8 +385,13 @@ class Plants(ABC):
     def first(self, points: FloatArray) -> list[int]:
         """Return the indices of the loops with which a search over many loops starts."""
 
-    def gain_limits(self, points: FloatArray) -> tuple[tuple[str, FloatArray, float], ...]:
-        """Bounds of scheduled gains at the points, as rows over the coefficients in units of their width."""
+    def gain_limits(
+        self, points: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> tuple[tuple[str, FloatArray, float], ...]:
+        """Bounds of scheduled gains at the points, as rows over the coefficients in units of their width.
+
+        They are those of the structure, or those of the constant coefficient where these reach farther.
+        """
         if not isinstance(self.structure, Scheduled):
             return ()
         names = [parameter.name for parameter in self.structure.parameters]
@@ -394,11 +400,11 @@ class Plants(ABC):
         for P, Omega in dict.fromkeys(map(tuple, points[:, :2])):
             columns = [self.structure.gains(dict(zip(names, unit, strict=True)), P, Omega) for unit in units]
             for gain in self.structure.base.parameters:
-                row = np.array([float(column[gain.name]) for column in columns])
-                width = gain.upper - gain.lower
+                row, i = np.array([float(column[gain.name]) for column in columns]), names.index(f"{gain.name}_1")
+                low, high = min(gain.lower, lower[i]), max(gain.upper, upper[i])
                 where = f"{gain.name} at {point_label(P, Omega)}"
-                rows.append((f"upper bound of {where}", row / width, gain.upper / width))
-                rows.append((f"lower bound of {where}", -row / width, -gain.lower / width))
+                rows.append((f"upper bound of {where}", row / (high - low), high / (high - low)))
+                rows.append((f"lower bound of {where}", -row / (high - low), -low / (high - low)))
         return tuple(rows)
 
 

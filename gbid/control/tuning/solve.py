@@ -295,7 +295,8 @@ def add_worst_points(
         points = known.problem.families[0].points
         assert points is not None
         points = np.vstack([np.unique(points, axis=0), worse])
-        families, linear = (plants.family(points),), plants.gain_limits(points)
+        families = (plants.family(points),)
+        linear = plants.gain_limits(points, known.problem.lower, known.problem.upper)
         return replace(known.problem, families=families, linear=linear, cuts=())
 
     def design(problem: GainProblem, last: GainSolution) -> GainSolution:

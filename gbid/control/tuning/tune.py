@@ -192,7 +192,7 @@ def tuned(
     search = SearchOptions(options.starts, options.seed, options.evaluations)
     budget = Evaluations(0, options.evaluations, monotonic() + (options.seconds or np.inf))
     if isinstance(structure, Scheduled) and structure.terms != ("1",) and isinstance(plants, LpvPlants):
-        first.append(_constant_gains(plants, structure, limits, search, budget))
+        first.append(_constant_gains(plants, structure, limits, box, search, budget))
     task = SearchTask(box[2], tuple(first), search, progress)
     solution, values = _independent_searches(plants, limits, box, (task, options.seeds), budget)
     verified = f"eigenvalues and exact H-infinity norms of {len(solution.problem.families[0])} loops"
@@ -218,7 +218,7 @@ Box = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _problem(plants: Plants, limits: Limits, box: Box, budget: Evaluations) -> GainProblem:
-    families, linear = (plants.family(plants.points),), plants.gain_limits(plants.points)
+    families, linear = (plants.family(plants.points),), plants.gain_limits(plants.points, *box[:2])
     return GainProblem(families, limits, *box[:2], typical_rate(families, box[2]), linear, evaluations=budget)
 
 
@@ -281,15 +281,17 @@ def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...])
 
 
 def _constant_gains(
-    plants: LpvPlants, structure: Scheduled, limits: Limits, options: SearchOptions, budget: Evaluations
+    plants: LpvPlants, structure: Scheduled, limits: Limits, box: Box, options: SearchOptions, budget: Evaluations
 ) -> FloatArray:
     """Best constant gains as coefficients, a start value with which a schedule cannot become worse."""
-    constant = replace(structure, terms=("1",))
-    others, box = replace(plants.continuous, structure=constant), _gain_bounds(constant, None)
-    task = SearchTask(box[2], options=options)
-    solution = solve_over_points(_problem(others, limits, box, budget), others, plants.points, task)
-    values = dict(zip((p.name for p in constant.parameters), solution.best.x, strict=True))
-    return np.array([values.get(p.name, 0.0) for p in structure.parameters])
+    others = replace(plants.continuous, structure=replace(structure, terms=("1",)))
+    constant = np.array([parameter.name.endswith("_1") for parameter in structure.parameters])
+    low, high, start = (values[constant] for values in box)
+    task = SearchTask(start, options=options)
+    solution = solve_over_points(_problem(others, limits, (low, high, start), budget), others, plants.points, task)
+    coefficients = np.zeros(len(constant))
+    coefficients[constant] = solution.best.x
+    return coefficients
 
 
 # ---- Pareto front of damping and peak sensitivity.
