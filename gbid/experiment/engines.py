@@ -289,8 +289,7 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 # ---- Dask engine: workers of a cluster, which must see the results folder under the same path.
 
 _DASK_PATIENCE = 10.0  # longest time for a scheduler to answer [s]
-_AHEAD = 3  # submissions per thread of a worker at a time, so that it need not wait
-_JOURNEYS, _LARGEST = 50, 16  # submissions per thread in all, for many tasks; largest number of tasks in one
+_JOURNEYS, _LARGEST = 20, 16  # submissions per thread, for many tasks; largest number of tasks in one
 _CALM = {  # Dask's own monitoring, which takes over a third of the time of short fits
     "distributed.worker.profile.enabled": False,  # a tenth of the time
     "distributed.admin.tick.interval": "1s",
@@ -358,7 +357,7 @@ class DaskEngine:
         name = f"gbid-{hashlib.sha256(shipped).hexdigest()[:16]}"
         self._register(_carrier(shipped), name)
         threads = max(1, sum(self.client.nthreads().values()))
-        waiting, sent, completed = _chunks(len(tasks), threads), {}, as_completed()
+        sent, completed = {}, as_completed()
 
         upcoming, begun, ended = deque[int](), set[int](), set[int]()
 
@@ -378,31 +377,29 @@ class DaskEngine:
             ended.add(number)
             announce()
 
-        def submit() -> None:
-            if waiting:
-                chunk = waiting.popleft()
-                upcoming.extend(chunk)
-                shipment = [bare_task(tasks[number]) for number in chunk]
-                future = self.client.submit(_attempt_there, name, shipment, pure=False)
-                sent[future] = chunk
-                completed.add(future)
+        def submit(chunk: list[int]) -> None:
+            upcoming.extend(chunk)
+            shipment = [bare_task(tasks[number]) for number in chunk]
+            future = self.client.submit(_attempt_there, name, shipment, pure=False)
+            sent[future] = chunk
+            completed.add(future)
 
         try:
-            for _ in range(_AHEAD * threads):
-                submit()
+            for chunk in _chunks(len(tasks), threads):  # all at once: workers that join later take their share
+                submit(chunk)
             announce()
             for future in completed:
                 chunk, error = sent.pop(future), future.exception()
                 if isinstance(error, KilledWorker) and len(chunk) > 1:
-                    waiting.extendleft([number] for number in chunk)  # one of them killed it; finished ones are kept
-                submit()
-                if error is None:
+                    for number in chunk:  # one of them killed it; finished ones are kept
+                        submit([number])
+                elif error is None:
                     for number, result in zip(chunk, future.result(), strict=True):
                         settle(number)
                         yield number, self._checked(result, tasks[number])
                 elif not isinstance(error, KilledWorker):
                     raise error
-                elif len(chunk) == 1:
+                else:
                     settle(chunk[0])
                     text = "the Dask workers that ran it died; the usual reason is too little memory"
                     yield chunk[0], fail(job, tasks[chunk[0]], Failure(tasks[chunk[0]].key, "crash", text))
@@ -473,10 +470,10 @@ def _carrier(shipped: bytes) -> Any:
     return JobCarrier()
 
 
-def _chunks(count: int, threads: int) -> deque[list[int]]:
+def _chunks(count: int, threads: int) -> list[list[int]]:
     """Return the numbers of the tasks of each submission; many small submissions would take longer than the fits."""
     size = min(_LARGEST, max(1, count // (threads * _JOURNEYS)))
-    return deque(list(range(first, min(first + size, count))) for first in range(0, count, size))
+    return [list(range(first, min(first + size, count))) for first in range(0, count, size)]
 
 
 def _attempt_there(name: str, tasks: list[Task]) -> list[Outcome | str]:

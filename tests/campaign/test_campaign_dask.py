@@ -122,6 +122,17 @@ def test_progress_counts_one_for_each_thread(job, tmp_path):
     assert watcher.seen[-1] == (16, 0)
 
 
+def test_workers_that_join_later_find_all_tasks_with_the_scheduler(job, tmp_path, monkeypatch):
+    client, submitted, seen = job.engine.client, [], []
+    submit = client.submit
+    monkeypatch.setattr(client, "nthreads", dict)  # as of a cluster whose jobs still wait in a queue
+    monkeypatch.setattr(client, "submit", lambda *args, **options: submitted.append(args) or submit(*args, **options))
+    watcher = files.Watcher()
+    monkeypatch.setattr(watcher, "end", lambda _: seen.append(len(submitted)))
+    run_tasks(replace(job, reporter=watcher), [task(tmp_path, f"{i:x}", files.write_number) for i in range(8)])
+    assert seen == [8] * 8
+
+
 @pytest.mark.slow
 def test_a_task_that_kills_its_workers_does_not_stop_the_others_of_its_journey(job, tmp_path):
     tasks = [task(tmp_path, f"{i:x}", files.write_number) for i in range(16)]
