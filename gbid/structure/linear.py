@@ -468,6 +468,7 @@ def evaluate(
     return model_function(structure)(values, input_names, output_names)
 
 
+@once
 def model_function(structure: Structure) -> Callable[..., LinearModel]:
     """Return a function from values to the numeric model of a structure; its symbolic matrices are made once."""
     p, symbolic = symbolic_matrices(structure)

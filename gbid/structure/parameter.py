@@ -145,9 +145,11 @@ _known: ContextVar[dict[tuple[str, int], tuple[Any, Any]] | None] = ContextVar("
 def asked_once() -> Iterator[None]:
     """Return a context that caches symbolic matrices and equations: start, predictor and model need them in turn.
 
-    It is that of one fit. Functions of a user may return something else in the next one.
+    It is that of one fit with what is stored of it, the outermost context. Functions of a user may return something
+    else in the next one.
     """
-    before = _known.set({})
+    known = _known.get()
+    before = _known.set({} if known is None else known)
     try:
         yield
     finally:

@@ -219,9 +219,12 @@ def _tested(result: FitResult, recording: Recording, left_out: Ranges) -> tuple[
 
 
 def _predicted(
-    result: FitResult, recording: Recording, stretch: slice, counted: BoolArray
+    result: FitResult, recording: Recording, stretch: slice, counted: BoolArray, known_state: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the outputs without their disturbances, and their predictions; only samples that count are explained."""
+    """Return the outputs without their disturbances, and their predictions; only samples that count are explained.
+
+    A known initial state is that of the stretch in a prediction without disturbances.
+    """
     u = select(recording, result.options.inputs, irregular=True)[0][stretch]
     y = select(recording, result.options.outputs, gaps=True, irregular=True)[0][stretch]
     clock = recording.sample_time if recording.stamps is None else recording.stamps[stretch]
@@ -229,6 +232,8 @@ def _predicted(
     overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     with np.errstate(over="ignore", invalid="ignore"):
         disturbances = result.disturbances
+        if known_state is not None:
+            return y, model.predict(u, y, clock, initial_state=known_state)
         fitted = simulator_of(model, clock, disturbances=disturbances)
         if isinstance(fitted, NonlinearSimulator) and result.options.focus == "prediction":
             fitted = replace(
@@ -308,7 +313,9 @@ def shaft_lines(result: FitResult, recording: Recording, left_out: Ranges = ()) 
     stretch, counted = _tested(result, recording, left_out)
     if not counted.all() or len(counted) * recording.sample_time * turning < 1:  # gaps have lines of their own
         return []
-    y, predicted = _predicted(result, recording, stretch, counted)
+    plain = result.options.focus == "prediction" and not result.disturbances.instead_of_walks(1).n_columns
+    state = result.initial_states[result.recordings.index(recording.name)] if plain and stretch.start == 0 else None
+    y, predicted = _predicted(result, recording, stretch, counted, state)
     error = y - predicted
     power, frequency = power_of(error - error.mean(axis=0), recording.sample_time)
     clear = []
@@ -329,8 +336,10 @@ def _lines(power: FloatArray, frequency: FloatArray, turning: float) -> list[tup
         width = max(8, round(0.4 * turning / step))
         near = power[max(0, at - 2) : at + 3]
         beside = np.concatenate([power[max(0, at - width) : max(0, at - 2)], power[at + 3 : at + 3 + width]])
+        beside.sort()
+        middle = beside[(beside.size - 1) // 2 : beside.size // 2 + 1]
         # The usual power of a periodogram: its median over ln 2, because it is chi-square with two degrees of freedom.
-        usual = float(np.median(beside)) / np.log(2) if beside.size else np.inf
+        usual = float(middle.mean()) / np.log(2) if beside.size else np.inf
         if near.size and near.max() > CLEAR * usual:
             lines.append((order, float(np.sqrt(near.sum()))))
     return lines

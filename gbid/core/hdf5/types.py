@@ -33,7 +33,6 @@ import numpy.typing as npt
 
 from gbid.core.errors import DataError
 from gbid.core.hdf5.file import (
-    TEXT,
     DamagedError,
     FileKind,
     add_attribute,
@@ -168,9 +167,7 @@ class Leaf:
         context.check(array.shape, self.shape, lambda: where(group, name))
         if self.is_dataset:
             unit, words = self.stored.unit, self.stored.long_name or name.replace("_", " ")
-            options: Mapping[str, Any] = {"dtype": TEXT} if self.kind == "U" else {}
-            if self.kind != "U" and array.size >= _COMPRESSED:
-                options = _PACKED
+            options = _PACKED if self.kind != "U" and array.size >= _COMPRESSED else {}
             add_dataset(group, name, array, context.units.get(unit, unit), words, **options)
             return
         path, attribute = attribute_of(name)

@@ -41,6 +41,7 @@ from gbid.identify.problem.states import initial_states
 from gbid.identify.result import StdKind
 from gbid.recording import ProblemKind, Recording
 from gbid.structure import AnyStructure, LinearModel, kind_of
+from gbid.structure.parameter import asked_once
 from gbid.validate.residuals import shaft_lines
 
 
@@ -391,6 +392,7 @@ def left_out_of(job: Job, name: str, data: Recording) -> list[tuple[int, int]]:
     return [samples_of(data, *stretch) for stretch in job.experiment.spec.fits[name].left_out.get(data.name, ())]
 
 
+@asked_once()
 def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
     inputs, outputs = fit_channels(job.experiment, name)
     data = []
@@ -410,13 +412,13 @@ def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
         options = section.multi_start.model_dump()
         result = fit_multistart(structure, measured, **options, progress=job.reporter.iteration, **arguments).best
     result = replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
-    save(result, part, overwrite=True, document=_document(job.experiment, name, model, result))
+    save(result, part, overwrite=True, document=_document(job.experiment, structure, name, model, result))
     return Made(result.status, result.success, _smallest(result.fit_percent))
 
 
-def _document(experiment: Experiment, name: str, model: str, result: FitResult) -> Row:
+def _document(experiment: Experiment, structure: AnyStructure, name: str, model: str, result: FitResult) -> Row:
     """Return the document of a fit, with true values for recordings of the rig."""
-    structure, recordings = make_structure(experiment, name), recordings_of(experiment, name, model)
+    recordings = recordings_of(experiment, name, model)
     truth = true_values(experiment, recordings, structure) if recordings else {}
     return fit_document(result, truth, true_model(structure, truth, result.linear_model))
 
