@@ -18,12 +18,13 @@ from gbid.core.files import remove_stale_parts
 from gbid.core.tables import Column, Table
 from gbid.experiment.campaign import collect, read_shard, run_campaign, working
 from gbid.experiment.experiment import Experiment, changed_files
+from gbid.experiment.index import load_index
 from gbid.experiment.run import Job, Outcome, Stage, Task, has_section, no_tasks, run_stage, run_tasks, standing
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks
 from gbid.report.fit_tables import campaign_document, campaign_tables
 from gbid.report.read import kept_report
-from gbid.report.views import summary_lines, view_of
+from gbid.report.views import fit_rows, summary_lines, view_of
 
 # ---- Command that one would sensibly give next, from the sections that an experiment has.
 
@@ -136,6 +137,7 @@ def print_plan(experiment: Experiment, stages: Sequence[Stage], options: CommonO
     UsageError
         When a result made from other settings exists and must not be replaced.
     """
+    load_index(experiment.results)
     rows = plan_rows(Job(experiment, options.overwrite, retry=options.retry), stages)
     if options.as_json:
         print_json({"experiment": experiment.spec.name, "results": experiment.results, "plan": rows})
@@ -190,6 +192,7 @@ def opened(experiment: Experiment, options: CommonOptions, **more: Any) -> Itera
 def looked_at(experiment: Experiment, options: CommonOptions) -> Iterator[Job]:
     """Return a context that gives the job of a verb which shows results; it takes no lock."""
     remove_stale_parts(experiment.results)
+    load_index(experiment.results)
     with reporting(options.quiet, options.verbose) as reporter:
         yield Job(experiment, options.overwrite, reporter)
 
@@ -376,7 +379,9 @@ def run_all(path: Path, options: CommonOptions) -> None:
         written = kept_report(job) or _written(job)
     outcomes += [*drawn, written]
     shown = [stage for stage in registry.STAGES if stage.name not in ("rig", "import", "figure")]
-    document = document_of(job, shown, outcomes)
+    many = [] if table is None or options.as_json or len(table) <= MANY else fit_rows(table)
+    document = document_of(job, [stage for stage in shown if not (many and stage is FIT)], outcomes)
+    document = {"fits": many, **document}
     tables = tables_of(shown, document)
     if len(document["fits"]) > MANY:
         at = shown.index(FIT)

@@ -25,6 +25,8 @@ from gbid.core.tables import write_csv
 from gbid.experiment.engines import make_engine
 from gbid.experiment.experiment import Experiment, fit_models, recordings_of
 from gbid.experiment.fields import stored_key
+from gbid.experiment.index import NAME as INDEX
+from gbid.experiment.index import load_index, save_index
 from gbid.experiment.run import (
     FAILED,
     Failure,
@@ -40,9 +42,9 @@ from gbid.experiment.run import (
     standing,
 )
 from gbid.experiment.stages import registry
-from gbid.experiment.stages.fit import FIT, fit_tasks
+from gbid.experiment.stages.fit import FIT, fit_tasks, table_row
 from gbid.experiment.stages.prefilter import with_needed
-from gbid.identify import FitTable, TableEntry, load_fit, load_table, save_table, tabulate
+from gbid.identify import FitTable, TableEntry, load_table, save_table, tabulate
 from gbid.identify.table import csv_table
 
 if TYPE_CHECKING:
@@ -253,6 +255,8 @@ def working(
         chosen = make_engine(engine, workers, scheduler)
         try:
             remove_stale_parts(experiment.results)
+            if not shared:
+                load_index(experiment.results)
             # Kept in the job, because a worker of a pool has another command line.
             words = (
                 "=".join(experiment.beside(part) if Path(part).is_absolute() else part for part in word.split("="))
@@ -263,6 +267,8 @@ def working(
         finally:
             chosen.close()
             remove_stale_parts(experiment.results)
+            if not shared:
+                save_index(experiment.results)
 
 
 def run_campaign(job: Job, shard: Shard | None = None, one: str | None = None) -> list[Outcome]:
@@ -333,6 +339,7 @@ def stale_files(results: Path, everything: bool = False, kernels: Path | None = 
     stale = [*find_stale_parts(results), *(results / FAILED).rglob("*.json")]
     if everything:
         stale += [path for path in results.rglob("[!.]*") if path.is_file() and stored_key(path)]
+        stale += results.glob(INDEX)
     if kernels is not None and kernels.is_dir():
         stale += [*find_stale_parts(kernels), *kernels.glob("*.so"), *kernels.glob("*.lock")]
     return sorted(dict.fromkeys(stale))
@@ -411,13 +418,13 @@ def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> Tab
     conditions = [job.experiment.recordings[name].conditions for name in task.recordings]
     first: Mapping[str, float] = conditions[0] if conditions else {}
     shared = {k: v for k, v in first.items() if all(other.get(k) == v for other in conditions)}
-    result, failure = None, state if isinstance(state, str) else ""
+    row, failure = None, state if isinstance(state, str) else ""
     if not failure:
         try:
-            result = load_fit(task.path)
+            row = table_row(task.path)
         except DataError as error:
             failure = str(error)
-    return TableEntry(fit, model, task.recordings, shared, result, failure)
+    return TableEntry(fit, model, task.recordings, shared, failure=failure, row=row)
 
 
 def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:

@@ -8,7 +8,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -33,6 +32,7 @@ from gbid.core.hdf5 import KEY, MADE_WITH, changing, opened, versions
 from gbid.core.names import given_path
 from gbid.core.option_types import Finite
 from gbid.discretise import Hold
+from gbid.experiment.index import known
 
 T = TypeVar("T")
 
@@ -366,38 +366,24 @@ def file_digest(path: Path) -> str:
     OSError
         When the file cannot be read.
     """
-    return _digest(path, version_of(path))
+    return known(path, "sha256", _digest)
 
 
-@lru_cache(maxsize=1 << 16)
-def _digest(path: Path, _version: tuple[int, ...]) -> str:
+def _digest(path: Path) -> str:
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
-
-
-def version_of(path: Path) -> tuple[int, ...]:
-    """Return numbers of a file that change when it is written or replaced: what was read under them is still true.
-
-    Raises
-    ------
-    OSError
-        When there is no such file.
-    """
-    stat = path.stat()
-    return stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns
 
 
 def stored_key(path: Path) -> str:
     """Return the content key in a result file; empty when the file has none, is damaged or cannot be read."""
     try:
-        return _key_in(path, version_of(path))
+        return known(path, "key", _key_in)
     except OSError:
         return ""
 
 
-@lru_cache(maxsize=1 << 16)
-def _key_in(path: Path, _version: tuple[int, ...]) -> str:
-    """Return the content key in a file; the stages ask for each key many times."""
+def _key_in(path: Path) -> str:
+    """Return the content key in a file, after a check of the whole file."""
     try:
         if path.suffix == ".h5":
             key = _KEY.search(checked_end(path) or b"")
@@ -422,12 +408,10 @@ def is_current(path: Path, key: str, overwrite: bool) -> bool:
     DataError
         When the file cannot be read.
     """
-    if not path.exists():
-        return False
     stored = stored_key(path)
     if stored == key:
         return True
-    if overwrite:
+    if overwrite or not path.exists():
         return False
     if not stored:
         words = "damaged, changed after it was made, or not made by an experiment"

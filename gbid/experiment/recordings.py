@@ -15,7 +15,8 @@ from gbid.core.hdf5 import read_document, save
 from gbid.excite import ExcitationLimits, rig_limits
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Result, file_digest, stored_key, version_of
+from gbid.experiment.fields import Result, file_digest, stored_key
+from gbid.experiment.index import version_of
 from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
 from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection

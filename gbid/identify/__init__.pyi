@@ -38,6 +38,7 @@ from .start.black_box import (
     subspace_orders as subspace_orders,
 )
 from .table import (
+    FitRow as FitRow,
     FitTable as FitTable,
     TableEntry as TableEntry,
     load_table as load_table,

@@ -380,10 +380,14 @@ class FitResult(Brief, Pictured, hdf5.InFile):
     @classmethod
     def from_hdf5(cls, group: h5py.Group) -> FitResult:
         """Return the fit in a `group` of `to_hdf5`, with the covariance that it trusts."""
+        return hdf5.read_fields(group, cls, covariance=cls.covariance_in(group))
+
+    @staticmethod
+    def covariance_in(group: h5py.Group) -> FloatArray:
+        """Return the covariance that a fit trusts, from its `group`."""
         trusted = hdf5.read_text(group, "trusted")
         kind = "robust" if trusted == "none" else trusted
-        covariance = hdf5.read_dataset(group, f"parameters/covariance_{kind}")
-        return hdf5.read_fields(group, cls, covariance=covariance)
+        return hdf5.read_dataset(group, f"parameters/covariance_{kind}")
 
     def _brief(self) -> Description:
         modes = zip(self.model.modes(), self.modes_std, strict=True)

@@ -22,7 +22,7 @@ from gbid.identify.result import FitResult
 
 TextArray = npt.NDArray[np.str_]
 
-_MODE = ("mode_frequency_hz", "mode_frequency_std_hz", "mode_damping", "mode_damping_std")
+MODE_BLOCKS = ("mode_frequency_hz", "mode_frequency_std_hz", "mode_damping", "mode_damping_std")
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +268,7 @@ class FitTable(Brief, hdf5.InFile):
             **{
                 name.replace("mode_", f"mode{j + 1}_"): (getattr(self, name)[:, j], "Hz" if "_hz" in name else "1")
                 for j in range(self.mode_frequency_hz.shape[1])
-                for name in _MODE
+                for name in MODE_BLOCKS
             },
             **{
                 f"gain_{name.replace(' ', '_')}{ending}": (values[:, j], "")
@@ -338,6 +338,34 @@ def csv_table(fits: FitTable) -> Table:
 
 
 @dataclass(frozen=True, eq=False)
+class FitRow:
+    """What a table shows of one fit; the fields are those of `gbid.FitResult`.
+
+    Attributes
+    ----------
+    numbers : dict of str to dict
+        Numbers of each block of columns of `FitTable`, by name; those of modes by their place.
+    """
+
+    structure: str
+    success: bool
+    status: str
+    notes: tuple[str, ...]
+    iterations: int
+    wall_time_s: float
+    units: Mapping[str, str]
+    free: tuple[str, ...]
+    covariance: FloatArray
+    numbers: Mapping[str, Mapping[Any, float]]
+
+    @classmethod
+    def of(cls, result: FitResult) -> FitRow:
+        """Return the row of a result."""
+        shared = (field.name for field in fields(cls) if field.name != "numbers")
+        return cls(**{name: getattr(result, name) for name in shared}, numbers=_numbers(result))
+
+
+@dataclass(frozen=True, eq=False)
 class TableEntry(Brief):
     """Source of one row of a table of fits.
 
@@ -353,6 +381,8 @@ class TableEntry(Brief):
         The result; None for a fit without one.
     failure : str
         Reason of a missing result, which becomes the status.
+    row : FitRow, optional
+        The numbers of the result alone, in place of the result.
     """
 
     fit: str
@@ -361,6 +391,7 @@ class TableEntry(Brief):
     conditions: Mapping[str, float] = field(default_factory=dict)
     result: FitResult | None = None
     failure: str = ""
+    row: FitRow | None = None
 
 
 def tabulate(entries: Sequence[TableEntry]) -> FitTable:
@@ -376,51 +407,48 @@ def tabulate(entries: Sequence[TableEntry]) -> FitTable:
     FitTable
         The table.
     """
-    results = [entry.result for entry in entries]
-    numbers = [_numbers(result) for result in results]
+    rows = [entry.row or (None if entry.result is None else FitRow.of(entry.result)) for entry in entries]
+    numbers = [row.numbers if row else {} for row in rows]
     names, outputs, gains, modes = (
         tuple(dict.fromkeys(name for each in numbers for name in each.get(block, ())))
         for block in ("values", "fit_percent", "static_gain", "mode_frequency_hz")
     )
-    units = {name: unit for result in reversed(results) if result for name, unit in result.units.items()}
+    units = {name: unit for row in reversed(rows) if row for name, unit in row.units.items()}
     covariance = np.full((len(entries), len(names), len(names)), np.nan)
-    for matrix, result in zip(covariance, results, strict=True):
-        if result is not None:
-            known, free = ([names.index(name) for name in each] for each in (result.parameters, result.free))
+    for matrix, row in zip(covariance, rows, strict=True):
+        if row is not None:
+            known, free = ([names.index(name) for name in each] for each in (row.numbers["values"], row.free))
             matrix[np.ix_(known, known)] = 0.0
-            matrix[np.ix_(free, free)] = result.covariance
+            matrix[np.ix_(free, free)] = row.covariance
     labels = {"values": names, "std": names, "fit_percent": outputs, "static_gain": gains, "static_gain_std": gains}
     blocks: dict[str, Any] = {
         block: np.array(
             [[each.get(block, {}).get(label, np.nan) for label in of_block] for each in numbers], float
         ).reshape(len(entries), len(of_block))
-        for block, of_block in {**labels, **dict.fromkeys(_MODE, modes)}.items()
+        for block, of_block in {**labels, **dict.fromkeys(MODE_BLOCKS, modes)}.items()
     }
     for name in ("pressure_bar", "speed_rpm"):
         blocks[name] = np.array([entry.conditions.get(name, np.nan) for entry in entries], float)
     return FitTable(
         fit=np.array([entry.fit for entry in entries], dtype=str),
         model=np.array([entry.model for entry in entries], dtype=str),
-        structure=np.array([r.structure if r else "" for r in results], dtype=str),
+        structure=np.array([r.structure if r else "" for r in rows], dtype=str),
         recordings=tuple(tuple(entry.recordings) for entry in entries),
         parameter_names=names,
         units=tuple(units[name] for name in names),
         covariance=covariance,
         gain_names=gains,
         output_names=outputs,
-        success=np.array([r is not None and r.success for r in results], dtype=bool),
-        status=np.array([e.result.status if e.result else e.failure for e in entries], dtype=str),
-        notes=tuple(r.notes if r else () for r in results),
-        iterations=np.array([r.iterations if r else 0 for r in results], dtype=np.int64),
-        wall_time_s=np.array([r.wall_time_s if r else np.nan for r in results], dtype=float),
+        success=np.array([r is not None and r.success for r in rows], dtype=bool),
+        status=np.array([r.status if r else e.failure for r, e in zip(rows, entries, strict=True)], dtype=str),
+        notes=tuple(r.notes if r else () for r in rows),
+        iterations=np.array([r.iterations if r else 0 for r in rows], dtype=np.int64),
+        wall_time_s=np.array([r.wall_time_s if r else np.nan for r in rows], dtype=float),
         **blocks,
     )
 
 
-def _numbers(result: FitResult | None) -> dict[str, Mapping[Any, float]]:
-    """Return the numbers of a fit for each block of columns, by name; modes by their place."""
-    if result is None:
-        return {}
+def _numbers(result: FitResult) -> dict[str, Mapping[Any, float]]:
     model = result.model
     modes = np.reshape(model.modes(), (-1, 2))
     modes_std = result.modes_std if result.modes_std.shape == modes.shape else np.full(modes.shape, np.nan)
@@ -435,5 +463,5 @@ def _numbers(result: FitResult | None) -> dict[str, Mapping[Any, float]]:
         "fit_percent": dict(zip(model.output_names, result.fit_percent.min(axis=0), strict=True)),
         "static_gain": dict(zip(gains, static_gain, strict=True)),
         "static_gain_std": dict(zip(gains, result.static_gain_std.ravel(), strict=False)),
-        **{_MODE[2 * i + j]: dict(enumerate(each[:, i])) for i in (0, 1) for j, each in enumerate((modes, modes_std))},
+        **{block: dict(enumerate((modes, modes_std)[i % 2][:, i // 2])) for i, block in enumerate(MODE_BLOCKS)},
     }

@@ -9,6 +9,8 @@ from math import floor, isfinite, log10
 from textwrap import shorten, wrap
 from typing import Any
 
+import numpy as np
+
 from gbid.control.assessment import TunedDesign
 from gbid.control.impact.study import ImpactStudy
 from gbid.core.hdf5 import load
@@ -19,6 +21,7 @@ from gbid.experiment.stages.cycle import made_rows
 from gbid.experiment.stages.fit import Row
 from gbid.experiment.stages.loop import made_costs
 from gbid.experiment.stages.static import load_made_static
+from gbid.identify import FitTable
 from gbid.lpv import load_lpv_fit
 from gbid.prefilter import PrefilterFile
 from gbid.report.control_tables import (
@@ -190,6 +193,24 @@ def summary_lines(document: Document) -> list[str]:
         *lines,
         *(["notes (whole text with -v; gbid explain CODE):", *(f"  {line}" for line in notes)] if notes else []),
     ]
+
+
+def fit_rows(table: FitTable) -> list[Row]:
+    """Return of each made fit of a campaign what `summary_lines` shows of its document; one file holds all of it."""
+    modes = np.stack([getattr(table, f"mode_{key}") for key in _MODE_KEYS], axis=-1)
+    return [
+        {
+            "fit": str(table.fit[i]),
+            "model": str(table.model[i]),
+            "success": bool(table.success[i]),
+            "modes": [dict(zip(_MODE_KEYS, mode, strict=True)) for mode in modes[i].tolist() if isfinite(mode[0])],
+            "notes": table.notes[i],
+        }
+        for i in np.flatnonzero(table.structure != "")
+    ]
+
+
+_MODE_KEYS = ("frequency_hz", "frequency_std_hz", "damping", "damping_std")
 
 
 def converged_words(fits: Sequence[Row]) -> str:

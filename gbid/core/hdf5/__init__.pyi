@@ -24,6 +24,7 @@ from .types import (
     NOT_STORED as NOT_STORED,
     InFile as InFile,
     Stored as Stored,
+    document_in as document_in,
     load as load,
     read_document as read_document,
     read_fields as read_fields,

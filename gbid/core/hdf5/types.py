@@ -686,7 +686,12 @@ def read_document(path: Path, kind: FileKind) -> Any:
         When the file cannot be read, is of another kind, or was written without them.
     """
     with reading(path, kind) as file:
-        return json.loads(read_dataset(file, DOCUMENT).tobytes())
+        return document_in(file)
+
+
+def document_in(file: h5py.File) -> Any:
+    """Return the plain values that `save` stored beside a value, from an open file."""
+    return json.loads(read_dataset(file, DOCUMENT).tobytes())
 
 
 @overload

@@ -15,11 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
-from gbid.core.hdf5 import read_document, save
+from gbid.core.hdf5 import document_in, read_document, read_group, read_texts, reading, save
 from gbid.core.tables import finite_or_none
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
-from gbid.experiment.fields import Found, Location, Result, file_digest, refusal, version_of
+from gbid.experiment.fields import Found, Location, Result, file_digest, refusal
+from gbid.experiment.index import known, version_of
 from gbid.experiment.machine import true_model, true_values
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.run import Job, Made, Stage, Task
@@ -34,11 +35,12 @@ from gbid.experiment.structures import (
     structure_or_none,
     structure_settings,
 )
-from gbid.identify import FitOptions, FitResult, FrequencyData, TableEntry, fit, fit_multistart, load_fit
+from gbid.identify import FitOptions, FitResult, FitRow, FrequencyData, TableEntry, fit, fit_multistart, load_fit
 from gbid.identify.frequency_fit import refuse_other_options
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.states import initial_states
 from gbid.identify.result import StdKind
+from gbid.identify.table import MODE_BLOCKS
 from gbid.recording import ProblemKind, Recording
 from gbid.structure import AnyStructure, LinearModel, kind_of
 from gbid.structure.parameter import asked_once
@@ -303,9 +305,51 @@ def read_fit_summary(path: Path) -> Made:
     DataError
         When the file is damaged.
     """
-    document = _stored_document(path, version_of(path))
-    percents = (row["fit_percent"] for row in document["fit_percent"])
-    return Made(document["status"], document["success"], min(percents, default=nan))
+    return Made(*known(path, "fit", _summary))
+
+
+def _summary(path: Path) -> tuple[str, bool, float]:
+    document = read_document(path, FitResult.FILE)
+    return (
+        document["status"],
+        document["success"],
+        min((q["fit_percent"] for q in document["fit_percent"]), default=nan),
+    )
+
+
+def table_row(path: Path) -> FitRow:
+    """Return the row of a fit in a table of many, from its document: a tenth of the time to load the fit.
+
+    Raises
+    ------
+    DataError
+        When the file is damaged.
+    """
+    with reading(path, FitResult.FILE) as file:
+        document, covariance = document_in(file), FitResult.covariance_in(file)
+        free = read_texts(read_group(file, "parameters"), "free")
+    percents: dict[str, list[float]] = {}
+    for row in document["fit_percent"]:
+        percents.setdefault(row["output"], []).append(row["fit_percent"])
+    blocks: dict[str, dict[Any, float | None]] = {
+        "values": {q["parameter"]: q["estimate"] for q in document["parameters"]},
+        "std": {q["parameter"]: q["std"] for q in document["parameters"]},
+        "fit_percent": {output: float(np.min(each)) for output, each in percents.items()},
+        "static_gain": {f"{q['input']} to {q['output']}": q["gain"] for q in document["static_gain"]},
+        "static_gain_std": {f"{q['input']} to {q['output']}": q["std"] for q in document["static_gain"]},
+        **{block: dict(enumerate(q[block.removeprefix("mode_")] for q in document["modes"])) for block in MODE_BLOCKS},
+    }
+    return FitRow(
+        **{key: document[key] for key in ("structure", "success", "status", "iterations", "wall_time_s")},
+        notes=tuple(document["notes"]),
+        units={q["parameter"]: q["unit"] for q in document["parameters"]},
+        free=free,
+        covariance=covariance,
+        numbers={
+            block: {name: nan if value is None else value for name, value in numbers.items()}
+            for block, numbers in blocks.items()
+        },
+    )
 
 
 def load_made_fit(job: Job, name: str, model: str) -> FitResult:

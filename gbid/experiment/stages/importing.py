@@ -11,7 +11,8 @@ import numpy as np
 
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.experiment.experiment import Experiment, PlannedRecording
-from gbid.experiment.fields import Found, content_key, file_digest, needed, version_of
+from gbid.experiment.fields import Found, content_key, file_digest, needed
+from gbid.experiment.index import version_of
 from gbid.experiment.recordings import (
     driving_channels,
     mapping_of,

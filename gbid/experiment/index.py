@@ -1,0 +1,84 @@
+"""Index of a results folder: facts read in files, so that a file which has not changed since is not read again.
+
+A fact holds for a version of a file: its inode, size and times. Whatever writes or replaces the file changes these, and
+the fact is read again. The index is a cache: it may be deleted, and it is not written where it would save nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+from gbid._version import __version__
+from gbid.core.errors import DataError
+from gbid.core.files import atomic_path, checked_end, with_checksum
+
+T = TypeVar("T")
+NAME = ".gbid.index"
+_FEWEST = 100  # facts worth an index; to read as many files takes about 50 ms
+_SETTLED_NS = 2_000_000_000  # age of a change [ns] from which on a further one has another time, on any file system
+_facts: dict[str, tuple[tuple[int, ...], dict[str, Any]]] = {}  # by file; a cache, as that of `functools.lru_cache`
+
+
+def version_of(path: Path) -> tuple[int, ...]:
+    """Return numbers of a file that change when it is written or replaced: what was read under them is still true.
+
+    Raises
+    ------
+    OSError
+        When there is no such file.
+    """
+    stat = os.stat(path)  # noqa: PTH116  a campaign asks for thousands
+    return stat.st_ino, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns
+
+
+def known(path: Path, fact: str, read: Callable[[Path], T]) -> T:
+    """Return a fact about a file, read once for each version of the file.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    fact : str
+        Name of the fact.
+    read : callable
+        Function that reads the fact, a plain value of JSON.
+
+    Raises
+    ------
+    OSError
+        When there is no such file.
+    """
+    version, name = version_of(path), str(path)
+    if _facts.get(name, ((),))[0] != version:
+        _facts[name] = version, {}
+    facts = _facts[name][1]
+    if fact not in facts:
+        facts[fact] = read(path)
+    value: T = facts[fact]
+    return value
+
+
+def load_index(results: Path) -> None:
+    """Take over the facts in the index of a results folder, for the files that have not changed since."""
+    path, folder = results / NAME, f"{results}{os.sep}"
+    with suppress(OSError, DataError, ValueError):  # without an index, or with a damaged one, the files are read
+        if checked_end(path) is not None:
+            document = json.JSONDecoder().raw_decode(path.read_text(encoding="utf-8"))[0]
+            for name, version, facts in document["files"] if document["gbid"] == __version__ else ():
+                _facts.setdefault(folder + name, (tuple(version), facts))
+
+
+def save_index(results: Path) -> None:
+    """Write the index of a results folder, when it saves time; nothing happens where it cannot be written."""
+    folder, latest = f"{results}{os.sep}", time.time_ns() - _SETTLED_NS
+    settled = [(name, *entry) for name, entry in _facts.items() if name.startswith(folder) and entry[0][-1] < latest]
+    document = {"gbid": __version__, "files": [(name.removeprefix(folder), *entry) for name, *entry in settled]}
+    if len(settled) >= _FEWEST:
+        with suppress(DataError), atomic_path(results / NAME, overwrite=True) as part:
+            part.write_bytes(with_checksum(json.dumps(document).encode()))
