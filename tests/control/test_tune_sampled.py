@@ -139,3 +139,10 @@ def test_sampled_loops_of_a_search_are_those_of_the_target(method: str) -> None:
     slopes = (loops.left[0] @ loops.core[0] @ loops.right[0])[:, :n, :n]
     differences = [(family.states(x + e)[0] - family.states(x - e)[0]) / 2e-6 for e in step]
     np.testing.assert_allclose(slopes, differences, atol=1e-6 * np.abs(slopes).max())
+
+
+def test_half_of_a_budget_is_for_the_sampled_loop() -> None:
+    """The continuous search alone takes more than the budget; its design had only been judged in the sampled loop."""
+    budgeted = gbid.tune(MODEL, "PD", operating_points=ONE, sample_time=2e-4, evaluations=600)
+    assert budgeted.success
+    assert budgeted.history[-1].count <= 620

@@ -301,6 +301,11 @@ class Evaluations:
     most: int | None = None
     until: float = inf
 
+    def half(self) -> Evaluations:
+        """Return a budget of half of what is left."""
+        most = None if self.most is None else (self.count + self.most) // 2
+        return Evaluations(self.count, most, (monotonic() + self.until) / 2)
+
     @property
     def exhausted(self) -> bool:
         """Whether the budget is used up."""

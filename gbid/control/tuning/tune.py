@@ -227,7 +227,9 @@ def _search(plants: Plants, limits: Limits, box: Box, task: SearchTask, budget: 
     if plants.sampling is None:
         return solve_over_points(_problem(plants, limits, box, budget), plants, plants.points, task)
     continuous = plants.continuous
-    sketch = sketch_over_points(_problem(continuous, limits, box, budget), continuous, plants.points, task)
+    half = budget.half()
+    sketch = sketch_over_points(_problem(continuous, limits, box, half), continuous, plants.points, task)
+    budget.count = half.count
     first = (*(end.x for end in sketch.ends), *task.first)
     # few gains: a search of the whole box again, because it costs little; else from the continuous designs
     options = task.options if len(task.neutral) <= 3 else replace(task.options, starts=0)
