@@ -7,11 +7,14 @@ import os
 import subprocess
 import sys
 
+import casadi as ca
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from scipy.signal import ss2tf
 
 import gbid
-from gbid.control import controller_model, exact_plant, p_controller, sampled_loop, smallest_damping
+from gbid.control import MaxDamping, controller_model, exact_plant, p_controller, sampled_loop, smallest_damping
 from gbid.control.tuning.loops import PlantMatrices
 from gbid.control.tuning.plane import true_rates
 from gbid.control.tuning.plants import TuneOptions, plants_of
@@ -146,3 +149,26 @@ def test_half_of_a_budget_is_for_the_sampled_loop() -> None:
     budgeted = gbid.tune(MODEL, "PD", operating_points=ONE, sample_time=2e-4, evaluations=600)
     assert budgeted.success
     assert budgeted.history[-1].count <= 620
+
+
+def test_a_delay_of_87_samples_is_exact() -> None:
+    """The modes are the roots of the characteristic polynomial of degree 89, and no static gain has a better one."""
+    T, w, samples = 2.5e-4, 300.0, 87
+    A, B, C = np.array([[0.0, 1.0], [-(w**2), -6.0]]), np.array([[0.0], [w**2]]), np.array([[1.0, 0.0]])
+    late = {"B_delayed": B, "delay": np.array([(samples - 1) * T])}  # and a sample of computation
+    plant = gbid.LinearModel(A, 0 * B, C, np.zeros((1, 1)), **late)
+    gain, none = gbid.Parameter("k", 0.0, -0.5, 0.5, unit="m/m"), {"A": ca.SX(0, 0), "C": ca.SX(1, 0)}
+    law = gbid.LinearStructure("static", [gain], lambda p: {**none, "D": [[p["k"]]]}, ("p",), ("r",))
+    design = gbid.tune(plant, law, goals=[MaxDamping()], sample_time=T)
+
+    held = expm(T * np.block([[A, B], [np.zeros((1, 3))]]))[:2]
+    numerator, denominator = ss2tf(held[:, :2], held[:, 2:], C, np.zeros((1, 1)))
+
+    def damping(k: float) -> float:
+        z = np.roots(np.polysub(np.append(denominator, np.zeros(samples)), k * numerator[0]))
+        rates = np.log(z[np.abs(z) > np.exp(-1)]) / T  # shorter modes do not oscillate visibly
+        rates = rates[np.abs(rates.imag) > 1e-6 * np.abs(rates)]
+        return float((-rates.real / np.abs(rates)).min())
+
+    assert design.value == pytest.approx(damping(design.gains["k"]), rel=1e-6)
+    assert design.value >= (1 - 1e-6) * max(damping(k) for k in np.linspace(-0.5, 0.5, 401))
