@@ -72,5 +72,5 @@ def test_a_structure_without_states_says_so():
     assert design.value == pytest.approx(96 / 600)
     assert design.design(sample_time=1e-4).sampled_at().D.item() == pytest.approx(-1.0)
     short = gbid.LinearStructure("short", [gain], lambda p: {"D": [[p["k"]]]}, ("p",), ("r",))
-    with pytest.raises(UsageError, match="matrices must give A and C; of a controller without states"):
+    with pytest.raises(UsageError, match="give A and C; without states SX"):
         gbid.tune(plant, short, goals=[MaxDamping()])

@@ -415,10 +415,7 @@ class ControllerLaw:
             else structure.matrices(values)
         )
         if not {"A", "C"} <= set(given):
-            raise UsageError(
-                f"controller {structure.name!r}: matrices must give A and C; of a controller without states "
-                "A = casadi.SX(0, 0) and C = casadi.SX(outputs, 0)"
-            )
+            raise UsageError(f"controller {structure.name!r}: give A and C; without states SX(0, 0), SX(outputs, 0)")
         n, (n_r, n_p) = _as_sx(given["A"]).shape[0], shape
         sizes = {"A": (n, n), "B": (n, n_p), "C": (n_r, n), "D": (n_r, n_p)}
         matrices = {letter: _as_sx(given.get(letter, ca.SX(*size))) for letter, size in sizes.items()}

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
 from gbid.control.controllers.file import ControllerDesign, required_rate
 from gbid.control.controllers.structures import Scheduled
 from gbid.control.loop.close import Method
-from gbid.control.loop.norm import largest_singular_values, peak_gain
+from gbid.control.loop.norm import Peak, largest_singular_values, peak_gain
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import damping_factors, eigenvalues, true_rates
 from gbid.control.tuning.problem import GainProblem, Objective, SearchStep, rows_of
@@ -283,20 +283,12 @@ class GainResult(Brief):
 # ---- Verification of a design: eigenvalues, exact norms, and distance to instability.
 
 
-class Norm(NamedTuple):
-    """Largest gain over frequency of one loop, and its angular frequency [rad/s]."""
-
-    value: float
-    frequency: float
-
-
-def exact_norms(family: LoopFamily, x: FloatArray, kind: str, least: float = 0.0) -> list[Norm]:
+def exact_norms(family: LoopFamily, x: FloatArray, kind: str, least: float = 0.0) -> list[Peak]:
     """Return the H-infinity norms of S_o (``"sensitivity"``) or K S_o (``"control"``) of every loop.
 
     Those below `least` may be too small, but take less time.
     """
-    peaks = (peak_gain(model, least=least) for model in _models(family, x, kind))
-    return [Norm(peak.value, 2 * np.pi * peak.frequency_hz) for peak in peaks]
+    return [peak_gain(model, least=least) for model in _models(family, x, kind)]
 
 
 def largest_norm(family: LoopFamily, x: FloatArray, kind: str) -> float:
@@ -349,24 +341,17 @@ def distance_to_edge(problem: GainProblem, x: FloatArray, names: tuple[str, ...]
     """Return the smallest destabilising change of a single gain of either sign, with a tolerance of 1 %."""
     nearest = Edge("", np.inf)
     for i, name in enumerate(names):
-        width = problem.upper[i] - problem.lower[i]
-        for sign in (1.0, -1.0):
-
-            def stable(change: float, i: int = i, sign: float = sign) -> bool:
-                moved = x.copy()
-                moved[i] += sign * change
-                return problem.stable(moved)
-
-            last = 0.0
-            for change in width * np.geomspace(1e-7, 1.0, 22):
-                if change >= abs(nearest.change):
+        for step in np.eye(len(x))[i] * [[1.0], [-1.0]]:
+            low = 0.0
+            for high in (problem.upper[i] - problem.lower[i]) * np.geomspace(1e-7, 1.0, 22):
+                if high >= abs(nearest.change):
                     break
-                if not stable(change):
-                    low, high = last, float(change)
-                    while high - low > 0.01 * high:
-                        middle = (low + high) / 2
-                        low, high = (middle, high) if stable(middle) else (low, middle)
-                    nearest = Edge(name, sign * high)
-                    break
-                last = float(change)
+                if problem.stable(x + high * step):
+                    low = high
+                    continue
+                while high - low > 0.01 * high:
+                    middle = (low + high) / 2
+                    low, high = (middle, high) if problem.stable(x + middle * step) else (low, middle)
+                nearest = Edge(name, float(high * step[i]))
+                break
     return nearest

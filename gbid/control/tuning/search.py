@@ -395,13 +395,10 @@ def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n
         x = np.where(decades, first * (last / first) ** u, low + u * (high - low))
         reach = np.where(decades, 1.0, np.minimum(WIDE * unit / (high - low), 1.0) ** (1.0 - far))
         x = neutral + reach * (x - neutral)
-        for share in _SHARES:
-            start = neutral + np.where(decades, 1.0, share) * (x - neutral)
-            if problem.stable(start):
-                break
-        else:
-            start = _stabilised(problem, [x, *islice(uniform, _UNIFORM)], unit)
-        starts.append(start)
+        nearer = (neutral + np.where(decades, 1.0, share) * (x - neutral) for share in _SHARES)
+        stable = next((y for y in nearer if problem.stable(y)), None)
+        tried = [x, *islice(uniform, _UNIFORM)] if stable is None else [stable]
+        starts.append(_stabilised(problem, tried, unit))
     return starts
 
 
@@ -411,11 +408,13 @@ def _stabilised(problem: GainProblem, points: list[FloatArray], unit: FloatArray
     The ascent minimises the sum of squares of the rates of all poles that do not decay fast enough. Unlike the largest
     rate, it is smooth where poles change places and moves all unstable poles at once.
     """
-    growths = []
+    slowest = np.inf
     for x in points:
-        growths.append(problem.growth(x))
-        if growths[-1] < problem.edge:
+        growth = problem.growth(x)
+        if growth < problem.edge:
             return x
+        if growth <= slowest:
+            slowest, start = growth, x
     decay = replace(problem, limits=Limits("decay", problem.limits.slowest_pole), linear=(), cuts=())
 
     def evaluate(x: FloatArray) -> tuple[float, FloatArray]:
@@ -428,7 +427,7 @@ def _stabilised(problem: GainProblem, points: list[FloatArray], unit: FloatArray
 
     ascent = ascend(
         evaluate,
-        points[int(np.argmin(growths))],
+        start,
         problem.lower,
         problem.upper,
         unit,

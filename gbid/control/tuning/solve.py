@@ -186,7 +186,7 @@ def with_cuts(problem: GainProblem, x: FloatArray) -> GainProblem:
         for f, family in enumerate(problem.families):
             far = _FAR if family.sample_time is None else 2 * _FAR / family.sample_time
             for i, norm in enumerate(exact_norms(family, x, kind, least)):
-                cut = Cut(kind, f, i, min(norm.frequency, far))
+                cut = Cut(kind, f, i, min(2 * np.pi * norm.frequency_hz, far))
                 if norm.value > least and cut not in cuts:
                     cuts.append(cut)
     return replace(problem, cuts=tuple(cuts)) if len(cuts) > len(problem.cuts) else problem
