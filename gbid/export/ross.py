@@ -280,7 +280,7 @@ def lateral_matrices(
     Raises
     ------
     UsageError
-        When a bearing is not found, found twice, or connects two nodes.
+        When a bearing is not found, found twice, or connects two nodes, or when the motion is coupled with torsion.
     """
     if rotor.number_dof not in _LATERAL:
         raise UsageError(f"the rotor has {rotor.number_dof} degrees of freedom at a node; models with 4 or 6 are known")
@@ -306,7 +306,14 @@ def lateral_matrices(
         if k.shape[0] > 2:  # what acts along the shaft is no part of the lateral motion
             stiffness[dofs[2], dofs[2]] += k[2, 2]
             damping[dofs[2], dofs[2]] += c[2, 2]
-    lateral = np.ix_(keep, keep)
+    lateral, rest = np.ix_(keep, keep), np.setdiff1d(np.arange(rotor.ndof), keep)
+    for matrix in (mass, damping, stiffness):
+        coupling = [np.abs(matrix[np.ix_(*pair)]).max(initial=0.0) for pair in ((keep, rest), (rest, keep))]
+        if max(coupling) > 1e-9 * np.abs(matrix).max():
+            raise UsageError(
+                "the rotor's lateral motion is coupled with its torsion or with motion along the shaft, as by gears; "
+                "give each shaft as a ross.Rotor of its own"
+            )
     return LateralMatrices(
         mass[lateral], damping[lateral], stiffness[lateral], tuple(unknown), len(_LATERAL[rotor.number_dof])
     )
@@ -329,7 +336,7 @@ def _chosen(rotor: Any, bearings: Mapping[str, int | str] | Sequence[str] | None
         raise UsageError("the rotor has no bearings; give it some, whose coefficients are the start values")
     choices = ", ".join(f"{element.tag!r} at node {element.n}" for element in elements)
     if bearings is None:
-        named: dict[str, int | str] = {_as_name(element.tag): element.tag for element in elements}
+        named: dict[str, int | str] = {_as_name(e.tag): e.tag for e in elements if e.n_link is None}
     elif isinstance(bearings, Mapping):
         named = dict(bearings)
     else:
@@ -556,8 +563,8 @@ def from_ross(
     bearings : dict of str to (int or str), sequence of str, optional
         Bearings whose coefficients are unknown: tags of bearing elements, or names with the tag or node of each,
         ``{"left": 0, "right": 6}``. The names end the names of the parameters; a tag does so with ``_`` for blanks. All
-        bearings when not given. Bearings that are not named keep their coefficients, magnetic ones those of bearing and
-        controller together.
+        bearings to ground when not given. Others keep their coefficients, magnetic ones those of bearing and controller
+        together.
     speed_rpm : float
         Speed of the recordings, for gyroscopic moments and for coefficients over frequency.
     modes : int

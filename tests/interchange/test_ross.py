@@ -269,6 +269,68 @@ def test_the_structure_says_how_good_its_reduction_is():
     assert fast.notes[0].endswith("[GB141]")
 
 
+# of the rotors that ROSS ships; by default their magnetic bearings are without controller
+EXAMPLES = ("rotor_example", "rotor_example_6dof", "rotor_example_with_damping", "compressor_example")
+
+
+@pytest.mark.filterwarnings("ignore:the matrix subclass:PendingDeprecationWarning")  # of ROSS
+@pytest.mark.filterwarnings("ignore:File was created with ROSS:UserWarning")
+@pytest.mark.parametrize("name", [*EXAMPLES, "coaxrotor_example", "rotor_amb_example"])
+@pytest.mark.parametrize("speed_rpm", [0.0, 3000.0])
+def test_rotors_that_ross_ships_have_the_poles_of_ross(name, speed_rpm):
+    ross, omega = ross_package("these tests"), speed_rpm * np.pi / 30
+    machine = getattr(__import__("ross.rotor_assembly").rotor_assembly, name)()
+    bearings = None
+    if name == "rotor_amb_example":  # the controller of the other bearing is in ROSS's matrices
+        bearings, free = [machine.bearing_elements[0].tag], machine.bearing_elements[0]
+        plain = ross.BearingElement(n=free.n, kxx=float(free.ks), kyy=float(free.ks), cxx=0.0, cyy=0.0)
+        expected = ross.Rotor(machine.shaft_elements, machine.disk_elements, [plain, machine.bearing_elements[1]])
+    else:
+        expected = machine
+    structure = gbid.from_ross(
+        machine, bearings=bearings, sensors=[(0, "x")], actuators=[(1, "y")], speed_rpm=speed_rpm, modes=12
+    )
+    of_ross = np.linalg.eigvals(expected.A(omega))
+    assert len(structure.reduction) >= 8
+    for mode in structure.reduction:
+        rate, damping = 2 * np.pi * mode.whole_frequency_hz, mode.whole_damping
+        pole = rate * (-damping + 1j * np.sqrt(1 - damping**2))
+        # ROSS's state matrix is not balanced: its slow poles are off by 1e-6
+        assert np.abs(of_ross - pole).min() < 1e-4 * rate
+    model = evaluate(structure, {parameter.name: parameter.start for parameter in structure.parameters})
+    for mode in structure.reduction[:2]:
+        assert np.abs(np.abs(model.poles()) / (2 * np.pi) / mode.whole_frequency_hz - 1).min() < 1e-3
+
+
+def test_every_rotor_that_ross_ships_is_among_the_examples():
+    ross_package("these tests")
+    import ross.rotor_assembly
+
+    shipped = {name for name, value in vars(ross.rotor_assembly).items() if "_example" in name and callable(value)}
+    assert shipped == {*EXAMPLES, "coaxrotor_example", "rotor_amb_example"}
+
+
+def test_a_rotor_with_gears_and_a_random_one_are_refused():
+    ross = ross_package("these tests")
+    geared = __import__("ross.multi_rotor").multi_rotor.two_shaft_rotor_example()
+    with pytest.raises(UsageError, match="coupled with its torsion .* give each shaft as a ross.Rotor of its own"):
+        gbid.from_ross(geared, sensors=[(0, "x")], actuators=[(1, "y")])
+    random = __import__("ross.stochastic.st_rotor_assembly").stochastic.st_rotor_assembly.st_rotor_example()
+    with pytest.raises(UsageError, match="a ST_Rotor is no rotor of ROSS; give a ross.Rotor"):
+        gbid.from_ross(random, sensors=[(0, "x")], actuators=[(1, "y")])
+    thrust = ross.BearingElement(n=3, kxx=1e6, cxx=0.0, kzz=1e7, czz=1e3, tag="thrust")
+    machine = rotor(**TRUE)
+    machine = ross.Rotor(machine.shaft_elements, machine.disk_elements, [*machine.bearing_elements, thrust])
+    poles = [
+        evaluate(s, {q.name: q.start for q in s.parameters}).poles()
+        for s in (
+            gbid.from_ross(machine, bearings=tags, sensors=SENSORS, actuators=ACTUATORS, modes=28)
+            for tags in (["left"], ["left", "right", "thrust"])
+        )
+    ]
+    np.testing.assert_allclose(*(np.sort(np.abs(values))[:16] for values in poles), rtol=1e-8)
+
+
 def magnetic_rotor():
     """The rotor of the book on two magnetic bearings with the tags that ROSS gives by itself."""
     ross = ross_package("these tests")
