@@ -188,7 +188,8 @@ class Assessment(Brief):
     for_sampling: bool = False
 
     def _brief(self) -> Description:
-        worst = {name: f"{value:.5g} at {point.label}" for name, (value, point) in self.worst.items()}
+        known = {name: pair for name, pair in self.worst.items() if not isnan(pair[0])}
+        worst = {name: f"{value:.5g} at {point.label}" for name, (value, point) in known.items()}
         loops = {"sampled": self.sampled_stable, "continuous": self.continuous_stable}
         verdicts = ", ".join(f"{loop} loop {'' if stable else 'not '}stable" for loop, stable in loops.items())
         about = f"{self.name or self.structure}, {len(self.points)} operating points, {verdicts}"
@@ -240,6 +241,8 @@ def assess(
     gains: Mapping[str, float] | None = None,
     points: Sequence[tuple[float, float]] | None = None,
     *,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
     name: str = "",
     sample_time: float | None = None,
     computation_s: float | None = None,
@@ -261,6 +264,8 @@ def assess(
     points : sequence of (pressure_bar, speed_rpm), optional
         Operating points of an LPV model; by default those of the model. For linear models and a scheduled controller
         those of each model, by default of the result.
+    inputs, outputs : sequence of str, optional
+        Channels of linear models that the controller drives and measures, as in `gbid.tune`; by default all.
     name : str
         Name of the design, for tables; by default that of the structure.
     sample_time : float, optional
@@ -300,7 +305,7 @@ def assess(
     structure = law if isinstance(law, Scheduled) else controller_structure(law)
     if gains is None:
         raise UsageError(f"assess: give the gains of {structure.name!r}, or the result of gbid.tune")
-    plants = _plants(model, structure, points)
+    plants = _plants(model, structure, points, TuneOptions(inputs=inputs, outputs=outputs))
     if sample_time is None and not isinstance(plants[0].lpv, LPVModel):
         raise UsageError("assess: give sample_time=, the time between samples of the target in seconds")
     T = 2e-4 if sample_time is None else sample_time
@@ -327,12 +332,15 @@ def _plants(
     model: PlantsLike,
     structure: Structure | Scheduled,
     points: Sequence[tuple[float, float]] | None,
+    channels: TuneOptions,
 ) -> list[_AssessedPlant]:
     """Return the plants of an assessment."""
     model = model.model if isinstance(model, LPVFit) else model
     if isinstance(model, Sequence) and all(isinstance(each, LPVModel | LPVFit) for each in model):
-        return [plant for each in model for plant in _plants(each, structure, points)]
+        return [plant for each in model for plant in _plants(each, structure, points, channels)]
     if isinstance(model, LPVModel):
+        if channels.inputs or channels.outputs:
+            raise UsageError("assess: inputs and outputs choose channels of linear models; an LPV model has r and p")
         chosen = [(float(bar), float(rpm)) for bar, rpm in (model.operating_points if points is None else points)]
         if not chosen:
             raise UsageError(
@@ -341,11 +349,13 @@ def _plants(
         return [_AssessedPlant(model.plant_at(*point), exact_plant(model, *point), point, model) for point in chosen]
     if points is not None and not isinstance(structure, Scheduled):
         raise UsageError("assess: points belong to an LPV model; give the linear models of a list")
-    plants = plants_of(model, structure, TuneOptions(speeds_rpm=[rpm for _, rpm in points] if points else None))
+    plants = plants_of(model, structure, replace(channels, speeds_rpm=[rpm for _, rpm in points] if points else None))
     assert isinstance(plants, ModelPlants)
     where = points or [(nan, nan)] * len(plants.models)
-    pairs = zip(plants.models, where, strict=True)
-    return [_AssessedPlant(with_pade(plant, PADE_ORDER), plant, (bar, rpm)) for plant, (bar, rpm) in pairs]
+    each = zip(plants.models, plants.scenarios(plants.points)[1], where, strict=True)
+    return [
+        _AssessedPlant(replace(with_pade(plant, PADE_ORDER), name=label), plant, point) for plant, label, point in each
+    ]
 
 
 def _assess_point(

@@ -149,7 +149,7 @@ class ChainOptions:
     spikes : tuple of float, optional
         Of such a machine: limit of the spike guard of each input, as `spike_limit_m`; None for no guard.
     units : (str, str)
-        Units of inputs and outputs, for the comments.
+        Units of inputs and outputs, for the comments; metres of the four stacks.
 
     Raises
     ------
@@ -178,7 +178,7 @@ class ChainOptions:
     offsets: tuple[Finite, ...] = ()
     beyond: tuple[Positive, ...] | None = None
     spikes: tuple[Positive, ...] | None = None
-    units: tuple[str, str] = ("m", "m")
+    units: tuple[str, str] = ("", "")
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -190,6 +190,10 @@ class ChainOptions:
             raise UsageError(
                 "limits without beyond: give the deviation of each input at which the watchdog acts", "beyond"
             )
+        if self.limits is None and self.units == ("", ""):
+            object.__setattr__(self, "units", ("m", "m"))
+        if "" in self.units:
+            raise UsageError('limits without units: give those of inputs and outputs, such as ("m", "A")', "units")
         if self.stroke_m is not None:
             offset = self.stroke_m / 2 if self.offset_m is None else self.offset_m
             room = min(offset, self.stroke_m - offset)
@@ -750,7 +754,7 @@ def _check_channels(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
     if options.limits is None and (n, m) != (2, 2):
         raise UsageError(
             f"controller {name!r} has {n} inputs ({', '.join(inputs)}) and {m} outputs ({', '.join(outputs)}), the "
-            "four stacks 2 and 2; give limits of the outputs and beyond of the inputs, in their units",
+            "four stacks 2 and 2; give limits of the outputs, beyond of the inputs, and their units",
             "limits",
         )
     missing = [key for key in ("stroke_m", "disc_limit_m") if options.limits is None and getattr(options, key) is None]

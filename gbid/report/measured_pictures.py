@@ -651,7 +651,7 @@ def response_figure(
     Returns
     -------
     matplotlib.figure.Figure
-        Figure with a panel for each output and one for the inputs.
+        Figure with a panel for each output, and below them panels for the inputs.
 
     Raises
     ------
@@ -697,9 +697,10 @@ def plot_response(
     shown = _part(validation.time, from_s, to_s)
     time = validation.time[shown]
     n_outputs = len(validation.output_names)
-    n_panels = n_outputs + (1 if validation.input_names else 0)
+    inputs = _input_panels(validation)
+    n_panels = n_outputs + len(inputs)
     if ax is not None and np.size(np.array(ax, dtype=object)) < n_panels:
-        n_panels = n_outputs  # the inputs are not drawn
+        inputs, n_panels = [], n_outputs  # the inputs are not drawn
     size = (mpl.rcParams["figure.figsize"][0], _FRAME_INCHES_RESPONSE + _PANEL_INCHES * n_panels)
     _, axes = panels(ax, n_panels, 1, size=size, sharex=True)
     for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
@@ -708,22 +709,32 @@ def plot_response(
         axes[i].plot(time, scale * validation.simulated[shown, i], label="simulated", **_SIMULATED)
         axes[i].set_ylabel(f"{symbol(name)} [{label}]")
         axes[i].set_title(f"fit {validation.fit_percent[i]:.1f} %", loc="right", pad=3)
-    if len(axes) > n_outputs and validation.input_names:
-        _plot_inputs(validation, axes[n_outputs], shown)
+    for places, panel in zip(inputs, axes[n_outputs:], strict=False):
+        _plot_inputs(validation, panel, shown, places)
     letter(axes)
     _legend_above(axes[0])
     axes[-1].set(xlabel="time [s]", xlim=(time[0], time[-1]))
     return axes
 
 
-def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray) -> None:
-    scale, label = unit_label(validation.input_units[0])
-    for i, name in enumerate(validation.input_names):
-        style = {"color": ink(), **_INPUTS[i % len(_INPUTS)]}
-        ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=symbol(name), **style)
+def _input_panels(validation: Validation) -> list[list[int]]:
+    """Return the inputs of each panel: of one unit, and at most as many as there are styles."""
+    chosen: list[list[int]] = []
+    for i, unit in enumerate(validation.input_units):
+        if not chosen or len(chosen[-1]) == len(_INPUTS) or validation.input_units[chosen[-1][0]] != unit:
+            chosen.append([])
+        chosen[-1].append(i)
+    return chosen
+
+
+def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray, places: list[int]) -> None:
+    scale, label = unit_label(validation.input_units[places[0]])
+    names = [symbol(validation.input_names[i]) for i in places]
+    for i, name, style in zip(places, names, _INPUTS, strict=False):
+        ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=name, **{"color": ink(), **style})
     if len(validation.input_names) > 1:
         _legend_above(ax)
-    ax.set_ylabel(f"{', '.join(symbol(name) for name in validation.input_names)} [{label}]")
+    ax.set_ylabel(f"{', '.join(names) if len(names) < 3 else 'inputs'} [{label}]")
 
 
 def _legend_above(ax: Axes) -> None:

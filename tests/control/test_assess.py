@@ -142,3 +142,18 @@ def test_the_verdict_of_a_sampled_design_is_that_of_its_loop() -> None:
     continuous = gbid.assess(plant, law, design.gains, sample_time=5e-4)
     assert continuous.sampled_stable
     assert not continuous.stable
+
+
+def test_a_plant_with_more_channels_is_assessed_as_it_was_tuned() -> None:
+    A, B = [[0.0, 1.0], [-900.0, -2.0]], [[0.0, 0.0], [50.0, 1.0]]
+    plant = gbid.LinearModel(A, B, [[1.0, 0.0]], np.zeros((1, 2)), input_names=("coil", "push"), output_names=("gap",))
+    law, gains = gbid.controller_structure("P", axes=("",), feedback="negative"), {"kappa": 1.0}
+    with pytest.raises(UsageError, match="choose channels by inputs= and outputs="):
+        gbid.assess(plant, law, gains, sample_time=1e-3)
+    design = gbid.assess([plant, plant], law, gains, sample_time=1e-3, inputs=["coil"], outputs=["gap"])
+    alone = gbid.LinearModel(A, np.array(B)[:, :1], [[1.0, 0.0]], [[0.0]])
+    assert design.points[0].damping == pytest.approx(gbid.assess(alone, law, gains, sample_time=1e-3).points[0].damping)
+    assert [point.label for point in design.points] == ["model (1)", "model (2)"]
+    assert "nan" not in str(design)
+    with pytest.raises(UsageError, match="an LPV model has r and p"):
+        gbid.assess(gbid.load_model("theisen2016"), "P", GAINS, inputs=["r_x"])

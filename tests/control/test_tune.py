@@ -290,6 +290,11 @@ def test_pareto_front_rises_and_holds_the_papers_design() -> None:
     for cap in (0.9, 1.0):
         with pytest.raises(UsageError, match="above 1"):
             gbid.pareto(MODEL, [cap])
+    mass = gbid.LinearModel([[0, 1], [-400.0, -2.0]], [[0], [400.0]], [[1.0, 0]], [[0.0]])
+    law = gbid.controller_structure("PD", axes=("",))
+    front = gbid.pareto([mass, mass], [1.3, 1.8], controller=law)
+    assert front.values[0] < front.values[1]
+    assert front.designs[0].peak_sensitivity == pytest.approx(1.3, rel=1e-3)
 
 
 def test_a_design_of_a_higher_limit_leads_to_a_better_one_of_a_lower() -> None:

@@ -115,3 +115,8 @@ def test_order_statistic_and_bound_are_known_ones() -> None:
 def test_requests_that_make_no_sense_are_refused(options: dict[str, object], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         tune_robust(MODEL, "P", goals=GOALS, operating_points=ONE, **options)
+
+
+def test_linear_models_alone_have_no_promise() -> None:
+    with pytest.raises(UsageError, match="linear models alone have no uncertainty; give the fits"):
+        tune_robust([MODEL.plant_at(6, 0)], "P", goals=GOALS)

@@ -82,6 +82,18 @@ def test_other_units_and_one_input(validation):
     assert np.abs(figure.axes[0].get_lines()[0].get_ydata()).max() == pytest.approx(1e-6, rel=1e-3)
 
 
+def test_many_inputs_have_panels_of_one_unit_and_at_most_four(validation):
+    names = (*(f"f_{k}" for k in range(6)), "i")
+    inputs = np.hstack([validation.inputs[:, :1]] * 7)
+    figure = response_figure(replace(validation, inputs=inputs, input_names=names, input_units=(*("N",) * 6, "A")))
+    below = figure.axes[len(validation.output_names) :]
+    assert [len(ax.get_lines()) for ax in below] == [4, 2, 1]
+    assert [ax.get_ylabel() for ax in below] == ["inputs [N]", "$f_{4}$, $f_{5}$ [N]", "$i$ [A]"]
+    for ax in below:
+        styles = {(line.get_color(), str(line.get_linestyle())) for line in ax.get_lines()}
+        assert len(styles) == len(ax.get_lines())
+
+
 def test_a_part_outside_is_refused(validation):
     with pytest.raises(UsageError, match="has 0 samples"):
         response_figure(validation, from_s=3.0, to_s=4.0)

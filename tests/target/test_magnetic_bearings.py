@@ -156,6 +156,18 @@ def test_limits_of_other_machines_have_no_default() -> None:
     with pytest.raises(UsageError, match=r"1 inputs .p_z. and 1 outputs .r_z., the four stacks 2 and 2; give limits"):
         chain_of(design, name="amb")
     with pytest.raises(UsageError, match="beyond has 2 numbers for 1 channels"):
-        chain_of(design, name="amb", options=ChainOptions(limits=(1.0,), beyond=(1.0, 1.0)))
+        chain_of(design, name="amb", options=ChainOptions(limits=(1.0,), beyond=(1.0, 1.0), units=("m", "A")))
     with pytest.raises(UsageError, match="limits without beyond"):
         ChainOptions(limits=(1.0,))
+    with pytest.raises(UsageError, match="limits without units: give those of inputs and outputs"):
+        ChainOptions(limits=(1.0,), beyond=(1.0,))
+    assert ChainOptions().units == ("m", "m")
+
+
+def test_the_source_of_another_machine_names_no_gas_bearing(tmp_path: Path) -> None:
+    plant = one_axis()
+    chain = chain_of(tuned(plant).design(), name="amb", options=options(plant))
+    header = next(path for path in write_chain(chain, tmp_path) if path.name == "amb.h").read_text(encoding="utf-8")
+    assert "gas bearing" not in header
+    assert "stack" not in header
+    assert "[A]" in header

@@ -256,6 +256,8 @@ def tune_robust(
         trial: _Trial = _SurfaceTrial(with_schedule(structure, machine.domain), given, machine, known)
     else:
         trial = _FitTrial(structure, given, tuple(model) if isinstance(model, Sequence) else (model,))
+        if all(isinstance(each, LinearModel) for each in trial.fits):
+            raise UsageError("tune_robust: linear models alone have no uncertainty; give the fits that they come from")
     chosen: tuple[int, ...] = ()
     # the share of failures that is allowed in the draws leaves room for the confidence on the fresh ones
     target = min(probability + (1 - probability) * 0.4, 1 - 0.5 / draws)

@@ -44,7 +44,7 @@ from gbid.core.errors import UsageError
 from gbid.core.extras import data_frame
 from gbid.core.notes import ControlNote
 from gbid.core.option_types import options_of_call
-from gbid.lpv import Domain, LPVModel
+from gbid.lpv import Domain
 from gbid.structure.linear import Structure
 
 # ---- Remarks and figures of a finished design.
@@ -343,13 +343,13 @@ class ParetoFront(Brief):
         return tuple(design.value if design.keeps_limits else float("nan") for design in self.designs)
 
 
-def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
+def pareto(model: PlantsLike, caps: Sequence[float], **options: Any) -> ParetoFront:
     """Return the best designs under several limits on the peak of S_o.
 
     Parameters
     ----------
-    lpv : LPVModel
-        Model with actuators.
+    model : LPVModel, LinearModel, LPVFit, FitResult, sequence of these, or dict of str to them
+        The plant, as for `gbid.tune`.
     caps : sequence of float
         Limits on the peak of S_o, in any order; each above 1.
     **options
@@ -380,7 +380,7 @@ def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
 
     def design(cap: float, start: Mapping[str, float] | None, **more: Any) -> GainResult:
         limit = {"peak_sensitivity": cap} if goals is None else {"goals": [*goals, PeakSensitivity(cap)]}
-        return tune(lpv, start=start, **limit, **(options | more))
+        return tune(model, start=start, **limit, **(options | more))
 
     for cap in rising:
         designs.append(design(cap, designs[-1].gains if designs and designs[-1].keeps_limits else given))
