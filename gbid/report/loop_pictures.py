@@ -459,11 +459,11 @@ def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> n
             panel.semilogx(data.frequency_hz, shown, label=label, **series(k, marker=None))
         panel.set_xlim(data.frequency_hz[0], data.frequency_hz[-1])
     for panel in axes[:, 0]:
-        panel.set_ylabel("magnitude [dB re 1 m/m]")
+        panel.set_ylabel("magnitude [dB]")
     for panel in axes[-1]:
         panel.set_xlabel("frequency [Hz]")
-    top = 10 * np.ceil(max(level.max() for level in levels.values()) / 10)
-    axes[0, 0].set_ylim(top - _RANGE_DB, top + 3)
+    tops = [10 * np.ceil(level.max() / 10) for level in levels.values()]
+    axes[0, 0].set_ylim(min(tops) - _RANGE_DB, max(tops) + 3)
     letter(flat)
     legend_above(figure, axes[0, 0], title=data.title)
     return axes

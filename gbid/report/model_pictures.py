@@ -216,7 +216,7 @@ def plot_bode(
     coherent = isinstance(measured, MeasuredResponse)
     kinds = ("magnitude", "phase", "coherence") if coherent else ("magnitude", "phase")
     heights = [_HEIGHTS[kind] for kind in kinds] * n_y
-    size = (max(TWO_COLUMNS, 2.6 * n_u) if n_u > 1 else 4.6, 0.8 + sum(heights))
+    size = (TWO_COLUMNS if n_u > 1 else 4.6, 0.8 + sum(heights))
     figure, flat = panels(ax, len(heights), n_u, size=size, sharex=True, height_ratios=heights)
     axes = flat.reshape(len(heights), n_u)
     known = _units(sources, units)

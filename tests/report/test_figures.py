@@ -199,3 +199,14 @@ def test_engineering_numbers_read_back():
             assert exponent_of(value) % 3 == 0
     texts = [engineering(value) for value in (999999.9, 50.3, 0.0, None, float("nan"))]
     assert texts == ["1.0000e6", "50.300", "0", "-", "-"]
+
+
+def test_eight_axes_have_wide_figures_and_eight_styles():
+    from gbid.report import plot_step
+    from gbid.report.canvas import series
+
+    model = gbid.LinearModel(-np.eye(8), np.eye(8), np.eye(8), np.zeros((8, 8)))
+    figure = plot_step(model)[0, 0].figure
+    assert figure.get_size_inches()[0] > 8 * 2
+    looks = [series(k, marker=None) for k in range(8)]
+    assert all(one != other for i, one in enumerate(looks) for other in looks[:i])
