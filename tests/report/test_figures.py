@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import gbid
 from gbid.core.errors import UsageError
 from gbid.core.tables import engineering, exponent_of
 from gbid.report import plot_residuals, plot_response, residuals_data, residuals_figure, response_figure, save_figure
