@@ -176,10 +176,14 @@ def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
     """
     word = model_word(experiment, section)
     if word is not None:
+        if word in experiment.spec.fits:
+            raise UsageError(
+                f"{word!r} is a fit: surfaces of fits have the section lpv, other machines gbid.tune in Python"
+            )
         model = with_actuators(load_machine(model_source(experiment, word)).model)
         return replace(model, machine=machine_data(experiment).filled(model.machine))
     if experiment.spec.rig is None:
-        raise UsageError("needs a model; name one, or add a section lpv")
+        raise UsageError("needs a model; name one, or add a section lpv (other machines: gbid.tune in Python)")
     return with_actuators(rig_model(experiment))
 
 
