@@ -18,6 +18,7 @@ from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.options import Focus
 from gbid.structure import Matrices, Parameter, Structure, kind_of, symbolic_matrices
 from gbid.structure.linear import ControlLaw, HeldFeedback, LoopParts
+from gbid.structure.parameter import once
 
 # ---- What every predictor has, linear or not: free parameters, sizes, and regressors from the samples of a record.
 
@@ -434,6 +435,24 @@ def build_predictor(
     a further state that only the error drives. An initial state x0 acts like an impulse at the first sample, with the
     column ``Ad x0`` onto the state and ``C x0`` onto the outputs.
     """
+    more = disturbances, tuple(released), None if intervals is None else tuple(intervals.tolist())
+    hold = intersample if isinstance(intersample, str) else tuple(intersample)
+    return _built(structure, tuple(fixed.items()), sample_time, hold, focus, *more)
+
+
+@once
+def _built(
+    structure: Structure,
+    held: tuple[tuple[str, float], ...],
+    sample_time: float,
+    intersample: str | Sequence[str],
+    focus: Focus,
+    disturbances: Disturbances,
+    released: tuple[bool, ...],
+    steps: tuple[float, ...] | None,
+) -> Predictor:
+    """Return a predictor; see `build_predictor`."""
+    fixed, intervals = dict(held), None if steps is None else np.array(steps)
     p, stated = symbolic_matrices(structure)
     gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
     gain_symbols = ca.vertcat(*(ca.SX.sym(q.name) for q in gains)) if gains else ca.SX(0, 1)
@@ -453,8 +472,8 @@ def build_predictor(
     free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
     if not free:
         raise UsageError(f"structure {structure.name!r}: no free parameter to estimate")
-    held = {**dict.fromkeys(unused, 0.0), **fixed}
-    constants = [(p[i], held[q.name]) for i, q in enumerate(structure.parameters) if q not in free]
+    known_values = {**dict.fromkeys(unused, 0.0), **fixed}
+    constants = [(p[i], known_values[q.name]) for i, q in enumerate(structure.parameters) if q not in free]
     if constants:
         known, numbers = zip(*constants, strict=True)
         matrices = ca.substitute(matrices, [ca.vertcat(*known)], [ca.vertcat(*numbers)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
 from functools import lru_cache
 from types import MappingProxyType
@@ -517,20 +517,13 @@ class LPVModel(Brief):
                     f"model {self.name!r}: {key} = {values[key]:g} s at {label}; "
                     "the polynomials do not hold where a delay is not positive"
                 )
-        model_of = model_function(structure) if self.structure else _model_function(structure)
-        return replace(model_of(values, inputs, self.output_names), name=f"{self.name} at {label}")
+        return replace(model_function(structure)(values, inputs, self.output_names), name=f"{self.name} at {label}")
 
 
 @lru_cache(maxsize=8)
 def _bearing(pade_order: int) -> RotorBearing:
     """Return the rotor on its gas bearing without disturbance gains; it refuses an order below one."""
     return RotorBearing(pade_order, disturbance_gain="none")
-
-
-@lru_cache(maxsize=8)
-def _model_function(structure: Any) -> Callable[..., LinearModel]:
-    """Return the models of a structure for values; making its symbolic matrices takes longer than evaluating them."""
-    return model_function(structure)
 
 
 def _check_names(where: str, given: Sequence[str], expected: tuple[str, ...]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
 
@@ -67,6 +67,7 @@ class RotorBearing(Brief):
         When an option is unknown.
     """
 
+    is_value: ClassVar[bool] = True
     pade_order: int | None = None
     delay: Literal["exact", "pade"] | None = None
     disturbance_gain: DisturbanceGain = "full"
@@ -176,6 +177,7 @@ class PiezoPair(Brief):
         ``"none"``: it acts on the output only, as in the parameter list of Eq. 13.
     """
 
+    is_value: ClassVar[bool] = True
     disturbance_gain: Literal["none", "full"] = "none"
     name: str = "piezo_pair"
     inputs: Names = ("r",)
@@ -254,6 +256,7 @@ class Plant(Brief):
         must then fix the parameters of the actuators (``fit(..., fixed={...})``).
     """
 
+    is_value: ClassVar[bool] = True
     bearing: RotorBearing = field(default_factory=RotorBearing)
     actuators: PiezoPair = field(default_factory=PiezoPair)
     outputs: Names = ("u", "p")

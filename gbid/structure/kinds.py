@@ -14,7 +14,7 @@ from gbid.structure.built_in import AXES, STIFFENING, RotorBearing, square
 from gbid.structure.linear import LinearStructure, Structure, evaluate, symbolic_matrices
 from gbid.structure.models import LinearModel
 from gbid.structure.nonlinear import NonlinearModel, NonlinearStructure, nonlinear_model, symbolic_equations
-from gbid.structure.parameter import Values
+from gbid.structure.parameter import Values, once
 from gbid.structure.scheduling import ScheduledStructure, coefficient_names
 
 AnyStructure = Structure | NonlinearStructure | ScheduledStructure
@@ -100,22 +100,7 @@ class LinearKind(Kind):
 
     def anatomy(self, driven: Sequence[int] | None = None, moving: Sequence[int] | None = None) -> Anatomy:
         """Return the anatomy; see `Kind`."""
-        _, m = symbolic_matrices(self._structure)
-        every = list(range(m.B.shape[1]))
-        columns = every if driven is None else list(driven)
-        parts = [
-            m.A,
-            m.C,
-            m.B[:, columns],
-            m.D[:, columns],
-            m.B_delayed[:, columns],
-            *(m.feedback.law if m.feedback else ()),
-        ]
-        if m.has_delay:
-            parts.append(m.delay[every if moving is None else list(moving), :])
-        begun, acting, gain = _by_row(m.x0), _names(parts), _names([m.K])
-        has_gain = m.K.nnz() > 0 or m.feedback is not None
-        return Anatomy(m.n_states, len(every), acting | gain, begun, has_gain, gain - acting.union(*begun))
+        return _linear_anatomy(self._structure, *(each if each is None else tuple(each) for each in (driven, moving)))
 
     def model(self, values: Mapping[str, float], inputs: Names = (), outputs: Names = ()) -> LinearModel:
         """Return the model; see `Kind`."""
@@ -196,6 +181,27 @@ class ScheduledKind(Kind):
     def without_inputs(self) -> AnyStructure:
         """Return the structure itself, which needs its inputs; see `Kind`."""
         return self._structure
+
+
+@once
+def _linear_anatomy(structure: Structure, driven: Sequence[int] | None, moving: Sequence[int] | None) -> Anatomy:
+    """Return the anatomy of a linear structure; see `Kind`."""
+    _, m = symbolic_matrices(structure)
+    every = list(range(m.B.shape[1]))
+    columns = every if driven is None else list(driven)
+    parts = [
+        m.A,
+        m.C,
+        m.B[:, columns],
+        m.D[:, columns],
+        m.B_delayed[:, columns],
+        *(m.feedback.law if m.feedback else ()),
+    ]
+    if m.has_delay:
+        parts.append(m.delay[every if moving is None else list(moving), :])
+    begun, acting, gain = _by_row(m.x0), _names(parts), _names([m.K])
+    has_gain = m.K.nnz() > 0 or m.feedback is not None
+    return Anatomy(m.n_states, len(every), acting | gain, begun, has_gain, gain - acting.union(*begun))
 
 
 @singledispatch

@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import copy
 from dataclasses import dataclass, fields
-from functools import wraps
+from functools import lru_cache, wraps
 from math import inf, isfinite, isnan
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -134,11 +134,12 @@ def known_names(parameters: tuple[Parameter, ...], given: Iterable[str], what: s
         raise UsageError(f"{what} names unknown parameters: {', '.join(unknown)}; there are {', '.join(names)}")
 
 
-# ---- Functions of a structure that are called once for all parts of a fit.
+# ---- Functions of a structure that are called once for all parts of a fit, and of a built-in one for all fits.
 
-_Structure = TypeVar("_Structure")
+_Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
-_known: ContextVar[dict[tuple[str, int], tuple[Any, Any]] | None] = ContextVar("known", default=None)
+_MOST = 32  # results of a function that are kept
+_known: ContextVar[dict[tuple[Any, ...], tuple[Any, Any]] | None] = ContextVar("known", default=None)
 
 
 @contextmanager
@@ -156,18 +157,33 @@ def asked_once() -> Iterator[None]:
         _known.reset(before)
 
 
-def once(function: Callable[[_Structure], _Result]) -> Callable[[_Structure], _Result]:
-    """Return a function of a structure that computes its result once within `asked_once`."""
+def once(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+    """Return a function of a structure, and of further values, that computes its result once within `asked_once`.
+
+    A class with ``is_value = True`` says that equal structures have equal matrices: then the results last for all fits.
+    """
+    lasting = cast(Callable[_Arguments, _Result], lru_cache(_MOST)(function))
 
     @wraps(function)
-    def cached(structure: _Structure) -> _Result:
+    def cached(*arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
+        structure: Any = arguments[0]
+        if getattr(structure, "is_value", False) and _is_hashable(structure):
+            return lasting(*arguments, **options)
         known = _known.get()
         if known is None:
-            return function(structure)
-        key = function.__qualname__, id(structure)
+            return function(*arguments, **options)
+        key = function.__qualname__, id(structure), *arguments[1:]
         if key not in known:
-            known[key] = structure, function(structure)  # with the structure, so that its id stays its own
+            known[key] = structure, function(*arguments, **options)  # with the structure, so that its id stays its own
         result: _Result = known[key][1]
         return result
 
     return cached
+
+
+def _is_hashable(value: Any) -> bool:
+    try:
+        hash(value)
+    except TypeError:  # names of signals in a list
+        return False
+    return True

@@ -169,6 +169,7 @@ class PerAxis(ABC):
     notch_orders: tuple[Positive, ...] = ()
     lowest_hz: Positive = 20.0
     speed_rpm: Any = 0.0
+    is_value: ClassVar[bool] = True
     has_common_poles: ClassVar[bool] = True
     """Whether its poles depend on gains of poles alone, so that all filters of an input can share them."""
 

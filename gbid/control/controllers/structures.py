@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from math import isfinite
 from typing import Any, Protocol, runtime_checkable
 
-from gbid.control.controllers.built_in import AXES, NOT_OPTIONS, PerAxis, PStructure, built_in_structures
+from gbid.control.controllers.built_in import AXES, NOT_OPTIONS, PStructure, built_in_structures
 from gbid.core.arrays import point_label
 from gbid.core.errors import UsageError
 from gbid.lpv import TERMS, Domain, basis
@@ -94,12 +93,6 @@ def controller_structure(kind: str | Structure, **options: Any) -> Structure:
     return built_in[kind](**options)
 
 
-@lru_cache(maxsize=16)
-def _of_built_in(structure: PerAxis) -> Callable[..., LinearModel]:
-    """Return the models of a structure for gains; they are kept, because maps ask for many."""
-    return model_function(structure)
-
-
 def controller_model(structure: Structure, gains: Mapping[str, float]) -> LinearModel:
     """Return the model of a controller structure for given gains.
 
@@ -127,8 +120,7 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
     for name in names:
         if name in gains and not isfinite(gains[name]):
             raise UsageError(f"controller {structure.name!r}: {name} = {gains[name]}; give a finite number")
-    model_of = _of_built_in(structure) if isinstance(structure, PerAxis) else model_function(structure)
-    model = model_of(gains, (), ())
+    model = model_function(structure)(gains, (), ())
     (n_r, n_p), (inputs, outputs) = model.D.shape, (structure.inputs, structure.outputs)
     return replace(model, input_names=_channels(inputs, n_p), output_names=_channels(outputs, n_r))
 
