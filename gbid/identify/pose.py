@@ -483,7 +483,11 @@ def _without_gaps(shooting: Shooting, start: FloatArray, solution: Solution, fir
     whose cost in windows is `first`: simulated it costs no less.
     """
     cost, slack = max(shooting.at(solution.unknowns).cost, shooting.exact_cost), 0.5 * float(np.log1p(_SAME))
-    if solution.status.success and cost <= first and passed_on(shooting, solution.unknowns)[1] < _NO_GAP:
+    if (
+        solution.status.success
+        and cost <= first
+        and passed_on(shooting, *shooting.unpack(solution.unknowns))[1] < _NO_GAP
+    ):
         return solution
     begun, at_start = simulated(shooting, start)
     if shooting.extra is not None:  # the start need not meet the constraints of the caller

@@ -250,7 +250,7 @@ def start_gains(setting: Setting, recordings: Sequence[Recording]) -> Gains:
         fixed = {**surface, **known}
         result = fit(structure, recording, intersample=hold, fixed=fixed, window=None, max_iterations=_ITERATIONS)
         estimates = np.array([result.parameters[q.name] for q in predictor.free])
-        determined = result.success and not near_instability(predictor, estimates, CLEAR)
+        determined = result.success and not near_instability(predictor, estimates, predictor.at(estimates), CLEAR)
         gains = {name: result.parameters[name] for name in setting.gains if name in names}
         values.append({**nothing, **gains} if determined else nothing)
         held.append(not determined)

@@ -145,7 +145,7 @@ def choose_kernel(predictor: GeneralPredictor, begin: Mapping[str, float]) -> tu
         theta = np.array([begin.get(q.name, 0.0) for q in predictor.free])
         nudged = np.where(theta == 0, 1e-3, theta * 1.001)  # a point where nothing is zero by chance
         nudged = np.clip(nudged, [q.lower for q in predictor.free], [q.upper for q in predictor.free])
-        pattern = KernelPattern.of(predictor.at(theta)).union(KernelPattern.of(predictor.at(nudged)))
+        pattern = KernelPattern.of(predictor.at(nudged))
         compiled, portable = partial(CompiledLinearKernel, pattern), PortableLinearKernel
         large = f"{len(pattern.F)} states" if len(kernel_source(pattern)) > LONGEST_SOURCE else ""
     reason = f"a compiled pass of {large} would take minutes to build: the slower portable pass was used"

@@ -87,13 +87,13 @@ def simulated(problem: Shooting, unknowns: FloatArray) -> tuple[FloatArray, floa
     return (in_windows(problem, joined, unknowns[kept]), cost) if np.isfinite(cost) else (unknowns, np.inf)
 
 
-def passed_on(problem: Shooting, unknowns: FloatArray) -> tuple[float, float]:
+def passed_on(problem: Shooting, theta: FloatArray, starts: FloatArray) -> tuple[float, float]:
     """Return how far small deviations get in any window, to first order and in units of the states' sizes.
 
     The first is the largest growth of a deviation at the start of a segment; the second is what the gaps amount to.
     Both are infinite where the problem has no value.
     """
-    iterate, n = problem.at(unknowns), problem.n_states
+    iterate, n = problem.at_physical(theta, starts), problem.n_states
     if not iterate.sweeps:
         return np.inf, np.inf
     gaps = np.zeros((problem.n_windows, n))

@@ -66,7 +66,7 @@ def integrated_finely(
         if steps > MOST_STEPS:
             break
         problem = with_steps(problem, steps)
-        refined = run(solution.unknowns, problem)
+        refined = run(np.clip(solution.unknowns + shift, *box) if np.isfinite(off) else solution.unknowns, problem)
         solution = replace(refined, iterations=solution.iterations + refined.iterations)
         shift = _shift(problem, solution.unknowns, box)
     return problem, solution, shift[: problem.n_theta] * problem.theta_scale

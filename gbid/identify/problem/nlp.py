@@ -16,7 +16,7 @@ from gbid.identify.frequency_data import ResponseErrors
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sums import Kernel, Lagrangian, Sweep, spectral_radius, tied
 from gbid.identify.options import Criterion
-from gbid.identify.predictor import GeneralPredictor, Predictor
+from gbid.identify.predictor import GeneralPredictor, Predictor, PredictorValues
 
 # ---- Parts of the shooting problem: groups of records, prior knowledge, and values at a point.
 
@@ -143,7 +143,7 @@ CLEAR = 0.2
 """Of the same: a gain that leaves more can be started from."""
 
 
-def near_instability(predictor: Predictor, own: FloatArray, share: float) -> bool:
+def near_instability(predictor: Predictor, own: FloatArray, v: PredictorValues, share: float) -> bool:
     """Return whether the disturbance gain leaves at most a share of the stability margin of the model.
 
     Parameters
@@ -152,13 +152,15 @@ def near_instability(predictor: Predictor, own: FloatArray, share: float) -> boo
         The predictor.
     own : (n_own,) array
         Values of its parameters.
+    v : PredictorValues
+        The predictor there.
     share : float
         The share.
     """
     still = np.array(own, float)
     still[[i for i in predictor.noise if i not in predictor.walks]] = 0.0  # a slow random walk is a valid estimate
     margin = 1 - spectral_radius(predictor.at(still))
-    return (margin > 0 or not predictor.walks) and 1 - spectral_radius(predictor.at(own)) <= share * margin
+    return (margin > 0 or not predictor.walks) and 1 - spectral_radius(v) <= share * margin
 
 
 # ---- Further cost and constraints of a caller, on parameters and initial states, in the problem of a fit.
@@ -475,10 +477,14 @@ class Shooting:
         return self.cost(self.error_products(values, starts)) + known / self.likelihood_size
 
     def at(self, unknowns: FloatArray) -> Iterate:
-        """Return the values at a point; those of the last two points are stored."""
-        key = unknowns.tobytes()
+        """Return the values at a point; see `at_physical`."""
+        return self.at_physical(*self.unpack(unknowns))
+
+    def at_physical(self, theta: FloatArray, starts: FloatArray) -> Iterate:
+        """Return the values at a point in physical units; those of the last two points are stored."""
+        key = theta.tobytes() + starts.tobytes()
         if key not in self._last:
-            self._last[key] = self._evaluate(*self.unpack(unknowns))
+            self._last[key] = self._evaluate(theta, starts)
             if len(self._last) > 2:
                 self._last.pop(next(iter(self._last)))
         return self._last[key]
@@ -494,13 +500,13 @@ class Shooting:
 
     def parts_at_edge(self, theta: FloatArray) -> Iterator[bool]:
         """Yield for each part whether it is so close to instability that its disturbance gain is no valid estimate."""
-        pairs = ((part.predictor, part.own(theta)) for part in self.parts)
-        return (self._watched and isinstance(p, Predictor) and near_instability(p, own, EDGE) for p, own in pairs)
+        each = ((part.predictor, part.own(theta), v) for part, v in zip(self.parts, self.values(theta), strict=True))
+        return (self._watched and isinstance(p, Predictor) and near_instability(p, own, v, EDGE) for p, own, v in each)
 
     def rate(self, theta: FloatArray, starts: FloatArray) -> float:
         """Return the growth of a small deviation in a sample at a point; for linear predictors without a pass."""
         alone = self.growth(self.values(theta))
-        return self.at(self.pack(theta, starts)).rate if np.isnan(alone) else alone
+        return self.at_physical(theta, starts).rate if np.isnan(alone) else alone
 
     def growth(self, values: list[Any], sweeps: Sequence[Sweep] = ()) -> float:
         """Return the largest growth of a small deviation in a sample, over all parts; NaN where that needs a pass."""

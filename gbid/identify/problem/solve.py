@@ -767,8 +767,9 @@ class _Runs:
         problem, rest, limit = self.problem, solution.rest, TOLERANCES
         if not np.isfinite(rest):  # else the watch has looked already
             rest = distance_from_rest(problem, solution.unknowns, self.box)
-        at_edge = any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0]))
-        if not solution.status.success or rest <= limit.rest or at_edge:
+        if not solution.status.success or rest <= limit.rest:
+            return replace(solution, rest=rest)
+        if any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0])):
             return replace(solution, rest=rest)
         if solution.status is FitStatus.CONVERGED_BY_PAPER_RULE:
             stalled = rest > limit.rest_by_paper

@@ -95,7 +95,7 @@ def grows(at: Estimate) -> bool:
     longest = max(segment.outputs.shape[0] for part in at.problem.parts for segment in part.blocks.segments)
     problem, on_the_way = at.problem, 0.0
     if isinstance(problem.parts[0].predictor, NonlinearPredictor):  # its growth may decay again
-        on_the_way, _ = passed_on(problem, problem.pack(at.theta, at.starts))
+        on_the_way, _ = passed_on(problem, at.theta, at.starts)
     rate = problem.rate(at.theta, at.starts)
     return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH)) or on_the_way > _GROWTH
 
