@@ -82,11 +82,16 @@ def other_hold(optimum: Optimum, *, white: bool) -> OtherHold | None:
         return None
     other, starts, box = problem_and_box
     other = _on_curves(other, [i for i, hold in enumerate(holds) if hold == "foh"])
-    x = np.clip(other.pack(theta, starts), *box)
+    x, cost, gain = np.clip(other.pack(theta, starts), *box), given.at(unknowns).cost, np.nan
     try:
         for _ in range(2 if exact else 1):  # the filters are further away
-            x = np.clip(x + gauss_newton_step(other, other.at(x), x, box), *box)
-        gain = (given.at(unknowns).cost - other.cost_alone(*other.unpack(x))) * given.likelihood_size
+            iterate, before = other.at(x), x
+            x = np.clip(x + gauss_newton_step(other, iterate, x, box), *box)
+            gain = (cost - other.cost_alone(*other.unpack(x))) * given.likelihood_size
+            # A further step gains less than this one differs from what its slope promises, half of the first order.
+            promised = (cost - iterate.cost - iterate.gradient @ (x - before) / 2) * given.likelihood_size
+            if white and gain + abs(gain - promised) < -_DECISIVE:
+                return None
     except (RuntimeError, ValueError):
         gain = np.nan
     if white and gain < -_DECISIVE:

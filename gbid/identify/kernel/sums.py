@@ -438,6 +438,21 @@ def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -
     return Linked(both[:, :, :n_p], both[:, :, n_p:], ends[:, :, :n_p], ends[:, :, n_p:])
 
 
+def by_segments(blocks: Blocks, sums: Sweep) -> Sweep:
+    """Return the sums over the windows of each segment, from those of windows without gaps."""
+    size = np.diff(np.append(blocks.segment_first, blocks.n_windows))
+    every = np.arange(len(size))
+    windows = replace(
+        blocks, per_window=int(size.max()), window_first=blocks.segment_first, window_size=size, segment_first=every
+    )
+    linked = linked_along(windows, sums.end_theta, sums.end_start)
+    gradients = sums.gradient[None], sums.gradient_start
+    of_each = BlockSums(
+        sums.hessian, sums.error_products, *gradients, sums.hessian_mixed, sums.end, linked.by_theta[:0]
+    )
+    return joined(windows, of_each, sums.hessian_start, linked)
+
+
 def _gradient(s: Sweep, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the gradient of a Lagrangian with these multipliers (n_windows, n) of the ends of windows."""
     by_theta, by_start = (np.einsum("wn,wnm->wm", ends, each) for each in (s.end_theta, s.end_start))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal, NamedTuple
 
@@ -14,7 +14,7 @@ from gbid.core.arrays import BoolArray, FloatArray, IntArray, one_of_each_pair, 
 from gbid.discretise.dual import Dual
 from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
 from gbid.identify.kernel.sample import NonlinearPredictor
-from gbid.identify.kernel.sums import Lagrangian, Sweep, Traced, tied
+from gbid.identify.kernel.sums import Lagrangian, Sweep, Traced, by_segments, tied
 from gbid.identify.predictor import Predictor, PredictorValues, matrices_with_slopes
 from gbid.identify.problem.hessian import PartHessian, in_one_window, omitted_part, passed_on
 from gbid.identify.problem.integration import linearised
@@ -104,6 +104,7 @@ def grows(at: Estimate) -> bool:
 
 _BLOCKS, _SHORTEST = 64, 8  # number of blocks of a record, in which scores are summed; samples in the shortest
 _BLOCK = 64  # samples of a block of the pass
+_CLOSED = 1e-6  # largest gap of the windows, in units of the states' size, with which a pass is one over whole records
 
 Chains = dict[int, tuple[FloatArray, int]]
 """Sensitivity of the state at the start of a segment by all unknowns, (n, n_all), and its record, by first window."""
@@ -177,20 +178,44 @@ def information_over_records(
             cuts.append(part.blocks.by_whole_segments())
         passes.append(part.kernel.trace(v, cuts[-1], starts[part.blocks.segment_first], weights))
     sums = [[tied(each.sums, part.tie) for each in made] for part, made in zip(problem.parts, passes, strict=True)]
-    first_sums = [each[0] for each in sums]
-    chains = _chains(at, first_sums)
-    totals = [np.zeros((at.n_all, at.n_all)) for _ in range(len(weights) + observed)]
-    omitted = _omitted(at, first_sums, weight) if observed else []
-    for k, (part, each) in enumerate(zip(problem.parts, sums, strict=True)):
-        along = [chains[int(problem.first_window[k] + window)][0] for window in part.blocks.segment_first]
-        hessians = [PartHessian(sweep.hessian, sweep.hessian_mixed) for sweep in each]
-        if observed:
-            more = _symmetric(omitted[k], part.tie)
-            hessians.append(PartHessian(each[0].hessian + more.theta, each[0].hessian_mixed + more.mixed))
-        for total, hessian, sweep in zip(totals, hessians, [*each, each[0]], strict=False):
-            _add(total, part.index, hessian, sweep.hessian_start, along)
+    by_weight = list(zip(*sums, strict=True))
+    chains = _chains(at, by_weight[0])
+    if observed:
+        omitted = _omitted(at, by_weight[0], weight)
+        more = [_symmetric(each, part.tie) for part, each in zip(problem.parts, omitted, strict=True)]
+        exact = (
+            replace(s, hessian=s.hessian + each.theta, hessian_mixed=s.hessian_mixed + each.mixed)
+            for s, each in zip(by_weight[0], more, strict=True)
+        )
+        by_weight.append(tuple(exact))
+    totals = [_total(at, each, chains) for each in by_weight]
     sensitivities = _sensitivities(at, cuts, [made[0] for made in passes], chains)
     return Information(totals[0], totals[len(weights) - 1], totals[-1] if observed else None, sensitivities)
+
+
+def information_of_last_pass(at: Estimate, *, shaped: FloatArray | None = None) -> Information | None:
+    """Return the Gauss-Newton information of all records with the weight of the fit, from its pass over the windows.
+
+    It has no sensitivities. None where windows have gaps.
+
+    Parameters
+    ----------
+    at : Estimate
+        The estimates.
+    shaped : (n_y, n_y) array, optional
+        Another weight, for a second Gauss-Newton Hessian, which needs a pass of its own.
+    """
+    problem, here = at.problem, at.problem.at_physical(at.theta, at.starts)
+    if not np.abs(here.gaps).max(initial=0.0) < _CLOSED:
+        return None
+    passes = [here.sweeps]
+    if shaped is not None:
+        passes.append(tuple(problem.sweeps(problem.values(at.theta), at.starts, shaped)))
+    sums = [[by_segments(part.blocks, s) for part, s in zip(problem.parts, each, strict=True)] for each in passes]
+    chains = _chains(at, sums[0])
+    totals = [_total(at, each, chains) for each in sums]
+    totals[0] *= here.factor
+    return Information(totals[0], totals[-1], None, iter(()))
 
 
 def record_information(at: Estimate, weight: FloatArray) -> list[RecordInformation]:
@@ -373,18 +398,23 @@ def _symmetric(omitted: PartHessian, tie: FloatArray | None) -> PartHessian:
     return PartHessian(theta, omitted.mixed) if tie is None else PartHessian(tie.T @ theta @ tie, tie.T @ omitted.mixed)
 
 
-def _add(
-    total: FloatArray, index: IntArray, hessian: PartHessian, of_starts: FloatArray, along: Sequence[FloatArray]
-) -> None:
-    """Add the Hessian of a part; the sensitivities `along` convert its starts of windows to all unknowns."""
-    total[np.ix_(index, index)] += hessian.theta
-    for mixed, of_start, T in zip(hessian.mixed, of_starts, along, strict=True):
-        places = np.flatnonzero(T.any(axis=0))  # few: the initial states of other records do not move this start
-        T = T[:, places]
-        across = mixed @ T
-        total[np.ix_(index, places)] += across
-        total[np.ix_(places, index)] += across.T
-        total[np.ix_(places, places)] += T.T @ of_start @ T
+def _total(at: Estimate, sums: Sequence[Sweep], chains: Chains) -> FloatArray:
+    """Return the Hessian by all unknowns (n_all, n_all); the chains convert the starts of segments to them."""
+    total = np.zeros((at.n_all, at.n_all))
+    for part, first, sweep in zip(at.problem.parts, at.problem.first_window[:-1], sums, strict=True):
+        index = part.index
+        total[np.ix_(index, index)] += sweep.hessian
+        for window, mixed, of_start in zip(
+            part.blocks.segment_first, sweep.hessian_mixed, sweep.hessian_start, strict=True
+        ):
+            T, _ = chains[int(first + window)]
+            places = np.flatnonzero(T.any(axis=0))  # few: the initial states of other records do not move this start
+            T = T[:, places]
+            across = mixed @ T
+            total[np.ix_(index, places)] += across
+            total[np.ix_(places, index)] += across.T
+            total[np.ix_(places, places)] += T.T @ of_start @ T
+    return total
 
 
 def _omitted(at: Estimate, sums: Sequence[Sweep], weight: FloatArray) -> list[PartHessian]:
@@ -633,7 +663,9 @@ def covariance(
     elif grows(at):
         information = information_by_windows(at, weight, shaped)
     else:
-        information = information_over_records(at, weight, shaped=None if alike else shaped, observed=modelled)
+        other = None if alike else shaped
+        left = None if modelled else information_of_last_pass(at, shaped=other)
+        information = left or information_over_records(at, weight, shaped=other, observed=modelled)
 
     # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
     unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
