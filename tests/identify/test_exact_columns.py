@@ -9,8 +9,8 @@ from shooting_problem import problem
 
 from gbid.identify import fit
 from gbid.identify.kernel.sums import Lagrangian
-from gbid.identify.problem.hessian import in_one_window, omitted_part
-from gbid.identify.uncertainty.covariance import Estimate, information_over_records
+from gbid.identify.problem.hessian import in_one_window, in_windows, omitted_part
+from gbid.identify.uncertainty.covariance import Estimate, information_of_last_pass, information_over_records
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 
@@ -49,6 +49,33 @@ def test_the_observed_information_is_the_slope_of_the_gradient(options):
     assert information.observed.shape == (n_all, n_all)
     np.testing.assert_allclose(information.observed / size, expected / size, atol=2e-4)
     assert np.abs((information.hessian - expected) / size).max() > 0.05  # Gauss-Newton leaves something out
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"criterion": "det"}, {"left_out": {}, "local": {"tau_x": "recording"}}],
+    ids=["gap", "det", "local"],
+)
+def test_the_last_pass_over_the_windows_has_the_information_of_whole_records(options):
+    """Windows without gaps are linked by their sensitivities; with a gap there is none."""
+    shooting, unknowns = problem(**options)
+    joined, kept = in_one_window(shooting)
+    theta, starts = joined.unpack(unknowns[kept])
+    closed = in_windows(shooting, joined, joined.pack(theta, passed_on(joined, theta, starts)))
+    theta, starts = shooting.unpack(closed)
+    first = np.setdiff1d(np.arange(shooting.n_windows), shooting.links[:, 1])
+    at = Estimate(shooting, theta, starts, first)
+    weight = shooting.weight(shooting.error_products(shooting.values(theta), starts))
+    shaped = weight @ np.diag([1.0, 3.0]) @ weight
+    expected = information_over_records(at, weight, shaped=shaped)
+    computed = information_of_last_pass(at, shaped=shaped)
+    for name in ("hessian", "shaped"):
+        whole = getattr(expected, name)
+        size = np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
+        np.testing.assert_allclose(getattr(computed, name) / size, whole / size, atol=1e-9)
+    starts = starts.copy()
+    starts[shooting.links[0, 1]] += 1e-3 * shooting.state_scale
+    assert information_of_last_pass(Estimate(shooting, theta, starts, first)) is None
 
 
 def test_columns_of_an_overflow_are_not_finite():

@@ -86,6 +86,23 @@ def test_disturbance_gain_choices():
     assert symbolic_matrices(none)[1].K.nnz() == 0
 
 
+def test_equal_built_in_structures_share_their_matrices_and_those_of_a_user_are_made_each_time():
+    """A user's function may return something else the next time, and a list of names has no hash."""
+    first, again = (symbolic_matrices(RotorBearing(pade_order=1, name="twice")) for _ in range(2))
+    assert again[1] is first[1]
+    assert symbolic_matrices(RotorBearing(pade_order=2, name="twice"))[1] is not first[1]
+    assert symbolic_matrices(RotorBearing(inputs=["u"]))[1].A.shape == (4, 4)
+    size = [1]
+
+    def matrices(p):
+        return {"A": -p.b1 * np.eye(size[0]), "C": np.eye(1, size[0])}
+
+    mine = LinearStructure("mine", ARM, matrices, ())
+    assert symbolic_matrices(mine)[1].A.shape == (1, 1)
+    size[0] = 2
+    assert symbolic_matrices(mine)[1].A.shape == (2, 2)
+
+
 @pytest.mark.parametrize(
     ("make", "text"),
     [

@@ -524,10 +524,7 @@ def _add(total: FloatArray, transform: Transform, model: ErrorModel, weight: Flo
     for first in range(0, psi.shape[2], _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         for row in factors[:, :, some]:
-            coloured = row[0] * psi[0, :, some]
-            for factor, slopes in zip(row[1:], psi[1:, :, some], strict=True):
-                coloured += factor * slopes
-            parts = coloured.view(float)
+            parts = _filtered(psi[:, :, some], row).view(float)
             products += parts @ parts.T
     total[0][np.ix_(columns, columns)] += 2 / size * products
     if transform.feedback is not None and model.order:
@@ -545,8 +542,16 @@ def _add_information(total: FloatArray, transform: Transform, model: ErrorModel)
     inverse_root = scipy.linalg.solve_triangular(np.linalg.cholesky(model.innovation), np.eye(n_y), lower=True)
     onto = inverse_root @ scipy.fft.rfft(lags, size, axis=0)
     for row in onto.transpose(1, 2, 0):
-        filtered = scipy.fft.irfft(np.einsum("bf,bmf->mf", row, psi, optimize=True), size)[:, model.order : n]
+        filtered = scipy.fft.irfft(_filtered(psi, row), size)[:, model.order : n]
         total[np.ix_(columns, columns)] += filtered @ filtered.T
+
+
+def _filtered(psi: ComplexArray, row: ComplexArray) -> ComplexArray:
+    """Return the sum over outputs of transforms (n_y, n_columns, n_f), each times its factor (n_y, n_f)."""
+    total: ComplexArray = row[0] * psi[0]
+    for factor, slopes in zip(row[1:], psi[1:], strict=True):
+        total += factor * slopes
+    return total
 
 
 def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> ComplexArray:
