@@ -13,6 +13,7 @@ import stored_values
 import gbid
 from gbid.core import hdf5
 from gbid.core.errors import DataError, UsageError
+from gbid.core.hdf5.file import add_attribute
 from gbid.core.hdf5.types import _TYPES
 
 THING = hdf5.FileKind("thing", "make it again")
@@ -34,6 +35,29 @@ def test_what_is_written_can_be_read(tmp_path):
     umask = os.umask(0)
     os.umask(umask)
     assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~umask
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.arange(6.0).reshape(2, 3).T,
+        np.arange(6)[::-2],
+        np.array(3.0),
+        np.zeros((0, 2)),
+        np.array([True, False]),
+        np.array([["a", "ä"], ["", "b"]], dtype=object).T,
+        np.array(1.5, dtype=">f8"),
+    ],
+    ids=["transposed", "strided", "single", "empty", "logical", "texts", "big-endian"],
+)
+def test_arrays_of_any_layout_are_stored(values, tmp_path):
+    with hdf5.writing(tmp_path / "a.h5", THING) as file:
+        hdf5.add_dataset(file, "deep/x", values, "m", "length")
+        add_attribute(file, "x", values)
+    with h5py.File(tmp_path / "a.h5") as file:
+        by_h5py = file["deep/x"].asstr()[()] if values.dtype.kind == "O" else file["deep/x"][()]
+        for stored in (by_h5py, file.attrs["x"], hdf5.read_attribute(file, "x")):
+            np.testing.assert_array_equal(stored, values, strict=values.ndim > 0 and values.dtype.kind != "O")
 
 
 def test_refuses_to_overwrite_unless_asked(tmp_path):

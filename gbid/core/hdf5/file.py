@@ -57,8 +57,7 @@ def add_attribute(item: h5py.HLObject, name: str, values: npt.NDArray[Any]) -> N
 
 def _stored(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], h5py.h5t.TypeID, h5py.h5s.SpaceID]:
     """Return numbers or texts as HDF5 takes them, with their type and space."""
-    if values.dtype.kind == "O":
-        values = np.asarray(values, dtype=TEXT)
+    values = np.asarray(values, dtype=TEXT if values.dtype.kind == "O" else None, order="C")
     return values, _type_of(values.dtype), h5py.h5s.create_simple(values.shape) if values.ndim else _ONE
 
 
