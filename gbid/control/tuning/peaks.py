@@ -334,6 +334,7 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
     return np.where(finite[:, None], dS.real, np.nan), values[:, 0]
 
 
+@np.errstate(divide="ignore", invalid="ignore")  # equal singular values have no second derivative
 def peak_curvature(
     loops: Derivatives, rows: slice, loop: IntArray, frequency: FloatArray, bend: FloatArray
 ) -> FloatArray:

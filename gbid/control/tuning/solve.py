@@ -573,11 +573,7 @@ def _stalled(certificate: Certificate) -> str:
 def _certificate(found: Certificate | None) -> dict[str, float]:
     if found is None or not np.isfinite(found.gain):
         return {}
-    return {
-        "certificate_gain": found.gain,
-        "certificate_radius": found.radius,
-        "certificate_room": found.room,
-    }
+    return {f"certificate_{name}": getattr(found, name) for name in ("gain", "radius", "room")}
 
 
 def _mode(worst: WorstMode) -> str:

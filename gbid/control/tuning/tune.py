@@ -9,23 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from gbid.control.controllers.structures import Scheduled, controller_at, controller_structure, with_schedule
-from gbid.control.loop.sampled import exact_plant, sampled_loop
-from gbid.control.tuning.goals import (
-    limits_of,
-)
+from gbid.control.controllers.structures import Scheduled, controller_structure, with_schedule
+from gbid.control.tuning.goals import limits_of
 from gbid.control.tuning.plants import (
     LpvPlants,
     ModelPlants,
     Plants,
     PlantsLike,
-    Point,
     TuneOptions,
     plants_of,
 )
 from gbid.control.tuning.problem import FEASIBLE, Evaluations, GainProblem, Limits
 from gbid.control.tuning.response_goals import PeakSensitivity
-from gbid.control.tuning.result import GainResult, GoalFigure, distance_to_edge
+from gbid.control.tuning.result import GainResult, GoalFigure, distance_to_edge, worst_mode
 from gbid.control.tuning.search import Progress, SearchOptions, SearchTask, on_grid, rank, typical_rate
 from gbid.control.tuning.solve import (
     ALIKE,
@@ -50,7 +46,7 @@ from gbid.structure.linear import Structure
 # ---- Remarks and figures of a finished design.
 
 
-def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution, points: tuple[Point, ...]) -> tuple[str, ...]:
+def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution) -> tuple[str, ...]:
     """Remarks on a design: unfinished fits, unstable open loops, distance to the edge, the sampled loop."""
     given = isinstance(plants, ModelPlants)
     labels = solution.problem.families[0].labels if given else [point_label(P, Omega) for P, Omega in plants.points]
@@ -65,16 +61,10 @@ def notes_of(plants: LpvPlants | ModelPlants, solution: GainSolution, points: tu
     notes += _edge_notes(solution, names)
     sampling = plants.sampling
     if sampling is not None and isinstance(plants, LpvPlants):
-        gains = dict(zip(names, map(float, solution.best.x), strict=True))
-        T, computation_s, reached = sampling.sample_time, sampling.computation_s, []
-        for point in sorted(points):
-            plant, law = exact_plant(plants.lpv, *point), controller_at(plants.structure, gains, *point)
-            loop = sampled_loop(plant, law, T, computation_s=computation_s, method=sampling.method)
-            reached.append((loop.damping, point))
-        damping, (P, Omega) = min(reached)
+        worst = worst_mode(replace(solution.problem, limits=Limits()), solution.best.x)
         text = (
             f"designed for sampling at {1e3 * sampling.sample_time:g} ms with {1e3 * sampling.computation_s:g} ms to "
-            f"compute; the sampled loop has a smallest damping factor of {damping:.3f}, at {point_label(P, Omega)}"
+            f"compute; the sampled loop has a smallest damping factor of {worst.damping:.3f}, at {worst.where}"
         )
         notes += (ControlNote.SAMPLED_LOOP(text),)
     return notes
@@ -202,7 +192,7 @@ def tuned(
     points = () if used is None else tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used))
     if isinstance(plants, ModelPlants) and isinstance(structure, Scheduled):
         points = tuple((float(P), float(Omega)) for P, Omega, _ in plants.points)
-    notes = notes_of(plants, solution, points)
+    notes = notes_of(plants, solution)
     if isinstance(plants, ModelPlants) and isinstance(options.operating_points, str):
         text = (
             f"the design holds for {len(plants.models)} models at corners and middles; no worst points between them, "
