@@ -144,7 +144,7 @@ for _group, _verbs in {**VERBS, "": HIDDEN}.items():
 
 def main() -> None:
     """Run the command line; the exit codes are those of `gbid.core.errors`."""
-    gc.set_threshold(50_000)  # most of what the imports make stays: to look for garbage in it is a tenth of a start
+    gc.set_threshold(200_000)  # most of what the imports make stays: to look for garbage in it is a tenth of a start
     try:
         app(prog_name="gbid")
     except KeyboardInterrupt:  # outside of a verb: while the command line is read
