@@ -201,3 +201,10 @@ def test_an_error_of_input_or_output_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(h5py, "File", failing)
     with pytest.raises(DataError, match=r"time = Mon Nov 23 , filename = 'a.h5' , errno = 5\)$"):
         gbid.load(path)
+
+
+def test_an_array_in_any_order_of_memory_is_stored(tmp_path):
+    values = np.arange(6.0).reshape(2, 3).T
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        hdf5.add_dataset(file, "values", values, "m", "a transposed array")
+        np.testing.assert_array_equal(file["values"][()], values)
