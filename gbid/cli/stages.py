@@ -15,10 +15,10 @@ from gbid.cli.printing import print_json, print_notes, print_tables, tell
 from gbid.cli.progress import MANY, causes_in_words, reporting
 from gbid.core.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError, nearest
 from gbid.core.files import remove_stale_parts
+from gbid.core.index import load_index
 from gbid.core.tables import Column, Table
 from gbid.experiment.campaign import collect, read_shard, run_campaign, working
 from gbid.experiment.experiment import Experiment, changed_files
-from gbid.experiment.index import load_index
 from gbid.experiment.run import Job, Outcome, Stage, Task, has_section, no_tasks, run_stage, run_tasks, standing
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks

@@ -19,14 +19,15 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gbid import identify
 from gbid.core.errors import DataError, UsageError, nearest
 from gbid.core.files import find_stale_parts, remove_stale_parts
+from gbid.core.index import NAME as INDEX
+from gbid.core.index import load_index, save_index
 from gbid.core.tables import write_csv
 from gbid.experiment.engines import make_engine
 from gbid.experiment.experiment import Experiment, fit_models, recordings_of
 from gbid.experiment.fields import stored_key
-from gbid.experiment.index import NAME as INDEX
-from gbid.experiment.index import load_index, save_index
 from gbid.experiment.run import (
     FAILED,
     Failure,
@@ -44,7 +45,6 @@ from gbid.experiment.run import (
 from gbid.experiment.stages import registry
 from gbid.experiment.stages.fit import FIT, fit_tasks, table_row
 from gbid.experiment.stages.prefilter import with_needed
-from gbid.identify import FitTable, TableEntry, load_table, save_table, tabulate
 from gbid.identify.table import csv_table
 
 if TYPE_CHECKING:
@@ -372,7 +372,7 @@ TABLE = "table"
 NOT_MADE = "not made yet; run `gbid batch`"
 
 
-def collect(job: Job) -> tuple[FitTable, list[Outcome]]:
+def collect(job: Job) -> tuple[identify.FitTable, list[Outcome]]:
     """Write ``table.h5`` and ``table.csv`` with one row for each fit of the experiment, made or missing.
 
     A table of an earlier state of the same campaign is replaced; all its data are also in the fits.
@@ -398,13 +398,13 @@ def collect(job: Job) -> tuple[FitTable, list[Outcome]]:
         for ending in (".h5", ".csv")
     ]
     if all(result.is_made for result in results):
-        table = load_table(results[0].path)
+        table = identify.load_table(results[0].path)
     else:
-        table = tabulate(
+        table = identify.tabulate(
             [_entry(job, *model, task, state) for model, task, state in zip(models, tasks, states, strict=True)]
         )
     writers: tuple[Callable[[Path], None], ...] = (
-        lambda part: save_table(table, part, overwrite=True),
+        lambda part: identify.save_table(table, part, overwrite=True),
         lambda part: write_csv(csv_table(table), part),
     )
     outcomes = []
@@ -414,7 +414,7 @@ def collect(job: Job) -> tuple[FitTable, list[Outcome]]:
     return table, outcomes
 
 
-def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> TableEntry:
+def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> identify.TableEntry:
     conditions = [job.experiment.recordings[name].conditions for name in task.recordings]
     first: Mapping[str, float] = conditions[0] if conditions else {}
     shared = {k: v for k, v in first.items() if all(other.get(k) == v for other in conditions)}
@@ -424,7 +424,7 @@ def _entry(job: Job, fit: str, model: str, task: Task, state: bool | str) -> Tab
             row = table_row(task.path)
         except DataError as error:
             failure = str(error)
-    return TableEntry(fit, model, task.recordings, shared, failure=failure, row=row)
+    return identify.TableEntry(fit, model, task.recordings, shared, failure=failure, row=row)
 
 
 def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:

@@ -6,27 +6,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
 
-from gbid.control import (
-    ControllerDesign,
-    DisturbanceSpectrum,
-    Goal,
-    HalfSine,
-    PeakSensitivity,
-    Scheduled,
-    controller_structure,
-    load_controller,
-    p_controller,
-    scheduled,
-)
-from gbid.control.assessment import TunedDesign
-from gbid.control.controllers.built_in import built_in_structures
-from gbid.control.controllers.structures import with_schedule
-from gbid.control.loop.close import sample_controller
+from gbid import control, export, lpv
 from gbid.core.errors import UsageError, nearest
 from gbid.core.hdf5 import load
 from gbid.experiment.experiment import Experiment, PlannedRecording
@@ -34,27 +19,26 @@ from gbid.experiment.fields import InputError, Result, about, file_digest, neede
 from gbid.experiment.machine import PlannedRun, machine_data, rig_machine, rig_model
 from gbid.experiment.rig_schema import ControllerChoice, LoopSection, Place
 from gbid.experiment.schema import (
-    GOALS,
     ControllerSection,
-    GoalEntry,
     TargetSection,
 )
 from gbid.experiment.user_code import user_structure, user_structure_or_model
-from gbid.export.chain import ChainOptions, chain_of
-from gbid.export.chain_c import CompiledChain
-from gbid.lpv import Domain, LPVModel, ProportionalDesign, PublishedMachine, load_machine
 from gbid.prefilter import identify_runout
 from gbid.rig import ProgramController, SampledController, Stationary
 from gbid.structure import LinearModel, LinearStructure, kind_of
 from gbid.structure.linear import Structure
 
+if TYPE_CHECKING:
+    from gbid.control.assessment import TunedDesign
+    from gbid.experiment.goal_schema import GoalEntry
+
 # ---- Goals of a design from the entries of its controller section.
 
-Disturbance = Callable[[tuple[str, ...]], DisturbanceSpectrum]
+Disturbance = Callable[[tuple[str, ...]], "control.DisturbanceSpectrum"]
 """From names of recordings to the disturbance that they show."""
 
 
-def made_goal(entry: GoalEntry, disturbance: Disturbance) -> Goal:
+def made_goal(entry: GoalEntry, disturbance: Disturbance) -> control.Goal:
     """Return the goal of an entry.
 
     Parameters
@@ -72,7 +56,7 @@ def made_goal(entry: GoalEntry, disturbance: Disturbance) -> Goal:
     arguments = dict(entry.arguments)
     for name, value in arguments.items():
         if name == "impact":
-            arguments[name] = HalfSine(**value)
+            arguments[name] = control.HalfSine(**value)
         elif name == "disturbance":
             arguments[name] = disturbance(value)
         elif name == "spectrum":
@@ -83,10 +67,11 @@ def made_goal(entry: GoalEntry, disturbance: Disturbance) -> Goal:
                 )
             hz, *densities = zip(*value, strict=True)
             density = np.array(densities).T[:, :, None] * np.eye(n)
-            arguments[name] = DisturbanceSpectrum(np.array(hz, float), density.astype(complex), "spectrum")
+            arguments[name] = control.DisturbanceSpectrum(np.array(hz, float), density.astype(complex), "spectrum")
         elif isinstance(value, Mapping):
             arguments[name] = _transfer_function(value, f"{entry.goal}: {name}")
-    return GOALS[entry.goal](**arguments)
+    goal: control.Goal = getattr(control, entry.goal)(**arguments)
+    return goal
 
 
 def goal_recordings(experiment: Experiment, section: ControllerSection) -> list[PlannedRecording]:
@@ -103,19 +88,19 @@ def peak_cap(section: ControllerSection) -> float | None:
     return min(map(float, limits), default=None)
 
 
-def without_cap(section: ControllerSection, goals: Sequence[Goal]) -> list[Goal]:
+def without_cap(section: ControllerSection, goals: Sequence[control.Goal]) -> list[control.Goal]:
     """Return the goals of a design without its caps on the peak of S_o, in whose place others come."""
     return [goal for goal, entry in zip(goals, section.goals or (), strict=True) if not _caps_peak(entry)]
 
 
-def no_disturbance(_names: tuple[str, ...]) -> DisturbanceSpectrum:
+def no_disturbance(_names: tuple[str, ...]) -> control.DisturbanceSpectrum:
     """Return a disturbance in place of that of recordings that do not exist yet, for checks."""
-    return DisturbanceSpectrum(np.array([1.0, 2.0]), np.tile(1e-18 * np.eye(2, dtype=complex), (2, 1, 1)))
+    return control.DisturbanceSpectrum(np.array([1.0, 2.0]), np.tile(1e-18 * np.eye(2, dtype=complex), (2, 1, 1)))
 
 
 def _caps_peak(entry: GoalEntry) -> bool:
     given = entry.arguments
-    return entry.goal == PeakSensitivity.__name__ and not given.get("soft") and isinstance(given["limit"], int | float)
+    return entry.goal == "PeakSensitivity" and not given.get("soft") and isinstance(given["limit"], int | float)
 
 
 def _transfer_function(given: Mapping[str, Sequence[float]], what: str) -> LinearModel:
@@ -166,7 +151,7 @@ def surfaces_item(experiment: Experiment, section: ControllerSection) -> str | N
     return f"{experiment.spec.lpv.fit}{SURFACES[str(word)]}"
 
 
-def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
+def named_model(experiment: Experiment, section: ControllerSection) -> lpv.LPVModel:
     """Return the model of a design that does not use the surfaces of the experiment.
 
     Raises
@@ -180,7 +165,7 @@ def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
             raise UsageError(
                 f"{word!r} is a fit: surfaces of fits have the section lpv, other machines gbid.tune in Python"
             )
-        model = with_actuators(load_machine(model_source(experiment, word)).model)
+        model = with_actuators(lpv.load_machine(model_source(experiment, word)).model)
         return replace(model, machine=machine_data(experiment).filled(model.machine))
     if experiment.spec.rig is None:
         raise UsageError("needs a model; name one, or add a section lpv (other machines: gbid.tune in Python)")
@@ -192,7 +177,7 @@ def model_source(experiment: Experiment, word: str) -> Path | str:
     return experiment.folder / word if Path(word).suffix in (".yaml", ".yml") else word
 
 
-def with_actuators(model: LPVModel) -> LPVModel:
+def with_actuators(model: lpv.LPVModel) -> lpv.LPVModel:
     """Return the model after a check that it has actuators, which a closed loop needs.
 
     Raises
@@ -206,8 +191,8 @@ def with_actuators(model: LPVModel) -> LPVModel:
 
 
 def design_structure(
-    experiment: Experiment, section: ControllerSection, domain: Domain | None = None
-) -> Structure | Scheduled:
+    experiment: Experiment, section: ControllerSection, domain: lpv.Domain | None = None
+) -> Structure | control.Scheduled:
     """Return the structure of the controller.
 
     Parameters
@@ -229,6 +214,9 @@ def design_structure(
     UsageError
         When the structure or an option is unknown, or the file does not define a structure.
     """
+    from gbid.control.controllers.built_in import built_in_structures
+    from gbid.control.controllers.structures import with_schedule
+
     given = section.model_dump(include={"lowpass_hz", "order", "tune_corner"}, exclude_none=True)
     # a whole number stays one: orders are counted
     options = {key: int(v) if isinstance(v, float) and v.is_integer() else v for key, v in section.options.items()}
@@ -236,7 +224,7 @@ def design_structure(
     wrong = "options" if section.options else "structure"
     if section.structure in built_in_structures():
         with about(wrong):
-            base = controller_structure(section.structure, **options)
+            base = control.controller_structure(section.structure, **options)
     elif ":" not in section.structure:
         hint = nearest(section.structure, built_in_structures())
         text = f"no structure {section.structure!r}; {hint} (or name one of your own as file.py:name)"
@@ -247,11 +235,12 @@ def design_structure(
             if linear is None:
                 raise UsageError(f"structure {section.structure!r}: a controller is a gbid.LinearStructure")
             with about(wrong):
-                base = controller_structure(linear, **options)
+                base = control.controller_structure(linear, **options)
             if (len(base.inputs), len(base.outputs)) != (2, 2):
                 raise UsageError(f"structure {section.structure!r}: a controller has two inputs and two outputs")
     with about("schedule"):
-        return with_schedule(base, domain) if section.schedule is None else scheduled(base, section.schedule, domain)
+        schedule = section.schedule
+        return with_schedule(base, domain) if schedule is None else control.scheduled(base, schedule, domain)
 
 
 def _structure_text(experiment: Experiment, name: str | None) -> str:
@@ -274,24 +263,24 @@ def rig_time(experiment: Experiment) -> float:
     return experiment.spec.rig.sample_time_s
 
 
-def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> PublishedMachine | None:
+def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> lpv.PublishedMachine | None:
     """Return the machine that a design names if it comes with a controller, else that of the rig; None without rig."""
     word = None if section is None or surfaces_item(experiment, section) else model_word(experiment, section)
-    named = None if word is None else load_machine(model_source(experiment, word))
+    named = None if word is None else lpv.load_machine(model_source(experiment, word))
     if experiment.spec.rig is None or (named is not None and named.controller is not None):
         return named
     return rig_machine(experiment)
 
 
-def published_design(experiment: Experiment, section: ControllerSection | None = None) -> ProportionalDesign | None:
+def published_design(experiment: Experiment, section: ControllerSection | None = None) -> lpv.ProportionalDesign | None:
     """Return the controller of `published_machine`; None when there is none."""
     machine = published_machine(experiment, section)
     return None if machine is None else machine.controller
 
 
-def published_structure(came: ProportionalDesign) -> Structure:
+def published_structure(came: lpv.ProportionalDesign) -> Structure:
     """Return the structure of a published controller."""
-    return controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)
+    return control.controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)
 
 
 def design_result(
@@ -348,7 +337,7 @@ class LoopController:
 
     continuous: LinearModel
     sampled: LinearModel
-    design: ControllerDesign
+    design: control.ControllerDesign
 
 
 def controller_at(experiment: Experiment, point: Place, loop: str = "closed") -> LoopController:
@@ -360,7 +349,9 @@ def controller_at(experiment: Experiment, point: Place, loop: str = "closed") ->
         When there is none, its file is faulty, or its sample time is not that of the rig.
     """
     word = _word_of(experiment, loop)
-    controller = _named_controller(experiment, word, lambda name: load_controller(_controller_file(experiment, name)))
+    controller = _named_controller(
+        experiment, word, lambda name: control.load_controller(_controller_file(experiment, name))
+    )
     return running_controller(experiment, controller, point.model_dump())
 
 
@@ -384,7 +375,7 @@ def _controller_file(experiment: Experiment, name: str) -> Path:
 
 
 def running_controller(
-    experiment: Experiment, controller: ControllerDesign | Structure, conditions: Mapping[str, float]
+    experiment: Experiment, controller: control.ControllerDesign | Structure, conditions: Mapping[str, float]
 ) -> LoopController:
     """Return a controller at an operating point, as the rig runs it.
 
@@ -393,7 +384,7 @@ def running_controller(
     UsageError
         When its gains are not all known, when it is not for two axes, or when its sample time is not that of the rig.
     """
-    if not isinstance(controller, ControllerDesign):
+    if not isinstance(controller, control.ControllerDesign):
         unknown = ", ".join(gain.name for gain in controller.parameters if not gain.fixed)
         raise UsageError(f"controller {controller.name!r}: no value for {unknown}; the rig needs all gains")
     time = needed(experiment.spec.rig, "rig").sample_time_s
@@ -405,7 +396,7 @@ def running_controller(
     if abs(rate - time) > 1e-9 * time:
         raise UsageError(f"{words}: sample time is {rate:g} s, that of the rig {time:g} s; make it for that")
     is_continuous = continuous.dt is None
-    sampled = sample_controller(continuous, rate, controller.method) if is_continuous else continuous
+    sampled = control.sample_controller(continuous, rate, controller.method) if is_continuous else continuous
     return LoopController(continuous, sampled, controller)
 
 
@@ -436,7 +427,7 @@ def tuned_design(experiment: Experiment, word: str) -> str:
 # ---- Plan of the control chain of an experiment: its options.
 
 
-def chain_options(experiment: Experiment) -> ChainOptions:
+def chain_options(experiment: Experiment) -> export.ChainOptions:
     """Return the options of the control chain from the section target, else from the numbers of the machine.
 
     Raises
@@ -445,7 +436,7 @@ def chain_options(experiment: Experiment) -> ChainOptions:
         When values do not fit each other.
     """
     settings = (experiment.spec.target or TargetSection()).model_dump(exclude_unset=True)
-    return ChainOptions(**settings).on(machine_data(experiment))
+    return export.ChainOptions(**settings).on(machine_data(experiment))
 
 
 # ---- What closes the loop of impacts on the rig: sampled matrices, or the control chain in C as it is exported.
@@ -487,8 +478,8 @@ def loop_of(
     start_s = max(_SHARE_OF_SETTLING * rig.settle_s, controller.design.sample_time)
     ramps = replace(chain_options(experiment), ramp_s=start_s, fade_s=start_s)
     runout_map = identify_runout([still], harmonics=harmonics)
-    chain = chain_of(controller.design, name="chain", runout_maps=[runout_map], options=ramps)
-    return ProgramController(CompiledChain(chain), chain.sample_time, f"{chain.title}, compiled")
+    chain = export.chain_of(controller.design, name="chain", runout_maps=[runout_map], options=ramps)
+    return ProgramController(export.CompiledChain(chain), chain.sample_time, f"{chain.title}, compiled")
 
 
 # ---- Controllers of recordings in closed loop: which one the YAML means, its gains, and its content key.
@@ -521,7 +512,7 @@ def chosen(experiment: Experiment, section: ControllerChoice) -> ControllerChoic
 
 def found_controller(
     experiment: Experiment, section: ControllerChoice, *, planned: bool = False
-) -> ControllerDesign | Structure:
+) -> control.ControllerDesign | Structure:
     """Return the controller that a section means: a design, or a structure with gains that are not known.
 
     Parameters
@@ -547,8 +538,8 @@ def found_controller(
 
 
 def _named_controller(
-    experiment: Experiment, word: str, tuned: Callable[[str], ControllerDesign]
-) -> ControllerDesign | Structure:
+    experiment: Experiment, word: str, tuned: Callable[[str], control.ControllerDesign]
+) -> control.ControllerDesign | Structure:
     """Return the controller that a word of the YAML names; `tuned` returns a design of the experiment by its name."""
     if word == "paper":
         return _published(experiment)
@@ -559,7 +550,7 @@ def _named_controller(
     path = experiment.folder / word
     if not path.is_file():
         raise UsageError(f"{path}: no such controller file; write paper, tuned, or the name of one")
-    return load_controller(path)
+    return control.load_controller(path)
 
 
 def _source_key(experiment: Experiment, word: str, tuned: Callable[[str], str]) -> str:
@@ -627,7 +618,7 @@ def early_design(experiment: Experiment, name: str) -> Result:
     return design_result(experiment, name)
 
 
-def at_point(design: ControllerDesign, conditions: Mapping[str, float]) -> tuple[float | None, float | None]:
+def at_point(design: control.ControllerDesign, conditions: Mapping[str, float]) -> tuple[float | None, float | None]:
     """Return the operating point at which a design is needed: pressure and speed, or nothing.
 
     Raises
@@ -636,7 +627,9 @@ def at_point(design: ControllerDesign, conditions: Mapping[str, float]) -> tuple
         When its gains follow an operating point that is not known.
     """
     point = (conditions.get("pressure_bar"), conditions.get("speed_rpm"))
-    scheduled = isinstance(design.structure, Scheduled) or (design.structure is None and None not in design.models)
+    scheduled = isinstance(design.structure, control.Scheduled) or (
+        design.structure is None and None not in design.models
+    )
     if scheduled and None in point:
         raise UsageError(
             f"controller {design.name!r}: its gains follow the operating point; write a fit for each operating point"
@@ -644,9 +637,9 @@ def at_point(design: ControllerDesign, conditions: Mapping[str, float]) -> tuple
     return point
 
 
-def _of_structure(experiment: Experiment, section: ControllerChoice) -> ControllerDesign | Structure:
+def _of_structure(experiment: Experiment, section: ControllerChoice) -> control.ControllerDesign | Structure:
     structure = design_structure(experiment, _as_design(section))
-    if isinstance(structure, Scheduled):
+    if isinstance(structure, control.Scheduled):
         raise UsageError(f"structure {structure.name!r} follows the speed; name a controller file")
     names = [gain.name for gain in structure.parameters]
     unknown = [name for name in section.gains if name not in names]
@@ -655,7 +648,7 @@ def _of_structure(experiment: Experiment, section: ControllerChoice) -> Controll
     if len(section.gains) < len(names):
         return structure if not section.gains else _with_known(structure, section.gains)
     rate = section.sample_time_s if isinstance(section, LoopSection) else None
-    return ControllerDesign(structure.name, structure, section.gains, rate or rig_time(experiment))
+    return control.ControllerDesign(structure.name, structure, section.gains, rate or rig_time(experiment))
 
 
 def _with_known(structure: Structure, gains: Mapping[str, float]) -> Structure:
@@ -673,27 +666,27 @@ def _as_design(section: ControllerChoice) -> ControllerSection:
     return ControllerSection.model_validate(given)
 
 
-def _of_python(experiment: Experiment, word: str) -> ControllerDesign | Structure:
+def _of_python(experiment: Experiment, word: str) -> control.ControllerDesign | Structure:
     made = user_structure_or_model(word, experiment.folder_of(word.rpartition(":")[0]))
     if isinstance(made, LinearModel):
-        return ControllerDesign(word, None, {}, made.dt or rig_time(experiment), models={None: made})
+        return control.ControllerDesign(word, None, {}, made.dt or rig_time(experiment), models={None: made})
     linear = kind_of(made).linear
     if linear is None:
         raise UsageError(f"{word}: a controller is a gbid.LinearModel or a gbid.LinearStructure")
     return linear
 
 
-def _published(experiment: Experiment) -> ControllerDesign:
+def _published(experiment: Experiment) -> control.ControllerDesign:
     if experiment.spec.rig is None:
         raise UsageError("controller: paper is that of the model of the rig, and there is no section rig; name a file")
     design = rig_machine(experiment).controller
     if design is None:
         raise UsageError(f"model {rig_model(experiment).name!r} comes with no controller; name a controller file")
-    continuous = p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
-    return ControllerDesign("paper", None, {}, rig_time(experiment), models={None: continuous})
+    continuous = control.p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
+    return control.ControllerDesign("paper", None, {}, rig_time(experiment), models={None: continuous})
 
 
-def _tuned(experiment: Experiment, name: str, planned: bool) -> ControllerDesign:
+def _tuned(experiment: Experiment, name: str, planned: bool) -> control.ControllerDesign:
     result, section = early_design(experiment, name), experiment.spec.controller[name]
     structure = design_structure(experiment, section, named_model(experiment, section).domain)
     if result.is_made:
@@ -705,9 +698,22 @@ def _tuned(experiment: Experiment, name: str, planned: bool) -> ControllerDesign
         }
     else:
         raise InputError(f"{result.path}: no design {name!r} with the present settings; `gbid tune` makes it")
-    return ControllerDesign(name, structure, gains, sample_time(experiment, section), section.method)
+    return control.ControllerDesign(name, structure, gains, sample_time(experiment, section), section.method)
 
 
 @lru_cache(maxsize=16)
 def _stored_gains(result: Result) -> dict[str, float]:
-    return dict(load(result.path, TunedDesign).result.gains)
+    return dict(load_design(result.path).result.gains)
+
+
+def load_design(path: Path) -> TunedDesign:
+    """Return the tuned design in a file.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read.
+    """
+    from gbid.control.assessment import TunedDesign  # with all that tunes
+
+    return load(path, TunedDesign)

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -20,19 +21,21 @@ from pydantic import (
     Field,
     Strict,
     Tag,
+    TypeAdapter,
     ValidationError,
     WithJsonSchema,
 )
 from pydantic_core import ErrorDetails
+from pydantic_core.core_schema import no_info_plain_validator_function
 
 from gbid._version import __version__
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
 from gbid.core.files import add_text_checksum, atomic_path, checked_end, is_changed
 from gbid.core.hdf5 import KEY, MADE_WITH, changing, opened, versions
+from gbid.core.index import known
 from gbid.core.names import given_path
 from gbid.core.option_types import Finite
 from gbid.discretise import Hold
-from gbid.experiment.index import known
 
 T = TypeVar("T")
 
@@ -92,6 +95,31 @@ def given(value: Any) -> Any:
     if value is None:
         raise ValueError("is empty; write {} for the defaults, or leave the key out")
     return value
+
+
+@dataclass(frozen=True)
+class Deferred:
+    """Mark of a type in the YAML that is made when the first value of it is read: what it needs is slow to import.
+
+    Attributes
+    ----------
+    form : callable
+        Function that returns the type.
+    """
+
+    form: Callable[[], Any]
+
+    @cached_property
+    def _adapter(self) -> TypeAdapter[Any]:
+        return TypeAdapter(self.form())
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Return the schema of pydantic: a function that checks a value by the type."""
+        return no_info_plain_validator_function(lambda value: self._adapter.validate_python(value))
+
+    def __get_pydantic_json_schema__(self, _: Any, handler: Callable[[Any], Any]) -> Any:
+        """Return the JSON schema of the type."""
+        return handler(self._adapter.core_schema)
 
 
 # ---- Problems of an experiment file, all reported at once.
@@ -266,7 +294,8 @@ def _keys_at(kind: Any, location: Location) -> list[str]:
 def _inner_type(kind: Any) -> Any:
     """Return a type without ``Annotated[...]`` and ``... | None``."""
     if get_origin(kind) is Annotated:
-        return _inner_type(get_args(kind)[0])
+        deferred = next((mark for mark in kind.__metadata__ if isinstance(mark, Deferred)), None)
+        return _inner_type(deferred.form() if deferred else get_args(kind)[0])
     forms = [form for form in get_args(kind) if form is not NoneType]
     return _inner_type(forms[0]) if len(forms) == 1 and get_origin(kind) in (Union, UnionType) else kind
 

@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from gbid import excite, lpv
 from gbid.core.errors import UsageError
 from gbid.core.units import SIGNALS
-from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, Location, needed
 from gbid.experiment.rig_schema import ActuatorSection, Place, RigSection
 from gbid.experiment.schema import HammerTrain
-from gbid.lpv import Domain, LPVModel, MachineData, PublishedMachine, load_machine
 from gbid.recording import Recording
 from gbid.rig import (
     Course,
@@ -65,7 +64,7 @@ _GOLDEN = 0.6180339887
 
 
 @lru_cache(maxsize=4)
-def rig_machine(experiment: Experiment) -> PublishedMachine:
+def rig_machine(experiment: Experiment) -> lpv.PublishedMachine:
     """Return the machine of the rig: by name, or from a YAML file relative to the experiment or the models folder.
 
     Raises
@@ -75,30 +74,32 @@ def rig_machine(experiment: Experiment) -> PublishedMachine:
     """
     name = needed(experiment.spec.rig, "rig").model
     if Path(name).suffix in (".yaml", ".yml"):
-        return load_machine(experiment.folder_of(name) / name)
-    return load_machine(name)
+        return lpv.load_machine(experiment.folder_of(name) / name)
+    return lpv.load_machine(name)
 
 
 @lru_cache(maxsize=4)
-def rig_model(experiment: Experiment) -> LPVModel:
+def rig_model(experiment: Experiment) -> lpv.LPVModel:
     """Return the LPV model of `rig_machine`, with the numbers of `machine_data`."""
     model = rig_machine(experiment).model
     return replace(model, machine=machine_data(experiment).filled(model.machine))
 
 
-def machine_data(experiment: Experiment) -> MachineData:
+def machine_data(experiment: Experiment) -> lpv.MachineData:
     """Return what is known of the machine of an experiment: of its section machine, else of its virtual rig."""
     rig = experiment.spec.rig
-    given = MachineData(*(getattr(experiment.spec.machine, entry.name) for entry in fields(MachineData)))
-    return given if rig is None else given.filled(MachineData(rig.moving_mass_kg, PiezoStack.stroke, rig.clearance_m))
+    given = lpv.MachineData(*(getattr(experiment.spec.machine, entry.name) for entry in fields(lpv.MachineData)))
+    return (
+        given if rig is None else given.filled(lpv.MachineData(rig.moving_mass_kg, PiezoStack.stroke, rig.clearance_m))
+    )
 
 
-def _true_parameters(model: LPVModel, pressure_bar: float, speed_rpm: float) -> dict[str, float]:
+def _true_parameters(model: lpv.LPVModel, pressure_bar: float, speed_rpm: float) -> dict[str, float]:
     """Return the true key parameters and actuator parameters at an operating point."""
     return {**{name: float(v) for name, v in model.key_parameters(pressure_bar, speed_rpm).items()}, **model.actuators}
 
 
-def outside_domain(domain: Domain, name: str, point: Place, where: Location) -> Found:
+def outside_domain(domain: lpv.Domain, name: str, point: Place, where: Location) -> Found:
     """Yield a problem for a pressure or speed outside the domain of a model."""
     for key in ("pressure_bar", "speed_rpm"):
         value, (low, high) = getattr(point, key), getattr(domain, key)
@@ -233,7 +234,7 @@ def _played(experiment: Experiment, name: str) -> Played:
     UsageError
         When it has no references of both axes.
     """
-    file = read_excitation(experiment.folder / name)
+    file = excite.read_excitation(experiment.folder / name)
     columns = [f"r_{axis}_m" for axis in SIGNALS["r"].channels]
     if missing := [column for column in columns if column not in file.columns]:
         raise UsageError(

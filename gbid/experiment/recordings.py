@@ -10,18 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from gbid import excite, lpv
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import read_document, save
-from gbid.excite import ExcitationLimits, rig_limits
+from gbid.core.index import version_of
 from gbid.experiment.controllers import closed_loop_settings, loop_settings, stationary_at
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Result, file_digest, stored_key
-from gbid.experiment.index import version_of
 from gbid.experiment.machine import machine_at, record_options, rig_model, rig_run
 from gbid.experiment.run import Job, Made, Task
 from gbid.experiment.schema import ExciteSection, ImportedSection, LpvSection
 from gbid.experiment.structures import fit_channels
-from gbid.lpv import load_model
 from gbid.recording import ProblemKind, Recording, find_problems, load_recording
 
 # ---- File and mapping of an imported recording.
@@ -240,7 +239,7 @@ DISC = "p"
 
 def excitation_limits(
     experiment: Experiment, section: ExciteSection, planned: PlannedRecording, outputs: tuple[str, ...]
-) -> ExcitationLimits:
+) -> excite.ExcitationLimits:
     """Return the limits of an excitation; of a recording of the rig those with which its machines do not rub.
 
     Parameters
@@ -256,14 +255,14 @@ def excitation_limits(
     """
     limits = section.limits
     if limits.clearance_m is None and planned.imported is None and DISC in outputs:
-        return rig_limits(
+        return excite.rig_limits(
             machine_at(experiment, planned),
             conditions=planned.conditions,
             peaks=limits.peaks,
             radius=limits.radius,
             scatter=record_options(experiment, planned)["scatter"],
         )
-    return ExcitationLimits(limits.peaks, limits.radius, limits.clearance_m, DISC, limits.taken_m)
+    return excite.ExcitationLimits(limits.peaks, limits.radius, limits.clearance_m, DISC, limits.taken_m)
 
 
 # ---- Actuator parameters of the surfaces.
@@ -286,7 +285,7 @@ def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, floa
         return None
     beside = experiment.folder / wanted
     try:
-        actuators = load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
+        actuators = lpv.load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
     except UsageError as error:
         raise UsageError(f"expected nominal, or a model or its file; {error}") from None
     if not actuators:

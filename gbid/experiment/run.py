@@ -19,10 +19,10 @@ from gbid.core.files import atomic_path
 from gbid.core.tables import Column, Table
 from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.fields import InputError, Result, is_current, writing_keyed
-from gbid.identify import Progress
 
 if TYPE_CHECKING:
     from gbid.control.tuning.problem import SearchStep
+    from gbid.identify import Progress
 
 # ---- Outcome of a task.
 

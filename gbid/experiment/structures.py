@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gbid.control import ControllerDesign, sample_controller
+from gbid import control
 from gbid.core.errors import GbidError, UsageError, nearest
 from gbid.experiment.controllers import at_point, controller_identity, found_controller, rig_time
 from gbid.experiment.experiment import Experiment
@@ -86,7 +86,7 @@ def _law(
 ) -> tuple[LinearModel | Structure, float | None]:
     """Return the controller for `ClosedLoop`, and the sample time at which it is to be sampled there."""
     controller = found_controller(experiment, section, planned=planned)
-    if not isinstance(controller, ControllerDesign):
+    if not isinstance(controller, control.ControllerDesign):
         if section.delay_s is not None:
             raise UsageError(
                 "delay_s is for a known continuous controller; an unknown one needs a Padé filter of its own"
@@ -97,7 +97,7 @@ def _law(
     if section.sampled:
         if section.delay_s is not None:
             raise UsageError("delay_s is for a continuous controller; write computation_samples, or sampled: false")
-        return sample_controller(model, rate, controller.method) if model.dt is None else model, None
+        return control.sample_controller(model, rate, controller.method) if model.dt is None else model, None
     if model.dt is not None:
         raise UsageError(f"controller {model.name!r} is sampled; remove sampled: false")
     if section.sample_time_s is not None:

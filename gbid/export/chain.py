@@ -16,15 +16,13 @@ import numpy as np
 import scipy
 from annotated_types import Ge, Le
 
+from gbid import control, lpv
 from gbid._version import __version__
-from gbid.control import ControllerDesign, GainResult, Scheduled
-from gbid.control.controllers.file import Point
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.notes import ControlNote
 from gbid.core.option_types import Exact, Finite, NotNegative, Positive, check_options
-from gbid.lpv import Domain, MachineData, load_model
 from gbid.prefilter import RunoutMap
 from gbid.prefilter.runout_identification import refuse_lost_index
 from gbid.recording import Recording
@@ -207,7 +205,7 @@ class ChainOptions:
             object.__setattr__(self, "offset_m", offset)
             object.__setattr__(self, "limit_m", limit)
 
-    def on(self, machine: MachineData) -> ChainOptions:
+    def on(self, machine: lpv.MachineData) -> ChainOptions:
         """Return these options with stroke and limit of the disc from a machine, where they are left out.
 
         Parameters
@@ -355,7 +353,7 @@ def _at_least_two(
     return pressures, speeds, rows
 
 
-def table_over_domain(row_at: Callable[[float, float], FloatArray], domain: Domain) -> GridTable:
+def table_over_domain(row_at: Callable[[float, float], FloatArray], domain: lpv.Domain) -> GridTable:
     """Return a table over a rectangle, with as many nodes as the interpolation needs.
 
     Parameters
@@ -642,7 +640,7 @@ _ON_THE_CIRCLE = 1.0 + 1e-9
 
 
 def chain_of(
-    design: ControllerDesign | GainResult,
+    design: control.ControllerDesign | control.GainResult,
     *,
     name: str | None = None,
     runout_maps: Sequence[RunoutMap] = (),
@@ -680,7 +678,7 @@ def chain_of(
     DataError
         When the zero of the angle of a recording is not that of the map.
     """
-    if isinstance(design, GainResult):
+    if isinstance(design, control.GainResult):
         design = design.design()
     name = c_name(name or design.name)
     options = options or ChainOptions()
@@ -719,16 +717,21 @@ def chain_of(
     )
 
 
-def _controller_table(design: ControllerDesign) -> tuple[list[tuple[Point | None, LinearModel]], GridTable]:
+_Point = tuple[float, float]
+
+
+def _controller_table(
+    design: control.ControllerDesign,
+) -> tuple[list[tuple[_Point | None, LinearModel]], GridTable]:
     """Return the sampled controllers at the nodes with their operating points, and the table of all their entries."""
-    models: dict[Point | None, LinearModel] = {}
+    models: dict[_Point | None, LinearModel] = {}
 
     def row_at(*point: float) -> FloatArray:
         model = design.sampled_at(*point)
         models[(point[0], point[1]) if point else None] = model
         return _row(model)
 
-    if isinstance(design.structure, Scheduled):
+    if isinstance(design.structure, control.Scheduled):
         table = table_over_domain(row_at, design.structure.domain)
     elif design.structure is None and None not in design.models:
         points = [point for point in design.models if point is not None]
@@ -738,13 +741,15 @@ def _controller_table(design: ControllerDesign) -> tuple[list[tuple[Point | None
     return list(models.items()), table
 
 
-def _machine_of(design: ControllerDesign) -> MachineData:
+def _machine_of(design: control.ControllerDesign) -> lpv.MachineData:
     """Return the numbers of the machine that the file of a design contains, else those of a model of gbid it names."""
-    given = {name: design.provenance[name] for name in MachineData.__dataclass_fields__ if name in design.provenance}
-    machine = MachineData(**given)  # type: ignore[arg-type]
+    given = {
+        name: design.provenance[name] for name in lpv.MachineData.__dataclass_fields__ if name in design.provenance
+    }
+    machine = lpv.MachineData(**given)  # type: ignore[arg-type]
     if design.plant.isidentifier():
         with suppress(UsageError):
-            return machine.filled(load_model(design.plant).machine)
+            return machine.filled(lpv.load_model(design.plant).machine)
     return machine
 
 
@@ -781,7 +786,7 @@ def _largest_pole(sampled: LinearModel) -> float:
     return float(np.abs(np.linalg.eigvals(sampled.A)).max(initial=0.0)) if sampled.n_states else 0.0
 
 
-def _check(design: ControllerDesign, sampled: LinearModel, point: Point | None) -> None:
+def _check(design: control.ControllerDesign, sampled: LinearModel, point: _Point | None) -> None:
     """Refuse a controller that is unstable by itself, or that moves between its samples."""
     where = "" if point is None else f" at {point_label(*point)}"
     worst = _largest_pole(sampled)

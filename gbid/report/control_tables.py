@@ -7,13 +7,9 @@ from dataclasses import asdict
 from itertools import groupby
 from math import isnan
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from gbid.control.assessment import FIGURES as POINT_FIGURES
-from gbid.control.assessment import DesignFigures, TunedDesign
-from gbid.control.impact.half_sine import HalfSine
-from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows
-from gbid.control.tuning.result import GainResult
+from gbid import control, lpv
 from gbid.core.arrays import point_label
 from gbid.core.tables import Cell, Column, Entry, Table, formatted, shown_unit
 from gbid.experiment.experiment import Experiment
@@ -22,9 +18,11 @@ from gbid.experiment.run import Outcome
 from gbid.experiment.stages.cycle import CycleRow
 from gbid.experiment.stages.fit import Row
 from gbid.experiment.stages.loop import LoopCostRow
-from gbid.lpv import ReferenceModes
 from gbid.report.fit_tables import keyed_table
 from gbid.report.read import conditions_words
+
+if TYPE_CHECKING:
+    from gbid.control.assessment import DesignFigures, TunedDesign
 
 _PAPER = ("open", "closed")
 """Loops in Tables 3 and 4."""
@@ -55,7 +53,7 @@ _LINES = (
 
 
 def impact_documents(
-    experiment: Experiment, studies: Mapping[str, ImpactStudy], paths: Mapping[str, Path]
+    experiment: Experiment, studies: Mapping[str, control.ImpactStudy], paths: Mapping[str, Path]
 ) -> list[Row]:
     """Return the documents of impact studies; the modes of the paper stand beside loops with the paper's controller."""
     section, rig = experiment.spec.impacts, experiment.spec.rig
@@ -66,7 +64,9 @@ def impact_documents(
     return [impact_document(name, study, paths[name], published) for name, study in studies.items()]
 
 
-def impact_document(name: str, study: ImpactStudy, path: Path, published: Sequence[ReferenceModes] = ()) -> Row:
+def impact_document(
+    name: str, study: control.ImpactStudy, path: Path, published: Sequence[lpv.ReferenceModes] = ()
+) -> Row:
     """Return the document of an impact study as plain values.
 
     Parameters
@@ -80,6 +80,8 @@ def impact_document(name: str, study: ImpactStudy, path: Path, published: Sequen
     published : sequence of ReferenceModes
         Published modes of the machine; those of this operating point and loop are added.
     """
+    from gbid.control.impact.study import mode_rows, response_rows
+
     ring = study.ringdown
     conditions = study.conditions["pressure_bar"], study.conditions["speed_rpm"], study.loop
     here = [m for m in published if (m.pressure_bar, m.speed_rpm, m.loop) == conditions]
@@ -239,7 +241,7 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
         where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
         shown = [document["performance"][0] for document in group] + group[0]["performance"][1:]
         worst = {row["name"]: {name: figure["value"] for name, figure in row["worst"].items()} for row in shown}
-        notes = [conditions_words(HalfSine(**dict(impact)), sample_time, method)]
+        notes = [conditions_words(control.HalfSine(**dict(impact)), sample_time, method)]
         notes += [f"{row['name']} ({row['structure']}): {gains_words(row['gains'])}" for row in shown]
         tables.append(_compared(f"{plant}, worst over {where}", worst, notes))
     return [*tables, *design_tables(documents)]
@@ -272,9 +274,11 @@ def _unknown(value: float | None) -> bool:
 
 
 def _compared(title: str, worst: Mapping[str, Mapping[str, float]], notes: Sequence[str]) -> Table:
+    from gbid.control.assessment import FIGURES
+
     rows = [
         [shown.heading, *(formatted(shown.factor * figures[name], shown.format) for figures in worst.values())]
-        for name, shown in POINT_FIGURES.items()
+        for name, shown in FIGURES.items()
         if not all(_unknown(figures[name]) for figures in worst.values())
     ]
     return Table(title, [Column("figure"), *(Column(name, format=4) for name in worst)], rows, notes)
@@ -286,7 +290,7 @@ _OF_RESULT = (
 )
 
 
-def _result_row(result: GainResult) -> Row:
+def _result_row(result: control.GainResult) -> Row:
     return {
         "gains": dict(result.gains),
         **{name: getattr(result, name) for name in _OF_RESULT},
@@ -298,6 +302,8 @@ def _result_row(result: GainResult) -> Row:
 
 
 def _performance_row(performance: DesignFigures) -> Row:
+    from gbid.control.assessment import FIGURES
+
     return {
         "name": performance.name,
         "structure": performance.structure,
@@ -310,7 +316,7 @@ def _performance_row(performance: DesignFigures) -> Row:
             {
                 "pressure_bar": float(p),
                 "speed_rpm": float(n),
-                **dict(zip(POINT_FIGURES, map(float, row), strict=True)),
+                **dict(zip(FIGURES, map(float, row), strict=True)),
             }
             for (p, n), row in zip(performance.points, performance.figures, strict=True)
         ],

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid.characterise import PiezoCurve, StaticMap
+from gbid import characterise, identify, lpv, validate
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import UsageError
 from gbid.core.published import PUBLISHED_LARGEST_GAIN
@@ -31,13 +31,10 @@ from gbid.core.units import conversion_factor
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.run import Outcome
 from gbid.experiment.stages.fit import Row
-from gbid.identify import FitTable
-from gbid.lpv import LPVFit
 from gbid.prefilter import PrefilterReport
 from gbid.recording import load_recording
 from gbid.recording.readers import FileChannel
 from gbid.structure import KEY_PARAMETERS, PiezoPair
-from gbid.validate import NominalActuator, ValidationSummary
 
 # ---- Summary of a fit in words.
 
@@ -229,7 +226,9 @@ def keyed_table(
 _STATES = ("made", "kept", "failed", "not_converged")
 
 
-def campaign_document(experiment: Experiment, outcomes: Sequence[Outcome], table: FitTable | None = None) -> Row:
+def campaign_document(
+    experiment: Experiment, outcomes: Sequence[Outcome], table: identify.FitTable | None = None
+) -> Row:
     """Return a summary of a campaign: states of the stages, fits by name, and the files of the table."""
     stages: dict[str, dict[str, int]] = {}
     for outcome in outcomes:
@@ -246,7 +245,7 @@ def campaign_document(experiment: Experiment, outcomes: Sequence[Outcome], table
     }
 
 
-def _fit_of_campaign(table: FitTable, name: str) -> Row:
+def _fit_of_campaign(table: identify.FitTable, name: str) -> Row:
     """Return numbers of converged and missing fits of one name, their median fit percent, and the worst fit."""
     rows = table.select(fit=name)
     made = np.isfinite(rows.fit_percent).any(axis=1)
@@ -319,7 +318,7 @@ def crossval_table(title: str, rows: Sequence[Row]) -> Table:
     return keyed_table(f"{title}, cross-validation, simulated", columns, cells)
 
 
-def summary_document(fit: str, summary: ValidationSummary, path: Path) -> Row:
+def summary_document(fit: str, summary: validate.ValidationSummary, path: Path) -> Row:
     """Return the summary of a cross-validation as plain values, with histograms."""
     return {"fit": fit, **asdict(summary), "path": str(path)}
 
@@ -363,7 +362,7 @@ def validation_table(document: Row, paper: Mapping[str, str] | None = None) -> T
     return Table(title, columns, rows)
 
 
-def nominal_document(fit: str, nominal: NominalActuator, path: Path) -> Row:
+def nominal_document(fit: str, nominal: validate.NominalActuator, path: Path) -> Row:
     """Return the nominal actuator as plain values, with the outliers and their reasons."""
     return {
         "fit": fit,
@@ -409,7 +408,7 @@ def nominal_table(document: Row) -> Table:
 _OUTLIERS = 10  # largest number that is printed; the document contains all
 
 
-def lpv_document(item: str, fit: LPVFit, path: Path, *, published: bool) -> Row:
+def lpv_document(item: str, fit: lpv.LPVFit, path: Path, *, published: bool) -> Row:
     """Return the document of a surface fit as plain values.
 
     Parameters
@@ -636,7 +635,7 @@ def prefilter_table(rows: Sequence[Row]) -> Table:
 # ---- Documents (SI units) and tables (micrometres instead of metres) of static maps and piezo curves.
 
 
-def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
+def static_document(name: str, result: characterise.StaticMap | characterise.PiezoCurve) -> Row:
     """Return the document of a static characterisation; unknown values are None.
 
     Parameters
@@ -651,7 +650,7 @@ def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
     dict
         name, kind, recordings, notes, and a row for each gain of a map, or the figures of a curve.
     """
-    if isinstance(result, PiezoCurve):
+    if isinstance(result, characterise.PiezoCurve):
         steps = ~result.saturated
         of_curve = ("hysteresis", "hysteresis_std", "hysteresis_at", "hysteresis_share", "uniformity")
         return {

@@ -6,12 +6,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import nan
-from typing import Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, TypeVar
 
+from gbid import control, lpv, validate
 from gbid.characterise import PiezoCurve, StaticMap
-from gbid.control import HalfSine, ImpactStudy, Scheduled, controller_at, p_controller
-from gbid.control.assessment import DesignFigures, TunedDesign
-from gbid.control.loop.close import Method
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import load
@@ -40,17 +38,19 @@ from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.static import load_made_static, static_tasks
 from gbid.experiment.stages.tune import assess_published, design_plant, impact, read_designs
-from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, PublishedMachine
 from gbid.prefilter.filtering import read_report
 from gbid.recording import Recording
 from gbid.report.fit_tables import prefilter_rows
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
-from gbid.validate import NominalActuator, ValidationSummary
+
+if TYPE_CHECKING:
+    from gbid.control.assessment import DesignFigures, TunedDesign
+    from gbid.control.loop.close import Method
 
 KEPT = 0.8
 """Smallest share of its damping that a design keeps when sampled, without a warning."""
-_HOLDS: dict[Method, str] = {"tustin": "Tustin", "zoh": "zero-order hold"}
+_HOLDS: Mapping[Method, str] = {"tustin": "Tustin", "zoh": "zero-order hold"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +87,9 @@ class AssessedDesign:
     name: str
     group: str
     figures: DesignFigures
-    structure: Structure | Scheduled
-    plant: LPVModel
-    impact: HalfSine
+    structure: Structure | control.Scheduled
+    plant: lpv.LPVModel
+    impact: control.HalfSine
     sample_time: float
     method: Method
     cap: float | None
@@ -98,7 +98,7 @@ class AssessedDesign:
 
     def at(self, point: tuple[float, float]) -> LinearModel:
         """Return the controller at an operating point."""
-        return controller_at(self.structure, self.figures.gains, *point)
+        return control.controller_at(self.structure, self.figures.gains, *point)
 
     def warnings(self) -> list[str]:
         """Return the warnings of the design: stability, sampling, peak of S_o and travel."""
@@ -137,7 +137,7 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
     return tuple(sorted(assessed, key=lambda q: q.name not in designs))
 
 
-def assessed_published(job: Job, model: LPVModel | None) -> tuple[AssessedDesign, ...]:
+def assessed_published(job: Job, model: lpv.LPVModel | None) -> tuple[AssessedDesign, ...]:
     """Return the published controller of a model, assessed, for an experiment without designs; empty without one."""
     came = None if model is None else published_design(job.experiment)
     figures = None if model is None else assess_published(job.experiment, model)
@@ -194,7 +194,7 @@ def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigure
 NO_IMPACT = "disc and stack under an impact left out: moving mass not known (machine: moving_mass_kg)"
 
 
-def conditions_words(impact: HalfSine, sample_time: float, method: Method) -> str:
+def conditions_words(impact: control.HalfSine, sample_time: float, method: Method) -> str:
     """Return impact and sampling of the figures of designs as text."""
     hit = NO_IMPACT
     if impact.mass_kg is not None:
@@ -253,7 +253,7 @@ POINT = (6.0, 0.0)
 """Operating point of static map, controller and impacts in the paper: pressure [bar], speed [rpm]."""
 
 
-def published_gains(machine: PublishedMachine) -> ProportionalDesign:
+def published_gains(machine: lpv.PublishedMachine) -> lpv.ProportionalDesign:
     """Return the published gains and low-pass of a machine.
 
     Raises
@@ -266,10 +266,10 @@ def published_gains(machine: PublishedMachine) -> ProportionalDesign:
     return machine.controller
 
 
-def published_controller(machine: PublishedMachine) -> LinearModel:
+def published_controller(machine: lpv.PublishedMachine) -> LinearModel:
     """Return the controller of `published_gains`."""
     d = published_gains(machine)
-    return p_controller(d.kappa_x, d.kappa_y, d.lowpass_hz, d.lowpass_order)
+    return control.p_controller(d.kappa_x, d.kappa_y, d.lowpass_hz, d.lowpass_order)
 
 
 def place_of(conditions: Mapping[str, float]) -> str:
@@ -278,7 +278,7 @@ def place_of(conditions: Mapping[str, float]) -> str:
     return point_label(conditions["pressure_bar"], conditions["speed_rpm"]) if known else ""
 
 
-def shown_point(model: LPVModel) -> tuple[float, float]:
+def shown_point(model: lpv.LPVModel) -> tuple[float, float]:
     """Return the operating point for pictures of the loop: that of the paper if inside the domain, else the first."""
     return POINT if model.domain.contains(*POINT) else model.operating_points[0]
 
@@ -403,19 +403,19 @@ class Results:
     # ------------------------------------------------------------ machine
 
     @cached_property
-    def rig(self) -> LPVModel | None:
+    def rig(self) -> lpv.LPVModel | None:
         """Model behind the rig; None for recordings of a real machine."""
         return None if self.experiment.spec.rig is None else rig_model(self.experiment)
 
     @property
-    def published_machine(self) -> PublishedMachine:
+    def published_machine(self) -> lpv.PublishedMachine:
         """Machine file of the rig, which must exist: the model, and what its source publishes beside it."""
         if self.experiment.spec.rig is None:
             raise DataError("this experiment has no virtual rig, so there is no description of the machine")
         return rig_machine(self.experiment)
 
     @property
-    def machine(self) -> LPVModel:
+    def machine(self) -> lpv.LPVModel:
         """Model behind the rig, which must exist."""
         return self.published_machine.model
 
@@ -458,7 +458,7 @@ class Results:
     # ------------------------------------------------------------ cross-validation and nominal actuator
 
     @cached_property
-    def crossval(self) -> dict[str, tuple[list[CrossvalRow], ValidationSummary]]:
+    def crossval(self) -> dict[str, tuple[list[CrossvalRow], validate.ValidationSummary]]:
         """Rows and summary of each existing cross-validation, by fit."""
         validated = {}
         for name in self.experiment.spec.crossval:
@@ -468,7 +468,7 @@ class Results:
                 validated[name] = rows, summary
         return validated
 
-    def summary(self, structure: str) -> ValidationSummary:
+    def summary(self, structure: str) -> validate.ValidationSummary:
         """Return the cross-validation of the first fit with a structure."""
         name = self.fit_with(structure)
         if name not in self.experiment.spec.crossval:
@@ -478,7 +478,7 @@ class Results:
         return self.crossval[name][1]
 
     @cached_property
-    def nominal(self) -> NominalActuator:
+    def nominal(self) -> validate.NominalActuator:
         """The nominal actuator."""
         if self.experiment.spec.nominal is None:
             raise DataError("no section 'nominal'; add one")
@@ -487,19 +487,19 @@ class Results:
     # ------------------------------------------------------------ surfaces
 
     @cached_property
-    def surfaces(self) -> dict[str, LPVFit]:
+    def surfaces(self) -> dict[str, lpv.LPVFit]:
         """Existing surfaces over pressure and speed, by item."""
         return read_surfaces(self.job)
 
     @property
-    def surface_fit(self) -> LPVFit:
+    def surface_fit(self) -> lpv.LPVFit:
         """Surfaces fitted to the fits."""
         if self.experiment.spec.lpv is None:
             raise DataError("no section 'lpv'; add one")
         return _first(self.surfaces.values(), "there are no surfaces of the present fits; run `gbid lpv` or `gbid run`")
 
     @property
-    def identified(self) -> LPVModel:
+    def identified(self) -> lpv.LPVModel:
         """Identified model of bearing and actuators."""
         model = self.surface_fit.model
         if not model.actuators:
@@ -563,19 +563,21 @@ class Results:
         return assessed_published(self.job, self.loop_model)
 
     @property
-    def loop_model(self) -> LPVModel | None:
+    def loop_model(self) -> lpv.LPVModel | None:
         """Model for closed loops: the surfaces, else the model behind the rig, if they have actuators."""
         models = (*(fit.model for fit in self.surfaces.values()), self.rig)
         return next((model for model in models if model is not None and model.actuators), None)
 
     @cached_property
-    def studies(self) -> StageResults[ImpactStudy]:
+    def studies(self) -> StageResults[control.ImpactStudy]:
         """Impact studies; loops without controller are among the missing."""
         if self.experiment.spec.impacts is None:
             return StageResults({}, {})
         try:
             idle = loops_without_controller(self.experiment)
-            studies = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda q: load(q.path, ImpactStudy))
+            studies = read_tasks(
+                self.job, study_tasks(self.job), "gbid impact", lambda q: load(q.path, control.ImpactStudy)
+            )
         except UsageError as error:  # their controller or model is missing
             return StageResults({}, {"impacts": str(error)})
         return StageResults(
@@ -593,25 +595,25 @@ class Results:
         return made_rows(self.job)
 
     @property
-    def loops(self) -> list[dict[str, ImpactStudy]]:
+    def loops(self) -> list[dict[str, control.ImpactStudy]]:
         """Impact studies by loop, for each operating point."""
-        points: dict[tuple[float, float], dict[str, ImpactStudy]] = {}
+        points: dict[tuple[float, float], dict[str, control.ImpactStudy]] = {}
         for study in self.studies.made.values():
             point = study.conditions["pressure_bar"], study.conditions["speed_rpm"]
             points.setdefault(point, {})[study.loop] = study
         return list(points.values())
 
-    def impacts_at(self, rotating: bool) -> dict[str, ImpactStudy]:
+    def impacts_at(self, rotating: bool) -> dict[str, control.ImpactStudy]:
         """Return the impact studies of both loops at the first operating point at rest, or with a turning shaft."""
         points = [loops for loops in self.loops if {"open", "closed"} <= set(loops)]
         return self._loops_at(points, rotating, "in open and closed loop ")
 
-    def beside_at(self, rotating: bool) -> dict[str, ImpactStudy]:
+    def beside_at(self, rotating: bool) -> dict[str, control.ImpactStudy]:
         """Return the impact studies with further controllers at such a point, by their labels in figures."""
         return self._loops_at(self.beside, rotating, "")
 
     @property
-    def beside(self) -> list[dict[str, ImpactStudy]]:
+    def beside(self) -> list[dict[str, control.ImpactStudy]]:
         """Impact studies of the points with further controllers, by their labels in figures."""
         self._need_impacts()
         points = [self.labelled(loops) for loops in self.loops if set(loops) - {"open", "closed"}]
@@ -619,14 +621,16 @@ class Results:
             raise DataError("no impacts with further controllers; name some under 'beside' in section 'impacts'")
         return points
 
-    def labelled(self, loops: Mapping[str, ImpactStudy]) -> dict[str, ImpactStudy]:
+    def labelled(self, loops: Mapping[str, control.ImpactStudy]) -> dict[str, control.ImpactStudy]:
         """Return the impact studies of one point by their labels in figures."""
         section = self.experiment.spec.impacts
         paper = "published gains" if section is not None and section.controller == "paper" else "closed loop"
         names = {"open": "open loop", "closed": paper}
         return {names.get(loop, loop): study for loop, study in loops.items()}
 
-    def _loops_at(self, points: list[dict[str, ImpactStudy]], rotating: bool, what: str) -> dict[str, ImpactStudy]:
+    def _loops_at(
+        self, points: list[dict[str, control.ImpactStudy]], rotating: bool, what: str
+    ) -> dict[str, control.ImpactStudy]:
         self._need_impacts()
         matching = (q for q in points if bool(next(iter(q.values())).conditions["speed_rpm"]) == rotating)
         why = "".join(f"; {text}" for text in self.studies.missing.values())

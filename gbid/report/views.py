@@ -7,22 +7,20 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from math import floor, isfinite, log10
 from textwrap import shorten, wrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbid.control.assessment import TunedDesign
-from gbid.control.impact.study import ImpactStudy
+from gbid import control, identify, lpv, validate
 from gbid.core.hdf5 import load
 from gbid.core.tables import Table
+from gbid.experiment.controllers import load_design
 from gbid.experiment.run import Document, Job, Outcome, Stage, View, outcomes_view
 from gbid.experiment.stages.crossval import SUMMARY, crossval_rows, nominal_of
 from gbid.experiment.stages.cycle import made_rows
 from gbid.experiment.stages.fit import Row
 from gbid.experiment.stages.loop import made_costs
 from gbid.experiment.stages.static import load_made_static
-from gbid.identify import FitTable
-from gbid.lpv import load_lpv_fit
 from gbid.prefilter import PrefilterFile
 from gbid.report.control_tables import (
     cycle_documents,
@@ -52,7 +50,9 @@ from gbid.report.fit_tables import (
     validation_table,
 )
 from gbid.report.read import PUBLISHED, read_fit
-from gbid.validate import ValidationSummary
+
+if TYPE_CHECKING:
+    from gbid.control.assessment import TunedDesign
 
 WIDTH = 80
 """Columns of a terminal that `gbid run` counts on."""
@@ -102,7 +102,7 @@ def _validation(job: Job, outcomes: Sequence[Outcome]) -> Document:
     made = _made(outcomes, "crossval")
     rows = [{**asdict(row), "missed": row.missed} for row in crossval_rows(job)] if made else []
     files = [o.path for o in made if o.path.suffix == ".h5"]
-    summaries = [summary_document(q.stem.removesuffix(SUMMARY), load(q, ValidationSummary), q) for q in files]
+    summaries = [summary_document(q.stem.removesuffix(SUMMARY), load(q, validate.ValidationSummary), q) for q in files]
     return {"crossval": rows, "crossval_summary": summaries}
 
 
@@ -124,18 +124,18 @@ def _surfaces(job: Job, outcomes: Sequence[Outcome]) -> Document:
     """Return documents of the surfaces, with the paper's figures for the paper's machine."""
     rig, paths = job.experiment.spec.rig, {o.item: o.path for o in _made(outcomes, "lpv") if o.path.suffix == ".yaml"}
     published = rig is not None and rig.model == PUBLISHED
-    documents = (lpv_document(q, load_lpv_fit(path), path, published=published) for q, path in paths.items())
+    documents = (lpv_document(q, lpv.load_lpv_fit(path), path, published=published) for q, path in paths.items())
     return {"lpv": list(documents)}
 
 
 def _impacts(job: Job, outcomes: Sequence[Outcome]) -> Document:
     paths = {o.item: o.path for o in outcomes if o.stage == "ringdown"}
-    studies = {o.item: load(o.path, ImpactStudy) for o in _made(outcomes, "ringdown")}
+    studies = {o.item: load(o.path, control.ImpactStudy) for o in _made(outcomes, "ringdown")}
     return {"impacts": impact_documents(job.experiment, studies, paths)}
 
 
 def _designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
-    return {o.item: load(o.path, TunedDesign) for o in _made(outcomes, "tune")}
+    return {o.item: load_design(o.path) for o in _made(outcomes, "tune")}
 
 
 def _entry(key: str, table: Callable[[Any], Table]) -> Callable[[Document], list[Table]]:
@@ -195,7 +195,7 @@ def summary_lines(document: Document) -> list[str]:
     ]
 
 
-def fit_rows(table: FitTable) -> list[Row]:
+def fit_rows(table: identify.FitTable) -> list[Row]:
     """Return of each made fit of a campaign what `summary_lines` shows of its document; one file holds all of it."""
     modes = np.stack([getattr(table, f"mode_{key}") for key in _MODE_KEYS], axis=-1)
     return [

@@ -16,8 +16,8 @@ from gbid.control.assessment import TunedDesign
 from gbid.core.errors import UsageError
 from gbid.core.hdf5 import load
 from gbid.experiment.controllers import design_structure, made_goal, no_disturbance, peak_cap
+from gbid.experiment.goal_schema import GOALS
 from gbid.experiment.load import experiment_json_schema, load_experiment
-from gbid.experiment.schema import GOALS
 from gbid.recording import load_recording
 
 RIG = """\

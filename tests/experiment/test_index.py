@@ -2,8 +2,8 @@ import os
 
 import pytest
 
-from gbid.experiment import index
-from gbid.experiment.index import known, load_index, save_index
+from gbid.core import index
+from gbid.core.index import known, load_index, save_index
 
 
 @pytest.fixture

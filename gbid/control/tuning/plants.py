@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.control.controllers.structures import Scheduled
-from gbid.control.loop.close import Method, force_entry, sample_plant
+from gbid.control.loop.close import force_entry, sample_plant
 from gbid.control.loop.sampled import exact_plant, exact_plant_of
+from gbid.control.tuning.design_options import DesignOptions, Sampling
 from gbid.control.tuning.goals import Goal, MaxDamping, MaxDecay, SlowestPole
 from gbid.control.tuning.loops import (
     PADE_ORDER,
@@ -25,12 +26,11 @@ from gbid.control.tuning.loops import (
     PlantMatrices,
     WholePlants,
 )
-from gbid.control.tuning.problem import Objective
 from gbid.control.tuning.response_goals import PeakSensitivity
 from gbid.core.arrays import ComplexArray, FloatArray, is_real, is_whole, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, Count, CountOrZero, Finite, NotNegative, Number, Positive, check_options
+from gbid.core.option_types import Allowed, NotNegative, Positive, check_options
 from gbid.identify import FitResult
 from gbid.lpv import ACTUATOR_PARAMETERS, TERMS, Domain, LPVFit, LPVModel, regressors
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, with_pade
@@ -163,43 +163,6 @@ Point = tuple[float, float]
 PlantLike = LPVModel | LPVFit | LinearModel | FitResult
 PlantsLike = PlantLike | Sequence[PlantLike] | Mapping[str, PlantLike]
 """What `gbid.tune` takes as a plant."""
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """Sampling of a loop on the target.
-
-    Parameters
-    ----------
-    sample_time : float
-        T_s [s].
-    computation_s : float
-        Time from the sample of p to the change of r [s].
-    method : {"tustin", "zoh"}
-        Discretisation of the controller.
-    """
-
-    sample_time: float
-    computation_s: float
-    method: Method = "tustin"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DesignOptions:
-    """Options of `gbid.tune` that are keys of a design in the YAML as well; see `TuneOptions`."""
-
-    peak_sensitivity: Positive | None = 2.6
-    bounds: (
-        Annotated[Mapping[str, tuple[Number, Number]], Allowed("(lower, upper) by the names of the gains")] | None
-    ) = None
-    objective: Objective = "damping"
-    method: Method = "tustin"
-    start: Annotated[Mapping[str, Finite], Allowed("a dict by the names of the gains")] | None = None
-    starts: CountOrZero | None = None
-    seed: CountOrZero = 0
-    seeds: Count = 1
-    evaluations: Count | None = None
-    seconds: Positive | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

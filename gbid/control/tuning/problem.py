@@ -12,11 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from time import monotonic
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from gbid.control.loop.norm import largest_singular_values
+from gbid.control.tuning.design_options import Objective
 from gbid.control.tuning.loops import Derivatives, LoopFamily, Loops
 from gbid.control.tuning.peaks import HIGHEST, ModalResponse, Peaks, find_peaks, peak_curvature, peak_slopes
 from gbid.control.tuning.plane import (
@@ -128,8 +129,6 @@ class ExtraLimit(Measure):
 
 
 # ---- Objective and limits of a design.
-
-Objective = Literal["damping", "decay"]
 
 
 @dataclass(frozen=True)

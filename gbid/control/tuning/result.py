@@ -14,9 +14,10 @@ from gbid.control.controllers.file import ControllerDesign, required_rate
 from gbid.control.controllers.structures import Scheduled
 from gbid.control.loop.close import Method
 from gbid.control.loop.norm import Peak, largest_singular_values, peak_gain
+from gbid.control.tuning.design_options import Objective
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import damping_factors, eigenvalues, true_rates
-from gbid.control.tuning.problem import GainProblem, Objective, SearchStep, rows_of
+from gbid.control.tuning.problem import GainProblem, SearchStep, rows_of
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError

@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.control.tuning.certificate import Certificate, certify
+from gbid.control.tuning.design_options import Objective
 from gbid.control.tuning.local import LocalOptimum, optimise_locally
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.plants import Plants
-from gbid.control.tuning.problem import FEASIBLE, Cut, Evaluations, GainProblem, Limits, Objective, SearchStep
+from gbid.control.tuning.problem import FEASIBLE, Cut, Evaluations, GainProblem, Limits, SearchStep
 from gbid.control.tuning.result import (
     GainResult,
     GainStatus,

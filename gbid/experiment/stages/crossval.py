@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from gbid import identify, validate
 from gbid.core.errors import DataError, nearest
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import Value, csv_rows, plain_table, write_csv
@@ -34,21 +35,8 @@ from gbid.experiment.run import (
 from gbid.experiment.stages.fit import a_fit_is_named, fit_entries, fit_result, left_out_of, load_made_fit
 from gbid.experiment.stages.prefilter import fit_input, load_fit_input
 from gbid.experiment.structures import make_structure
-from gbid.identify import FitResult, tabulate
 from gbid.recording import Recording
 from gbid.structure import kind_of
-from gbid.validate import (
-    NominalActuator,
-    ResidualTest,
-    Validation,
-    ValidationScores,
-    ValidationSummary,
-    check_residuals,
-    cross_validate,
-    nominal_actuator,
-    save_nominal_actuator,
-    summarise,
-)
 from gbid.validate.central import ACTUATOR, summary_csv_table
 from gbid.validate.crossval import score
 from gbid.validate.simulate import Simulator, ValidationData, simulator, validation_data
@@ -89,7 +77,7 @@ def _partner_problems(experiment: Experiment, name: str, on: Sequence[str]) -> I
 # ---- Cross-validation of one model on one recording.
 
 
-def validate_pair(job: Job, name: str, model: str, recording: str) -> Validation:
+def validate_pair(job: Job, name: str, model: str, recording: str) -> validate.Validation:
     """Return the scores of one model of a fit on one recording.
 
     Raises
@@ -98,10 +86,10 @@ def validate_pair(job: Job, name: str, model: str, recording: str) -> Validation
         When the fit or the recording is missing, or their signals differ.
     """
     result, data = model_and_recording(job, name, model, recording)
-    return cross_validate(result, data, left_out_of(job, name, data))
+    return validate.cross_validate(result, data, left_out_of(job, name, data))
 
 
-def model_and_recording(job: Job, name: str, model: str, recording: str) -> tuple[FitResult, Recording]:
+def model_and_recording(job: Job, name: str, model: str, recording: str) -> tuple[identify.FitResult, Recording]:
     """Return one model of a fit, with the local parameters of a recording, and the recording.
 
     Raises
@@ -114,9 +102,9 @@ def model_and_recording(job: Job, name: str, model: str, recording: str) -> tupl
     return with_local(job, name, result, recording), data
 
 
-def residuals_on(job: Job, name: str, result: FitResult, data: Recording) -> ResidualTest:
+def residuals_on(job: Job, name: str, result: identify.FitResult, data: Recording) -> validate.ResidualTest:
     """Return the residual tests of a loaded model on a loaded recording."""
-    return check_residuals(result, data, left_out=left_out_of(job, name, data))
+    return validate.check_residuals(result, data, left_out=left_out_of(job, name, data))
 
 
 def data_key(experiment: Experiment, name: str, recording: str) -> str:
@@ -126,7 +114,7 @@ def data_key(experiment: Experiment, name: str, recording: str) -> str:
     return f"{key} without {left_out}" if left_out else key
 
 
-def with_local(job: Job, name: str, result: FitResult, recording: str) -> FitResult:
+def with_local(job: Job, name: str, result: identify.FitResult, recording: str) -> identify.FitResult:
     """Return a fit result with the local parameters of a recording, or those of its operating point.
 
     Raises
@@ -201,13 +189,13 @@ class CrossvalRow:
         return self.minimum_percent is not None and not self.fit_percent >= self.minimum_percent
 
 
-def _scores(job: Job, rows: Sequence[CrossvalRow]) -> ValidationScores:
+def _scores(job: Job, rows: Sequence[CrossvalRow]) -> validate.ValidationScores:
     """Return the scores of the rows of one fit as arrays."""
     outputs = tuple(dict.fromkeys(row.output for row in rows))
     first = rows[:: len(outputs)]
     conditions = [job.experiment.recordings[row.recording].conditions for row in first]
     percent, norm = np.array([[row.fit_percent, row.infinity_norm] for row in rows]).T
-    return ValidationScores(
+    return validate.ValidationScores(
         tuple(row.model for row in first),
         tuple(row.recording for row in first),
         np.array([known.get("pressure_bar", np.nan) for known in conditions]),
@@ -337,7 +325,7 @@ class FitPairs:
     def _data(self, model: str, data: Recording) -> ValidationData:
         return validation_data(self._model(model)[1], data, left_out_of(self._job, self._name, data))
 
-    def _load_model(self, model: str) -> tuple[Simulator, FitResult]:
+    def _load_model(self, model: str) -> tuple[Simulator, identify.FitResult]:
         result = load_made_fit(self._job, self._name, model)
         return simulator(result), result
 
@@ -385,12 +373,12 @@ def read_crossval(job: Job, name: str) -> list[CrossvalRow]:
     return _read_rows(job, name, pairs.table.path) if pairs.possible and pairs.table.is_made else []
 
 
-def read_summary(job: Job, name: str) -> ValidationSummary | None:
+def read_summary(job: Job, name: str) -> validate.ValidationSummary | None:
     """Return the summary of the cross-validation of a fit; None unless it is made from the existing rows."""
     path = job.path(FOLDER, f"{name}{SUMMARY}")
     if not path.is_file():
         return None
-    summary = load(path, ValidationSummary)
+    summary = load(path, validate.ValidationSummary)
     rows_key = stored_key(job.path(FOLDER, name, ".csv"))
     return summary if _summary_result(job, name, summary.failed, rows_key, ".h5").is_made else None
 
@@ -441,7 +429,7 @@ def _summary_result(job: Job, name: str, failed: Sequence[str], rows_key: str, e
 
 
 def _write_summary(job: Job, part: Path, name: str, failed: Sequence[str], ending: str) -> None:
-    summary = summarise(_scores(job, _read_rows(job, name, job.path(FOLDER, name, ".csv"))), failed=failed)
+    summary = validate.summarise(_scores(job, _read_rows(job, name, job.path(FOLDER, name, ".csv"))), failed=failed)
     if ending == ".h5":
         save(summary, part, overwrite=True)
     else:
@@ -474,7 +462,7 @@ def nominal_tasks(job: Job) -> Work:
         return [Outcome("nominal", fit, job.path(NOMINAL_FOLDER, fit, ".yaml"), "failed", str(error), cause="input")]
 
 
-def nominal_of(job: Job) -> tuple[NominalActuator, Result]:
+def nominal_of(job: Job) -> tuple[validate.NominalActuator, Result]:
     """Return the most central model of the fit in the nominal section, and the result file of the choice.
 
     Raises
@@ -486,7 +474,7 @@ def nominal_of(job: Job) -> tuple[NominalActuator, Result]:
     """
     experiment, fit = job.experiment, needed(job.experiment.spec.nominal, "nominal").fit
     entries = fit_entries(job, fit)
-    nominal = nominal_actuator(tabulate(entries))
+    nominal = validate.nominal_actuator(identify.tabulate(entries))
     models = [fit_result(experiment, fit, entry.model) for entry in entries if entry.result is not None]
     path = experiment.path(NOMINAL_FOLDER, fit, ".yaml")
     return nominal, experiment.result("nominal", fit, path, {"left_out": nominal.left_out}, models)
@@ -495,7 +483,7 @@ def nominal_of(job: Job) -> tuple[NominalActuator, Result]:
 def _write_nominal(job: Job, part: Path) -> Made:
     nominal, result = nominal_of(job)
     source = f"{job.experiment.spec.name}, fit {result.item}, model of {nominal.name}"
-    save_nominal_actuator(nominal, part, source=source, overwrite=True)
+    validate.save_nominal_actuator(nominal, part, source=source, overwrite=True)
     return Made(f"{nominal.name}; {len(nominal.outliers)} outliers")
 
 

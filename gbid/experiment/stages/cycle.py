@@ -6,18 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbid.control.assessment import TunedDesign
-from gbid.control.impact.study import ImpactStudy
+from gbid import control
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import GbidError
 from gbid.core.hdf5 import load
 from gbid.core.names import file_stem
 from gbid.core.tables import Table, read_values, table_of_values, write_csv
-from gbid.experiment.controllers import TUNED, controller_section, surfaces_item, tuned_design
+from gbid.experiment.controllers import TUNED, controller_section, load_design, surfaces_item, tuned_design
 from gbid.experiment.experiment import RIG_SIGNALS, Experiment, PlannedRecording
 from gbid.experiment.fields import Found, InputError, Result, needed, refusal
 from gbid.experiment.machine import rig_model
@@ -33,6 +32,9 @@ from gbid.experiment.stages.tune import TUNE, design_tasks, read_designs
 from gbid.lpv import CHARACTERISTICS, LPVFit, load_lpv_fit
 from gbid.lpv.model import characteristics
 from gbid.structure import KEY_PARAMETERS
+
+if TYPE_CHECKING:
+    from gbid.control.assessment import TunedDesign
 
 # ---- Plan of the cycle: each round is an experiment of its own, for the stages of any experiment.
 
@@ -213,7 +215,7 @@ def cycle_table(rows: Sequence[CycleRow]) -> Table:
     return table_of_values(CycleRow, rows, notes)
 
 
-def _row(number: int, fit: LPVFit, design: TunedDesign, study: ImpactStudy) -> CycleRow:
+def _row(number: int, fit: LPVFit, design: TunedDesign, study: control.ImpactStudy) -> CycleRow:
     pressure, speed = (float(study.conditions[key]) for key in ("pressure_bar", "speed_rpm"))
     ring, places = study.ringdown, [0, 2, 1, 3]  # a ring-down has frequency and damping of each mode in turn
     measured = np.column_stack([ring.frequency_hz, ring.damping]).ravel()[places]
@@ -383,8 +385,8 @@ def _write_table(job: Job, part: Path) -> None:
     rows = []
     for number, each in enumerate(_rounds(job)):
         fit = load_lpv_fit(each.path("lpv", needed(each.experiment.spec.lpv, "lpv").fit, ".yaml"))
-        design = load(each.path(TUNED, cycle_design(job.experiment)), TunedDesign)
-        rows += [_row(number, fit, design, load(task.path, ImpactStudy)) for task in study_tasks(each)]
+        design = load_design(each.path(TUNED, cycle_design(job.experiment)))
+        rows += [_row(number, fit, design, load(task.path, control.ImpactStudy)) for task in study_tasks(each)]
     write_csv(cycle_table(rows), part)
 
 

@@ -6,8 +6,8 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+from gbid import excite, identify
 from gbid.core.errors import GbidError, nearest
-from gbid.excite import ExcitationLimits, design_excitation, known_model, save_excitation
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import Found
 from gbid.experiment.recordings import excitation_limits
@@ -15,7 +15,6 @@ from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import ExciteSection
 from gbid.experiment.stages.fit import fit_entries, fit_result, load_made_fit
 from gbid.experiment.structures import fit_channels
-from gbid.identify import FitResult
 
 
 def excitations_have_fits(experiment: Experiment) -> Found:
@@ -54,7 +53,7 @@ def excite_tasks(job: Job) -> Work:
     return work
 
 
-def _limits(experiment: Experiment, section: ExciteSection, result: FitResult) -> ExcitationLimits:
+def _limits(experiment: Experiment, section: ExciteSection, result: identify.FitResult) -> excite.ExcitationLimits:
     """Return the limits of an excitation for the machine of a model's first recording."""
     return excitation_limits(experiment, section, experiment.recordings[result.recordings[0]], result.options.outputs)
 
@@ -62,15 +61,15 @@ def _limits(experiment: Experiment, section: ExciteSection, result: FitResult) -
 def _write(job: Job, part: Path, name: str, model: str) -> Made:
     section = job.experiment.spec.excite[name]
     result = load_made_fit(job, section.fit, model)
-    excitation = design_excitation(
-        known_model(result, earlier=section.together),
+    excitation = excite.design_excitation(
+        excite.known_model(result, earlier=section.together),
         duration=section.duration_s,
         sample_time=result.sample_time,
         limits=_limits(job.experiment, section, result),
         kind=section.kind,
         focus=section.focus,
     )
-    save_excitation(excitation, part, overwrite=True)
+    excite.save_excitation(excitation, part, overwrite=True)
     sizes = {name: abs(excitation.values[name]) for name in excitation.counted}
     counted = [100 * excitation.std[name] / size for name, size in sizes.items() if size]
     mean = f"mean std expected {sum(counted) / len(counted):.3g} %; " if counted else ""

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid import identify, validate
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
 from gbid.core.hdf5 import document_in, read_document, read_group, read_texts, reading, save
+from gbid.core.index import known, version_of
 from gbid.core.tables import finite_or_none
 from gbid.experiment.controllers import found_controller
 from gbid.experiment.experiment import Experiment, PlannedRecording, fit_models, recordings_of
 from gbid.experiment.fields import Found, Location, Result, file_digest, refusal
-from gbid.experiment.index import known, version_of
 from gbid.experiment.machine import true_model, true_values
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.run import Job, Made, Stage, Task
@@ -35,8 +36,6 @@ from gbid.experiment.structures import (
     structure_or_none,
     structure_settings,
 )
-from gbid.identify import FitOptions, FitResult, FitRow, FrequencyData, TableEntry, fit, fit_multistart, load_fit
-from gbid.identify.frequency_fit import refuse_other_options
 from gbid.identify.options import FitArguments
 from gbid.identify.problem.states import initial_states
 from gbid.identify.result import StdKind
@@ -44,7 +43,6 @@ from gbid.identify.table import MODE_BLOCKS
 from gbid.recording import ProblemKind, Recording
 from gbid.structure import AnyStructure, LinearModel, kind_of
 from gbid.structure.parameter import asked_once
-from gbid.validate.residuals import shaft_lines
 
 
 def fits_can_be_made(experiment: Experiment) -> Found:
@@ -91,7 +89,7 @@ def _recording_problems(experiment: Experiment, name: str, section: FitSection) 
         yield (), "there are no excited recordings; name the recordings to fit, or responses"
 
 
-def response_of(experiment: Experiment, fit: str, i: int) -> FrequencyData:
+def response_of(experiment: Experiment, fit: str, i: int) -> identify.FrequencyData:
     """Return the frequency responses in one of the files of a fit, between the channels of the fit.
 
     Raises
@@ -102,7 +100,7 @@ def response_of(experiment: Experiment, fit: str, i: int) -> FrequencyData:
         When the structure cannot be made, or standard deviations are missing.
     """
     section = experiment.spec.fits[fit].responses[i]
-    data = FrequencyData.read(experiment.folder / section.file, averages=section.averages, std=section.std)
+    data = identify.FrequencyData.read(experiment.folder / section.file, averages=section.averages, std=section.std)
     return data.channels(*fit_channels(experiment, fit), reference=section.reference or ())
 
 
@@ -110,6 +108,10 @@ def _response_problems(experiment: Experiment, name: str, section: FitSection) -
     """Yield a problem for each file of a frequency response that cannot be read."""
     for i in range(len(section.responses)):
         yield from refusal(("responses", i), partial(response_of, experiment, name, i))
+    if not section.responses:
+        return
+    from gbid.identify.frequency_fit import refuse_other_options
+
     if section.responses and not experiment.fit_recordings(name):
         if section.loop is not None and section.loop.beside is not None:
             yield ("loop", "beside"), "compares fits of recordings; this one has frequency responses alone: remove it"
@@ -309,7 +311,7 @@ def read_fit_summary(path: Path) -> Made:
 
 
 def _summary(path: Path) -> tuple[str, bool, float]:
-    document = read_document(path, FitResult.FILE)
+    document = read_document(path, identify.FitResult.FILE)
     return (
         document["status"],
         document["success"],
@@ -317,7 +319,7 @@ def _summary(path: Path) -> tuple[str, bool, float]:
     )
 
 
-def table_row(path: Path) -> FitRow:
+def table_row(path: Path) -> identify.FitRow:
     """Return the row of a fit in a table of many, from its document: a tenth of the time to load the fit.
 
     Raises
@@ -325,8 +327,8 @@ def table_row(path: Path) -> FitRow:
     DataError
         When the file is damaged.
     """
-    with reading(path, FitResult.FILE) as file:
-        document, covariance = document_in(file), FitResult.covariance_in(file)
+    with reading(path, identify.FitResult.FILE) as file:
+        document, covariance = document_in(file), identify.FitResult.covariance_in(file)
         free = read_texts(read_group(file, "parameters"), "free")
     percents: dict[str, list[float]] = {}
     for row in document["fit_percent"]:
@@ -339,7 +341,7 @@ def table_row(path: Path) -> FitRow:
         "static_gain_std": {f"{q['input']} to {q['output']}": q["std"] for q in document["static_gain"]},
         **{block: dict(enumerate(q[block.removeprefix("mode_")] for q in document["modes"])) for block in MODE_BLOCKS},
     }
-    return FitRow(
+    return identify.FitRow(
         **{key: document[key] for key in ("structure", "success", "status", "iterations", "wall_time_s")},
         notes=tuple(document["notes"]),
         units={q["parameter"]: q["unit"] for q in document["parameters"]},
@@ -352,7 +354,7 @@ def table_row(path: Path) -> FitRow:
     )
 
 
-def load_made_fit(job: Job, name: str, model: str) -> FitResult:
+def load_made_fit(job: Job, name: str, model: str) -> identify.FitResult:
     """Return the result of a fit that was made from the present settings.
 
     Raises
@@ -365,12 +367,12 @@ def load_made_fit(job: Job, name: str, model: str) -> FitResult:
 
 
 @lru_cache(maxsize=256)
-def _load(path: Path, _version: tuple[int, ...]) -> FitResult:
+def _load(path: Path, _version: tuple[int, ...]) -> identify.FitResult:
     """Return the fit in a file; cached, because the stages after the fits read the same ones."""
-    return load_fit(path)
+    return identify.load_fit(path)
 
 
-def fit_entries(job: Job, name: str) -> list[TableEntry]:
+def fit_entries(job: Job, name: str) -> list[identify.TableEntry]:
     """Return the rows of all models of a fit for `gbid.tabulate`; a missing model has its reason."""
     entries = []
     for model, recordings in fit_models(job.experiment, name).items():
@@ -379,7 +381,7 @@ def fit_entries(job: Job, name: str) -> list[TableEntry]:
             result, failure = load_made_fit(job, name, model), ""
         except (DataError, OSError) as error:
             result, failure = None, str(error)
-        entries.append(TableEntry(name, model, tuple(recordings), conditions, result, failure))
+        entries.append(identify.TableEntry(name, model, tuple(recordings), conditions, result, failure))
     return entries
 
 
@@ -388,7 +390,7 @@ def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) 
     section = experiment.spec.fits[name]
     hold, state = section.intersample, section.initial_state
     return {
-        **{option.name: getattr(section, option.name) for option in fields(FitOptions)},
+        **{option.name: getattr(section, option.name) for option in fields(identify.FitOptions)},
         "intersample": hold[0] if hold and len(hold) == 1 else hold,
         "bounds": {
             key: (-inf if low is None else low, inf if high is None else high)
@@ -448,19 +450,23 @@ def _write_fit(job: Job, part: Path, name: str, model: str) -> Made:
         refuse_bad_signals(planned, data[-1], [*inputs, *outputs], kinds=kinds, driving=inputs)
     structure, section = make_structure(job.experiment, name), job.experiment.spec.fits[name]
     arguments = fit_arguments(job.experiment, name, data)
-    measured: list[Recording | FrequencyData] = [*data]
+    measured: list[Recording | identify.FrequencyData] = [*data]
     measured += (response_of(job.experiment, name, i) for i in range(len(section.responses)))
     if section.multi_start is None:
-        result = fit(structure, measured, progress=job.reporter.iteration, **arguments)
+        result = identify.fit(structure, measured, progress=job.reporter.iteration, **arguments)
     else:
         options = section.multi_start.model_dump()
-        result = fit_multistart(structure, measured, **options, progress=job.reporter.iteration, **arguments).best
+        result = identify.fit_multistart(
+            structure, measured, **options, progress=job.reporter.iteration, **arguments
+        ).best
     result = replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
     save(result, part, overwrite=True, document=_document(job.experiment, structure, name, model, result))
     return Made(result.status, result.success, _smallest(result.fit_percent))
 
 
-def _document(experiment: Experiment, structure: AnyStructure, name: str, model: str, result: FitResult) -> Row:
+def _document(
+    experiment: Experiment, structure: AnyStructure, name: str, model: str, result: identify.FitResult
+) -> Row:
     """Return the document of a fit, with true values for recordings of the rig."""
     recordings = recordings_of(experiment, name, model)
     truth = true_values(experiment, recordings, structure) if recordings else {}
@@ -482,11 +488,11 @@ def made_document(job: Job, name: str, model: str) -> Row:
 @lru_cache(maxsize=1 << 14)
 def _stored_document(path: Path, _version: tuple[int, ...]) -> Row:
     """Return the document in a file; cached, because a server asks for all of them whenever a fit has come."""
-    document: Row = read_document(path, FitResult.FILE)
+    document: Row = read_document(path, identify.FitResult.FILE)
     return document
 
 
-def _suspects(job: Job, name: str, result: FitResult, data: Sequence[Recording]) -> list[str]:
+def _suspects(job: Job, name: str, result: identify.FitResult, data: Sequence[Recording]) -> list[str]:
     """Return remarks on lines of the shaft in residuals that are not white: run-out that the prefilter left."""
     if result.trusted == "white":
         return []
@@ -505,7 +511,7 @@ def _suspects(job: Job, name: str, result: FitResult, data: Sequence[Recording])
                 f"suspect for residuals that are not white: {rec.name}: {line.output} has a line of {line.rms:.2g} "
                 f"{rec.units.get(line.output.rpartition('_')[0], '')} rms at {line.frequency_hz:.1f} Hz, "
                 f"order {line.order} of the shaft; {removed}"
-                for line in shaft_lines(result, rec, left_out_of(job, name, rec))
+                for line in validate.shaft_lines(result, rec, left_out_of(job, name, rec))
             ]
     return notes
 
@@ -519,7 +525,7 @@ def _smallest(percent: npt.NDArray[Any]) -> float:
 Row = dict[str, Any]
 
 
-def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
+def parameter_rows(result: identify.FitResult, truth: Mapping[str, float]) -> list[Row]:
     """Return estimates with standard deviations and, where known, true values.
 
     Parameters
@@ -560,7 +566,7 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
     return rows
 
 
-def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+def mode_rows(result: identify.FitResult, truth: LinearModel | None) -> list[Row]:
     """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
     modes = result.model.modes()
     known = truth.modes() if truth is not None else []
@@ -581,7 +587,7 @@ def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
     ]
 
 
-def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+def gain_rows(result: identify.FitResult, truth: LinearModel | None) -> list[Row]:
     """Return static gains with standard deviations and true values; empty for a model with a pole at zero."""
     model = result.model
     try:
@@ -602,7 +608,7 @@ def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
     ]
 
 
-def profile_rows(result: FitResult) -> list[Row]:
+def profile_rows(result: identify.FitResult) -> list[Row]:
     """Return the intervals of the profile likelihoods that the fit was asked for; an open end is None."""
     return [
         {
@@ -617,7 +623,7 @@ def profile_rows(result: FitResult) -> list[Row]:
     ]
 
 
-def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
+def fit_document(result: identify.FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
     """Return the document of a fit."""
     outputs, starts = result.model.output_names, result.multi_start
     return {

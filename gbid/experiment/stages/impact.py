@@ -8,7 +8,7 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 
-from gbid.control.impact.study import ImpactStudy, mode_rows, response_rows, study_impacts
+from gbid import control, lpv
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
@@ -31,7 +31,6 @@ from gbid.experiment.machine import hammer_of, outside_domain, rig_model, rig_ru
 from gbid.experiment.rig_schema import Place
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work, no_tasks
 from gbid.experiment.schema import HammerTrain, ImpactsSection
-from gbid.lpv import LPVModel, load_model
 from gbid.recording import load_recording, save_recording
 
 LONGEST_IMPACT = 0.25
@@ -127,7 +126,7 @@ def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
     return impacts
 
 
-def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
+def expecting_model(experiment: Experiment) -> tuple[lpv.LPVModel, str]:
     """Return the model that predicts the modes, and a text that identifies it in content keys.
 
     Raises
@@ -145,7 +144,7 @@ def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
         if not source.is_file():
             raise UsageError(f"{source}: file is missing; `gbid lpv` makes it")
     key = file_digest(source) if isinstance(source, Path) else source
-    return with_actuators(load_model(source)), key
+    return with_actuators(lpv.load_model(source)), key
 
 
 # ---- Stage of the impacts (paper, Sec. 5.1): hammer on the rig in open and closed loop, ring-downs, force scaling.
@@ -237,7 +236,7 @@ def _write_study(job: Job, part: Path, name: str) -> Made:
     point, loop = group[0].point, group[0].loop
     controller = controller_at(experiment, point, loop) if loop != "open" else None
     laws = (None, None) if controller is None else (controller.continuous, controller.sampled)
-    study = study_impacts(
+    study = control.study_impacts(
         [load_recording(recording_result(experiment, impact).require()) for impact in group],
         expecting_model(experiment)[0],
         *laws,
@@ -249,7 +248,7 @@ def _write_study(job: Job, part: Path, name: str) -> Made:
     return _made_study(study)
 
 
-def _made_study(study: ImpactStudy) -> Made:
+def _made_study(study: control.ImpactStudy) -> Made:
     text = "; ".join([study.ringdown.status, *study.ringdown.notes])
     # a loop may damp so well that nothing oscillates; this is a valid result
     return Made(
@@ -258,10 +257,10 @@ def _made_study(study: ImpactStudy) -> Made:
 
 
 def _read_study(path: Path) -> Made:
-    return _made_study(load(path, ImpactStudy))
+    return _made_study(load(path, control.ImpactStudy))
 
 
-_TABLES = {"impacts": mode_rows, "responses": response_rows}
+_TABLES = ("impacts", "responses")
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -280,7 +279,10 @@ def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
 
 
 def _write_csv(job: Job, part: Path, table: str, studies: Sequence[str]) -> None:
-    rows = [row for name in studies for row in _TABLES[table](load(job.path(FOLDER, name), ImpactStudy))]
+    from gbid.control.impact.study import mode_rows, response_rows
+
+    rows_of = mode_rows if table == "impacts" else response_rows
+    rows = [row for name in studies for row in rows_of(load(job.path(FOLDER, name), control.ImpactStudy))]
     write_csv(table_of_records(rows), part)
 
 

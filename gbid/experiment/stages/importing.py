@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from gbid.core.errors import DataError, GbidError, UsageError
+from gbid.core.index import version_of
 from gbid.experiment.experiment import Experiment, PlannedRecording
 from gbid.experiment.fields import Found, content_key, file_digest, needed
-from gbid.experiment.index import version_of
 from gbid.experiment.recordings import (
     driving_channels,
     mapping_of,

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from gbid import identify
 from gbid.core.errors import UsageError, nearest
 from gbid.core.tables import read_values, table_of_values, write_csv
 from gbid.experiment.controllers import early_design, is_tuned, tuned_design
@@ -22,7 +23,6 @@ from gbid.experiment.stages.fit import fit_entries, fit_result
 from gbid.experiment.stages.prefilter import load_fit_input
 from gbid.experiment.stages.rig import controller_problems
 from gbid.experiment.stages.tune import design_task
-from gbid.identify import FitResult, TableEntry
 
 
 def fit_loops_are_known(experiment: Experiment) -> Found:
@@ -150,20 +150,22 @@ def cost_rows(job: Job, name: str, beside: str) -> list[LoopCostRow]:
     return rows
 
 
-def _converged(job: Job, name: str) -> list[tuple[TableEntry, FitResult]]:
+def _converged(job: Job, name: str) -> list[tuple[identify.TableEntry, identify.FitResult]]:
     return [
         (entry, entry.result) for entry in fit_entries(job, name) if entry.result is not None and entry.result.success
     ]
 
 
-def _by_point(job: Job, entries: Sequence[tuple[TableEntry, FitResult]]) -> dict[str, list[FitResult]]:
-    results: dict[str, list[FitResult]] = {}
+def _by_point(
+    job: Job, entries: Sequence[tuple[identify.TableEntry, identify.FitResult]]
+) -> dict[str, list[identify.FitResult]]:
+    results: dict[str, list[identify.FitResult]] = {}
     for entry, result in entries:
         results.setdefault(job.experiment.recordings[entry.recordings[0]].point, []).append(result)
     return results
 
 
-def _sizes(job: Job, results: Sequence[FitResult], beside: str = "") -> dict[str, Any]:
+def _sizes(job: Job, results: Sequence[identify.FitResult], beside: str = "") -> dict[str, Any]:
     """Return the number of recordings and the medians of their lengths and peaks, by the columns of the table."""
     recordings = [load_fit_input(job, job.experiment.recordings[result.recordings[0]]) for result in results]
     signal = results[0].options.outputs[-1].partition(".")[0]
@@ -172,7 +174,7 @@ def _sizes(job: Job, results: Sequence[FitResult], beside: str = "") -> dict[str
     return {f"recordings{beside}": len(recordings), f"duration{beside}_s": length, f"peak{beside}": median(peaks)}
 
 
-def _median_std(results: Sequence[FitResult], parameter: str) -> float | None:
+def _median_std(results: Sequence[identify.FitResult], parameter: str) -> float | None:
     known = [float(v) for result in results if (v := result.std.get(parameter, 0.0)) > 0]
     return median(known) if known else None
 

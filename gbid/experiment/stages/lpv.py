@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gbid import identify, lpv, validate
 from gbid.core import hdf5
 from gbid.core.errors import GbidError, UsageError
 from gbid.core.files import scratch_folder
@@ -22,15 +23,11 @@ from gbid.experiment.schema import LpvSection
 from gbid.experiment.stages.fit import a_fit_is_named, fit_arguments, fit_entries, fit_result
 from gbid.experiment.stages.prefilter import load_fit_input
 from gbid.experiment.structures import make_structure, structure_or_none
-from gbid.identify import TableEntry, tabulate
-from gbid.lpv import LPVFit, MachineData, fit_lpv, fit_lpv_direct, load_lpv_fit, lpv_of
 from gbid.lpv.estimates import check_points, chosen_exponents
 from gbid.lpv.fit import KIND, write_uncertainty
-from gbid.lpv.model import ACTUATOR_PARAMETERS
 from gbid.lpv.model_file import write_model
 from gbid.structure import KEY_PARAMETERS, ScheduledStructure, kind_of
 from gbid.structure.built_in import pade_order_of
-from gbid.validate.central import load_actuators
 
 
 def surfaces_can_be_drawn(experiment: Experiment) -> Found:
@@ -99,21 +96,21 @@ class Surfaces:
         models = [entry.model for entry in self._entries if entry.result is not None]
         settings = {**self._section.model_dump(), "models": models, "found_actuators": self._actuators}
         known = machine_data(experiment)
-        settings |= {"machine": known} if known != MachineData() else {}
+        settings |= {"machine": known} if known != lpv.MachineData() else {}
         sources = [fit_result(experiment, fit, model) for model in models]
         return experiment.result("lpv", f"{item} uncertainty", experiment.path(FOLDER, item), settings, sources)
 
-    def make(self, item: str) -> LPVFit:
+    def make(self, item: str) -> lpv.LPVFit:
         """Return the surfaces of one item: those of the fit, or of its direct LPV fit."""
         fit = self._two_step if item == self._section.fit else self._direct()
         return replace(fit, model=replace(fit.model, machine=machine_data(self._job.experiment)))
 
     @cached_property
-    def _entries(self) -> list[TableEntry]:
+    def _entries(self) -> list[identify.TableEntry]:
         return fit_entries(self._job, self._section.fit)
 
     @cached_property
-    def _two_step(self) -> LPVFit:
+    def _two_step(self) -> lpv.LPVFit:
         """Surfaces fitted to the estimates of the fits; of a scheduled structure those that its fit found."""
         section, spec = self._section, self._job.experiment.spec
         results = [entry.result for entry in self._entries if entry.result is not None]
@@ -123,9 +120,9 @@ class Surfaces:
         structure = make_structure(self._job.experiment, section.fit)
         if kind_of(structure).scheduled:
             actuators = self._actuators or None
-            return lpv_of(results[0], actuators=actuators, name=spec.name, title=spec.title, source=source)
-        return fit_lpv(
-            tabulate(self._entries),
+            return lpv.lpv_of(results[0], actuators=actuators, name=spec.name, title=spec.title, source=source)
+        return lpv.fit_lpv(
+            identify.tabulate(self._entries),
             weighting=section.weighting,
             order=section.order,
             robust=section.robust,
@@ -136,7 +133,7 @@ class Surfaces:
             source=source,
         )
 
-    def _direct(self) -> LPVFit:
+    def _direct(self) -> lpv.LPVFit:
         """Return the surfaces estimated directly from the recordings."""
         experiment, name = self._job.experiment, self._section.fit
         spec = experiment.spec.fits[name]
@@ -146,7 +143,7 @@ class Surfaces:
         if structure is None:
             text = "surfaces straight from the recordings are for linear structures with constant parameters"
             raise UsageError(f"fit {name!r}: {text}")
-        return fit_lpv_direct(
+        return lpv.fit_lpv_direct(
             recordings,
             self._two_step,
             structure=structure,
@@ -162,8 +159,8 @@ class Surfaces:
         known, nominal = lpv_actuators(self._job.experiment, self._section), self._job.experiment.spec.nominal
         if known is not None or nominal is None:
             return known or {}
-        values = load_actuators(self._job.path("nominal", nominal.fit, ".yaml"))
-        return {name: values[name] for name in ACTUATOR_PARAMETERS}
+        values = validate.load_actuators(self._job.path("nominal", nominal.fit, ".yaml"))
+        return {name: values[name] for name in lpv.ACTUATOR_PARAMETERS}
 
 
 # ---- Stage of the surfaces over pressure and speed (paper, Sec. 4).
@@ -202,19 +199,19 @@ def _uncertainty_task(job: Job, item: str) -> Task:
     return Task.of(Surfaces(job).result(item), partial(_write_uncertainty, item=item))
 
 
-def read_surfaces(job: Job) -> dict[str, LPVFit]:
+def read_surfaces(job: Job) -> dict[str, lpv.LPVFit]:
     """Return the surfaces made from the present fits, by item; empty when there are none."""
     section = job.experiment.spec.lpv
     if section is None:
         return {}
-    fits: dict[str, LPVFit] = {}
+    fits: dict[str, lpv.LPVFit] = {}
     with suppress(GbidError, OSError):
         surfaces = Surfaces(job)
         for item in (section.fit, f"{section.fit}{DIRECT}"):
             result = surfaces.result(item)
             path = result.path.with_suffix(".yaml")
             if stored_key(path) == result.key:
-                fits[item] = load_lpv_fit(path)
+                fits[item] = lpv.load_lpv_fit(path)
     return fits
 
 

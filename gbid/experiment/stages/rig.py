@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gbid.control import close_loop, exact_plant, load_controller, sample_plant
+from gbid import control
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import GbidError, UsageError, nearest
 from gbid.experiment.controllers import (
@@ -228,8 +228,8 @@ def check_loop_stable(experiment: Experiment, planned: PlannedRecording, sampled
     if not model.actuators:
         return
     pressure, speed = planned.conditions["pressure_bar"], planned.conditions["speed_rpm"]
-    plant = sample_plant(exact_plant(model, pressure, speed), rig.sample_time_s, rig.sample_time_s)
-    if not close_loop(plant, sampled).is_stable():
+    plant = control.sample_plant(control.exact_plant(model, pressure, speed), rig.sample_time_s, rig.sample_time_s)
+    if not control.close_loop(plant, sampled).is_stable():
         at = point_label(pressure, speed)
         raise UsageError(f"controller {sampled.name!r} makes the rotor unstable at {at}; choose another")
 
@@ -291,7 +291,7 @@ def _write_recording(job: Job, part: Path, name: str) -> None:
     experiment, planned = job.experiment, job.experiment.recordings[name]
     run, controller = rig_run(experiment, planned), None
     if planned.controller:
-        design = load_controller(experiment.results / planned.controller)
+        design = control.load_controller(experiment.results / planned.controller)
         controller = loop_of(experiment, running_controller(experiment, design, planned.conditions), run)
     elif planned.in_loop:
         controller = running(experiment, planned, run)

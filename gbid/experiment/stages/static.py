@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gbid.characterise import PiezoCurve, StaticMap, characterise_piezo, characterise_staircase, static_rows
+from gbid import characterise
 from gbid.core.errors import nearest
 from gbid.core.hdf5 import load, save
 from gbid.core.tables import table_of_records, write_csv
@@ -71,7 +71,7 @@ def _recordings(experiment: Experiment, name: str) -> list[str]:
     return [planned.name for planned in experiment.matching(experiment.spec.static[name].recordings)]
 
 
-def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
+def load_made_static(job: Job, name: str) -> characterise.StaticMap | characterise.PiezoCurve:
     """Return an existing static characterisation.
 
     Raises
@@ -80,7 +80,11 @@ def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
         When the file is missing.
     """
     path = job.path(FOLDER, name)
-    return load(path, PiezoCurve) if job.experiment.spec.static[name].kind == "piezo" else load(path, StaticMap)
+    return (
+        load(path, characterise.PiezoCurve)
+        if job.experiment.spec.static[name].kind == "piezo"
+        else load(path, characterise.StaticMap)
+    )
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -102,13 +106,17 @@ def _write(job: Job, part: Path, name: str) -> Made:
         measured = [signal for key, signal in wanted_signals(section).items() if key != "command"]
         refuse_bad_signals(planned, data[-1], measured, kinds=("too_few_samples", "dead", "swapped", "rub"))
     piezo = section.kind == "piezo"
-    result = characterise_piezo(data[0], **options) if piezo else characterise_staircase(data, **options)
+    result = (
+        characterise.characterise_piezo(data[0], **options)
+        if piezo
+        else characterise.characterise_staircase(data, **options)
+    )
     save(result, part, overwrite=True)
     return Made("; ".join(result.notes))
 
 
 def _write_csv(job: Job, part: Path, name: str) -> None:
-    write_csv(table_of_records(static_rows(load_made_static(job, name))), part)
+    write_csv(table_of_records(characterise.static_rows(load_made_static(job, name))), part)
 
 
 STATIC = Stage("static", "static", (static_makes_sense,), static_tasks, (_csv_tasks,))

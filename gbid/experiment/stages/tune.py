@@ -6,35 +6,20 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-from gbid.control import (
-    DisturbanceSpectrum,
-    GainResult,
-    Goal,
-    HalfSine,
-    PiezoTravel,
-    Scheduled,
-    Uncertainty,
-    assess,
-    pareto,
-    price_of_robustness,
-    recorded_disturbance,
-    save_controller,
-    tune,
-)
-from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
-from gbid.control.tuning.goals import limits_of
-from gbid.control.tuning.plants import DesignOptions
+from gbid import control
+from gbid.control.tuning.design_options import DesignOptions
 from gbid.core.errors import GbidError, nearest
 from gbid.core.files import scratch_folder
-from gbid.core.hdf5 import load, save
+from gbid.core.hdf5 import save
 from gbid.experiment.controllers import (
     TUNED,
     controller_section,
     design_result,
     design_structure,
     goal_recordings,
+    load_design,
     made_goal,
     named_model,
     no_disturbance,
@@ -55,6 +40,9 @@ from gbid.experiment.schema import ControllerSection, RobustSection
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv import read_surfaces
 from gbid.lpv import LPVModel, MachineData, load_lpv_fit, load_model
+
+if TYPE_CHECKING:
+    from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
 
 
 def designs_can_be_tuned(experiment: Experiment) -> Found:
@@ -137,6 +125,8 @@ def _goal_problems(experiment: Experiment, section: ControllerSection, known: Ma
             for text in _disturbance_problems(experiment, pattern):
                 yield ("goals", i, "disturbance"), text
     if len(goals) == len(entries):
+        from gbid.control.tuning.goals import limits_of
+
         plant = load_model("theisen2016").plant_at(6.0, 0.0)  # every plant has the channels of this one
         yield from refusal(("goals",), lambda: limits_of(goals, plant, known))
 
@@ -205,7 +195,7 @@ def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
         try:
             result = _result(job, name, surfaces)
             if result.is_made:
-                designs[name] = load(result.path, TunedDesign)
+                designs[name] = load_design(result.path)
             else:
                 made = "made with other settings or data" if result.path.is_file() else "not made yet"
                 missing[name] = f"{made}; `gbid tune` makes it"
@@ -239,7 +229,7 @@ def _result(job: Job, name: str, surfaces: Collection[str]) -> Result:
     return design_result(experiment, name, path, disturbing)
 
 
-def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:
+def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, control.Uncertainty | None]:
     """Return the model of a design, and its uncertainty when the section wants other plants besides it."""
     item = surfaces_item(job.experiment, section)
     if item is None:
@@ -247,24 +237,24 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncert
     fit, drawn = load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")), section.uncertainty
     model = with_actuators(fit.model)
     if section.robust is not None:
-        return model, Uncertainty(fit.covariance, scatter=fit.scatter)
+        return model, control.Uncertainty(fit.covariance, scatter=fit.scatter)
     if drawn is None:
         return model, None
     if drawn.plants == "recordings":
-        return model, Uncertainty(samples=fit.estimates.values - fit.surface)
-    return model, Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
+        return model, control.Uncertainty(samples=fit.estimates.values - fit.surface)
+    return model, control.Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
 
 
-def _travel_goal(section: ControllerSection) -> PiezoTravel | None:
+def _travel_goal(section: ControllerSection) -> control.PiezoTravel | None:
     """Return the first goal on the travel of the stacks; None when there is none."""
-    made = (made_goal(entry, no_disturbance) for entry in section.goals or () if entry.goal == PiezoTravel.__name__)
-    return cast("PiezoTravel | None", next(made, None))
+    made = (made_goal(entry, no_disturbance) for entry in section.goals or () if entry.goal == "PiezoTravel")
+    return cast("control.PiezoTravel | None", next(made, None))
 
 
-def impact(section: ControllerSection) -> HalfSine:
+def impact(section: ControllerSection) -> control.HalfSine:
     """Return the impact for the assessment of designs: that of the goals, or the default."""
     goal = _travel_goal(section)
-    return HalfSine() if goal is None else goal.impact
+    return control.HalfSine() if goal is None else goal.impact
 
 
 def tune_options(section: ControllerSection) -> dict[str, Any]:
@@ -293,8 +283,8 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
     model, plants = design_plant(job, section)
     structure: Any = design_structure(experiment, section, model.domain)
 
-    def disturbance(patterns: tuple[str, ...]) -> DisturbanceSpectrum:
-        return recorded_disturbance([load_made(job, planned) for planned in experiment.matching(patterns)])
+    def disturbance(patterns: tuple[str, ...]) -> control.DisturbanceSpectrum:
+        return control.recorded_disturbance([load_made(job, planned) for planned in experiment.matching(patterns)])
 
     goals = None if section.goals is None else [made_goal(entry, disturbance) for entry in section.goals]
     options: dict[str, Any] = {
@@ -304,6 +294,8 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
         "sample_time": sample_time(experiment, section) if section.design_for == "sampled" else None,
         "progress": job.reporter.search,
     }
+    from gbid.control.assessment import CappedDesign, DesignFigures, TunedDesign
+
     promises: tuple[RobustPromise, ...] = ()
     front: tuple[CappedDesign, ...] = ()
     if section.robust is not None:
@@ -311,11 +303,15 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
         result, promises = _robust(model, section.robust, goals, options)
     else:
         limits: dict[str, Any] = {"goals": goals} if goals else {"peak_sensitivity": section.peak_sensitivity}
-        result = tune(model, **limits, **options)
+        result = control.tune(model, **limits, **options)
         if section.pareto:
-            others = pareto(model, section.pareto, goals=without_cap(section, goals) if goals else None, **options)
+            others = control.pareto(
+                model, section.pareto, goals=without_cap(section, goals) if goals else None, **options
+            )
             front = tuple(map(CappedDesign, others.caps, others.designs))
-    assessed = assess(model, structure, result.gains, result.points, name=name, **assess_options(experiment, section))
+    assessed = control.assess(
+        model, structure, result.gains, result.points, name=name, **assess_options(experiment, section)
+    )
     published = assess_published(experiment, model, section, result.points)
     figures = (DesignFigures.of(assessed), *(() if published is None else (published,)))
     conditions = (impact(section).on(model.machine), sample_time(experiment, section), section.method)
@@ -325,12 +321,14 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
 
 
 def _robust(
-    model: LPVModel, section: RobustSection, goals: Sequence[Goal], options: Mapping[str, Any]
-) -> tuple[GainResult, tuple[RobustPromise, ...]]:
+    model: LPVModel, section: RobustSection, goals: Sequence[control.Goal], options: Mapping[str, Any]
+) -> tuple[control.GainResult, tuple[RobustPromise, ...]]:
     """Return the design for the wanted probability, and the promises for all of them."""
+    from gbid.control.assessment import RobustPromise
+
     numbers = {key: getattr(section, key) for key in ("confidence", "draws", "fresh", "seed")}
     probabilities = (section.probability, *section.price)
-    price = price_of_robustness(model, goals=goals, probabilities=probabilities, **{**options, **numbers})
+    price = control.price_of_robustness(model, goals=goals, probabilities=probabilities, **{**options, **numbers})
     promises = tuple(
         RobustPromise(
             p,
@@ -356,13 +354,15 @@ def assess_published(
     Without a section, as in experiments without designs, the conditions are those of an empty section ``controller``:
     operating points of the model, sample time of the rig.
     """
+    from gbid.control.assessment import DesignFigures
+
     came = published_design(experiment, section)
     if came is None:
         return None
     options = assess_options(experiment, section or ControllerSection())
     gains = {"kappa_x": came.kappa_x, "kappa_y": came.kappa_y}
     points = model.operating_points if points is None else points
-    return DesignFigures.of(assess(model, published_structure(came), gains, points, name=PUBLISHED, **options))
+    return DesignFigures.of(control.assess(model, published_structure(came), gains, points, name=PUBLISHED, **options))
 
 
 def _made(design: TunedDesign) -> Made:
@@ -381,11 +381,11 @@ def _made(design: TunedDesign) -> Made:
 
 
 def _read_design_summary(path: Path) -> Made:
-    return _made(load(path, TunedDesign))
+    return _made(load_design(path))
 
 
 def _write_controller(job: Job, part: Path, name: str) -> None:
-    section, design = controller_section(job.experiment, name), load(job.path(TUNED, name), TunedDesign)
+    section, design = controller_section(job.experiment, name), load_design(job.path(TUNED, name))
     model, _ = design_plant(job, section)
     structure = design_structure(job.experiment, section, model.domain)
     result = design.result
@@ -403,7 +403,7 @@ def _write_controller(job: Job, part: Path, name: str) -> None:
         provenance["peak_sensitivity"] = result.peak_sensitivity
     with scratch_folder(part) as folder:  # save_controller chooses the format by the ending
         file = folder / "controller.yaml"
-        save_controller(
+        control.save_controller(
             file,
             structure,
             result.gains,
@@ -411,7 +411,7 @@ def _write_controller(job: Job, part: Path, name: str) -> None:
             sample_time=sample_time(job.experiment, section),
             method=section.method,
             plant=design.plant,
-            points=result.points if isinstance(structure, Scheduled) else (),
+            points=result.points if isinstance(structure, control.Scheduled) else (),
             provenance=provenance,
         )
         file.replace(part)
