@@ -759,7 +759,8 @@ def _check_channels(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]
     if options.limits is None and (n, m) != (2, 2):
         raise UsageError(
             f"controller {name!r} has {n} inputs ({', '.join(inputs)}) and {m} outputs ({', '.join(outputs)}), the "
-            "four stacks 2 and 2; give limits of the outputs, beyond of the inputs, and their units",
+            "four stacks 2 and 2; give limits of the outputs, beyond of the inputs, and units, in ChainOptions or the "
+            "section target",
             "limits",
         )
     missing = [key for key in ("stroke_m", "disc_limit_m") if options.limits is None and getattr(options, key) is None]

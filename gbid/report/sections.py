@@ -422,12 +422,17 @@ def quality_section(results: Results) -> PageSection:
             if len(units[signal]) == 1:  # the heading has it
                 sizes = [(channel, size.partition(" ")[0]) for channel, size in sizes]
             rows[-1].append(", ".join(map(" ".join, sizes)) or None)
-        rows[-1].append(q.alike)
+    pairs = any(q.alike is not None for q in recordings)
+    for q, row in zip(recordings, rows, strict=True):
+        row += [q.alike] * pairs
     one_unit = {name: shown_unit(next(iter(unit)))[1] if len(unit) == 1 else "" for name, unit in units.items()}
     columns = [*map(Column, ("recording", "operating point", "length, samples"))]
     columns += [Column(f"{name}, rms", one_unit[name]) for name in signals]
-    title = "Excited recordings: rms about the mean of each channel, correlation of the two excitations"
-    table = Table(title, [*columns, Column("correlation x, y", format="+.3f")], rows)
+    title = "Excited recordings: rms about the mean of each channel"
+    if pairs:
+        title += ", correlation of the two excitations"
+        columns.append(Column("correlation x, y", format="+.3f"))
+    table = Table(title, columns, rows)
     blocks += [_folded(f"Excitation of {len(rows)} recordings", table), *_prefilter(results)]
     return PageSection("data", "Data quality", blocks)
 

@@ -294,3 +294,7 @@ def test_the_magnetic_bearing_of_the_template_is_identified(tmp_path):
         fit = load_fit(experiment.parent / "results" / "magnetic_bearing" / "fits" / path)
         for name, true in (("k_s", 4e4), ("k_i", 60.0)):
             assert abs(fit.parameters[name] - true) < 4 * fit.std[name] < 0.1 * true
+    assert gbid("report", experiment) == 0
+    page = (experiment.parent / "results" / "magnetic_bearing" / "report.html").read_text(encoding="utf-8")
+    assert "rms about the mean of each channel" in page
+    assert "correlation x, y" not in page  # of one axis

@@ -250,7 +250,7 @@ def valid_calls() -> dict[str, dict[str, Any]]:
         },
         "measured_response": {"recordings": data, "inputs": "u", "outputs": "y", "resolution_hz": 0.5},
         "nominal_actuator": {"models": [result] * 3},
-        "pareto": {"lpv": lpv, "caps": [2.6], "operating_points": points, "starts": 1},
+        "pareto": {"model": lpv, "caps": [2.6], "operating_points": points, "starts": 1},
         "prefilter": {"rec": turning},
         "profile": {"result": result, "names": ["g"]},
         "save": {"value": stored_values.recording(), "path": "{folder}/a.h5"},
