@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 import gbid
-from gbid.control import GainStatus, MaxDamping, PeakSensitivity
+from gbid.control import MaxDamping, PeakSensitivity
 from gbid.core.errors import UsageError
 from gbid.export import ChainInput, ChainOptions, write_chain
 from gbid.export.chain import Chain, chain_of
@@ -94,7 +94,7 @@ def levitated(plant: gbid.LinearModel, chain: Chain, steps: int = 800, blind: ra
 def test_a_rotor_is_tuned_saved_exported_and_levitated(plant: gbid.LinearModel, tmp_path: Path) -> None:
     assert np.linalg.eigvals(plant.A).real.max() > 300  # it falls by itself
     result = tuned(plant)
-    assert result.status in (GainStatus.OPTIMAL, GainStatus.STALLED, GainStatus.ITERATION_LIMIT)
+    assert result.keeps_limits
     assert result.violation == 0
     saved = gbid.save_controller(tmp_path / "amb.yaml", result, name="amb", plant="rotor")
     design = gbid.load_controller(tmp_path / "amb.yaml")
