@@ -15,9 +15,10 @@ from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
+from theisen2016_impacts import LOOPS, recorded_again, ringing_without_noise, without_noise
 
 import gbid
-from gbid.control import GainResult, RingDown, close_loop, p_controller, sample_controller, sensitivities, tune
+from gbid.control import GainResult, close_loop, p_controller, sample_controller, sensitivities, tune
 from gbid.control.impact.study import ringing_modes
 from gbid.control.loop.sampled import exact_plant
 from gbid.core.arrays import FloatArray
@@ -25,10 +26,9 @@ from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.published import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
 from gbid.core.tables import finite_or_none
 from gbid.core.yaml_file import read_yaml
-from gbid.experiment.controllers import controller_at, loop_of, rig_time
+from gbid.experiment.controllers import rig_time
 from gbid.experiment.fields import needed
-from gbid.experiment.machine import PlannedRun, rig_run
-from gbid.experiment.stages.impact import planned_impacts
+from gbid.experiment.machine import rig_run
 from gbid.lpv import CHARACTERISTICS, LPVFit, LPVModel, characteristics, fit_lpv, load_machine
 from gbid.report.read import POINT, Results, published_controller
 from gbid.rig import Prbs, record
@@ -147,11 +147,8 @@ Own = tuple[float, float]
 _SCALE = {"um": 1e6, "ms": 1e3}
 _PAIRS = ("xx", "xy", "yx", "yy")
 _ACTUATORS = ("p1_x", "p2_x", "p1_y", "p2_y", "kappa_x", "kappa_y")
-_LOOPS = ("open", "closed")
 _DRAWS = 200
 """Models drawn for a standard deviation, which they give to 5 %."""
-_REPEATS = 20
-"""Times that the impacts are recorded again for a standard deviation, which they give to 16 %."""
 _CAP = 2.6
 """Largest peak of S_o of the controllers that are tuned for each reading of a coefficient, as in the experiment."""
 
@@ -172,7 +169,7 @@ def _values() -> Iterator[tuple[str, Callable[[Results], Own]]]:
         yield f"rms_{name}", partial(_rms, j)
         yield f"surface_{name}", partial(_off_published, j)
     yield "largest_gain", _largest_gain
-    for loop in _LOOPS:
+    for loop in LOOPS:
         for i in (1, 2):
             for j, what in enumerate(("frequency", "damping")):
                 yield f"expected_{loop}_{what}_{i}", partial(_expected, loop, i - 1, j)
@@ -258,57 +255,6 @@ def _ringing(results: Results, loop: str) -> FloatArray:
     return np.array(results.impacts_at(False)[loop].ringdown.modes())
 
 
-@lru_cache(maxsize=4)
-def recorded_again(results: Results, loop: str) -> FloatArray:
-    """Return frequency and damping factor of both modes, (n, 2, 2), from impacts that are recorded again.
-
-    Each time has its own noise, and its own draws of the scatter between recordings. A fit to one set of recordings
-    cannot show that scatter in its standard deviation.
-
-    Raises
-    ------
-    DataError
-        When more than half of the ring-downs did not converge.
-    """
-    lags = needed(results.experiment.spec.impacts, "impacts").lags
-    rings = [_hit_again(results, loop, partial(_with_other_seed, i), lags) for i in range(1, _REPEATS + 1)]
-    modes = [ring.modes() for ring in rings if ring.success]
-    if 2 * len(modes) < _REPEATS:
-        raise DataError(f"of {_REPEATS} ring-downs, {loop} loop, {len(modes)} converged; check the section impacts")
-    return np.array(modes)
-
-
-def _hit_again(results: Results, loop: str, change: Callable[[PlannedRun], PlannedRun], lags: int | str) -> RingDown:
-    """Return the ring-downs of the impacts at the point of the paper, recorded again on a rig that is changed."""
-    experiment = results.experiment
-    section = needed(experiment.spec.impacts, "impacts")
-    recordings = []
-    for impact in planned_impacts(experiment).values():
-        if impact.loop == loop and (impact.point.pressure_bar, impact.point.speed_rpm) == POINT:
-            run = change(rig_run(experiment, impact.planned))
-            law = None if loop == "open" else controller_at(experiment, impact.point, loop)
-            recordings.append(run.record(None if law is None else loop_of(experiment, law, run)))
-    return gbid.fit_ringdown(recordings, harmonics=section.harmonics, lags=lags)
-
-
-def _with_other_seed(i: int, run: PlannedRun) -> PlannedRun:
-    return replace(run, options={**run.options, "seed": run.options["seed"] + i})
-
-
-def _without_noise(run: PlannedRun) -> PlannedRun:
-    """Return the run without any noise, and without scatter between recordings."""
-    sensors = replace(run.machine.sensors, noise_p_m=0.0, noise_u_m=0.0)
-    machine = replace(run.machine, sensors=sensors, non_synchronous=None)
-    return replace(run, machine=machine, options={**run.options, "scatter": None})
-
-
-@lru_cache(maxsize=4)
-def ringing_without_noise(results: Results, loop: str) -> FloatArray:
-    """Return both modes, (2, 2), of ring-downs without noise and scatter, with as many decays as in the run's fit."""
-    lags = len(results.impacts_at(False)[loop].ringdown.lag_rates)
-    return np.array(_hit_again(results, loop, _without_noise, lags).modes())
-
-
 def _damping_factor(i: int, results: Results) -> Own:
     """Return the factor by which the controller increases a damping factor."""
     (closed, closed_std), (opened, opened_std) = (_expected(loop, i, 1, results) for loop in ("closed", "open"))
@@ -366,7 +312,7 @@ def _drawn(results: Results) -> dict[str, FloatArray]:
     """Return standard deviations of modes, (2, 2), over models drawn with the error of the surfaces."""
     models = results.surface_fit.draw(_DRAWS, seed=1)
     loops = [_modes(replace(q, actuators=results.identified.actuators), results) for q in models]
-    return {loop: np.std([modes[loop] for modes in loops], axis=0, ddof=1) for loop in _LOOPS}
+    return {loop: np.std([modes[loop] for modes in loops], axis=0, ddof=1) for loop in LOOPS}
 
 
 # ---- Explanations. Each is a computation that predicts our value, and its standard deviation, without that value.
@@ -394,7 +340,7 @@ def _largest_of(std: float, n: int) -> Own:
 def _quiet_actuators(results: Results) -> dict[str, float]:
     """Return the actuator fitted to a recording of the rig's stacks without any noise."""
     planned = next(q for q in results.experiment.recordings.values() if q.excited)
-    machine = _without_noise(rig_run(results.experiment, planned)).machine
+    machine = without_noise(rig_run(results.experiment, planned)).machine
     section = results.experiment.spec.rig
     assert section is not None
     prbs = Prbs(2.0, section.prbs.amplitude_m, section.prbs.hold_s)
@@ -787,13 +733,13 @@ def _peak_gain(results: Results) -> Answer:
 
 
 def _more_damping(results: Results) -> Answer:
-    opened, closed = (float(_ringing(results, loop)[0, 1]) for loop in _LOOPS)
+    opened, closed = (float(_ringing(results, loop)[0, 1]) for loop in LOOPS)
     return closed > 2 * opened, f"damping factor 1 from the ring-downs {opened:.3f}, closed {closed:.3f}"
 
 
 def _little_coupling(results: Results) -> Answer:
     shares = []
-    for loop in _LOOPS:
+    for loop in LOOPS:
         study = results.impacts_at(False)[loop]
         for v in study.validations:
             along = "xy".index(v.axis)
@@ -809,7 +755,7 @@ def _little_coupling(results: Results) -> Answer:
 
 def _factor_two(results: Results) -> Answer:
     ratios = []
-    for loop in _LOOPS:
+    for loop in LOOPS:
         study = results.impacts_at(False)[loop]
         ratios += [a / b for a, b in zip(np.ravel(study.ringdown.modes()), np.ravel(study.expected), strict=True)]
     worst = max(max(q, 1 / q) for q in ratios)
@@ -827,7 +773,7 @@ def _agreement(results: Results) -> Answer:
 def _orbits(results: Results) -> dict[str, FloatArray]:
     """Return the amplitudes in x and y of the motion synchronous with the shaft [um], by loop."""
     loops = results.impacts_at(True)
-    parts = {loop: np.concatenate([v.stationary for v in loops[loop].validations]) for loop in _LOOPS}
+    parts = {loop: np.concatenate([v.stationary for v in loops[loop].validations]) for loop in LOOPS}
     return {loop: 1e6 * np.sqrt(2) * part.std(axis=0) for loop, part in parts.items()}
 
 
@@ -845,7 +791,7 @@ def _larger_orbit(results: Results) -> Answer:
 
 def _turning(results: Results) -> Answer:
     loops = results.impacts_at(True)
-    opened, closed = (1e3 * max(q.decay_s for q in loops[loop].figures) for loop in _LOOPS)
+    opened, closed = (1e3 * max(q.decay_s for q in loops[loop].figures) for loop in LOOPS)
     return closed < opened / 2, f"95 % of the energy has gone after {opened:.0f} ms, closed {closed:.0f} ms"
 
 
@@ -909,7 +855,7 @@ def computation_rows(results: Results) -> list[list[str | float]]:
 def repeated_rows(results: Results) -> list[list[str | float]]:
     """Return the obtained modes and their standard deviations: of one ring-down fit, and between repeated impacts."""
     rows: list[list[str | float]] = []
-    for loop in _LOOPS:
+    for loop in LOOPS:
         ring, again = results.impacts_at(False)[loop].ringdown, recorded_again(results, loop)
         stds = np.column_stack([ring.frequency_std, ring.damping_std])
         for words, modes in (

@@ -40,6 +40,9 @@ def serve(connection: Connection) -> None:
     runner is gone, it ends at once, also in the middle of a task: results appear only when they are complete.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in signal.valid_signals() - {signal.SIGINT}:
+        if callable(signal.getsignal(number)):  # a fork has the handlers of the runner
+            signal.signal(number, signal.SIG_DFL)
     threading.Thread(target=_end_with_runner, daemon=True).start()
 
     collect_less()
@@ -130,7 +133,9 @@ class _Worker:
 
 
 class ProcessPool:
-    """Engine of spawned processes with one BLAS thread each. They start with the first tasks and run until `close`.
+    """Engine of processes with one BLAS thread each. They start with the first tasks and run until `close`.
+
+    A runner without other threads is forked, which costs nothing. Otherwise processes are spawned, and each loads gbid.
 
     A task whose worker dies is given to another worker, up to `ATTEMPTS` times in all. Then it has failed.
 
@@ -212,7 +217,7 @@ class ProcessPool:
         self._stop(list(self._workers))
 
     def _start(self, count: int, shipped: bytes) -> None:
-        context = get_context("spawn")
+        context: Any = get_context("fork" if _has_one_thread() else "spawn")
         for _ in range(count - len(self._workers)):
             ours, theirs = context.Pipe()
             process = context.Process(target=serve, args=(theirs,), daemon=True, name="gbid worker")
@@ -255,6 +260,14 @@ class ProcessPool:
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()
+
+
+def _has_one_thread() -> bool:
+    """Return whether this process has no other thread, of Python or a library, that may hold a lock (on Linux)."""
+    try:
+        return len(list(Path("/proc/self/task").iterdir())) == 1
+    except OSError:
+        return False
 
 
 @contextlib.contextmanager

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from pkgutil import walk_packages
 from types import ModuleType
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from gbid.core.files import share_folder
+from gbid.experiment.run import Job
 from gbid.report.canvas import Drawn, figure_of
 from gbid.report.read import Results
 
@@ -52,19 +55,24 @@ class NamedFigure:
         return figure_of(self.draw(results))
 
 
-@cache
 def paper() -> ModuleType:
     """Return the module with the tables of the paper, which is shipped beside its experiment."""
     comparison()  # which it imports
     return _shipped("theisen2016_paper")
 
 
-@cache
 def comparison() -> ModuleType:
     """Return the module that compares the figures and sentences of the paper with results."""
+    _shipped("theisen2016_impacts")  # which it imports
     return _shipped("theisen2016_comparison")
 
 
+def write_shipped(job: Job, part: Path, *, module: str, function: str, **options: Any) -> None:
+    """Write a result by a function of a shipped module, which a worker process loads anew."""
+    getattr(_shipped(module), function)(job, part, **options)
+
+
+@cache
 def _shipped(name: str) -> ModuleType:
     """Load a module of the folder of experiments."""
     spec = spec_from_file_location(name, share_folder("experiments") / f"{name}.py")

@@ -34,7 +34,7 @@ from gbid.experiment.campaign import (
     tasks_of,
     working,
 )
-from gbid.experiment.engines import ATTEMPTS, FEW, ProcessPool, make_engine
+from gbid.experiment.engines import ATTEMPTS, FEW, ONE_THREAD, ProcessPool, make_engine
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.fields import file_digest
 from gbid.experiment.load import load_experiment
@@ -555,3 +555,20 @@ def test_a_table_of_others_is_left_and_nothing_made_is_said(tmp_path):
     table_path.write_text("of someone else")
     assert [outcome.state for outcome in collect(job)[1]] == ["kept", "failed"]
     assert table_path.read_text() == "of someone else"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not list threads there")
+def test_a_runner_is_forked_only_while_it_has_one_thread():
+    code = """\
+import threading
+from gbid.experiment.engines import _has_one_thread
+gate = threading.Event()
+waiting = threading.Thread(target=gate.wait)
+print(_has_one_thread())
+waiting.start()
+print(_has_one_thread())
+gate.set()
+"""
+    environment = {**os.environ, **dict.fromkeys(ONE_THREAD, "1")}
+    ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == ["True", "False"]

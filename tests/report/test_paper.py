@@ -6,6 +6,7 @@ import json
 import math
 import os
 import shutil
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -303,16 +304,14 @@ def test_another_reading_moves_surfaces_without_changing_their_errors(surfaces):
     )
 
 
-def test_impacts_recorded_again_scatter_as_the_rig_does(monkeypatch):
+def test_impacts_recorded_again_scatter_as_the_rig_does(monkeypatch, tmp_path):
     """Without noise and scatter they show the rig's own modes; again and again, another machine each time."""
-    monkeypatch.setattr(compared, "_REPEATS", 3)
-    experiment = load_experiment(ROOT / "experiments" / "theisen2016.yaml")
+    monkeypatch.setattr(sys.modules[compared.recorded_again.__module__], "_REPEATS", 3)
+    experiment = load_experiment(ROOT / "experiments" / "theisen2016.yaml", tmp_path)
     impacts = experiment.spec.impacts.model_copy(update={"repeats": 1})
     one_ring = {"open": SimpleNamespace(ringdown=SimpleNamespace(lag_rates=()))}
-    results = Stored(
-        experiment=replace(experiment, spec=experiment.spec.model_copy(update={"impacts": impacts})),
-        impacts_at=lambda with_piezos: one_ring,
-    )
+    hit_once = replace(experiment, spec=experiment.spec.model_copy(update={"impacts": impacts}))
+    results = Stored(job=Job(hit_once), impacts_at=lambda with_piezos: one_ring)
     true = np.array(machine().at(6.0, 0.0).modes())
     np.testing.assert_allclose(compared.ringing_without_noise(results, "open"), true, rtol=2e-3)
     modes = compared.recorded_again(results, "open")
