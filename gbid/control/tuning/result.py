@@ -73,7 +73,7 @@ class WorstMode:
     damping: float
 
     def value(self, objective: Objective) -> float:
-        """Return its damping factor, or its decay [1/s]."""
+        """Return its damping factor, or its decay [1/s], whichever the `objective` is."""
         return self.damping if objective == "damping" else 2 * np.pi * self.frequency_hz * self.damping
 
 
