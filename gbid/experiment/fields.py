@@ -68,7 +68,7 @@ Holds = Annotated[
 class Section(BaseModel):
     """Section of the YAML: unknown keys are refused, and values are constant."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
+    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), defer_build=True)
 
 
 class OptionsSection(BaseModel, frozen=True):

@@ -196,6 +196,7 @@ def test_an_interruption_while_a_dataclass_is_made_is_one(tmp_path):
             except KeyboardInterrupt:
                 raise SystemExit(130)
 
+        app.registered_commands = []
         command.app = app
         command.main()
     """

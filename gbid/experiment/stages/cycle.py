@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbid import control
+from gbid import control, lpv
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import GbidError
 from gbid.core.hdf5 import load
@@ -29,8 +29,6 @@ from gbid.experiment.stages.lpv import LPV, Surfaces
 from gbid.experiment.stages.prefilter import PREFILTER
 from gbid.experiment.stages.rig import RIG
 from gbid.experiment.stages.tune import TUNE, design_tasks, read_designs
-from gbid.lpv import CHARACTERISTICS, LPVFit, load_lpv_fit
-from gbid.lpv.model import characteristics
 from gbid.structure import KEY_PARAMETERS
 
 if TYPE_CHECKING:
@@ -76,16 +74,16 @@ def round_experiment(experiment: Experiment, number: int) -> Experiment:
     controller and impacts lie in a folder of its own; round 0 has the surfaces and the controller of the experiment.
     """
     spec, name = experiment.spec, cycle_design(experiment)
-    lpv = needed(spec.lpv, "lpv")
+    surfaces = needed(spec.lpv, "lpv")
     new = {name: planned for i in range(1, number + 1) for name, planned in round_recordings(experiment, i).items()}
-    fit = spec.fits[lpv.fit]
+    fit = spec.fits[surfaces.fit]
     if fit.recordings is not None:
         fit = fit.model_copy(update={"recordings": (*fit.recordings, *new)})
     trial = {**dict(needed(experiment.spec.cycle, "cycle").impacts), "operating_points": trial_points(experiment)}
     impacts = ImpactsSection(**trial, model="lpv", beside={f"round{number}": "tuned"})
     changed = {
-        "fits": {**spec.fits, lpv.fit: fit},
-        "lpv": lpv.model_copy(update={"direct": False}),
+        "fits": {**spec.fits, surfaces.fit: fit},
+        "lpv": surfaces.model_copy(update={"direct": False}),
         "controller": {name: spec.controller[name]},
         "impacts": impacts.model_copy(update={"loops": ()}),
     }
@@ -215,7 +213,7 @@ def cycle_table(rows: Sequence[CycleRow]) -> Table:
     return table_of_values(CycleRow, rows, notes)
 
 
-def _row(number: int, fit: LPVFit, design: TunedDesign, study: control.ImpactStudy) -> CycleRow:
+def _row(number: int, fit: lpv.LPVFit, design: TunedDesign, study: control.ImpactStudy) -> CycleRow:
     pressure, speed = (float(study.conditions[key]) for key in ("pressure_bar", "speed_rpm"))
     ring, places = study.ringdown, [0, 2, 1, 3]  # a ring-down has frequency and damping of each mode in turn
     measured = np.column_stack([ring.frequency_hz, ring.damping]).ravel()[places]
@@ -240,7 +238,7 @@ def _named(prefix: str, mean: FloatArray, std: FloatArray) -> dict[str, Any]:
     return {f"{prefix}{name}{ending}": v for name, m, s in pairs for ending, v in (("", m), ("_std", s))}
 
 
-def modes_of_surfaces(fit: LPVFit, pressure_bar: float, speed_rpm: float) -> tuple[FloatArray, FloatArray]:
+def modes_of_surfaces(fit: lpv.LPVFit, pressure_bar: float, speed_rpm: float) -> tuple[FloatArray, FloatArray]:
     """Return both natural frequencies [Hz] and damping factors of surfaces at a point, with standard deviations.
 
     Parameters
@@ -261,8 +259,8 @@ def modes_of_surfaces(fit: LPVFit, pressure_bar: float, speed_rpm: float) -> tup
     values = np.array([float(known[key]) for key in KEY_PARAMETERS])
     covariance = fit.uncertainty_at(pressure_bar, speed_rpm)
     steps = _STEP * np.sqrt(np.diag(covariance))
-    near = characteristics(np.vstack([values, values + np.diag(steps), values - np.diag(steps)]))
-    columns = [CHARACTERISTICS.index(name) for name in ("omega_1", "omega_2", "zeta_1", "zeta_2")]
+    near = lpv.characteristics(np.vstack([values, values + np.diag(steps), values - np.diag(steps)]))
+    columns = [lpv.CHARACTERISTICS.index(name) for name in ("omega_1", "omega_2", "zeta_1", "zeta_2")]
     mean, up, down = near[0, columns], near[1 : 1 + len(values), columns], near[1 + len(values) :, columns]
     moving = steps > 0
     slopes = (up - down)[moving] / (2 * steps[moving, None])
@@ -384,7 +382,7 @@ def made_rows(job: Job) -> list[CycleRow]:
 def _write_table(job: Job, part: Path) -> None:
     rows = []
     for number, each in enumerate(_rounds(job)):
-        fit = load_lpv_fit(each.path("lpv", needed(each.experiment.spec.lpv, "lpv").fit, ".yaml"))
+        fit = lpv.load_lpv_fit(each.path("lpv", needed(each.experiment.spec.lpv, "lpv").fit, ".yaml"))
         design = load_design(each.path(TUNED, cycle_design(job.experiment)))
         rows += [_row(number, fit, design, load(task.path, control.ImpactStudy)) for task in study_tasks(each)]
     write_csv(cycle_table(rows), part)

@@ -24,7 +24,6 @@ from gbid.experiment.stages.fit import a_fit_is_named, fit_arguments, fit_entrie
 from gbid.experiment.stages.prefilter import load_fit_input
 from gbid.experiment.structures import make_structure, structure_or_none
 from gbid.lpv.estimates import check_points, chosen_exponents
-from gbid.lpv.fit import KIND, write_uncertainty
 from gbid.lpv.model_file import write_model
 from gbid.structure import KEY_PARAMETERS, ScheduledStructure, kind_of
 from gbid.structure.built_in import pade_order_of
@@ -217,6 +216,8 @@ def read_surfaces(job: Job) -> dict[str, lpv.LPVFit]:
 
 def _write_uncertainty(job: Job, part: Path, item: str) -> Made:
     """Write the uncertainty of surfaces, with the text of the model file beside it."""
+    from gbid.lpv.fit import KIND, write_uncertainty
+
     surfaces = Surfaces(job)
     fit = surfaces.make(item)
     with scratch_folder(part) as folder:
@@ -230,12 +231,16 @@ def _write_uncertainty(job: Job, part: Path, item: str) -> Made:
 
 
 def _write_model(_: Job, part: Path, source: Path) -> Made:
+    from gbid.lpv.fit import KIND
+
     with hdf5.reading(source, KIND) as file:
         part.write_text(str(hdf5.read_attribute(file, _MODEL)), encoding="utf-8")
     return _read_status(source)
 
 
 def _read_status(path: Path) -> Made:
+    from gbid.lpv.fit import KIND
+
     with hdf5.reading(path.with_suffix(".h5"), KIND) as file:
         success, status = (hdf5.read_attribute(file, name) for name in ("success", "status"))
     return Made(str(status), bool(success))

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from gbid import control
+from gbid import control, lpv
 from gbid.control.tuning.design_options import DesignOptions
 from gbid.core.errors import GbidError, nearest
 from gbid.core.files import scratch_folder
@@ -39,7 +39,6 @@ from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import ControllerSection, RobustSection
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv import read_surfaces
-from gbid.lpv import LPVModel, MachineData, load_lpv_fit, load_model
 
 if TYPE_CHECKING:
     from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
@@ -53,7 +52,7 @@ def designs_can_be_tuned(experiment: Experiment) -> Found:
 
 def _design_problems(experiment: Experiment, section: ControllerSection) -> Found:
     """Yield problems of a design, with locations below its section."""
-    model: LPVModel | None = None
+    model: lpv.LPVModel | None = None
     named: Location = ("model",) if section.model else ()
     try:
         item = surfaces_item(experiment, section)
@@ -71,10 +70,10 @@ def _design_problems(experiment: Experiment, section: ControllerSection) -> Foun
                 yield (key,), "needs the surfaces of this experiment; write model: lpv"
         yield from _point_problems(section, model)
     else:
-        lpv = needed(experiment.spec.lpv, "lpv")
-        if lpv.actuators is None:
+        surfaces = needed(experiment.spec.lpv, "lpv")
+        if surfaces.actuators is None:
             yield named, "the surfaces have no actuators; add lpv: actuators"
-        if section.model == "lpv_direct" and not lpv.direct:
+        if section.model == "lpv_direct" and not surfaces.direct:
             yield ("model",), "there are no surfaces of a direct LPV fit; write lpv: direct: true"
     if section.robust is not None:
         if section.goals is None:
@@ -101,7 +100,7 @@ def _design_problems(experiment: Experiment, section: ControllerSection) -> Foun
             yield ("bounds", gain), f"lower bound {low:g} is not below the upper one, {high:g}"
 
 
-def _point_problems(section: ControllerSection, model: LPVModel) -> Found:
+def _point_problems(section: ControllerSection, model: lpv.LPVModel) -> Found:
     if section.operating_points == "model" and not model.operating_points:
         where: Location = ("operating_points",) if "operating_points" in section.model_fields_set else ()
         yield where, f"model {model.name!r} lists no operating points; list some, or write domain"
@@ -110,7 +109,7 @@ def _point_problems(section: ControllerSection, model: LPVModel) -> Found:
             yield from outside_domain(model.domain, model.name, point, ("operating_points", i))
 
 
-def _goal_problems(experiment: Experiment, section: ControllerSection, known: MachineData) -> Found:
+def _goal_problems(experiment: Experiment, section: ControllerSection, known: lpv.MachineData) -> Found:
     entries = section.goals or ()
     for key in ("peak_sensitivity", "objective"):
         if key in section.model_fields_set:
@@ -127,7 +126,7 @@ def _goal_problems(experiment: Experiment, section: ControllerSection, known: Ma
     if len(goals) == len(entries):
         from gbid.control.tuning.goals import limits_of
 
-        plant = load_model("theisen2016").plant_at(6.0, 0.0)  # every plant has the channels of this one
+        plant = lpv.load_model("theisen2016").plant_at(6.0, 0.0)  # every plant has the channels of this one
         yield from refusal(("goals",), lambda: limits_of(goals, plant, known))
 
 
@@ -229,12 +228,12 @@ def _result(job: Job, name: str, surfaces: Collection[str]) -> Result:
     return design_result(experiment, name, path, disturbing)
 
 
-def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, control.Uncertainty | None]:
+def design_plant(job: Job, section: ControllerSection) -> tuple[lpv.LPVModel, control.Uncertainty | None]:
     """Return the model of a design, and its uncertainty when the section wants other plants besides it."""
     item = surfaces_item(job.experiment, section)
     if item is None:
         return named_model(job.experiment, section), None
-    fit, drawn = load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")), section.uncertainty
+    fit, drawn = lpv.load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")), section.uncertainty
     model = with_actuators(fit.model)
     if section.robust is not None:
         return model, control.Uncertainty(fit.covariance, scatter=fit.scatter)
@@ -321,7 +320,7 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
 
 
 def _robust(
-    model: LPVModel, section: RobustSection, goals: Sequence[control.Goal], options: Mapping[str, Any]
+    model: lpv.LPVModel, section: RobustSection, goals: Sequence[control.Goal], options: Mapping[str, Any]
 ) -> tuple[control.GainResult, tuple[RobustPromise, ...]]:
     """Return the design for the wanted probability, and the promises for all of them."""
     from gbid.control.assessment import RobustPromise
@@ -347,7 +346,7 @@ def _robust(
 
 
 def assess_published(
-    experiment: Experiment, model: LPVModel, section: ControllerSection | None = None, points: Any = None
+    experiment: Experiment, model: lpv.LPVModel, section: ControllerSection | None = None, points: Any = None
 ) -> DesignFigures | None:
     """Return the assessment of the published controller of a model; None when there is none.
 

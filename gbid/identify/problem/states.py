@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +15,10 @@ from gbid.discretise import Hold
 from gbid.identify.data import FitData, moves
 from gbid.identify.disturbances import Disturbances
 from gbid.identify.options import InitialState, OwnState
-from gbid.identify.problem.nlp import Shooting
 from gbid.structure import AnyStructure, Parameter, kind_of
+
+if TYPE_CHECKING:
+    from gbid.identify.problem.nlp import Shooting
 
 
 @dataclass(frozen=True, eq=False)
