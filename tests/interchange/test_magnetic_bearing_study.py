@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import gbid
 from benchmarks import magnetic_bearings as study
 from benchmarks.running import DOCS
 from gbid.control.loop.sampled import sample_plant
@@ -77,13 +78,29 @@ def test_the_simulation_is_the_identified_plant():
 
 def test_a_recording_is_held_by_its_controller_and_told_apart_from_others():
     machine = study.Machine(SmallRotor(), study.Truth(), 3000.0)
-    recording = study.recorded(machine, 0.02, 3)
+    recording = study.recorded(machine, 0.02, 3, 0.02)
     p = recording.signal("p")
     step = 2 * study.FULL_SCALE / 2**study.BITS
     np.testing.assert_allclose(p, step * np.round(p / step), atol=1e-15)
     assert 0 < np.abs(p).max() < study.FULL_SCALE
     other = study.Truth().perturbed(np.random.default_rng(0))
     assert 0 < abs(other.k_s[0] / study.Truth().k_s[0] - 1) <= 0.05
+
+
+def test_the_squares_stiffen_by_three_halves_of_the_square_of_the_amplitude():
+    """Without current the force is k g (w + 2 w^3 + ...), w = z / g; a sine of amplitude W stiffens it by 3/2 W^2."""
+    wave = 0.02 * np.sin(2 * np.pi * np.arange(1000) / 100)[:, None]
+    signals = {"p": study.GAP * np.hstack([wave, 0 * wave]), "i": np.zeros((1000, 2))}
+    recording = gbid.Recording(signals, study.SAMPLE_TIME, name="sine")
+    assert study.stiffening(recording) == pytest.approx(1.5 * 0.02**2, rel=2e-3)
+
+
+def test_the_excitation_is_the_largest_that_the_squares_allow(monkeypatch):
+    assert STORED["fit"]["stiffening"] <= study.STIFFENED
+    monkeypatch.setattr(study, "recorded", lambda machine, seconds, seed, amplitude: amplitude)
+    for share, amplitude in ((2.4, 0.02), (2.6, 0.01), (0.6, 0.04)):
+        monkeypatch.setattr(study, "stiffening", lambda recording, share=share: share * recording**2)
+        assert study.excited(None) == (pytest.approx(amplitude), pytest.approx(amplitude))
 
 
 def test_stiffness_and_force_per_current_are_within_three_deviations_and_a_percent():
@@ -112,15 +129,18 @@ def test_the_rotor_lifts_off_its_retainer_bearings_with_saturated_currents():
         best = row["levitates"]
         assert best["held"]
         assert not best["touches"]
-        assert best["offset_um"] == pytest.approx(1e6 * study.RETAINER)
+        assert best["offset_um"] >= 0.9e6 * study.RETAINER
         assert best["largest_current_A"] == pytest.approx(study.BIAS)
+        assert row["from_retainer"]["held"]
+        assert row["from_retainer"]["largest_radius_um"] < 1.06e6 * study.RETAINER
 
 
-def test_gains_are_within_bounds_but_for_the_damping_of_the_low_pass():
+def test_the_design_is_certified_and_no_gain_lies_on_a_bound():
+    assert STORED["design"]["status"] == "local optimum"
+    assert STORED["design"]["damping"] > 0.02
     gains = STORED["design"]["gains"]
     for gain in study.law_of_bearings().parameters:
-        inside = gain.lower * 1.02 < gains[gain.name] < gain.upper / 1.02
-        assert inside or gain.name.startswith("zeta"), gain.name
+        assert gain.lower * 1.02 < gains[gain.name] < gain.upper / 1.02, gain.name
 
 
 def test_forces_of_magnets_are_those_of_the_squares_of_currents_and_gaps():
