@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from heapq import heapify, heappop, heappush
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -425,17 +426,9 @@ def _stabilised(problem: GainProblem, points: list[FloatArray], unit: FloatArray
         slopes = np.array([piece.slope for piece in functions.limits]).reshape(-1, len(x))
         return -float(excess @ excess), -2 * excess @ slopes
 
-    ascent = ascend(
-        evaluate,
-        start,
-        problem.lower,
-        problem.upper,
-        unit,
-        max_evaluations=60 + 15 * len(unit),
-        enough=-(_MARGIN**2) / 2,
-        stop=lambda: problem.evaluations.exhausted,
-    )
-    return ascent.x
+    most, budget = 60 + 15 * len(unit), problem.evaluations
+    effort: Any = {"max_evaluations": most, "enough": -(_MARGIN**2) / 2, "stop": lambda: budget.exhausted}
+    return ascend(evaluate, start, problem.lower, problem.upper, unit, **effort).x
 
 
 # ---- Start values on a grid, for few gains.
