@@ -209,7 +209,10 @@ def test_a_limit_that_cannot_be_met_leaves_a_stable_design() -> None:
     form = controller_structure("PD", axes=("",), lowpass_hz=20.0)
     design = gbid.tune(arm, form, goals=[MaxDamping(), StaticAmplification(1e-6)], starts=2)
     assert design.status == "limits contradict"
+    assert not any("budget" in note for note in design.notes)
     assert gbid.close_loop(arm, gbid.control.controller_model(form, design.gains)).is_stable()
+    short = gbid.tune(arm, form, goals=[MaxDamping(), StaticAmplification(1e-6)], starts=2, evaluations=20)
+    assert any("exceeds them by" in note and "the budget ended the search" in note for note in short.notes)
 
 
 def test_modes_in_a_band() -> None:

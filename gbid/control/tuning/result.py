@@ -49,7 +49,7 @@ class GainStatus(StrEnum):
     ITERATION_LIMIT = "iteration limit"
     """All limits hold, but the budget or the iterations ended before there was a certificate."""
     LIMITS_CONTRADICT = "limits contradict"
-    """Stable, but no design keeps all limits."""
+    """Stable, but no design was found that keeps all limits; `notes` tell when the budget ended the search."""
     NO_STABILISING_GAINS = "no stabilising gains"
     """No gains within the bounds were found that stabilise all loops."""
 

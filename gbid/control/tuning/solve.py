@@ -532,17 +532,16 @@ def summarise(
         status = GainStatus.OPTIMAL if not seed_values or alike >= LEAST_ALIKE else GainStatus.LOCAL_OPTIMUM
     if not best.converged or (problem.evaluations.exhausted and status is GainStatus.STALLED):
         status = GainStatus.ITERATION_LIMIT
+    ended = "; the budget ended the search" if problem.evaluations.exhausted else ""
     if not stable:
         status = GainStatus.NO_STABILISING_GAINS
-        text = f"no gains within the bounds were found that stabilise {worst.where}: {_mode(worst)}"
-        if problem.evaluations.exhausted:
-            text += "; the budget ended the search"
+        text = f"no gains within the bounds were found that stabilise {worst.where}: {_mode(worst)}{ended}"
         if reach_of_bounds(problem) < LEAST_REACH:
             text += "; gains within the bounds hardly move a pole: give bounds= in the units of the plant"
         notes = (*notes, ControlNote.NO_STABILISING_GAINS(text))
     elif score.violation > FEASIBLE:
         status = GainStatus.LIMITS_CONTRADICT
-        text = f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}"
+        text = f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}{ended}"
         notes = (*notes, ControlNote.LIMITS_EXCEEDED(text))
     if status is GainStatus.STALLED and certificate is not None:
         notes = (*notes, _stalled(certificate))
