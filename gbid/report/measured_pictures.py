@@ -625,12 +625,6 @@ def _say(ax: Axes, text: str) -> None:
 # A thin dark dashed line on a thick light line: they differ also in grey.
 _MEASURED: dict[str, Any] = {"color": "#9e9e9e", "linewidth": 2.6, "linestyle": "-"}
 _SIMULATED: dict[str, Any] = {"color": "#0072b2", "linewidth": 1.3, "linestyle": (0, (4, 1.5))}
-_INPUTS: tuple[dict[str, Any], ...] = (
-    {"linestyle": "-"},
-    {"color": "#d55e00", "linestyle": (0, (5, 1.5))},
-    {"color": "#009e73", "linestyle": (0, (1, 1))},
-    {"color": "#cc79a7", "linestyle": "-."},
-)
 _PANEL_INCHES, _FRAME_INCHES_RESPONSE = 1.35, 0.95
 
 
@@ -718,10 +712,10 @@ def plot_response(
 
 
 def _input_panels(validation: Validation) -> list[list[int]]:
-    """Return the inputs of each panel: of one unit, and at most as many as there are styles."""
+    """Return the inputs of each panel: at most four, of one unit."""
     chosen: list[list[int]] = []
     for i, unit in enumerate(validation.input_units):
-        if not chosen or len(chosen[-1]) == len(_INPUTS) or validation.input_units[chosen[-1][0]] != unit:
+        if not chosen or len(chosen[-1]) == 4 or validation.input_units[chosen[-1][0]] != unit:
             chosen.append([])
         chosen[-1].append(i)
     return chosen
@@ -730,8 +724,8 @@ def _input_panels(validation: Validation) -> list[list[int]]:
 def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray, places: list[int]) -> None:
     scale, label = unit_label(validation.input_units[places[0]])
     names = [symbol(validation.input_names[i]) for i in places]
-    for i, name, style in zip(places, names, _INPUTS, strict=False):
-        ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=name, **{"color": ink(), **style})
+    for k, i in enumerate(places):
+        ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=names[k], **series(k, marker=None))
     if len(validation.input_names) > 1:
         _legend_above(ax)
     ax.set_ylabel(f"{', '.join(names) if len(names) < 3 else 'inputs'} [{label}]")
