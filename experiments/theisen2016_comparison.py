@@ -391,12 +391,18 @@ def _of_share(number: PaperNumber, results: Results) -> Own:
 
 def _of_surfaces(number: PaperNumber, results: Results) -> Own:
     """Return the standard deviations that the surfaces state; six terms make about six independent errors."""
+    stds = _std_of_surfaces(results)[:, CHARACTERISTICS.index(number.id.removeprefix("surface_"))]
+    predicted = float(np.sqrt(np.mean(stds**2)))
+    return predicted, predicted / sqrt(2 * results.surface_fit.coefficients.shape[1])
+
+
+@lru_cache(maxsize=4)
+def _std_of_surfaces(results: Results) -> FloatArray:
+    """Return the standard deviation of each characteristic of the surfaces at the operating points, (n, 10)."""
     points, fit = _points(results), results.surface_fit
     keys = fit.model.key_parameters(points[:, 0], points[:, 1])
     values = np.column_stack([np.broadcast_to(keys[key], len(points)) for key in KEY_PARAMETERS])
-    stds = np.array([_propagated(v, c) for v, c in zip(values, fit.uncertainty_at(*points.T), strict=True)])
-    predicted = float(np.sqrt(np.mean(stds[:, CHARACTERISTICS.index(number.id.removeprefix("surface_"))] ** 2)))
-    return predicted, predicted / sqrt(2 * fit.coefficients.shape[1])
+    return np.array([_propagated(v, c) for v, c in zip(values, fit.uncertainty_at(*points.T), strict=True)])
 
 
 def _of_actuators(number: PaperNumber, results: Results) -> Own:
@@ -540,6 +546,7 @@ def reproduction(results: Results) -> list[ReproductionRow]:
     return [_compared(number, results) for number in paper_numbers()]
 
 
+@lru_cache(maxsize=256)
 def _compared(number: PaperNumber, results: Results) -> ReproductionRow:
     """Return the row of a figure, with the check of its explanation where it is outside."""
     scale = _SCALE.get(number.unit, 1.0)
