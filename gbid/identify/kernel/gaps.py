@@ -22,13 +22,13 @@ from typing import NamedTuple
 import numpy as np
 
 from gbid.core.arrays import BoolArray, FloatArray, IntArray
-from gbid.identify.kernel.blocks import Blocks, GapGains, Prediction, Segment, in_groups
+from gbid.identify.kernel.blocks import Blocks, GapGains, Segment, in_groups
 from gbid.identify.kernel.portable import PortablePasses, flat, grouped
-from gbid.identify.kernel.sums import Sweep, spectral_radius
+from gbid.identify.kernel.sums import KernelOfLinear
 from gbid.identify.predictor import PredictorValues
 
 
-class GapKernel(PortablePasses):
+class GapKernel(KernelOfLinear, PortablePasses):
     """Kernel of a linear predictor over samples of which some are missing, in numpy; a `Kernel`."""
 
     def onwards(self, v: PredictorValues, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -52,25 +52,6 @@ class GapKernel(PortablePasses):
         if step.measured.shape[1]:
             S += step.by_prediction @ psi
         return step.after, S, step.outputs, step.T @ psi
-
-    def growth(
-        self,
-        v: PredictorValues,
-        blocks: Blocks,  # noqa: ARG002
-        sweep: Sweep | None,  # noqa: ARG002
-        state_scale: FloatArray,  # noqa: ARG002
-    ) -> float:
-        """Return the spectral radius; see `Kernel`."""
-        return spectral_radius(v)
-
-    def feedback(
-        self,
-        v: PredictorValues,
-        blocks: Blocks,  # noqa: ARG002
-        prediction: Prediction,  # noqa: ARG002
-    ) -> PredictorValues:
-        """Return the predictor itself; see `Kernel`."""
-        return v
 
 
 class _Step(NamedTuple):

@@ -18,17 +18,16 @@ from gbid.identify.kernel.blocks import LANES, Blocks, BlockSums, Prediction, at
 from gbid.identify.kernel.portable import PortablePasses, flat
 from gbid.identify.kernel.sums import (
     Kernel,
+    KernelOfLinear,
     Lagrangian,
     Linked,
     Moved,
-    Sweep,
     Traced,
     along_windows,
     joined,
     link,
     powers_of,
     scan,
-    spectral_radius,
     start_hessians,
 )
 from gbid.identify.predictor import PredictorValues
@@ -55,7 +54,7 @@ class Backwards(NamedTuple):
     factors: FloatArray
 
 
-class LinearKernel(Kernel):
+class LinearKernel(KernelOfLinear):
     """Kernel of a linear predictor, whose transition is the same for all samples; passes over blocks are abstract."""
 
     def trace(
@@ -140,25 +139,6 @@ class LinearKernel(Kernel):
             at_end[:, blocks.followed] = at_start[:, blocks.followed + 1]
             back = self.adjoint_pass(v, blocks, weighted, prediction.states, at_end)
         return back
-
-    def growth(
-        self,
-        v: PredictorValues,
-        blocks: Blocks,  # noqa: ARG002
-        sweep: Sweep | None,  # noqa: ARG002
-        state_scale: FloatArray,  # noqa: ARG002
-    ) -> float:
-        """Return the spectral radius; see `Kernel`."""
-        return spectral_radius(v)
-
-    def feedback(
-        self,
-        v: PredictorValues,
-        blocks: Blocks,  # noqa: ARG002
-        prediction: Prediction,  # noqa: ARG002
-    ) -> PredictorValues:
-        """Return the predictor itself; see `Kernel`."""
-        return v
 
     @abstractmethod
     def sums(

@@ -384,6 +384,29 @@ class Kernel(ABC):
         """
 
 
+class KernelOfLinear(Kernel):
+    """Answers of a kernel of a linear predictor that need no pass."""
+
+    def growth(
+        self,
+        v: PredictorValues,
+        blocks: Blocks,  # noqa: ARG002
+        sweep: Sweep | None,  # noqa: ARG002
+        state_scale: FloatArray,  # noqa: ARG002
+    ) -> float:
+        """Return the spectral radius; see `Kernel`."""
+        return spectral_radius(v)
+
+    def feedback(
+        self,
+        v: PredictorValues,
+        blocks: Blocks,  # noqa: ARG002
+        prediction: Prediction,  # noqa: ARG002
+    ) -> PredictorValues:
+        """Return the predictor itself; see `Kernel`."""
+        return v
+
+
 # ---- Kernels that run all blocks sample by sample, with the sensitivities by the start of each block beside others.
 
 _AT_ONCE = 64  # blocks whose sensitivities are made together

@@ -495,26 +495,6 @@ def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray,
     return np.asarray(np.hstack([following, free]).reshape(links + 1, n, n_p + n) * scale[:, None])
 
 
-def information_by_windows(at: Estimate, weight: FloatArray, shaped: FloatArray) -> Information:
-    """Return the information of all records, as `information_over_records` does, for an unstable model.
-
-    The Hessian is that of Gauss-Newton; the exact one is not computed.
-
-    Parameters
-    ----------
-    at : Estimate
-        The estimates.
-    weight, shaped : (n_y, n_y) array
-        Weights of the errors for the two Hessians.
-    """
-    return _information_of(at, list(windowed_records(at)), weight, shaped)
-
-
-def information_of_filtered(at: Estimate, weight: FloatArray, shaped: FloatArray) -> Information:
-    """Return the information of all records with filtered errors and sensitivities, as `information_by_windows`."""
-    return _information_of(at, filtered_records(at), weight, shaped)
-
-
 def filtered_records(at: Estimate) -> list[RecordSensitivities]:
     """Return errors and sensitivities of each record, filtered by the model of its errors."""
     n_y = at.problem.parts[0].blocks.y.shape[2]
@@ -525,6 +505,7 @@ def filtered_records(at: Estimate) -> list[RecordSensitivities]:
 def _information_of(
     at: Estimate, records: list[RecordSensitivities], weight: FloatArray, shaped: FloatArray
 ) -> Information:
+    """Return the Gauss-Newton information of all records for two weights (n_y, n_y), from their sensitivities."""
     hessians = np.zeros((2, at.n_all, at.n_all))
     for record in records:
         for total, W in zip(hessians, (weight, shaped), strict=True):
@@ -659,9 +640,9 @@ def covariance(
     # Weighted by the inverse of the covariance of the errors, one pass gives both.
     alike = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
     if at.filters:
-        information, alike = information_of_filtered(at, weight, shaped), False
+        information, alike = _information_of(at, filtered_records(at), weight, shaped), False
     elif grows(at):
-        information = information_by_windows(at, weight, shaped)
+        information = _information_of(at, list(windowed_records(at)), weight, shaped)
     else:
         other = None if alike else shaped
         left = None if modelled else information_of_last_pass(at, shaped=other)
