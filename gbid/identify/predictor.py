@@ -99,8 +99,10 @@ class GeneralPredictor(ABC):
         n = len(inputs)
 
         def lagged(channels: Sequence[int], lag: int) -> FloatArray:
-            rows = np.clip(np.arange(n) - lag, 0, n - 1)
-            return np.asarray(inputs[np.ix_(rows, np.array(channels, int))])
+            before, after = (min(max(each, 0), n) for each in (lag, -lag))
+            signal = np.take(inputs, channels, axis=1)
+            ends = np.repeat(signal[:1], before, axis=0), np.repeat(signal[-1:], after, axis=0)
+            return np.concatenate([ends[0], signal[after : n - before], ends[1]])
 
         parts = [] if time is None else [self._interval_column(time)]
         parts.append(inputs[:, list(self.prompt)])

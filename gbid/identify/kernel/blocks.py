@@ -313,14 +313,13 @@ def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
 def in_groups(parts: Sequence[FloatArray], length: int) -> FloatArray:
     """Return (n_samples, n) arrays as groups of blocks, (n_groups, length, n, lanes)."""
     n = parts[0].shape[1]
-    counts = [-(-len(part) // length) for part in parts]
-    n_groups = -(-sum(counts) // LANES)
-    padded = np.zeros((n_groups * LANES, length, n))
-    block = 0
-    for part, count in zip(parts, counts, strict=True):
-        padded[block : block + count].reshape(-1, n)[: len(part)] = part
-        block += count
-    return np.ascontiguousarray(padded.reshape(n_groups, LANES, length, n).transpose(0, 2, 3, 1))
+    n_groups = -(-sum(-(-len(part) // length) for part in parts) // LANES)
+    groups = np.zeros((n_groups, length, n, LANES))
+    by_block = groups.transpose(0, 3, 1, 2)
+    pieces = (part[first : first + length] for part in parts for first in range(0, len(part), length))
+    for block, piece in enumerate(pieces):
+        by_block[block // LANES, block % LANES, : len(piece)] = piece
+    return groups
 
 
 # ---- Results of a pass over the samples.

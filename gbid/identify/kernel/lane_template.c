@@ -208,9 +208,9 @@ void gbid_passed(long groups, long length, long steps, const double *theta, cons
       onwards(&p, x, z, yhat);
       for (int j = 0; j < NY; j++) e[j] = kept((*(const u *)(ys + ((b*length + k)*NY + j)*8) - yhat[j])*m, m != 0.0);
       for (int a = 0; a < NY; a++) for (int c = 0; c < NY; c++) ee[a*NY + c] += e[a]*e[c];
-      if (states) for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
+      if (errors) for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
     }
-    if (states) for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+    if (end) for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
     for (int i = 0; i < NY*NY; i++) *(u *)(products + (b*NY*NY + i)*8) = ee[i];
   }
 }

@@ -79,7 +79,7 @@ class LinearKernel(KernelOfLinear):
         if blocks.per_window == 1:
             return at_windows(blocks, starts)
         transition = powers_of(v.F, blocks.length)[-1] if transition is None else transition
-        ends = self.passed(v, blocks, np.zeros((len(v.F), len(blocks.size)))).end
+        ends = self.ends(v, blocks, np.zeros((len(v.F), len(blocks.size))))
         return along_windows(blocks, starts.T[:, :, None], ends[:, :, None], transition)[:, :, 0]
 
     def gradient(self, v: PredictorValues, blocks: Blocks, at: Lagrangian) -> tuple[FloatArray, FloatArray]:
@@ -498,7 +498,7 @@ class CompiledPasses(Kernel):
 
     @abstractmethod
     def run_forwards(self, v: Any, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray | None]) -> None:
-        """Write states, errors, ends and products of errors of all blocks; the products alone where others are None."""
+        """Write states, errors, ends and products of errors of all blocks; all but the products may be None."""
 
     def passed(self, v: Any, blocks: Blocks, begin: FloatArray) -> Prediction:
         """Return states and errors from the starts of blocks; see `Kernel`."""
@@ -507,6 +507,13 @@ class CompiledPasses(Kernel):
         end = np.empty((n_groups, n, lanes))
         self.run_forwards(v, blocks, begin, [states, errors, end, np.empty((n_groups, n_y, n_y, lanes))])
         return Prediction(states, errors, end.transpose(1, 0, 2).reshape(n, -1))
+
+    def ends(self, v: Any, blocks: Blocks, begin: FloatArray) -> FloatArray:
+        """Return the states at the ends of blocks; see `Kernel`."""
+        (n_groups, _, n_y, lanes), n = blocks.y.shape, len(begin)
+        end = np.empty((n_groups, n, lanes))
+        self.run_forwards(v, blocks, begin, [None, None, end, np.empty((n_groups, n_y, n_y, lanes))])
+        return end.transpose(1, 0, 2).reshape(n, -1)
 
     def products_of(self, v: Any, blocks: Blocks, begin: FloatArray) -> FloatArray:
         """Return the products of the errors of each block; see `Kernel`."""

@@ -128,11 +128,11 @@ void gbid_predict(long groups, long length,
       const v m = *(const u *)(used + (b*length + k)*8);
 @PREDICT@
       if (states) for (int c = 0; c < N; c++) *(u *)(states + ((b*length + k)*N + c)*8) = x[c];
-      if (states) for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
+      if (errors) for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
       for (int i = 0; i < NY; i++) for (int j = 0; j < NY; j++) ee[i*NY + j] += e[i]*e[j];
       for (int c = 0; c < N; c++) x[c] = nx[c];
     }
-    if (states) for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+    if (end) for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
     for (int i = 0; i < NY*NY; i++) *(u *)(products + (b*NY*NY + i)*8) = ee[i];
   }
 }

@@ -325,6 +325,10 @@ class Kernel(ABC):
     def passed(self, v: Any, blocks: Blocks, begin: FloatArray) -> Prediction:
         """Return states and errors from the starts of the blocks, without sensitivities."""
 
+    def ends(self, v: Any, blocks: Blocks, begin: FloatArray) -> FloatArray:
+        """Return the state after the whole length of each block, (n, W), from the starts of the blocks."""
+        return self.passed(v, blocks, begin).end
+
     def predict(self, v: Any, blocks: Blocks, starts: FloatArray) -> Prediction:
         """Return states and errors from the starts of the windows, without sensitivities."""
         return self.passed(v, blocks, self.begin(v, blocks, starts))
