@@ -12,6 +12,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -121,6 +122,7 @@ ATTEMPTS = 3
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _OF_WORKERS = {**dict.fromkeys(ONE_THREAD, "1"), "PYTHONSAFEPATH": "1"}  # no module comes from the current folder
+_OF_FITS = ("gbid.identify.fitting", "scipy.fft", "scipy.sparse.linalg", "scipy.special")  # imported by their first use
 _PATIENCE = 3.0  # longest time for a worker to end [s]
 
 
@@ -218,6 +220,8 @@ class ProcessPool:
 
     def _start(self, count: int, shipped: bytes) -> None:
         context: Any = get_context("fork" if _has_one_thread() else "spawn")
+        for name in _OF_FITS if count > len(self._workers) and context.get_start_method() == "fork" else ():
+            import_module(name)  # once for all workers
         for _ in range(count - len(self._workers)):
             ours, theirs = context.Pipe()
             process = context.Process(target=serve, args=(theirs,), daemon=True, name="gbid worker")
