@@ -31,6 +31,7 @@ from gbid.control.loop.sampled import exact_plant
 from gbid.control.loop.sensitivity import static_amplification
 from gbid.core.arrays import ComplexArray, is_real, oscillatory_modes
 from gbid.core.errors import GbidError, UsageError
+from gbid.core.index import load_index
 from gbid.core.tables import finite_or_none
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
@@ -197,6 +198,7 @@ class Live:
         self._designs: dict[str, AssessedDesign] = {}
         self._kept: Kept = {}
         self.name = self._experiment.spec.name
+        load_index(self._experiment.results)
 
     def _present(self) -> Results:
         """Return the results, read anew when files have changed and the last reading is long enough ago."""
