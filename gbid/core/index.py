@@ -79,6 +79,7 @@ def save_index(results: Path) -> None:
     folder, latest = f"{results}{os.sep}", time.time_ns() - _SETTLED_NS
     settled = [(name, *entry) for name, entry in _facts.items() if name.startswith(folder) and entry[0][-1] < latest]
     document = {"gbid": __version__, "files": [(name.removeprefix(folder), *entry) for name, *entry in settled]}
-    if len(settled) >= _FEWEST:
-        with suppress(DataError), atomic_path(results / NAME, overwrite=True) as part:
-            part.write_bytes(with_checksum(json.dumps(document).encode()))
+    path, content = results / NAME, with_checksum(json.dumps(document).encode())
+    if len(settled) >= _FEWEST and not (path.is_file() and path.read_bytes() == content):
+        with suppress(DataError), atomic_path(path, overwrite=True) as part:
+            part.write_bytes(content)

@@ -16,6 +16,7 @@ import numpy as np
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import read_made_with
+from gbid.core.index import known
 from gbid.core.tables import Cell, Column, Entry, Table, shown_unit
 from gbid.experiment.experiment import Experiment, recordings_of
 from gbid.experiment.stages.crossval import CrossvalRow, validate_pair
@@ -612,7 +613,7 @@ def origin_section(results: Results) -> PageSection | None:
     paths = [job.path("fits", f"{q.fit}/{q.model}") for q in results.fits]
     paths += [job.path("lpv", name) for name in results.surfaces]
     paths += [job.path("controller", name) for name in results.designs.made]
-    origins = [read_made_with(path) for path in paths if path.is_file()]
+    origins = [known(path, "made_with", read_made_with) for path in paths if path.is_file()]
     return PageSection("origin", "Made with", [origin_table(origins)]) if origins else None
 
 
