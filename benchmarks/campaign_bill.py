@@ -2,10 +2,10 @@
 
 ``python -m benchmarks.campaign_bill [--folder FOLDER] [--workers N] [--recordings N] [--output FILE]``
 
-Results stay in the folder. What is there already is kept and not timed, but for the fits, which are always made again.
-A first fit compiles the kernel or loads it, and is not timed. Processor time is that of all processes, with the start
-of the workers, which load gbid. Wall time is what one waits for a stage. It is processor time over workers only where
-the machine has nothing else to do: with the cores in use the table shows whether it had.
+Results stay in the folder. What is there already is kept and not timed, but for the fits and their table, which are
+always made again. A first fit compiles the kernel or loads it, and is not timed. Processor time is that of all
+processes, with the start of the workers. Wall time is what one waits for a stage. It is processor time over workers
+only where the machine has nothing else to do: with the cores in use the table shows whether it had.
 """
 
 from __future__ import annotations
@@ -66,6 +66,8 @@ def measure(folder: Path, recordings: int | None, workers: int) -> dict[str, Any
         if before:  # of an earlier run
             times.pop(name)
     shutil.rmtree(made.results / "fits", ignore_errors=True)
+    for table in made.results.glob("table.*"):
+        table.unlink()
     job = Job(made)
     first = fit_tasks(job)[0]
     perform(job, first)
