@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,8 @@ _PAIR_MET = 1e-11
 """Largest power sum of two eigenvalues that have met; it is the square of their distance."""
 _ROUNDED = 1e-12
 """Power sum from which on corrections that no longer shrink it end: the rest is rounding."""
+_PART = 0.1
+"""Part of a move after which the power sums tell its error of second order."""
 _ALONE, _TOGETHER = 4, 3
 """Number of clusters that are tried one by one, and largest number of clusters that meet in one step."""
 
@@ -149,59 +152,71 @@ def _middle(members: ComplexArray, real: bool) -> complex:
 
 
 def back_to_meeting(
-    problem: GainProblem, x: FloatArray, move: FloatArray, means: tuple[ActiveFunction, ...], least: float = -np.inf
+    problem: GainProblem, x: FloatArray, move: FloatArray, group: tuple[Meeting, ...], least: float = -np.inf
 ) -> FloatArray | None:
-    """Return a move corrected so that its clusters of eigenvalues meet at its end.
+    """Return a move corrected so that the clusters of eigenvalues of a group meet at its end.
 
-    None when the objective of the means, or of other eigenvalues of their loops, is below `least` before the
-    corrections, which hardly change it.
+    None when the objective of the means, or of other eigenvalues of their loops, is below `least` after the first
+    correction; the others hardly change it.
 
     The distance of k eigenvalues is a k-th root. So an error of second order in the move would change it by more than
-    the first order. The derivatives of the power sums are computed once and then updated with their changes along the
-    corrections (Broyden's method), as long as these shrink.
+    the first order. The power sums after a small part of the move tell this error, before the eigenvalues are too far
+    apart to be told from others: that is the first correction. For the others the derivatives of the power sums are
+    updated with their changes (Broyden's method), and computed again where these do not shrink. Gains that the move
+    takes to their bounds stay there.
     """
-    width = problem.upper - problem.lower
+    width, means = problem.upper - problem.lower, tuple(one.mean for one in group)
     met = _MET if max(mean.size for mean in means) > 2 else _PAIR_MET
-    spectra, sums = _sums(problem, x + move, means, [mean.place for mean in means])
+    places = [mean.place for mean in means]
+
+    def corrected(move: FloatArray, inverse: FloatArray, powers: ComplexArray) -> FloatArray:
+        change = inverse @ np.concatenate([powers.real, powers.imag])
+        return np.asarray(np.clip(x + move - change * width, problem.lower, problem.upper) - x)
+
+    inner = (x + move > problem.lower) & (x + move < problem.upper)
+    scaled = width * inner if inner.sum() >= sum(len(one.rows) for one in group) else width
+    inverse = _inverse([one.cluster for one in group], scaled)
+    part = _sums(problem, x + _PART * move, means, places)[1]
+    bends = [(p - (1 - _PART) * one.cluster.powers) / _PART**2 for (_, p), one in zip(part, group, strict=True)]
+    move = corrected(move, inverse, np.concatenate(bends))
+    spectra, sums = _sums(problem, x + move, means, places)
     if _reached(problem, spectra, means, sums) < least:
         return None
-    smallest, inverse, last, nearest = np.inf, None, (np.zeros(0), np.zeros(0)), move
+    smallest, nearest, last, fresh = np.inf, (move, sums), (np.zeros(0), np.zeros(0)), True
     for step in range(_CORRECTIONS):
-        if step and inverse is not None:
-            sums = _sums(problem, x + move, means, [place for place, _ in sums])[1]
-        fresh = inverse is None
-        if inverse is None:
-            subspaces = problem.subspaces(x + move)
+        values = np.concatenate([powers for _, powers in sums])
+        size = float(np.abs(values).max())
+        slow = not size < 0.5 * smallest
+        if size < smallest:
+            smallest, nearest = size, (move, sums)
+        if not size > met or (slow and (fresh or smallest < _ROUNDED)):
+            break
+        if slow:
+            (move, sums), subspaces = nearest, problem.subspaces(x + nearest[0])
             clusters = [
                 subspaces.cluster(mean.family, mean.loop, place, mean.size)
                 for mean, (place, _) in zip(means, sums, strict=True)
             ]
             remaining = [cluster for cluster in clusters if cluster is not None]
             if len(remaining) < len(clusters):
-                return move
-            sums = [(cluster.mean, cluster.powers) for cluster in remaining]
-            slopes = np.concatenate([cluster.powers_slope for cluster in remaining]) * width
-            inverse = _pseudo_inverse(np.vstack([slopes.real, slopes.imag]))
-        values = np.concatenate([powers for _, powers in sums])
-        size = float(np.abs(values).max())
-        if not size > met:
-            return move
-        if size > 0.5 * smallest:
-            if fresh or smallest < _ROUNDED:
-                return move if size < smallest else nearest
-            inverse = None
-            continue
-        smallest, nearest = size, move
+                break
+            inverse, values = _inverse(remaining, scaled), np.concatenate([cluster.powers for cluster in remaining])
         reached = np.concatenate([values.real, values.imag])
-        if not fresh:
+        if step and not slow:
             change, taken = reached - last[0], last[1] @ inverse
             product = float(taken @ change)
             if abs(product) > 1e-3 * float(last[1] @ last[1]):
                 inverse = inverse + np.outer(last[1] - inverse @ change, taken) / product
-        moved = np.clip(x + move - (inverse @ reached) * width, problem.lower, problem.upper) - x
-        last = reached, (moved - move) / width
-        move = moved
-    return move
+        moved = corrected(move, inverse, values)
+        last, fresh, move = (reached, (moved - move) / width), slow, moved
+        sums = _sums(problem, x + move, means, [place for place, _ in sums])[1]
+    return nearest[0]
+
+
+def _inverse(clusters: Sequence[Cluster], width: FloatArray) -> FloatArray:
+    """Return the pseudo-inverse of the derivatives of the power sums, in units of the width."""
+    slopes = np.concatenate([cluster.powers_slope for cluster in clusters]) * width
+    return _pseudo_inverse(np.vstack([slopes.real, slopes.imag]))
 
 
 def _reached(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -12,7 +12,16 @@ import casadi as ca
 import numpy as np
 
 from gbid.control.tuning.certificate import Certificate, Meeting, back_to_meeting, meetings
-from gbid.control.tuning.problem import PENALTY, ActiveFunction, ActiveFunctions, GainProblem, Score, merit
+from gbid.control.tuning.problem import (
+    DIFFERENCE,
+    PENALTY,
+    ActiveFunction,
+    ActiveFunctions,
+    GainProblem,
+    LoopState,
+    Score,
+    merit,
+)
 from gbid.core.arrays import BoolArray, FloatArray
 
 # ---- Small convex quadratic programmes by CasADi's DAQP, which reads and writes numpy arrays directly.
@@ -95,13 +104,15 @@ _RIDGES = (1e-9, 1e-6, 1e-4)
 
 @dataclass(frozen=True)
 class RidgeStep:
-    """Move of the gains, the promised gain in merit, and the weights of the active functions."""
+    """Move of the gains, the promised gain in merit, and the weights of the active functions and of the power sums."""
 
     move: FloatArray
     gain: float
     weights: tuple[tuple[ActiveFunction, float], ...]
     limit_weight: float
     keeps_limits: bool
+    group: tuple[Meeting, ...]
+    meeting_weights: FloatArray
 
 
 def ridge_step(
@@ -187,7 +198,9 @@ def ridge_step(
     gain = float(y[d] - penalty * y[d + 1]) * size + penalty * functions.score.violation
     held = [*aim, *limits]
     weights = tuple((held[i], float(duals[i])) for i in np.flatnonzero(duals[:n_held] > 1e-9))
-    return RidgeStep(y[:d] * reach, gain, weights, float(duals[n_aim:n_held].sum()), bool(y[d + 1] < 1e-7))
+    limit_weight, kept = float(duals[n_aim:n_held].sum()), bool(y[d + 1] < 1e-7)
+    equal_weights = solution[1][n_held:] / length[n_held:] * size / norm if equalities else np.zeros(0)
+    return RidgeStep(y[:d] * reach, gain, weights, limit_weight, kept, group, equal_weights)
 
 
 def _within_reach(rows: FloatArray, sides: FloatArray, lower: FloatArray, upper: FloatArray) -> bool:
@@ -195,6 +208,48 @@ def _within_reach(rows: FloatArray, sides: FloatArray, lower: FloatArray, upper:
     ends = rows * lower, rows * upper
     least, most = np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
     return bool(((least <= sides) & (sides <= most)).all())
+
+
+def _curvature(problem: GainProblem, x: FloatArray, step: RidgeStep, states: Sequence[LoopState]) -> FloatArray:
+    """Return the convex part of the curvature (d, d) of the functions that determined the step to a design.
+
+    Where eigenvalues met at its end, it is that of the Lagrangian along the gains with which they stay together.
+    Without it the next steps zigzag across the valleys of this surface.
+    """
+    signed = [(piece, -weight if piece.kind == "aim" else weight) for piece, weight in step.weights]
+    H, width = problem.curvature(x, states, signed), problem.upper - problem.lower
+    begin = _slopes_of_meetings(problem, x, step, states) if step.group else None
+    if begin is None or not np.isfinite(begin[1]).all():
+        return _convex(H)
+    rows = begin[1] * width
+    _, sizes, basis = np.linalg.svd(rows / np.maximum(np.linalg.norm(rows, axis=1), 1e-300)[:, None])
+    along = basis[int((sizes > 1e-8 * sizes[0]).sum()) :] * width
+    changes = np.zeros_like(along)
+    for change, direction in zip(changes, along, strict=True):
+        end = x + DIFFERENCE * direction
+        h = DIFFERENCE if ((problem.lower <= end) & (end <= problem.upper)).all() else -DIFFERENCE
+        slopes = _slopes_of_meetings(problem, x + h * direction, step)
+        if slopes is None:
+            return _convex(H)
+        change[:] = (slopes[0] - begin[0]) / h
+    reduced, along = (changes + along @ H) @ along.T, along / width**2
+    return along.T @ _convex(reduced) @ along if np.isfinite(reduced).all() else _convex(H)
+
+
+def _slopes_of_meetings(
+    problem: GainProblem, x: FloatArray, step: RidgeStep, states: Sequence[LoopState] = ()
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the gradient of the weighted means and power sums of a step's meetings, and that of each power sum."""
+    subspaces, slope, rows = problem.subspaces(x, states), np.zeros_like(x), []
+    for meeting in step.group:
+        mean = meeting.mean
+        cluster = subspaces.cluster(mean.family, mean.loop, mean.place, mean.size)
+        if cluster is None or cluster.real != meeting.cluster.real:
+            return None
+        weight = sum(weight for piece, weight in step.weights if piece is mean)
+        slope = slope - weight * problem.mean_of(mean.family, cluster)[1]
+        rows += [row for _, row in replace(meeting, cluster=cluster).rows]
+    return slope + step.meeting_weights @ np.array(rows), np.array(rows)
 
 
 def _convex(H: FloatArray) -> FloatArray:
@@ -309,25 +364,23 @@ def _sqp(
         if first is not None:
             penalty = max(penalty, 2.0 * first.limit_weight if first.keeps_limits else 0.0)
             improvement = merit(problem.score(x + first.move, floor), penalty) - floor
-        steps: list[tuple[RidgeStep, tuple[Meeting, ...]]] = []
+        steps: list[RidgeStep] = []
         if not plain and (first is None or improvement < 0.5 * first.gain or first.gain <= 1e-13):
             groups = meetings(problem, x, functions) if groups is None else groups
             # steps at whose ends eigenvalues nearly meet, the most promising first
-            possible = [(ridge_step(functions, group, H, width, box, penalty), group) for group in groups]
-            steps = sorted(((step, group) for step, group in possible if step), key=lambda pair: -pair[0].gain)
-        for step, group in steps:
+            possible = [ridge_step(functions, group, H, width, box, penalty) for group in groups]
+            steps = sorted((step for step in possible if step), key=lambda step: -step.gain)
+        for step in steps:
             penalty = max(penalty, 2.0 * step.limit_weight if step.keeps_limits else 0.0)
             if step.gain <= improvement:
                 continue
-            move = back_to_meeting(
-                problem, x, step.move, tuple(one.mean for one in group), floor + max(improvement, 0.0) - _MOVED
-            )
+            move = back_to_meeting(problem, x, step.move, step.group, floor + max(improvement, 0.0) - _MOVED)
             if move is None:
                 continue
             gained = merit(problem.score(x + move, floor + max(improvement, 0.0)), penalty) - floor
             if gained > improvement:
                 best, improvement = replace(step, move=move), gained
-        if first is not None and max([first.gain, *(step.gain for step, _ in steps)]) <= 1e-13:
+        if first is not None and max([first.gain, *(step.gain for step in steps)]) <= 1e-13:
             return LocalOptimum(x, functions.score, iteration, True)
         # a step to coalescence may promise a loss, but it is accepted only when it improves the merit
         promised = np.inf if best is None else max(best.gain, 0.0)
@@ -336,8 +389,7 @@ def _sqp(
             x = np.clip(x + best.move, problem.lower, problem.upper)
             functions, groups = problem.functions(x), None
             if not plain:
-                signed = [(piece, -weight if piece.kind == "aim" else weight) for piece, weight in best.weights]
-                H = _convex(problem.curvature(x, functions.states, signed))
+                H = _curvature(problem, x, best, functions.states)
         if improvement > 0.5 * promised:
             radius = min(2 * radius, 0.5)
         elif not good:

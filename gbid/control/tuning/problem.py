@@ -274,7 +274,7 @@ class LoopSubspaces:
 
 
 _EIGENVALUES, _RESPONSES = ("aim", "pole"), ("sensitivity", "control", "static")
-_DIFFERENCE = 1e-6
+DIFFERENCE = 1e-6
 """Step of differences of gradients, as a share of the bounds."""
 WINDOW = 0.3
 """Largest distance of an active function from the worst one (in damping, or in the logarithm of a limited gain)."""
@@ -476,18 +476,6 @@ class GainProblem:
         sound = [[piece for piece in group if np.isfinite(piece.slope).all()] for group in (aims, limits)]
         return ActiveFunctions(Score(worst, violation), tuple(sound[0]), tuple(sound[1]), tuple(states))
 
-    def merit_and_slope(self, x: FloatArray, penalty: float = PENALTY) -> tuple[float, FloatArray]:
-        """Return objective minus a penalty on the largest violation, and the gradient of the worst functions."""
-        functions = self.functions(x, 0.0)
-        slope = np.zeros_like(x)
-        if not functions.score.usable:
-            return -np.inf, slope
-        if functions.aim:
-            slope = slope + min(functions.aim, key=lambda piece: piece.value).slope
-        if functions.score.violation > 0 and functions.limits:
-            slope = slope - penalty * max(functions.limits, key=lambda piece: piece.value).slope
-        return merit(functions.score, penalty), slope
-
     def _of_eigenvalues(
         self, kind: str, f: int, loop: IntArray, values: ComplexArray, slopes: ComplexArray, chosen: BoolArray
     ) -> list[ActiveFunction]:
@@ -536,7 +524,7 @@ class GainProblem:
         weighted : sequence of (ActiveFunction, float)
             Functions with their weights.
         """
-        step = _DIFFERENCE * (self.upper - self.lower)
+        step = DIFFERENCE * (self.upper - self.lower)
         step = np.where(x + step > self.upper, -step, step)
         total = np.zeros((len(x), len(x)))
         for f, state in enumerate(states):

@@ -60,7 +60,7 @@ class SearchOptions:
         Number of the best designs that are fully optimised.
     short : int
         Iterations of a short local search: from each start, then again from the better two thirds. The nodes of a grid
-        need none, because the grid shows how good they are.
+        need none, because the grid shows how good they are. Where only eigenvalues count it is a full one.
     full : int
         Iterations of the full ones.
     hops : int
@@ -105,7 +105,7 @@ class SearchOptions:
     short: int = 30
     full: int = 100
     hops: int = 48
-    patience: int = 16
+    patience: int = 12
     returned: int = 8
     hop_sizes: tuple[float, ...] = (0.005, 0.01, 0.02, 0.05)
     free_hop_sizes: tuple[float, ...] = (1e-3, 1e-2, 0.1, 0.5)
@@ -161,10 +161,10 @@ def on_grid(n_gains: int, options: SearchOptions) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class LocalSearch:
-    """Local search of a problem: SQP over all active functions, and BFGS where nothing but eigenvalues counts.
+    """Local search of a problem: SQP over all active functions.
 
-    Limits make a ridge of every design on them, along which BFGS is slow. Without limits it is the faster one: its
-    evaluations need one gradient only.
+    Where nothing but eigenvalues counts, more of them meet, and the way along the surface on which they stay together
+    is longer. An evaluation then takes less time, and every start has a full local search.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class LocalSearch:
 
     @property
     def free(self) -> bool:
-        """Whether only eigenvalues count, and BFGS takes the place of SQP; few gains need no help."""
+        """Whether only eigenvalues count; few gains need no help."""
         limits = self.problem.limits
         limited = limits.has_responses or limits.measures or self.problem.linear
         return len(self.unit) not in GRID and not limited
@@ -194,7 +194,7 @@ class LocalSearch:
         It begins with shorter steps, and has curvature and coalescence, where it is called `again`.
         """
         if self.free:
-            return self._stable_one(start, self._ascent(start, 100 + 20 * len(start)))
+            return self.full(start)
         radius, few = 0.02 if again else 0.1, self.options.short
         end = optimise_locally(
             self.problem,
@@ -210,8 +210,9 @@ class LocalSearch:
 
     def full(self, start: FloatArray, goal: float = -np.inf) -> LocalOptimum:
         """Return a local optimum; less good where it will not soon reach a goal."""
-        begin = self._ascent(start, 200 + 60 * len(start)).x if self.free else start
-        end = optimise_locally(self.problem, begin, max_iterations=self.options.full, goal=goal, pace=self.options.pace)
+        # eigenvalues that have met move along a curved surface: that takes more iterations, and no goal tells how many
+        iterations, goal = (2 * self.options.full, -np.inf) if self.free else (self.options.full, goal)
+        end = optimise_locally(self.problem, start, max_iterations=iterations, goal=goal, pace=self.options.pace)
         return self._stable_one(start, end)
 
     def _stable_one(self, start: FloatArray, end: LocalOptimum) -> LocalOptimum:
@@ -225,14 +226,11 @@ class LocalSearch:
 
     def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
         """Return the local optimum after a random move of some size; less good where it will not be better."""
-        step = size * rng.standard_normal(len(best.x))
+        width, goal = self.problem.upper - self.problem.lower, rank(best)
         if self.free:
-            ascent = self._ascent(best.x + step * np.maximum(self.unit, np.abs(best.x)), 100 + 40 * len(best.x))
-            return optimise_locally(self.problem, ascent.x, max_iterations=20, radius=1e-3)
-        x, radius = best.x + step * (self.problem.upper - self.problem.lower), self.options.hop_radius
-        end = optimise_locally(
-            self.problem, x, max_iterations=60, radius=radius, goal=rank(best), pace=self.options.pace
-        )
+            width, goal = np.maximum(self.unit, np.abs(best.x)), -np.inf
+        x, radius = best.x + size * rng.standard_normal(len(best.x)) * width, self.options.hop_radius
+        end = optimise_locally(self.problem, x, max_iterations=60, radius=radius, goal=goal, pace=self.options.pace)
         return self._stable_one(best.x, end)
 
     def with_certificate(self, best: LocalOptimum) -> LocalOptimum:
@@ -264,21 +262,6 @@ class LocalSearch:
         best = best_of(finals)
         return sum(_same(one.score, best.score, self.options.agreeing) for one in finals) > 2 and self.certified(best)
 
-    def _ascent(self, start: FloatArray, most: int) -> LocalOptimum:
-        problem, evaluations = self.problem, self.problem.evaluations
-        if evaluations.most is not None:
-            most = min(most, max(evaluations.most - evaluations.count, 1))
-        ascent = ascend(
-            problem.merit_and_slope,
-            np.clip(start, problem.lower, problem.upper),
-            problem.lower,
-            problem.upper,
-            self.unit,
-            max_evaluations=most,
-            stop=lambda: evaluations.exhausted,
-        )
-        return LocalOptimum(ascent.x, problem.score(ascent.x), ascent.evaluations, True)
-
 
 def certificate_units(unit: FloatArray, x: FloatArray) -> FloatArray:
     """Return the units of a certificate: a gain's own magnitude, or its unit where it is small."""
@@ -287,7 +270,7 @@ def certificate_units(unit: FloatArray, x: FloatArray) -> FloatArray:
 
 # ---- Basin hopping: random moves of a design, each with a new local search.
 
-Note = Callable[[str, Score], None]
+Note = Callable[[str, LocalOptimum], None]
 
 
 def hop(local: LocalSearch, finals: list[LocalOptimum], rng: np.random.Generator, note: Note) -> LocalOptimum:
@@ -330,7 +313,7 @@ def hop_line(local: LocalSearch, best: LocalOptimum, rng: np.random.Generator, n
             vain += 1
             returned += _same(again.score, best.score, options.same) and size > sizes[0] and not local.free
         best = again if improved else best
-        note("basin hopping", best.score)
+        note("basin hopping", best)
     return best
 
 
@@ -644,12 +627,12 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
     """
     options, d = task.options, len(task.neutral)
     history: list[SearchStep] = []
-    top = Score(-np.inf, np.inf)
+    top = LocalOptimum(np.asarray(task.neutral), Score(-np.inf, np.inf), 0, False)
 
-    def note(stage: str, score: Score) -> None:
+    def note(stage: str, design: LocalOptimum) -> None:
         nonlocal top
-        top = score if better(score, top) else top
-        history.append(problem.step(stage, top))
+        top = best_of([top, design])
+        history.append(problem.step(stage, top.score))
         if task.progress is not None:
             task.progress(history[-1])
 
@@ -666,21 +649,23 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
     many = not (gridded or local.free) and len(given) + len(starts) > 2 * options.finalists
     designs: list[LocalOptimum] = []
     for i, start in enumerate((*given, *starts)):
-        # the grid shows already how good its nodes are; given designs count also where the budget is used up
-        if gridded or problem.evaluations.exhausted:
-            designs.append(LocalOptimum(start, problem.score(start), 0, False))
-        else:
-            designs.append(local.short(start, max(map(rank, designs), default=-np.inf)))
-        note("global", best_of(designs).score)
+        designs.append(LocalOptimum(start, problem.score(start), 0, False))
+        note("global", designs[-1])
+        # given designs count also where the budget is used up
         if problem.evaluations.exhausted and i + 1 >= len(given) and problem.stable(best_of(designs).x):
             break
+    for i, design in enumerate(() if gridded else tuple(designs)):  # a grid shows already how good its nodes are
+        if problem.evaluations.exhausted:
+            break
+        designs[i] = local.short(design.x, max(map(rank, designs[:i]), default=-np.inf))
+        note("global", designs[i])
     designs.sort(key=order, reverse=True)
     if many:
         better_ones, designs = designs[: -(-2 * len(designs) // 3)], []
         for one in better_ones:
             designs.append(local.short(one.x, max(map(rank, designs), default=rank(one)), again=True))
         designs.sort(key=order, reverse=True)
-        note("global", designs[0].score)
+        note("global", designs[0])
     finals: list[LocalOptimum] = []
     same = options.neighbours * (problem.upper - problem.lower)
     for design in designs:
@@ -690,7 +675,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
             continue
         goal = max(map(rank, finals), default=-np.inf) if many else -np.inf  # of few, each may be a curved valley
         finals.append(design if problem.evaluations.exhausted else local.full(design.x, goal))
-        note("local", best_of(finals).score)
+        note("local", best_of(finals))
     if d in GRID or local.settled(finals):
         ends = [best_of(finals)]
     else:
@@ -700,10 +685,11 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
             ends = [hop_line(few, one, rng, note) for one in finals]
         else:
             ends = [hop(local, finals, rng, note)]
-    best = best_of(ends)
+    # a design that keeps its limits is never lost, so that more evaluations give no worse one
+    best = best_of([*ends, top]) if top.score.violation <= FEASIBLE else best_of(ends)
     if not options.sketch and not problem.evaluations.exhausted:
         best = local.with_certificate(best)
-        note("local", best.score)
+        note("local", best)
     return SearchOutcome(best, tuple(history), tuple(ends))
 
 

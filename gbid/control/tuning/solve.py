@@ -443,10 +443,10 @@ def maximise_damping(
 
     Notes
     -----
-    A global stage finds regions of attraction of local optima, from starts that are first made stable. In each of them
-    BFGS climbs along ridges, and local optimisation takes steps that use all eigenvalues near the worst one (see
-    `gbid.control.tuning.local`). Eigenvalues that meet are represented by their mean and by power sums of their
-    distances, because these have derivatives there and the eigenvalues have not. The result is a
+    A global stage finds regions of attraction of local optima, from starts that are first made stable. Local
+    optimisation takes steps that use all eigenvalues near the worst one (see `gbid.control.tuning.local`). Eigenvalues
+    that meet are represented by their mean and by power sums of their distances, because these have derivatives there
+    and the eigenvalues have not. The result is a
     ``"local optimum"`` only when a convex combination of gradients certifies it, otherwise ``"stalled"``. With up to
     three gains, whose search begins with a grid over the whole box, it is ``"optimal"``.
 
@@ -566,7 +566,7 @@ def _stalled(certificate: Certificate) -> str:
     return ControlNote.NO_CERTIFICATE(
         "no certificate of optimality: to first order the objective would rise by "
         f"{100 * certificate.gain:.2g} % if the gains changed by their own size; sequential quadratic programmes, "
-        "steps to meeting eigenvalues, BFGS, random moves and gradients from balls around it found no better one"
+        "steps to meeting eigenvalues, random moves and gradients from balls around it found no better one"
     )
 
 
