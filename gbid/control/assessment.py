@@ -65,9 +65,9 @@ class PointAssessment:
     stiffness_ratio : tuple of float
         Static stiffness of the closed loop over that of the open loop, x and y; NaN for an unstable loop, and for a
         plant that does not show where a force enters.
-    impact_p_m, impact_r_m : float
-        Largest motion of the disc and largest ``|r|`` after the impact, the larger of x and y [m]. This figure and the
-        next three are those of gas bearings with piezo stacks, NaN (and False) for other plants.
+    impact_p_m : float
+        Largest motion of the disc after the impact, the larger of x and y [m]. This figure and the next three are those
+        of gas bearings with piezo stacks, NaN (and False) for other plants.
     stack_travel_m : float
         Largest motion of one stack from its middle after the impact [m].
     exceeds_travel : bool
@@ -97,7 +97,6 @@ class PointAssessment:
     static_amplification: float
     stiffness_ratio: tuple[float, ...]
     impact_p_m: float
-    impact_r_m: float
     stack_travel_m: float
     exceeds_travel: bool
     decay_time_s: float
@@ -394,7 +393,6 @@ def _assess_point(
         static_amplification(loop) if stable else inf,
         tuple(float(ratio) for ratio in stiffness),
         largest("peak_p_m"),
-        largest("peak_r_m"),
         largest("stack_travel_m"),
         any(response.exceeds_travel for response in impacts),
         largest("decay_time_s"),

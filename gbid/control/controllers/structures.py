@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from math import isfinite
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-from gbid.control.controllers.built_in import AXES, NOT_OPTIONS, PStructure, built_in_structures
+from gbid.control.controllers.built_in import AXES, NOT_OPTIONS, PerAxis, PStructure, built_in_structures
 from gbid.core.arrays import point_label
 from gbid.core.errors import UsageError
 from gbid.lpv import TERMS, Domain, basis
@@ -77,15 +77,12 @@ def controller_structure(kind: str | Structure, **options: Any) -> Structure:
     The loop is closed as ``r = K p`` (Eq. 21): positive gains are positive feedback.
     """
     built_in = built_in_structures()
-    choices = ", ".join(map(repr, built_in))
-    if not isinstance(kind, str):
-        if not isinstance(kind, Structure):
-            raise UsageError(f"controller = {kind!r}; choose {choices} or give a structure")
+    if not isinstance(kind, str) and isinstance(kind, Structure):
         if options:
             raise UsageError(f"controller {kind.name!r}: options {', '.join(options)} belong to built-in structures")
         return kind
-    if kind not in built_in:
-        raise UsageError(f"controller = {kind!r}; choose {choices} or give a structure")
+    if not isinstance(kind, str) or kind not in built_in:
+        raise UsageError(f"controller = {kind!r}; choose {', '.join(map(repr, built_in))} or give a structure")
     known = [each.name for each in fields(built_in[kind]) if each.name not in NOT_OPTIONS]
     unknown = [name for name in options if name not in known]
     if unknown:
@@ -136,25 +133,6 @@ def _channels(names: tuple[str, ...], count: int) -> tuple[str, ...]:
 # ---- Scheduled gains: polynomials in pressure and speed.
 
 _SUFFIX = dict(zip(TERMS, ("1", "P", "Omega", "OmegaP", "P2", "Omega2"), strict=True))
-
-
-@runtime_checkable
-class FollowsSpeed(Protocol):
-    """Structure whose matrices can follow the speed; it then needs a schedule."""
-
-    @property
-    def follows_speed(self) -> bool:
-        """Whether the matrices follow the speed."""
-        ...
-
-    def at_speed(self, speed_rpm: Any) -> Any:
-        """Return the structure at a speed [rpm]."""
-        ...
-
-
-def follows_speed(structure: Structure) -> bool:
-    """Return whether the matrices of a structure follow the speed."""
-    return isinstance(structure, FollowsSpeed) and structure.follows_speed
 
 
 @dataclass(frozen=True)
@@ -261,7 +239,7 @@ class Scheduled(OnBase):
         speed_rpm : float or casadi.SX
             Speed [rpm].
         """
-        return self.base.at_speed(speed_rpm) if isinstance(self.base, FollowsSpeed) else self.base
+        return self.base.at_speed(speed_rpm) if isinstance(self.base, PerAxis) else self.base
 
     def at(self, pressure_bar: float, speed_rpm: float) -> LinearStructure:
         """Return the structure at one operating point; its parameters are the coefficients.
@@ -321,9 +299,9 @@ def with_schedule(structure: Structure | Scheduled, domain: Domain | None = None
     domain : Domain, optional
         Range of pressure and speed, as for `scheduled`.
     """
-    if isinstance(structure, Scheduled) or not follows_speed(structure):
-        return structure
-    return scheduled(structure, ("1",), domain)
+    if isinstance(structure, PerAxis) and structure.follows_speed:
+        return scheduled(structure, ("1",), domain)
+    return structure
 
 
 def controller_at(

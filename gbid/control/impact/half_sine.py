@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil, cos, inf, isfinite, nan, pi, radians, sin
+from math import ceil, cos, inf, nan, pi, radians, sin
+from typing import Annotated
 
 import numpy as np
 import scipy
@@ -15,7 +16,7 @@ from gbid.control.loop.sensitivity import sensitivities
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Finite, Positive, check_options
+from gbid.core.option_types import Allowed, Finite, Positive, check_options
 from gbid.discretise import propagate
 from gbid.lpv import MachineData
 from gbid.structure import LinearModel
@@ -131,7 +132,7 @@ def impact_response(
     *,
     actuators: LinearModel | None = None,
     duration_s: float | None = None,
-    piezo_travel_m: float | None = None,
+    piezo_travel_m: Annotated[Positive, Allowed("a positive number")] | None = None,
     entry: FloatArray | None = None,
 ) -> ImpactResponse:
     """Return the response to an impact on the rotor, without delay and actuators, ``p = G_b g_f f`` (Sec. 5.1).
@@ -168,8 +169,6 @@ def impact_response(
     impact = impact or HalfSine()
     if plant.delay is not None:
         raise UsageError(f"model {plant.name!r} has exact delays; replace them first: with_pade(model, order)")
-    if piezo_travel_m is not None and not (isfinite(piezo_travel_m) and piezo_travel_m > 0):
-        raise UsageError(f"impact: piezo_travel_m = {piezo_travel_m}; give a positive number")
     acceleration, limit = impact.peak_per_mass, nan if piezo_travel_m is None else piezo_travel_m / 2
     E = force_entry(plant) if entry is None else np.asarray(entry, float)
     if len(E) != plant.n_states:

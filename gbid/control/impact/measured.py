@@ -51,6 +51,11 @@ class MeasuredImpact:
         folded = abs((self.direction_deg + 90) % 180 - 90)
         return "x" if folded <= 45 else "y"
 
+    @property
+    def along(self) -> FloatArray:
+        """Unit vector of the direction (2,)."""
+        return np.array([np.cos(np.deg2rad(self.direction_deg)), np.sin(np.deg2rad(self.direction_deg))])
+
 
 def force_of(recording: Recording, signal: str = "f", axis: str | None = None) -> FloatArray:
     """Return the force along x and y.
@@ -119,32 +124,24 @@ def find_impacts(force: FloatArray, sample_time: float, name: str = "recording")
             f"recording {name!r}: no impact in the force: at most {size.max():.3g} N over a noise of {noise:.2g} N; "
             "check the signal, or leave the recording out"
         )
-    pulses = np.split(above, np.flatnonzero(np.diff(above) > 1) + 1)
-    near = round(_BOUNCE_S / sample_time)
-    groups: list[list[IntArray]] = []
-    for pulse in pulses:
-        if groups and pulse[0] - groups[-1][-1][-1] <= near:
-            groups[-1].append(pulse)
-        else:
-            groups.append([pulse])
+    near = max(round(_BOUNCE_S / sample_time), 1)
+    groups = np.split(above, np.flatnonzero(np.diff(above) > near) + 1)
     return tuple(_impact(force, size, group, noise, name) for group in groups)
 
 
-def _impact(force: FloatArray, size: FloatArray, group: list[IntArray], noise: float, name: str) -> MeasuredImpact:
-    """Return the impact of a group of pulses, extended to the samples without force."""
-    first, last = int(group[0][0]), int(group[-1][-1])
+def _impact(force: FloatArray, size: FloatArray, above: IntArray, noise: float, name: str) -> MeasuredImpact:
+    """Return the impact whose force is large at the samples `above`, extended to the samples without force."""
+    first, last = int(above[0]), int(above[-1])
     quiet = 3.0 * noise
     while first > 0 and size[first] > quiet:
         first -= 1
     while last < len(size) - 1 and size[last] > quiet:
         last += 1
     if size[first] > quiet or size[last] > quiet:
-        raise DataError(
-            f"recording {name!r}: the impact at sample {int(group[0][0])} is cut off by its end; leave it out"
-        )
+        raise DataError(f"recording {name!r}: the impact at sample {int(above[0])} is cut off by its end; leave it out")
     top = first + int(size[first : last + 1].argmax())
     angle = degrees(atan2(float(force[top, 1]), float(force[top, 0])))
-    return MeasuredImpact(first, last, float(size[top]), angle, len(group))
+    return MeasuredImpact(first, last, float(size[top]), angle, 1 + int((np.diff(above) > 1).sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +181,6 @@ def pulses_of(force: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[Pul
 
 def _between(force: FloatArray, impact: MeasuredImpact) -> FloatArray:
     fine = np.linspace(impact.start, impact.stop, _FINE * (impact.stop - impact.start) + 1)
-    along = np.array([np.cos(np.deg2rad(impact.direction_deg)), np.sin(np.deg2rad(impact.direction_deg))])
     inner = np.arange(impact.start + 1, impact.stop)
     if impact.pulses > 1 or len(inner) < _SPLINE:  # the force is zero between the hits, so the spline uses all samples
         samples = np.arange(impact.start, impact.stop + 1)
@@ -192,7 +188,7 @@ def _between(force: FloatArray, impact: MeasuredImpact) -> FloatArray:
         values[[0, -1]] = 0.0
         return np.asarray(scipy.interpolate.CubicSpline(samples, values)(fine))
     f = np.array(scipy.interpolate.CubicSpline(inner, force[inner])(fine))
-    size = f @ along
+    size = f @ impact.along
     first, last = _FINE, len(fine) - 1 - _FINE  # the outermost samples inside the pulse
     for corner, outward in ((first, np.arange(first, -1, -1)), (last, np.arange(last, len(fine)))):
         over = np.flatnonzero(size[outward] <= 0)

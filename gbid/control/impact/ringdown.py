@@ -7,12 +7,13 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import ceil, log
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
 import numpy as np
 import scipy
+from annotated_types import Ge, Le
 
 from gbid.control.impact.measured import MeasuredImpact, Pulse, find_impacts, force_of, pulse_forcing, pulses_of
 from gbid.core.arrays import BoolArray, ComplexArray, FloatArray, oscillatory_modes
@@ -20,6 +21,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.hdf5 import Stored
 from gbid.core.notes import ControlNote
+from gbid.core.option_types import CountOrZero
 from gbid.discretise import propagate
 from gbid.prefilter.runout import shaft_motion
 from gbid.recording import Recording
@@ -51,6 +53,10 @@ class Scale:
         A[:2, 2:] = np.eye(2)
         A[2:, :2], A[2:, 2:] = -theta[:4].reshape(2, 2), -theta[4:8].reshape(2, 2)
         return A
+
+    def poles(self, theta: FloatArray) -> ComplexArray:
+        """Return the eigenvalues of [0 I; K D] [rad/s]."""
+        return np.asarray(self.rate * np.linalg.eigvals(self.matrix(theta)), complex)
 
     def mechanical(self, theta: FloatArray) -> FloatArray:
         """Return [K D] in 1/s^2 and 1/s."""
@@ -108,6 +114,12 @@ class RingData:
     segments: tuple[tuple[int, int], ...]
     quiet: FloatArray
 
+    @property
+    def free_responses(self) -> list[FloatArray]:
+        """Measured positions after each impact, without offset and harmonics."""
+        motion = self.position - self.quiet @ (self.quiet.T @ self.position)
+        return [motion[start:stop] for start, stop in self.segments]
+
 
 def ring_data(
     recording: Recording,
@@ -130,25 +142,19 @@ def ring_data(
     if p.shape[1] != 2:
         raise DataError(f"recording {recording.name!r}: {position!r} has {p.shape[1]} channels; a ring-down needs two")
     used = np.ones(len(p), dtype=bool)
-    segments = []
-    ends = [*(impact.start + 1 for impact in impacts), len(p)][1:]
-    for impact, end in zip(impacts, ends, strict=True):
-        first = impact.stop + skip
-        used[impact.start + 1 : first] = False
+    left_out = [(impact.start + 1, impact.stop + skip) for impact in impacts] or [(0, skip)]
+    ends = [*(start for start, _ in left_out[1:]), len(p)]
+    segments = tuple((first, end) for (_, first), end in zip(left_out, ends, strict=True))
+    for (start, first), end in zip(left_out, ends, strict=True):
+        used[start:first] = False
         if end - first < _SHORTEST:
+            which = f"after the impact at {(start - 1) * recording.sample_time:.4f} s" if impacts else "of a free decay"
+            remedy = "leave that impact out" if impacts else "skip less, or leave it out"
             raise DataError(
-                f"recording {recording.name!r}: {max(end - first, 0)} samples after the impact at "
-                f"{impact.start * recording.sample_time:.4f} s; a ring-down needs {_SHORTEST}: leave that impact out"
+                f"recording {recording.name!r}: {max(end - first, 0)} samples {which}; a ring-down needs {_SHORTEST}: "
+                + remedy
             )
-        segments.append((first, end))
     if not impacts:
-        if len(p) - skip < _SHORTEST:
-            raise DataError(
-                f"recording {recording.name!r}: {max(len(p) - skip, 0)} samples of a free decay; a ring-down needs "
-                f"{_SHORTEST}: skip less, or leave it out"
-            )
-        used[:skip] = False
-        segments.append((skip, len(p)))
         _refuse_hit(recording, p[skip:], skip)
     q, r = np.linalg.qr(quiet_basis(recording, harmonics) * used[:, None])
     size = np.abs(np.diag(r))
@@ -156,7 +162,7 @@ def ring_data(
         raise DataError(
             f"recording {recording.name!r}: too short for {harmonics} harmonics of the shaft angle; use fewer"
         )
-    return RingData(recording.name, p * used[:, None], used, pulses, tuple(segments), q)
+    return RingData(recording.name, p * used[:, None], used, pulses, segments, q)
 
 
 def _refuse_hit(recording: Recording, decay: FloatArray, skip: int) -> None:
@@ -181,12 +187,11 @@ def _refuse_hit(recording: Recording, decay: FloatArray, skip: int) -> None:
 
 def quiet_basis(recording: Recording, harmonics: int) -> FloatArray:
     """Return offset, and sines and cosines of the shaft angle, shape (n_samples, 1 + 2 harmonics)."""
-    columns = [np.ones(recording.n_samples)]
-    if harmonics:
-        angle = recording.signal("phi")[:, 0]
-        for order in range(1, harmonics + 1):
-            columns += [np.cos(order * angle), np.sin(order * angle)]
-    return np.column_stack(columns)
+    offset = np.ones((recording.n_samples, 1))
+    if not harmonics:
+        return offset
+    angles = recording.signal("phi") * np.arange(1, harmonics + 1)
+    return np.hstack([offset, np.cos(angles), np.sin(angles)])
 
 
 def harmonics_for(recording: Recording, harmonics: int | None) -> int:
@@ -343,7 +348,7 @@ class RingProblem:
         rates = [(abs(rate) / (2 * np.pi), rate.real / abs(rate)) for rate in self.rates if rate.imag]
         return np.array(rates).reshape(-1, 2)
 
-    def solve(self, theta: FloatArray, max_evaluations: int = 100) -> SeparableFit:
+    def solve(self, theta: FloatArray) -> SeparableFit:
         """Return the least-squares fit from given start values, by Levenberg-Marquardt.
 
         Raises
@@ -351,26 +356,20 @@ class RingProblem:
         LinAlgError, ValueError
             When the response at the start values or on the way overflows.
         """
-        last: dict[bytes, Projected] = {}
 
-        def evaluated(x: FloatArray) -> Projected:
-            key = x.tobytes()
-            if key not in last:
-                last.clear()
-                last[key] = self.at(x)
-            return last[key]
+        @lru_cache(maxsize=1)
+        def evaluated(x: bytes) -> Projected:
+            return self.at(np.frombuffer(x))
 
         def residuals(x: FloatArray) -> FloatArray:
-            return np.concatenate([r.ravel() for r in evaluated(x).residuals])
+            return np.concatenate([r.ravel() for r in evaluated(x.tobytes()).residuals])
 
         def slopes(x: FloatArray) -> FloatArray:
-            return np.concatenate([s.reshape(-1, len(x)) for s in evaluated(x).slopes])
+            return np.concatenate([s.reshape(-1, len(x)) for s in evaluated(x.tobytes()).slopes])
 
-        settings: dict[str, Any] = {"method": "lm", "x_scale": "jac", "max_nfev": max_evaluations}
-        done: Any = scipy.optimize.least_squares(
-            residuals, theta, slopes, xtol=1e-8, ftol=1e-10, gtol=1e-12, **settings
-        )
-        return SeparableFit(self, done.x, evaluated(done.x), done.status > 0, str(done.message))
+        tolerances = {"xtol": 1e-8, "ftol": 1e-10, "gtol": 1e-12, "max_nfev": 100}
+        done = scipy.optimize.least_squares(residuals, theta, slopes, method="lm", x_scale="jac", **tolerances)
+        return SeparableFit(self, done.x, evaluated(done.x.tobytes()), done.status > 0, str(done.message))
 
     def try_solve(self, theta: FloatArray) -> SeparableFit | None:
         """Return the fit of `solve`; None when a response overflows."""
@@ -385,7 +384,7 @@ class RingProblem:
 
     def _alive(self, theta: FloatArray) -> int:
         """Return the number of samples until the slowest free response is below 1e-6 of its start."""
-        slowest = self.scale.rate * float(-np.linalg.eigvals(self.scale.matrix(theta)).real.max())
+        slowest = float(-self.scale.poles(theta).real.max())
         if slowest <= 1e-3:
             return sys.maxsize
         return max(_SHORTEST_SEPARABLE, ceil(_DIED_OUT / (slowest * self.scale.sample_time)))
@@ -418,7 +417,7 @@ class SeparableFit:
     @property
     def mean_rate(self) -> float:
         """Mean magnitude of the eigenvalues of the two modes [rad/s]."""
-        return float(np.abs(eigenvalues_of(self.problem.scale.mechanical(self.theta))).mean())
+        return float(np.abs(self.problem.scale.poles(self.theta)).mean())
 
     @property
     def criterion(self) -> float:
@@ -483,7 +482,7 @@ _ROWS = 12
 
 
 def start_candidates(
-    data: Sequence[RingData], sample_time: float, rate: float | None
+    data: Sequence[RingData], sample_time: float, start: Sequence[tuple[float, float]] | None
 ) -> list[tuple[float, FloatArray]]:
     """Return several start values.
 
@@ -493,8 +492,8 @@ def start_candidates(
         Recordings.
     sample_time : float
         Time between samples [s].
-    rate : float, optional
-        Angular frequency near the modes [rad/s]; estimated when not given.
+    start : sequence of (frequency_hz, damping), optional
+        Two modes that are tried as well.
 
     Returns
     -------
@@ -507,8 +506,11 @@ def start_candidates(
             guess = _realised(data, step, rows, sample_time)
             if guess is not None:
                 candidates.append(guess)
-    if rate is None:
-        rate = candidates[0][0] if candidates else 2 * np.pi * 120.0
+    rate = candidates[0][0] if candidates else 2 * np.pi * 120.0
+    if start is not None:
+        rate = 2 * np.pi * float(np.mean([f for f, _ in start]))
+        (k_x, d_x), (k_y, d_y) = (((2 * np.pi * f / rate) ** 2, 2 * z * 2 * np.pi * f / rate) for f, z in start)
+        candidates.insert(0, (rate, np.array([k_x, 0, 0, k_y, d_x, 0, 0, d_y])))
     for damping in (0.03, 0.4):
         candidates.append((rate, np.array([0.95, 0.0, 0.0, 1.05, 2 * damping, 0.0, 0.0, 2 * damping])))
     return candidates
@@ -518,9 +520,8 @@ def _realised(data: Sequence[RingData], step: int, rows: int, sample_time: float
     """Return K and D of the four dominant states of the shifted free responses."""
     blocks = []
     for d in data:
-        quiet = d.position - d.quiet @ (d.quiet.T @ d.position)
-        for start, stop in d.segments:
-            y = quiet[start:stop:step]
+        for response in d.free_responses:
+            y = response[::step]
             columns = min(len(y) - rows, 60 * rows)
             if columns > 4:
                 blocks.append(np.vstack([y[i : i + columns].T for i in range(rows + 1)]))
@@ -541,14 +542,9 @@ def _realised(data: Sequence[RingData], step: int, rows: int, sample_time: float
     if np.linalg.cond(change / np.abs(change).max(axis=1, keepdims=True)) > 1e8:
         return None
     mechanical = (change @ A @ np.linalg.inv(change))[2:]
-    rate = float(np.abs(eigenvalues_of(mechanical)).mean())
+    rate = float(np.abs(np.log(eigenvalues)).mean()) / (step * sample_time)
     theta = np.concatenate([-mechanical[:, :2].ravel() / rate**2, -mechanical[:, 2:].ravel() / rate])
     return (rate, theta) if np.isfinite(theta).all() else None
-
-
-def eigenvalues_of(mechanical: FloatArray) -> ComplexArray:
-    """Return the eigenvalues of [0 I; K D], given [K D]."""
-    return np.linalg.eigvals(np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), mechanical])).astype(complex)
 
 
 # ---- Decays that oscillate, beside the two modes of a ring-down: a loop may have more modes that ring than two.
@@ -802,7 +798,7 @@ class RingDown(Brief):
 
 def two_modes(theta: FloatArray, scale: Scale) -> FloatArray:
     """Return frequency 1, damping 1, frequency 2, damping 2; nan when a pair of poles is real."""
-    modes = oscillatory_modes(eigenvalues_of(scale.mechanical(theta)))
+    modes = oscillatory_modes(scale.poles(theta))
     return modes.ravel() if len(modes) == 2 else np.full(4, np.nan)
 
 
@@ -826,8 +822,8 @@ def fit_ringdown(
     position: str = "p",
     force: str | tuple[()] = "f",
     axis: str | None = None,
-    lags: int | str = "auto",
-    harmonics: int | None = None,
+    lags: Annotated[int, Ge(0), Le(6)] | Literal["auto"] = "auto",
+    harmonics: CountOrZero | None = None,
     skip_s: float = 0.0,
     start: Sequence[tuple[float, float]] | None = None,
 ) -> RingDown:
@@ -853,7 +849,7 @@ def fit_ringdown(
         Number of harmonics of the shaft angle `phi` to estimate; by default 10 when the shaft turns.
     skip_s : float
         Time after the end of an impact, or from the first sample of a free decay, that is left out [s].
-    start : sequence of (frequency_hz, damping), optional
+    start : two of (frequency_hz, damping), optional
         Two modes as an additional start value.
 
     Returns
@@ -869,7 +865,7 @@ def fit_ringdown(
         When an argument is out of range.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    _check_arguments(group, lags, harmonics, skip_s, start)
+    _check_arguments(group, skip_s, start)
     h = group[0].sample_time
     forces = [force_of(rec, force, axis) if force and rec.signal(force).any() else None for rec in group]
     impacts = [() if f is None else find_impacts(f, h, rec.name) for rec, f in zip(group, forces, strict=True)]
@@ -882,7 +878,7 @@ def fit_ringdown(
         ring_data(rec, position, hits, () if f is None else pulses_of(f, hits), count, round(skip_s / h))
         for rec, f, hits, count in zip(group, forces, impacts, counts, strict=True)
     )
-    unit = float(np.sqrt(np.mean([np.mean(_after(d) ** 2) for d in data])))
+    unit = float(np.sqrt(np.mean([np.mean(np.vstack(d.free_responses) ** 2) for d in data])))
     if unit == 0:
         raise DataError(f"recording {group[0].name!r}: {position!r} does not move after the impacts; check the signal")
     data = tuple(replace(d, position=d.position / unit) for d in data)
@@ -892,7 +888,7 @@ def fit_ringdown(
     def problems(rate: float) -> RingProblem:
         return RingProblem(data, Scale(rate, h), directions)
 
-    solved = fit_lags(problems, _guesses(data, h, start), lags)
+    solved = fit_lags(problems, start_candidates(data, h, start), lags)
     rms = solved.channel_rms
     if (rms > 0).all():  # the noise of the channels differs: fit again with weights from the residuals
         weights = float(np.sqrt(np.mean(rms**2))) / rms
@@ -900,19 +896,9 @@ def fit_ringdown(
     return _result(solved, group, unit, impacts, max(counts))
 
 
-def _check_arguments(
-    group: list[Recording],
-    lags: int | str,
-    harmonics: int | None,
-    skip_s: float,
-    start: Sequence[tuple[float, float]] | None,
-) -> None:
+def _check_arguments(group: list[Recording], skip_s: float, start: Sequence[tuple[float, float]] | None) -> None:
     if not group:
         raise UsageError("fit_ringdown: no recording given; give at least one with an impact")
-    if lags != "auto" and not (isinstance(lags, int) and 0 <= lags <= 6):
-        raise UsageError(f"fit_ringdown: lags = {lags!r}; give a number from 0 to 6, or 'auto'")
-    if harmonics is not None and harmonics < 0:
-        raise UsageError(f"fit_ringdown: harmonics = {harmonics}; it must not be negative")
     if not (np.isfinite(skip_s) and skip_s >= 0):
         raise UsageError(f"fit_ringdown: skip_s = {skip_s} s; it must not be negative")
     if start is not None and (len(start) != 2 or any(f <= 0 or not abs(z) < 1 for f, z in start)):
@@ -923,22 +909,6 @@ def _check_arguments(
                 f"recordings {group[0].name!r} and {rec.name!r} are sampled at {group[0].sample_time} s and "
                 f"{rec.sample_time} s; fit them apart"
             )
-
-
-def _after(data: RingData) -> FloatArray:
-    """Return the positions after the impacts, without offset and harmonics."""
-    quiet = data.position - data.quiet @ (data.quiet.T @ data.position)
-    return np.vstack([quiet[a:b] for a, b in data.segments])
-
-
-def _guesses(
-    data: tuple[RingData, ...], h: float, start: Sequence[tuple[float, float]] | None
-) -> list[tuple[float, FloatArray]]:
-    if start is None:
-        return start_candidates(data, h, None)
-    rate = 2 * np.pi * float(np.mean([f for f, _ in start]))
-    (k_x, d_x), (k_y, d_y) = (((2 * np.pi * f / rate) ** 2, 2 * z * 2 * np.pi * f / rate) for f, z in start)
-    return [(rate, np.array([k_x, 0, 0, k_y, d_x, 0, 0, d_y])), *start_candidates(data, h, rate)]
 
 
 def _result(

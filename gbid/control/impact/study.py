@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
-from typing import Annotated, Any, ClassVar
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from gbid.core.arrays import FloatArray, one_of_each_pair, oscillatory_modes
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import Stored
-from gbid.discretise import discretise, propagate
 from gbid.lpv import LPVModel
 from gbid.recording import Recording
 from gbid.structure import LinearModel, PiezoPair, evaluate
@@ -174,10 +173,7 @@ def validate_impact(
     windows = _windows(response, impacts)
     rows = np.concatenate([np.arange(*window) for window in windows])
     motion, modelled = (measured - stationary)[rows], simulated[rows]
-    angles = np.concatenate(
-        [np.full(b - a, impact.direction_deg) for impact, (a, b) in zip(impacts, windows, strict=True)]
-    )
-    direction = np.column_stack([np.cos(np.deg2rad(angles)), np.sin(np.deg2rad(angles))])
+    direction = np.repeat([impact.along for impact in impacts], [stop - start for start, stop in windows], axis=0)
     along = [(part * direction).sum(axis=1)[:, None] for part in (motion, modelled)]
     return ImpactValidation(
         g,
@@ -265,9 +261,6 @@ class ImpactFigures:
     piezo_simulated_m: Annotated[float, Stored("m", "largest motion of a stack, simulated")]
 
 
-FIELDS = tuple(field.name for field in fields(ImpactFigures))
-
-
 def impact_figures(
     recording: Recording,
     validation: ImpactValidation,
@@ -295,16 +288,15 @@ def impact_figures(
     motion = v.measured - v.stationary
     noise = _noise(motion, v)
     driven = _piezos(v.simulated, actuators, controller, h)
-    sizes = list(zip(_sizes(v, motion), _sizes(v, v.simulated), strict=True))
-    peaks = [(float(a.max()), float(b.max())) for a, b in sizes]
-    decays = [(_decay(a, noise) * h, _decay(b, 0.0) * h) for a, b in sizes]
-    stacks = [(float("nan"), float(np.abs(driven[a:b]).max()) / 2) for a, b in v.windows]
+    moved, simulated = (np.hypot(*position.T) for position in (motion, v.simulated))
+    piezos = np.full_like(driven, np.nan)
     if "u" in recording.signals:
-        u = recording.signal("u")
-        basis = quiet_basis(recording, v.harmonics)
-        left = u - driven
-        measured = u - basis @ np.linalg.lstsq(basis, left, rcond=None)[0]
-        stacks = [(float(np.abs(measured[a:b]).max()) / 2, s) for (a, b), (_, s) in zip(v.windows, stacks, strict=True)]
+        u, basis = recording.signal("u"), quiet_basis(recording, v.harmonics)
+        piezos = u - basis @ np.linalg.lstsq(basis, u - driven, rcond=None)[0]
+    responses = [slice(*window) for window in v.windows]
+    peaks = [(moved[part].max(), simulated[part].max()) for part in responses]
+    decays = [(_decay(moved[part], noise) * h, _decay(simulated[part], 0.0) * h) for part in responses]
+    stacks = [(np.abs(piezos[part]).max() / 2, np.abs(driven[part]).max() / 2) for part in responses]
     return ImpactFigures(*_statistics(peaks), *_statistics(decays), *_statistics(stacks))
 
 
@@ -313,12 +305,6 @@ def _statistics(pairs: list[tuple[float, float]]) -> tuple[float, float, float]:
     measured, simulated = np.array(pairs).T
     spread = float(measured.std(ddof=1)) if len(measured) > 1 else float("nan")
     return float(measured.mean()), spread, float(simulated.mean())
-
-
-def _sizes(validation: ImpactValidation, position: FloatArray) -> Iterator[FloatArray]:
-    """Yield the distance of the disc after each impact."""
-    for start, stop in validation.windows:
-        yield np.hypot(*position[start:stop].T)
 
 
 def _noise(motion: FloatArray, validation: ImpactValidation) -> float:
@@ -345,12 +331,8 @@ def _piezos(
     """Return the difference of the piezo positions that a controller commands; zero without a controller."""
     if controller is None:
         return np.zeros_like(position)
-    A, B, C, D = (np.array(m) for m in (controller.A, controller.B, controller.C, controller.D))
-    output = propagate(A, position @ B.T, np.zeros(len(A))) @ C.T + position @ D.T
-    reference = np.vstack([np.zeros((1, 2)), output[:-1]])  # the computation takes one sample
-    held = discretise(np.array(actuators.A), np.array(actuators.B), sample_time, "zoh")
-    states = propagate(np.asarray(held.F), reference @ np.asarray(held.G_now).T, np.zeros(len(held.F)))
-    return np.asarray(states @ np.array(actuators.C).T)
+    reference = np.vstack([np.zeros((1, 2)), controller.simulate(position)[:-1]])  # the computation takes one sample
+    return actuators.simulate(reference, sample_time, intersample="zoh")
 
 
 # ---- Dominant modes of a ring-down: the modes of a loop that an impact excites most.
@@ -454,7 +436,7 @@ def study_impacts(
     sampled: LinearModel | None = None,
     *,
     harmonics: int | None = None,
-    lags: int | str = "auto",
+    lags: int | Literal["auto"] = "auto",
     loop: str | None = None,
 ) -> ImpactStudy:
     """Return the modes fitted to the ring-downs of some recordings, compared with a model.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import replace
 from math import ceil, inf, isfinite, pi
 from typing import Literal
@@ -167,23 +169,20 @@ def force_entry(plant: LinearModel) -> FloatArray:
     return entry
 
 
-def static_force_gain(plant: LinearModel, entry: FloatArray | None = None) -> FloatArray:
+def static_force_gain(plant: LinearModel) -> FloatArray:
     """Return the static motion per force and mass with constant references: the open-loop compliance times the mass.
 
     Parameters
     ----------
     plant : LinearModel
-        Continuous model.
-    entry : (n, n_outputs) array, optional
-        Input matrix of a force per mass; see `force_entry`.
+        Continuous model; a force enters as in `force_entry`.
 
     Returns
     -------
     (n_outputs, n_outputs) array
         Static gain [m kg/N].
     """
-    E = force_entry(plant) if entry is None else entry
-    return np.asarray(-plant.C @ np.linalg.solve(plant.A, E))
+    return np.asarray(-plant.C @ np.linalg.solve(plant.A, force_entry(plant)))
 
 
 def _only_one(row: FloatArray) -> int | None:
@@ -224,21 +223,18 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
         When the plant is sampled already, when the sample time is not positive, when the computation time is
         negative, or when computation and delays take more than `MOST_SAMPLES` samples.
     """
-    if plant.dt is not None:
-        raise UsageError(f"model {plant.name!r} is sampled already, at {plant.dt:g} s")
-    if not (isfinite(sample_time) and sample_time > 0):
-        raise UsageError(f"sampling of {plant.name!r}: sample_time = {sample_time} s; give a positive number")
-    late_s = computation_s + (0.0 if plant.delay is None else float(np.max(plant.delay)))
-    if late_s > MOST_SAMPLES * sample_time:
+    _check_sampling(plant, sample_time)
+    longest_delay = computation_s + (0.0 if plant.delay is None else float(np.max(plant.delay)))
+    if longest_delay > MOST_SAMPLES * sample_time:
         raise UsageError(
-            f"sampling of {plant.name!r}: computation and delays take {late_s:g} s, more than {MOST_SAMPLES} samples "
-            f"of sample_time = {sample_time:g} s; all are in seconds"
+            f"sampling of {plant.name!r}: computation and delays take {longest_delay:g} s, more than "
+            f"{MOST_SAMPLES} samples of sample_time = {sample_time:g} s; all are in seconds"
         )
     if not (isfinite(computation_s) and computation_s >= 0):
         raise UsageError(f"sampling of {plant.name!r}: computation_s = {computation_s} s; it must not be negative")
     A, n_u = np.array(plant.A), plant.B.shape[1]
     prompt = ceil(computation_s / sample_time - 1e-9)  # delay of the direct feedthrough D u in samples
-    weights: dict[tuple[int, int], FloatArray] = {}  # (samples back, input) -> column of the states
+    matrices: defaultdict[int, FloatArray] = defaultdict(lambda: np.zeros((len(A), n_u)))  # of the inputs k samples ago
     for i in range(n_u):
         parts = [(plant.B[:, [i]], 0.0)]
         if plant.delay is not None and plant.B_delayed is not None:
@@ -247,16 +243,14 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
             if not column.any():
                 continue
             samples = (delay + computation_s) / sample_time
-            samples = (
-                round(samples) if abs(samples - round(samples)) < 1e-9 else samples
-            )  # avoids rounding errors at whole samples
+            if abs(samples - round(samples)) < 1e-9:  # avoids rounding errors at whole samples
+                samples = round(samples)
             shift, taps = delayed_taps(A, column, samples * sample_time, sample_time, "zoh")
-            for j, tap in enumerate(taps):
+            for back, tap in enumerate(taps, shift - 1):
                 if np.any(tap):
-                    key = (shift - 1 + j, i)
-                    weights[key] = weights.get(key, np.zeros((len(A), 1))) + tap
-    depth = max([back for back, _ in weights] + [prompt if plant.D.any() else 0], default=0)
-    return _with_registers(plant, scipy.linalg.expm(A * sample_time), weights, prompt, depth, sample_time)
+                    matrices[back][:, [i]] += tap
+    depth = max([*matrices, prompt if plant.D.any() else 0])
+    return _with_registers(plant, scipy.linalg.expm(A * sample_time), matrices, prompt, depth, sample_time)
 
 
 def sample_controller(controller: LinearModel, sample_time: float, method: Method = "tustin") -> LinearModel:
@@ -285,24 +279,23 @@ def sample_controller(controller: LinearModel, sample_time: float, method: Metho
         return controller.discretise(sample_time, intersample="zoh")
     if method != "tustin":
         raise UsageError(f"method = {method!r}; choose 'tustin' or 'zoh'")
-    if controller.dt is not None:
-        raise UsageError(f"model {controller.name!r} is sampled already, at {controller.dt:g} s")
+    _check_sampling(controller, sample_time)
+    continuous = controller.A, controller.B, controller.C, controller.D
+    A, B, C, D, dt = scipy.signal.cont2discrete(continuous, sample_time, "bilinear")
+    return replace(controller, A=A, B=B, C=C, D=D, K=None, dt=dt, intersample=None)
+
+
+def _check_sampling(model: LinearModel, sample_time: float) -> None:
+    if model.dt is not None:
+        raise UsageError(f"model {model.name!r} is sampled already, at {model.dt:g} s")
     if not (isfinite(sample_time) and sample_time > 0):
-        raise UsageError(f"sampling of {controller.name!r}: sample_time = {sample_time} s; give a positive number")
-    A, h = np.array(controller.A), sample_time
-    eye = np.eye(len(A))
-    solve = np.linalg.solve(eye - h / 2 * A, np.hstack([eye + h / 2 * A, h * controller.B]))
-    F, G = solve[:, : len(A)], solve[:, len(A) :]
-    C = np.linalg.solve((eye - h / 2 * A).T, controller.C.T).T
-    D = controller.D + C @ controller.B * (h / 2)
-    A, B, C, D = (np.asarray(matrix, np.float64) for matrix in (F, G, C, D))
-    return replace(controller, A=A, B=B, C=C, D=D, K=None, dt=h, intersample=None)
+        raise UsageError(f"sampling of {model.name!r}: sample_time = {sample_time} s; give a positive number")
 
 
 def _with_registers(
     plant: LinearModel,
     F: FloatArray,
-    weights: dict[tuple[int, int], FloatArray],
+    matrices: Mapping[int, FloatArray],
     prompt: int,
     depth: int,
     sample_time: float,
@@ -312,12 +305,9 @@ def _with_registers(
     A = np.zeros((n + depth * n_u,) * 2)
     B = np.zeros((len(A), n_u))
     C, D = np.hstack([plant.C, np.zeros((len(plant.C), depth * n_u))]), np.zeros(plant.D.shape)
-    A[:n, :n] = F
-    for (back, i), column in weights.items():
-        if back == 0:
-            B[:n, i] += column[:, 0]
-        else:
-            A[:n, n + (back - 1) * n_u + i] += column[:, 0]
+    A[:n, :n], B[:n] = F, matrices[0]
+    for k in range(depth):
+        A[:n, n + k * n_u : n + (k + 1) * n_u] = matrices[k + 1]
     if depth:
         B[n : n + n_u] = np.eye(n_u)
         A[n + n_u :, n:-n_u] += np.eye((depth - 1) * n_u)

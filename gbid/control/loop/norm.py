@@ -95,45 +95,36 @@ def larger_of_two(squares: FloatArray, determinant: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (np.sqrt(squares + 2 * determinant) + np.sqrt(np.maximum(squares - 2 * determinant, 0.0))))
 
 
-def refine_maxima(
-    function: Callable[[FloatArray], FloatArray], grid: FloatArray, candidates: int = 4, rounds: int = 4
-) -> tuple[float, float]:
+def refine_maxima(function: Callable[[FloatArray], FloatArray], grid: FloatArray) -> Peak:
     """Return the largest value of a function of frequency, from a grid and refinement of its best local maxima.
+
+    Four local maxima are refined six times. Each time reduces the bracket eightfold around the best of 17 points.
 
     Parameters
     ----------
     function : callable
         From frequencies (n,) to values (n,).
     grid : (n,) array
-        Frequencies, ascending; the ends count as well.
-    candidates : int
-        Number of the highest local maxima that are refined.
-    rounds : int
-        Number of refinements; each reduces the bracket eightfold around the best of 17 points.
-
-    Returns
-    -------
-    tuple of float
-        Value and place.
+        Frequencies [Hz], ascending; the ends count as well.
     """
     values = function(grid)
     padded = np.concatenate([[-inf], values, [-inf]])
     peaks = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
-    peaks = peaks[np.argsort(values[peaks])[::-1][:candidates]]
+    peaks = peaks[np.argsort(values[peaks])[::-1][:4]]
     low, high = grid[np.maximum(peaks - 1, 0)], grid[np.minimum(peaks + 1, len(grid) - 1)]
     steps = np.linspace(0.0, 1.0, 17)
-    best, place = values[peaks], grid[peaks]
-    for _ in range(rounds):
+    row = np.arange(len(peaks))
+    for _ in range(6):
         points = low[:, None] + (high - low)[:, None] * steps
         refined = function(points.ravel()).reshape(points.shape)
         top = refined.argmax(axis=1)
-        row = np.arange(len(top))
         best, place = refined[row, top], points[row, top]
         inner = np.clip(top, 1, len(steps) - 2)
         low, high = points[row, inner - 1], points[row, inner + 1]
     winner = int(best.argmax())
-    value, where = float(best[winner]), float(place[winner])
-    return (value, where) if value >= values.max() else (float(values.max()), float(grid[values.argmax()]))
+    if best[winner] < values.max():
+        return Peak(float(values.max()), float(grid[values.argmax()]))
+    return Peak(float(best[winner]), float(place[winner]))
 
 
 def _peak_of(

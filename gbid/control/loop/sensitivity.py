@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import atan, degrees, inf, nan, pi
@@ -147,10 +148,7 @@ class Sensitivities(Brief, Pictured):
             return peak_gain(self._part(which), tolerance)
         if not self.is_stable():
             return Peak(inf, nan)
-        value, place = refine_maxima(
-            lambda f: largest_singular_values(self.response(which, f)), frequency_grid(self._loop), rounds=6
-        )
-        return Peak(value, place)
+        return refine_maxima(lambda f: largest_singular_values(self.response(which, f)), self.grid())
 
     def grid(self, n: int = 400) -> FloatArray:
         """Return frequencies [Hz] adapted to the modes of the loop; see `frequency_grid`.
@@ -265,8 +263,6 @@ class SensitivityData(Brief):
         G (Fig. 21).
     plant : (n_frequencies, 2, 2) array
         S_o G (Fig. 21).
-    output_largest, control_largest : (n_frequencies,) array
-        Largest singular values of S_o and K S_o.
     input_names, output_names : tuple of str
         Channels of r and p.
     """
@@ -276,8 +272,6 @@ class SensitivityData(Brief):
     control: ComplexArray
     open_loop: ComplexArray
     plant: ComplexArray
-    output_largest: FloatArray
-    control_largest: FloatArray
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
 
@@ -305,15 +299,12 @@ def sensitivity_data(
     """
     f = np.geomspace(1.0, 1000.0, 600) if frequency_hz is None else np.atleast_1d(np.asarray(frequency_hz, float))
     loop = sensitivities(plant, controller)
-    output, control = loop.response("output", f), loop.response("control", f)
     return SensitivityData(
         f,
-        output,
-        control,
+        loop.response("output", f),
+        loop.response("control", f),
         plant.frequency_response(f),
         loop.response("plant", f),
-        largest_singular_values(output),
-        largest_singular_values(control),
         plant.input_names,
         plant.output_names,
     )
@@ -417,16 +408,14 @@ def sensitivity_zones(loop: Sensitivities, frequency_hz: npt.ArrayLike | None = 
     def of_axis(i: int, at: FloatArray) -> FloatArray:
         return np.asarray(np.abs(loop.response("output", at)[:, i, i]))
 
-    peaks = [
-        refine_maxima(partial(of_axis, i), loop.grid(), rounds=6) if stable else (inf, nan) for i in range(len(names))
-    ]
-    magnitude = np.column_stack([of_axis(i, f) for i in range(len(names))])
-    values = np.array([value for value, _ in peaks])
+    axes = range(len(names))
+    peaks = [refine_maxima(partial(of_axis, i), loop.grid()) if stable else Peak(inf, nan) for i in axes]
+    values = np.array([peak.value for peak in peaks])
     return SensitivityZones(
         frequency_hz=f,
-        magnitude=magnitude,
+        magnitude=np.column_stack([of_axis(i, f) for i in axes]),
         peak=values,
-        peak_hz=np.array([place for _, place in peaks]),
+        peak_hz=np.array([peak.frequency_hz for peak in peaks]),
         zone=tuple(iso_zone(value) for value in values.tolist()),
         axes=names,
     )
@@ -522,8 +511,11 @@ def disk_margins_by_loop(loop: Sensitivities, at: Side = "output") -> tuple[Disk
     tuple of DiskMargin
         One per channel.
     """
-    n = _channels(loop, at)
-    return tuple(_disk(loop, lambda f, i=i: np.abs(_balanced(loop, f, at)[:, i, i])) for i in range(n))
+
+    def gain(i: int, frequency_hz: FloatArray) -> FloatArray:
+        return np.asarray(np.abs(_balanced(loop, frequency_hz, at)[:, i, i]))
+
+    return tuple(_disk(loop, partial(gain, i)) for i in range(_channels(loop, at)))
 
 
 def loop_margins(loop: Sensitivities, at: Side = "output") -> tuple[LoopMargins, ...]:
@@ -633,10 +625,10 @@ def _balanced(loop: Sensitivities, frequency_hz: FloatArray, at: Side) -> Comple
     return np.asarray(2 * S - np.eye(S.shape[-1]))
 
 
-def _disk(loop: Sensitivities, gain: object) -> DiskMargin:
+def _disk(loop: Sensitivities, gain: Callable[[FloatArray], FloatArray]) -> DiskMargin:
     if not loop.is_stable():
         return DiskMargin(0.0, (1.0, 1.0), 0.0, nan)
-    value, place = refine_maxima(gain, loop.grid(), rounds=5)  # type: ignore[arg-type]
+    value, place = refine_maxima(gain, loop.grid())
     alpha = 2.0 / value
     low = (2 - alpha) / (2 + alpha)
     return DiskMargin(alpha, (low, 1 / low if low > 0 else inf), degrees(2 * atan(alpha / 2)), place)

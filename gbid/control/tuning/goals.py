@@ -670,6 +670,4 @@ def _bands(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
 
 def _between(hz: FloatArray, known: FloatArray, values: ComplexArray) -> ComplexArray:
     """Return values (k, n, n) at other frequencies, straight between the known ones."""
-    k = np.clip(np.searchsorted(known, hz, side="right") - 1, 0, len(known) - 2)
-    part = ((hz - known[k]) / (known[k + 1] - known[k]))[:, None, None]
-    return np.asarray(values[k] + part * (values[k + 1] - values[k]))
+    return np.asarray(scipy.interpolate.make_interp_spline(known, values, k=1)(hz))

@@ -468,7 +468,7 @@ class PeakResponse(PathGoal):
     limit: BoundLike
     low_hz: NotNegative = 0.0
     high_hz: Number = inf
-    orders: tuple[float, ...] = ()
+    orders: tuple[Annotated[Positive, Allowed("positive multiples of the speed")], ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -477,9 +477,6 @@ class PeakResponse(PathGoal):
     def measure(self, plant: LinearModel | None) -> PathMeasure:
         """Return the measure of this goal."""
         bound = bound_over_frequency(self.limit, "PeakResponse: limit")
-        orders = tuple(float(order) for order in self.orders)
-        if not all(order > 0 for order in orders):
-            raise UsageError(f"PeakResponse: orders = {self.orders}; give positive multiples of the speed")
         edges = np.array([self.low_hz * (1 + 1e-9), self.high_hz * (1 - 1e-9)])
         places = np.union1d(bound.places_hz, edges[(edges > 0) & (edges < np.inf)])
         within = Bound(lambda hz: np.where((hz >= self.low_hz) & (hz <= self.high_hz), bound.of_hz(hz), 1e300), places)
@@ -489,7 +486,7 @@ class PeakResponse(PathGoal):
             within,
             weight=self.weight,
             path=self.path,
-            orders=orders,
+            orders=tuple(self.orders),
         )
 
 

@@ -15,9 +15,9 @@ from gbid.control.controllers.structures import Scheduled, controller_structure,
 from gbid.control.tuning.goals import Goal, limits_of
 from gbid.control.tuning.plants import (
     LpvPlants,
-    ModelPlants,
     PlantLike,
     Plants,
+    PlantsLike,
     TuneOptions,
     Uncertainty,
     plants_of,
@@ -294,22 +294,25 @@ class _Trial(ABC):
     options: RobustOptions
 
     @abstractmethod
+    def _drawn(self, n: int, seed: int, chosen: Sequence[int] | None) -> tuple[PlantsLike, dict[str, Any]]:
+        """Return the nominal plant with the chosen ones of n draws of a seed, or with all n, and options for them."""
+
     def design(self, chosen: tuple[int, ...], start: Mapping[str, float] | None) -> GainResult:
         """Design for the nominal plant and chosen draws."""
+        given = self.options
+        model, more = self._drawn(given.draws, given.seed, chosen)
+        starts = 1 if chosen and given.starts is None else given.starts
+        options = replace(given, start=start, starts=starts, seed=0, **more)
+        return tuned(model, self.structure, options, given.progress)
 
-    @abstractmethod
     def on(self, n: int, seed: int, gains: Mapping[str, float]) -> PlantDraws:
         """Return the performance of gains on n plants drawn with a seed."""
-
-    def _options(self, chosen: tuple[int, ...], start: Mapping[str, float] | None, **changed: Any) -> RobustOptions:
-        starts = 1 if chosen and self.options.starts is None else self.options.starts
-        return replace(self.options, start=start, starts=starts, seed=0, **changed)
-
-    def _performance(self, plants: LpvPlants | ModelPlants, gains: Mapping[str, float], n: int) -> PlantDraws:
-        """Return the performance on n drawn plants, which follow the nominal one."""
-        m = len(plants.scenarios(plants.points)[0]) // (n + 1)
-        names = [p.name for p in plants.structure.parameters]
-        x = np.array([gains[name] for name in names])
+        model, more = self._drawn(n, seed, None)
+        speeds = more.get("speeds_rpm")
+        over = Domain((0.0, 0.0), (min(speeds), max(speeds))) if speeds else None
+        plants = plants_of(model, with_schedule(self.structure, over), replace(self.options, **more))
+        m = len(plants.scenarios(plants.points)[0]) // (n + 1)  # the drawn plants follow the nominal one
+        x = np.array([gains[p.name] for p in plants.structure.parameters])
         nominal = plants.family(plants.points, range(m))
         machine = plants.lpv.machine if isinstance(plants, LpvPlants) else None
         limits = limits_of(self.options.goals or (), plants.plant, machine)
@@ -325,15 +328,9 @@ class _SurfaceTrial(_Trial):
     lpv: LPVModel
     known: Uncertainty
 
-    def design(self, chosen: tuple[int, ...], start: Mapping[str, float] | None) -> GainResult:
-        plants = replace(self.known, chosen=chosen) if chosen else None
-        options = self._options(chosen, start, uncertainty=plants)
-        return tuned(self.lpv, self.structure, options, self.options.progress)
-
-    def on(self, n: int, seed: int, gains: Mapping[str, float]) -> PlantDraws:
-        drawn = replace(self.known, draws=n, seed=seed)
-        plants = plants_of(self.lpv, self.structure, replace(self.options, uncertainty=drawn))
-        return self._performance(plants, gains, n)
+    def _drawn(self, n: int, seed: int, chosen: Sequence[int] | None) -> tuple[PlantsLike, dict[str, Any]]:
+        drawn = replace(self.known, draws=n, seed=seed, chosen=None if chosen is None else tuple(chosen))
+        return self.lpv, {"uncertainty": None if chosen == () else drawn}
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,24 +339,13 @@ class _FitTrial(_Trial):
 
     fits: tuple[PlantLike, ...]
 
-    def design(self, chosen: tuple[int, ...], start: Mapping[str, float] | None) -> GainResult:
-        models, options = self._models(self.options.draws, self.options.seed, chosen)
-        return tuned(models, self.structure, replace(self._options(chosen, start), **options), self.options.progress)
-
-    def on(self, n: int, seed: int, gains: Mapping[str, float]) -> PlantDraws:
-        models, options = self._models(n, seed, range(n))
-        speeds = options["speeds_rpm"]
-        over = Domain((0.0, 0.0), (min(speeds), max(speeds))) if speeds else None
-        plants = plants_of(models, with_schedule(self.structure, over), replace(self.options, **options))
-        return self._performance(plants, gains, n)
-
-    def _models(self, n: int, seed: int, chosen: Sequence[int]) -> tuple[list[PlantLike], dict[str, Any]]:
-        """Return the plants, then the chosen draws of all, and their speeds."""
+    def _drawn(self, n: int, seed: int, chosen: Sequence[int] | None) -> tuple[PlantsLike, dict[str, Any]]:
         rng = np.random.default_rng(seed)
         every = [drawn_models(fit, n, rng) for fit in self.fits]
-        models = [*self.fits, *(draws[i] for i in chosen for draws in every)]
+        taken = range(n) if chosen is None else chosen
+        models = [*self.fits, *(draws[i] for i in taken for draws in every)]
         speeds = self.options.speeds_rpm
-        return models, {"speeds_rpm": None if speeds is None else [*speeds] * (1 + len(chosen))}
+        return models, {"speeds_rpm": None if speeds is None else [*speeds] * (1 + len(taken))}
 
 
 def drawn_models(fit: PlantLike, n: int, rng: np.random.Generator) -> list[LinearModel]:
