@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from gbid.core.arrays import one_blas_thread
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
+from gbid.core.option_types import Positive
 from gbid.excite.excitation import Excitation, ExcitationKind, ExcitationLines
 from gbid.excite.goal import Focused, LineModel, expected_covariance, goal_of, quantities_of
 from gbid.excite.limits import SAFE, ExcitationLimits
@@ -24,8 +25,8 @@ _SHORTEST = 200  # samples
 def design_excitation(
     model: FitResult | KnownModel,
     *,
-    duration: float,
-    sample_time: float,
+    duration: Positive,
+    sample_time: Positive,
     limits: ExcitationLimits | Mapping[str, float],
     kind: ExcitationKind = "multisine",
     focus: Focused = None,
@@ -69,8 +70,6 @@ def design_excitation(
     standard deviations of the result are not taken from it: they come from the sums of a fit over a simulated
     recording, see `gbid.excite.expected_covariance`.
     """
-    if kind not in get_args(ExcitationKind):
-        raise UsageError(f"kind = {kind!r}; choose 'prbs' or 'multisine'")
     known = known_model(model)
     n_samples = _samples(duration, sample_time)
     limits = limits if isinstance(limits, ExcitationLimits) else ExcitationLimits(peaks=dict(limits))
@@ -113,9 +112,6 @@ def design_excitation(
 
 
 def _samples(duration: float, sample_time: float) -> int:
-    for name, value in (("duration", duration), ("sample_time", sample_time)):
-        if not (np.isfinite(value) and value > 0):
-            raise UsageError(f"{name} = {value} s; it must be positive")
     n_samples = round(duration / sample_time)
     if n_samples < _SHORTEST:
         raise UsageError(f"duration = {duration:g} s is {n_samples} samples; give at least {_SHORTEST}")
@@ -157,7 +153,7 @@ class RecordingLength(Brief):
 def recording_length(
     model: FitResult | KnownModel,
     *,
-    sample_time: float,
+    sample_time: Positive,
     limits: ExcitationLimits | Mapping[str, float],
     absolute: Mapping[str, float] | None = None,
     relative: Mapping[str, float] | None = None,

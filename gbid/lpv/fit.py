@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import h5py
 import numpy as np
@@ -348,8 +348,6 @@ def fit_lpv(
         surfaces = _surfaces(fits, structure, variables, parameters)
         estimates = as_estimates(fits, points, surfaces, variables)
         of_structure, notes = _beside_surfaces(fits, structure, surfaces)
-    if weighting not in get_args(Weighting):
-        raise UsageError(f"weighting = {weighting!r}; choose 'scatter', 'fits' or 'ordinary'")
     if weighting != "ordinary":
         estimates = with_covariance(estimates)
     exponents, orders = choose_terms(estimates, order)

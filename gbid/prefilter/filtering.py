@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar, NamedTuple
 import h5py
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from gbid.core import hdf5
 from gbid.core.arrays import FloatArray, IntArray
@@ -198,11 +199,7 @@ def _off_both_sides(x: FloatArray, start: int, stop: int, limit: float) -> bool:
 def _bridged(x: FloatArray, start: int, stop: int) -> tuple[FloatArray, float]:
     """Return the cubic through two samples on each side of a run, and the largest interpolation error left."""
     nodes = np.array([start - 2, start - 1, stop, stop + 1])
-    run = np.arange(start, stop)
-    bridge = np.zeros(len(run))
-    for i, node in enumerate(nodes):
-        others = np.delete(nodes, i)
-        bridge += x[node] * np.prod((run[:, None] - others) / (node - others), axis=1)
+    bridge = np.asarray(scipy.interpolate.barycentric_interpolate(nodes, x[nodes], np.arange(start, stop)))
     # The run enters the errors of samples up to two away; the neighbours of those reach two further.
     trial = np.concatenate([x[max(start - 4, 0) : start], bridge, x[stop : stop + 4]])
     return bridge, float(np.abs(_interpolation_error(trial)).max())

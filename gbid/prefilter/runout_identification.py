@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import scipy
+from annotated_types import Ge
 
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import DataNote
+from gbid.core.option_types import Count
 from gbid.prefilter.runout import TURN, RunoutMap, ShaftMotion, differing_condition, running_median, shaft_motion
 from gbid.recording import Recording
 
@@ -24,9 +26,9 @@ _WORST_CONDITION = 20.0
 def identify_runout(
     recordings: Recording | Sequence[Recording],
     *,
-    method: str = "harmonics",
-    harmonics: int = 10,
-    bins: int = 100,
+    method: Literal["harmonics", "bins"] = "harmonics",
+    harmonics: Count = 10,
+    bins: Annotated[int, Ge(4)] = 100,
     still: float = 0.5e-6,
     signal: str = "p",
     in_loop: bool = False,
@@ -72,10 +74,6 @@ def identify_runout(
         angles do not determine the map.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if method not in ("harmonics", "bins"):
-        raise UsageError(f"method = {method!r}; use 'harmonics' or 'bins'")
-    if harmonics < 1 or bins < 4:
-        raise UsageError(f"harmonics = {harmonics}, bins = {bins}; give at least 1 harmonic and 4 bins")
     if not group:
         raise UsageError("no stationary recording given; the run-out map needs at least one")
     first = group[0]
@@ -99,7 +97,6 @@ def identify_runout(
     orders, angles = np.zeros(0), np.zeros(0)
     cosine = sine = table = np.zeros((0, n_channels))
     if turning == {False}:
-        method = "mean"
         means = [values.mean(axis=0) for values in p]
         notes.append(DataNote.SHAFT_STOOD_STILL("the shaft stood still: the map is the mean position alone"))
     elif method == "harmonics":
@@ -110,7 +107,7 @@ def identify_runout(
         centred = np.vstack([values - mean for values, mean in zip(p, means, strict=True)])
         angles, table = _bin_means(np.concatenate([m.angle for m in motions]), centred, bins)
     made = RunoutMap(
-        method=method,
+        method="mean" if turning == {False} else method,
         mean=np.mean(means, axis=0),
         orders=orders,
         cosine=cosine,
@@ -441,7 +438,7 @@ def compare_runout(
     *,
     harmonics: Sequence[int] = HARMONICS,
     bins: Sequence[int] = BINS,
-    folds: int = 4,
+    folds: Annotated[int, Ge(2)] = 4,
     still: float = 0.5e-6,
 ) -> RunoutComparison:
     """Return a cross-validation of run-out maps by harmonics and by angle bins, with the recommended one.
@@ -480,8 +477,6 @@ def compare_runout(
         As for `identify_runout`; also when a validation part is shorter than two turns, or when no trial gives a map.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if folds < 2:
-        raise UsageError(f"folds = {folds}; give at least 2")
     wanted = [("harmonics", int(n)) for n in harmonics] + [("bins", int(n)) for n in bins]
     if not wanted:
         raise UsageError("nothing to compare: give numbers of harmonics or of bins")
@@ -497,10 +492,10 @@ def compare_runout(
     if not usable:
         raise DataError(f"no run-out map can be made: {trials[0].note}")
     best = _simplest_of_the_best(usable)
-    size: dict[str, Any] = {best.method: best.size}
+    size: dict[str, Any] = {"method": best.method, best.method: best.size}
     return RunoutComparison(
         tuple(replace(trial, chosen=trial is best) for trial in trials),
-        identify_runout(group, method=best.method, still=still, **size),
+        identify_runout(group, still=still, **size),
         tuple(rec.name for rec in parts),
     )
 
@@ -521,11 +516,11 @@ def _tried(method: str, size: int, parts: list[Recording], still: float) -> Runo
     """Return the trial of one method and size, with each part as validation part once."""
     n_channels = parts[0].signal("p").shape[1]
     rms = []
-    sized: dict[str, Any] = {method: size}
+    sized: dict[str, Any] = {"method": method, method: size}
     for i, held_out in enumerate(parts):
         others = [part for j, part in enumerate(parts) if j != i]
         try:
-            made = identify_runout(others, method=method, still=still, **sized)
+            made = identify_runout(others, still=still, **sized)
         except DataError as error:
             no_folds = np.full((0, n_channels), np.nan)
             return RunoutTrial(method, size, np.full(n_channels, np.nan), no_folds, note=str(error))
@@ -620,7 +615,7 @@ class IndexAlignment(Brief):
         return replace(aligned, provenance={**rec.provenance, "index": note})
 
 
-def align_index(runout_map: RunoutMap, recording: Recording, *, orders: int = 10) -> IndexAlignment:
+def align_index(runout_map: RunoutMap, recording: Recording, *, orders: Count = 10) -> IndexAlignment:
     r"""Return the angle offset of a recording whose encoder had no index.
 
     Let :math:`A_n` be the harmonics of the recorded position over the recorded angle, and :math:`M_n` those of the
@@ -651,8 +646,6 @@ def align_index(runout_map: RunoutMap, recording: Recording, *, orders: int = 10
     DataError
         When signals are missing, when channels differ, or when there are too few turns.
     """
-    if orders < 1:
-        raise UsageError(f"orders = {orders}; give at least 1")
     if not runout_map.needs_angle:
         raise UsageError("the run-out map is that of a shaft at rest; it knows no angle to align")
     p, motion = recording.signal("p"), shaft_motion(recording)

@@ -242,7 +242,7 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
     half = max(3, round((HALF_WINDOW_S if known else SHORT_S) / rec.sample_time))
     if "p" not in rec.signals or rec.channels["p"] != ("x", "y") or rec.n_samples < _MIN_SAMPLES + 2 * half:
         return
-    p = _median_of_three(rec.signal("p"))
+    p = scipy.ndimage.median_filter(rec.signal("p"), size=(3, 1), mode="nearest")
     p = p - p.mean(axis=0)
     k, residual, sigma = _unexplained(rec, p, half)
     if len(k) < _MIN_SAMPLES // 2:
@@ -387,12 +387,6 @@ def _struck(rec: Recording, half: int) -> BoolArray:
             size = np.abs(rec.signal(name)).max(axis=1)
             struck |= size > 0.05 * size.max()
     return np.asarray(np.convolve(struck, np.ones(2 * half + 5), mode="same") > 0, dtype=bool)
-
-
-def _median_of_three(values: FloatArray) -> FloatArray:
-    a, b, c = values[:-2], values[1:-1], values[2:]
-    middle = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
-    return np.concatenate([values[:1], middle, values[-1:]])
 
 
 # ---- Checks of the sample time and of the shaft encoder.

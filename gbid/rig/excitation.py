@@ -350,15 +350,8 @@ class Turning:
         """Speed up to the first sample [rad/s]."""
         return self.speeds[0]
 
-    @property
-    def is_steady(self) -> bool:
-        """Whether the speed is constant."""
-        return len(self.times) == 1
-
     def angle(self, time: FloatArray) -> FloatArray:
         """Return the shaft angle at times from the first sample [rad], not wrapped, shape of `time`."""
-        if self.is_steady:
-            return np.asarray(self.start + self.speed * time)
         times, speeds = np.array(self.times), np.array(self.speeds)
         turned = np.concatenate([[0.0], np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times))])
         piece, slope = self._pieces(time)
@@ -367,11 +360,11 @@ class Turning:
 
     def speed_at(self, time: FloatArray) -> FloatArray:
         """Return the speed at times from the first sample [rad/s], shape of `time`."""
-        return np.full(np.shape(time), self.speed) if self.is_steady else np.interp(time, self.times, self.speeds)
+        return np.asarray(np.interp(time, self.times, self.speeds))
 
     def acceleration_at(self, time: FloatArray) -> FloatArray:
         """Return the angular acceleration at times from the first sample [rad/s^2], shape of `time`."""
-        return np.zeros(np.shape(time)) if self.is_steady else self._pieces(time)[1]
+        return self._pieces(time)[1]
 
     def _pieces(self, time: FloatArray) -> tuple[np.ndarray, FloatArray]:
         """Return the last given time before each time, as an index, and the acceleration there."""

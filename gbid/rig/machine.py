@@ -287,6 +287,7 @@ class RotorBearingTruth(Brief):
         return cls(K, D, B, np.array([named["tau_x"], named["tau_y"]]))
 
     @classmethod
+    @lru_cache(maxsize=64)
     def of_film(cls, point: FilmPoint) -> RotorBearingTruth:
         """Return the rotor and bearing with the response of a gas film at the mean frequency of its two modes.
 
@@ -295,7 +296,7 @@ class RotorBearingTruth(Brief):
         point : FilmPoint
             Film, operating point and rotor.
         """
-        return _of_film(point)
+        return cls(*point.at_frequency(float(point.modes()[:, 0].mean())))
 
     def key_parameters(self) -> dict[str, float]:
         """Return the fourteen key parameters by name, ``k_xx`` to ``tau_y``, SI per kg."""
@@ -425,13 +426,9 @@ class Machine(Brief):
     film: FilmPoint | None = None
 
     def __post_init__(self) -> None:
-        linear = {
-            "stiffening": self.stiffening,
-            "non_synchronous": self.non_synchronous,
-            "flexible_mode": self.flexible_mode,
-        }
-        if self.film is not None and any(linear.values()):
-            names = ", ".join(name for name, part in linear.items() if part is not None)
+        linear = [name for name in ("stiffening", "non_synchronous", "flexible_mode") if getattr(self, name)]
+        if self.film is not None and linear:
+            names = ", ".join(linear)
             raise UsageError(f"machine: {names} with a gas film; these are effects of the linear bearing")
         for name, unit in (("clearance", "m"), ("moving_mass", "kg")):
             value = getattr(self, name)
@@ -510,11 +507,6 @@ class Machine(Brief):
             clearance,
             **parts,
         )
-
-
-@lru_cache(maxsize=64)
-def _of_film(point: FilmPoint) -> RotorBearingTruth:
-    return RotorBearingTruth(*point.at_frequency(float(point.modes()[:, 0].mean())))
 
 
 _PAIRS = ("xx", "xy", "yx", "yy")

@@ -248,7 +248,7 @@ class Forces:
     def _unbalance(self, time: FloatArray) -> FloatArray:
         """Return the force of an eccentric mass for any rotation of the shaft."""
         unbalance = self.machine.unbalance
-        if self.turning.is_steady and self.turning.speed == 0:
+        if not any(self.turning.speeds):
             return np.zeros((len(time), 2))
         angle = self.turning.angle(time) + unbalance.phase_rad
         outward = unbalance.eccentricity_m * self.turning.speed_at(time) ** 2

@@ -11,7 +11,7 @@ from annotated_types import Ge
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Allowed, Exact, Finite, NotNegative, check_options
+from gbid.core.option_types import Allowed, Exact, Finite, NotNegative, Positive, check_options
 
 TURN = 2 * np.pi
 
@@ -151,7 +151,7 @@ class SampledController(Brief):
     B: FloatArray
     C: FloatArray
     D: FloatArray
-    sample_time: float
+    sample_time: Positive
     runout: FloatArray | None = None
     offset: FloatArray | tuple[float, float] = (0.0, 0.0)
     name: str = "controller"
@@ -170,8 +170,6 @@ class SampledController(Brief):
                 )
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        if not (np.isfinite(self.sample_time) and self.sample_time > 0):
-            raise UsageError(f"sampled controller: sample_time = {self.sample_time} s; it must be positive")
 
     def subtracted(self, angle: FloatArray) -> FloatArray:
         """Return the correction that the controller subtracts from the measured position, shape (n, 2) [m].

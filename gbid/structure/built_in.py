@@ -11,7 +11,7 @@ import casadi as ca
 
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Names
+from gbid.core.option_types import Names, check_options
 from gbid.discretise import Hold
 from gbid.structure.delay import with_filters
 from gbid.structure.linear import LoopParts, as_names
@@ -81,8 +81,7 @@ class RotorBearing(Brief):
     def __post_init__(self) -> None:
         if self.unbalance and self.inputs == ("u",):
             object.__setattr__(self, "inputs", ("u", "unbalance"))
-        if self.delay not in (None, "exact", "pade"):
-            raise UsageError(f"{self.name}: delay = {self.delay!r}; choose 'exact' or 'pade'")
+        check_options(self, self.name)
         if self.delay == "exact" and self.pade_order is not None:
             raise UsageError(f"{self.name}: pade_order is for delay = 'pade'; exact delays have no order")
         if self.delay is None:
@@ -91,13 +90,6 @@ class RotorBearing(Brief):
             object.__setattr__(self, "pade_order", 1)
         if self.pade_order is not None and self.pade_order < 1:
             raise UsageError(f"{self.name}: pade_order = {self.pade_order}; it must be at least 1")
-        if self.disturbance_gain not in ("full", "diagonal", "states", "none"):
-            raise UsageError(
-                f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; "
-                "choose 'full', 'diagonal', 'states' or 'none'"
-            )
-        if self.film not in ("linear", "stiffening"):
-            raise UsageError(f"{self.name}: film = {self.film!r}; choose 'linear' or 'stiffening'")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -186,10 +178,7 @@ class PiezoPair(Brief):
     poles: Literal["real", "any"] = "real"
 
     def __post_init__(self) -> None:
-        if self.disturbance_gain not in ("none", "full"):
-            raise UsageError(f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; choose 'none' or 'full'")
-        if self.poles not in ("real", "any"):
-            raise UsageError(f"{self.name}: poles = {self.poles!r}; choose 'real' or 'any'")
+        check_options(self, self.name)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

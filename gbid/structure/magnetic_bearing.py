@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import isfinite, pi
-from typing import Any
+from math import pi
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
-from gbid.core.option_types import Names
+from gbid.core.option_types import Allowed, Names, Positive, check_options
 from gbid.discretise import Hold
 from gbid.structure.linear import Structure, as_names, symbolic_matrices
 from gbid.structure.parameter import Parameter, Values
 
 _PLANES = {1: "one position", 2: "x and y of one bearing", 4: "x and y of two bearings"}
+
+PositiveNumber = Annotated[Positive, Allowed("a positive number")]
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class RigidRotor(Brief):
     """
 
     axes: Names = ("z",)
-    mass_kg: float = 1.0
+    mass_kg: PositiveNumber = 1.0
     inertia_kg_m2: float | None = None
     polar_inertia_kg_m2: float = 0.0
     arms_m: tuple[float, float] | None = None
@@ -74,11 +76,10 @@ class RigidRotor(Brief):
     intersample: Hold = "zoh"
 
     def __post_init__(self) -> None:
+        check_options(self, self.name)
         if len(self.axes) not in _PLANES:
             choices = ", ".join(f"{n} ({what})" for n, what in _PLANES.items())
             raise UsageError(f"{self.name}: {len(self.axes)} axes; there are rotors with {choices}")
-        if not (isfinite(self.mass_kg) and self.mass_kg > 0):
-            raise UsageError(f"{self.name}: mass_kg = {self.mass_kg}; give a positive number")
         tilts = (self.inertia_kg_m2, self.arms_m)
         if len(self.axes) == 4 and (None in tilts or not self.inertia_kg_m2 or self.inertia_kg_m2 < 0):
             raise UsageError(f"{self.name}: four axes need inertia_kg_m2 and arms_m = (z_a, z_b)")
@@ -147,10 +148,10 @@ class MagneticBearing(Brief):
     """
 
     rotor: Structure = field(default_factory=RigidRotor)
-    amplifier_hz: float = 1000.0
+    amplifier_hz: PositiveNumber = 1000.0
     amplifier_delay_s: float = 1e-5
-    longest_delay_s: float = 1e-4
-    sensor_hz: float | None = None
+    longest_delay_s: PositiveNumber = 1e-4
+    sensor_hz: PositiveNumber | None = None
     name: str = "magnetic_bearing"
     inputs: Names = ("i_ref",)
     outputs: Names = ("p",)
@@ -161,10 +162,7 @@ class MagneticBearing(Brief):
         object.__setattr__(self, "outputs", as_names(outputs))
         if self.outputs not in (("p",), ("i", "p")):
             raise UsageError(f"{self.name}: outputs = {self.outputs}; choose ('p',) or ('i', 'p')")
-        for key in ("amplifier_hz", "longest_delay_s", "sensor_hz"):
-            value = getattr(self, key)
-            if value is not None and not (isfinite(value) and value > 0):
-                raise UsageError(f"{self.name}: {key} = {value}; give a positive number")
+        check_options(self, self.name)
         if not 0 <= self.amplifier_delay_s <= self.longest_delay_s:
             raise UsageError(f"{self.name}: amplifier_delay_s = {self.amplifier_delay_s}; 0 to longest_delay_s")
         _, m = symbolic_matrices(self.rotor)

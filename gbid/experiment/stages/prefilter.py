@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Literal
 
 from gbid.core.errors import DataError
 from gbid.core.hdf5 import save
@@ -223,7 +224,7 @@ def _maps_in_loop(job: Job, point: str) -> dict[str, RunoutMap]:
         return {}
     still = [load_made(job, planned) for planned in loop_stills(job.experiment, point)]
     number = _HARMONICS_IN_LOOP if section.harmonics == "auto" else section.harmonics
-    method = "bins" if section.method == "bins" else "harmonics"
+    method: Literal["bins", "harmonics"] = "bins" if section.method == "bins" else "harmonics"
     return {
         signal: identify_runout(still, method=method, harmonics=number, bins=section.bins, signal=signal, in_loop=True)
         for signal in (POSITION, "r", "u")
