@@ -8,9 +8,9 @@ import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
-from typing import Annotated, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 import scipy
@@ -334,23 +334,13 @@ def table_of_points(rows: dict[tuple[float, float], FloatArray], what: str) -> G
             f"{what}: the operating points are no full grid, {p:g} bar at {s:g} rpm is missing; add it, or choose one "
             "operating point (--at BAR RPM)"
         )
+    values = np.array([[rows[p, s] for s in speeds] for p in pressures])
     if len(rows) == 1:
-        return GridTable((), (), np.array(list(rows.values())))
-    pressures, speeds, rows = _at_least_two(pressures, speeds, rows)
-    return GridTable(pressures, speeds, np.array([rows[p, s] for p in pressures for s in speeds]))
-
-
-def _at_least_two(
-    pressures: tuple[float, ...], speeds: tuple[float, ...], rows: dict[tuple[float, float], FloatArray]
-) -> tuple[tuple[float, ...], tuple[float, ...], dict[tuple[float, float], FloatArray]]:
-    """Repeat the only node of an axis, so that the source needs one form of interpolation."""
-    if len(pressures) == 1:
-        rows = rows | {(p + 1.0, s): row for (p, s), row in rows.items()}
-        pressures = (pressures[0], pressures[0] + 1.0)
-    if len(speeds) == 1:
-        rows = rows | {(p, s + 1.0): row for (p, s), row in rows.items()}
-        speeds = (speeds[0], speeds[0] + 1.0)
-    return pressures, speeds, rows
+        return GridTable((), (), values[0])
+    # the only node of an axis is repeated, so that the source needs one form of interpolation
+    pressures, speeds = (nodes if len(nodes) > 1 else (nodes[0], nodes[0] + 1.0) for nodes in (pressures, speeds))
+    values = np.broadcast_to(values, (len(pressures), len(speeds), values.shape[2]))
+    return GridTable(pressures, speeds, values.reshape(-1, values.shape[2]))
 
 
 def table_over_domain(row_at: Callable[[float, float], FloatArray], domain: lpv.Domain) -> GridTable:
@@ -368,23 +358,13 @@ def table_over_domain(row_at: Callable[[float, float], FloatArray], domain: lpv.
     GridTable
         Its error is at most `TOLERANCE`, or that of `MOST_NODES` nodes along an axis.
     """
-    known: dict[tuple[float, float], FloatArray] = {}
-
-    def exact(p: float, s: float) -> FloatArray:
-        if (p, s) not in known:
-            known[p, s] = np.asarray(row_at(p, s), float)
-        return known[p, s]
-
+    exact: Any = cache(lambda p, s: np.asarray(row_at(p, s), float))
     count = [2, 2]
     while True:
-        axes = [
-            np.linspace(*bounds, n) for bounds, n in zip((domain.pressure_bar, domain.speed_rpm), count, strict=True)
-        ]
-        if domain.pressure_bar[0] == domain.pressure_bar[1]:
-            axes[0] = axes[0][:1]
-        if domain.speed_rpm[0] == domain.speed_rpm[1]:
-            axes[1] = axes[1][:1]
-        pressures, speeds = ([float(v) for v in axis] for axis in axes)
+        pressures, speeds = (
+            np.unique(np.linspace(*bounds, n)).tolist()  # one node where both bounds are equal
+            for bounds, n in zip((domain.pressure_bar, domain.speed_rpm), count, strict=True)
+        )
         table = table_of_points({(p, s): exact(p, s) for p in pressures for s in speeds}, "schedule")
         if not table.is_scheduled:
             return table
@@ -536,10 +516,7 @@ class Chain(Brief):
     @property
     def allocation(self) -> tuple[tuple[float, ...], ...]:
         """Factors of the outputs in the commands."""
-        m = len(self.limits)
-        return (
-            STACKS if self.options.limits is None else tuple(tuple(float(i == k) for k in range(m)) for i in range(m))
-        )
+        return STACKS if self.options.limits is None else tuple(map(tuple, np.eye(len(self.limits)).tolist()))
 
     @property
     def ramp_samples(self) -> int:

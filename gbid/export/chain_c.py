@@ -6,12 +6,11 @@ import ctypes
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FunctionLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gbid._version import __version__
 from gbid.core.arrays import FloatArray
@@ -58,17 +57,13 @@ def render_source(template: str, chain: Chain, **further: Any) -> str:
     """
     number = chain.options.number
     environment = Environment(
-        loader=FunctionLoader(_read), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False
+        loader=PackageLoader("gbid.export"), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["number"] = lambda value: c_number(value, number)
     environment.filters["comment"] = c_comment
     environment.filters["inverse"] = inverse_widths
     text = environment.get_template(template).render(**_values(chain), **further)
     return text.rstrip("\n") + "\n"
-
-
-def _read(name: str) -> str:
-    return files(__package__).joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def _values(chain: Chain) -> dict[str, Any]:
@@ -139,15 +134,12 @@ def _bins(runout_map: RunoutMap) -> dict[str, Any]:
     angles = np.concatenate([runout_map.angles[-1:] - TURN, runout_map.angles, runout_map.angles[:1] + TURN])
     values: FloatArray = np.vstack([runout_map.table[-1:], runout_map.table, runout_map.table[:1]])
     slopes = np.diff(values, axis=0) / np.diff(angles)[:, None]
-    step = 1
-    while 2 * step < len(angles):
-        step *= 2
     return {
         "angle": angles.tolist(),
         "value": values.tolist(),
         "slope": slopes.tolist(),
         "mean": runout_map.mean.tolist(),
-        "first_step": step,
+        "first_step": 1 << ((len(angles) - 1).bit_length() - 1),
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -151,11 +152,7 @@ def _functions(recording: Recording) -> list[dict[str, Any]]:
 
 def _response_functions(data: FrequencyData) -> list[dict[str, Any]]:
     functions: list[dict[str, Any]] = []
-    for (i, output), (j, source) in (
-        ((i, output), (j, source))
-        for i, output in enumerate(data.output_names)
-        for j, source in enumerate(data.input_names)
-    ):
+    for (i, output), (j, source) in product(enumerate(data.output_names), enumerate(data.input_names)):
         measured = np.isfinite(data.response[:, i, j]) & np.isfinite(data.std[:, i, j])
         f = data.frequency_hz[measured]
         if len(f) < 2:

@@ -136,7 +136,4 @@ def lpv_contents(model: LPVModel) -> dict[str, Any]:
 
 def cell(texts: Sequence[str]) -> np.ndarray[Any, Any]:
     """Return texts as a MATLAB cell column."""
-    out = np.empty((len(texts), 1), dtype=object)
-    for i, text in enumerate(texts):
-        out[i, 0] = text
-    return out
+    return np.array(list(texts), dtype=object)[:, None]

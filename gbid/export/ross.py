@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import cos, isfinite, pi, sin
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -21,6 +21,7 @@ from gbid.core.arrays import ComplexArray, FloatArray
 from gbid.core.errors import UsageError
 from gbid.core.extras import extra_package
 from gbid.core.notes import FitNote
+from gbid.core.option_types import Allowed, Finite
 from gbid.discretise import Hold
 from gbid.identify import FitResult
 from gbid.lpv import LPVModel
@@ -542,7 +543,7 @@ def from_ross(
     sensors: Sequence[Place | Any],
     actuators: Sequence[Place | Any],
     bearings: Mapping[str, int | str] | Sequence[str] | None = None,
-    speed_rpm: float = 0.0,
+    speed_rpm: Annotated[Finite, Allowed("a finite number")] = 0.0,
     modes: int = 8,
     outputs: str | Sequence[str] = "p",
     inputs: str | Sequence[str] = "f",
@@ -600,10 +601,6 @@ def from_ross(
     """
     if not all(hasattr(rotor, part) for part in ("bearing_elements", "number_dof", "M", "K", "C", "G")):
         raise UsageError(f"a {type(rotor).__name__} is no rotor of ROSS; give a ross.Rotor")
-    if not (isinstance(speed_rpm, int | float | np.number) and isfinite(speed_rpm)):
-        raise UsageError(f"structure {name!r}: speed_rpm = {speed_rpm!r}; give a finite number")
-    if isinstance(modes, bool) or not isinstance(modes, int | np.integer):
-        raise UsageError(f"structure {name!r}: modes = {modes!r}; give a whole number")
     if not sensors:
         raise UsageError(f"structure {name!r}: no sensors; give the node and axis of each")
     equations = lateral_matrices(rotor, bearings, 2.0 * pi / 60.0 * float(speed_rpm))

@@ -175,8 +175,8 @@ def write_tables(item: ExportItem, request: ExportRequest) -> list[Path]:
     return files
 
 
-def write_matlab(item: ExportItem, request: ExportRequest) -> list[Path]:
-    """Write mat files.
+def write_models(item: ExportItem, request: ExportRequest, ending: str) -> list[Path]:
+    """Write mat files, or plain YAML.
 
     Raises
     ------
@@ -184,23 +184,11 @@ def write_matlab(item: ExportItem, request: ExportRequest) -> list[Path]:
         When a file exists and `overwrite` is not set.
     """
     from gbid.export.matlab import save_mat
-
-    models = _models(item, request).items()
-    return [save_mat(model, request.folder / f"{name}.mat", overwrite=request.overwrite) for name, model in models]
-
-
-def write_yaml(item: ExportItem, request: ExportRequest) -> list[Path]:
-    """Write plain YAML.
-
-    Raises
-    ------
-    UsageError
-        When a file exists and `overwrite` is not set.
-    """
     from gbid.export.tables import save_yaml
 
+    save = {".mat": save_mat, ".yaml": save_yaml}[ending]
     models = _models(item, request).items()
-    return [save_yaml(model, request.folder / f"{name}.yaml", overwrite=request.overwrite) for name, model in models]
+    return [save(model, request.folder / f"{name}{ending}", overwrite=request.overwrite) for name, model in models]
 
 
 def _models(item: ExportItem, request: ExportRequest) -> dict[str, Any]:
@@ -296,11 +284,11 @@ TARGETS = {
     "c": ExportTarget(write_c, ("ControllerDesign",)),
     "csv": ExportTarget(write_tables),
     "fmu": ExportTarget(write_unit, ("LPVModel", "ControllerDesign")),
-    "matlab": ExportTarget(write_matlab),
+    "matlab": ExportTarget(partial(write_models, ending=".mat")),
     "mdf": ExportTarget(partial(write_data, ending=".mf4"), ("Recording",)),
     "parquet": ExportTarget(partial(write_data, ending=".parquet"), ("Recording",)),
     "ross": ExportTarget(write_elements, ("LPVModel",)),
     "universal": ExportTarget(partial(write_data, ending=".unv"), ("Recording",)),
-    "yaml": ExportTarget(write_yaml),
+    "yaml": ExportTarget(partial(write_models, ending=".yaml")),
 }
 """Targets by the word after ``gbid export --to``."""

@@ -11,21 +11,18 @@ from contextvars import ContextVar
 from inspect import signature
 from pathlib import Path
 from threading import current_thread, main_thread
-from typing import TYPE_CHECKING, Any, Literal, TextIO, TypeAlias
+from typing import Any, Literal, TextIO, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 from matplotlib.backend_bases import get_registered_canvas_class
 from matplotlib.figure import Figure
 
 from gbid.core.errors import UsageError
 from gbid.core.names import printable
 from gbid.core.tables import shown_unit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # ---- Style of the figures, and how they are written. Nothing here touches pyplot, so nothing is left behind.
 

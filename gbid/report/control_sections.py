@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gbid.control import HalfSine, PStructure, close_loop, impact_response
+from gbid.control.assessment import FIGURES as POINT_FIGURES
 from gbid.control.assessment import TunedDesign
 from gbid.control.loop.sensitivity import sensitivity_data
 from gbid.core.arrays import FloatArray, point_label
@@ -161,16 +162,10 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
 
 TITLE = "Controller"
 _BY_POINT = (
-    ("damping", "", "damping", 1.0, ".3f"),
-    ("peak S_o", "", "peak_output", 1.0, ".3f"),
-    ("peak K S_o", "", "peak_control", 1.0, ".3f"),
-    ("static S_o", "", "static_amplification", 1.0, ".2f"),
-    ("slowest decay", "Hz", "slowest_decay_hz", 1.0, ".1f"),
-    ("disc", "µm", "impact_p_m", 1e6, ".2f"),
-    ("stack", "µm", "stack_travel_m", 1e6, ".2f"),
-    ("sampled damping", "", "sampled_damping", 1.0, ".3f"),
+    *("damping", "peak_output", "peak_control", "static_amplification", "slowest_decay_hz"),
+    *("impact_p_m", "stack_travel_m", "sampled_damping"),
 )
-"""Heading, unit, figure, factor and format of the table by operating point."""
+"""Figures of the table by operating point."""
 
 
 def controller_section(results: Results, pictures: Pictures) -> PageSection:
@@ -252,12 +247,12 @@ def _modes(results: Results, design: AssessedDesign) -> list[Block]:
 
 
 def _by_point(design: AssessedDesign) -> Block:
-    shown = [entry for entry in _BY_POINT if not isnan(design.figures.worst[entry[2]][0])]
+    shown = {name: POINT_FIGURES[name] for name in _BY_POINT if not isnan(design.figures.worst[name][0])}
     rows: list[list[Entry]] = [
-        [point_label(*point), *(factor * design.figures.at(i)[name] for _, _, name, factor, _ in shown)]
+        [point_label(*point), *(figure.factor * design.figures.at(i)[name] for name, figure in shown.items())]
         for i, point in enumerate(design.figures.points)
     ]
-    columns = [Column("operating point"), *(Column(name, unit, form) for name, unit, _, _, form in shown)]
+    columns = [Column("operating point"), *(Column(figure.heading, format=figure.format) for figure in shown.values())]
     return Fold(f"{design.name} at each operating point", [Table(design.name, columns, rows)])
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 
 from gbid.control.impact.study import ImpactStudy, ImpactValidation
 from gbid.core.arrays import FloatArray
@@ -17,10 +18,6 @@ from gbid.core.errors import UsageError
 from gbid.report.canvas import TWO_COLUMNS, legend_above, letter, panels, series, styled
 from gbid.report.named import NamedFigure
 from gbid.report.read import Results, place_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # ---- Responses of the disc to an impact, with the force (paper, Figs. 22 to 27).
 

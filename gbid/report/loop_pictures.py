@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 
-from gbid.control import sensitivity_data
+from gbid.control import SensitivityData, close_loop, sensitivity_data, smallest_damping
 from gbid.control.assessment import TunedDesign
 from gbid.core.arrays import ComplexArray, FloatArray, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import DataError, UsageError
 from gbid.experiment.stages.cycle import CycleRow
+from gbid.lpv import LPVModel
 from gbid.report.canvas import (
     BLACK,
     GREY,
@@ -41,13 +43,7 @@ from gbid.report.read import (
     published_gains,
     shown_point,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from gbid.control import SensitivityData
-    from gbid.lpv import LPVModel
-    from gbid.structure import LinearModel
+from gbid.structure import LinearModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +102,6 @@ def damping_map_data(
     DampingMap
         Smallest damping factors; negative for an unstable loop.
     """
-    from gbid.control import close_loop, smallest_damping
-
     pressure, speed = (np.linspace(*ends, n) for ends in (model.domain.pressure_bar, model.domain.speed_rpm))
     damping = np.empty((n, n))
     for i, bar in enumerate(map(float, pressure)):
@@ -290,8 +284,6 @@ def root_locus_data(
     RootLocus
         Poles for each factor.
     """
-    from gbid.control import close_loop
-
     factors = np.atleast_1d(np.asarray(factor, float))
     poles = np.array([close_loop(plant, controller(float(f))).poles() for f in factors])
     return RootLocus(factors, poles, label, title)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -43,13 +44,7 @@ from gbid.report.canvas import (
 )
 from gbid.report.named import NamedFigure
 from gbid.report.read import Results, place_of
-from gbid.validate import NominalActuator, ValidationSummary
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from gbid.validate import ResidualTest, Validation
-
+from gbid.validate import NominalActuator, ResidualTest, Validation, ValidationSummary
 
 _ROWS = (("kappa", "\\kappa_{a,%s}", "m/m", 1.0), ("p1", "p_{1,%s}", "rad/s", 1.0), ("p2", "p_{2,%s}", "krad/s", 1e-3))
 

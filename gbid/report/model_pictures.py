@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from gbid.control import ISO_LIMITS, Sensitivities, SensitivityZones, sensitivity_zones
@@ -47,11 +49,6 @@ from gbid.report.canvas import (
     symbol,
     unit_label,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-
 
 # ---- Logarithmic axis of frequencies with plain numbers.
 

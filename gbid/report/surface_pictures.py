@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from gbid.core.arrays import FloatArray, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.tables import exponent_of
-from gbid.lpv import CHARACTERISTICS, LPVFit, characteristics
+from gbid.lpv import CHARACTERISTICS, LPVFit, LPVModel, characteristics
 from gbid.report.canvas import (
     BLUE,
     PRESSURE,
@@ -32,12 +33,6 @@ from gbid.report.canvas import (
 from gbid.report.named import NamedFigure
 from gbid.report.read import Results
 from gbid.structure import KEY_PARAMETERS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from gbid.lpv import LPVModel
-
 
 Estimates = Mapping[str, npt.ArrayLike]
 Quantity = Literal["delay", "frequency", "damping", "gain"]
