@@ -36,11 +36,11 @@ class Plateaus:
         return len(self.start)
 
 
-def find_plateaus(rec: Recording, command: str, min_samples: int = 2 * MIN_SAMPLES) -> Plateaus:
+def find_plateaus(rec: Recording, command: str) -> Plateaus:
     """Return the plateaus of a staircase, found from its command.
 
     The command must be without noise. A step is a change by more than 0.1 % of the whole travel from one sample to the
-    next. Stretches shorter than `min_samples` are transitions between plateaus.
+    next. Stretches of less than 80 samples are transitions between plateaus.
 
     Parameters
     ----------
@@ -48,8 +48,6 @@ def find_plateaus(rec: Recording, command: str, min_samples: int = 2 * MIN_SAMPL
         The staircase.
     command : str
         Name of the commanded signal, e.g. r.
-    min_samples : int
-        Smallest number of samples of a plateau.
 
     Returns
     -------
@@ -68,11 +66,11 @@ def find_plateaus(rec: Recording, command: str, min_samples: int = 2 * MIN_SAMPL
     changes = np.abs(np.diff(values, axis=0)).max(axis=1) > 1e-3 * travel
     edges = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(values)]])
     start, stop = edges[:-1], edges[1:]
-    long = stop - start >= min_samples
+    long = stop - start >= 2 * MIN_SAMPLES
     start, stop = start[long], stop[long]
     if len(start) < 3:
         raise DataError(
-            f"recording {rec.name!r}: {command} has {len(start)} plateaus of at least {min_samples} samples; "
+            f"recording {rec.name!r}: {command} has {len(start)} plateaus of at least {2 * MIN_SAMPLES} samples; "
             f"a staircase has three or more, and {command} must be the command itself, not a noisy measurement of it"
         )
     level = np.array([np.median(values[a:b], axis=0) for a, b in zip(start, stop, strict=True)])

@@ -26,6 +26,7 @@ from gbid.discretise import Hold
 from gbid.identify import FitResult
 from gbid.lpv import LPVModel
 from gbid.structure import LinearStructure, Parameter, Values
+from gbid.structure.built_in import PAIRS
 from gbid.structure.linear import as_names
 from gbid.structure.parameter import set_fields
 
@@ -446,7 +447,6 @@ def _support(stiffness: FloatArray, shaft: FloatArray) -> float:
 
 # ---- Structure of a finite-element rotor of ROSS whose bearing coefficients are to be identified.
 
-_PAIRS = ("xx", "xy", "yx", "yy")
 _REDUCED_WELL = 0.01
 """Largest relative error of a frequency without a note: finite-element rotors and measured ones agree no better."""
 _SPLIT = 1e-3
@@ -636,7 +636,7 @@ def _parameters(bearing: UnknownBearing) -> list[Parameter]:
     return [
         Parameter(f"{letter}_{pair}_{bearing.name}", float(value), unit=unit)
         for letter, matrix, unit in coefficients
-        for pair, value in zip(_PAIRS, matrix.ravel(), strict=True)
+        for pair, value in zip(PAIRS, matrix.ravel(), strict=True)
     ]
 
 
@@ -680,5 +680,5 @@ def _matrices(
 
 
 def _square(p: Values, letter: str, name: str) -> Any:
-    xx, xy, yx, yy = (p[f"{letter}_{pair}_{name}"] for pair in _PAIRS)
+    xx, xy, yx, yy = (p[f"{letter}_{pair}_{name}"] for pair in PAIRS)
     return ca.blockcat([[ca.SX(xx), ca.SX(xy)], [ca.SX(yx), ca.SX(yy)]])

@@ -417,9 +417,9 @@ def compare_orders(
     return tuple(scores)
 
 
-def best_order(scores: tuple[OrderScore, ...], highest: int = 2) -> int:
-    """Return the order with the best score, up to `highest`; 0 where no order can be compared, as with one point."""
-    possible = [s for s in scores if s.order <= highest and np.isfinite(s.score)]
+def best_order(scores: tuple[OrderScore, ...]) -> int:
+    """Return the order up to 2 with the best score; 0 where no order can be compared, as with one point."""
+    possible = [s for s in scores if s.order <= 2 and np.isfinite(s.score)]
     return min(possible, key=lambda s: s.score).order if possible else 0
 
 

@@ -17,6 +17,7 @@ from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.tables import exponent_of
 from gbid.lpv import CHARACTERISTICS, LPVFit, LPVModel, characteristics
+from gbid.lpv.model_file import SI_UNITS
 from gbid.report.canvas import (
     BLUE,
     PRESSURE,
@@ -33,16 +34,16 @@ from gbid.report.canvas import (
 from gbid.report.named import NamedFigure
 from gbid.report.read import Results
 from gbid.structure import KEY_PARAMETERS
+from gbid.structure.built_in import PAIRS
 
 Estimates = Mapping[str, npt.ArrayLike]
 Quantity = Literal["delay", "frequency", "damping", "gain"]
 _Speeds = Sequence[float] | FloatArray
-_PAIRS = ("xx", "xy", "yx", "yy")
 _QUANTITIES: Mapping[Quantity, Mapping[str, tuple[str, str]]] = {
     "delay": {f"tau_{axis}": (f"tau_{axis}", f"$\\tau_{axis}$ [samples at {{:g}} kHz]") for axis in "xy"},
     "frequency": {f"frequency_{i}": (f"omega_{i}", f"natural frequency $\\omega_{i}$ [Hz]") for i in (1, 2)},
     "damping": {f"damping_{i}": (f"zeta_{i}", f"damping factor $\\zeta_{i}$ [-]") for i in (1, 2)},
-    "gain": {f"g_{pair}": (f"g_{pair}", f"static gain $g_{{{{{pair}}}}}$ [m/m]") for pair in _PAIRS},
+    "gain": {f"g_{pair}": (f"g_{pair}", f"static gain $g_{{{{{pair}}}}}$ [m/m]") for pair in PAIRS},
 }
 """Characteristic of an LPV model and label of each panel, by quantity and name."""
 
@@ -276,7 +277,6 @@ def _plot_quantity(what: Quantity, results: Results, only: str = "") -> npt.NDAr
 
 # ---- Key parameters over injection pressure and speed, with the estimates on stems (paper, Figs. 11 to 13).
 
-_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -355,7 +355,7 @@ def surfaces_data(
         values = np.broadcast_to(np.asarray(grid[name], float), (n, n))
         where, measured = _marked(name, points, estimates)
         at = np.asarray(model.key_parameters(*where.T, extrapolate=True)[name], float) if len(measured) else np.zeros(0)
-        surfaces.append(Surface(name, _UNITS[name.split("_")[0]], pressure, speed, values, where, measured, at))
+        surfaces.append(Surface(name, SI_UNITS[name.split("_")[0]], pressure, speed, values, where, measured, at))
     return surfaces
 
 
@@ -460,7 +460,7 @@ def fit_surfaces_data(fit: LPVFit, letter: Literal["k", "d", "b"]) -> list[Surfa
     list of Surface
         Surfaces of the four parameters.
     """
-    names = [f"{letter}_{pair}" for pair in _PAIRS]
+    names = [f"{letter}_{pair}" for pair in PAIRS]
     estimates = dict(zip(KEY_PARAMETERS, fit.estimates.values.T, strict=True))
     return surfaces_data(fit.model, names, points=fit.estimates.points, estimates=estimates)
 
