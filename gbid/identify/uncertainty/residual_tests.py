@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray
+from gbid.core.errors import UsageError
 from gbid.identify.data import column_means
 
 # ---- Whiteness.
@@ -87,7 +88,14 @@ def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
     -------
     Whiteness
         Statistic and p-value of each output.
+
+    Raises
+    ------
+    UsageError
+        When no record is given.
     """
+    if not errors:
+        raise UsageError("whiteness_test: no residuals given; give those of at least one record")
     statistic, used = np.zeros(errors[0].shape[1]), [record for record in errors if len(record) > 2 * lags]
     for record in used:
         n, centred = len(record), record - column_means(record)
