@@ -9,9 +9,10 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+import scipy
 
 from gbid.control.tuning.certificate import certify
-from gbid.control.tuning.local import LocalOptimum, ascend, optimise_locally
+from gbid.control.tuning.local import LocalOptimum, optimise_locally
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import eigenvalues, true_rates
 from gbid.control.tuning.problem import FEASIBLE, PENALTY, GainProblem, Limits, Score, SearchStep, merit
@@ -343,6 +344,8 @@ _UNIFORM = 64
 """Points of the whole box that are tried before an ascent: together they take less time."""
 _MARGIN = 0.02
 """Decay beyond the slowest allowed one at which a pole no longer counts in this ascent, in typical rates."""
+_UNUSABLE = 1e30
+"""Growth where a matrix is not finite: more than any."""
 WIDE = 8.0
 """Width of the bounds, in units of the gain, from which on a grid and random starts are denser near the middle."""
 
@@ -401,17 +404,22 @@ def _stabilised(problem: GainProblem, points: list[FloatArray], unit: FloatArray
             slowest, start = growth, x
     decay = replace(problem, limits=Limits("decay", problem.limits.slowest_pole), linear=(), cuts=())
 
-    def evaluate(x: FloatArray) -> tuple[float, FloatArray]:
-        functions = decay.functions(x, _MARGIN)
+    def evaluate(u: FloatArray) -> tuple[float, FloatArray]:
+        functions = decay.functions(u * unit, _MARGIN)
         if not functions.score.usable:
-            return -np.inf, np.zeros_like(x)
+            return _UNUSABLE, np.zeros_like(u)
         excess = np.array([piece.value + _MARGIN for piece in functions.limits])
-        slopes = np.array([piece.slope for piece in functions.limits]).reshape(-1, len(x))
-        return -float(excess @ excess), -2 * excess @ slopes
+        slopes = np.array([piece.slope for piece in functions.limits]).reshape(-1, len(u))
+        return float(excess @ excess), 2 * excess @ slopes * unit
 
-    most, budget = 60 + 15 * len(unit), problem.evaluations
-    effort: Any = {"max_evaluations": most, "enough": -(_MARGIN**2) / 2, "stop": lambda: budget.exhausted}
-    return ascend(evaluate, start, problem.lower, problem.upper, unit, **effort).x
+    def ended(intermediate_result: Any) -> None:
+        if intermediate_result.fun <= _MARGIN**2 / 2 or problem.evaluations.exhausted:
+            raise StopIteration
+
+    bounds, most = zip(problem.lower / unit, problem.upper / unit, strict=True), 60 + 15 * len(unit)
+    effort: Any = {"bounds": list(bounds), "callback": ended, "options": {"maxfun": most}}
+    result = scipy.optimize.minimize(evaluate, start / unit, jac=True, method="L-BFGS-B", **effort)
+    return np.asarray(np.clip(result.x * unit, problem.lower, problem.upper))
 
 
 # ---- Start values on a grid, for few gains.
