@@ -100,7 +100,7 @@ def tuned_mass_damper(limit: float = 20.0) -> KnownLoop:
     A = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
     B = np.vstack([np.zeros((3, 2)), np.linalg.solve(M, forces)])
     C = np.array([[1, 0, -1, 0, 0, 0], [0, 0, 0, 1, 0, -1], [0, 1, -1, 0, 0, 0], [0, 0, 0, 0, 1, -1.0]])
-    return _static_feedback("TMD", A, B, C, limit, 1.1127)
+    return _static_feedback("TMD", A, B, C, limit, 1.1247)
 
 
 def _static_feedback(name: str, A: Any, B: Any, C: Any, limit: float, best: float) -> KnownLoop:
