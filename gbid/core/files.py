@@ -261,6 +261,12 @@ def has_valid_checksum(path: Path) -> bool:
     return checked_end(path) is not None
 
 
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 checksum of a file."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
 def checked_end(path: Path) -> bytes | None:
     """Return the last 100 bytes before the checksum of a file, or fewer; None when it does not end with one.
 

@@ -30,7 +30,7 @@ from pydantic_core.core_schema import no_info_plain_validator_function
 
 from gbid._version import __version__
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
-from gbid.core.files import add_text_checksum, atomic_path, checked_end, is_changed
+from gbid.core.files import add_text_checksum, atomic_path, checked_end, is_changed, sha256_of
 from gbid.core.hdf5 import KEY, MADE_WITH, changing, opened, versions
 from gbid.core.index import known
 from gbid.core.names import given_path
@@ -395,12 +395,7 @@ def file_digest(path: Path) -> str:
     OSError
         When the file cannot be read.
     """
-    return known(path, "sha256", _digest)
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
+    return known(path, "sha256", sha256_of)
 
 
 def stored_key(path: Path) -> str:

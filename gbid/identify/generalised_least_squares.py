@@ -96,7 +96,7 @@ class WeightedProblem:
         first, (lower, upper) = np.searchsorted(windows, self.record_window), self.box
         return replace(self, shooting=joined, box=(lower[kept], upper[kept]), record_window=first), kept
 
-    def estimate(self, z: FloatArray, filters: tuple[Whitening, ...] = ()) -> Estimate:
+    def estimate(self, z: FloatArray) -> Estimate:
         """Return the point of parameters and, after them, initial states of all records, with all gaps closed."""
         problem, n = self.shooting, self.shooting.n_states
         theta, starts = z[: problem.n_theta], np.zeros((problem.n_windows, n))
@@ -104,7 +104,7 @@ class WeightedProblem:
         values, weight = problem.values(theta), np.eye(len(problem.output_weights))
         for a, b in problem.links.tolist():
             starts[b] = np.concatenate([sweep.end for sweep in problem.sweeps(values, starts, weight)])[a]
-        return Estimate(problem, theta, starts, self.record_window, self.known, filters)
+        return Estimate(problem, theta, starts, self.record_window, self.known)
 
     def coordinates(self, unknowns: FloatArray) -> FloatArray:
         """Return parameters and initial states of scaled unknowns."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ import numpy as np
 from gbid.core.apart import read_apart
 from gbid.core.arrays import FloatArray
 from gbid.core.errors import DataError, UsageError
-from gbid.core.files import refuse_special
+from gbid.core.files import refuse_special, sha256_of
 from gbid.core.names import given_path
 from gbid.core.units import SIGNALS
 from gbid.recording.clock import on_grid, read_clock, resampled, times_of, untimed_sample_time
@@ -63,7 +62,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         raise UsageError(f"import mapping of {path}: {error}") from None
     reader = file_format(path, mapping.text_options, mapping.part).read
     try:
-        digest = _sha256(path)
+        digest = sha256_of(path)
         columns = reader(path, mapping.all_columns())
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -123,11 +122,6 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         raise DataError(f"{path}: {error}") from None
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
-
-
 def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording]:
     """Return the experiments of an `iddata` object in a MATLAB file, with its sample time, names and units.
 
@@ -171,7 +165,7 @@ def load_iddata(path: str | Path, variable: str | None = None) -> list[Recording
                 units={name: channel.unit for name, channel in channels.items()},
                 provenance={
                     "source_file": path.name,
-                    "source_sha256": _sha256(path),
+                    "source_sha256": sha256_of(path),
                     "intersample": ", ".join(each.hold),
                     "start_s": f"{each.start:g}",
                 },
