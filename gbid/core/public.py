@@ -36,9 +36,9 @@ def attach(
     def get(name: str) -> Any:
         value = imported(name)
         if isinstance(value, FunctionType) and value.__globals__ is not globals():  # else it is a checked one already
-            module, value = value.__module__, _checked_function(value, around)
-            if value.__module__ == module:  # pickles name it by the first package that hands it out
-                value.__module__ = package
+            value = _checked_function(value, around)
+            # pickles name it by the shortest package that hands it out
+            value.__module__ = min(value.__module__, package, key=len)
         elif isinstance(value, type):
             _check_calls_of(value)
         vars(sys.modules[package])[name] = value

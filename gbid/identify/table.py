@@ -338,7 +338,7 @@ def csv_table(fits: FitTable) -> Table:
 
 
 @dataclass(frozen=True, eq=False)
-class FitRow:
+class FitRow(Brief):
     """What a table shows of one fit; the fields are those of `gbid.FitResult`.
 
     Attributes

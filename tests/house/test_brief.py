@@ -94,7 +94,7 @@ def test_models_and_loops(machine):
 
 def test_designs(machine):
     assessment = assess(machine, "P", {"kappa_x": 0.1, "kappa_y": 0.1}, [(6.0, 0.0), (5.0, 0.0)])
-    assert lines_of(assessment)[0] == "Assessment: P, 2 operating points, stable"
+    assert lines_of(assessment)[0] == "Assessment: P, 2 operating points, sampled loop stable, continuous loop stable"
     assert repr(gbid.compare_designs([assessment])) == str(gbid.compare_designs([assessment]))
     gains = GainResult(
         {"kappa_x": 0.5}, 0.3, "damping", GainStatus.OPTIMAL, 0.0, "loops", WorstMode("6 bar", 90.0, 0.3)

@@ -338,7 +338,7 @@ WRONG = {
         "prior names a parameter that is not estimated: z",
     ),
     "prior without a spread": ({"prior": {"z": (0.1, 0.0)}}, r"prior of z = \(0.1, 0.0\); give a value and a positive"),
-    "prior of nan": ({"prior": {"z": (np.nan, 1.0)}}, "prior of z"),
+    "prior of nan": ({"prior": {"z": (np.nan, 1.0)}}, r"prior = \{'z': \(nan, 1.0\)\}; give a finite number"),
 }
 
 
