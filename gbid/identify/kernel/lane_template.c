@@ -181,14 +181,20 @@ static void __attribute__((noinline)) sums_with(
     for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
 }
 
+/* The workspace of this thread. Clang believes that the look-up of a thread's variable leaves half of the vector
+   registers as they are, and keeps arguments in them. So the look-up is in a function of its own. */
+static workspace *__attribute__((noinline)) workspace_of_thread(void) {
+  static __thread workspace w;
+  return &w;
+}
+
 /* Sums of the Gauss-Newton problem; arrays as for SampleSums, the eight blocks of a group innermost. */
 void gbid_sums(long groups, long length, long steps, const double *theta, const double *known, const double *R,
                const double *zs, const double *ys, const double *used, const long long *size, const double *starts,
                double *hessian, double *products, double *gradient, double *mixed, double *by_start, double *end,
                double *slopes) {
-  static __thread workspace w;
-  sums_with(&w, groups, length, steps, theta, known, R, zs, ys, used, size, starts, hessian, products, gradient, mixed,
-            by_start, end, slopes);
+  sums_with(workspace_of_thread(), groups, length, steps, theta, known, R, zs, ys, used, size, starts, hessian,
+            products, gradient, mixed, by_start, end, slopes);
 }
 
 /* States, errors, and the products of errors of each block, from given starts. Without `states` the products alone. */
@@ -218,7 +224,7 @@ void gbid_passed(long groups, long length, long steps, const double *theta, cons
 /* Derivatives of the outputs, sample by sample, from given states and derivatives at the starts. */
 void gbid_psi(long groups, long length, long steps, const double *theta, const double *known, const double *zs,
               const double *starts, const double *first, double *slopes) {
-  static __thread jacobians J;
+  jacobians *J = &workspace_of_thread()->J;
   point p;
   point_of(&p, theta, known, steps);
   for (long b = 0; b < groups; b++) {
@@ -227,7 +233,7 @@ void gbid_psi(long groups, long length, long steps, const double *theta, const d
     for (int i = 0; i < N*NC; i++) S[i] = *(const u *)(first + (b*N*NC + i)*8);
     for (long k = 0; k < length; k++) {
       for (int i = 0; i < NZ; i++) z[i] = *(const u *)(zs + ((b*length + k)*NZ + i)*8);
-      onwards_with_slopes(&p, &J, x, S, z, yhat, psi);
+      onwards_with_slopes(&p, J, x, S, z, yhat, psi);
       for (int i = 0; i < NY*NC; i++) *(u *)(slopes + ((b*length + k)*NY*NC + i)*8) = psi[i];
     }
   }

@@ -25,12 +25,22 @@ static void add_up(int count, const v *restrict A, const v *restrict S, v *restr
     }
 }
 
+typedef struct { v A[STEPS*ROWS], S[(STEPS + 1)*COLUMNS], P[ROWS*COLUMNS]; } workspace;
+
+/* The workspace of this thread. Clang believes that the look-up of a thread's variable leaves half of the vector
+   registers as they are, and keeps arguments in them. So the look-up is in a function of its own. */
+static workspace *__attribute__((noinline)) workspace_of_thread(void) {
+  static __thread workspace w;
+  return &w;
+}
+
 /* Arrays as documented for CompiledLinearKernel.second_pass, the eight blocks of a group innermost. */
 void gbid_second(long groups, long length, const double *restrict F, const double *restrict dF,
                  const double *restrict dG, const double *restrict states, const double *restrict zs,
                  const double *restrict factors, double *restrict products, double *restrict end_theta) {
   const v zero = {0};
-  static __thread v A[STEPS*ROWS], S[(STEPS + 1)*COLUMNS], P[ROWS*COLUMNS];
+  workspace *w = workspace_of_thread();
+  v *restrict const A = w->A, *restrict const S = w->S, *restrict const P = w->P;
   (void)dG;
   for (int i = 0; i < ROWS*COLUMNS; i++) P[i] = zero;
   for (int i = 0; i < STEPS*ROWS; i++) A[i] = zero;
