@@ -98,7 +98,10 @@ def oscillatory_modes(poles: ComplexArray) -> FloatArray:
     return frequencies_and_dampings(pairs[np.argsort(np.abs(pairs), kind="stable")])
 
 
-# ---- Operating points in words.
+# ---- Operating points, and these in words.
+
+Point = tuple[float, float]
+"""Operating point: pressure [bar] and speed [rpm]."""
 
 
 def point_label(pressure_bar: float, speed_rpm: float) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gbid.control import ControllerDesign, load_controller
+from gbid.core.arrays import Point
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.files import atomic_set
 from gbid.core.hdf5 import load
@@ -19,7 +20,7 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
 from gbid.experiment.stages.fit import load_made_fit
 from gbid.experiment.stages.prefilter import MAP_FOLDER
-from gbid.export.targets import ExportItem, ExportRequest, Point, export_target
+from gbid.export.targets import ExportItem, ExportRequest, export_target
 from gbid.identify import FitResult
 from gbid.lpv import LPVModel, load_model
 from gbid.prefilter import PrefilterFile, RunoutMap

@@ -18,7 +18,7 @@ from annotated_types import Ge, Le
 
 from gbid import control, lpv
 from gbid._version import __version__
-from gbid.core.arrays import FloatArray, point_label
+from gbid.core.arrays import FloatArray, Point, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.notes import ControlNote
@@ -694,14 +694,11 @@ def chain_of(
     )
 
 
-_Point = tuple[float, float]
-
-
 def _controller_table(
     design: control.ControllerDesign,
-) -> tuple[list[tuple[_Point | None, LinearModel]], GridTable]:
+) -> tuple[list[tuple[Point | None, LinearModel]], GridTable]:
     """Return the sampled controllers at the nodes with their operating points, and the table of all their entries."""
-    models: dict[_Point | None, LinearModel] = {}
+    models: dict[Point | None, LinearModel] = {}
 
     def row_at(*point: float) -> FloatArray:
         model = design.sampled_at(*point)
@@ -764,7 +761,7 @@ def _largest_pole(sampled: LinearModel) -> float:
     return float(np.abs(np.linalg.eigvals(sampled.A)).max(initial=0.0)) if sampled.n_states else 0.0
 
 
-def _check(design: control.ControllerDesign, sampled: LinearModel, point: _Point | None) -> None:
+def _check(design: control.ControllerDesign, sampled: LinearModel, point: Point | None) -> None:
     """Refuse a controller that is unstable by itself, or that moves between its samples."""
     where = "" if point is None else f" at {point_label(*point)}"
     worst = _largest_pole(sampled)

@@ -16,11 +16,11 @@ from gbid.core.errors import UsageError
 
 if TYPE_CHECKING:
     from gbid.control import ControllerDesign
+    from gbid.core.arrays import Point
     from gbid.export.chain import ChainOptions, Number
     from gbid.lpv import LPVModel
     from gbid.prefilter import RunoutMap
 
-Point = tuple[float, float]
 _N_FREQUENCIES = 400
 
 

@@ -172,7 +172,7 @@ def once(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Resul
         known = _known.get()
         if known is None:
             return function(*arguments, **options)
-        key = function.__qualname__, id(structure), *arguments[1:]
+        key = function.__qualname__, id(structure), *arguments[1:], *options.items()
         if key not in known:
             known[key] = structure, function(*arguments, **options)  # with the structure, so that its id stays its own
         result: _Result = known[key][1]

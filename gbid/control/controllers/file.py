@@ -21,6 +21,7 @@ from gbid.control.controllers.structures import (
     with_schedule,
 )
 from gbid.control.loop.close import Method, sample_controller
+from gbid.core.arrays import Point
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, in_one_line
@@ -30,8 +31,6 @@ from gbid.lpv import Domain
 from gbid.lpv.model_file import FileTable, Number
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
-
-Point = tuple[float, float]
 
 
 @runtime_checkable

@@ -27,7 +27,7 @@ from gbid.control.tuning.loops import (
     WholePlants,
 )
 from gbid.control.tuning.response_goals import PeakSensitivity
-from gbid.core.arrays import ComplexArray, FloatArray, is_real, is_whole, point_label
+from gbid.core.arrays import ComplexArray, FloatArray, Point, is_real, is_whole, point_label
 from gbid.core.brief import Brief
 from gbid.core.errors import UsageError
 from gbid.core.option_types import Allowed, NotNegative, Positive, check_options
@@ -159,7 +159,6 @@ def root_of(covariance: FloatArray) -> FloatArray:
 
 # ---- Options of a design.
 
-Point = tuple[float, float]
 PlantLike = LPVModel | LPVFit | LinearModel | FitResult
 PlantsLike = PlantLike | Sequence[PlantLike] | Mapping[str, PlantLike]
 """What `gbid.tune` takes as a plant."""

@@ -693,7 +693,7 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
             ends = [hop_line(few, one, rng, note) for one in finals]
         else:
             ends = [hop(local, finals, rng, note)]
-    # a design that keeps its limits is never lost, so that more evaluations give no worse one
+    # a design that keeps its limits is never lost
     best = best_of([*ends, top]) if top.score.violation <= FEASIBLE else best_of(ends)
     if not options.sketch and not problem.evaluations.exhausted:
         best = local.with_certificate(best)

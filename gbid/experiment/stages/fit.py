@@ -112,7 +112,7 @@ def _response_problems(experiment: Experiment, name: str, section: FitSection) -
         return
     from gbid.identify.frequency_fit import refuse_other_options
 
-    if section.responses and not experiment.fit_recordings(name):
+    if not experiment.fit_recordings(name):
         if section.loop is not None and section.loop.beside is not None:
             yield ("loop", "beside"), "compares fits of recordings; this one has frequency responses alone: remove it"
         yield from refusal((), lambda: refuse_other_options(FitArguments(**fit_arguments(experiment, name, ()))))

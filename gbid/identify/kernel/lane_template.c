@@ -181,12 +181,7 @@ static void __attribute__((noinline)) sums_with(
     for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
 }
 
-/* The workspace of this thread. Clang believes that the look-up of a thread's variable leaves half of the vector
-   registers as they are, and keeps arguments in them. So the look-up is in a function of its own. */
-static workspace *__attribute__((noinline)) workspace_of_thread(void) {
-  static __thread workspace w;
-  return &w;
-}
+@WORKSPACE@
 
 /* Sums of the Gauss-Newton problem; arrays as for SampleSums, the eight blocks of a group innermost. */
 void gbid_sums(long groups, long length, long steps, const double *theta, const double *known, const double *R,

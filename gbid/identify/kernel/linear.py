@@ -386,9 +386,10 @@ def _source(name: str, pattern: KernelPattern, **parts: int | list[str]) -> str:
 
 
 def filled(name: str, parts: Mapping[str, object]) -> str:
-    """Return a file of C of this folder with its vector types, and parts in place of their names, ``@NAME@``."""
+    """Return a file of C of this folder with what these share, and parts in place of their names, ``@NAME@``."""
     text = _file(name)
-    for key, part in {"VECTORS": _file("vectors.c").rstrip(), **parts}.items():
+    shared = {"VECTORS": _file("vectors.c").rstrip(), "WORKSPACE": _file("workspace.h").rstrip()}
+    for key, part in {**shared, **parts}.items():
         text = text.replace(f"@{key}@", str(part))
     return text
 

@@ -102,12 +102,7 @@ static void __attribute__((noinline)) pass_with(
     for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
 }
 
-/* The workspace of this thread. Clang believes that the look-up of a thread's variable leaves half of the vector
-   registers as they are, and keeps arguments in them. So the look-up is in a function of its own. */
-static workspace *__attribute__((noinline)) workspace_of_thread(void) {
-  static __thread workspace w;
-  return &w;
-}
+@WORKSPACE@
 
 void gbid_pass(long groups, long length, const double *F, const double *G, const double *C, const double *H,
                const double *dF, const double *dG, const double *dC, const double *dH, const double *R, const double *T,

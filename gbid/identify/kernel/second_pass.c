@@ -27,12 +27,7 @@ static void add_up(int count, const v *restrict A, const v *restrict S, v *restr
 
 typedef struct { v A[STEPS*ROWS], S[(STEPS + 1)*COLUMNS], P[ROWS*COLUMNS]; } workspace;
 
-/* The workspace of this thread. Clang believes that the look-up of a thread's variable leaves half of the vector
-   registers as they are, and keeps arguments in them. So the look-up is in a function of its own. */
-static workspace *__attribute__((noinline)) workspace_of_thread(void) {
-  static __thread workspace w;
-  return &w;
-}
+@WORKSPACE@
 
 /* Arrays as documented for CompiledLinearKernel.second_pass, the eight blocks of a group innermost. */
 void gbid_second(long groups, long length, const double *restrict F, const double *restrict dF,

@@ -196,8 +196,10 @@ def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: b
     for i in range(len(u)):
         for j in range(len(e)):
             if j == 0 or gaps or not white:  # for white residuals it is the same for all outputs
-                pairs = _of_pairs(e[j], u[i], of_residual[j], lags) if gaps else None
-                covariance = scipy.linalg.toeplitz(variance[j, i]) if pairs is None else pairs
+                if gaps:
+                    covariance = _of_pairs(e[j], u[i], of_residual[j], lags)
+                else:
+                    covariance = scipy.linalg.toeplitz(variance[j, i])
                 variance[j, i] = covariance[0]
                 values, vectors = np.linalg.eigh(covariance)
                 kept = values > 1e-6 * values[-1]
