@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -76,7 +77,7 @@ def _task(results: Results, loop: str, i: int) -> Task:
     return Task.of(result, write)
 
 
-def write_modes(job: Job, part: Path, loop: str, i: int, lags: int | str) -> None:
+def write_modes(job: Job, part: Path, loop: str, i: int, lags: int | Literal["auto"]) -> None:
     """Write frequency [Hz] and damping factor of both modes from impacts at the point of the paper, recorded again."""
     experiment = job.experiment
     change: Callable[[PlannedRun], PlannedRun] = partial(_with_other_seed, i) if i else without_noise
