@@ -120,7 +120,7 @@ def recording_result(experiment: Experiment, planned: PlannedRecording) -> Resul
     return experiment.result("import", planned.name, path, settings, [digest])
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1 << 16)
 def _rig_result(experiment: Experiment, name: str) -> Result:
     """Return the result file of a recording of the rig; cached, because all stages after it stand on its key."""
     planned, sources = experiment.recordings[name], list[Result | str]()
