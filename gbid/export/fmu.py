@@ -1,12 +1,15 @@
-"""Equations of a co-simulation unit as CasADi functions, and as C."""
+"""Co-simulation units (FMI 2.0): a plant, or its loop with a controller, as C with a model description."""
 
 from __future__ import annotations
 
+import json
 import platform
 import xml.etree.ElementTree as ET
 import zipfile
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from hashlib import sha256
+from itertools import product
 from math import isfinite, pi
 from pathlib import Path
 from typing import Any, Literal
@@ -16,135 +19,225 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gbid._version import __version__
-from gbid.control import ControllerDesign
+from gbid.control import ControllerDesign, GainResult
 from gbid.control.controllers.structures import Scheduled
+from gbid.control.tuning.plants import channel_places
 from gbid.core.compiled import CompilerMissingError, compile_shared
 from gbid.core.errors import UsageError
 from gbid.core.files import atomic_path, scratch_folder
 from gbid.core.names import given_path, one_line
+from gbid.identify import FitResult
 from gbid.lpv import Domain, LPVModel
-from gbid.structure import KEY_PARAMETERS, PiezoPair, Plant, RotorBearing, Values, symbolic_matrices
+from gbid.structure import LinearModel, LinearStructure, PiezoPair, Plant, RotorBearing, Values, symbolic_matrices
+from gbid.structure.delay import pade_matrices
+from gbid.structure.linear import Matrices, Structure
 
 Delay = Literal["exact", "pade"]
-_GRID = 9  # points along pressure and speed at which the fastest pole is looked for
+Causality = Literal["input", "output", "parameter"]
+_GRID = 9  # points along each scheduling variable at which the fastest pole is looked for
 _MARGIN = 1.2  # of the bound on the poles
+_SCHEDULE = {"pressure_bar": ("bar", "injection pressure"), "speed_rpm": ("rpm", "rotational speed")}
 
 
-@dataclass(frozen=True, eq=False)
-class UnitEquations:
-    """Equations of a plant over pressure and speed, and of a controller.
+@dataclass(frozen=True)
+class UnitVariable:
+    """Variable of a unit.
 
     Attributes
     ----------
-    parameters : casadi.Function
-        (pressure_bar, speed_rpm) -> key parameters (14,), delays (2,) [s].
-    derivative : casadi.Function
-        (x, (r, late r, force per mass), key parameters) -> derivative of the states.
-    outputs : casadi.Function
-        x -> (u_x, u_y, p_x, p_y) [m].
-    controller : casadi.Function or None
-        (pressure_bar, speed_rpm, states, p) -> (r, states at the next sample).
-    n_lags : int
-        Number of delays of the references that act: 3 with exact delays (none, those of x and y), else 1.
-    fastest : float
-        Upper bound of the magnitudes of the plant's poles over the domain [1/s].
+    name, causality, unit, text : str
+        Name, causality, unit (empty when it is not known) and description.
+    start : float or bool, optional
+        Start value; outputs have none.
+    low, high : float, optional
+        Range of values.
     """
 
-    parameters: ca.Function
-    derivative: ca.Function
-    outputs: ca.Function
-    controller: ca.Function | None
-    n_lags: int
-    fastest: float
+    name: str
+    causality: Causality
+    unit: str
+    text: str
+    start: float | bool | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class UnitPlant:
+    """Plant ``xd = A x + B u + B_delayed u(t - delay)``, ``y = C x + D u``, whose parameters may be surfaces.
+
+    Attributes
+    ----------
+    name, title : str
+        Name of the model, and what it is.
+    key : casadi.SX
+        Parameters in the matrices that are surfaces, (n, 1); none of a linear model.
+    matrices : Matrices
+        Matrices as functions of `key`.
+    inputs, outputs : tuple of UnitVariable
+        Channels in the order of the matrices.
+    model : LPVModel, optional
+        Model with the surfaces.
+    """
+
+    name: str
+    title: str
+    key: ca.SX
+    matrices: Matrices
+    inputs: tuple[UnitVariable, ...]
+    outputs: tuple[UnitVariable, ...]
+    model: LPVModel | None
 
     @property
-    def n_states(self) -> int:
-        """Number of states of the plant."""
-        return int(self.derivative.size1_in(0))
+    def parameters(self) -> ca.Function:
+        """Function of the scheduling variables to `key` and the delays (n_inputs,) [s]."""
+        point = ca.SX.sym("point", 0 if self.model is None else len(self.model.scheduling))
+        theta = ca.SX(0, 1)
+        if self.model is not None:
+            values = self.model.key_parameters(*ca.vertsplit(point))
+            theta = ca.vertcat(*(ca.SX(values[name]) for name in self.model.coefficients))
+        [delay] = ca.substitute([self.matrices.delay], [self.key], [theta])
+        return ca.Function("plant_parameters", [point], [ca.densify(theta), ca.densify(delay)])
 
     @property
-    def n_controller(self) -> int:
-        """Number of states of the controller."""
-        return 0 if self.controller is None else int(self.controller.size1_in(2))
+    def motion(self) -> tuple[ca.Function, ca.Function]:
+        """Functions of (x, u, delayed u, `key`) to the derivative of x, and of (x, u) to y."""
+        letters: Any = [getattr(self.matrices, name) for name in ("A", "B", "B_delayed", "C", "D")]
+        key: Any = self.key
+        kind: Any = ca.SX
+        if not key.numel():  # MX keeps matrices of numbers as arrays in C, where SX writes a line for each entry
+            letters, key, kind = [ca.sparsify(ca.DM(each)) for each in letters], ca.MX.sym("key", 0), ca.MX
+        A, B, B_delayed, C, D = letters
+        x, u, delayed = (kind.sym(*size) for size in zip("xud", (A.shape[0], *[B.shape[1]] * 2), strict=True))
+        rate, y = A @ x + B @ u + B_delayed @ delayed, C @ x + D @ u
+        return (
+            ca.Function("plant_derivative", [x, u, delayed, key], [ca.densify(rate)]),
+            ca.Function("plant_outputs", [x, u], [ca.densify(y)]),
+        )
 
-    def c_source(self) -> str:
-        """Return the functions as C, generated by CasADi."""
-        generator = ca.CodeGenerator("equations.c", {"main": False, "with_header": False, "casadi_int": "int"})
-        for function in (self.parameters, self.derivative, self.outputs, self.controller):
-            if function is not None:
-                generator.add(function)
-        return str(generator.dump())
+    @property
+    def fastest(self) -> float:
+        """Upper bound of the magnitudes of the poles, from a grid over the domain [1/s]."""
+        A, parameters = ca.Function("A", [self.key], [ca.densify(self.matrices.A)]), self.parameters
+        bounds = () if self.model is None else self.model.domain.bounds
+        points = product(*(np.linspace(*bound, _GRID) for bound in bounds))
+        poles = [np.linalg.eigvals(np.array(A(parameters(list(point))[0]))) for point in points]
+        return float(_MARGIN * np.abs(poles).max(initial=0.0))
 
 
-def unit_equations(
-    model: LPVModel, delay: Delay, pade_order: int | None, design: ControllerDesign | None
-) -> UnitEquations:
-    """Return the equations of the plant of a model, and of a controller design.
+def unit_plant(model: LPVModel | LinearModel | FitResult, delay: Delay, pade_order: int | None) -> UnitPlant:
+    """Return the plant of a unit.
 
     Parameters
     ----------
-    model : LPVModel
-        Model with actuators.
+    model : LPVModel, LinearModel or FitResult
+        Model in continuous time; that of a gas bearing has actuators.
     delay : {"exact", "pade"}
         Exact delays, or Pade approximations.
     pade_order : int, optional
-        Order of the approximation; by default that of the model.
-    design : ControllerDesign, optional
-        Controller; without it the unit is the plant alone.
+        Order of the approximation; by default that of an LPV model, of others 3.
 
     Raises
     ------
     UsageError
-        When the model has no actuators, or when the controller has other channels than the plant.
+        When the model of a gas bearing has no actuators, or when a model is sampled.
     """
+    model = model.linear_model if isinstance(model, FitResult) else model
+    lpv = model if isinstance(model, LPVModel) else None
+    default = 3 if lpv is None else lpv.pade_order
+    order = None if delay == "exact" else default if pade_order is None else pade_order
+    structure = _equations(model, order)
+    every, matrices = symbolic_matrices(structure)
+    if matrices.feedback is not None or getattr(model, "dt", None) is not None:
+        raise UsageError(f"model {model.name!r} is sampled; give the plant in continuous time")
+    if order is not None:
+        matrices = pade_matrices(matrices, order)
+    names = () if lpv is None else tuple(lpv.coefficients)
+    key = ca.SX.sym("key", len(names))
+    known: dict[str, Any] = {} if lpv is None else {**lpv.actuators, **lpv.held}
+    known |= {name: key[i] for i, name in enumerate(names)}
+    values = ca.vertcat(ca.SX(0, 1), *(ca.SX(known[parameter.name]) for parameter in structure.parameters))
+    letters: list[Any] = ca.substitute(list(matrices[:8]), [ca.SX(every)], [values])
+    matrices = Matrices(*letters)
+    if lpv is not None and lpv.structure is None:
+        return _bearing_unit(lpv, key, matrices)
+    inputs = (UnitVariable(name, "input", "", "input of the model", 0.0) for name in model.input_names)
+    outputs = (UnitVariable(name, "output", "", "output of the model") for name in model.output_names)
+    title = model.name if lpv is None else lpv.title or lpv.name
+    return UnitPlant(model.name, title, key, matrices, tuple(inputs), tuple(outputs), lpv)
+
+
+def _equations(model: LPVModel | LinearModel, pade_order: int | None) -> Structure:
+    """Return the structure of a model: of a gas bearing with its actuators, of a linear model without parameters."""
+    if isinstance(model, LinearModel):
+        given = {letter: getattr(model, letter) for letter in ("A", "B", "C", "D", "B_delayed", "delay")}
+        numbers = {letter: ca.DM(np.array(value)) for letter, value in given.items() if value is not None}
+        return LinearStructure(model.name, (), lambda _: numbers)
+    if model.structure is not None:
+        return model.structure
     if not model.actuators:
         raise UsageError(f"model {model.name!r} has no actuators; give them in its file under 'actuators'")
-    order = None if delay == "exact" else model.pade_order if pade_order is None else pade_order
-    plant = Plant(RotorBearing(order, disturbance_gain="none"), PiezoPair(), outputs=("u", "p"))
-    every, matrices = symbolic_matrices(plant)
-    key = ca.SX.sym("key", len(KEY_PARAMETERS))
-    known: dict[str, float | ca.SX] = {**model.actuators, **dict(zip(KEY_PARAMETERS, ca.vertsplit(key), strict=True))}
-    values = ca.vertcat(*(ca.SX(known[parameter.name]) for parameter in plant.parameters))
-    A, B, C, B_delayed = ca.substitute([matrices.A, matrices.B, matrices.C, matrices.B_delayed], [every], [values])
-    x, inputs = ca.SX.sym("x", A.shape[0]), ca.SX.sym("inputs", 6)
-    rate = A @ x + B @ inputs[:2] + B_delayed @ inputs[2:4] + _force_entry(C) @ inputs[4:]
-    point = [ca.SX.sym("pressure_bar"), ca.SX.sym("speed_rpm")]
-    polynomials = model.key_parameters(*point)
-    theta = ca.vertcat(*(ca.SX(polynomials[name]) for name in KEY_PARAMETERS))
-    parameters = ca.Function("plant_parameters", point, [ca.densify(theta), ca.densify(theta[-2:])])
-    return UnitEquations(
-        parameters,
-        ca.Function("plant_derivative", [x, inputs, key], [ca.densify(rate)]),
-        ca.Function("plant_outputs", [x], [ca.densify(C @ x)]),
-        None if design is None else _controller_step(design),
-        3 if matrices.has_delay else 1,
-        _fastest(model, ca.Function("A", [key], [ca.densify(A)]), parameters),
-    )
+    return Plant(RotorBearing(pade_order, disturbance_gain="none"), PiezoPair(), outputs=("u", "p"))
 
 
-def _force_entry(C: ca.SX) -> ca.SX:
-    """Return the entry of a force per mass: one in the rows of the velocities, two below the positions."""
-    entry = ca.SX(C.shape[1], 2)
-    selected = np.array(ca.DM(C))
+def _bearing_unit(model: LPVModel, key: ca.SX, m: Matrices) -> UnitPlant:
+    """Return the plant of a gas bearing with forces per mass, which act on the velocities, as further inputs."""
+    entry = ca.SX(m.A.shape[0], 2)
+    selected = np.array(ca.DM(m.C))
     for axis in range(2):
         entry[int(np.flatnonzero(selected[2 + axis])[0]) + 2, axis] = 1.0
-    return entry
+    matrices = m._replace(
+        B=ca.horzcat(m.B, entry),
+        B_delayed=ca.horzcat(m.B_delayed, ca.SX(*entry.shape)),
+        C=m.C[[2, 3, 0, 1], :],
+        D=ca.SX(4, 4),
+        delay=ca.vertcat(m.delay, ca.SX(2, 1)) if m.has_delay else m.delay,
+    )
+
+    def pair(letter: str, causality: Causality, unit: str, text: str, start: float | None) -> list[UnitVariable]:
+        return [UnitVariable(f"{letter}_{axis}", causality, unit, text, start) for axis in "xy"]
+
+    inputs = pair("r", "input", "m", "position reference of the piezos", 0.0)
+    inputs += pair("f", "input", "N/kg", "force on the disc per modal mass", 0.0)
+    outputs = pair("p", "output", "m", "position of the disc", None)
+    outputs += pair("u", "output", "m", "difference of the piezo positions", None)
+    return UnitPlant(model.name, model.title or model.name, key, matrices, tuple(inputs), tuple(outputs), model)
+
+
+@dataclass(frozen=True, eq=False)
+class UnitController:
+    """Sampled controller of a unit.
+
+    Attributes
+    ----------
+    step : casadi.Function
+        (scheduling variables, states, measured outputs) -> (commands, states at the next sample).
+    driven, measured : tuple of int
+        Inputs of the plant that it commands, and outputs that it measures.
+    sample_time, computation : float
+        Sample time, and time from a sample to the change of the command [s].
+    limits : tuple of float
+        Largest magnitude of each command.
+    """
+
+    step: ca.Function
+    driven: tuple[int, ...]
+    measured: tuple[int, ...]
+    sample_time: float
+    computation: float
+    limits: tuple[float, ...]
 
 
 def _controller_step(design: ControllerDesign) -> ca.Function:
     """Return one sample of the controller, with the gains of the present pressure and speed where it is scheduled."""
-    point = [ca.SX.sym("pressure_bar"), ca.SX.sym("speed_rpm")]
+    point = ca.SX.sym("point", 2 if isinstance(design.structure, Scheduled) else 0)
     if isinstance(design.structure, Scheduled):
-        A, B, C, D = _tustin(design, design.structure, point)
+        A, B, C, D = _tustin(design, design.structure, ca.vertsplit(point))
     else:
         model = design.sampled_at()
         A, B, C, D = (ca.SX(ca.DM(np.array(letter))) for letter in (model.A, model.B, model.C, model.D))
-    if D.shape != (2, 2):
-        raise UsageError(
-            f"controller {design.name!r} has {D.shape[1]} inputs and {D.shape[0]} outputs; the plant has two"
-        )
-    x, p = ca.SX.sym("x", A.shape[0]), ca.SX.sym("p", 2)
-    return ca.Function("controller_step", [*point, x, p], [ca.densify(C @ x + D @ p), ca.densify(A @ x + B @ p)])
+    x, y = ca.SX.sym("x", A.shape[0]), ca.SX.sym("y", D.shape[1])
+    return ca.Function("controller_step", [point, x, y], [ca.densify(C @ x + D @ y), ca.densify(A @ x + B @ y)])
 
 
 def _tustin(design: ControllerDesign, structure: Scheduled, point: list[ca.SX]) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -164,17 +257,7 @@ def _tustin(design: ControllerDesign, structure: Scheduled, point: list[ca.SX]) 
     return inverse @ (eye + half * A), inverse @ (2.0 * half * B), C_sampled, D + half * C_sampled @ B
 
 
-def _fastest(model: LPVModel, A: ca.Function, parameters: ca.Function) -> float:
-    """Return a bound on the magnitudes of the poles, from a grid over the domain."""
-    domain = model.domain
-    points = [(p, n) for p in np.linspace(*domain.pressure_bar, _GRID) for n in np.linspace(*domain.speed_rpm, _GRID)]
-    poles = [np.linalg.eigvals(np.array(A(parameters(*point)[0]))) for point in points]
-    return float(_MARGIN * np.abs(poles).max())
-
-
 # ---- Model description of a unit: the XML file of FMI 2.0 with its variables, units and abilities.
-
-Causality = Literal["input", "output", "parameter"]
 
 _UNITS: dict[str, dict[str, str]] = {
     "m": {"m": "1"},
@@ -184,67 +267,53 @@ _UNITS: dict[str, dict[str, str]] = {
 }
 
 
-@dataclass(frozen=True)
-class UnitVariable:
-    """Variable of a unit.
-
-    Attributes
-    ----------
-    name, causality, unit, text : str
-        Name, causality, unit and description.
-    start : float or bool, optional
-        Start value; outputs have none.
-    low, high : float, optional
-        Range of values.
-    """
-
-    name: str
-    causality: Causality
-    unit: str
-    text: str
-    start: float | bool | None = None
-    low: float | None = None
-    high: float | None = None
-
-
-def unit_variables(domain: Domain, limit_m: float | None) -> list[UnitVariable]:
+def unit_variables(plant: UnitPlant, domain: Domain | None, controller: UnitController | None) -> list[UnitVariable]:
     """Return the variables in the order of their value references, the Boolean last.
 
-    Parameters
-    ----------
-    domain : Domain
-        Range of pressure and speed.
-    limit_m : float or None
-        Limit of the references of the controller [m]; None for a unit without one.
+    Raises
+    ------
+    UsageError
+        When two variables have the same name.
     """
-    in_loop = limit_m is not None
-    letter, what = (
-        ("w", "added to the reference of the controller") if in_loop else ("r", "position reference of the piezos")
-    )
-    variables = [
-        UnitVariable(
-            "pressure_bar", "input", "bar", "injection pressure", sum(domain.pressure_bar) / 2, *domain.pressure_bar
-        ),
-        UnitVariable("speed_rpm", "input", "rpm", "rotational speed", domain.speed_rpm[0], *domain.speed_rpm),
-        *(UnitVariable(f"{letter}_{axis}", "input", "m", what, 0.0) for axis in "xy"),
-        *(UnitVariable(f"f_{axis}", "input", "N/kg", "force on the disc per modal mass", 0.0) for axis in "xy"),
-        *(UnitVariable(f"p_{axis}", "output", "m", "position of the disc") for axis in "xy"),
-        *(UnitVariable(f"u_{axis}", "output", "m", "difference of the piezo positions") for axis in "xy"),
-    ]
-    if in_loop:
-        variables += [UnitVariable(f"r_{axis}", "output", "m", "reference at the last sample") for axis in "xy"]
-        variables.append(UnitVariable("limit", "parameter", "m", "largest magnitude of a reference", limit_m, 0.0))
-    variables.append(
-        UnitVariable(
-            "extrapolate", "parameter", "", "whether pressure and speed may leave the domain of the model", False
+    ranges = {} if domain is None else domain.ranges
+    variables = []
+    for name, (low, high) in ranges.items():
+        about = _SCHEDULE.get(name, ("", "scheduling variable"))
+        variables.append(
+            UnitVariable(name, "input", *about, low if name == "speed_rpm" else (low + high) / 2, low, high)
         )
-    )
+    driven = () if controller is None else controller.driven
+    text = "added to the command of the controller"
+    for i, each in enumerate(plant.inputs):
+        added = "w_" + each.name.removeprefix("r_")
+        variables.append(replace(each, name=added, text=text) if i in driven else each)
+    variables += plant.outputs
+    commands = [plant.inputs[i] for i in driven]
+    for each in commands:
+        variables.append(replace(each, causality="output", start=None, text="command at the last sample"))
+    for each, limit in zip(commands, () if controller is None else controller.limits, strict=True):
+        variables.append(
+            replace(
+                each,
+                name=f"limit_{each.name}",
+                causality="parameter",
+                start=limit,
+                low=0.0,
+                text="largest magnitude of a command",
+            )
+        )
+    if ranges:
+        text = "whether scheduling variables may leave the domain of the model"
+        variables.append(UnitVariable("extrapolate", "parameter", "", text, False))
+    names = [each.name for each in variables]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UsageError(f"model {plant.name!r}: two variables {twice[0]!r}; give its channels other names")
     return variables
 
 
 def model_description(
     identifier: str,
-    model: LPVModel,
+    name: str,
     variables: list[UnitVariable],
     guid: str,
     sources: tuple[str, ...],
@@ -257,8 +326,8 @@ def model_description(
     ----------
     identifier : str
         Name of the library, a C identifier.
-    model : LPVModel
-        The plant.
+    name : str
+        Name of the plant.
     variables : list of UnitVariable
         From `unit_variables`.
     guid : str
@@ -273,7 +342,7 @@ def model_description(
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
-        modelName=one_line(f"{model.name} {identifier}" if model.name != identifier else identifier),
+        modelName=one_line(f"{name} {identifier}" if name != identifier else identifier),
         guid=guid,
         description=one_line(description),
         generationTool=f"gbid {__version__}",
@@ -292,11 +361,11 @@ def model_description(
         canSerializeFMUstate="true",
     )
     files = ET.SubElement(unit, "SourceFiles")
-    for name in sources:
-        ET.SubElement(files, "File", name=name)
+    for file in sources:
+        ET.SubElement(files, "File", name=file)
     units = ET.SubElement(root, "UnitDefinitions")
-    for name, base in _UNITS.items():
-        ET.SubElement(ET.SubElement(units, "Unit", name=name), "BaseUnit", base)
+    for symbol, base in _UNITS.items():
+        ET.SubElement(ET.SubElement(units, "Unit", name=symbol), "BaseUnit", base)
     log = ET.SubElement(root, "LogCategories")
     ET.SubElement(log, "Category", name="error")
     ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(step))
@@ -316,7 +385,7 @@ def model_description(
 def _add_variable(listed: ET.Element, reference: int, variable: UnitVariable) -> None:
     kind = {"input": "continuous", "output": "continuous", "parameter": "tunable"}[variable.causality]
     initial = {"input": None, "output": "calculated", "parameter": "exact"}[variable.causality]
-    attributes = {"name": variable.name, "valueReference": str(reference), "description": variable.text}
+    attributes = {"name": one_line(variable.name), "valueReference": str(reference), "description": variable.text}
     attributes |= {"causality": variable.causality, "variability": kind} | ({"initial": initial} if initial else {})
     element = ET.SubElement(listed, "ScalarVariable", attributes)
     if isinstance(variable.start, bool):
@@ -324,13 +393,13 @@ def _add_variable(listed: ET.Element, reference: int, variable: UnitVariable) ->
         return
     numbers = {"start": variable.start, "min": variable.low, "max": variable.high}
     given = {key: repr(float(value)) for key, value in numbers.items() if value is not None}
-    ET.SubElement(element, "Real", {"unit": variable.unit, **given})
+    ET.SubElement(element, "Real", ({"unit": variable.unit} if variable.unit else {}) | given)
 
 
-# ---- Co-simulation unit (FMI 2.0) of the plant over pressure and speed, or of the whole loop, as one file.
+# ---- Co-simulation unit (FMI 2.0) of a plant, or of the whole loop, as one file.
 
 HISTORY = 1024
-"""Number of references that a unit remembers for its delays."""
+"""Number of changes of an input that a unit remembers for its delay."""
 ORDER = 22
 """Order of the Taylor series over a piece, in which the fastest pole moves by less than one radian: 1/22! = 1e-21."""
 _PLATFORMS = {"Linux": ("linux64", ".so"), "Darwin": ("darwin64", ".dylib"), "Windows": ("win64", ".dll")}
@@ -339,40 +408,47 @@ _DATE = (1980, 1, 1, 0, 0, 0)  # equal contents give equal files
 
 
 def save_fmu(
-    model: LPVModel,
+    model: LPVModel | LinearModel | FitResult,
     path: str | Path,
     *,
-    controller: ControllerDesign | None = None,
+    controller: ControllerDesign | GainResult | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
     delay: Delay = "exact",
     pade_order: int | None = None,
-    limit_m: float | None = None,
+    limits: float | Sequence[float] | None = None,
     computation_s: float | None = None,
     binary: bool = True,
     overwrite: bool = False,
 ) -> Path:
-    """Write the plant, or the loop with a controller, as a co-simulation unit (FMU), and return the path of the file.
+    """Write a plant, or its loop with a controller, as a co-simulation unit (FMU), and return the path of the file.
 
-    Inputs are pressure [bar], speed [rpm], references r [m] (with a controller: w, added to its references) and a force
-    per mass on the disc [N/kg]. Outputs are the positions p of the disc and u of the piezos [m], with a controller also
-    its references r. Inputs are held between communication points; pressure and speed may change at each.
+    Inputs of the unit are the scheduling variables of an LPV model and the inputs of the plant: of a gas bearing
+    references r [m] and a force per mass on the disc [N/kg]. Its outputs are those of the plant: of a gas bearing the
+    positions p of the disc and u of the piezos [m]. In a loop, inputs w are added to the commands of the controller,
+    which are outputs, too. Inputs are held between communication points; scheduling variables may change at each.
 
     Parameters
     ----------
-    model : LPVModel
-        The plant, with actuators.
+    model : LPVModel, LinearModel or FitResult
+        The plant in continuous time; that of a gas bearing has actuators.
     path : str or path
         The new file, ending in .fmu. Its name without the ending must be a C identifier.
-    controller : ControllerDesign, optional
-        Controller, as `load_controller` returns it. It is sampled with its own sample time within the unit.
+    controller : ControllerDesign or GainResult, optional
+        Controller, as `load_controller` returns it, or the result of `gbid.tune` for a sampled loop. It is sampled with
+        its own sample time within the unit.
+    inputs, outputs : sequence of str, optional
+        Channels of the plant that the controller drives and measures, in the order of its outputs and inputs; by
+        default those with the names that the controller has, else all.
     delay : {"exact", "pade"}
-        Exact delays of the bearing, or their Pade approximations as in `LPVModel.plant_at`.
+        Exact delays, or their Pade approximations as in `LPVModel.plant_at`.
     pade_order : int, optional
-        Order of the approximation; by default that of the model.
-    limit_m : float, optional
-        Limit of the magnitude of each reference of the controller [m], a parameter of the unit; by default half of the
-        travel of the piezos (`gbid.lpv.MachineData`).
+        Order of the approximation; by default that of an LPV model, of others 3.
+    limits : float or sequence of float, optional
+        Largest magnitude of each command of the controller, in the unit of the input, parameters of the unit; by
+        default half of the travel of the piezos (`gbid.lpv.MachineData`).
     computation_s : float, optional
-        Time from a sample of p to the change of r [s]; one sample of the controller when not given.
+        Time from a sample to the change of the command [s]; one sample of the controller when not given.
     binary : bool
         Whether the library for this platform is included; the sources always are.
     overwrite : bool
@@ -386,15 +462,16 @@ def save_fmu(
     Raises
     ------
     UsageError
-        When the file exists and `overwrite` is not set, when its name does not fit, when the model has no actuators,
-        when a number is not positive, when nobody said the limit of the references, or when there is no C compiler.
+        When the file exists and `overwrite` is not set, when its name does not fit, when a gas bearing has no
+        actuators, when a model is sampled, when the controller has other channels than the plant, when a number is not
+        positive, when nobody said the limits of the commands, or when there is no C compiler.
     DataError
         When the file cannot be written.
 
     Notes
     -----
     Between communication points all inputs are constant. The unit integrates the states exactly by Taylor series over
-    pieces that end where a delayed reference changes, so that its steps need not fit the delays. FMI 2.0.4: modelica
+    pieces that end where a delayed input changes, so that its steps need not fit the delays. FMI 2.0.4: modelica
     association, Functional Mock-up Interface for Model Exchange and Co-Simulation.
     """
     path = given_path(path)
@@ -403,26 +480,25 @@ def save_fmu(
         raise UsageError(f"{path}: give a file whose name is a C identifier and ends in .fmu")
     if delay not in ("exact", "pade"):
         raise UsageError(f"{path}: delay = {delay!r}; choose 'exact' or 'pade'")
-    sample_time = None if controller is None else controller.sample_time
-    computation = sample_time if computation_s is None else computation_s
-    travel = model.machine.piezo_travel_m
-    if limit_m is None and travel is not None:
-        limit_m = travel / 2
-    if limit_m is None and controller is not None:
-        raise UsageError(f"{path}: nobody said the travel of the piezos; give limit_m, the limit of their references")
-    for name, value in (("limit_m", limit_m), ("computation_s", computation)):
-        if value is not None and not (isfinite(value) and (value > 0 or (value == 0 and name == "computation_s"))):
-            raise UsageError(f"{path}: {name} = {value}; give a positive number")
-    equations = unit_equations(model, delay, pade_order, controller)
-    variables = unit_variables(_domain(path, model, controller), None if controller is None else limit_m)
-    sources = _sources(equations, variables, sample_time, computation)
+    for key, numbers in (("limits", limits), ("computation_s", computation_s)):
+        for value in np.atleast_1d([] if numbers is None else numbers):
+            if not (isfinite(value) and (value > 0 or (value == 0 and key == "computation_s"))):
+                raise UsageError(f"{path}: {key} = {numbers}; give positive numbers")
+    if isinstance(controller, GainResult):
+        controller = controller.design()
+    plant = unit_plant(model, delay, pade_order)
+    law = (
+        None
+        if controller is None
+        else _unit_controller(path, plant, controller, (inputs, outputs), limits, computation_s)
+    )
+    variables = unit_variables(plant, _domain(path, plant, controller), law)
+    sources = _sources(plant, variables, law)
     guid = "{" + sha256("".join(sources.values()).encode()).hexdigest()[:32] + "}"
     sources = {name: text.replace("@GUID@", guid) for name, text in sources.items()}
-    about = f"{model.title or model.name}: plant over pressure and speed" + (
-        f", closed by {controller.name}" if controller is not None else ""
-    )
-    step = 2e-4 if sample_time is None else sample_time
-    description = model_description(identifier, model, variables, guid, ("unit.c",), step, about)
+    about = f"{plant.title}: plant" + ("" if controller is None else f", closed by {controller.name}")
+    step = 2e-4 if law is None else law.sample_time
+    description = model_description(identifier, plant.name, variables, guid, ("unit.c",), step, about)
     files: dict[str, bytes] = {"modelDescription.xml": description}
     files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
     if binary:
@@ -434,13 +510,59 @@ def save_fmu(
     return path
 
 
-def _domain(path: Path, model: LPVModel, controller: ControllerDesign | None) -> Domain:
-    """Return the range of pressure and speed in which both the plant and a scheduled controller hold."""
+def _unit_controller(
+    path: Path,
+    plant: UnitPlant,
+    design: ControllerDesign,
+    channels: tuple[Sequence[str] | None, Sequence[str] | None],
+    limits: float | Sequence[float] | None,
+    computation_s: float | None,
+) -> UnitController:
+    """Return the controller of a loop, connected to the channels of the plant."""
+    schedule = design.structure.domain.bounds if isinstance(design.structure, Scheduled) else ()
+    law = design.at(*(low for low, _ in schedule))
+    places = []
+    for word, own, wanted, sides in zip(
+        ("input", "output"), (law.output_names, law.input_names), channels, (plant.inputs, plant.outputs), strict=True
+    ):
+        names = tuple(each.name for each in sides)
+        wanted = own if wanted is None and set(own) <= set(names) else wanted
+        places.append(tuple(channel_places(plant.name, word, names, wanted)))
+        if len(places[-1]) != len(own):
+            raise UsageError(
+                f"controller {design.name!r} needs {len(own)} {word}s of the plant ({', '.join(own)}), {plant.name!r} "
+                f"has {len(places[-1])}; choose them by inputs= and outputs="
+            )
+    driven, measured = places
+    travel = None if plant.model is None else plant.model.machine.piezo_travel_m
+    limits = limits if limits is not None or travel is None else travel / 2
+    if limits is None:
+        raise UsageError(f"{path}: nobody said limits, the largest magnitude of each command; give them")
+    largest = np.atleast_1d(np.array(limits, float))
+    if len(largest) not in (1, len(driven)):
+        raise UsageError(f"{path}: {len(largest)} limits for {len(driven)} commands of controller {design.name!r}")
+    computation = design.sample_time if computation_s is None else computation_s
+    if computation == 0 and plant.matrices.D[list(measured), list(driven)].nnz():
+        raise UsageError(f"{path}: computation_s = 0, but inputs act on the outputs at once; give a positive time")
+    held = tuple(np.broadcast_to(largest, len(driven)).tolist())
+    return UnitController(_controller_step(design), driven, measured, design.sample_time, computation, held)
+
+
+def _domain(path: Path, plant: UnitPlant, controller: ControllerDesign | None) -> Domain | None:
+    """Return the range of the scheduling variables in which both the plant and a scheduled controller hold."""
+    domain = None if plant.model is None else plant.model.domain
     if controller is None or not isinstance(controller.structure, Scheduled):
-        return model.domain
+        return domain
+    schedule = controller.structure.domain
+    if domain is None:
+        return schedule
+    if domain.variables != schedule.variables:
+        raise UsageError(
+            f"{path}: controller {controller.name!r} follows {', '.join(schedule.variables)}, the plant "
+            f"{', '.join(domain.variables)}; give a controller of this plant"
+        )
     ranges = []
-    for name in ("pressure_bar", "speed_rpm"):
-        of_plant, of_schedule = getattr(model.domain, name), getattr(controller.structure.domain, name)
+    for name, of_plant, of_schedule in zip(domain.variables, domain.bounds, schedule.bounds, strict=True):
         low, high = max(of_plant[0], of_schedule[0]), min(of_plant[1], of_schedule[1])
         if low > high:
             raise UsageError(
@@ -448,46 +570,49 @@ def _domain(path: Path, model: LPVModel, controller: ControllerDesign | None) ->
                 f"{controller.name!r} {of_schedule[0]:g} to {of_schedule[1]:g}; give a controller of this plant"
             )
         ranges.append((low, high))
-    return Domain(*ranges)
+    return Domain(*ranges, variables=domain.variables)
 
 
-def _sources(
-    equations: UnitEquations,
-    variables: list[UnitVariable],
-    sample_time: float | None,
-    computation: float | None,
-) -> dict[str, str]:
+def _sources(plant: UnitPlant, variables: list[UnitVariable], controller: UnitController | None) -> dict[str, str]:
     """Return the C files by name; the GUID is still to be written into them."""
     reals = [variable for variable in variables if not isinstance(variable.start, bool)]
+    inputs = [variable for variable in variables if variable.causality == "input"]
+    schedule = inputs[: len(inputs) - len(plant.inputs)]
+    derivative, outputs = plant.motion
+    functions = {"parameters": plant.parameters, "derivative": derivative, "outputs": outputs}
+    if controller is not None:
+        functions["step"] = controller.step
+    generator = ca.CodeGenerator("equations.c", {"main": False, "with_header": False, "casadi_int": "int"})
+    for function in functions.values():
+        generator.add(function)
     values: dict[str, Any] = {
         "version": __version__,
         "guid": "@GUID@",
-        "n_states": equations.n_states,
-        "n_parameters": equations.parameters.size1_out(0),
-        "n_lags": equations.n_lags,
-        "n_controller": equations.n_controller,
+        "n_states": derivative.size1_in(0),
+        "n_parameters": plant.key.numel(),
+        "n_schedule": len(schedule),
+        "n_inputs": len(plant.inputs),
+        "n_outputs": len(plant.outputs),
+        "has_delay": plant.matrices.has_delay,
         "history": HISTORY,
         "order": ORDER,
-        "fastest": repr(equations.fastest),
-        "parameters": equations.parameters,
-        "derivative": equations.derivative,
-        "outputs": equations.outputs,
-        "controller": equations.controller,
+        "fastest": repr(plant.fastest),
+        "controller": controller,
+        "free": [i for i in range(len(plant.inputs)) if controller is None or i not in controller.driven],
         "n_reals": len(reals),
-        "extrapolate_vr": len(reals),
         "start_values": [repr(float(variable.start or 0.0)) for variable in reals],
-        "low": [repr(variable.low) for variable in variables[:2]],
-        "high": [repr(variable.high) for variable in variables[:2]],
-        "input_names": [variable.name for variable in variables if variable.causality == "input"],
-        "sample_time": repr(sample_time),
-        "computation": repr(computation),
+        "low": [repr(variable.low) for variable in schedule],
+        "high": [repr(variable.high) for variable in schedule],
+        "input_names": [json.dumps(one_line(variable.name), ensure_ascii=False) for variable in inputs],
+        **functions,
     }
     templates = Environment(loader=PackageLoader("gbid.export"), undefined=StrictUndefined, keep_trailing_newline=True)
+    templates.globals["size"] = lambda count: max(count, 1)  # C has no empty arrays
     return {
         "unit.c": templates.get_template("unit.c.j2").render(values),
         "motion.h": templates.get_template("motion.h.j2").render(values),
         "fmi2_interface.h": templates.get_template("fmi2_interface.h").render(),
-        "equations.h": equations.c_source(),
+        "equations.h": str(generator.dump()),
     }
 
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from gbid.control import ControllerDesign
     from gbid.core.arrays import Point
     from gbid.export.chain import ChainOptions, Number
-    from gbid.lpv import LPVModel
     from gbid.prefilter import RunoutMap
 
 _N_FREQUENCIES = 400
@@ -206,7 +205,7 @@ def _models(item: ExportItem, request: ExportRequest) -> dict[str, Any]:
 
 
 def write_unit(item: ExportItem, request: ExportRequest) -> list[Path]:
-    """Write the co-simulation unit (FMI 2.0) of a plant over pressure and speed, or of a controller with its plant.
+    """Write the co-simulation unit (FMI 2.0) of a plant, or of a controller with its plant.
 
     Raises
     ------
@@ -219,18 +218,18 @@ def write_unit(item: ExportItem, request: ExportRequest) -> list[Path]:
     what = item.what
     if item.kind == "ControllerDesign":
         plant, path = _plant_of(what, request), request.folder / f"{item.name}_loop.fmu"
-        return [save_fmu(plant, path, controller=what, overwrite=request.overwrite)]
+        limits = None if item.options is None else item.options.limits
+        return [save_fmu(plant, path, controller=what, limits=limits, overwrite=request.overwrite)]
     return [save_fmu(what, request.folder / f"{item.name}.fmu", overwrite=request.overwrite)]
 
 
-def _plant_of(design: ControllerDesign, request: ExportRequest) -> LPVModel:
+def _plant_of(design: ControllerDesign, request: ExportRequest) -> Any:
     """Model for which a controller was designed: one of those beside it, or one that comes with gbid."""
     from gbid.lpv import load_model
 
     for item in request.beside:
-        if item.kind == "LPVModel" and item.what.name == design.plant:
-            model: LPVModel = item.what
-            return model
+        if design.plant in (item.name, getattr(item.what, "name", None)) and item.kind != "ControllerDesign":
+            return item.what
     try:
         return load_model(design.plant)
     except UsageError as error:
@@ -283,7 +282,7 @@ def write_data(item: ExportItem, request: ExportRequest, ending: str) -> list[Pa
 TARGETS = {
     "c": ExportTarget(write_c, ("ControllerDesign",)),
     "csv": ExportTarget(write_tables),
-    "fmu": ExportTarget(write_unit, ("LPVModel", "ControllerDesign")),
+    "fmu": ExportTarget(write_unit),
     "matlab": ExportTarget(partial(write_models, ending=".mat")),
     "mdf": ExportTarget(partial(write_data, ending=".mf4"), ("Recording",)),
     "parquet": ExportTarget(partial(write_data, ending=".parquet"), ("Recording",)),

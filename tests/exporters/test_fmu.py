@@ -13,6 +13,7 @@ import pytest
 from experiment_files import gbid as run
 from experiment_files import printed_by
 from scipy.linalg import expm
+from scipy.signal import cont2discrete
 
 import gbid
 from gbid.control import controller_structure, scheduled
@@ -21,7 +22,7 @@ from gbid.control.loop.sampled import exact_plant, sampled_loop
 from gbid.core.compiled import find_compiler
 from gbid.core.errors import UsageError
 from gbid.export.fmu import save_fmu
-from gbid.lpv import Domain
+from gbid.lpv import Domain, LPVModel
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install 'gbid[fmu]'")
 validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
@@ -162,7 +163,7 @@ def designs(folder: Path):
 
 def test_the_loop_agrees_with_the_sampled_loop(folder):
     for name, design in designs(folder):
-        path = save_fmu(MODEL, folder / f"loop_{name}.fmu", controller=design, limit_m=1.0)
+        path = save_fmu(MODEL, folder / f"loop_{name}.fmu", controller=design, limits=1.0)
         assert validate_fmu(str(path)) == []
         for pressure, speed in ((6.0, 0.0), (4.0, 4000.0)):
             w = held(7)
@@ -172,6 +173,137 @@ def test_the_loop_agrees_with_the_sampled_loop(folder):
             loop = sampled_loop(exact_plant(MODEL, pressure, speed), design.sampled_at(pressure, speed), STEP)
             expected = loop.closed.simulate(w)
             assert worst(simulated, expected) < 1e-9 < AGREES, name
+
+
+def of_model(path: Path, u: np.ndarray, names: tuple[str, ...], outputs: tuple[str, ...], step: float) -> np.ndarray:
+    """Outputs (n, n_outputs) of a unit whose inputs (n, n_inputs) are held."""
+    table = np.zeros(len(u), dtype=[(name, float) for name in ("time", *names)])
+    table["time"] = step * np.arange(len(u))
+    for name, values in zip(names, u.T, strict=True):
+        table[name] = values
+    start = dict(zip(names, u[0], strict=True))
+    options = {"step_size": step, "output_interval": step, "stop_time": table["time"][-1], "validate": True}
+    result = fmpy.simulate_fmu(str(path), input=table, start_values=start, output=outputs, **options)
+    return np.column_stack([result[name] for name in outputs])
+
+
+def random_plant(delay=None) -> gbid.LinearModel:
+    """Unstable, with 5 states, 3 inputs, 2 outputs and feed-through."""
+    rng = np.random.default_rng(1)
+    late = {} if delay is None else {"B_delayed": rng.normal(size=(5, 3)), "delay": delay}
+    A = 100 * rng.normal(size=(5, 5))
+    A -= np.eye(5) * (np.linalg.eigvals(A).real.max() - 3)
+    channels = {"input_names": ("force", "i_1", 'odd "name"'), "output_names": ("gap", "speed")}
+    return gbid.LinearModel(
+        A, rng.normal(size=(5, 3)), rng.normal(size=(2, 5)), rng.normal(size=(2, 3)), **channels, **late
+    )
+
+
+def test_a_linear_model_with_delays_that_fit_no_step_agrees_with_exponentials(folder):
+    model, step, fine = random_plant(delay=[0.0, 1.7e-3, 3.33e-3]), 1e-3, 100
+    u = np.repeat(np.random.default_rng(2).normal(size=(50, 3)), 4, axis=0)
+    path = save_fmu(model, folder / "linear.fmu")
+    assert validate_fmu(str(path)) == []
+    simulated = of_model(path, u, model.input_names, model.output_names, step)
+    E = expm(step / fine * np.block([[model.A, np.eye(5)], [np.zeros((5, 10))]]))
+    x, expected = np.zeros(5), [model.D @ u[0]]
+    lags = np.rint(model.delay / step * fine).astype(int)
+    for k in range(len(u) - 1):
+        for j in range(fine):
+            delayed = [u[max((k * fine + j - lag) // fine, 0), i] for i, lag in enumerate(lags)]
+            x = E[:5, :5] @ x + E[:5, 5:] @ (model.B @ u[k] + model.B_delayed @ delayed)
+        expected.append(model.C @ x + model.D @ u[k])  # at the end of a step its inputs still hold
+    assert worst(simulated, np.array(expected)) < REACHED
+
+
+def test_the_loop_of_a_linear_model_agrees_with_a_loop_by_hand(folder):
+    model, T, n = random_plant(), 1e-3, 200
+    structure = controller_structure("lead-lag", axes=("",))
+    gains = {p.name: 0.4 if p.start is None else p.start for p in structure.parameters}
+    design = gbid.save_controller(folder / "k.yaml", structure, gains, sample_time=T, overwrite=True)
+    channels = {"inputs": ["i_1"], "outputs": ["speed"]}
+    path = save_fmu(model, folder / "k.fmu", controller=design, limits=0.2, **channels)
+    assert validate_fmu(str(path)) == []
+    u = np.repeat(np.random.default_rng(3).normal(size=(n // 4, 3)), 4, axis=0)
+    names = ("force", "w_i_1", 'odd "name"')
+    simulated = of_model(path, u, names, ("gap", "speed", "i_1"), T)
+    F, G, *_ = cont2discrete((model.A, model.B, model.C, model.D), T)
+    at = design.at()
+    A, B, C, D, _ = cont2discrete((at.A, at.B, at.C, at.D), T, "bilinear")
+    x, state, command, limited, expected = np.zeros(5), np.zeros(len(A)), 0.0, 0, []
+    for k in range(n - 1):
+        acting = np.array([u[k, 0], command, u[k, 2]])
+        # the controller samples at the end of the step before, with the inputs from then on
+        y = model.C @ x + model.D @ acting
+        wanted = (C @ state + D @ y[[1]])[0] + u[k, 1]
+        state = A @ state + B @ y[[1]]
+        x = F @ x + G @ acting
+        command = float(np.clip(wanted, -0.2, 0.2))
+        limited += command != wanted
+        expected.append([*(model.C @ x + model.D @ [u[k, 0], command, u[k, 2]]), command])
+    assert 0 < limited < n - 1
+    assert worst(simulated[1:], np.array(expected)) < REACHED
+
+
+def oscillator(p: gbid.structure.Values) -> dict:
+    return {"A": [[0, 1], [-p.k, -p.d]], "B": [[0], [p.k]], "C": [[1, 0]], "B_delayed": [[0], [p.d]], "delay": [1.2e-3]}
+
+
+@pytest.mark.parametrize("delay", ["exact", "pade"])
+def test_surfaces_of_another_machine_over_another_variable(folder, delay):
+    parameters = [gbid.Parameter(name, 1.0) for name in "kd"]
+    structure = gbid.LinearStructure("oscillator", parameters, oscillator)
+    domain, about = Domain((0.0, 10.0), variables=("gap",)), {"exponents": ((0,), (1,)), "held": {"d": 40.0}}
+    channels = {"input_names": ("u",), "output_names": ("y",)}
+    model = LPVModel("m", {"k": (1e4, 3e3)}, domain, structure=structure, **about, **channels)
+    path = save_fmu(model, folder / "oscillator.fmu", delay=delay, pade_order=2, overwrite=True)
+    u = np.repeat(np.random.default_rng(3).normal(size=60), 10)
+    signals = np.column_stack([np.full(N, 7.0), u])
+    simulated = of_model(path, signals, ("gap", "u"), ("y",), STEP)
+    at = model.at(7.0) if delay == "exact" else gbid.with_pade(model.at(7.0), 2)
+    assert worst(simulated, at.simulate(u[:, None], STEP)) < REACHED
+
+
+def test_a_fit_is_written_by_the_command_line(tmp_path, capsys):
+    u = np.repeat(np.random.default_rng(0).normal(size=(50, 1)), 10, axis=0)
+    truth = gbid.LinearModel([[0, 1], [-1e4, -40.0]], [[0], [1e4]], [[1, 0]], [[0]])
+    recording = gbid.Recording({"u": u, "y": truth.simulate(u, 1e-3)}, 1e-3, name="one")
+
+    def matrices(p):
+        return {"A": [[0, 1], [-p.k, -p.d]], "B": [[0], [p.k]], "C": [[1, 0]]}
+
+    parameters = [gbid.Parameter("k", 9e3), gbid.Parameter("d", 30.0)]
+    fit = gbid.fit(gbid.LinearStructure("oscillator", parameters, matrices), recording, focus="simulation")
+    gbid.save(fit, tmp_path / "one.h5")
+    path = Path(printed_by(capsys, "export", tmp_path / "one.h5", "--to", "fmu", "--output", tmp_path).out.strip())
+    model = fit.linear_model
+    simulated = of_model(path, u, model.input_names, model.output_names, 1e-3)
+    F, G, *_ = cont2discrete((model.A, model.B, model.C, model.D), 1e-3)
+    x, expected = np.zeros(2), []
+    for row in u:
+        expected.append(model.C @ x)
+        x = F @ x + G @ row
+    assert worst(simulated, np.array(expected)) < REACHED
+
+
+def test_plants_that_make_no_unit_are_one_line(folder):
+    model, sampled = random_plant(), gbid.LinearModel([[0.5]], [[1]], [[1]], [[0]], dt=1e-3)
+    design = gbid.save_controller(
+        folder / "two.yaml", "P", {"kappa_x": 1, "kappa_y": 1}, sample_time=1e-3, overwrite=True
+    )
+    in_loop = {"controller": design, "inputs": ["i_1", "force"], "limits": 1.0}
+    for plant, options, words in (
+        (sampled, {}, "model 'model' is sampled; give the plant in continuous time"),
+        (replace(model, input_names=("gap", "b", "c")), {}, "model 'model': two variables 'gap'; give its channels"),
+        (model, {"controller": design, "limits": 1.0}, "needs 2 inputs of the plant (r_x, r_y), 'model' has 3; choose"),
+        (model, {**in_loop, "inputs": ["i_2", "gap"]}, "model 'model' has no input 'i_2'; there are force, i_1"),
+        (model, {**in_loop, "limits": None}, "nobody said limits, the largest magnitude of each command"),
+        (model, {**in_loop, "limits": [1.0] * 3}, "3 limits for 2 commands"),
+        (model, {**in_loop, "computation_s": 0.0}, "computation_s = 0, but inputs act on the outputs at once"),
+    ):
+        with pytest.raises(UsageError) as caught:
+            save_fmu(plant, folder / "no.fmu", **options)
+        assert words in str(caught.value)
 
 
 def scheduled_over(folder, pressure_bar):
@@ -197,11 +329,13 @@ def test_references_are_held_within_their_limit(folder):
     design = gbid.save_controller(
         folder / "lim.yaml", "P", {"kappa_x": 1.1, "kappa_y": 1.0}, overwrite=True, sample_time=2e-4
     )
-    path = save_fmu(MODEL, folder / "limited.fmu", controller=design, limit_m=5e-6)
+    path = save_fmu(MODEL, folder / "limited.fmu", controller=design, limits=5e-6)
     w = held(9, 20e-6)
     simulated = simulate(path, {"w_x": w[:, 0], "w_y": w[:, 1]}, outputs=("r_x", "r_y"))
     assert np.abs(simulated).max() == 5e-6
-    wide = simulate(path, {"w_x": w[:, 0], "w_y": w[:, 1]}, {"limit": 1.0}, outputs=("r_x", "r_y"))
+    wide = simulate(
+        path, {"w_x": w[:, 0], "w_y": w[:, 1]}, {"limit_r_x": 1.0, "limit_r_y": 1.0}, outputs=("r_x", "r_y")
+    )
     assert np.abs(wide).max() > 15e-6
 
 
@@ -299,8 +433,8 @@ def test_equal_models_give_equal_files(folder):
         ("plänt.fmu", {}, "a C identifier"),
         ("plant.zip", {}, "ends in .fmu"),
         ("a.fmu", {"delay": "none"}, "delay = 'none'; choose 'exact' or 'pade'"),
-        ("a.fmu", {"limit_m": 0.0}, "limit_m = 0.0; give a positive number"),
-        ("a.fmu", {"limit_m": float("nan")}, "limit_m = nan"),
+        ("a.fmu", {"limits": 0.0}, "limits = 0.0; give positive numbers"),
+        ("a.fmu", {"limits": float("nan")}, "limits = nan"),
         ("a.fmu", {"computation_s": -1.0}, "computation_s = -1.0"),
         ("a.fmu", {"delay": "pade", "pade_order": 0}, "pade_order = 0"),
     ],

@@ -602,8 +602,8 @@ def checked_models(
             raise UsageError(
                 f"model {model.name!r} is sampled at {model.dt:g} s; give the continuous model, and sample_time"
             )
-        columns = _places(model, "input", model.input_names, inputs)
-        rows = _places(model, "output", model.output_names, outputs)
+        columns = channel_places(model.name, "input", model.input_names, inputs)
+        rows = channel_places(model.name, "output", model.output_names, outputs)
         for what, n, names in (("outputs", len(columns), structure.outputs), ("inputs", len(rows), structure.inputs)):
             if n != len(names):
                 raise UsageError(
@@ -614,12 +614,19 @@ def checked_models(
     return tuple(plants)
 
 
-def _places(model: LinearModel, what: str, names: tuple[str, ...], wanted: Sequence[str] | None) -> list[int]:
+def channel_places(model: str, what: str, names: tuple[str, ...], wanted: Sequence[str] | None) -> list[int]:
+    """Places of the wanted channels among the names of a model; by default all.
+
+    Raises
+    ------
+    UsageError
+        When a channel is wanted twice, or is not there.
+    """
     if wanted is not None and len(set(wanted)) < len(wanted):
         raise UsageError(f"{what}s = {wanted!r}: give each {what} once")
     for name in wanted or ():
         if name not in names:
-            raise UsageError(f"model {model.name!r} has no {what} {name!r}; there are {', '.join(names)}")
+            raise UsageError(f"model {model!r} has no {what} {name!r}; there are {', '.join(names)}")
     return list(range(len(names))) if wanted is None else [names.index(name) for name in wanted]
 
 
