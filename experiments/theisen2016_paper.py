@@ -9,12 +9,11 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from theisen2016_comparison import (
     KIND_WORDS,
     ReproductionRow,
@@ -31,12 +30,12 @@ from gbid.control.impact.study import response_rows
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, NoSpaceError, UsageError
 from gbid.core.tables import Column, Entry, Table, csv_text, formatted, markdown_table, plain_table
-from gbid.experiment.fields import Result, content_key, stored_key
-from gbid.experiment.run import Job, Outcome, produce
+from gbid.experiment.fields import InputError, Result, content_key, stored_key
+from gbid.experiment.run import Job, Outcome, Task, produce, run_tasks
 from gbid.lpv import TERMS
 from gbid.report.canvas import save_figure
 from gbid.report.control_tables import comparison_table
-from gbid.report.named import NamedFigure, named_figures
+from gbid.report.named import named_figures, write_shipped
 from gbid.report.read import Results, conditions_words, design_performances
 from gbid.structure import KEY_PARAMETERS
 
@@ -356,8 +355,15 @@ def write_paper(job: Job, kinds: Sequence[str] = KINDS[:1]) -> tuple[list[Outcom
     results, sources = Results(job), _sources(job)
     outcomes: list[Outcome] = []
     left_out: list[LeftOut] = []
-    for figure in named_figures().values():
-        _collect(figure.name, partial(_figure, job, results, figure, sources, kinds), outcomes, left_out)
+    figures = {name: [_figure_file(job, name, kind, sources) for kind in kinds] for name in named_figures()}
+    kept = {file.path for files in figures.values() for file in files if file.is_made}
+    drawn = run_tasks(job, [_figure_task(name, files) for name, files in figures.items()])
+    for (name, files), outcome in zip(figures.items(), drawn, strict=True):
+        if outcome.cause == "input":
+            left_out.append(LeftOut(name, outcome.text))
+        for file in () if outcome.cause == "input" else files:
+            state = "kept" if file.path in kept else outcome.state
+            outcomes.append(replace(outcome, item=file.item, path=file.path, state=state))
     for name, make in TABLES.items():
         _collect(name, partial(_table, job, results, name, make, sources), outcomes, left_out)
     return outcomes, left_out
@@ -449,21 +455,46 @@ def _collect(name: str, make: Callable[[], list[Outcome]], outcomes: list[Outcom
     outcomes += made
 
 
-def _figure(job: Job, results: Results, named: NamedFigure, sources: list[str], kinds: Sequence[str]) -> list[Outcome]:
-    name = named.name
-    paths = {kind: job.path(FOLDER, name, f".{kind}") for kind in kinds}
-    keys = {kind: content_key("paper figure", {"name": name, "kind": kind}, sources) for kind in kinds}
-    stale = [kind for kind in kinds if stored_key(paths[kind]) != keys[kind]]
-    figure = _drawn(named, results) if stale else None
+def _figure_file(job: Job, name: str, kind: str, sources: list[str]) -> Result:
+    key = content_key("paper figure", {"name": name, "kind": kind}, sources)
+    return Result("figure", f"{name}.{kind}", job.path(FOLDER, name, f".{kind}"), key)
 
-    def write(kind: str, part: Path) -> None:
-        assert figure is not None
-        save_figure(figure, part, kind=kind, note=f"content_key: {keys[kind]}")
 
-    return [
-        produce(job, Result("figure", f"{name}.{kind}", paths[kind], keys[kind]), partial(write, kind))
-        for kind in kinds
-    ]
+def _figure_task(name: str, files: Sequence[Result]) -> Task:
+    """Return the task of a figure; it is the one of its first file to be made, and makes the others beside it."""
+    first, *others = sorted(files, key=lambda file: (file.is_made, not file.path.exists()))
+    to_make = (first, *(file for file in others if not file.is_made))
+    module, function = Path(__file__).stem, write_figure.__name__
+    return Task.of(first, partial(write_shipped, module=module, function=function, name=name, files=to_make))
+
+
+def write_figure(job: Job, part: Path, name: str, files: Sequence[Result]) -> None:
+    """Draw a figure once; write it to the part, which becomes the first of its files, and to the others.
+
+    Raises
+    ------
+    InputError
+        When the results do not allow the figure, for any reason.
+    """
+    try:
+        figure = named_figures()[name].make(_results(job))
+    except (DataError, UsageError) as error:
+        raise InputError(str(error)) from None
+
+    def write(file: Result, path: Path) -> None:
+        save_figure(figure, path, kind=file.path.suffix[1:], note=f"content_key: {file.key}")
+
+    write(files[0], part)
+    for file in files[1:]:
+        outcome = produce(job, file, partial(write, file))
+        if outcome.state == "failed":
+            raise DataError(outcome.text)
+
+
+@lru_cache(maxsize=1)
+def _results(job: Job) -> Results:
+    """Return the results, which a worker reads once for all figures."""
+    return Results(job)
 
 
 def _table(
@@ -476,14 +507,6 @@ def _table(
         write = partial(_write_text, partial(_with_key, partial(str, text), ending, key))
         outcomes.append(produce(job, Result("table", f"{name}{ending}", job.path(FOLDER, name, ending), key), write))
     return outcomes
-
-
-def _drawn(named: NamedFigure, results: Results) -> Figure:
-    """Return a figure; results that do not allow it count as bad data, for any reason."""
-    try:
-        return named.make(results)
-    except UsageError as error:
-        raise DataError(str(error)) from None
 
 
 def _sources(job: Job) -> list[str]:

@@ -162,19 +162,15 @@ def paper(
 ) -> None:
     """Write the paper's figures and tables, and compare our results with its numbers, row by row with reasons."""
     import json
-    from contextlib import closing
-    from dataclasses import replace
 
     from gbid.cli.printing import print_json, print_tables
-    from gbid.cli.stages import finish, looked_at, next_step, outcome_rows
+    from gbid.cli.stages import finish, next_step, opened, outcome_rows
     from gbid.core.files import atomic_path
-    from gbid.experiment.engines import make_engine
     from gbid.report.named import paper as paper_files
 
     loaded, files, document = options.load(experiment), paper_files(), {}
     outcomes, lines, tables = [], [], []
-    with looked_at(loaded, options) as looking, closing(make_engine()) as engine:
-        job = replace(looking, engine=engine)
+    with opened(loaded, options) as job:
         if only is not PaperPart.COMPARISON:
             outcomes, left_out = files.write_paper(job, list(dict.fromkeys(formats)))
             drawn = {outcome.path.stem for outcome in outcomes if outcome.state != "failed"}

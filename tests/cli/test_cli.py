@@ -350,6 +350,12 @@ def test_verbs_that_look_need_no_lock_and_write_elsewhere(spring, tmp_path):
     assert len(list((tmp_path / "tables").iterdir())) == 6
 
 
+def test_the_verb_of_the_paper_writes_results_and_needs_the_lock(spring, capsys):
+    with locked(spring.parent / "results/spring"):
+        assert gbid("paper", spring) == 2
+    assert "another gbid is working in this folder" in capsys.readouterr().err
+
+
 def test_without_a_home_folder_there_are_no_lines_of_other_libraries(tmp_path, monkeypatch):
     path = write_spring(tmp_path)
     assert gbid("import", path) == 0  # the page shows the recordings alone
