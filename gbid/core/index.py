@@ -25,7 +25,7 @@ _SETTLED_NS = 2_000_000_000  # age of a change [ns] from which on a further one 
 _facts: dict[str, tuple[tuple[int, ...], dict[str, Any]]] = {}  # by file; a cache, as that of `functools.lru_cache`
 
 
-def version_of(path: Path) -> tuple[int, ...]:
+def version_of(path: str | Path) -> tuple[int, ...]:
     """Return numbers of a file that change when it is written or replaced: what was read under them is still true.
 
     Raises

@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import stat
 import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
@@ -31,7 +30,7 @@ from gbid.control.loop.sampled import exact_plant
 from gbid.control.loop.sensitivity import static_amplification
 from gbid.core.arrays import ComplexArray, is_real, oscillatory_modes
 from gbid.core.errors import GbidError, UsageError
-from gbid.core.index import load_index
+from gbid.core.index import load_index, version_of
 from gbid.core.tables import finite_or_none
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job
@@ -160,11 +159,11 @@ def _drawn(positions: Any, place: int) -> list[float | None]:
 
 
 _ELSEWHERE_S = 60.0
-"""Longest time until a change elsewhere is told, as of data in other folders: a poll does not look there [s]."""
+"""Longest time until a change is told where a poll does not look: in other folders, and in place in a result [s]."""
 _REST = 3.0
 """Rest after a reading or drawing, relative to its time: a long campaign costs the server a fourth of one core."""
 
-_Seen = frozenset[tuple[str, int, int, int]]
+_Seen = dict[str, tuple[int | str, ...]]
 
 
 class Live:
@@ -193,7 +192,7 @@ class Live:
         self._experiment = load_experiment(*self._where, announce=self._announce)
         self._results: Results | None = None
         self._key, self._page, self._stages = "", "", dict[str, Counter[str]]()
-        self._look: tuple[_Seen, _Seen] = frozenset(), frozenset()
+        self._look: tuple[_Seen, _Seen] = {}, {}
         self._read_s = self._free_s = 0.0  # time of the last reading, and from which on there is the next
         self._designs: dict[str, AssessedDesign] = {}
         self._kept: Kept = {}
@@ -224,11 +223,17 @@ class Live:
         self._free_s = end + _REST * (end - begin)
 
     def _seen(self) -> tuple[_Seen, _Seen]:
-        """Return path, inode, size and time of files: of those on which keys stand, and of the other results."""
-        beside, results = self._where[0].absolute().parent, self._experiment.results
-        settings = {str(path) for folder in (beside, results / "controller") for path in sorted(folder.glob("*"))}
-        walk = {f"{folder}/{name}" for folder, _, files in os.walk(results) for name in files}
-        return _versions(settings), _versions(walk - settings)
+        """Return versions of the files on which keys stand, and of the folders of results with the names in them.
+
+        A result is written beside its place and renamed, which changes its folder: there are thousands of results.
+        """
+        results = str(self._experiment.results)
+        beside = [
+            next(os.walk(folder), ("", [], []))
+            for folder in (self._where[0].absolute().parent, f"{results}/controller")
+        ]
+        settings: dict[str, list[str]] = {f"{folder}/{name}": [] for folder, _, names in beside for name in names}
+        return _versions(settings), _versions({folder: names for folder, _, names in os.walk(results)})
 
     def state(self) -> dict[str, Any]:
         """Return how far the campaign is: the key of the present results, and counts of results by stage and state."""
@@ -279,15 +284,13 @@ class Live:
         return self._designs or self.designs()
 
 
-def _versions(paths: Iterable[str]) -> _Seen:
-    """Return path, inode, size and time of existing files."""
-    seen = set()
-    for path in paths:
+def _versions(paths: Mapping[str, list[str]]) -> _Seen:
+    """Return what changes with existing files and folders, each with the names given to it."""
+    seen: _Seen = {}
+    for path, names in paths.items():
         with contextlib.suppress(OSError):  # gone meanwhile
-            file = os.stat(path)  # noqa: PTH116  a thousand times at each poll
-            if stat.S_ISREG(file.st_mode):
-                seen.add((path, file.st_ino, file.st_size, file.st_mtime_ns))
-    return frozenset(seen)
+            seen[path] = (*version_of(path), *names)
+    return seen
 
 
 # ---- Pages of the server: the report with a line that follows the campaign, and the gain explorer.

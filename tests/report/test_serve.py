@@ -23,6 +23,7 @@ from gbid.control.assessment import DesignFigures, assess
 from gbid.control.impact.half_sine import HalfSine, impact_response
 from gbid.control.loop.sampled import exact_plant
 from gbid.core.errors import UsageError
+from gbid.core.files import atomic_path
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run import Job, run_stage
 from gbid.experiment.stages.fit import FIT
@@ -115,6 +116,24 @@ def test_a_reading_is_followed_by_a_rest_three_times_as_long(served, monkeypatch
     assert live.state()["stages"] == before
     now[0] = 108.0
     assert live.state()["stages"]["rig"] == {"there": 1, "missing": 1}
+
+
+def test_a_poll_looks_at_folders_and_once_a_minute_into_each_file(served, monkeypatch):
+    _, folder = served
+    run_stage(Job(load_experiment(folder / "e.yaml")), RIG)
+    now = [100.0]
+    monkeypatch.setattr("gbid.serve.server.time.monotonic", lambda: now[0])
+    live = Live(folder / "e.yaml")
+    assert live.state()["stages"]["rig"] == {"there": 2}
+    file = folder / "results" / "served" / "recordings" / "p6_n0_prbs1.h5"
+    content = file.read_bytes()
+    file.write_bytes(content[:-1])  # in place, as gbid never writes
+    assert live.state()["stages"]["rig"] == {"there": 2}
+    now[0] += 61
+    assert live.state()["stages"]["rig"] == {"there": 1, "failed": 1}
+    with atomic_path(file, overwrite=True) as part:
+        part.write_bytes(content)
+    assert live.state()["stages"]["rig"] == {"there": 2}
 
 
 def test_only_this_machine_and_only_these_pages(served):
