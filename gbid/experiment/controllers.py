@@ -151,6 +151,11 @@ def surfaces_item(experiment: Experiment, section: ControllerSection) -> str | N
     return f"{experiment.spec.lpv.fit}{SURFACES[str(word)]}"
 
 
+def is_fitted(experiment: Experiment, section: ControllerSection) -> bool:
+    """Return whether the plants of a design are the models of a fit."""
+    return section.model in experiment.spec.fits
+
+
 def named_model(experiment: Experiment, section: ControllerSection) -> lpv.LPVModel:
     """Return the model of a design that does not use the surfaces of the experiment.
 
@@ -161,14 +166,10 @@ def named_model(experiment: Experiment, section: ControllerSection) -> lpv.LPVMo
     """
     word = model_word(experiment, section)
     if word is not None:
-        if word in experiment.spec.fits:
-            raise UsageError(
-                f"{word!r} is a fit: surfaces of fits have the section lpv, other machines gbid.tune in Python"
-            )
         model = with_actuators(lpv.load_machine(model_source(experiment, word)).model)
         return replace(model, machine=machine_data(experiment).filled(model.machine))
     if experiment.spec.rig is None:
-        raise UsageError("needs a model; name one, or add a section lpv (other machines: gbid.tune in Python)")
+        raise UsageError("needs a model; name a fit or a model, or add a section lpv")
     return with_actuators(rig_model(experiment))
 
 
@@ -236,7 +237,7 @@ def design_structure(
                 raise UsageError(f"structure {section.structure!r}: a controller is a gbid.LinearStructure")
             with about(wrong):
                 base = control.controller_structure(linear, **options)
-            if (len(base.inputs), len(base.outputs)) != (2, 2):
+            if not is_fitted(experiment, section) and (len(base.inputs), len(base.outputs)) != (2, 2):
                 raise UsageError(f"structure {section.structure!r}: a controller has two inputs and two outputs")
     with about("schedule"):
         schedule = section.schedule
@@ -265,6 +266,8 @@ def rig_time(experiment: Experiment) -> float:
 
 def published_machine(experiment: Experiment, section: ControllerSection | None = None) -> lpv.PublishedMachine | None:
     """Return the machine that a design names if it comes with a controller, else that of the rig; None without rig."""
+    if section is not None and is_fitted(experiment, section):
+        return None
     word = None if section is None or surfaces_item(experiment, section) else model_word(experiment, section)
     named = None if word is None else lpv.load_machine(model_source(experiment, word))
     if experiment.spec.rig is None or (named is not None and named.controller is not None):
@@ -297,7 +300,7 @@ def design_result(
     surfaces : pathlib.Path, optional
         Model file of the surfaces for which it is tuned; without it the model that its section names.
     sources : iterable of Result
-        Recordings whose disturbance its goals need.
+        Recordings whose disturbance its goals need, and fits whose models are its plants.
 
     Raises
     ------
@@ -310,7 +313,11 @@ def design_result(
         "text": _structure_text(experiment, section.structure),
         "sampled_at": sample_time(experiment, section),
         "published": published_design(experiment, section),
-        "model": named_model(experiment, section) if surfaces is None else stored_key(surfaces),
+        "model": stored_key(surfaces)
+        if surfaces is not None
+        else section.model
+        if is_fitted(experiment, section)
+        else named_model(experiment, section),
     }
     return experiment.result("tune", name, experiment.path(TUNED, name), settings, sources)
 

@@ -563,8 +563,11 @@ class ControllerSection(OptionsSection, DesignOptions, frozen=True):
     `tune_corner` (whether the corner is a gain as well) are options of the built-in structures; `options` holds those
     of one structure by name, such as ``{filter_order: 6}`` or ``{coupling: gyroscopic, notch_orders: [1.0]}``.
     `schedule`: terms of pressure and speed on which the gains depend; without it gains are constant.
-    `model`: ``lpv`` or ``lpv_direct`` for the surfaces of this experiment, else the name or file of a model. When it is
-    left out, the surfaces are used if there is a section lpv, else the model of the rig.
+    `model`: ``lpv`` or ``lpv_direct`` for the surfaces of this experiment, a fit of it, whose models of any machine are
+    the plants together, or the name or file of a model. When it is left out, the surfaces are used if there is a
+    section lpv, else the model of the rig.
+    `inputs`, `outputs`: channels of the models of a fit that the controller drives and measures; by default all. The
+    axes of the controller are an option of its structure: ``options: {axes: [""]}`` is one input and one output.
     `operating_points`: ``model`` for those of the model, ``domain`` for its whole rectangle, or a list.
     `peak_sensitivity`: null for none. `goals`: objectives and limits by the names of `gbid.control`, each with its
     arguments, such as ``{goal: PeakSensitivity, limit: 2.0}``; they replace `objective` and `peak_sensitivity`.
@@ -583,6 +586,8 @@ class ControllerSection(OptionsSection, DesignOptions, frozen=True):
     options: dict[Text, _Option] = Field(default_factory=dict)
     schedule: Annotated[tuple[Term, ...], Field(min_length=1)] | None = None
     model: Text | None = None
+    inputs: tuple[Text, ...] | None = None
+    outputs: tuple[Text, ...] | None = None
     operating_points: _Points = "model"
     peak_sensitivity: Cap | None = 2.6
     design_for: Literal["continuous", "sampled"] = "continuous"

@@ -217,21 +217,32 @@ def write_unit(item: ExportItem, request: ExportRequest) -> list[Path]:
 
     what = item.what
     if item.kind == "ControllerDesign":
-        plant, path = _plant_of(what, request), request.folder / f"{item.name}_loop.fmu"
+        plants = _plants_of(what, request)
+        known = {"inputs": what.provenance.get("drives"), "outputs": what.provenance.get("measures")}
+        channels = {key: names.split(", ") for key, names in known.items() if isinstance(names, str)}
         limits = None if item.options is None else item.options.limits
-        return [save_fmu(plant, path, controller=what, limits=limits, overwrite=request.overwrite)]
+        options: dict[str, Any] = {"controller": what, "limits": limits, "overwrite": request.overwrite, **channels}
+        names = [f"{item.name}_{name}" if len(plants) > 1 else item.name for name in plants]
+        paths = [request.folder / f"{name}_loop.fmu" for name in names]
+        return [save_fmu(plant, path, **options) for plant, path in zip(plants.values(), paths, strict=True)]
+    if item.kind == "FitResult" and len(request.beside) > 1 and what.linear_model.dt is not None:
+        return []  # the loop of a sampled controller is no plant
     return [save_fmu(what, request.folder / f"{item.name}.fmu", overwrite=request.overwrite)]
 
 
-def _plant_of(design: ControllerDesign, request: ExportRequest) -> Any:
-    """Model for which a controller was designed: one of those beside it, or one that comes with gbid."""
+def _plants_of(design: ControllerDesign, request: ExportRequest) -> dict[str, Any]:
+    """Models by name for which a controller was designed: of those beside it, or one that comes with gbid."""
     from gbid.lpv import load_model
 
-    for item in request.beside:
-        if design.plant in (item.name, getattr(item.what, "name", None)) and item.kind != "ControllerDesign":
-            return item.what
+    plants = [item for item in request.beside if item.kind != "ControllerDesign"]
+    for chosen in (
+        [item for item in plants if design.plant in (item.name, getattr(item.what, "name", None))][:1],
+        [item for item in plants if item.kind == "FitResult" and item.name.startswith(f"{design.plant}_")],
+    ):
+        if chosen:
+            return {item.name: item.what for item in chosen}
     try:
-        return load_model(design.plant)
+        return {design.plant: load_model(design.plant)}
     except UsageError as error:
         raise UsageError(
             f"the plant {design.plant!r} of controller {design.name!r} is not among what is exported: {error}"

@@ -172,7 +172,7 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection:
     """Return the section with the tuned and published designs, and the figures that the tuning stored."""
     designs, model, words = results.assessed, results.loop_model, loop_words(results)
     blocks: list[Block] = []
-    if model is None and not designs:
+    if model is None and not results.designs.made:
         return PageSection("controller", TITLE, [Words(words, "warn")])
     if not results.designs.made:
         text = "This experiment designed no controller; the gains shown are those that came with the machine."

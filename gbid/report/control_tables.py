@@ -239,11 +239,12 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
     tables = []
     for (plant, points, impact, sample_time, method), group in groups.items():
         where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
+        where = f", worst over {where}" if points else ""
         shown = [document["performance"][0] for document in group] + group[0]["performance"][1:]
         worst = {row["name"]: {name: figure["value"] for name, figure in row["worst"].items()} for row in shown}
         notes = [conditions_words(control.HalfSine(**dict(impact)), sample_time, method)]
         notes += [f"{row['name']} ({row['structure']}): {gains_words(row['gains'])}" for row in shown]
-        tables.append(_compared(f"{plant}, worst over {where}", worst, notes))
+        tables.append(_compared(f"{plant}{where}", worst, notes))
     return [*tables, *design_tables(documents)]
 
 

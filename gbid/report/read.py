@@ -15,6 +15,7 @@ from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import load
 from gbid.experiment.controllers import (
     design_structure,
+    is_fitted,
     peak_cap,
     published_design,
     published_structure,
@@ -127,6 +128,8 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
         first = next(iter(group))
         for name, design in group.items():
             section = experiment.spec.controller[name]
+            if is_fitted(experiment, section):  # no pressure and speed over which pictures are drawn
+                continue
             plant, sampled = design_plant(job, section)[0], section.design_for == "sampled"
             conditions = plant, design.impact, design.sample_time, design.method, peak_cap(section), sampled
             for figures in design.performance[: None if name == first else 1]:

@@ -227,14 +227,6 @@ def test_wrong_sections_are_named(tmp_path, section, words, capsys):
         assert word in line
 
 
-def test_a_controller_of_a_fit_is_for_python(tmp_path, capsys):
-    text = RIG.replace("prbs: {recordings: 0}", "prbs: {recordings: 1}")
-    text += "fits: {free: {structure: rotor_bearing}}\ncontroller: {p: {model: free}}\n"
-    (line,) = printed_by(capsys, "check", write_quick(tmp_path, text=text), code=2).err.splitlines()
-    assert "controller.p.model: 'free' is a fit: surfaces of fits have the section lpv" in line
-    assert "other machines gbid.tune in Python" in line
-
-
 DESIGNS = """\
 controller:
   robust: {peak_sensitivity: 2.0, starts: 1, uncertainty: {draws: 2, seed: 1}}

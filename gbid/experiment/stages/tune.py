@@ -19,6 +19,7 @@ from gbid.experiment.controllers import (
     design_result,
     design_structure,
     goal_recordings,
+    is_fitted,
     load_design,
     made_goal,
     named_model,
@@ -31,17 +32,19 @@ from gbid.experiment.controllers import (
     with_actuators,
     without_cap,
 )
-from gbid.experiment.experiment import Experiment
+from gbid.experiment.experiment import Experiment, fit_models
 from gbid.experiment.fields import Found, InputError, Location, Result, needed, refusal, stored_key
 from gbid.experiment.machine import machine_data, outside_domain
 from gbid.experiment.recordings import load_made, recording_result
 from gbid.experiment.run import Job, Made, Outcome, Stage, Task, Work
 from gbid.experiment.schema import ControllerSection, RobustSection
+from gbid.experiment.stages.fit import fit_result, load_made_fit
 from gbid.experiment.stages.lpv import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv import read_surfaces
 
 if TYPE_CHECKING:
     from gbid.control.assessment import CappedDesign, DesignFigures, RobustPromise, TunedDesign
+    from gbid.identify import FitResult
 
 
 def designs_can_be_tuned(experiment: Experiment) -> Found:
@@ -59,7 +62,12 @@ def _design_problems(experiment: Experiment, section: ControllerSection) -> Foun
     except GbidError as error:
         yield ("model",), str(error)
         return
-    if item is None:
+    for key, value in (("inputs", section.inputs), ("outputs", section.outputs)):
+        if value is not None and not is_fitted(experiment, section):
+            yield (key,), "chooses channels of the models of a fit; leave it out"
+    if is_fitted(experiment, section):
+        yield from _fitted_problems(experiment, section)
+    elif item is None:
         try:
             model = named_model(experiment, section)
         except GbidError as error:
@@ -82,7 +90,7 @@ def _design_problems(experiment: Experiment, section: ControllerSection) -> Foun
             yield ("uncertainty",), "comes with robust already; leave it out"
         if section.pareto:
             yield ("pareto",), "is not for robust designs; write price: [...] below robust, or a second design"
-    if section.goals is not None:
+    if section.goals is not None and not is_fitted(experiment, section):
         known = machine_data(experiment) if model is None else model.machine
         yield from _goal_problems(experiment, section, known)
     try:
@@ -98,6 +106,15 @@ def _design_problems(experiment: Experiment, section: ControllerSection) -> Foun
     for gain, (low, high) in section.bounds.items():
         if not low < high:
             yield ("bounds", gain), f"lower bound {low:g} is not below the upper one, {high:g}"
+
+
+def _fitted_problems(experiment: Experiment, section: ControllerSection) -> Found:
+    """Yield what a design for the models of a fit cannot have."""
+    if experiment.spec.fits[str(section.model)].loop is not None:
+        yield ("model",), f"fit {section.model!r} is of a loop with its controller; name a fit of the plant alone"
+    for key in ("operating_points", "schedule", "uncertainty", "robust"):
+        if key in section.model_fields_set and getattr(section, key) is not None:
+            yield (key,), "needs surfaces over pressure and speed, not a fit; leave it out"
 
 
 def _point_problems(section: ControllerSection, model: lpv.LPVModel) -> Found:
@@ -224,12 +241,21 @@ def _result(job: Job, name: str, surfaces: Collection[str]) -> Result:
     if item is not None and item not in surfaces:
         raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
     path = None if item is None else job.path(LPV_FOLDER, item, ".yaml")
-    disturbing = [recording_result(experiment, planned) for planned in goal_recordings(experiment, section)]
-    return design_result(experiment, name, path, disturbing)
+    sources = [recording_result(experiment, planned) for planned in goal_recordings(experiment, section)]
+    if is_fitted(experiment, section):
+        fit = str(section.model)
+        sources += [fit_result(experiment, fit, model) for model in fit_models(experiment, fit)]
+    return design_result(experiment, name, path, sources)
+
+
+def fitted_plants(job: Job, section: ControllerSection) -> dict[str, FitResult]:
+    """Return the models of the fit that a design names, by their names."""
+    fit = str(section.model)
+    return {f"{fit}_{model}": load_made_fit(job, fit, model) for model in fit_models(job.experiment, fit)}
 
 
 def design_plant(job: Job, section: ControllerSection) -> tuple[lpv.LPVModel, control.Uncertainty | None]:
-    """Return the model of a design, and its uncertainty when the section wants other plants besides it."""
+    """Return the LPV model of a design, and its uncertainty when the section wants other plants besides it."""
     item = surfaces_item(job.experiment, section)
     if item is None:
         return named_model(job.experiment, section), None
@@ -263,11 +289,12 @@ def tune_options(section: ControllerSection) -> dict[str, Any]:
         points = [(q.pressure_bar, q.speed_rpm) for q in points]
     left_out = ("peak_sensitivity",) if section.goals is None else ("peak_sensitivity", "objective")
     options = {f.name: getattr(section, f.name) for f in fields(DesignOptions) if f.name not in left_out}
-    return {**options, "operating_points": None if points == "model" else points}
+    points = None if points == "model" else points
+    return {**options, "operating_points": points, "inputs": section.inputs, "outputs": section.outputs}
 
 
 def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
-    """Return the arguments of `gbid.control.assess` from the section, except the points."""
+    """Return the arguments of `gbid.control.assess` from the section, except the points and channels."""
     goal = _travel_goal(section)
     return {
         "sample_time": sample_time(experiment, section),
@@ -279,8 +306,11 @@ def assess_options(experiment: Experiment, section: ControllerSection) -> dict[s
 
 def _write_design(job: Job, part: Path, name: str) -> Made:
     experiment, section = job.experiment, controller_section(job.experiment, name)
-    model, plants = design_plant(job, section)
-    structure: Any = design_structure(experiment, section, model.domain)
+    model: Any
+    model, plants = (
+        (fitted_plants(job, section), None) if is_fitted(experiment, section) else design_plant(job, section)
+    )
+    structure: Any = design_structure(experiment, section, getattr(model, "domain", None))
 
     def disturbance(patterns: tuple[str, ...]) -> control.DisturbanceSpectrum:
         return control.recorded_disturbance([load_made(job, planned) for planned in experiment.matching(patterns)])
@@ -308,13 +338,15 @@ def _write_design(job: Job, part: Path, name: str) -> Made:
                 model, section.pareto, goals=without_cap(section, goals) if goals else None, **options
             )
             front = tuple(map(CappedDesign, others.caps, others.designs))
-    assessed = control.assess(
-        model, structure, result.gains, result.points, name=name, **assess_options(experiment, section)
-    )
-    published = assess_published(experiment, model, section, result.points)
+    channels: dict[str, Any] = {"inputs": section.inputs, "outputs": section.outputs, "name": name}
+    points = result.points or None
+    assessed = control.assess(model, structure, result.gains, points, **channels, **assess_options(experiment, section))
+    published = assess_published(experiment, model, section, points)
     figures = (DesignFigures.of(assessed), *(() if published is None else (published,)))
-    conditions = (impact(section).on(model.machine), sample_time(experiment, section), section.method)
-    design = TunedDesign(name, model.name, result, figures, front, *conditions, promises)
+    plant = model.name if isinstance(model, lpv.LPVModel) else next(iter(model)) if len(model) == 1 else section.model
+    hit = impact(section).on(model.machine) if isinstance(model, lpv.LPVModel) else impact(section)
+    sampling = (sample_time(experiment, section), section.method)
+    design = TunedDesign(name, str(plant), result, figures, front, hit, *sampling, promises)
     save(design, part, overwrite=True)
     return _made(design)
 
@@ -385,8 +417,8 @@ def _read_design_summary(path: Path) -> Made:
 
 def _write_controller(job: Job, part: Path, name: str) -> None:
     section, design = controller_section(job.experiment, name), load_design(job.path(TUNED, name))
-    model, _ = design_plant(job, section)
-    structure = design_structure(job.experiment, section, model.domain)
+    model = None if is_fitted(job.experiment, section) else design_plant(job, section)[0]
+    structure = design_structure(job.experiment, section, None if model is None else model.domain)
     result = design.result
     provenance: dict[str, str | float] = {
         "experiment": job.experiment.spec.name,
@@ -394,7 +426,10 @@ def _write_controller(job: Job, part: Path, name: str) -> None:
         result.objective: result.value,
         "verified_on": result.verified_on,
     }
-    provenance |= {name: value for name, value in vars(model.machine).items() if value is not None}
+    machine = {} if model is None else vars(model.machine)
+    provenance |= {name: value for name, value in machine.items() if value is not None}
+    for key, channels in (("drives", section.inputs), ("measures", section.outputs)):
+        provenance |= {} if channels is None else {key: ", ".join(channels)}
     cap = peak_cap(section)
     if cap is not None:
         provenance["cap_peak_sensitivity"] = cap
