@@ -96,29 +96,32 @@ class GeneralPredictor(ABC):
         record an input is constant at its first sample. After it the input is constant at its last sample, without
         effect.
         """
-        n = len(inputs)
+        return np.hstack(self.regressor_columns(inputs, outputs, shift, time))
 
-        def lagged(channels: Sequence[int], lag: int) -> FloatArray:
-            before, after = (min(max(each, 0), n) for each in (lag, -lag))
-            signal = np.take(inputs, channels, axis=1)
-            ends = np.repeat(signal[:1], before, axis=0), np.repeat(signal[-1:], after, axis=0)
-            return np.concatenate([ends[0], signal[after : n - before], ends[1]])
+    def regressor_columns(
+        self, inputs: FloatArray, outputs: FloatArray, shift: tuple[int, ...], time: FloatArray | None = None
+    ) -> list[FloatArray]:
+        """Return the columns of `regressors`, (n_samples, 1) or more each; those of inputs are views of one array."""
+        n, before = len(inputs), max(shift, default=-1) + 1
+        padded = np.concatenate([np.repeat(inputs[:1], before, axis=0), inputs, inputs[-1:]])
 
-        parts = [] if time is None else [self._interval_column(time)]
-        parts.append(inputs[:, list(self.prompt)])
-        if self._lead:
-            parts.append(lagged(self._lead, -1))
+        def lagged(i: int, lag: int) -> FloatArray:
+            return padded[before - lag : before - lag + n, i : i + 1]
+
+        columns = [] if time is None else [self._interval_column(time)]
+        columns += [lagged(i, 0) for i in self.prompt]
+        columns += [lagged(i, -1) for i in self._lead]
         for i, d in zip(self.delayed, shift, strict=True):
             first = d - 1 if self.holds[i] == "foh" else d
-            parts += [lagged([i], lag) for lag in range(first, d + 2)]
+            columns += [lagged(i, lag) for lag in range(first, d + 2)]
         if self.disturbances.n_columns:
             even = np.asarray(self.sample_time * np.arange(n), np.float64)
-            parts.append(self.disturbances.regressors(even if time is None else time))
+            columns.append(self.disturbances.regressors(even if time is None else time))
         if self._has_impulse:
-            parts.append(np.eye(n, 1))
+            columns.append(np.eye(n, 1))
         if self.feeds_back:
-            parts.append(outputs)
-        return np.hstack(parts)
+            columns.append(outputs)
+        return columns
 
     @abstractmethod
     def _interval_column(self, time: FloatArray) -> FloatArray:

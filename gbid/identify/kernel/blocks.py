@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -16,6 +16,7 @@ from gbid.identify.predictor import GeneralPredictor
 
 LONGEST_BLOCK = 512  # samples; a longer shooting window consists of several blocks, see gbid.identify.kernel.sums
 _LONGEST_WITH_GAPS = 64  # the same where numpy runs all blocks side by side, sample by sample
+_AT_ONCE = 32_768  # samples whose regressors are made together
 LANES = 8  # blocks in one group: number of doubles in the widest vector register
 
 
@@ -170,6 +171,11 @@ class Blocks:
         return int(self.window_size.sum())
 
     @cached_property
+    def uneven(self) -> IntArray:
+        """Blocks of which some samples do not count, or have another weight than 1."""
+        return np.flatnonzero((self.used != 1).any(axis=1))
+
+    @cached_property
     def followed(self) -> IntArray:
         """Blocks that are not the last of their window."""
         return np.setdiff1d(np.arange(self.n_blocks), self.window_first) - 1
@@ -193,12 +199,18 @@ class Blocks:
         if shift not in self._regressors:
             if len(self._regressors) > 3:
                 self._regressors.clear()
-            parts = []
-            for p in self.segments:
-                rows = self.predictor.regressors(p.inputs, p.measured, shift, p.time)
-                parts.append(p.part(rows if p.gains is None else np.hstack([rows, p.gains.columns])))
-            self._regressors[shift] = in_groups(parts, self.length)
+            self._regressors[shift] = in_groups(self._rows(shift), self.length, len(self.y))
         return self._regressors[shift]
+
+    def _rows(self, shift: tuple[int, ...]) -> Iterator[FloatArray]:
+        """Yield the regressors of some blocks after the other, in memory that is soon used again."""
+        count = max(1, _AT_ONCE // self.length) * self.length
+        for p in self.segments:
+            columns = self.predictor.regressor_columns(p.inputs, p.measured, shift, p.time)
+            columns += [] if p.gains is None else [p.gains.columns]
+            stop = len(p.inputs) if p.stop is None else p.stop
+            for first in range(p.start, stop, count):
+                yield np.hstack([column[first : min(first + count, stop)] for column in columns])
 
     def by_whole_segments(self) -> Blocks:
         """Return the blocks with each segment as one window."""
@@ -270,11 +282,12 @@ def cut(
         first += (len(block_size) + starts).tolist()
         size += np.minimum(per_window, count - starts).tolist()
         block_size += [length] * (count - 1) + [n - (count - 1) * length]
-    y = in_groups(targets, length)
-    block_size += [0] * (y.shape[0] * LANES - len(block_size))
+    n_groups = -(-len(block_size) // LANES)
+    y = in_groups(targets, length, n_groups)
+    block_size += [0] * (n_groups * LANES - len(block_size))
     return Blocks(
         y,
-        _use(segments, length),
+        _use(segments, length, n_groups),
         np.array(block_size, np.int64),
         per_window,
         np.array(first),
@@ -293,31 +306,30 @@ def reweighted(blocks: Blocks, weights: Sequence[FloatArray]) -> Blocks:
         full = np.ones(len(segment.outputs))
         segment.part(full)[:] = squared
         segments.append(replace(segment, weights=full))
-    used = _use(segments, blocks.length)
+    used = _use(segments, blocks.length, len(blocks.y))
     return replace(blocks, segments=tuple(segments), used=used)
 
 
-def _use(segments: Sequence[Segment], length: int) -> FloatArray:
+def _use(segments: Sequence[Segment], length: int, n_groups: int) -> FloatArray:
     """Return the roots of the weights of samples in groups of blocks, (n_groups, length, lanes)."""
-    rows = [
+    rows = (
         _of_samples(segment, segment.counts) * np.sqrt(_of_samples(segment, segment.weights)) for segment in segments
-    ]
-    return np.ascontiguousarray(in_groups(rows, length)[:, :, 0])
+    )
+    return in_groups(rows, length, n_groups)[:, :, 0]
 
 
 def _of_samples(segment: Segment, values: FloatArray | None) -> FloatArray:
     """Return the values of a record at the samples of a segment, (n, 1); ones for None."""
-    return segment.part(np.ones(len(segment.outputs)) if values is None else values)[:, None]
+    return segment.part(np.broadcast_to(1.0, len(segment.outputs)) if values is None else values)[:, None]
 
 
-def in_groups(parts: Sequence[FloatArray], length: int) -> FloatArray:
+def in_groups(parts: Iterable[FloatArray], length: int, n_groups: int) -> FloatArray:
     """Return (n_samples, n) arrays as groups of blocks, (n_groups, length, n, lanes)."""
-    n = parts[0].shape[1]
-    n_groups = -(-sum(-(-len(part) // length) for part in parts) // LANES)
-    groups = np.zeros((n_groups, length, n, LANES))
-    by_block = groups.transpose(0, 3, 1, 2)
     pieces = (part[first : first + length] for part in parts for first in range(0, len(part), length))
     for block, piece in enumerate(pieces):
+        if not block:
+            groups = np.zeros((n_groups, length, piece.shape[1], LANES))
+            by_block = groups.transpose(0, 3, 1, 2)
         by_block[block // LANES, block % LANES, : len(piece)] = piece
     return groups
 

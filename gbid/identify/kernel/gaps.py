@@ -150,7 +150,7 @@ def with_kalman_gains(v: PredictorValues, blocks: Blocks, innovation: FloatArray
         missing outputs just do not count.
     """
     parts = [segment.present.astype(float) for segment in blocks.segments]
-    filter_ = _filter(v, blocks, flat(in_groups(parts, blocks.length)) > 0, innovation)
+    filter_ = _filter(v, blocks, flat(in_groups(parts, blocks.length, len(blocks.y))) > 0, innovation)
     n_y, n, eye = len(innovation), len(v.F), np.eye(len(innovation))
     rows = np.concatenate([each.reshape(*each.shape[:2], -1) for each in filter_], axis=2)
     segments = []
@@ -171,7 +171,7 @@ def with_kalman_gains(v: PredictorValues, blocks: Blocks, innovation: FloatArray
         columns = np.zeros((len(segment.outputs), n_y**2 + gains.shape[1]))
         segment.part(columns)[:] = np.hstack([T.reshape(-1, n_y**2), gains])
         segments.append(replace(segment, gains=GapGains(columns, absent, spread)))
-    y = in_groups([segment.targets for segment in segments], blocks.length)
+    y = in_groups([segment.targets for segment in segments], blocks.length, len(blocks.y))
     return replace(blocks, y=y, segments=tuple(segments), _regressors={})
 
 

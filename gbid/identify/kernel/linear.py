@@ -509,6 +509,13 @@ class CompiledPasses(Kernel):
         self.run_forwards(v, blocks, begin, [states, errors, end, np.empty((n_groups, n_y, n_y, lanes))])
         return Prediction(states, errors, end.transpose(1, 0, 2).reshape(n, -1))
 
+    def errors(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the errors without states in memory; see `Kernel`."""
+        (n_groups, _, n_y, lanes), errors = blocks.y.shape, np.empty_like(blocks.y)
+        results = [None, errors, None, np.empty((n_groups, n_y, n_y, lanes))]
+        self.run_forwards(v, blocks, self.begin(v, blocks, starts), results)
+        return errors
+
     def ends(self, v: Any, blocks: Blocks, begin: FloatArray) -> FloatArray:
         """Return the states at the ends of blocks; see `Kernel`."""
         (n_groups, _, n_y, lanes), n = blocks.y.shape, len(begin)

@@ -106,9 +106,9 @@ def start_hessians(blocks: Blocks, free: FloatArray) -> FloatArray:
     n = free.shape[2]
     rows = free.reshape(-1, n)
     full = np.broadcast_to(rows.T @ rows, (len(blocks.size), n, n)).copy()
-    used = blocks.used.transpose(0, 2, 1).reshape(-1, blocks.length)
-    for block in np.flatnonzero((used != 1).any(axis=1)):
-        rows = (free * used[block][:, None, None]).reshape(-1, n)
+    for block in blocks.uneven:
+        used = blocks.used[block // blocks.lanes, :, block % blocks.lanes]
+        rows = (free * used[:, None, None]).reshape(-1, n)
         full[block] = rows.T @ rows
     return full
 
@@ -332,6 +332,10 @@ class Kernel(ABC):
     def predict(self, v: Any, blocks: Blocks, starts: FloatArray) -> Prediction:
         """Return states and errors from the starts of the windows, without sensitivities."""
         return self.passed(v, blocks, self.begin(v, blocks, starts))
+
+    def errors(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the errors of `predict`, (n_groups, length, n_y, lanes)."""
+        return self.predict(v, blocks, starts).errors
 
     def products(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
         """Return the products ``sum e e'`` of the errors of each block, (W, n_y, n_y)."""

@@ -421,7 +421,7 @@ class Shooting:
 
     def errors(self, values: list[Any], starts: FloatArray) -> list[FloatArray]:
         """Return the prediction errors of every part in blocks; zero for samples that are not in the cost."""
-        return [part.kernel.predict(v, part.blocks, begin).errors for v, part, begin in self.each(values, starts)]
+        return [part.kernel.errors(v, part.blocks, begin) for v, part, begin in self.each(values, starts)]
 
     def by_record(self, errors: list[FloatArray], first_windows: IntArray) -> list[FloatArray]:
         """Return errors of all parts in the order of the samples of each record, (n_samples, n_y); zero if left out."""
