@@ -144,7 +144,8 @@ def _on_curves(problem: Shooting, inputs: Sequence[int]) -> Shooting:
         segments = []
         for segment in part.blocks.segments:
             u = segment.inputs.copy()
-            u[1:-1, inputs] -= np.diff(u[:, inputs], 2, axis=0) / 12
+            for i in inputs:
+                u[1:-1, i] -= np.diff(u[:, i], 2) / 12
             segments.append(replace(segment, inputs=u))
         blocks = replace(part.blocks, segments=tuple(segments), _regressors={})
         parts.append(replace(part, blocks=blocks))

@@ -149,10 +149,12 @@ def select(
                 f"it has {', '.join(channels)}"
             )
         picked = [channels.index(channel)] if channel else list(range(values.shape[1]))
-        columns.append(values[:, picked])
+        columns.append(values[:, picked] if channel else values)
         labels += [f"{signal}_{channels[i]}" if len(channels) > 1 else signal for i in picked]
         units += [recording.units[signal]] * len(picked)
-    return (np.hstack(columns) if columns else np.zeros((recording.n_samples, 0))), labels, units
+    if not columns:
+        columns = [np.zeros((recording.n_samples, 0))]
+    return np.hstack(columns) if len(columns) > 1 else columns[0], labels, units
 
 
 def _meant(recording: Recording, name: str) -> tuple[str, str]:
@@ -175,23 +177,24 @@ def same_columns(
     """
     if not recordings:
         raise DataError("no recordings; give at least one")
-    first, columns = recordings[0], []
-    _, labels, units = select(first, names, gaps=gaps, irregular=irregular)
+    first, columns = (
+        recordings[0],
+        [select(recording, names, gaps=gaps, irregular=irregular) for recording in recordings],
+    )
+    _, labels, units = columns[0]
     any_clock = irregular and any(recording.stamps is not None for recording in recordings)
-    for recording in recordings:
+    for recording, (_, others, _) in zip(recordings, columns, strict=True):
         if not any_clock and not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
             raise DataError(
                 f"recordings {first.name!r} and {recording.name!r} have different sample times: "
                 f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one, or use them separately"
             )
-        values, others, _ = select(recording, names, gaps=gaps, irregular=irregular)
         if others != labels:
             raise DataError(
                 f"recordings {first.name!r} and {recording.name!r} have different channels, {', '.join(labels)} and "
                 f"{', '.join(others)}"
             )
-        columns.append(values)
-    return columns, labels, units
+    return [values for values, *_ in columns], labels, units
 
 
 def gather(
@@ -257,7 +260,19 @@ def moves(values: FloatArray) -> BoolArray:
 
 def column_means(values: FloatArray) -> FloatArray:
     """Return the mean of each column of samples (n, n_columns): a tenth of the time that numpy takes along columns."""
-    return np.asarray(np.ascontiguousarray(values.T).mean(axis=1))
+    return np.array([column.mean() for column in values.T])
+
+
+def column_variances(values: FloatArray) -> FloatArray:
+    """Return the variance of each column of samples (n, n_columns)."""
+    return np.array([column.var() for column in values.T])
+
+
+def centred_rows(values: FloatArray) -> FloatArray:
+    """Return columns of samples (n, n_columns) less their means as the rows of a new array, (n_columns, n)."""
+    rows = np.array(values.T, order="C")
+    rows -= rows.mean(axis=1)[:, None]
+    return rows
 
 
 def gather_own(recordings: Sequence[Recording], channels: Sequence[Channels], minimum: int) -> FitData:

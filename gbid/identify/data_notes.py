@@ -9,7 +9,7 @@ import numpy as np
 
 from gbid.core.arrays import FloatArray
 from gbid.core.notes import FitNote
-from gbid.identify.data import FitData, Record, column_means
+from gbid.identify.data import FitData, Record, centred_rows, column_variances
 from gbid.structure.built_in import KEY_PARAMETERS
 
 _MOTION = 1e-3  # [m] the clearance of a gas bearing and the travel of a piezo are some ten micrometres
@@ -43,9 +43,7 @@ def data_notes(data: FitData, names: Set[str], left_out: Mapping[str, Sequence[t
 def _units(data: FitData) -> Iterator[str]:
     """Yield a note on motions that are no metres, by their size, and by the size of outputs over that of inputs."""
     for record in data.records:
-        sizes = [
-            np.sqrt(np.ascontiguousarray(values[:, :2].T).var(axis=1)) for values in (record.inputs, record.outputs)
-        ]
+        sizes = [np.sqrt(column_variances(values[:, :2])) for values in (record.inputs, record.outputs)]
         largest = max(float(size.max(initial=0.0)) for size in sizes)
         if largest > _MOTION:
             yield FitNote.UNITS(
@@ -81,7 +79,8 @@ def _spikes(record: Record, names: Sequence[str], left_out: Sequence[tuple[int, 
     for start, stop in left_out:
         counts[start:stop] = False
     for name, column in zip(names, record.outputs.T, strict=True):
-        size = np.abs(column - np.median(column))
+        size = column - np.median(column)
+        np.abs(size, out=size)
         usual = float(np.partition(size, int(0.99 * len(size)))[int(0.99 * len(size))])
         spikes = [i for i in np.flatnonzero((size > _ABOVE * usual) & counts)[:_MOST].tolist() if _alone(size, i)]
         if usual > 0 and spikes:
@@ -99,8 +98,8 @@ def _alone(size: FloatArray, at: int) -> bool:
 
 def _same_inputs(data: FitData) -> Iterator[str]:
     """Yield a note on each pair of inputs that are nearly proportional in all recordings."""
-    centred = [record.inputs - column_means(record.inputs) for record in data.records]
-    products = np.asarray(sum(values.T @ values for values in centred))
+    centred = (centred_rows(record.inputs) for record in data.records)
+    products = np.asarray(sum(rows @ rows.T for rows in centred))
     size = np.sqrt(np.diag(products))
     for i, j in combinations(np.flatnonzero(size > 0).tolist(), 2):
         cosine = float(products[i, j] / (size[i] * size[j]))

@@ -13,7 +13,7 @@ from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.notes import FitNote
 from gbid.discretise import check_holds
 from gbid.identify.bias import Bias, bias_of
-from gbid.identify.data import FitData, Record, column_means
+from gbid.identify.data import FitData, Record, centred_rows
 from gbid.identify.data_notes import data_notes
 from gbid.identify.options import DRAWS, SettledOptions
 from gbid.identify.pose import Optimum
@@ -264,7 +264,7 @@ def _certainty(optimum: Optimum, residuals: _Residuals) -> _Certainty:
     spread, notes_on_poles = _with_equal_poles(optimum, theta, spread)
     kind: StdKind = "bootstrap" if spread.bootstrap is not None else "robust" if coloured else "white"
     std = np.where(on_bound | spread.open, np.nan, np.sqrt(np.diag(spread.of(kind))))
-    errors = [e * noisy for e in residuals.by_record]
+    errors = residuals.by_record if noisy.all() else [e * noisy for e in residuals.by_record]
     bias = bias_of(optimum, errors, std, white=not coloured) if settled else Bias()
     notes = _notes(optimum, theta, on_bound, spread, kind if coloured and not bias.explains_colour else None)
     if bias.moved is not None and bias.widens:
@@ -472,7 +472,7 @@ def _with_equal_poles(optimum: Optimum, theta: FloatArray, spread: Covariance) -
 def _counted_outputs(record: Record, counted: BoolArray) -> FloatArray:
     """Return the outputs of the samples that count, with their mean where they are missing."""
     if record.missing is None:
-        return record.outputs.compress(counted, axis=0)
+        return record.outputs if counted.all() else record.outputs.compress(counted, axis=0)
     measured = np.where(record.missing, np.nan, record.outputs)[counted]
     return np.where(np.isnan(measured), np.nanmean(measured, axis=0), measured)
 
@@ -481,8 +481,8 @@ def _fit_percent(errors: list[FloatArray], outputs: list[FloatArray]) -> FloatAr
     """Return ``100 (1 - |e| / |y - mean y|)``, recordings by outputs."""
     rows = []
     for e, y in zip(errors, outputs, strict=True):
-        left, full = (np.linalg.norm(np.ascontiguousarray(part.T), axis=1) for part in (e, y - column_means(y)))
-        rows.append(100 * (1 - left / full))
+        left, full = ([each @ each for each in columns] for columns in (e.T, centred_rows(y)))
+        rows.append(100 * (1 - np.sqrt(np.divide(left, full))))
     return np.array(rows)
 
 
@@ -744,8 +744,8 @@ def explains_nothing(problem: Shooting, products: FloatArray, outputs: list[Floa
     outputs : list of (n_samples, n_y) array
         Outputs of each record that are in the cost.
     """
-    centred = [y - column_means(y) for y in outputs if len(y)]
-    constant = problem.cost(np.asarray(sum(y.T @ y for y in centred)))
+    centred = (centred_rows(y) for y in outputs if len(y))
+    constant = problem.cost(np.asarray(sum(rows @ rows.T for rows in centred)))
     cost = problem.cost(products)
     return not cost <= constant + 0.5 * float(np.log1p(_WORSE + _OF_A_MEAN / problem.n_samples))
 

@@ -18,7 +18,7 @@ from gbid.core.compiled import CompilerMissingError
 from gbid.core.errors import DataError, UsageError
 from gbid.core.notes import FitNote
 from gbid.discretise import Hold, distinct_steps
-from gbid.identify.data import FitData, Record
+from gbid.identify.data import FitData, Record, column_variances
 from gbid.identify.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.frequency_data import FrequencyData, ResponseErrors
 from gbid.identify.kernel.blocks import LANES, LONGEST_BLOCK, Segment, cut
@@ -171,20 +171,20 @@ def segments_of(
     feedback it runs through them on its own: a segment of simulation between two of prediction.
     """
     n = record.n_samples
-    counts, cuts = np.ones(n), {0, n, *edges}
+    counts, cuts = np.ones(n, bool), {0, n, *edges}
     for start, stop in left_out:
         if not 0 <= start < stop <= n:
             raise DataError(f"recording {record.name!r}: left out samples {start} to {stop} are not within its {n}")
-        counts[start:stop] = 0.0
+        counts[start:stop] = False
     if not counts.any():
         raise DataError(f"recording {record.name!r}: all samples are left out")
     if feeds_back:
         cuts |= set((np.flatnonzero(np.diff(counts)) + 1).tolist())
     if record.missing is not None:
-        counts = np.where(record.missing.all(axis=1), 0.0, counts)
+        counts &= ~record.missing.all(axis=1)
         if not counts.any():
             raise DataError(f"recording {record.name!r}: all samples are left out or missing")
-    counts_or_none = None if counts.all() else counts
+    counts_or_none = None if counts.all() else counts.astype(float)
     whole = Segment(record.inputs, record.outputs, counts_or_none, missing=record.missing, time=record.time)
     return [(replace(whole, start=a, stop=b), bisect_right(edges, a)) for a, b in pairwise(sorted(cuts))]
 
@@ -563,11 +563,11 @@ def build_problem(
     if criterion == "auto":
         criterion = "det" if len(weights) > 1 and options.output_weights is None else "trace"
     if criterion == "det" and options.output_weights is None:  # outputs count equally at the start, in any units
-        variance = np.average([_variances(r.outputs) for r in data.records], axis=0)
+        variance = np.average([column_variances(r.outputs) for r in data.records], axis=0)
         weights = 1 / np.where(variance > 0, variance, 1.0)
     theta = np.array([begin[q.name] for q in assembly.free])
     n = assembly.parts[0].predictor.n_states
-    power = sum(float(_variances(r.outputs) @ weights) * r.n_samples for r in data.records)
+    power = sum(float(column_variances(r.outputs) @ weights) * r.n_samples for r in data.records)
     known = _prior(assembly, options.prior or {})
     scale = float(np.sqrt(power / data.n_samples))
     problem = Shooting(
@@ -602,10 +602,6 @@ def _sizes_of_states(problem: Shooting, values: list[Any], starts: FloatArray) -
     states = [part.kernel.predict(v, part.blocks, begin).states for v, part, begin in problem.each(values, starts)]
     squares = [np.einsum("gknl,gknl->n", x, x) / (x.size // x.shape[2]) for x in states]
     return np.asarray(np.sqrt(np.max(squares, axis=0)))
-
-
-def _variances(outputs: FloatArray) -> FloatArray:
-    return np.asarray(np.ascontiguousarray(outputs.T).var(axis=1))
 
 
 _AS_WELL = 4.0  # squares of the trajectory over those of windows: with twice their errors it has not lost the phase

@@ -10,7 +10,7 @@ import scipy
 
 from gbid.core.arrays import BoolArray, FloatArray
 from gbid.core.errors import UsageError
-from gbid.identify.data import column_means
+from gbid.identify.data import centred_rows
 
 # ---- Whiteness.
 
@@ -98,11 +98,11 @@ def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
         raise UsageError("whiteness_test: no residuals given; give those of at least one record")
     statistic, used = np.zeros(errors[0].shape[1]), [record for record in errors if len(record) > 2 * lags]
     for record in used:
-        n, centred = len(record), record - column_means(record)
+        n = len(record)
         if not record.all():  # samples are missing or left out: fewer pairs, each for itself
             statistic += [_statistic_of_pairs(channel, lags) for channel in record.T]
             continue
-        rho = np.array([correlation(channel, channel, lags)[1:] for channel in centred.T])
+        rho = np.array([correlation(channel, channel, lags)[1:] for channel in centred_rows(record)])
         statistic += n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum(axis=1)
     return Whiteness(statistic, np.asarray(scipy.special.chdtrc(lags * max(1, len(used)), statistic)), lags)
 
@@ -173,17 +173,15 @@ def input_test(residuals: FloatArray, inputs: FloatArray, lags: int, *, white: b
     a slow input the correlations at neighbouring lags are almost equal: directions with hardly a variance do not count.
     """
     n, most = len(residuals), 0 if white else 2 * lags
-    u = np.asarray(inputs - column_means(inputs))
+    u = centred_rows(inputs)
     present = residuals != 0
     gaps = not present.all()  # samples are missing or left out
-    e = (
-        np.where(present, residuals - residuals.sum(0) / present.sum(0).clip(1), 0.0)
-        if gaps
-        else (residuals - column_means(residuals))
-    )
-    size_e, size_u = (np.sqrt(np.einsum("ki,ki->i", part, part)) for part in (e, u))
+    if gaps:
+        e = np.where(present, residuals - residuals.sum(0) / present.sum(0).clip(1), 0.0).T.copy()
+    else:
+        e = centred_rows(residuals)
+    size_e, size_u = (np.sqrt(np.einsum("ik,ik->i", part, part)) for part in (e, u))
     scale = np.where((size_e > 0)[:, None] & (size_u > 0), np.outer(size_e, size_u), np.inf)
-    e, u = np.ascontiguousarray(e.T), np.ascontiguousarray(u.T)
     cross = np.array([e[:, lag:] @ u[:, : n - lag].T for lag in range(lags + 1)]).transpose(1, 2, 0)
     cross /= scale[:, :, None]
     of_source = np.array([correlation(channel, channel, most + lags) for channel in u]).reshape(len(u), most + lags + 1)
