@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise, repeat
 from typing import Any
 
 import casadi as ca
@@ -12,11 +12,16 @@ import pytest
 from gain_problems import damping_problem
 
 import gbid
-from gbid.control import MaxDamping
+from gbid.control import MaxDamping, controller_model
+from gbid.control.tuning import problem as budget
 from gbid.control.tuning.local import optimise_locally
 from gbid.control.tuning.problem import Evaluations, GainProblem, Score
 from gbid.control.tuning.result import GainStatus
 from gbid.control.tuning.search import SearchOptions, SearchOutcome, SearchTask, grid_starts, random_starts, search
+
+
+def loop_of(result: gbid.GainResult) -> gbid.LinearModel:
+    return gbid.close_loop(MODEL.plant_at(6, 0), controller_model(result.controller, result.gains))
 
 
 def searched(
@@ -100,6 +105,22 @@ def test_a_budget_in_seconds_ends_all_searches() -> None:
     assert result.status in (GainStatus.ITERATION_LIMIT, GainStatus.LIMITS_CONTRADICT)
     assert len(result.seed_values) == 1
     assert len(result.history) < 5
+
+
+def test_the_checks_of_a_design_end_with_the_time_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock of the test jumps after the budget was set: to the time of the checks, or beyond."""
+    options = {"operating_points": [(6, 0)], "seconds": 10.0}
+    for jump, checked in ((9.0, True), (11.0, False)):
+        times = chain([0.0], repeat(jump))
+        monkeypatch.setattr(budget, "monotonic", lambda times=times: next(times))
+        result = gbid.tune(MODEL, "PD", **options)
+        assert checked or result.status in (GainStatus.ITERATION_LIMIT, GainStatus.LIMITS_CONTRADICT)
+        assert (result.peak_sensitivity is not None) == checked
+        assert (result.certificate_gain is not None) == checked
+        assert result.verified_on.endswith("eigenvalues alone at the end: the time was over") != checked
+        poles = np.linalg.eigvals(loop_of(result).A)
+        assert (poles.real < 0).all()
+        assert min(-poles.real / np.abs(poles)) == pytest.approx(result.worst.damping, rel=1e-6)
 
 
 def test_a_used_budget_ends_starts_and_local_searches() -> None:

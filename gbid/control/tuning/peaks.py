@@ -21,6 +21,8 @@ _WRONG = 1e-9
 """Relative error of a response from which on it is computed without eigenvectors."""
 _ROUNDING = 1e-12
 """Relative rise of a peak that counts as rounding; its place then stays, as that of a flat one at zero frequency."""
+_BLOCK = 32
+"""Rows of a triangular system that are solved together: products of matrices, not of vectors, do most of the work."""
 _AXIS = -1e-100
 """Rate of a pole on the imaginary axis, at whose frequency a response would be infinite."""
 HIGHEST = 1e100
@@ -164,9 +166,12 @@ class ModalResponse:
         n, n_d = B.shape
         # row i of (j w - T) X = B, for all frequencies and inputs side by side
         resolvent = 1.0 / (1j * np.repeat(frequency, n_d) - np.diag(form)[:, None])
-        inputs, states = np.tile(B, frequency.size), np.empty((n, frequency.size * n_d), complex)
-        for i in range(n - 1, -1, -1):
-            states[i] = (form[i, i + 1 :] @ states[i + 1 :] + inputs[i]) * resolvent[i]
+        states = np.tile(B, frequency.size)
+        for end in range(n, 0, -_BLOCK):  # a product of matrices for the rows of a block, then the block itself
+            first = max(end - _BLOCK, 0)
+            states[first:end] += form[first:end, end:] @ states[end:]
+            for i in range(end - 1, first - 1, -1):
+                states[i] = (form[i, i + 1 : end] @ states[i + 1 : end] + states[i]) * resolvent[i]
         responses = (C @ states).reshape(len(C), *frequency.shape, n_d).transpose(1, 2, 0, 3)
         return np.asarray(responses + self._D[loop])
 

@@ -214,8 +214,9 @@ class TuneOptions(DesignOptions):
     evaluations : int, optional
         Budget of all searches: number of designs after which they end, about.
     seconds : float, optional
-        Budget of all searches: time of the clock after which they end, about. With a budget that ends a search, the
-        status is ``"iteration limit"`` unless the design so far has a certificate.
+        Budget of searches and checks: time of the clock after which they end, but for an evaluation or two. Searches
+        have four fifths of it; `verified_on` says what was not checked. With a budget that ends a search, the status
+        is ``"iteration limit"`` unless the design so far has a certificate.
 
     Raises
     ------

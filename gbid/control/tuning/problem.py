@@ -293,12 +293,33 @@ class Cut(NamedTuple):
 class Evaluations:
     """Number of designs that a search has evaluated so far, and the number or time at which it ends (None: by itself).
 
-    The time is one of `time.monotonic`.
+    The times are those of `time.monotonic`: that of the search, and that of the checks of its design.
     """
 
     count: int = 0
     most: int | None = None
     until: float = inf
+    last: float = inf
+
+    @classmethod
+    def of(cls, most: int | None, seconds: float | None) -> Evaluations:
+        """Return a budget from now on; a fifth of the time, and at least what is left of a second, is for checks."""
+        now, time = monotonic(), seconds or inf
+        return cls(0, most, now + 0.8 * time, now + max(time, 1.0))
+
+    def of_checks(self, most: int | None = None) -> Evaluations:
+        """Return the budget of the checks of a design."""
+        return Evaluations(self.count, self.most if most is None else self.count + most, self.last, self.last)
+
+    @property
+    def over(self) -> bool:
+        """Whether the time is over."""
+        return self.until < inf and monotonic() >= self.until
+
+    @property
+    def late(self) -> bool:
+        """Whether the time of the checks is over, too."""
+        return self.last < inf and monotonic() >= self.last
 
     def half(self) -> Evaluations:
         """Return a budget of half of what is left."""
@@ -308,7 +329,7 @@ class Evaluations:
     @property
     def exhausted(self) -> bool:
         """Whether the budget is used up."""
-        return (self.most is not None and self.count >= self.most) or (self.until < inf and monotonic() >= self.until)
+        return (self.most is not None and self.count >= self.most) or self.over
 
 
 @dataclass(frozen=True, eq=False)

@@ -578,6 +578,8 @@ def gain_units(problem: GainProblem, x: FloatArray) -> FloatArray:
                 for values, family in zip(places, problem.families, strict=True)
             )
 
+        if problem.evaluations.over:
+            break
         if moved(room) < _MOVED:
             reach[i] = width[i] if moved(room) > LEAST_REACH else np.nan
             continue
@@ -671,7 +673,9 @@ def search(problem: GainProblem, task: SearchTask) -> SearchOutcome:
     if many:
         better_ones, designs = designs[: -(-2 * len(designs) // 3)], []
         for one in better_ones:
-            designs.append(local.short(one.x, max(map(rank, designs), default=rank(one)), again=True))
+            if not problem.evaluations.over:
+                one = local.short(one.x, max(map(rank, designs), default=rank(one)), again=True)
+            designs.append(one)
         designs.sort(key=order, reverse=True)
         note("global", designs[0])
     finals: list[LocalOptimum] = []

@@ -104,21 +104,28 @@ def _improve(problem: GainProblem, known: GainSolution, task: SearchTask) -> Gai
 
 def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
     """Return a design whose peaks exceed no limit between the grid frequencies, either, with its certificate."""
+    budget = solution.problem.evaluations
+    checks = budget.of_checks()
+    solution = replace(solution, problem=replace(solution.problem, evaluations=checks))
     for _ in range(_CUTS):
-        problem = with_cuts(solution.problem, solution.best.x)
+        problem = solution.problem if checks.over else with_cuts(solution.problem, solution.best.x)
         if problem is solution.problem:
             break
         # a repair of the peak costs little, and is also made where the budget is used up
-        spent = problem.evaluations.exhausted
-        repaired = replace(problem, evaluations=Evaluations(most=_REPAIR)) if spent else problem
+        spent = budget.exhausted or checks.exhausted
+        repaired = replace(problem, evaluations=checks.of_checks(_REPAIR)) if spent else problem
         best = optimise_locally(repaired, solution.best.x, max_iterations=200, radius=0.02)
         best = replace(best, converged=best.converged and not spent)
         solution = replace(solution, problem=problem, best=best).noted("cut", task.progress)
-    problem, best = solution.problem, _certified(solution.problem, solution.best)
-    best = _fastest_on_plateau(problem, best)  # no design has more than the damping 1: the certificate stays true
-    if not problem.stable(best.x):
-        best = _stable_instead(problem, best, task)
-    return replace(solution, best=best).noted("certificate", task.progress)
+    problem, best = solution.problem, solution.best
+    if not checks.over:
+        best = _certified(problem, best)
+        best = _fastest_on_plateau(problem, best)  # no design has more than the damping 1: the certificate stays true
+        if not problem.stable(best.x):
+            best = _stable_instead(problem, best, task)
+    budget.count = checks.count
+    solution = replace(solution, problem=replace(problem, evaluations=budget), best=best)
+    return solution.noted("certificate", task.progress)
 
 
 def _fastest_on_plateau(problem: GainProblem, design: LocalOptimum) -> LocalOptimum:
@@ -127,7 +134,8 @@ def _fastest_on_plateau(problem: GainProblem, design: LocalOptimum) -> LocalOpti
     plateau = limits.weight * (1 - 1e-9)
     if limits.objective != "damping" or limits.soft or not limits.weight or design.score.value < plateau:
         return design
-    decay = replace(problem, limits=replace(limits, objective="decay"), evaluations=Evaluations(most=_PLATEAU))
+    checks = problem.evaluations.of_checks(_PLATEAU)
+    decay = replace(problem, limits=replace(limits, objective="decay"), evaluations=checks)
     fast = optimise_locally(decay, design.x, max_iterations=60)
     for share in (1.0, 0.999, 0.99, 0.95, 0.8, 0.5):
         x = design.x + share * (fast.x - design.x)
@@ -522,7 +530,8 @@ def summarise(
     """
     problem, best = solution.problem, solution.best
     x = np.clip(best.x, problem.lower, problem.upper)
-    score, stable = problem.score(x), problem.stable(x)
+    late = problem.evaluations.late
+    score, stable = best.score if late else problem.score(x), problem.stable(x)
     worst = worst_mode(problem, x)
     certificate = best.certificate
     status = GainStatus.STALLED
@@ -545,7 +554,10 @@ def summarise(
         notes = (*notes, ControlNote.LIMITS_EXCEEDED(text))
     if status is GainStatus.STALLED and certificate is not None:
         notes = (*notes, _stalled(certificate))
-    more = {**_peaks(problem, x, stable), **_certificate(certificate), **more}
+    active, peaks = _active(problem, x, names, stable), _peaks(problem, x, stable)
+    if stable and not peaks and late:
+        verified_on += " at first, eigenvalues alone at the end: the time was over"
+    more = {**peaks, **_certificate(certificate), **more}
     return GainResult(
         dict(zip(names, map(float, x), strict=True)),
         problem.in_units(score.value) if stable else worst.value(problem.limits.objective),
@@ -554,7 +566,7 @@ def summarise(
         score.violation,
         verified_on,
         worst,
-        _active(problem, x, names, stable),
+        active,
         notes,
         history=solution.history,
         seed_values=seed_values,
@@ -585,7 +597,7 @@ def _mode(worst: WorstMode) -> str:
 def _peaks(problem: GainProblem, x: FloatArray, stable: bool) -> dict[str, float]:
     """Return the exact peaks over all loops that have outputs."""
     families = [family for family in problem.families if family.n_outputs]
-    if not families or not stable:
+    if not families or not stable or problem.evaluations.late:
         return {}
     return {
         "peak_sensitivity": max(largest_norm(f, x, "sensitivity") for f in families),
@@ -598,7 +610,7 @@ def _active(problem: GainProblem, x: FloatArray, names: tuple[str, ...], stable:
     width = problem.upper - problem.lower
     bounds = [f"{n} at its lower bound" for n, at in zip(names, x - problem.lower < 1e-6 * width, strict=True) if at]
     bounds += [f"{n} at its upper bound" for n, at in zip(names, problem.upper - x < 1e-6 * width, strict=True) if at]
-    if not stable:
+    if not stable or problem.evaluations.late:
         return tuple(bounds)
     reached: dict[str, dict[str, None]] = {}
     located = {*_TITLES, *(extra.name for extra in problem.limits.extra)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -74,7 +73,7 @@ def goal_figures(solution: GainSolution, result: GainResult) -> GainResult:
     """Return the result with the figures of goals beside those that have a field, and with the damping it reached."""
     problem, x = solution.problem, solution.best.x
     limits = problem.limits
-    if not limits.measures:
+    if not limits.measures or problem.evaluations.late:
         return result
     figures = []
     states = [problem.state(family, family.matrices(x), x) for family in problem.families]
@@ -180,7 +179,7 @@ def tuned(
     given = _by_gain("start", options.start, names)
     first = [as_start([given.get(n, v) for n, v in zip(names, box[2], strict=True)], names)] if given else []
     search = SearchOptions(options.starts, options.seed, options.evaluations)
-    budget = Evaluations(0, options.evaluations, monotonic() + (options.seconds or np.inf))
+    budget = Evaluations.of(options.evaluations, options.seconds)
     if isinstance(structure, Scheduled) and structure.terms != ("1",) and isinstance(plants, LpvPlants):
         first.append(_constant_gains(plants, structure, limits, box, search, budget))
     task = SearchTask(box[2], tuple(first), search, progress)
