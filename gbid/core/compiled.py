@@ -26,7 +26,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from filelock import FileLock, Timeout
 from platformdirs import user_cache_path
 
 from gbid.core.errors import DataError
@@ -254,6 +253,8 @@ def load_library(source: str, flags: tuple[str, ...] = FLAGS) -> Library:
     CompilerMissingError
         When there is no compiler, when the compiler fails, or when the cache folder cannot be written.
     """
+    from filelock import FileLock, Timeout
+
     compiler, flags = find_compiler(), (*flags, *os.environ.get("GBID_CFLAGS", "").split())
     key = hashlib.sha256("\0".join([source, compiler.version, *flags, _processor()]).encode()).hexdigest()[:32]
     try:

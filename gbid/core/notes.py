@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from enum import Enum
 from functools import cache
@@ -143,6 +142,8 @@ FAMILIES: Mapping[str, type[NoteKind]] = MappingProxyType(
 @cache
 def explanations() -> Mapping[str, Explanation]:
     """Return the explanations by code."""
+    import tomllib
+
     texts = tomllib.loads(Path(__file__).with_name("notes.toml").read_text(encoding="utf-8"))
     return MappingProxyType({code: Explanation(code, **entries) for code, entries in texts.items()})
 

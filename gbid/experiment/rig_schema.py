@@ -1,7 +1,5 @@
 """Schema of the section rig and of the keys loop; values of the rig are the dataclasses of `gbid.rig` themselves."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from annotated_types import Ge, Le, Lt

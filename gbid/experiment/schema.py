@@ -1,7 +1,5 @@
 """Schema of an experiment YAML, section by section, and patterns of file names."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from dataclasses import dataclass

@@ -8,8 +8,7 @@ from functools import cached_property
 from math import nan
 from typing import TYPE_CHECKING, Generic, Literal, TypeVar
 
-from gbid import control, lpv, validate
-from gbid.characterise import PiezoCurve, StaticMap
+from gbid import characterise, control, lpv, validate
 from gbid.core.arrays import point_label
 from gbid.core.errors import DataError, GbidError, UsageError
 from gbid.core.hdf5 import load
@@ -380,7 +379,7 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
 # ---- Results of an experiment: each is loaded at its first use; nothing is computed.
 
 PUBLISHED = "theisen2016"
-Kind = TypeVar("Kind", StaticMap, PiezoCurve)
+Kind = TypeVar("Kind", "characterise.StaticMap", "characterise.PiezoCurve")
 
 
 @dataclass(frozen=True, eq=False)
@@ -512,20 +511,20 @@ class Results:
     # ------------------------------------------------------------ static characterisation
 
     @cached_property
-    def statics(self) -> StageResults[StaticMap | PiezoCurve]:
+    def statics(self) -> StageResults[characterise.StaticMap | characterise.PiezoCurve]:
         """Static characterisations."""
         return read_tasks(self.job, static_tasks(self.job), "gbid static", lambda t: load_made_static(self.job, t.item))
 
     @property
-    def static_map(self) -> StaticMap:
+    def static_map(self) -> characterise.StaticMap:
         """First static characterisation of the bearing."""
-        return next(iter(self._statics("bearing", StaticMap).values()))
+        return next(iter(self._statics("bearing", characterise.StaticMap).values()))
 
     @property
-    def piezos(self) -> list[tuple[PiezoCurve, Recording, str, str | None]]:
+    def piezos(self) -> list[tuple[characterise.PiezoCurve, Recording, str, str | None]]:
         """Characterised piezos with recording, and signal and channel of the command."""
         piezos = []
-        for name, curve in self._statics("piezo", PiezoCurve).items():
+        for name, curve in self._statics("piezo", characterise.PiezoCurve).items():
             section = self.experiment.spec.static[name]
             recording = load_made(self.job, self.experiment.matching(section.recordings)[0])
             piezos.append((curve, recording, wanted_signals(section)["command"], section.command_channel))
