@@ -1,9 +1,9 @@
-"""Time fits and reports over their size, and the share of the compiled passes; print exponents of the growth.
+"""Time fits and folders of results over their size, and the share of the compiled passes; print growth exponents.
 
 ``python -m benchmarks.scaling [--quick] [--output FILE]``
 
 Times are processor times, the smallest of three runs where these are short. The exponent is that between the two
-largest sizes.
+largest sizes. The folder of 10 000 results takes 4 GB of the disk, as long as it is measured.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -26,19 +27,34 @@ from benchmarks.baselines import STRUCTURE, make_samples
 from benchmarks.many_results import make_results
 from benchmarks.running import about, markdown, options_of, run_study, timed, under
 from gbid.identify.kernel import linear
+from gbid.serve import server
 from gbid.structure import evaluate
 
+_VERBS = {  # in the order in which a user calls them first
+    "report": ("report",),
+    "table": ("batch", "--collect"),
+    "run": ("run",),
+    "dry_run": ("run", "--dry-run"),
+    "resume": ("batch",),
+    "one": ("fit", "--one", "piezos/p5_n6000_prbs1"),
+}
 SIZES = {
     "samples": (10_000, 100_000, 1_000_000, 10_000_000),
     "recordings": (4, 20, 100, 400),
     "states": (2, 10, 20, 40),
-    "results": (10, 100, 1000),
+    **dict.fromkeys((*_VERBS, "poll"), (10, 100, 1000, 10_000)),
 }
 WORDS = {
     "samples": "samples of a fit with 24 unknowns",
     "recordings": "recordings of 2 000 samples in one fit, each with unknown initial states",
     "states": "states of a chain of masses, three unknown parameters, 25 000 samples",
-    "results": "fits in a report, with the start of gbid",
+    "report": "fits in the first report, with the start of gbid",
+    "table": "fits in their first table, with the start",
+    "run": "results of `gbid run` with nothing to do, with the start",
+    "dry_run": "the same with `--dry-run`",
+    "resume": "results of `gbid batch` with nothing to do, with the start",
+    "one": "results beside that of `gbid fit --one` with nothing to do, with the start",
+    "poll": "results behind a poll of `gbid serve`",
 }
 _AT = 25_000
 _SHORT_S = 5.0
@@ -99,17 +115,32 @@ def smallest(call: Callable[[], Any]) -> float:
     return first if first > _SHORT_S else min(timed(call)[1] for _ in range(3))
 
 
-def report_s(count: int) -> float:
-    """Return the processor time of the first report of so many fits [s], in a process of its own."""
+def of_results(count: int) -> dict[str, float]:
+    """Return the processor time of verbs on a folder with so many fits, and that of a poll of its server [s].
+
+    Report and table are made once. The others have nothing to do; they are called after a run that leaves its index.
+    """
     with tempfile.TemporaryDirectory() as folder:
         experiment = make_results(Path(folder) / "many", count)
         path = experiment.file.path
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, "-m", "gbid", "report", str(path)], check=True, capture_output=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        times = {name: verb_s(path, *verb) for name, verb in _VERBS.items()}
+        for name in list(_VERBS)[2:]:
+            times[name] = min(verb_s(path, *_VERBS[name]) for _ in range(3))
+        with mock.patch.object(server, "_REST", 0.0):  # else it does not look again at once
+            live = server.Live(path)
+            stages = live.state()["stages"].values()
+            times["poll"] = min(timed(live.state)[1] for _ in range(3))
         page = (experiment.results / "report.html").read_text(encoding="utf-8")
-    if page.count('"facts":[[') != count:
-        raise RuntimeError(f"the report has not all of the {count} fits")
+    if page.count('"facts":[[') != count or any(states != {"there": count} for states in stages):
+        raise RuntimeError(f"the report or the server has not all of the {count} fits")
+    return times
+
+
+def verb_s(path: Path, verb: str, *options: str) -> float:
+    """Return the processor time of a verb in a process of its own [s]."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, "-m", "gbid", verb, str(path), *options], check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
@@ -135,9 +166,10 @@ def measure(quick: bool) -> dict[str, Any]:
     """Return the times of all studies by size; of a quick run the two smallest sizes of each."""
     made: dict[str, dict[str, float]] = {}
     fits = {"samples": of_samples, "recordings": of_recordings, "states": of_states}
+    folders = cache(of_results)
     for name, sizes in SIZES.items():
         chosen = sizes[:2] if quick else sizes
-        times = (report_s(size) if name == "results" else smallest(fits[name](size)) for size in chosen)
+        times = (smallest(fits[name](size)) if name in fits else folders(size)[name] for size in chosen)
         made[name] = {str(size): time for size, time in zip(chosen, times, strict=True)}
     return {**about(), "passes": share_of_passes(), "times_s": made}
 

@@ -82,12 +82,17 @@ def test_growth_with_size_has_all_sizes_and_the_exponents_of_its_times(monkeypat
     assert {name: tuple(map(int, times)) for name, times in run["times_s"].items()} == scaling.SIZES
     assert run["passes"]["fit_s"] > run["passes"]["passes_s"] > 0
     assert scaling.exponent({"10": 3.0, "100": 1.0, "1000": 100.0}) == pytest.approx(2.0)
-    monkeypatch.setattr(scaling, "SIZES", {"recordings": (1, 2, 4), "states": (2, 4, 6)})
+    monkeypatch.setattr(
+        scaling, "SIZES", {"recordings": (1, 2, 4), "states": (2, 4, 6), "report": (4, 5), "poll": (4, 5)}
+    )
+    monkeypatch.setattr(scaling, "_VERBS", {"report": ("report",)})
     monkeypatch.setattr(scaling, "_AT", 1000)
     quick = scaling.measure(quick=True)
     assert {name: list(times) for name, times in quick["times_s"].items()} == {
         "recordings": ["1", "2"],
         "states": ["2", "4"],
+        "report": ["4", "5"],
+        "poll": ["4", "5"],
     }
     assert "| exponent |" in scaling.scaling_table(quick)
 
