@@ -31,7 +31,7 @@ from pydantic_core.core_schema import no_info_plain_validator_function
 from gbid._version import __version__
 from gbid.core.errors import DataError, GbidError, UsageError, nearest
 from gbid.core.files import add_text_checksum, atomic_path, checked_end, is_changed, sha256_of
-from gbid.core.hdf5 import KEY, MADE_WITH, changing, opened, versions
+from gbid.core.hdf5 import KEY, opened, with_origin
 from gbid.core.index import known
 from gbid.core.names import given_path
 from gbid.core.option_types import Finite
@@ -453,12 +453,11 @@ def writing_keyed(path: Path, key: str, origin: Mapping[str, Any] = MappingProxy
     An HDF5 file also gets its origin, beside the versions of the programs that wrote it.
     """
     with atomic_path(path, overwrite=True) as part:
-        yield part
         if path.suffix == ".h5":
-            with changing(part) as file:
-                file.attrs[KEY] = key
-                file.attrs[MADE_WITH] = json.dumps({**versions(), **origin})
+            with with_origin(part, key, origin):
+                yield part
         else:
+            yield part
             content = part.read_bytes() if path.suffix in _KEYED_TEXT else b""  # pictures and pages state it themselves
             if content and not _KEY.search(content):
                 part.write_bytes(f"# content_key: {key}\n".encode() + content)

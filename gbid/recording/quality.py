@@ -674,6 +674,8 @@ def _with_unit(value: float, unit: str) -> str:
 
 def _stays(column: FloatArray) -> dict[float, int]:
     """Return the number of samples in long runs at each extreme value; empty when the channel is not saturated."""
+    if np.count_nonzero((column == column.min()) | (column == column.max())) <= MAX_STAY * len(column):
+        return {}  # without a sort
     levels, counts = np.unique(column, return_counts=True)
     if len(levels) <= FEW_LEVELS:
         return {}

@@ -229,8 +229,9 @@ class Recording(Brief, Pictured, hdf5.InFile):
     def from_hdf5(cls, group: h5py.Group) -> Recording:
         """Return the recording in a `group` of `to_hdf5`, whose time axis must agree with its sample time."""
         signals, units, channels, irregular = {}, {}, {}, False
-        for name, item in hdf5.read_group(group, "signals").items():
-            signals[name] = hdf5.read_dataset(group["signals"], name)
+        entries, known = hdf5.read_group(group, "signals"), hdf5.read_group(group, "conditions")
+        for name in entries:
+            item, signals[name] = entries[name], hdf5.read_dataset(entries, name)
             if name == "time":
                 irregular = "irregular" in item.attrs
             else:
@@ -239,7 +240,7 @@ class Recording(Brief, Pictured, hdf5.InFile):
         if "time" not in signals:
             raise hdf5.DamagedError("/signals/time is missing")
         time = signals.pop("time")
-        conditions = {key: _one_number(group["conditions"], key) for key in hdf5.read_group(group, "conditions")}
+        conditions = {key: _one_number(known, key) for key in known}
         source = hdf5.read_group(group, "provenance")
         provenance = {key: hdf5.read_text(source, key) for key in source.attrs}
         sample_time, name = _one_number(group, "sample_time"), hdf5.read_text(group, "name")
@@ -578,14 +579,15 @@ def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
             f"{where} has shape {array.shape}: more channels than samples; "
             "arrays are (n_samples, n_channels), transpose it yourself if it is stored the other way"
         )
-    if np.isinf(array).any():
+    is_complete = bool(np.isfinite(array).all())
+    if not is_complete and np.isinf(array).any():
         row, column = np.argwhere(np.isinf(array))[0]
         count = int(np.isinf(array).sum())
         raise DataError(
             f"{where} holds {count} values that are not finite, the first {array[row, column]} "
             f"at sample {row}, channel {column}; leave those samples out, or make missing ones NaN"
         )
-    if np.isnan(array).all(axis=0).any():
+    if not is_complete and np.isnan(array).all(axis=0).any():
         raise DataError(f"{where}: all samples of channel {int(np.isnan(array).all(axis=0).argmax())} are missing")
     array.setflags(write=False)
     return array

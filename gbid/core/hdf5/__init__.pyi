@@ -17,6 +17,7 @@ from .file import (
     read_made_with as read_made_with,
     reading as reading,
     versions as versions,
+    with_origin as with_origin,
     writing as writing,
 )
 from .types import (

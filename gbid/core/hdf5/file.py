@@ -6,12 +6,14 @@ import contextlib
 import json
 import platform
 from collections.abc import Iterable, Iterator, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, lru_cache
 from importlib import metadata
 from math import prod
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import h5py
@@ -27,7 +29,6 @@ from gbid.core.names import given_path, one_line
 
 TEXT = h5py.string_dtype()
 _ROOM, _EXPANSION = 1 << 20, 1032  # most bytes of a dataset: deflate makes 1032 of one
-_ONE = h5py.h5s.create(h5py.h5s.SCALAR)
 
 
 class DamagedError(DataError):
@@ -36,13 +37,13 @@ class DamagedError(DataError):
 
 def add_dataset(
     group: h5py.Group, name: str, values: npt.ArrayLike, unit: str, long_name: str, **options: Any
-) -> h5py.Dataset:
+) -> h5py.HLObject:
     """Write one dataset of numbers or texts with its unit and its long name; return it."""
     if options:
         dataset = group.create_dataset(name, data=values, **options)
     else:  # the low-level calls take half the time
         values, kind, space = _stored(np.asarray(values))
-        dataset = h5py.Dataset(h5py.h5d.create(group.id, name.encode(), kind, space, *_WITHOUT_TIMES))
+        dataset = h5py.HLObject(h5py.h5d.create(group.id, name.encode(), kind, space, *_WITHOUT_TIMES))
         dataset.id.write(h5py.h5s.ALL, h5py.h5s.ALL, values)
     add_attribute(dataset, "units", np.array(unit, dtype=object))
     add_attribute(dataset, "long_name", np.array(long_name, dtype=object))
@@ -58,7 +59,10 @@ def add_attribute(item: h5py.HLObject, name: str, values: npt.NDArray[Any]) -> N
 def _stored(values: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], h5py.h5t.TypeID, h5py.h5s.SpaceID]:
     """Return numbers or texts as HDF5 takes them, with their type and space."""
     values = np.asarray(values, dtype=TEXT if values.dtype.kind == "O" else None, order="C")
-    return values, _type_of(values.dtype), h5py.h5s.create_simple(values.shape) if values.ndim else _ONE
+    return values, _type_of(values.dtype), _space_of(values.shape)
+
+
+_space_of = lru_cache(h5py.h5s.create_simple)
 
 
 @cache
@@ -199,6 +203,7 @@ def where(group: h5py.Group, name: str) -> str:
 # ---- Files: written in full or not at all, checked before the HDF5 library sees them.
 
 _CHECKSUM = "checksum"  # attribute of the root: such a file ends with its checksum
+_KEY_LINE = 200  # bytes at the end of a result: the lines of its key and its checksum
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -271,8 +276,10 @@ def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterat
     with atomic_path(given_path(path), overwrite) as part, _through_memory(part, "w") as file:
         add_attribute(file, "schema_version", np.array(kind.schema_version))
         created = datetime.now(UTC).isoformat(timespec="seconds")
+        place, origin = _origin.get()
         texts = {"gbid_kind": kind.name, "creator": f"gbid {__version__}", "created": created}
-        for name, text in {**texts, MADE_WITH: json.dumps(dict(versions()))}.items():
+        texts |= {MADE_WITH: json.dumps(dict(versions())), **(origin if place == path else {})}
+        for name, text in texts.items():
             add_attribute(file, name, np.array(text, dtype=object))
         try:
             yield file
@@ -281,6 +288,26 @@ def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterat
                 raise
             text = "a name or text contains a NUL character or half of a letter, which HDF5 cannot store"
             raise DataError(f"{path}: cannot be written: {text}; change it") from None
+
+
+_origin: ContextVar[tuple[Path | None, Mapping[str, str]]] = ContextVar("origin", default=(None, MappingProxyType({})))
+
+
+@contextlib.contextmanager
+def with_origin(path: Path, key: str, origin: Mapping[str, Any]) -> Iterator[None]:
+    """Return a context that writes a result to a path; the file gets its content key and its origin.
+
+    A file of `writing` gets them with all else, one of another library at the end.
+    """
+    attributes = {KEY: key, MADE_WITH: json.dumps({**versions(), **origin})}
+    token = _origin.set((path, attributes))
+    try:
+        yield
+    finally:
+        _origin.reset(token)
+    if key.encode() not in path.read_bytes()[-_KEY_LINE:]:
+        with changing(path) as file:
+            file.attrs.update(attributes)
 
 
 @contextlib.contextmanager

@@ -114,7 +114,7 @@ class Context:
 
     def check(self, shape: tuple[int, ...], expected: tuple[str, ...] | None, what: Callable[[], str]) -> None:
         """Refuse a shape that differs from the declared one, or from lengths found before."""
-        if expected is None:
+        if expected is None or not (shape or expected):
             return
         if len(shape) == len(expected) and shape[:1] == (0,):  # an empty array has no further lengths
             shape, expected = shape[:1], expected[:1]
