@@ -333,9 +333,16 @@ def optimise_locally(
     x = np.clip(start, problem.lower, problem.upper)
     optimum = _sqp(problem, x, radius, max_iterations, plain, goal, pace, PENALTY)
     if repair and 1e-8 < optimum.score.violation < 0.1 and merit(optimum.score) > goal:
-        again = _sqp(problem, optimum.x, 1e-3, 40, plain, goal, pace, 1e3 * PENALTY)
-        optimum = replace(again, iterations=optimum.iterations + again.iterations)
+        optimum = repaired(problem, optimum, plain, goal, pace)
     return optimum
+
+
+def repaired(
+    problem: GainProblem, design: LocalOptimum, plain: bool = False, goal: float = -np.inf, pace: float = np.inf
+) -> LocalOptimum:
+    """Return a design near one that exceeds limits, by less or not at all: violations have a larger penalty."""
+    again = _sqp(problem, design.x, 1e-3, 40, plain, goal, pace, 1e3 * PENALTY)
+    return replace(again, iterations=design.iterations + again.iterations)
 
 
 def _sqp(

@@ -657,7 +657,7 @@ class SearchStep:
     Attributes
     ----------
     stage : str
-        ``"global"``, ``"local"``, ``"basin hopping"``, ``"cut"`` (a peak between grid frequencies was added),
+        ``"global"``, ``"local"``, ``"basin hopping"``, ``"cut"`` (a limit is kept between grid frequencies, too),
         ``"certificate"`` (the design was certified or improved) or ``"points"`` (worst points were added).
     count : int
         Number of designs evaluated so far.

@@ -17,7 +17,7 @@ from gbid.control.loop.norm import Peak, largest_singular_values, peak_gain
 from gbid.control.tuning.design_options import Objective
 from gbid.control.tuning.loops import LoopFamily
 from gbid.control.tuning.plane import damping_factors, eigenvalues, true_rates
-from gbid.control.tuning.problem import GainProblem, SearchStep, rows_of
+from gbid.control.tuning.problem import FEASIBLE, GainProblem, SearchStep, rows_of
 from gbid.core.arrays import FloatArray
 from gbid.core.brief import Brief, Description, brief
 from gbid.core.errors import UsageError
@@ -47,9 +47,9 @@ class GainStatus(StrEnum):
     STALLED = "stalled"
     """All limits hold, and no method improved the design any more, but it has no certificate."""
     ITERATION_LIMIT = "iteration limit"
-    """All limits hold, but the budget or the iterations ended before there was a certificate."""
+    """The budget or the iterations ended before there was a certificate; `violation` tells whether all limits hold."""
     LIMITS_CONTRADICT = "limits contradict"
-    """Stable, but no design was found that keeps all limits; `notes` tell when the budget ended the search."""
+    """Stable, but the search ended by itself without a design that keeps all limits."""
     NO_STABILISING_GAINS = "no stabilising gains"
     """No gains within the bounds were found that stabilise all loops."""
 
@@ -114,7 +114,7 @@ class GainResult(Brief):
         Quantity that was maximised. ``"goals"``: the smallest of minus the excesses of the soft goals, which `value`
         then is.
     status : GainStatus
-        Why the search ended. When limits contradict or no gains stabilise, the gains are those with the smallest
+        Why the search ended. When limits are exceeded or no gains stabilise, the gains are those with the smallest
         violation found.
     violation : float
         Largest relative violation of a limit; 0 when all limits hold.
@@ -191,7 +191,8 @@ class GainResult(Brief):
     @property
     def keeps_limits(self) -> bool:
         """Whether the design is stable and keeps all limits, with or without a certificate."""
-        return self.success or self.status in (GainStatus.STALLED, GainStatus.ITERATION_LIMIT)
+        ended = self.status in (GainStatus.STALLED, GainStatus.ITERATION_LIMIT) and self.violation <= FEASIBLE
+        return self.success or ended
 
     @property
     def optimality(self) -> str:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from gbid.control.tuning.certificate import Certificate, certify
 from gbid.control.tuning.design_options import Objective
-from gbid.control.tuning.local import LocalOptimum, optimise_locally
+from gbid.control.tuning.local import LocalOptimum, optimise_locally, repaired
 from gbid.control.tuning.loops import families_of
 from gbid.control.tuning.plants import Plants
 from gbid.control.tuning.problem import FEASIBLE, Cut, Evaluations, GainProblem, Limits, SearchStep
@@ -54,8 +54,8 @@ LEAST_ALIKE, ALIKE = 3, 1e-4
 """Number of independent searches with the same design that end the others, and relative difference of their values."""
 _FAR = 1e9
 """Angular frequency that stands for infinity [rad/s]; of sampled loops, in units of 2 / T, for half the sample rate."""
-_REPAIR = 30
-"""Number of designs for keeping a peak between the grid frequencies once the budget is used up."""
+_REPAIR = 60
+"""Number of designs for repairs once the budget is used up: of a design that exceeds limits or is not stable."""
 _PLATEAU = 200
 """Number of designs for a faster decay where the damping is 1."""
 _CUTS = 10
@@ -107,15 +107,16 @@ def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
     budget = solution.problem.evaluations
     checks = budget.of_checks()
     solution = replace(solution, problem=replace(solution.problem, evaluations=checks))
-    for _ in range(_CUTS):
-        problem = solution.problem if checks.over else with_cuts(solution.problem, solution.best.x)
-        if problem is solution.problem:
+    for i in range(_CUTS):
+        problem, best, spent = solution.problem, solution.best, budget.exhausted or checks.exhausted
+        exceeds = spent and not i and best.score.violation > FEASIBLE
+        problem = problem if checks.over else with_cuts(problem, best.x)
+        if problem is solution.problem and not exceeds:
             break
-        # a repair of the peak costs little, and is also made where the budget is used up
-        spent = budget.exhausted or checks.exhausted
-        repaired = replace(problem, evaluations=checks.of_checks(_REPAIR)) if spent else problem
-        best = optimise_locally(repaired, solution.best.x, max_iterations=200, radius=0.02)
-        best = replace(best, converged=best.converged and not spent)
+        if spent:
+            best = replace(repaired(_with_reserve(problem), best), converged=False)
+        else:
+            best = optimise_locally(problem, best.x, max_iterations=200, radius=0.02)
         solution = replace(solution, problem=problem, best=best).noted("cut", task.progress)
     problem, best = solution.problem, solution.best
     if not checks.over:
@@ -126,6 +127,11 @@ def _verified(solution: GainSolution, task: SearchTask) -> GainSolution:
     budget.count = checks.count
     solution = replace(solution, problem=replace(problem, evaluations=budget), best=best)
     return solution.noted("certificate", task.progress)
+
+
+def _with_reserve(problem: GainProblem) -> GainProblem:
+    """Return the problem with a small budget of designs for a repair, within the time of the checks."""
+    return replace(problem, evaluations=problem.evaluations.of_checks(_REPAIR))
 
 
 def _fastest_on_plateau(problem: GainProblem, design: LocalOptimum) -> LocalOptimum:
@@ -152,6 +158,7 @@ def _stable_instead(problem: GainProblem, unstable: LocalOptimum, task: SearchTa
     The response of an unstable loop can exceed limits that nothing keeps by less than those of the stable ones, and a
     pole that hardly grows costs less merit than the last of the damping is worth.
     """
+    problem = _with_reserve(problem) if problem.evaluations.exhausted else problem
     plain = replace(problem, limits=Limits("decay"), cuts=(), linear=())
     safe = search(plain, replace(task, first=(unstable.x,), progress=None)).best.x
     if not problem.stable(safe):
@@ -549,7 +556,8 @@ def summarise(
             text += "; gains within the bounds hardly move a pole: give bounds= in the units of the plant"
         notes = (*notes, ControlNote.NO_STABILISING_GAINS(text))
     elif score.violation > FEASIBLE:
-        status = GainStatus.LIMITS_CONTRADICT
+        # an ended budget leaves open whether other gains keep the limits
+        status = GainStatus.ITERATION_LIMIT if problem.evaluations.exhausted else GainStatus.LIMITS_CONTRADICT
         text = f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}{ended}"
         notes = (*notes, ControlNote.LIMITS_EXCEEDED(text))
     if status is GainStatus.STALLED and certificate is not None:
