@@ -282,26 +282,16 @@ def unit_variables(plant: UnitPlant, domain: Domain | None, controller: UnitCont
         variables.append(
             UnitVariable(name, "input", *about, low if name == "speed_rpm" else (low + high) / 2, low, high)
         )
-    driven = () if controller is None else controller.driven
-    text = "added to the command of the controller"
+    limits = {} if controller is None else dict(zip(controller.driven, controller.limits, strict=True))
+    added = "added to the command of the controller"
     for i, each in enumerate(plant.inputs):
-        added = "w_" + each.name.removeprefix("r_")
-        variables.append(replace(each, name=added, text=text) if i in driven else each)
-    variables += plant.outputs
-    commands = [plant.inputs[i] for i in driven]
-    for each in commands:
-        variables.append(replace(each, causality="output", start=None, text="command at the last sample"))
-    for each, limit in zip(commands, () if controller is None else controller.limits, strict=True):
-        variables.append(
-            replace(
-                each,
-                name=f"limit_{each.name}",
-                causality="parameter",
-                start=limit,
-                low=0.0,
-                text="largest magnitude of a command",
-            )
-        )
+        name = "w_" + each.name.removeprefix("r_")
+        variables.append(replace(each, name=name, text=added) if i in limits else each)
+    command: dict[str, Any] = {"causality": "output", "start": None, "text": "command at the last sample"}
+    limit: dict[str, Any] = {"causality": "parameter", "low": 0.0, "text": "largest magnitude of a command"}
+    driven = [(plant.inputs[i], largest) for i, largest in limits.items()]
+    variables += [*plant.outputs, *(replace(each, **command) for each, _ in driven)]
+    variables += [replace(each, name=f"limit_{each.name}", start=largest, **limit) for each, largest in driven]
     if ranges:
         text = "whether scheduling variables may leave the domain of the model"
         variables.append(UnitVariable("extrapolate", "parameter", "", text, False))
@@ -561,15 +551,14 @@ def _domain(path: Path, plant: UnitPlant, controller: ControllerDesign | None) -
             f"{path}: controller {controller.name!r} follows {', '.join(schedule.variables)}, the plant "
             f"{', '.join(domain.variables)}; give a controller of this plant"
         )
-    ranges = []
-    for name, of_plant, of_schedule in zip(domain.variables, domain.bounds, schedule.bounds, strict=True):
-        low, high = max(of_plant[0], of_schedule[0]), min(of_plant[1], of_schedule[1])
+    ranges = [(max(a, c), min(b, d)) for (a, b), (c, d) in zip(domain.bounds, schedule.bounds, strict=True)]
+    for name, (low, high) in zip(domain.variables, ranges, strict=True):
         if low > high:
+            (a, b), (c, d) = domain.ranges[name], schedule.ranges[name]
             raise UsageError(
-                f"{path}: {name} of the plant is {of_plant[0]:g} to {of_plant[1]:g}, that of controller "
-                f"{controller.name!r} {of_schedule[0]:g} to {of_schedule[1]:g}; give a controller of this plant"
+                f"{path}: {name} of the plant is {a:g} to {b:g}, that of controller {controller.name!r} {c:g} to {d:g}"
+                "; give a controller of this plant"
             )
-        ranges.append((low, high))
     return Domain(*ranges, variables=domain.variables)
 
 
