@@ -10,7 +10,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Set
-from dataclasses import InitVar, dataclass, fields, is_dataclass
+from dataclasses import MISSING, InitVar, dataclass, fields, is_dataclass
 from functools import cache, wraps
 from numbers import Complex, Integral, Real
 from pathlib import Path
@@ -133,7 +133,7 @@ def check_options(options: Any, owner: str = "") -> None:
     made = next(kind for kind in type(options).__mro__ if "__dataclass_fields__" in vars(kind))
     for name, kind in _types(made).items():
         value = getattr(options, name)
-        if not _allows(kind, value):
+        if value is not getattr(made, name, MISSING) and not _allows(kind, value):  # defaults are allowed: most options
             raise _not_allowed(owner, name, value, kind)
 
 

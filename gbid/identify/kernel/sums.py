@@ -469,19 +469,24 @@ def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -
     return Linked(both[:, :, :n_p], both[:, :, n_p:], ends[:, :, :n_p], ends[:, :, n_p:])
 
 
-def by_segments(blocks: Blocks, sums: Sweep) -> Sweep:
-    """Return the sums over the windows of each segment, from those of windows without gaps."""
+def by_segments(blocks: Blocks, passes: Sequence[Sweep]) -> list[Sweep]:
+    """Return the sums over the windows of each segment, from passes over windows without gaps at one point."""
     size = np.diff(np.append(blocks.segment_first, blocks.n_windows))
     every = np.arange(len(size))
     windows = replace(
         blocks, per_window=int(size.max()), window_first=blocks.segment_first, window_size=size, segment_first=every
     )
-    linked = linked_along(windows, sums.end_theta, sums.end_start)
-    gradients = sums.gradient[None], sums.gradient_start
-    of_each = BlockSums(
-        sums.hessian, sums.error_products, *gradients, sums.hessian_mixed, sums.end, linked.by_theta[:0]
-    )
-    return joined(windows, of_each, sums.hessian_start, linked)
+    linked = linked_along(windows, passes[0].end_theta, passes[0].end_start)
+    none = linked.by_theta[:0]
+    return [
+        joined(
+            windows,
+            BlockSums(s.hessian, s.error_products, s.gradient[None], s.gradient_start, s.hessian_mixed, s.end, none),
+            s.hessian_start,
+            linked,
+        )
+        for s in passes
+    ]
 
 
 def _gradient(s: Sweep, ends: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -146,9 +146,12 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
     if not any(moves(record.inputs).any() for record in records):  # free decays: no delays, no gains
         return _named(structure, np.linalg.lstsq(base / size, target, rcond=None)[0] / size[:, None])
 
+    drive, quarter = (as_real(each).reshape(2, -1, 2) for each in (complex_drive, -1j * complex_drive))
+
     def delayed(tau: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the columns of the delayed inputs, and what the motion leaves of them."""
-        columns = as_real(complex_drive * np.exp(-1j * omega[:, None] * tau))
+        angle = omega[:, None] * tau
+        columns = (drive * np.cos(angle) + quarter * np.sin(angle)).reshape(-1, 2)
         return columns, columns - basis @ (basis.T @ columns)
 
     def unexplained(columns: FloatArray) -> float:

@@ -211,7 +211,8 @@ def information_of_last_pass(at: Estimate, *, shaped: FloatArray | None = None) 
     passes = [here.sweeps]
     if shaped is not None:
         passes.append(tuple(problem.sweeps(problem.values(at.theta), at.starts, shaped)))
-    sums = [[by_segments(part.blocks, s) for part, s in zip(problem.parts, each, strict=True)] for each in passes]
+    by_part = zip(problem.parts, zip(*passes, strict=True), strict=True)
+    sums = list(zip(*(by_segments(part.blocks, each) for part, each in by_part), strict=True))
     chains = _chains(at, sums[0])
     totals = [_total(at, each, chains) for each in sums]
     totals[0] *= here.factor
