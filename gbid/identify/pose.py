@@ -17,6 +17,7 @@ from gbid.identify.disturbances import Disturbances, disturbances_of
 from gbid.identify.frequency_data import FrequencyData, check_linear
 from gbid.identify.generalised_least_squares import WeightedErrors, WeightedProblem, weighted_solution
 from gbid.identify.kernel.gaps import with_kalman_gains
+from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.options import FitArguments
 from gbid.identify.predictor import Predictor
 from gbid.identify.problem.assemble import (
@@ -327,16 +328,18 @@ def minimise(problem: PosedProblem) -> Optimum:
     """
     task, box = problem.task, problem.box
 
-    def run(start: FloatArray, shooting: Shooting | None = None) -> Solution:
-        return solve(shooting or problem.shooting, start, *box, task.options)
+    def run(start: FloatArray, shooting: Shooting | None = None, *, rough: bool = False) -> Solution:
+        return solve(shooting or problem.shooting, start, *box, task.options, rough=rough)
 
-    notes, solution = tuple[str, ...](), run(np.clip(problem.unknowns, *box))
+    predictor = problem.shooting.parts[0].predictor
+    rough = isinstance(predictor, NonlinearPredictor) and predictor.adapts and task.courses is None
+    notes, solution = tuple[str, ...](), run(np.clip(problem.unknowns, *box), rough=rough)
     first = solution.history[0].cost if solution.history else np.nan
     for _ in range(_ROUNDS):
         start = lower_elsewhere(problem.shooting, solution.unknowns, box) if solution.status.success else None
         if start is None:
             break
-        other, iterations = run(start), solution.iterations
+        other, iterations = run(start, rough=rough), solution.iterations
         costs = [problem.shooting.at(each.unknowns).cost for each in (other, solution)]
         lower = other.status.success and costs[0] < costs[1]
         notes = (FOUND,) if lower else (*notes, SUSPECTED)

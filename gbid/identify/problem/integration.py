@@ -17,7 +17,7 @@ from gbid.identify.data import FitData
 from gbid.identify.kernel.sample import NonlinearPredictor
 from gbid.identify.problem.nlp import Shooting
 from gbid.identify.problem.solve import Box, Solution, gauss_newton_step, in_standard_deviations
-from gbid.identify.result import FitResult
+from gbid.identify.result import FitResult, FitStatus
 from gbid.structure import NonlinearModel
 from gbid.structure.nonlinear import MOST_STEPS
 
@@ -37,7 +37,7 @@ def integrated_finely(
     problem : Shooting
         Problem of the fit, linear or not.
     solution : Solution
-        Its solution.
+        Its solution; one that is converged acceptably is solved on at the end.
     box : (n_unknowns,) array, (n_unknowns,) array
         Bounds of the unknowns, scaled.
     run : callable
@@ -55,20 +55,20 @@ def integrated_finely(
     predictor = problem.parts[0].predictor
     if not isinstance(predictor, NonlinearPredictor):
         return problem, solution, None
-    steps, shift = predictor.steps, _shift(problem, solution.unknowns, box)
+    steps, (ahead, shift) = predictor.steps, _ahead(problem, solution.unknowns, box)
     for _ in range(ROUNDS if predictor.adapts else 0):
         if not solution.status.success:
             break
-        off = in_standard_deviations(problem, problem.at(solution.unknowns), shift)
-        if off <= TOLERATED:
+        off, start = in_standard_deviations(problem, problem.at(solution.unknowns), shift), solution.unknowns
+        if off > TOLERATED:
+            steps = steps * 4 if not np.isfinite(off) else ceil(steps * min(8.0, (off / AIM) ** (1 / _ORDER)))
+        if off > TOLERATED and steps <= MOST_STEPS:
+            problem, start = with_steps(problem, steps), start + (ahead if np.isfinite(off) else 0.0)
+        elif solution.status is not FitStatus.CONVERGED_ACCEPTABLY:
             break
-        steps = steps * 4 if not np.isfinite(off) else ceil(steps * min(8.0, (off / AIM) ** (1 / _ORDER)))
-        if steps > MOST_STEPS:
-            break
-        problem = with_steps(problem, steps)
-        refined = run(np.clip(solution.unknowns + shift, *box) if np.isfinite(off) else solution.unknowns, problem)
+        refined = run(np.clip(start, *box), problem)
         solution = replace(refined, iterations=solution.iterations + refined.iterations)
-        shift = _shift(problem, solution.unknowns, box)
+        ahead, shift = _ahead(problem, solution.unknowns, box)
     return problem, solution, shift[: problem.n_theta] * problem.theta_scale
 
 
@@ -105,16 +105,16 @@ def with_steps(problem: Shooting, steps: int) -> Shooting:
     return replace(problem, parts=tuple(parts))
 
 
-def _shift(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray:
-    """Return the step from the solution to that with half the step; infinite where it cannot be computed."""
+def _ahead(problem: Shooting, unknowns: FloatArray, box: Box) -> tuple[FloatArray, FloatArray]:
+    """Return the way to the solution with half the step, and from that with this step; infinite where there is none."""
     predictor = problem.parts[0].predictor
     assert isinstance(predictor, NonlinearPredictor)
     finer = with_steps(problem, 2 * predictor.steps)
     try:
-        here = gauss_newton_step(problem, problem.at(unknowns), unknowns, box)
-        return gauss_newton_step(finer, finer.at(unknowns), unknowns, box) - here
+        here, ahead = (gauss_newton_step(each, each.at(unknowns), unknowns, box) for each in (problem, finer))
     except (RuntimeError, ValueError):
-        return np.full(len(unknowns), np.inf)
+        here, ahead = np.zeros(len(unknowns)), np.full(len(unknowns), np.inf)
+    return ahead, ahead - here
 
 
 # ---- Linear model at the working point of a nonlinear fit, with derivatives by the parameters.

@@ -421,6 +421,8 @@ class Tolerances:
     near, near_gap, ahead : float
         Step and gap at which the basin of the minimum is reached, and the iterations ahead that justify a change of
         method there.
+    rough : float
+        Step at which a solution is near enough to judge the steps of an integrator.
     patience : int
         Iterations that a predictor may be unstable on the way, where its start was so too, or stand still.
     rest, rest_by_paper : float
@@ -440,6 +442,7 @@ class Tolerances:
     near: float = 50.0
     near_gap: float = 0.1
     ahead: float = 7
+    rough: float = 1.0
     patience: int = 5
     rest: float = 0.1
     rest_by_paper: float = 1.0
@@ -501,6 +504,8 @@ class Watch:
         Iterations of the run before; empty for the first.
     changes_over : bool
         Whether the run may end for another method.
+    rough : bool
+        Whether the run ends near the minimum already.
     history : list of Progress
         Iterations so far.
     status : FitStatus or None
@@ -517,6 +522,7 @@ class Watch:
     box: Box
     earlier: Sequence[Progress] = ()
     changes_over: bool = False
+    rough: bool = False
     history: list[Progress] = field(init=False, default_factory=list)
     status: FitStatus | None = field(init=False, default=None)
     creeping: bool = field(init=False, default=False)
@@ -553,6 +559,7 @@ class Watch:
         near = self.changes_over and sigma < limit.near and gap < limit.near_gap
         creeps = near and _iterations_ahead(sigma, self._sigma) > limit.ahead
         self.creeping = creeps and problem.at(x).rate < 1
+        is_near = self.rough and sigma < limit.rough and self._sigma < limit.near and gap < limit.near_gap
         self._previous, self._sigma = x, sigma
         self._unstable = self._unstable + 1 if problem.noise and problem.at(x).rate > 1 else 0
         reasons = {
@@ -563,6 +570,7 @@ class Watch:
             FitStatus.CONVERGED_AT_ROUNDING: (
                 problem.extra is None and cost <= problem.exact_cost and gap < limit.exact_gap
             ),
+            FitStatus.CONVERGED_ACCEPTABLY: is_near,
         }
         self.status = next((status for status, holds in reasons.items() if holds), None)
         return self.status is not None or self.creeping or self.interrupt.error is not None
@@ -640,6 +648,8 @@ def solve(
     lower: FloatArray,
     upper: FloatArray,
     options: FitArguments = FitArguments(),  # noqa: B008
+    *,
+    rough: bool = False,
 ) -> Solution:
     """Minimise the cost with all gaps closed.
 
@@ -658,6 +668,8 @@ def solve(
         Options of a fit: `stop`, `max_iterations`, `progress` and `ipopt`. "tolerance" stops by IPOPT's own test or at
         a step far below the estimates' standard deviations, whichever is met first; "paper" at a relative change of
         the parameters below 1e-4 (Sec. 3.6).
+    rough : bool
+        Whether to end near the minimum already, as "converged acceptably".
 
     Returns
     -------
@@ -673,9 +685,10 @@ def solve(
     most = options.max_iterations
     with _interruptible() as interrupt:
         runs = _Runs(problem, (lower, upper), gauss_newton, options, interrupt)
-        first, watch = runs.run(start, most, changes_over=True)
+        first, watch = runs.run(start, most, changes_over=True, rough=rough)
         if not watch.creeping:
-            first = runs.at_rest(first, most)
+            if not (rough and first.status is FitStatus.CONVERGED_ACCEPTABLY):
+                first = runs.at_rest(first, most)
             return replace(first, phases=(_phase(problem, first),))
         joined, kept = in_one_window(problem)
         runs = _Runs(joined, (lower[kept], upper[kept]), ExactHessian, options, interrupt)
@@ -731,10 +744,11 @@ class _Runs:
         tolerance: float = TOLERANCES.solver,
         earlier: Sequence[Progress] = (),
         changes_over: bool = False,
+        rough: bool = False,
     ) -> tuple[Solution, Watch]:
         """Run IPOPT once, at most so many iterations; `earlier` is the progress of the run before."""
         problem, (lower, upper), trouble = self.problem, self.box, Trouble(most=TOLERANCES.farthest)
-        watch = Watch(problem, self.options, self.interrupt, self.box, earlier=earlier, changes_over=changes_over)
+        watch = Watch(problem, self.options, self.interrupt, self.box, earlier, changes_over, rough)
         functions = nlp_functions(problem, self.curvature(problem), trouble)
         n, m, names = problem.n_unknowns, len(functions.lower), ca.nlpsol_out()
         sizes = {"f": (1, 1), "x": (n, 1), "g": (m, 1), "lam_x": (n, 1), "lam_g": (m, 1), "lam_p": (0, 0)}
